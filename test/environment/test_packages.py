@@ -23,7 +23,7 @@ PACKAGES = {
 KEYS = {
     "clarabel": "python3-clarabel-pip", "cv2": "python3-opencv", "llvmlite": "python3-numba",
     "matplotlib": "python3-matplotlib", "mcap": "python3-mcap-pip", "numba": "python3-numba",
-    "numpy": "python3-numpy", "PIL": "python3-pil", "piqp": "python3-piqp-pip",
+    "numpy": "python3-numpy", "PIL": "python3-pil",
     "rosbags": "python3-rosbags-pip", "scipy": "python3-scipy", "serial": "python3-serial",
     "yaml": "python3-yaml",
 }  # fmt: skip
@@ -85,7 +85,7 @@ def test_a_package_names_every_dependency_and_no_other(package):
 def test_keys_that_rosdep_lacks_stand_in_a_list_of_our_own():
     content = yaml.safe_load(OWN_KEYS.read_text())
     pinned = (ROOT / "scripts/requirements/runtime.txt").read_text()
-    assert {"python3-clarabel-pip", "python3-mcap-pip", "python3-piqp-pip"} <= set(content)
+    assert {"python3-clarabel-pip", "python3-mcap-pip"} <= set(content)
     for entry in content.values():
         (name,) = entry["ubuntu"]["pip"]["packages"]
         assert f"\n{name}==" in pinned

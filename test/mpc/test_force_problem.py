@@ -16,7 +16,7 @@ from slot_core.estimation.estimate import Estimate
 from slot_core.mpc.model import Horizon, HorizonQp, TorsoModel
 from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import read_mpc
-from slot_core.mpc.solver import make_solver
+from slot_core.mpc.solver import QpSolver
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
@@ -119,7 +119,7 @@ def solve_whole_horizon(known, ahead):
     model, x0 = TorsoModel(ROBOT), known.state
     generic, weights = model.predict(0.3, 0.1, DT), SETTINGS.weights
     qp = HorizonQp(weights.q, weights.r, H, generic)
-    solver = make_solver(qp, SETTINGS.solver)
+    solver = QpSolver(qp, SETTINGS.solver)
     force_ref = np.zeros((H, 4, 3))
     force_ref[..., 2] = ahead.normal_force[:H]
     limits = F_MAX * ahead.contact[:H]

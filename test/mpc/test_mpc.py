@@ -13,7 +13,7 @@ from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate
 from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import read_mpc
-from slot_core.mpc.solver import Solution
+from slot_core.quadratic_programme import Solution
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()
@@ -110,8 +110,8 @@ def iteration_limit():
 
 
 def violation():
-    # standing is well within all limits; PIQP does not satisfy a friction of zero exactly
-    mpc = new_mpc(solver__name="piqp", acceptance__violation_max=0.0)
+    # standing is well within all limits; an interior point does not satisfy a friction of zero
+    mpc = new_mpc(acceptance__violation_max=0.0)
     slipping = torso(rpy=(0.5, -0.5, 0), v=(0.1, 0, 0))
     return mpc, slipping, preview(normal_force=GAIT_FORCE, friction=np.zeros((H + 1, 4)))
 
@@ -165,7 +165,7 @@ def test_a_nan_solution_reported_as_solved_is_not_accepted(monkeypatch):
             self.count += 1
             return Solution(solutions[max(self.count, 0)], fault="", iterations=1)
 
-    monkeypatch.setattr("slot_core.mpc.force_problem.make_solver", FaultySolver)
+    monkeypatch.setattr("slot_core.mpc.force_problem.QpSolver", FaultySolver)
     mpc = new_mpc()
     assert mpc.step(torso(), preview()).status == Status.SOLVED
     result = mpc.step(torso(), preview())

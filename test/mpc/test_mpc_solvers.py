@@ -1,4 +1,4 @@
-"""Solvers of the MPC on forces against an active-set method: random, hard, invalid problems."""
+"""Solver of the MPC on forces against an active-set method: random, hard, invalid problems."""
 
 import copy
 import dataclasses
@@ -14,37 +14,24 @@ from slot_core import config
 from slot_core.control.policy import Status
 from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import read_mpc
-from slot_core.mpc.solver import SOLVERS, make_solver
+from slot_core.mpc.solver import QpSolver
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
 SETTINGS = config.replace(read_mpc("forces"), {"acceptance.time_budget": np.inf})
 H = SETTINGS.horizon
-SOLVER_CHANGES = {name: {"name": name} for name in SOLVERS} | {
-    "piqp multistage": {"name": "piqp", "backend": "multistage"}
-}
 # Where a limit is weakly active, an interior-point solution is off by about the root of its gap,
-# 1e-5 N; PIQP by 3.2e-4 N at most. An error of 1e-3 N does not matter to the robot.
+# 1e-5 N. An error of 1e-3 N does not matter to the robot.
 TOLERANCE = 1e-3
 
 
-def settings_of(solver, **changes):
-    chosen = {f"solver.{key}": value for key, value in SOLVER_CHANGES[solver].items()}
+def controller(**changes):
     others = {key.replace("__", "."): value for key, value in changes.items()}
-    return config.replace(SETTINGS, chosen | others)
+    return Mpc(ROBOT, config.replace(SETTINGS, others), lambda: 0.0)
 
 
-def controller(solver, **changes):
-    return Mpc(ROBOT, settings_of(solver, **changes), lambda: 0.0)
-
-
-@pytest.fixture(params=SOLVER_CHANGES)
-def solver(request):
-    return request.param
-
-
-FOUND = {}  # first forces (4, 3) N of the optimum, by the problem: all solvers are given the same
+FOUND = {}  # first forces (4, 3) N of the optimum, by the problem
 
 
 def exact(mpc):
@@ -58,7 +45,7 @@ def exact(mpc):
 
 
 def test_oracle_and_cvxpy_reference_have_the_same_forces():
-    mpc, rng = controller("piqp"), np.random.default_rng(2)
+    mpc, rng = controller(), np.random.default_rng(2)
     reference = CvxpyReference(ROBOT, SETTINGS)
     for case in [*(random_case(rng, H + 1) for _ in range(5)), hard_cases(H + 1)["a leg swings"]]:
         mpc.step(*case)
@@ -79,8 +66,8 @@ def test_oracle_and_cvxpy_reference_have_the_same_forces():
         (5, 6, {"weights__force": (0.05,) * 3}),
     ],
 )
-def test_first_forces_are_the_optimum_of_random_problems(solver, count, factor, changes):
-    mpc, rng = controller(solver, **changes), np.random.default_rng(5)
+def test_first_forces_are_the_optimum_of_random_problems(count, factor, changes):
+    mpc, rng = controller(**changes), np.random.default_rng(5)
     for _ in range(count):
         result = mpc.step(*random_case(rng, changes.get("horizon", H) + 1))
         assert result.status == Status.SOLVED
@@ -88,39 +75,34 @@ def test_first_forces_are_the_optimum_of_random_problems(solver, count, factor, 
 
 
 @pytest.mark.parametrize("case", hard_cases(H + 1))
-def test_hard_cases_give_the_optimum_or_a_fault(solver, case):
-    mpc = controller(solver)
+def test_hard_cases_give_the_optimum(case):
+    mpc = controller()
     result = mpc.step(*hard_cases(H + 1)[case])
-    if result.status != Status.SOLVED:
-        # PIQP's residuals become NaN; the controller falls back
-        assert (solver, case) == ("piqp multistage", "depth of 1000 m")
-        assert result.status == Status.STOPPED
-        assert not result.force.any()
-        return
+    assert result.status == Status.SOLVED
     assert result.report.violation <= SETTINGS.acceptance.violation_max
     np.testing.assert_allclose(result.force[0], exact(mpc), rtol=0, atol=TOLERANCE)
 
 
-def test_forces_without_contact_friction_or_a_force_limit_are_zero(solver):
-    mpc, cases = controller(solver), hard_cases(H + 1)
+def test_forces_without_contact_friction_or_a_force_limit_are_zero():
+    mpc, cases = controller(), hard_cases(H + 1)
     excluded = [mpc.step(*cases["flight"]).force, mpc.step(*cases["no friction"]).force[..., :2]]
-    result = controller(solver, force_max=0.0).step(torso(), standing(H + 1))
+    result = controller(force_max=0.0).step(torso(), standing(H + 1))
     assert result.status == Status.SOLVED
     for force in (*excluded, result.force):
         assert np.abs(force[0]).max() < 1e-6  # N, of 5; roundoff and residual
 
 
-def test_after_many_updates_the_solution_is_that_of_a_new_solver(solver):
-    used, rng = controller(solver), np.random.default_rng(9)
+def test_after_many_updates_the_solution_is_that_of_a_new_solver():
+    used, rng = controller(), np.random.default_rng(9)
     for _ in range(200):
         used.step(*random_case(rng, H + 1))
     for case in [random_case(rng, H + 1), (torso(), standing(H + 1))]:
-        fresh = controller(solver).step(*case)
+        fresh = controller().step(*case)
         np.testing.assert_allclose(used.step(*case).force, fresh.force, atol=TOLERANCE)
 
 
-def test_a_failed_case_does_not_affect_the_next(solver):
-    mpc, limit = controller(solver), SETTINGS.acceptance.input_max
+def test_a_failed_case_does_not_affect_the_next():
+    mpc, limit = controller(), SETTINGS.acceptance.input_max
     good = random_case(np.random.default_rng(10), H + 1)
     for x in (torso(p=(0, 0, -1e3)), torso(p=(0, 0, limit)), torso(rpy=(limit, -limit, 0))):
         mpc.step(x, standing(H + 1))
@@ -129,9 +111,9 @@ def test_a_failed_case_does_not_affect_the_next(solver):
         np.testing.assert_allclose(result.force[0], exact(mpc), rtol=0, atol=TOLERANCE)
 
 
-def test_equal_histories_give_bit_equal_forces(solver):
+def test_equal_histories_give_bit_equal_forces():
     def run():
-        mpc, rng = controller(solver), np.random.default_rng(11)
+        mpc, rng = controller(), np.random.default_rng(11)
         return np.array([mpc.step(*random_case(rng, H + 1)).force for _ in range(20)])
 
     np.testing.assert_array_equal(run(), run())
@@ -139,14 +121,14 @@ def test_equal_histories_give_bit_equal_forces(solver):
 
 def problem_of_standing():
     """A copy of the controller's problem for a standing robot, to be changed."""
-    mpc = controller("piqp")
+    mpc = controller()
     mpc.step(torso(p=(0, 0, 0.03)), standing(H + 1))
     return copy.deepcopy(mpc.problem.qp)
 
 
-def test_infeasible_limits_are_a_fault(solver):
+def test_infeasible_limits_are_a_fault():
     qp = problem_of_standing()
-    instance = make_solver(qp, settings_of(solver).solver)
+    instance = QpSolver(qp, SETTINGS.solver)
     assert instance.solve().fault == ""
     qp.upper[3, 2] = -1.0  # below the lower limit of zero
     assert instance.solve().fault
@@ -168,31 +150,30 @@ class Balanced:
         self.lower, self.upper = qp.lower, qp.upper
 
 
-def test_equalities_beside_the_dynamics_are_satisfied(solver):
+def test_equalities_beside_the_dynamics_are_satisfied():
     qp = Balanced(ROBOT.weight)
-    found = make_solver(qp, settings_of(solver).solver).solve()
+    found = QpSolver(qp, SETTINGS.solver).solve()
     assert found.fault == ""
     np.testing.assert_allclose(qp.A @ found.z, qp.b, atol=1e-6)  # N
 
 
-def test_a_balance_above_the_force_limits_is_a_fault(solver):
+def test_a_balance_above_the_force_limits_is_a_fault():
     qp = Balanced(4 * SETTINGS.force_max + 1.0)
-    assert make_solver(qp, settings_of(solver).solver).solve().fault
+    assert QpSolver(qp, SETTINGS.solver).solve().fault
 
 
 @pytest.mark.parametrize("iterations", [1, 2])
-def test_reaching_the_iteration_limit_is_a_fault(solver, iterations):
-    limits = settings_of(solver).solver
-    few = dataclasses.replace(limits, iterations=iterations)
-    found = make_solver(problem_of_standing(), few).solve()
+def test_reaching_the_iteration_limit_is_a_fault(iterations):
+    few = dataclasses.replace(SETTINGS.solver, iterations=iterations)
+    found = QpSolver(problem_of_standing(), few).solve()
     assert found.fault
     assert "\n" not in found.fault
     assert found.iterations <= iterations
 
 
-def test_a_nan_in_the_problem_gives_a_fault_or_a_nan_solution(solver):
+def test_a_nan_in_the_problem_gives_a_fault_or_a_nan_solution():
     qp = problem_of_standing()
-    instance = make_solver(qp, settings_of(solver).solver)
+    instance = QpSolver(qp, SETTINGS.solver)
     qp.b.ravel()[5] = np.nan  # the height at the end of the first stage
     found = instance.solve()
     assert found.fault or not np.isfinite(found.z).all()

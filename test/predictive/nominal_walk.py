@@ -1,7 +1,6 @@
 """The robot, the settings and the walk of the tests of the predictive policy."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slot_core.geometry import rpy_of
 from slot_core.predictive.settings import read_predictive
@@ -15,5 +14,5 @@ def torso_of(model, start):
     """State (12,) of the torso of a nominal robot, as of an estimate."""
     torso = model.robot.state
     torso.buffer[:] = start.buffer
-    rpy, omega = rpy_of(Rotation.from_matrix(torso.rotation)), torso.rotation @ torso.rate
+    rpy, omega = rpy_of(torso.rotation), torso.rotation @ torso.rate
     return np.concatenate([rpy, torso.position, omega, torso.velocity])

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from slot_core.clock import to_ns, to_seconds
 from slot_core.dynamics.scene import read_scene
@@ -35,7 +34,7 @@ class RecordingPlant(RobotSimulator):
 
     def _read_imu(self) -> list[Reading]:
         sim, readings = self.robot, super()._read_imu()
-        angles = rpy_of(Rotation.from_matrix(sim.rotation))
+        angles = rpy_of(sim.rotation)
         rate = sim.rotation @ sim.angular_velocity
         self.truth.append((self.now, np.concatenate([angles, sim.position, rate, sim.velocity])))
         self.readings += [r for r in readings if isinstance(r, ImuReading)]

@@ -33,7 +33,7 @@ def finite_differences(arrivals: Sequence[Arrival]) -> Iterator[Use]:
             continue
         if last is not None:
             velocity = (r.position - last.position) / to_seconds(r.stamp - last.stamp)
-            angles = rpy_of(Rotation.from_quat(r.quaternion))
+            angles = rpy_of(Rotation.from_quat(r.quaternion).as_matrix())
             yield arrival, np.concatenate([angles, r.position, np.zeros(3), velocity])
         last = r
 

@@ -30,7 +30,7 @@ from slot_core.control.policy import Status, TendonPlan
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitCommand, GaitPreview, read_gaits
 from slot_core.gait.reference import places_ahead, reference
-from slot_core.geometry import rotate, rotation_of, rpy_of
+from slot_core.geometry import rotate, rpy_of
 from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import MpcSettings
 from slot_core.robot import GRAVITY, Array, RobotParameters
@@ -65,7 +65,7 @@ class RigidTorso:
     def __init__(self, torso: Body, state: Array, force: Array):
         """Start at a state (12,) [rpy, p, omega, v] in odom, with ground forces (4, 3), N."""
         self.body = torso
-        turn = rotation_of(state[:3])
+        turn = Rotation.from_euler("xyz", state[:3])
         rate = turn.inv().apply(state[6:9])
         self.y = np.concatenate([state[3:6], turn.as_quat(), state[9:12], rate, force.ravel()])
         self.external = np.zeros(6)  # N and N m on the centre, odom
@@ -75,7 +75,7 @@ class RigidTorso:
     def state(self) -> Array:
         """(12,) [roll pitch yaw, p, omega, v] in odom."""
         turn = Rotation.from_quat(self.y[QUATERNION])
-        rpy = rpy_of(turn)
+        rpy = rpy_of(turn.as_matrix())
         return np.concatenate([rpy, self.y[POSITION], turn.apply(self.y[RATE]), self.y[VELOCITY]])
 
     def advance(self, command: Array, dt: float) -> None:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from slot_core.robot import Array
+Array = NDArray[np.float64]
 
 
 def checked(

@@ -28,9 +28,8 @@ SETTINGS: Any = numba.config  # its attributes are set at run time
 njit: Any = numba.njit  # the type annotations of numba.njit lack some of its options
 F = TypeVar("F", bound=Callable[..., Any])
 
-# `contract` fuses multiply and add where the processor can. Full fastmath would let the compiler
-# delete the checks for NaN.
-FUSED: dict[str, Any] = {"fastmath": {"contract"}}
+# No fastmath: the compiler neither reorders nor fuses operations, so that every processor gives the
+# same bits, and the checks for NaN stay.
 # Without Numba's run time (nrt) a kernel that allocates memory does not compile, and none counts
 # references to its arrays, which would cost more than the arithmetic.
 OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
@@ -44,21 +43,13 @@ INLINE: dict[str, Any] = {
 
 
 def helper(function: F) -> F:
-    """Compile a function that only kernels call; multiply and add may be fused."""
-    return njit(**OPTIONS, **INLINE, **FUSED)(function)
-
-
-def exact_helper(function: F) -> F:
-    """As `helper`, nothing fused: every processor gives the same bits."""
+    """Compile a function that only kernels call."""
     return njit(**OPTIONS, **INLINE)(function)
 
 
 def kernel(function: F) -> F:
-    """Compile a function that Python calls, with a cache on disk where that is possible.
-
-    Multiply and add may be fused.
-    """
-    return _kernel(function, FUSED)
+    """Compile a function that Python calls, with a cache on disk where that is possible."""
+    return _kernel(function, {})
 
 
 def unlocked_kernel(function: F) -> F:
@@ -66,12 +57,7 @@ def unlocked_kernel(function: F) -> F:
 
     It gives up Python's lock, which a thread of the controller may have to wait for afterwards.
     """
-    return _kernel(function, {**FUSED, "nogil": True})
-
-
-def exact_kernel(function: F) -> F:
-    """As `kernel`, nothing fused: every processor gives the same bits."""
-    return _kernel(function, {})
+    return _kernel(function, {"nogil": True})
 
 
 def _kernel(function: F, options: dict[str, Any]) -> F:

@@ -1,17 +1,20 @@
 """Geometry: rotations by roll, pitch and yaw, rigid transforms, vectors in the plane.
 
 Roll, pitch and yaw are those of R = Rz(yaw) Ry(pitch) Rx(roll) everywhere (REP-103); quaternions
-are x y z w.
+are x y z w, of base_link in odom, with the same bits on every processor.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from slot_core.compiled import helper
+from slot_core.elementary import atan2, cos, hypot, sin
+from slot_core.matrices import norm, product
 from slot_core.robot import Array
 
 Angle = TypeVar("Angle", float, Array)
@@ -20,14 +23,80 @@ Angle = TypeVar("Angle", float, Array)
 OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
-def rotation_of(rpy: Any) -> Rotation:
-    """Rotations of roll, pitch and yaw (..., 3), rad."""
-    return Rotation.from_euler("xyz", rpy)
+@helper
+def roll_pitch_yaw(r):  # type: ignore[no-untyped-def]
+    """Roll, pitch and yaw, rad, of a rotation matrix (3, 3), in a kernel."""
+    level = math.sqrt(r[2, 1] * r[2, 1] + r[2, 2] * r[2, 2])
+    return atan2(r[2, 1], r[2, 2]), atan2(-r[2, 0], level), atan2(r[1, 0], r[0, 0])
 
 
-def rpy_of(rotation: Rotation) -> Array:
-    """Roll, pitch and yaw (..., 3), rad, of rotations; yaw and roll in (-pi, pi]."""
-    return np.asarray(rotation.as_euler("xyz"))
+def rpy_of(rotation: Array) -> Array:
+    """Roll, pitch and yaw (..., 3), rad, of rotation matrices (..., 3, 3); within +-pi."""
+    r = np.moveaxis(np.asarray(rotation, dtype=float), (-2, -1), (0, 1))
+    level = hypot(r[2, 1], r[2, 2])
+    parts = atan2(r[2, 1], r[2, 2]), atan2(-r[2, 0], level), atan2(r[1, 0], r[0, 0])
+    return np.stack(parts, axis=-1)
+
+
+def matrix_of_rpy(rpy: Any) -> Array:
+    """Rotation matrices (..., 3, 3) of roll, pitch and yaw (..., 3), rad."""
+    angles = np.moveaxis(np.asarray(rpy, dtype=float), -1, 0)
+    (cr, cp, cy), (sr, sp, sy) = cos(angles), sin(angles)
+    rows = (
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    )
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def matrix_of_quaternion(quaternion: Any) -> Array:
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4), normalised.
+
+    Raises ValueError for a quaternion of norm zero.
+    """
+    q = np.asarray(quaternion, dtype=float)
+    length = norm(q)
+    if not np.all(length):
+        raise ValueError("a quaternion has norm zero")
+    x, y, z, w = np.moveaxis(q / np.asarray(length)[..., None], -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def quaternion_of(rotation: Array) -> Array:
+    """(4,) quaternion of a rotation matrix (3, 3), w >= 0.
+
+    4 q q^T = K + 1, of which the column with the largest diagonal is taken (Bar-Itzhack 2000).
+    """
+    r = rotation
+    square = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
+            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
+            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    ) + np.eye(4)
+    q = square[np.argmax(square.diagonal())]
+    return q / norm(q) if q[3] >= 0.0 else -q / norm(q)
+
+
+def quaternion_of_vector(vector: Array) -> Array:
+    """(4,) quaternion of a rotation vector (3,), rad."""
+    angle = norm(vector)
+    share = sin(0.5 * angle) / angle if angle else 0.5
+    return np.append(share * vector, cos(0.5 * angle))
+
+
+def quaternion_product(a: Array, b: Array) -> Array:
+    """(4,) quaternion of the rotation b (4,), then a (4,)."""
+    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
+    return np.append(vector, a[3] * b[3] - (a[:3] * b[:3]).sum())
 
 
 @dataclass(frozen=True)
@@ -40,42 +109,42 @@ class Transform:
     @classmethod
     def of(cls, position: Array | tuple[float, ...], rpy: Array | tuple[float, ...]) -> Transform:
         """From a position (m) and Rz(yaw) Ry(pitch) Rx(roll), rad."""
-        return cls(rotation_of(rpy).as_matrix(), np.asarray(position, float))
+        return cls(matrix_of_rpy(rpy), np.asarray(position, float))
 
     @classmethod
     def of_quaternion(cls, position: Array, quaternion: Array) -> Transform:
         """From a position (m) and a quaternion x y z w."""
-        return cls(Rotation.from_quat(quaternion).as_matrix(), np.asarray(position, float))
+        return cls(matrix_of_quaternion(quaternion), np.asarray(position, float))
 
     @property
     def inverse(self) -> Transform:
         """The transform back."""
-        return Transform(self.rotation.T, -self.rotation.T @ self.position)
+        return Transform(self.rotation.T, -product(self.rotation.T, self.position))
 
     def __matmul__(self, other: Transform) -> Transform:
         """First `other`, then this one."""
-        return Transform(
-            self.rotation @ other.rotation, self.rotation @ other.position + self.position
-        )
+        turned = product(self.rotation, other.position)
+        return Transform(product(self.rotation, other.rotation), turned + self.position)
 
     def apply(self, points: Array) -> Array:
         """Points (..., 3), m, transformed."""
-        return points @ self.rotation.T + self.position
+        flat = np.reshape(points, (-1, 3))
+        return product(flat, self.rotation.T).reshape(np.shape(points)) + self.position
 
     @property
     def quaternion(self) -> Array:
         """(4,) x y z w."""
-        return Rotation.from_matrix(self.rotation).as_quat()
+        return quaternion_of(self.rotation)
 
 
 def optical(camera_link: Transform) -> Transform:
     """Transform of the optical frame from that of camera_link."""
-    return camera_link @ Transform(OPTICAL, np.zeros(3))
+    return camera_link @ Transform(OPTICAL, np.zeros(3))  # of transforms
 
 
 def rotate(vectors: Array, angle: float | Array) -> Array:
     """Rotate plane vectors (..., 2) counter-clockwise by an angle (...), rad."""
-    c, s = np.cos(angle), np.sin(angle)
+    c, s = cos(angle), sin(angle)
     x, y = vectors[..., 0], vectors[..., 1]
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 

@@ -16,17 +16,17 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
-from scipy.integrate import quad
 
 from slot_core import config
+from slot_core.arrays import Array as Array  # noqa: PLC0414 - for those who import it from here
 from slot_core.config import ConfigError, choice, quantity
+from slot_core.elementary import cos, exp, hypot, sin
+from slot_core.matrices import interpolated, product
 from slot_core.refusal import quoted
-
-Array = NDArray[np.float64]
 
 LEGS = ("FL", "FR", "RL", "RR")
 TENDON_JOINTS = tuple(f"{leg}_tendon" for leg in LEGS)
+ARC_CELLS = 4000  # of a leg's natural shape
 GRAVITY = 9.81  # m/s^2, the value of the paper
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"
@@ -84,12 +84,20 @@ class Leg:
         """z(x) of the natural centre line, both in m; the tip is drawn on the floor z = 0."""
         return Polynomial(self.natural_shape[::-1])
 
+    @cached_property
+    def arc(self) -> tuple[Array, Array]:
+        """Places x (n,) from the clamp to the tip and the arc lengths (n,) there, m.
+
+        By Simpson's rule in each cell; its error is below 1e-15 m.
+        """
+        x, slope = np.linspace(0.0, self.reach, ARC_CELLS + 1), self.shape.deriv()
+        begin, middle, end = (hypot(1.0, slope(at)) for at in (x[:-1], (x[:-1] + x[1:]) / 2, x[1:]))
+        cells = np.diff(x) / 6 * (begin + 4 * middle + end)
+        return x, np.append(0.0, np.cumsum(cells))
+
     def arc_length(self, x: float | None = None) -> float:
         """Arc length of the natural shape from the clamp to x (default: the tip), m."""
-        slope = self.shape.deriv()
-        return float(
-            quad(lambda s: math.hypot(1.0, slope(s)), 0.0, self.reach if x is None else x)[0]
-        )
+        return float(self.arc[1][-1] if x is None else interpolated(x, *self.arc))
 
     @property
     def shear_modulus(self) -> float:
@@ -139,12 +147,12 @@ class Tendon:
     def pulley(self) -> Array:
         """(2,) m, pulley of a straight tendon relative to the clamp, x and z in leg axes."""
         angle = math.radians(self.pulley_angle_deg)
-        return self.pulley_distance * np.array([math.cos(angle), math.sin(angle)])
+        return self.pulley_distance * np.array([cos(angle), sin(angle)])
 
     @property
     def capstan(self) -> float:
         """Tension at the spool over that in the leg while the spool winds: exp(mu alpha), Euler."""
-        return math.exp(self.guide_friction * math.radians(self.guide_angle_deg))
+        return exp(self.guide_friction * math.radians(self.guide_angle_deg))
 
     @property
     def angle_max(self) -> float:
@@ -179,22 +187,22 @@ class RobotParameters:
     def clamps(self) -> Array:
         """(4, 3) clamps in base_link, m: at the corner each azimuth points to, at mid height."""
         corner = np.array([self.torso.size[0] / 2, self.torso.size[1] / 2, 0.0])
-        direction = np.column_stack([np.cos(self.azimuth), np.sin(self.azimuth), np.zeros(4)])
+        direction = np.column_stack([cos(self.azimuth), sin(self.azimuth), np.zeros(4)])
         return np.sign(direction.round(9)) * corner
 
     def clamp_heights(
         self, height: float | Array, roll: float | Array, pitch: float | Array
     ) -> Array:
         """Clamps above the floor (..., 4) m, at heights (m), rolls and pitches (rad) (...)."""
-        level = np.cos(pitch)
-        up = -np.sin(pitch), level * np.sin(roll), level * np.cos(roll)
+        level = cos(pitch)
+        up = -sin(pitch), level * sin(roll), level * cos(roll)
         x, y, z = (np.multiply.outer(part, axis) for part, axis in zip(up, self.clamps.T))
         return np.asarray(np.asarray(height)[..., None] + x + y + z)
 
     @cached_property
     def outward(self) -> Array:
         """(4, 3) unit x axes of the leg frames in base_link."""
-        return np.column_stack([np.cos(self.azimuth), np.sin(self.azimuth), np.zeros(4)])
+        return np.column_stack([cos(self.azimuth), sin(self.azimuth), np.zeros(4)])
 
     @cached_property
     def rightward(self) -> Array:
@@ -211,10 +219,8 @@ class RobotParameters:
     def inertia(self) -> Array:
         """(3, 3) kg m^2 about base_link's origin: torso plus the legs in their natural shape."""
         x = (np.arange(200) + 0.5) / 200 * self.leg.reach
-        ds = np.hypot(1.0, self.leg.shape.deriv()(x))
-        taper = np.interp(
-            x, [0, self.leg.reach], [self.leg.thickness_clamp, self.leg.thickness_tip]
-        )
+        ds = hypot(1.0, self.leg.shape.deriv()(x))
+        taper = self.leg.thickness(x / self.leg.reach)
         mass = self.leg.mass * (ds * taper) / (ds * taper).sum()
         drop = self.leg.shape(x) - self.leg.shape(0.0)
         points = (
@@ -222,8 +228,9 @@ class RobotParameters:
             + x[:, None] * self.outward[:, None]
             + drop[:, None] * np.array([0.0, 0.0, 1.0])
         )
-        square = np.einsum("m,lmi,lmj->ij", mass, points, points)
-        return self.torso.inertia + np.trace(square) * np.eye(3) - square
+        flat = points.reshape(-1, 3)
+        square = product((np.tile(mass, len(LEGS))[:, None] * flat).T, flat)
+        return self.torso.inertia + square.diagonal().sum() * np.eye(3) - square
 
 
 def read_robot(parameters: str = "") -> RobotParameters:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slot_core.elementary import exp
 from slot_core.robot import Array
 
 TERMS = 21  # of the series; the first neglected one is below 1e-16 of the sum
@@ -11,7 +12,7 @@ TERMS = 21  # of the series; the first neglected one is below 1e-16 of the sum
 
 def second_moment(width: float | Array, thickness: float | Array) -> Array:
     """b h^3 / 12, m^4: bending over the thickness h of a section of width b."""
-    return np.asarray(width * np.asarray(thickness) ** 3 / 12)
+    return np.asarray(width * np.square(thickness) * thickness / 12)
 
 
 def torsion_constant(width: float | Array, thickness: float | Array) -> Array:
@@ -22,5 +23,8 @@ def torsion_constant(width: float | Array, thickness: float | Array) -> Array:
     """
     a, b = np.maximum(width, thickness), np.minimum(width, thickness)
     n = 2.0 * np.arange(TERMS) + 1
-    series = (np.tanh(np.multiply.outer(a / b, n) * (np.pi / 2)) / n**5).sum(axis=-1)
-    return np.asarray(a * b**3 * (1 / 3 - 64 / np.pi**5 * b / a * series))
+    decay = exp(-np.pi * np.multiply.outer(a / b, n))
+    tanh = (1.0 - decay) / (1.0 + decay)
+    series = (tanh / (np.square(np.square(n)) * n)).sum(axis=-1)
+    pi5 = np.square(np.square(np.pi)) * np.pi
+    return np.asarray(a * b * np.square(b) * (1 / 3 - 64 / pi5 * b / a * series))

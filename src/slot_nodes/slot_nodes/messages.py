@@ -13,14 +13,14 @@ import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
 from slot_core.clock import SECOND
 from slot_core.gait import gait
-from slot_core.geometry import rotation_of
+from slot_core.geometry import Transform
+from slot_core.matrices import product
 from slot_core.messages import decode
 from slot_core.robot import BASE_FRAME, FOOTPRINT_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
 from slot_msgs import msg as slot_msgs
@@ -203,14 +203,15 @@ def state_to_msg(estimate: Estimate) -> MpcState:
 
 def state_to_tf(estimate: Estimate) -> TFMessage:
     """Transforms from odom to base_link, and from there to its footprint on the floor."""
-    position, attitude = estimate.state[3:6], rotation_of(estimate.state[0:3])
-    to_base = attitude.inv()
-    below = to_base.apply([0.0, 0.0, -position[2]])
-    level = to_base * rotation_of([0.0, 0.0, estimate.state[2]])
+    base = Transform.of(estimate.state[3:6], estimate.state[0:3])
+    x, y, _ = base.position
+    footprint = Transform.of((x, y, 0.0), (0.0, 0.0, estimate.state[2]))
     return TFMessage(
         transforms=[
-            _transform(header(estimate.time), BASE_FRAME, position, attitude),
-            _transform(header(estimate.time, BASE_FRAME), FOOTPRINT_FRAME, below, level),
+            _transform(header(estimate.time), BASE_FRAME, base),
+            _transform(
+                header(estimate.time, BASE_FRAME), FOOTPRINT_FRAME, base.inverse @ footprint
+            ),
         ]
     )
 
@@ -219,33 +220,36 @@ def mounts_to_tf(*mounts: Mount) -> TFMessage:
     """Transforms from base_link to the frames of sensors; none for a sensor in base_link."""
     return TFMessage(
         transforms=[
-            _transform(header(0, BASE_FRAME), m.frame, np.array(m.position), rotation_of(m.rpy))
+            _transform(header(0, BASE_FRAME), m.frame, Transform.of(m.position, m.rpy))
             for m in mounts
             if m.frame != BASE_FRAME
         ]
     )
 
 
-def _transform(head: Header, child: str, position: Array, attitude: Rotation) -> TransformStamped:
+def _transform(head: Header, child: str, place: Transform) -> TransformStamped:
     """Place of a frame in that of the header."""
     made = TransformStamped(header=head, child_frame_id=child)
-    made.transform.translation = _vector(position)
-    made.transform.rotation = _quaternion(attitude.as_quat())
+    made.transform.translation = _vector(place.position)
+    made.transform.rotation = _quaternion(place.quaternion)
     return made
 
 
 def estimate_to_odometry(estimate: Estimate) -> Odometry:
     """Pose in odom, twist in base_link, with covariances (REP-105); angles as roll, pitch, yaw."""
-    x, cov, attitude = estimate.state, estimate.covariance, rotation_of(estimate.state[0:3])
+    x, cov = estimate.state, estimate.covariance
+    base = Transform.of(x[3:6], x[0:3])
     message = Odometry(header=header(estimate.time), child_frame_id=BASE_FRAME)
     pose, twist = message.pose, message.twist
     pose.pose.position = Point(x=float(x[3]), y=float(x[4]), z=float(x[5]))
-    pose.pose.orientation = _quaternion(attitude.as_quat())
-    to_base = attitude.as_matrix().T
-    twist.twist.linear, twist.twist.angular = _vector(to_base @ x[9:12]), _vector(to_base @ x[6:9])
+    pose.pose.orientation = _quaternion(base.quaternion)
+    to_base = base.rotation.T
+    twist.twist.linear = _vector(product(to_base, x[9:12]))
+    twist.twist.angular = _vector(product(to_base, x[6:9]))
     pose.covariance = cov[np.ix_(POSE_ORDER, POSE_ORDER)].ravel()
     both = np.kron(np.eye(2), to_base)
-    twist.covariance = (both @ cov[np.ix_(TWIST_ORDER, TWIST_ORDER)] @ both.T).ravel()
+    turned = product(both, cov[np.ix_(TWIST_ORDER, TWIST_ORDER)])
+    twist.covariance = product(turned, both.T).ravel()
     return message
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slot_core.elementary import cos, sin
 from slot_core.gait.gait import Stride
 from slot_core.geometry import rotate, wrapped
 from slot_core.robot import LEGS, Array
@@ -45,7 +46,7 @@ def observation(
     for first in (3, 6, 9):
         error[:, first : first + 2] = rotate(error[:, first : first + 2], -yaw)
     turn = 2.0 * np.pi * phase[:, None]
-    parts = [error / SCALE, np.sin(turn), np.cos(turn), velocity / AMPLITUDE_MAX, action]
+    parts = [error / SCALE, sin(turn), cos(turn), velocity / AMPLITUDE_MAX, action]
     return np.clip(np.hstack(parts), -CLIP, CLIP)
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slot_core.drawing import palette
 from slot_core.drawing.shapes import (
@@ -27,7 +28,6 @@ from slot_core.drawing.shapes import (
     tendon_strips,
     torso_box,
 )
-from slot_core.geometry import rotation_of
 from slot_core.messages import decode
 from slot_core.robot import LEGS, Array, RobotParameters
 
@@ -79,7 +79,7 @@ class Drawing:
         if self._simulated:
             return {}
         state = decode.estimate(message).state
-        quaternion = rotation_of(_finite(state)[:3]).as_quat()
+        quaternion = Rotation.from_euler("xyz", _finite(state)[:3]).as_quat()
         shapes = self._draw_torso(state[3:6], quaternion)
         self._legs = natural_legs(self._position, quaternion, self._robot, NATURAL_NODES)
         return shapes | {"legs": leg_bars(self._legs, self._robot, known=False)}
@@ -115,7 +115,7 @@ class Drawing:
         """Reference pose of the torso now, its way over the horizon, and where it was."""
         reference = _finite(decode.preview(message).reference)
         position, size = reference[0, 3:6], np.array(self._robot.torso.size)
-        quaternion = rotation_of(reference[0, :3]).as_quat()
+        quaternion = Rotation.from_euler("xyz", reference[0, :3]).as_quat()
         shapes: dict[str, Shape] = {
             "reference": box_edges(position, quaternion, size, REFERENCE),
             "horizon": path_strip(reference[:, 3:6], REFERENCE),

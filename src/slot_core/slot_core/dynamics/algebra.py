@@ -8,6 +8,7 @@ import math
 
 from slot_core.compiled import helper
 from slot_core.dynamics.lanes import all_lanes
+from slot_core.elementary import cos, sin
 
 
 @helper
@@ -60,7 +61,7 @@ def rotation(out, wx, wy, wz):
     else:
         square = max(1e-12, square)  # no 0 / 0 in a lane at rest
         angle = math.sqrt(square)
-        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+        a, b = sin(angle) / angle, (1.0 - cos(angle)) / square
     out[0, 0], out[0, 1], out[0, 2] = (
         1.0 - b * (wy * wy + wz * wz),
         b * wx * wy - a * wz,
@@ -85,7 +86,7 @@ def cosine_sine(angle):
     if all_lanes(square < 1e-4):
         c = 1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0))
         return c, angle * (1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)))
-    return math.cos(angle), math.sin(angle)
+    return cos(angle), sin(angle)
 
 
 @helper

@@ -79,7 +79,7 @@ def advance_contents(model, state, work, start, legs, scheme, steps):
     for k in range(steps):
         copy(start.buffer, state.buffer)
         for halving in range(scheme.halvings + 1):
-            pieces = 2**halving
+            pieces = 1 << halving
             where, correction = -1, 0.0
             for _ in range(pieces):
                 change = step(model, state, work, legs, scheme.step / pieces, scheme)

@@ -23,8 +23,11 @@ from numba.core.errors import RequireLiteralValue, TypingError
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import intrinsic, register_model
+from numba.extending import intrinsic, overload, register_model
 from numba.np.arrayobj import make_array, populate_array
+
+from slot_core.compiled import OPTIONS
+from slot_core.elementary import atan2, cos, sin
 
 COUNT = 4
 _NUMBERS = (types.Float, types.Integer)
@@ -108,7 +111,7 @@ def _define(function, count, result, build):
 
 def _operator(name):
     def build(builder, a, b):
-        return getattr(builder, name)(a, b, flags=("contract",))
+        return getattr(builder, name)(a, b)
 
     return build
 
@@ -250,33 +253,35 @@ def like(typingctx, value, sample):
     return kind(kind, sample), lambda context, builder, sig, args: args[0]
 
 
-def _each(function):
-    """Lowering that calls a scalar function for each lane in turn: slow, for rare use."""
-
-    def lower(context, builder, sig, args):
-        number = signature(types.float64, *[types.float64] * len(args))
-        compute = context.get_function(function, number)
-        out = ir.Constant(_VECTOR, ir.Undefined)
-        for k in range(COUNT):
-            value = compute(builder, [_lane(builder, arg, k) for arg in args])
-            out = builder.insert_element(out, value, ir.IntType(32)(k))
-        return out
-
-    return lower
+@overload(cos, jit_options=OPTIONS)  # type: ignore[arg-type]
+def _cos(x):
+    """Cosine of each lane in turn: slow, for rare use, as those below."""
+    if isinstance(x, _Lanes):
+        return lambda x: join(cos(lane(x, 0)), cos(lane(x, 1)), cos(lane(x, 2)), cos(lane(x, 3)))
+    return None
 
 
-def _define_each(function, count):
-    class Template(AbstractTemplate):
-        def generic(self, args, kws):
-            return signature(LANES, *[LANES] * count) if _is_lanes(args) else None
-
-    infer_global(function)(Template)
-    lower_builtin(function, *[_Lanes] * count)(_each(function))
+@overload(sin, jit_options=OPTIONS)  # type: ignore[arg-type]
+def _sin(x):
+    if isinstance(x, _Lanes):
+        return lambda x: join(sin(lane(x, 0)), sin(lane(x, 1)), sin(lane(x, 2)), sin(lane(x, 3)))
+    return None
 
 
-_define_each(math.sin, 1)
-_define_each(math.cos, 1)
-_define_each(math.atan2, 2)
+@overload(atan2, jit_options=OPTIONS)  # type: ignore[arg-type]
+def _atan2(y, x):
+    if not (isinstance(y, _Lanes) and isinstance(x, _Lanes)):
+        return None
+
+    def each(y, x):
+        return join(
+            atan2(lane(y, 0), lane(x, 0)),
+            atan2(lane(y, 1), lane(x, 1)),
+            atan2(lane(y, 2), lane(x, 2)),
+            atan2(lane(y, 3), lane(x, 3)),
+        )
+
+    return each
 
 
 def _part(kind, leaf):

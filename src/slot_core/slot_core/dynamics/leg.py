@@ -9,7 +9,7 @@ from typing import Any
 
 from numba.extending import overload
 
-from slot_core.compiled import FUSED, INLINE, OPTIONS
+from slot_core.compiled import INLINE, OPTIONS
 from slot_core.dynamics.planar import elimination as planar_elimination
 from slot_core.dynamics.planar import leg as planar
 from slot_core.dynamics.planar import strain as planar_strain
@@ -26,7 +26,7 @@ def _by_leg(planar_one: Callable[..., Any], spatial_one: Callable[..., Any]) -> 
     def chosen(*arguments):
         raise NotImplementedError("only in kernels")
 
-    @overload(chosen, jit_options=OPTIONS | INLINE | FUSED)  # type: ignore[arg-type]
+    @overload(chosen, jit_options=OPTIONS | INLINE)  # type: ignore[arg-type]
     def choose(*arguments):
         kinds = [getattr(kind, "instance_class", None) for kind in arguments]
         function = planar_one if SPATIAL.isdisjoint(kinds) else spatial_one

@@ -19,6 +19,7 @@ from slot_core.dynamics.spatial.leg import SpatialLeg
 from slot_core.dynamics.tendon import TendonModel, route
 from slot_core.dynamics.terrain import read_terrain
 from slot_core.dynamics.torso import TorsoBox, box
+from slot_core.elementary import cos, sin
 from slot_core.robot import Array, RobotParameters
 
 
@@ -98,7 +99,7 @@ def state_space(nodes: int, points: int = 0, relaxes: bool = False) -> Mechanica
     shapes += [(nodes, 3, 4), (nodes, 3, 4), (n, 3, 4), (n, 3, 4)]
     shapes += [(4,), (4,), (4,), (3, 4), (points, 3, 4), (corners, 3)]
     shapes += [(n if relaxes else 0, 4, 2, 4)]
-    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes])
     buffer = np.zeros(ends[-1])
     parts = np.split(buffer, ends[:-1])
     views = [part.reshape(shape) for part, shape in zip(parts, shapes)]
@@ -209,10 +210,10 @@ def build_model(robot: RobotParameters, scene: Scene, settings: ServoSettings) -
             f"tendon.routing = {robot.tendon.routing!r}: spatial legs need 'routed'; solver.legs ="
             " 'planar' has straight tendons"
         )
-    c, s = np.cos(robot.azimuth), np.sin(robot.azimuth)
+    c, s = cos(robot.azimuth), sin(robot.azimuth)
     zero, one = np.zeros(4), np.ones(4)
     axes = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]]).transpose(2, 0, 1).copy()
-    root = np.einsum("lij,lj->li", axes, robot.clamps)
+    root = (axes * robot.clamps[:, None]).sum(axis=-1)
     rod = discretise(robot.leg, scene.solver.nodes, robot.tendon.end_fraction)
     payload = scene.payload
     return Model(

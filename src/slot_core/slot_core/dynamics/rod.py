@@ -20,8 +20,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import cumulative_simpson
 
+from slot_core.elementary import atan2, hypot
+from slot_core.matrices import interpolated
 from slot_core.robot import Array, Leg
 from slot_core.section import second_moment, torsion_constant
 
@@ -79,9 +80,8 @@ def discretise(leg: Leg, nodes: int, anchor: float) -> Rod:
     anchor: arc length of the anchor as a share of the leg's.
     """
     arc, node = stations(nodes, anchor) * leg.arc_length(), np.zeros((nodes, 2))
-    x = np.linspace(0.0, leg.reach, 4001)
-    along = cumulative_simpson(np.hypot(1.0, leg.shape.deriv()(x)), x=x, initial=0.0)
-    node[:, 0] = np.interp(arc, along * (arc[-1] / along[-1]), x)
+    x, along = leg.arc
+    node[:, 0] = interpolated(arc, along, x)
     node[:, 1] = leg.shape(node[:, 0]) - leg.shape(0.0)
     return build(leg, node, arc, round(anchor * (nodes - 1)))
 
@@ -120,14 +120,14 @@ def links(node: Array, arc: Array, extent: Array, hinge: Sections, middle: Secti
     hinge, middle: sections at the nodes and at the middles of the segments.
     """
     chord, step = np.diff(node, axis=0), np.diff(arc)
-    rest_length = np.hypot(chord[:, 0], chord[:, 1])
+    rest_length = hypot(chord[:, 0], chord[:, 1])
     return Links(
         mass=lumped(hinge.mass, step),
         coupling=middle.mass * step / 6,
         spin=middle.spin * step,
         rest_length=rest_length,
-        rest_angle=np.diff(np.arctan2(chord[:, 1], chord[:, 0]), prepend=0.0),
-        shortening=step**3 / (24 * extent[:-1] ** 2),
+        rest_angle=np.diff(atan2(chord[:, 1], chord[:, 0]), prepend=0.0),
+        shortening=step * np.square(step) / (24 * np.square(extent[:-1])),
         axial=middle.axial / rest_length,
         bending=hinge.bending / extent,
         lateral=hinge.lateral / extent,

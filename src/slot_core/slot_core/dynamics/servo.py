@@ -32,6 +32,7 @@ from slot_core import config
 from slot_core.compiled import helper
 from slot_core.config import ConfigError, choice, quantity
 from slot_core.dynamics.lanes import like, where
+from slot_core.matrices import interpolated
 from slot_core.robot import Array, read_parameters
 
 
@@ -109,7 +110,7 @@ class ServoSettings:
         Beyond the stated voltages the figures of the nearest one; at NaN those at the nominal one.
         """
         known = np.where(np.isnan(voltage), self.nominal_voltage, voltage)
-        return np.asarray(np.interp(known, self.voltage, figures))
+        return np.asarray(interpolated(known, self.voltage, figures))
 
 
 class Servo(NamedTuple):

@@ -11,6 +11,7 @@ import numpy as np
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
+from slot_core.geometry import quaternion_of, rpy_of
 from slot_core.refusal import quoted
 from slot_core.robot import Array, RobotParameters
 
@@ -146,14 +147,12 @@ class SimulatedRobot(ABC):
     @property
     def quaternion(self) -> Array:
         """(4,) x y z w, base_link to odom, w >= 0."""
-        return quaternion(self.state.rotation)
+        return quaternion_of(self.state.rotation)
 
     @property
     def rpy(self) -> Array:
         """(3,) rad, roll pitch yaw about fixed x, y, z: R = R_z(yaw) R_y(pitch) R_x(roll)."""
-        r = self.state.rotation
-        pitch = math.asin(min(1.0, max(-1.0, -r[2, 0])))
-        return np.array([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
+        return rpy_of(self.state.rotation)
 
     @property
     def velocity(self) -> Array:
@@ -197,18 +196,3 @@ def require_steps(steps: int) -> None:
     """Raise ValueError for a number of steps that is no integer or negative."""
     if not isinstance(steps, (int, np.integer)) or steps < 0:
         raise ValueError(f"steps = {quoted(steps)}: expected an integer, 0 or more")
-
-
-def quaternion(rotation: Array) -> Array:
-    """(4,) x y z w of a rotation matrix, w >= 0 (Bar-Itzhack: eigenvector of a 4 x 4 matrix)."""
-    r = rotation
-    k = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
-            [0.0, r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
-            [0.0, 0.0, r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-            [0.0, 0.0, 0.0, r[0, 0] + r[1, 1] + r[2, 2]],
-        ]
-    )
-    q = np.linalg.eigh(k, UPLO="U")[1][:, -1]
-    return q if q[3] >= 0.0 else -q

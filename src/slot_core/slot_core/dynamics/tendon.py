@@ -33,6 +33,7 @@ import numpy as np
 
 from slot_core.compiled import helper
 from slot_core.dynamics.rod import Rod
+from slot_core.matrices import norm
 from slot_core.robot import Array, Tendon
 
 
@@ -59,10 +60,10 @@ def route(rod: Rod, settings: Tendon) -> TendonModel:
     if end < len(around):
         around[end] = settings.offset * rod.anchor_share
         share = rod.anchor_share * (1.0 - rod.anchor_share)
-        compliance += (not straight) * settings.offset**2 * share / rod.bending[end]
-    natural = float(around @ rod.rest_angle)
+        compliance += (not straight) * settings.offset * settings.offset * share / rod.bending[end]
+    natural = float((around * rod.rest_angle).sum())
     if straight:
-        natural = math.dist(rod.node[end], settings.pulley)
+        natural = norm(rod.node[end] - settings.pulley)
     return TendonModel(
         along=before * (not straight),
         around=around * (not straight),

@@ -15,7 +15,7 @@ import numpy as np
 from numba.extending import overload
 
 from slot_core import config
-from slot_core.compiled import FUSED, OPTIONS, helper
+from slot_core.compiled import OPTIONS, helper
 from slot_core.config import ConfigError
 from slot_core.dynamics.lanes import LANES, join, lane
 from slot_core.files import read_text
@@ -111,7 +111,7 @@ def ground(terrain, x, y):
     raise NotImplementedError("only in kernels")
 
 
-@overload(ground, jit_options=OPTIONS | FUSED)  # type: ignore[arg-type]
+@overload(ground, jit_options=OPTIONS)  # type: ignore[arg-type]
 def _overload_ground(terrain, x, y):
     if x != LANES:
         return lambda terrain, x, y: _ground(terrain, x, y)  # noqa: PLW0108 - not a dispatcher

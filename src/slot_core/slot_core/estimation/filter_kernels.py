@@ -16,24 +16,23 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core.clock import SECOND
-from slot_core.compiled import exact_helper, exact_kernel
+from slot_core.compiled import helper, kernel
+from slot_core.elementary import cos, sin
 from slot_core.estimation.matrix_kernels import (
-    cholesky,
     congruence,
     exponential,
     logarithm,
     multiply,
-    product,
-    product_transposed,
     rotate,
     rotation_matrix,
     set_cross,
     set_identity,
     set_scaled,
-    solve_cholesky,
     store_unit,
     symmetrise,
 )
+from slot_core.geometry import roll_pitch_yaw
+from slot_core.matrices import cholesky, set_product, set_product_transposed, solve_cholesky
 from slot_core.robot import GRAVITY, Array
 
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = range(0, 15, 3)
@@ -73,7 +72,7 @@ def work_space() -> FilterWork:
     return FilterWork(*(np.zeros(shape) for shape in shapes))
 
 
-@exact_kernel
+@kernel
 def interpolate(out, stamps, samples, stamp):
     """IMU sample out (6,) at `stamp` (ns), linear between neighbours; its noise variance factor.
 
@@ -93,7 +92,7 @@ def interpolate(out, stamps, samples, stamp):
     return weight * weight + (1.0 - weight) * (1.0 - weight)
 
 
-@exact_kernel
+@kernel
 def propagate(state, work, rate, force, dt, noise, from_imu, bias_max):
     """Propagate by dt (s) with the rate and specific force (3,) of base_link at the midpoint.
 
@@ -129,7 +128,7 @@ def propagate(state, work, rate, force, dt, noise, from_imu, bias_max):
         state.cov[i, i] += dt / 2 * noise[i]
 
 
-@exact_kernel
+@kernel
 def propagate_through(
     state, work, stamps, samples, begin, end, noise, bias_max, longest, rate, blind_noise
 ):
@@ -154,7 +153,7 @@ def propagate_through(
         start = stop
 
 
-@exact_helper
+@helper
 def transition(out, rotation, force, dt, share, block):
     """F = I + A + A^2 / 2 (15, 15) of the linear error equations x' dt = A x, which are
 
@@ -170,11 +169,11 @@ def transition(out, rotation, force, dt, share, block):
     set_cross(out, V, THETA, force, -dt)
     set_cross(out, P, THETA, force, -dt * dt / 2)
     set_scaled(out, P, FORCE_BIAS, rotation, -share * dt * dt / 2)
-    product(block, out[V : V + 3, THETA : THETA + 3], rotation)
+    set_product(block, out[V : V + 3, THETA : THETA + 3], rotation)
     set_scaled(out, V, GYRO_BIAS, block, -share * dt / 2)
 
 
-@exact_helper
+@helper
 def turn_tilt(state, work, turn, dt, largest):
     """Turn a bias of the specific force longer than `largest` (m/s^2) against base_link's `turn`.
 
@@ -192,7 +191,7 @@ def turn_tilt(state, work, turn, dt, largest):
     set_cross(work.wide, FORCE_BIAS, GYRO_BIAS, b, -dt)
 
 
-@exact_kernel
+@kernel
 def correct(state, work, attitude, position, velocity, variance, gate, bias_max):
     """Correct with a reading at the state's time, velocity in base_link; False for an outlier.
 
@@ -204,8 +203,8 @@ def correct(state, work, attitude, position, velocity, variance, gate, bias_max)
     set_residual(residual, state, work, attitude, position, velocity)
     set_identity(jacobian)
     set_velocity_jacobian(jacobian, state.velocity, work)
-    product(work.product[:MEASURED], jacobian, state.cov)
-    product_transposed(work.innovation, work.product[:MEASURED], jacobian)
+    set_product(work.product[:MEASURED], jacobian, state.cov)
+    set_product_transposed(work.innovation, work.product[:MEASURED], jacobian)
     for i in range(MEASURED):
         work.innovation[i, i] += variance[i]
     for block in (THETA, P, V):
@@ -226,7 +225,7 @@ def correct(state, work, attitude, position, velocity, variance, gate, bias_max)
     return True
 
 
-@exact_helper
+@helper
 def set_residual(out, state, work, attitude, position, velocity):
     """Innovation (9,), measured minus predicted: angle, position in odom; velocity in base_link."""
     a, rotation = state.attitude, work.rotation
@@ -241,7 +240,7 @@ def set_residual(out, state, work, attitude, position, velocity):
             out[V + i] -= rotation[j, i] * state.velocity[j]
 
 
-@exact_helper
+@helper
 def set_velocity_jacobian(out, velocity, work):
     """Derivative of R^T v by the angle error in odom, R^T [v]x, and by v, R^T; block is used."""
     rotation, block = work.rotation, work.block
@@ -255,7 +254,7 @@ def set_velocity_jacobian(out, velocity, work):
             out[V + i, THETA + j] = total
 
 
-@exact_helper
+@helper
 def inside(work, start, gate):
     """Whether three residuals are within the Mahalanobis distance `gate`; False for NaN."""
     block, weighted, square = work.block, work.weighted, 0.0
@@ -270,10 +269,10 @@ def inside(work, start, gate):
     return square <= gate * gate
 
 
-@exact_helper
+@helper
 def reduce_covariance(state, work, variance):
     """P <- (I - K H) P (I - K H)^T + K R K^T; overwrites the jacobian H with I - K H."""
-    product(work.product, work.gain, work.wide[:MEASURED])
+    set_product(work.product, work.gain, work.wide[:MEASURED])
     set_identity(work.wide)
     for i in range(ERROR):
         for j in range(ERROR):
@@ -286,7 +285,7 @@ def reduce_covariance(state, work, variance):
             state.cov[j, i] = state.cov[i, j]
 
 
-@exact_helper
+@helper
 def add_error(state, work):
     """Add the estimated error (15,) to the nominal state and the biases."""
     error = work.error
@@ -299,7 +298,7 @@ def add_error(state, work):
         state.bias[1, i] += error[FORCE_BIAS + i]
 
 
-@exact_helper
+@helper
 def bound_force_bias(state, work, largest):
     """Limit the accelerometer's bias to `largest` (m/s^2), whatever the tilt of odom.
 
@@ -324,7 +323,7 @@ def bound_force_bias(state, work, largest):
             state.bias[1, i] += rotation[j, i] * u[j]
 
 
-@exact_kernel
+@kernel
 def output(state, work, rate, gyro_share, rate_variance, out, cov):
     """State out (12,) and covariance cov (12, 12) of `Estimate`, of first order.
 
@@ -332,9 +331,7 @@ def output(state, work, rate, gyro_share, rate_variance, out, cov):
     """
     rotation, jacobian = work.rotation, work.wide[:12]
     rotation_matrix(rotation, state.attitude)
-    out[0] = math.atan2(rotation[2, 1], rotation[2, 2])
-    out[1] = math.asin(min(max(-rotation[2, 0], -1.0), 1.0))
-    out[2] = math.atan2(rotation[1, 0], rotation[0, 0])
+    out[0], out[1], out[2] = roll_pitch_yaw(rotation)
     out[6], out[7], out[8] = rotate(rotation, rate)
     for i in range(12):
         for j in range(ERROR):
@@ -345,19 +342,19 @@ def output(state, work, rate, gyro_share, rate_variance, out, cov):
         jacobian[3 + i, P + i] = jacobian[9 + i, V + i] = 1.0
     set_cross(jacobian, 6, THETA, out[6:9], -1.0)
     set_scaled(jacobian, 6, GYRO_BIAS, rotation, -gyro_share)
-    product(work.product[:12], jacobian, state.cov)
-    product_transposed(cov, work.product[:12], jacobian)
+    set_product(work.product[:12], jacobian, state.cov)
+    set_product_transposed(cov, work.product[:12], jacobian)
     for i in range(6, 9):
         cov[i, i] += rate_variance
     symmetrise(cov)
 
 
-@exact_helper
+@helper
 def set_angle_jacobian(out, pitch, yaw):
     """Set the first block of out to d(roll, pitch, yaw) by a small rotation about odom's axes."""
-    s, c = math.sin(yaw), math.cos(yaw)
-    cos_pitch = max(math.cos(pitch), COS_PITCH_MIN)
-    t = math.sin(pitch) / cos_pitch
+    s, c = sin(yaw), cos(yaw)
+    cos_pitch = max(cos(pitch), COS_PITCH_MIN)
+    t = sin(pitch) / cos_pitch
     out[0, 0], out[0, 1] = c / cos_pitch, s / cos_pitch
     out[1, 0], out[1, 1] = -s, c
     out[2, 0], out[2, 1], out[2, 2] = c * t, s * t, 1.0

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slot_core.arrays import checked
 from slot_core.clock import to_ns
 from slot_core.config import quantity, text
+from slot_core.elementary import atan2
 from slot_core.estimation.filter_kernels import (
     FilterState,
     correct,
@@ -34,6 +34,8 @@ from slot_core.estimation.filter_kernels import (
     work_space,
 )
 from slot_core.estimation.imu_samples import ImuQueue, ImuSamples
+from slot_core.geometry import matrix_of_quaternion
+from slot_core.matrices import norm, product
 from slot_core.robot import GRAVITY, Array
 
 UP = np.array([0.0, 0.0, GRAVITY])  # specific force at rest, in odom
@@ -238,20 +240,20 @@ class InertialFilter:
         imu, state = self._settings.imu, self._state
         state.bias[:] = 0.0
         state.cov[9:, :] = state.cov[:, 9:] = 0.0
-        state.cov[GYRO_BIAS, GYRO_BIAS] = imu.gyro_bias**2 * np.eye(3)
-        state.cov[FORCE_BIAS, FORCE_BIAS] = imu.acceleration_bias**2 * np.eye(3)
+        state.cov[GYRO_BIAS, GYRO_BIAS] = np.square(imu.gyro_bias) * np.eye(3)
+        state.cov[FORCE_BIAS, FORCE_BIAS] = np.square(imu.acceleration_bias) * np.eye(3)
 
     def restart(self, motion: OdometryMotion) -> None:
         """Set the state to an odometry reading; the biases and their covariance are kept."""
         state = self._state
         state.attitude[:], state.position[:] = motion.attitude, motion.position
-        rotation = Rotation.from_quat(motion.attitude)
-        state.velocity[:] = rotation.apply(motion.velocity)
+        rotation = matrix_of_quaternion(motion.attitude)
+        state.velocity[:] = product(rotation, motion.velocity)
         jacobian = np.eye(9)
-        jacobian[V, V] = rotation.as_matrix()  # is measured in base_link
+        jacobian[V, V] = rotation  # is measured in base_link
         jacobian[V, THETA] = -np.cross(np.eye(3), state.velocity)
         state.cov[:9, :] = state.cov[:, :9] = 0.0
-        state.cov[:9, :9] = jacobian * motion.variance[:9] @ jacobian.T
+        state.cov[:9, :9] = product(jacobian * motion.variance[:9], jacobian.T)
         self.rate = Rate(motion.rate, float(motion.variance[9:].mean()), 0.0)
 
     @property
@@ -273,8 +275,8 @@ class InertialFilter:
         _require_some(samples)
         imu, sample = self._settings.imu, self._work.sample
         amplification = interpolate(sample, samples.stamps, samples.values, stamp)
-        noise = amplification * imu.gyro_noise**2 * imu.rate
-        variance = noise + (age * imu.angular_acceleration_step) ** 2
+        noise = float(amplification * np.square(imu.gyro_noise) * imu.rate)
+        variance = noise + float(np.square(age * imu.angular_acceleration_step))
         self.rate = Rate(sample[:3] - self._state.bias[0], variance, 1.0)
 
     def propagate(self, samples: ImuSamples, begin: int, end: int) -> None:
@@ -292,14 +294,16 @@ class InertialFilter:
         """Propagate by dt (s) at constant velocities, without IMU data."""
         noise = self._blind_noise, False, self._bias_max
         propagate(self._state, self._work, self.rate.value, UP, dt, *noise)
-        self.rate = Rate(self.rate.value, self._settings.blind.gyro_noise**2 / dt, 0.0)
+        self.rate = Rate(
+            self.rate.value, float(np.square(self._settings.blind.gyro_noise)) / dt, 0.0
+        )
 
     def extrapolate(self, imu: Array, dt: float) -> None:
         """Propagate by dt (s) with an IMU sample (6,) held, from which the next may differ."""
         imu = checked("IMU sample", imu, (6,))
         held, steps = self._noise.copy(), self._settings.imu
-        held[THETA] += (dt * steps.angular_acceleration_step) ** 2 * dt
-        held[V] += steps.acceleration_step**2 * dt
+        held[THETA] += np.square(dt * steps.angular_acceleration_step) * dt
+        held[V] += np.square(steps.acceleration_step) * dt
         propagate(self._state, self._work, imu[:3], imu[3:], dt, held, True, self._bias_max)
 
     def correct(self, motion: OdometryMotion) -> bool:
@@ -325,12 +329,15 @@ class InertialFilter:
     def incline(self) -> tuple[float, float]:
         """Angle between the z axis of odom and gravity, and its standard deviation, rad.
 
+        The deviation is the largest along an axis of base_link.
+
         It is part of the bias of the specific force; the accelerometer's own is the other part.
         """
-        bias = Rotation.from_quat(self._state.attitude).apply(self._state.bias[1])
-        variance = np.linalg.eigvalsh(self._state.cov[FORCE_BIAS, FORCE_BIAS])[-1]
-        share = min(1.0, math.hypot(*bias[:2]) / GRAVITY)
-        return math.asin(share), math.sqrt(max(variance, 0.0)) / GRAVITY
+        bias = product(matrix_of_quaternion(self._state.attitude), self._state.bias[1])
+        variance = float(self._state.cov[FORCE_BIAS, FORCE_BIAS].diagonal().max())
+        share = min(1.0, norm(bias[:2]) / GRAVITY)
+        level = math.sqrt((1.0 - share) * (1.0 + share))
+        return atan2(share, level), math.sqrt(max(variance, 0.0)) / GRAVITY
 
     def output(self) -> tuple[Array, Array]:
         """State (12,) and covariance (12, 12) of `Estimate`; the covariance is of first order."""

@@ -1,7 +1,6 @@
 """Kernels of quaternions and small matrices, for the error-state filter.
 
-Quaternions are x y z w. Operations are neither reordered nor fused, so that every processor gives
-the same bits.
+Quaternions are x y z w.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -10,21 +9,23 @@ from __future__ import annotations
 
 import math
 
-from slot_core.compiled import exact_helper
+from slot_core.compiled import helper
+from slot_core.elementary import atan2, cos, sin
+from slot_core.matrices import set_product
 
 SMALL_ANGLE = 1e-4  # rad, below which the next term of a series is less than a rounding error
 
 
-@exact_helper
+@helper
 def exponential(x, y, z):
     """Unit quaternion (x y z w) of the rotation vector (x, y, z), rad."""
     angle = math.sqrt(x * x + y * y + z * z)
     small = angle < SMALL_ANGLE
-    scale = 0.5 - angle * angle / 48.0 if small else math.sin(angle / 2.0) / angle
-    return x * scale, y * scale, z * scale, math.cos(angle / 2.0)
+    scale = 0.5 - angle * angle / 48.0 if small else sin(angle / 2.0) / angle
+    return x * scale, y * scale, z * scale, cos(angle / 2.0)
 
 
-@exact_helper
+@helper
 def logarithm(x, y, z, w):
     """Rotation vector, rad, of at most pi, of the unit quaternion (x y z w)."""
     sine = math.sqrt(x * x + y * y + z * z)
@@ -32,11 +33,11 @@ def logarithm(x, y, z, w):
     if sine < SMALL_ANGLE:
         scale = sign * (2.0 + sine * sine / 3.0)
     else:
-        scale = sign * 2.0 * math.atan2(sine, abs(w)) / sine
+        scale = sign * 2.0 * atan2(sine, abs(w)) / sine
     return x * scale, y * scale, z * scale
 
 
-@exact_helper
+@helper
 def multiply(a, b):
     """Product a b of two quaternions: first the rotation b, then a."""
     ax, ay, az, aw = a[0], a[1], a[2], a[3]
@@ -49,7 +50,7 @@ def multiply(a, b):
     )
 
 
-@exact_helper
+@helper
 def store_unit(out, q):
     """Store the quaternion q in out (4,), of unit norm."""
     norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
@@ -57,7 +58,7 @@ def store_unit(out, q):
         out[i] = q[i] / norm
 
 
-@exact_helper
+@helper
 def rotation_matrix(out, q):
     """Rotation matrix (3, 3) of the unit quaternion q."""
     x, y, z, w = q[0], q[1], q[2], q[3]
@@ -78,7 +79,7 @@ def rotation_matrix(out, q):
     )
 
 
-@exact_helper
+@helper
 def rotate(m, a):
     """The rotation matrix m (3, 3) times the vector a (3,)."""
     return (
@@ -88,7 +89,7 @@ def rotate(m, a):
     )
 
 
-@exact_helper
+@helper
 def set_cross(out, row, column, a, scale):
     """Set a block (3, 3) of out to scale [a]x, with [a]x b = a x b."""
     x, y, z = scale * a[0], scale * a[1], scale * a[2]
@@ -97,7 +98,7 @@ def set_cross(out, row, column, a, scale):
     out[row + 2, column], out[row + 2, column + 1], out[row + 2, column + 2] = -y, x, 0.0
 
 
-@exact_helper
+@helper
 def set_scaled(out, row, column, m, scale):
     """Set a block (3, 3) of out to scale m."""
     for i in range(3):
@@ -105,7 +106,7 @@ def set_scaled(out, row, column, m, scale):
             out[row + i, column + j] = scale * m[i, j]
 
 
-@exact_helper
+@helper
 def set_identity(out):
     """Set out (m, n) to ones on the diagonal and zeros beside it."""
     for i in range(out.shape[0]):
@@ -113,68 +114,19 @@ def set_identity(out):
             out[i, j] = 1.0 if i == j else 0.0
 
 
-@exact_helper
-def product(out, a, b):
-    """out = a b."""
-    for i in range(a.shape[0]):
-        for j in range(b.shape[1]):
-            out[i, j] = 0.0
-        for k in range(a.shape[1]):
-            factor = a[i, k]
-            if factor != 0.0:
-                for j in range(b.shape[1]):
-                    out[i, j] += factor * b[k, j]
-
-
-@exact_helper
-def product_transposed(out, a, b):
-    """out = a b^T."""
-    for i in range(a.shape[0]):
-        for j in range(b.shape[0]):
-            value = 0.0
-            for k in range(a.shape[1]):
-                value += a[i, k] * b[j, k]
-            out[i, j] = value
-
-
-@exact_helper
+@helper
 def congruence(p, f, half):
     """p <- f p f^T with a symmetric p; fast where f is sparse. half: work space of p's shape."""
-    product(half, f, p)
+    set_product(half, f, p)
     for i in range(p.shape[0]):
         for j in range(i):
             half[i, j], half[j, i] = half[j, i], half[i, j]
-    product(p, f, half)
+    set_product(p, f, half)
 
 
-@exact_helper
+@helper
 def symmetrise(a):
     """a <- (a + a^T) / 2."""
     for i in range(a.shape[0]):
         for j in range(i):
             a[i, j] = a[j, i] = 0.5 * (a[i, j] + a[j, i])
-
-
-@exact_helper
-def cholesky(a):
-    """Replace the lower triangle of a by its Cholesky factor L, a = L L^T; NaN if there is none."""
-    for j in range(a.shape[0]):
-        for i in range(j, a.shape[0]):
-            value = a[i, j]
-            for k in range(j):
-                value -= a[i, k] * a[j, k]
-            a[i, j] = value / a[j, j] if i > j else math.sqrt(value)
-
-
-@exact_helper
-def solve_cholesky(factor, x):
-    """Replace x (n,) by the solution of L L^T x = x."""
-    n = x.shape[0]
-    for i in range(n):
-        for k in range(i):
-            x[i] -= factor[i, k] * x[k]
-        x[i] /= factor[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= factor[k, i] * x[k]
-        x[i] /= factor[i, i]

@@ -18,16 +18,15 @@ A restart keeps the biases, unless readings were rejected before it: they may be
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.clock import SECOND, to_ns, to_seconds
+from slot_core.elementary import atan2
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.imu_samples import ImuQueue
 from slot_core.estimation.inertial_filter import (
@@ -37,7 +36,13 @@ from slot_core.estimation.inertial_filter import (
     OdometryMotion,
     load_kernels,
 )
-from slot_core.geometry import rotation_of
+from slot_core.geometry import (
+    matrix_of_quaternion,
+    matrix_of_rpy,
+    quaternion_of_vector,
+    quaternion_product,
+)
+from slot_core.matrices import norm, product
 from slot_core.robot import Array
 
 BEFORE_ALL_TIMES = -(2**62)  # ns
@@ -152,10 +157,10 @@ class StateEstimator:
         w = _vector(rate, 3, self._settings.imu.gyro_max)
         if p is None or q is None or v is None or w is None:
             return None
-        norm = math.hypot(*q)
-        if abs(norm - 1.0) > limits.quaternion_tolerance:
+        length = norm(q)
+        if abs(length - 1.0) > limits.quaternion_tolerance:
             return None
-        return OdometryMotion(stamp, q / norm, p, v, w, self._variance)
+        return OdometryMotion(stamp, q / length, p, v, w, self._variance)
 
     def _advances(self, stream: str, stamp: int) -> bool:
         """Whether `stamp` is the newest of its stream; a clock set back resets the estimator."""
@@ -269,11 +274,12 @@ class StateEstimator:
     def _agree(self, a: OdometryMotion, b: OdometryMotion) -> bool:
         """Whether a, moved at the mean velocity of a and b, gives b within the gate."""
         half = to_seconds(b.stamp - a.stamp) / 2
-        before, after = Rotation.from_quat(a.attitude), Rotation.from_quat(b.attitude)
-        travel = half * (before.apply(a.velocity) + after.apply(b.velocity))
-        turn = Rotation.from_rotvec(half * (a.rate + b.rate))
-        distance = float(np.linalg.norm(b.position - a.position - travel))
-        angle = ((before * turn).inv() * after).magnitude()
+        before, after = matrix_of_quaternion([a.attitude, b.attitude])
+        travel = half * (product(before, a.velocity) + product(after, b.velocity))
+        turned = quaternion_product(a.attitude, quaternion_of_vector(half * (a.rate + b.rate)))
+        distance = norm(b.position - a.position - travel)
+        apart = quaternion_product(turned * [-1.0, -1.0, -1.0, 1.0], b.attitude)
+        angle = 2.0 * atan2(norm(apart[:3]), abs(apart[3]))
         gate = self._settings.gate
         return distance <= gate.agreement_distance and bool(angle <= gate.agreement_angle)
 
@@ -320,7 +326,7 @@ def _vector(values: Array, size: int, limit: float) -> Array | None:
 
 def _mount(imu: Mount) -> tuple[Array, Array] | None:
     """Rotation (3, 3) from the IMU's frame to base_link and its position; None for base_link."""
-    rotation = rotation_of(imu.rpy).as_matrix()
+    rotation = matrix_of_rpy(imu.rpy)
     place = np.array(imu.position)
     return (rotation, place) if np.any(imu.rpy) or place.any() else None
 
@@ -330,8 +336,8 @@ def _in_base(rate: Array, force: Array, rotation: Array, place: Array) -> tuple[
 
     f = R f_imu - w x (w x r); the angular acceleration's share is neglected, as no IMU measures it.
     """
-    w = rotation @ rate
-    return w, rotation @ force - np.cross(w, np.cross(w, place))
+    w = product(rotation, rate)
+    return w, product(rotation, force) - np.cross(w, np.cross(w, place))
 
 
 def _known(variance: Array, nominal: Array) -> Array:

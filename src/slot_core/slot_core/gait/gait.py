@@ -30,6 +30,8 @@ from numpy.typing import NDArray
 
 from slot_core import config
 from slot_core.config import choice, flag, quantity
+from slot_core.elementary import cos, sin
+from slot_core.matrices import norm
 from slot_core.refusal import quoted
 from slot_core.robot import Array
 
@@ -58,7 +60,7 @@ class HarmonicBasis(NamedTuple):
     def at(cls, phase: Array) -> HarmonicBasis:
         """Harmonics at phases (n,), in [0, 1)."""
         p = 2 * np.pi * phase
-        c, s, c2, s2 = np.cos(p), np.sin(p), np.cos(2 * p), np.sin(2 * p)
+        c, s, c2, s2 = cos(p), sin(p), cos(2 * p), sin(2 * p)
         slope = 2 * np.pi * np.column_stack([np.zeros_like(p), -s, c, -2 * s2, 2 * c2])
         return cls(np.column_stack([np.ones_like(p), c, s, c2, s2]), slope)
 
@@ -151,12 +153,12 @@ class Stride:
 
     def walking(self, velocity: Array) -> float:
         """Weight of steering at a velocity (3,), in [0, 1]; the rest is that of `turn`."""
-        return min(1.0, float(np.hypot(*velocity[:2])) / self.walking_speed)
+        return min(1.0, norm(velocity[:2]) / self.walking_speed)
 
     def reached(self, velocity: Array) -> Array:
         """The velocity (3,), scaled, its yaw rate clipped, to what the patterns reach together."""
         share = velocity[:2] / self.speeds[:2] / self.amplitude_max[:2]
-        planar = velocity[:2] / max(1.0, float(np.linalg.norm(share)))
+        planar = velocity[:2] / max(1.0, norm(share))
         walking = self.walking(planar)
         steering = min(self.forward_steering.rate_max, self.lateral_steering.rate_max)
         most = (1.0 - walking) * self.turn.speed + walking * steering
@@ -175,9 +177,9 @@ class Stride:
             velocity = velocity[:1]
         table = self._rest + self._moving(velocity)  # (n or 1, 13, 5)
         table = np.broadcast_to(table, (len(phase), *table.shape[1:]))
-        values = np.einsum("nij,nj->ni", table, basis.value)
-        slopes = np.einsum("nij,nj->ni", table[:, 8:11], basis.slope) / self.period
-        sway = np.einsum("nij,nj->ni", table[:, 11:13], basis.integral) * self.period
+        values = (table * basis.value[:, None]).sum(axis=-1)
+        slopes = (table[:, 8:11] * basis.slope[:, None]).sum(axis=-1) / self.period
+        sway = (table[:, 11:13] * basis.integral[:, None]).sum(axis=-1) * self.period
         angle = np.clip(values[:, :4] + offset, *np.radians(self.range_deg))
         torso = np.zeros((len(phase), 12))
         torso[:, [0, 1, 5, 9, 10]] = values[:, 8:]
@@ -193,9 +195,9 @@ class Stride:
         """Coefficients (n, 13, 5) of the patterns and their steering at velocities (n, 3)."""
         amplitude = velocity / self.speeds
         size = np.maximum(np.abs(amplitude[:, :2]).sum(axis=1), 1e-9)
-        walking = np.minimum(1.0, np.hypot(*velocity[:, :2].T) / self.walking_speed)
+        walking = np.minimum(1.0, norm(velocity[:, :2]) / self.walking_speed)
         amplitude[:, 2] *= 1.0 - walking
-        limit = np.maximum(1.0, np.linalg.norm(amplitude / self.amplitude_max, axis=1))
+        limit = np.maximum(1.0, norm(amplitude / self.amplitude_max))
         table = np.zeros((len(velocity), 13, 5))
         for a, (one, other) in zip((amplitude / limit[:, None]).T[..., None, None], self._pairs):
             table += np.maximum(a, 0.0) * one + np.maximum(-a, 0.0) * other

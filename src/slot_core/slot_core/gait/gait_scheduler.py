@@ -21,6 +21,7 @@ from slot_core.gait.reference import limited, moved, places_ahead, reference
 from slot_core.gait.route import Route
 from slot_core.geometry import wrapped
 from slot_core.legs.leg_springs import LegSprings
+from slot_core.matrices import norm
 from slot_core.robot import Array, RobotParameters
 
 LEAST_VELOCITY = 1e-4  # m/s, rad/s: below it a stride stands
@@ -164,7 +165,7 @@ class GaitScheduler:
         """Whether the robot is further from where it was seen last than it can move."""
         if self._seen is None:
             return False
-        moved, turned = np.hypot(*(state[3:5] - self._seen[:2])), wrapped(state[2] - self._seen[2])
+        moved, turned = norm(state[3:5] - self._seen[:2]), wrapped(state[2] - self._seen[2])
         return bool(moved > FASTEST * elapsed or abs(turned) > FASTEST_TURN * elapsed)
 
     def _is_expired(self, stamp: int) -> bool:
@@ -207,7 +208,7 @@ class GaitScheduler:
     @property
     def _speed(self) -> float:
         """Commanded speed along a path, m/s."""
-        return float(np.hypot(*self._wanted[:2]))
+        return norm(self._wanted[:2])
 
     def _pose_after(self, time: float) -> Array:
         """Height, roll and pitch (3,) after a time (s)."""

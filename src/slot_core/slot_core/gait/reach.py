@@ -6,6 +6,7 @@ import numpy as np
 
 from slot_core.config import ConfigError
 from slot_core.gait.gait import ROUNDING, SPEED_NAMES, GaitSettings, Posture, Stride
+from slot_core.matrices import norm
 from slot_core.robot import Array
 
 TINY = 1e-12  # m/s, rad/s: no velocity
@@ -36,8 +37,8 @@ def _share(gait: Posture | Stride, velocity: Array) -> float:
     """
     if isinstance(gait, Posture):
         return 0.0 if velocity.any() else 1.0
-    sizes, speed = np.abs(velocity), float(np.hypot(*velocity[:2]))
-    planar = float(np.hypot(*(velocity[:2] / gait.speeds[:2] / gait.amplitude_max[:2])))
+    sizes, speed = np.abs(velocity), norm(velocity[:2])
+    planar = norm(velocity[:2] / gait.speeds[:2] / gait.amplitude_max[:2])
     steering = min(gait.forward_steering.rate_max, gait.lateral_steering.rate_max)
     slope = (gait.turn.speed - steering) / gait.walking_speed
     turning = gait.turn.speed / max(sizes[2] + slope * speed, TINY)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slot_core.geometry import rotate, wrapped
+from slot_core.matrices import norm
 from slot_core.robot import Array
 
 
@@ -17,7 +18,7 @@ def moved(place: Array, velocity: Array, dt: float) -> Array:
 def limited(place: Array, robot: Array, lead: float, heading_lead: float) -> Array:
     """The place (3,), at most `lead` (m) and `heading_lead` (rad) from that of the robot."""
     gap, turn = place[:2] - robot[:2], wrapped(place[2] - robot[2])
-    share = min(1.0, lead / max(float(np.hypot(*gap)), 1e-12))
+    share = min(1.0, lead / max(norm(gap), 1e-12))
     return np.append(robot[:2] + share * gap, robot[2] + np.clip(turn, -heading_lead, heading_lead))
 
 

@@ -7,7 +7,6 @@ path. The heading is kept, or follows the path's direction.
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,8 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.config import ConfigError
+from slot_core.elementary import atan2, cos, sin
 from slot_core.files import read_text
 from slot_core.geometry import wrapped
+from slot_core.matrices import interpolated, norm
 from slot_core.refusal import quoted
 from slot_core.robot import Array
 
@@ -43,8 +44,8 @@ class Route:
         if len(self._points) < 2:
             raise ConfigError("path: needs at least two different points")
         steps = np.diff(self._points, axis=0)
-        self._arc = np.r_[0.0, np.cumsum(np.hypot(*steps.T))]
-        self._direction = np.arctan2(steps[:, 1], steps[:, 0])
+        self._arc = np.r_[0.0, np.cumsum(norm(steps))]
+        self._direction = atan2(steps[:, 1], steps[:, 0])
         self._along = heading == ALONG
         self._start_yaw: float | None = None
         self.travelled = 0.0  # m, of the reference place
@@ -75,7 +76,7 @@ class Route:
         along = self._direction[self._segment()] - state[2]
         error = wrapped(self._yaw(state) - state[2])
         turn = TURN_GAIN * error if self._along else 0.0
-        return np.array([speed * math.cos(along), speed * math.sin(along), turn])
+        return np.array([speed * cos(along), speed * sin(along), turn])
 
     def ahead(
         self,
@@ -92,13 +93,13 @@ class Route:
         """
         arc = np.minimum(self.travelled + speed * times, self.length)
         direction = self._direction[self._segments(arc)]
-        xy = np.column_stack([np.interp(arc, self._arc, axis) for axis in self._points.T])
+        xy = np.column_stack([interpolated(arc, self._arc, axis) for axis in self._points.T])
         xy += place[:2] - xy[0]
         yaw, velocity = np.full(len(times), place[2]), np.zeros((len(times), 3))
         for k, way in enumerate(direction):
             along = way - yaw[k]
             turn = TURN_GAIN * wrapped(along) if self._along else 0.0
-            wanted = np.array([speed * math.cos(along), speed * math.sin(along), turn])
+            wanted = np.array([speed * cos(along), speed * sin(along), turn])
             velocity[k] = reached(wanted) if arc[k] < self.length else last
             if k + 1 < len(times):
                 yaw[k + 1] = yaw[k] + (times[k + 1] - times[k]) * velocity[k, 2]
@@ -108,7 +109,7 @@ class Route:
         """Distance of the reference place before the robot, along the path, m."""
         direction = self._direction[self._segment()]
         gap = self._point(self.travelled) - state[3:5]
-        return float(gap[0] * math.cos(direction) + gap[1] * math.sin(direction))
+        return float(gap[0] * cos(direction) + gap[1] * sin(direction))
 
     def _segment(self) -> int:
         return int(self._segments(self.travelled))
@@ -127,7 +128,9 @@ class Route:
 
     def _point(self, travelled: float) -> Array:
         x, y = self._points.T
-        return np.array([np.interp(travelled, self._arc, x), np.interp(travelled, self._arc, y)])
+        return np.array(
+            [interpolated(travelled, self._arc, x), interpolated(travelled, self._arc, y)]
+        )
 
 
 def read_route(file: Path | str, heading: str) -> Route:

@@ -11,6 +11,7 @@ import numpy as np
 
 from slot_core.arrays import checked
 from slot_core.legs.leg_table import LegTable, read_leg_table
+from slot_core.matrices import interpolated
 from slot_core.robot import Array
 
 COLUMNS = ("force_N", "slope_N_per_rad", "stiffness_N_per_m", "contact_x_m")
@@ -56,7 +57,7 @@ class LegSprings:
         height = checked("heights", height, force.shape)
         grid = np.broadcast_arrays(angles, height[:, None])
         rising = np.maximum.accumulate(self.at(*grid).force, axis=1)
-        return np.array([np.interp(f, row, angles) for f, row in zip(force, rising)])
+        return np.array([interpolated(f, row, angles) for f, row in zip(force, rising)])
 
 
 def read_leg_springs(slope_min: float) -> LegSprings:

@@ -10,14 +10,13 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.faults import Fault
 from slot_core.gait.gait import GaitCommand, GaitPreview
-from slot_core.geometry import rpy_of
+from slot_core.geometry import matrix_of_quaternion, rpy_of
 from slot_core.refusal import quoted
 from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, Array
 from slot_core.safety.commands import Action
@@ -98,8 +97,7 @@ def velocity(message: Any) -> tuple[int, Array]:
 def body_pose(message: Any) -> Array:
     """(3,) height, roll, pitch of a PoseStamped; raises ValueError for a zero quaternion."""
     q = message.pose.orientation
-    rotation = Rotation.from_quat([q.x, q.y, q.z, q.w])
-    roll, pitch, _ = rpy_of(rotation)
+    roll, pitch, _ = rpy_of(matrix_of_quaternion([q.x, q.y, q.z, q.w]))
     return np.array([message.pose.position.z, roll, pitch])
 
 

@@ -9,12 +9,12 @@ exert the requested forces.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from slot_core.config import quantity
+from slot_core.elementary import exp
 from slot_core.robot import GRAVITY, Array
 
 Z = 5  # index of the linear acceleration along z
@@ -43,7 +43,7 @@ class Disturbance:
 
     def correct(self, predicted: Array, measured: Array, dt: float) -> None:
         """Correct the estimates by the twist (6,) predicted over dt (s) and the measured twist."""
-        gain = 1.0 - math.exp(-dt / self._settings.time)
+        gain = 1.0 - exp(-dt / self._settings.time)
         error = gain * (measured - predicted) / dt
         low = self._nominal * (1.0 - self._settings.mass_error)
         high = self._nominal * (1.0 + self._settings.mass_error)

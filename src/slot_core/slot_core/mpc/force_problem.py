@@ -16,6 +16,7 @@ from slot_core.clock import to_seconds
 from slot_core.control.input_check import STAGE
 from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
+from slot_core.matrices import product
 from slot_core.mpc.disturbance import Disturbance
 from slot_core.mpc.model import (
     FEET,
@@ -27,7 +28,8 @@ from slot_core.mpc.model import (
     condensed_condition,
 )
 from slot_core.mpc.settings import MpcSettings
-from slot_core.mpc.solver import Solution, make_solver
+from slot_core.mpc.solver import QpSolver
+from slot_core.quadratic_programme import Solution
 from slot_core.robot import Array, RobotParameters
 
 LONGEST_GAP = 0.5  # s between ticks; after a longer one the acting forces are unknown
@@ -57,7 +59,7 @@ class ForceProblem:
         generic = self._model.predict(0.3, 0.1, STAGE[1])
         _check_condition(generic, settings)
         self.qp = HorizonQp(weights.q, weights.r, horizon, generic)
-        self._solver = make_solver(self.qp, settings.solver)
+        self._solver = QpSolver(self.qp, settings.solver)
         self._solver.solve()  # the first solve is slow (page faults): not during operation
         self._stamp, self._state = 0, np.zeros(12)
         self._ahead: Horizon | None = None
@@ -139,8 +141,8 @@ class ForceProblem:
         model = self._model.predict(
             last.state[2], last.state[5], dt, disturbance.mass, disturbance.bias
         )
-        predicted = model.a @ last.state + model.b @ last.force.ravel() + model.drift
-        disturbance.correct(predicted[6:], state[6:], dt)
+        predicted = product(model.a, last.state) + product(model.b, last.force.ravel())
+        disturbance.correct((predicted + model.drift)[6:], state[6:], dt)
 
 
 def _check_condition(prediction: Prediction, settings: MpcSettings) -> None:

@@ -26,6 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from slot_core.elementary import cos, sin
+from slot_core.matrices import inverse, product, sparse_product
 from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 
 FEET = len(LEGS)
@@ -86,7 +88,7 @@ class TorsoModel:
 
     def __init__(self, robot: RobotParameters):
         self._feet = robot.feet
-        self._inverse_inertia = np.linalg.inv(robot.inertia)
+        self._inverse_inertia = inverse(robot.inertia)
         self._mass = robot.mass
 
     def predict(
@@ -107,17 +109,18 @@ class TorsoModel:
         jacobian = np.eye(6)
         jacobian[:3, :3] = rotation.T
         gain = np.zeros((6, INPUTS))
-        levers = self._feet @ rotation.T
+        levers = product(self._feet, rotation.T)
         levers[:, 2] = -height
         arms = lever_arms(levers)
-        gain[:3] = rotation @ self._inverse_inertia @ rotation.T @ arms
+        turned = product(product(rotation, self._inverse_inertia), rotation.T)
+        gain[:3] = product(turned, arms)
         gain[3:] = np.tile(np.eye(3) / (mass or self._mass), FEET)
         acceleration = (np.zeros(6) if bias is None else bias) - GRAVITY * np.eye(6)[5]
         a, b, drift = np.eye(STATES), np.zeros((STATES, INPUTS)), np.zeros(STATES)
         a[:6, 6:] = dt * jacobian
-        b[:6] = dt**2 / 2 * jacobian @ gain
+        b[:6] = dt * dt / 2 * product(jacobian, gain)
         b[6:] = dt * gain
-        drift[:6] = dt**2 / 2 * jacobian @ acceleration
+        drift[:6] = dt * dt / 2 * product(jacobian, acceleration)
         drift[6:] = dt * acceleration
         return Prediction(a, b, drift)
 
@@ -167,7 +170,7 @@ class HorizonQp:
         self.G.data[:] = np.concatenate([[1.0, -1.0], friction])[self._g_slots]
         dynamics = self.b.reshape(self.horizon, -1)
         dynamics[:] = prediction.drift
-        dynamics[0] += prediction.a @ state
+        dynamics[0] += product(prediction.a, state)
         self.upper[:, F_Z] = stages.force_max
         self.target[:, :INPUTS] = stages.force_ref.reshape(-1, INPUTS)
         self.target[:, INPUTS:] = turned_to(stages.state_ref, state)
@@ -179,14 +182,14 @@ class HorizonQp:
     def cost(self, z: Array) -> float:
         """Objective of the module's docstring at z."""
         error = z - self.target.ravel()
-        return float(error @ (self.weight * error))
+        return float((error * (self.weight * error)).sum())
 
     def violation(self, z: Array) -> float:
         """Largest violation of a limit of the inputs, N; zero if there is none."""
         inputs = slice(0, INPUTS)
         flat = z.reshape(self.horizon, STAGE)[:, inputs]
         outside = [
-            (self.G @ z - self.h).max(),
+            (sparse_product(self.G, z) - self.h).max(),
             (self.lower[:, inputs] - flat).max(),
             (flat - self.upper[:, inputs]).max(),
         ]
@@ -194,7 +197,7 @@ class HorizonQp:
 
     def residual(self, z: Array) -> float:
         """Largest error of the dynamics over the stages, SI units."""
-        return float(np.abs(self.A @ z - self.b).max())
+        return float(np.abs(sparse_product(self.A, z) - self.b).max())
 
 
 class _Rows:
@@ -207,8 +210,8 @@ class _Rows:
         """x_k+1 - a x_k - b u_k = drift; values [1, -1, -a, -b]."""
         size = STATES
         number = 3 + np.arange(size * (size + INPUTS))
-        a = np.where(self._pattern.a != 0, number[: size**2].reshape(size, size), 0)
-        b = np.where(self._pattern.b != 0, number[size**2 :].reshape(size, INPUTS), 0)
+        a = np.where(self._pattern.a != 0, number[: size * size].reshape(size, size), 0)
+        b = np.where(self._pattern.b != 0, number[size * size :].reshape(size, INPUTS), 0)
         rows = self._empty(size)
         for k in range(self._horizon):
             rows[k, :, k, :INPUTS] = b
@@ -262,7 +265,7 @@ def condensed_condition(prediction: Prediction, q: Array, r: Array, horizon: int
 
 def rotation_z(yaw: float) -> Array:
     """R_z(yaw) (3, 3)."""
-    s, c = np.sin(yaw), np.cos(yaw)
+    s, c = sin(yaw), cos(yaw)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 

@@ -22,7 +22,7 @@ from slot_core.mpc.force_problem import ForceProblem
 from slot_core.mpc.model import FEET, FirstStage
 from slot_core.mpc.paper_problem import PaperProblem
 from slot_core.mpc.settings import MpcSettings, PaperMpcSettings, read_mpc
-from slot_core.mpc.solver import Solution
+from slot_core.quadratic_programme import Solution
 from slot_core.robot import GRAVITY, Array, RobotParameters
 
 _NONE = np.zeros(FEET)
@@ -120,7 +120,9 @@ class Mpc(Policy):
             why = "no feasible input yet" if self._last is None else used_up
             nothing = np.zeros((self._settings.horizon, FEET, 3))
             return self._plan(nothing, Status.STOPPED, f"{why}; {fault}", report)
-        deviation = rule.decay**self._missed * self._last
+        deviation = self._last
+        for _ in range(self._missed):
+            deviation = rule.decay * deviation
         force = self._stage.clip(self._stage.force_ref + deviation)
         return self._plan(np.tile(force, (self._settings.horizon, 1, 1)), cause, fault, report)
 

@@ -31,8 +31,9 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from slot_core.control.policy import TendonPlan
+from slot_core.elementary import cos, hypot, sin
 from slot_core.gait.gait import GaitPreview
-from slot_core.mpc.clarabel_solver import clarabel_options, solution_of
+from slot_core.matrices import inverse, norm, product, sparse_product
 from slot_core.mpc.model import (
     FEET,
     INPUTS,
@@ -45,7 +46,8 @@ from slot_core.mpc.model import (
     turned_to,
 )
 from slot_core.mpc.settings import PaperMpcSettings
-from slot_core.mpc.solver import Solution
+from slot_core.mpc.solver import options
+from slot_core.quadratic_programme import Solution, solution_of
 from slot_core.robot import GRAVITY, Array, RobotParameters
 
 AXES = 3
@@ -64,18 +66,18 @@ class PaperStage(FirstStage):
 
     def clip(self, force: Array) -> Array:
         """Forces (4, 3) N clipped to the limits, the normal forces first."""
-        local = np.einsum("lij,lj->li", self.axes, force)
+        local = (self.axes * force[:, None]).sum(axis=-1)
         local[:, 2] = np.clip(local[:, 2], self.least_normal, self.force_max)
         limit = self.friction * local[:, 2]
-        length = np.linalg.norm(local[:, :2], axis=1)
+        length = norm(local[:, :2])
         share = np.where(self.cone, np.minimum(1.0, limit / np.maximum(length, 1e-12)), 1.0)
         local[:, :2] = np.clip(share[:, None] * local[:, :2], -limit[:, None], limit[:, None])
-        return np.einsum("lij,li->lj", self.axes, local)
+        return (self.axes * local[:, :, None]).sum(axis=1)
 
     def slacks(self, force: Array) -> Array:
         """Slacks (3, 4) N of forces (4, 3) N: least and largest normal force, friction."""
-        x, y, normal = np.einsum("lij,lj->li", self.axes, force).T
-        tangential = np.where(self.cone, np.hypot(x, y), np.maximum(np.abs(x), np.abs(y)))
+        x, y, normal = (self.axes * force[:, None]).sum(axis=-1).T
+        tangential = np.where(self.cone, hypot(x, y), np.maximum(np.abs(x), np.abs(y)))
         limits = self.force_max - normal, self.friction * normal - tangential
         return np.stack([normal - self.least_normal, *limits])
 
@@ -132,19 +134,19 @@ class PaperProblem:
         a, b, drift = np.eye(STATES), np.zeros((STATES, INPUTS)), np.zeros(STATES)
         a[:3, 6:9], a[3:6, 9:] = dt * turn.T, dt * np.eye(AXES)
         a[9:, 9:] -= dt * np.diag(self._terms.drag)
-        b[6:9] = dt * np.linalg.solve(
-            turn @ self._inertia @ turn.T, lever_arms(self._levers @ turn.T)
-        )
+        inertia = product(product(turn, self._inertia), turn.T)
+        arms = lever_arms(product(self._levers, turn.T))
+        b[6:9] = dt * product(inverse(inertia), arms)
         b[9:] = dt / self.mass * np.tile(np.eye(AXES), FEET)
         drift[-1] = -dt * GRAVITY
         return Prediction(a, b, drift)
 
     def solve(self) -> Solution:
         """Solve the problem with its present values; raises nothing."""
-        options = clarabel_options(self._settings.solver)
+        settings = options(self._settings.solver)
         objective = SCALE * sparse.triu(self._now.hessian, format="csc"), SCALE * self._slope
-        parts = *objective, self._matrix, self._right, self._cones, options
-        return solution_of(clarabel.DefaultSolver(*parts).solve())
+        parts = *objective, self._matrix, self._right, self._cones, settings
+        return solution_of(clarabel.DefaultSolver(*parts))
 
     def follow(self, plan: TendonPlan) -> None:
         """Nothing: there is no observer."""
@@ -159,22 +161,27 @@ class PaperProblem:
 
     def cost(self, z: Array) -> float:
         """Objective at z, the present state's error included."""
-        return float(z @ (self._now.hessian @ z) / 2 + self._slope @ z) + self._constant
+        return (
+            float((z * (sparse_product(self._now.hessian, z) / 2 + self._slope)).sum())
+            + self._constant
+        )
 
     def violation(self, z: Array) -> float:
         """Largest violation of a limit of the forces, N."""
-        slack = self._right - self._matrix @ z
+        slack = self._right - sparse_product(self._matrix, z)
         dynamics, now = self.horizon * STATES, self._now
         equal, above, cones = np.split(
             slack[dynamics:], np.cumsum([self.horizon * len(p) for p in (now.balance, now.rows)])
         )
         sides = cones.reshape(-1, AXES)
-        outside = np.linalg.norm(sides[:, 1:], axis=1) - sides[:, 0]
+        outside = norm(sides[:, 1:]) - sides[:, 0]
         return float(max(0.0, *np.abs(equal), *-above, *outside))
 
     def residual(self, z: Array) -> float:
         """Largest error of the dynamics over the stages, SI units."""
-        return float(np.abs(self._matrix @ z - self._right)[: self.horizon * STATES].max())
+        return float(
+            np.abs(sparse_product(self._matrix, z) - self._right)[: self.horizon * STATES].max()
+        )
 
     def _set(self, state: Array, reference: Array, model: Prediction) -> None:
         """Set matrix, right side and linear cost for a state and references (H, 12)."""
@@ -187,7 +194,7 @@ class PaperProblem:
             parts.append(sparse.kron(stages, wide))
         self._matrix = sparse.csc_matrix(sparse.vstack(parts))
         dynamics = np.tile(model.drift, size)
-        dynamics[:STATES] += model.a @ state
+        dynamics[:STATES] += product(model.a, state)
         weight = np.full(size * len(now.balance), self.mass * GRAVITY)
         cones = np.zeros(size * len(now.cones))
         self._right = np.concatenate([dynamics, weight, np.tile(now.bound, size), cones])
@@ -202,8 +209,15 @@ class PaperProblem:
         slope[:-1, INPUTS:] = -2.0 * q * target[1:]
         self._slope = slope.ravel()
         error = state - target[0]
-        pull = self._terms.pull_weight * self._terms.pull**2 * bool(now.force_slope.any())
-        self._constant = float(error @ (q * error) + (q * target[1:] ** 2).sum()) + size * pull
+        pull = (
+            self._terms.pull_weight
+            * self._terms.pull
+            * self._terms.pull
+            * bool(now.force_slope.any())
+        )
+        self._constant = (
+            float((error * (q * error)).sum() + (q * np.square(target[1:])).sum()) + size * pull
+        )
 
     def _phase(self, pulled: int | None) -> _Phase:
         """The arrays of a phase."""
@@ -274,6 +288,6 @@ def pulled_leg(preview: GaitPreview) -> int | None:
 
 def _leg_axes(robot: RobotParameters) -> Array:
     """(4, 3, 3) from odom to the legs' axes of the authors' scripts: x at minus the azimuth."""
-    s, c, flat = np.sin(robot.azimuth), np.cos(robot.azimuth), np.zeros(FEET)
+    s, c, flat = sin(robot.azimuth), cos(robot.azimuth), np.zeros(FEET)
     axes = np.array([[c, -s, flat], [s, c, flat], [flat, flat, flat + 1.0]])
     return np.moveaxis(axes, -1, 0)

@@ -1,64 +1,83 @@
-"""Interface of the convex MPC's solvers: built on a `HorizonQp`, then `solve()`.
-
-Each solver reads the present arrays of the problem, updates its own copy of the data in place and
-keeps what is constant. Only the chosen solver is imported.
-"""
+"""Solver of the convex MPC's problem on forces: Clarabel, on the arrays of a `HorizonQp`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib import import_module
-from typing import Protocol
 
-from slot_core.config import choice, quantity
+import clarabel
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from slot_core import quadratic_programme
+from slot_core.config import quantity
 from slot_core.mpc.model import HorizonQp
+from slot_core.quadratic_programme import Solution, solution_of
 from slot_core.robot import Array
-
-SOLVERS = {
-    "piqp": ("slot_core.mpc.piqp_solver", "PiqpSolver"),
-    "clarabel": ("slot_core.mpc.clarabel_solver", "ClarabelSolver"),
-}
 
 
 @dataclass(frozen=True)
 class MpcSolverSettings:
-    """Choice of the solver and its termination criteria."""
+    """Termination criteria of the solver."""
 
-    name: str = choice("solver of the problem on forces", *SOLVERS)
-    backend: str = choice("PIQP's factorisation of the KKT system", "multistage", "ldlt")
-    tolerance_abs: float = quantity(
-        "largest absolute residual and duality gap of a solution", "", 1e-12, 1e-1
-    )
+    tolerance_abs: float = quantity("largest absolute duality gap of a solution", "", 1e-12, 1e-1)
     tolerance_rel: float = quantity(
         "largest relative residual and duality gap of a solution", "", 1e-12, 1e-1
     )
     iterations: int = quantity("largest number of iterations of the solver", "", 1, 100000)
 
 
-@dataclass(frozen=True)
-class Solution:
-    """Result of a solver."""
-
-    z: Array  # the variables of `HorizonQp`
-    fault: str  # one line, empty if solved
-    iterations: int
+def options(settings: MpcSolverSettings) -> clarabel.DefaultSettings:
+    """Clarabel's settings."""
+    return quadratic_programme.options(
+        settings.tolerance_abs, settings.tolerance_rel, settings.iterations
+    )
 
 
-class QpSolver(Protocol):
-    """Solver of min 1/2 z'Pz + c'z with A z = b, G z <= h, lower <= z <= upper."""
+class QpSolver:
+    """Constraints C z + s = d, with s = 0 for equalities and s >= 0 otherwise.
+
+    C = [A; G; -1 or 1 for each bounded side of a variable]; the set of bounded variables is that at
+    construction.
+    """
 
     def __init__(self, qp: HorizonQp, settings: MpcSolverSettings):
-        """Set up what depends only on the sparsity of `qp`.
-
-        Raises ConfigError if the solver does not cover this form of the problem.
-        """
+        """Set up the factorisation for the sparsity of `qp`."""
+        self._qp = qp
+        sides = np.isfinite(qp.lower.ravel()), np.isfinite(qp.upper.ravel())
+        self._below, self._above = (np.flatnonzero(side) for side in sides)
+        unit = sparse.eye(qp.P.shape[0], format="csr")
+        bounds = [-unit[self._below], unit[self._above]]
+        self._matrix = sparse.vstack([qp.A, qp.G, *bounds], format="csc")
+        self._slots = _slots(self._matrix, qp)
+        equalities = qp.A.shape[0]
+        inequalities = self._matrix.shape[0] - equalities
+        cones = [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(inequalities)]
+        objective = sparse.triu(qp.P, format="csc"), qp.c
+        parts = *objective, self._matrix, self._right_side(), cones, options(settings)
+        self._solver = clarabel.DefaultSolver(*parts)
 
     def solve(self) -> Solution:
-        """Solve `qp` with its present values within `settings.iterations`; raises nothing."""
+        """Solve `qp` with its present values; raises nothing."""
+        a_entries, g_entries = self._slots
+        self._matrix.data[a_entries] = self._qp.A.data
+        self._matrix.data[g_entries] = self._qp.G.data
+        self._solver.update(q=self._qp.c, A=self._matrix.data, b=self._right_side())
+        return solution_of(self._solver)
+
+    def _right_side(self) -> Array:
+        """The vector d."""
+        qp = self._qp
+        bounds = [-qp.lower.ravel()[self._below], qp.upper.ravel()[self._above]]
+        return np.concatenate([qp.b.ravel(), qp.h, *bounds])
 
 
-def make_solver(qp: HorizonQp, settings: MpcSolverSettings) -> QpSolver:
-    """The solver named by `settings.name`; raises ConfigError as its constructor does."""
-    module, name = SOLVERS[settings.name]
-    solver: QpSolver = getattr(import_module(module), name)(qp, settings)
-    return solver
+def _slots(matrix: sparse.csc_matrix, qp: HorizonQp) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the entries of A and of G in `matrix.data`, in column order."""
+    equalities, inequalities = qp.A.shape[0], qp.A.shape[0] + qp.G.shape[0]
+    rows = matrix.indices
+    a_entries = np.flatnonzero(rows < equalities)
+    g_entries = np.flatnonzero((rows >= equalities) & (rows < inequalities))
+    assert len(a_entries) == qp.A.nnz
+    assert len(g_entries) == qp.G.nnz
+    return a_entries, g_entries

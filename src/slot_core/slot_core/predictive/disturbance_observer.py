@@ -28,6 +28,7 @@ import numpy as np
 
 from slot_core.arrays import checked
 from slot_core.geometry import rotate, wrapped
+from slot_core.matrices import interpolated
 from slot_core.predictive.nominal_robot import NominalRobot, NominalState
 from slot_core.predictive.settings import ObserverSettings
 from slot_core.robot import LEGS, Array
@@ -81,10 +82,14 @@ class DisturbanceObserver:
         known = [(seen.time - past[0].time) / tick for seen in past]  # ticks after the first
         passed = known[-1]
         ticks = np.arange(math.ceil(passed) + 1.0)
-        plan = [np.interp(ticks, known, angles) for angles in zip(*(seen.angle for seen in past))]
+        plan = [
+            interpolated(ticks, known, angles) for angles in zip(*(seen.angle for seen in past))
+        ]
         poses = self._model.roll_out(past[0].start, np.transpose(plan)[None]).pose[0]
         if np.isfinite(poses).all():
-            pose = [np.interp(passed, ticks[1:], values) for values in np.unwrap(poses, axis=0).T]
+            pose = [
+                interpolated(passed, ticks[1:], values) for values in np.unwrap(poses, axis=0).T
+            ]
             self._correct(state, np.array(pose), self._dt * passed)
 
     def _correct(self, state: Array, pose: Array, span: float) -> None:
@@ -103,7 +108,7 @@ class DisturbanceObserver:
     def _judge(self, left_over: Array) -> None:
         """Update the misfit by the errors (6,) that drift and wrench leave over."""
         s = self._settings
-        self._misfit += s.misfit_gain * ((left_over / self._scale) ** 2 - self._misfit)
+        self._misfit += s.misfit_gain * (np.square(left_over / self._scale) - self._misfit)
         self.is_far = self.misfit > s.misfit_max * (0.5 if self.is_far else 1.0)
 
     @property

@@ -7,7 +7,6 @@ servos, which follows from the commands: tendon angles, servo loops, and the fee
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +15,7 @@ from slot_core import config
 from slot_core.arrays import checked
 from slot_core.dynamics.scene import NO_SENSORS, Scene, level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.elementary import atan2
 from slot_core.geometry import rotate
 from slot_core.predictive.rollout_kernels import roll_out, set_torso
 from slot_core.predictive.settings import NominalSettings
@@ -80,7 +80,7 @@ class NominalRobot:
         torso = self.robot.state
         torso.buffer[:], _ = self._checked(start)
         (x, y, _), turned = torso.position, torso.rotation
-        return np.array([x, y, math.atan2(turned[1, 0], turned[0, 0])])
+        return np.array([x, y, atan2(turned[1, 0], turned[0, 0])])
 
     def roll_out(self, start: NominalState, plans: Array) -> Rollouts:
         """Simulate plans (P, n + 1, 4), rad at the stages 0 .. n, from one state.

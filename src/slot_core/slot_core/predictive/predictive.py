@@ -28,6 +28,7 @@ from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Tim
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
 from slot_core.geometry import wrapped
+from slot_core.matrices import inverse, norm, product
 from slot_core.predictive.disturbance_observer import PLACE, DisturbanceObserver
 from slot_core.predictive.nominal_robot import NominalRobot, NominalState, Rollouts
 from slot_core.predictive.problem import Linearisation, PlanProblem
@@ -60,7 +61,7 @@ class Predictive(Policy):
         self._robot, self._settings, self._timer = robot, settings, timer
         self._springs = read_springs()
         x, y, _ = robot.feet.T
-        self._shares = np.linalg.pinv(np.array([np.ones(len(LEGS)), y, -x]))  # (4, 3)
+        self._shares = _shares(np.array([np.ones(len(LEGS)), y, -x]))  # (4, 3)
         self._begin(read_gaits().dt)
 
     @staticmethod
@@ -172,7 +173,7 @@ class Predictive(Policy):
         for _ in range(missed):
             found = replace(self._moved_on(found), linear=found.linear)
         gap = self._model.place(found.start) - state[PLACE]
-        is_near = math.hypot(*gap[:2]) < (1 + missed) * JUMP
+        is_near = norm(gap[:2]) < (1 + missed) * JUMP
         return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
 
     def _share(self, time: int) -> float:
@@ -186,9 +187,9 @@ class Predictive(Policy):
         The torso sags by the mean force that the largest tendon angle does not give.
         """
         angle = np.asarray(preview.tendon_angle, dtype=float)[: self._settings.stages + 2]
-        carried = angle - self._shares @ self.observer.wrench / self._stiffness
+        carried = angle - product(self._shares, self.observer.wrench) / self._stiffness
         nominal = np.clip(carried, 0.0, self._robot.tendon.angle_max)
-        missing = float(((carried - nominal) @ self._stiffness).mean())  # N
+        missing = float(product(carried - nominal, self._stiffness).mean())  # N
         return nominal, missing / self._settings.observer.stiffness[0]
 
     def _stiffness_of(self, angle: Array, pose: Array) -> Array:
@@ -316,6 +317,11 @@ class Predictive(Policy):
             drift=drift,
             wrench=wrench,
         )
+
+
+def _shares(balance: Array) -> Array:
+    """Least forces (4, 3) of the legs for a wrench: B^T (B B^T)^-1 with the balance B (3, 4)."""
+    return np.asarray(product(balance.T, inverse(product(balance, balance.T))))
 
 
 def _empty(stages: int) -> Rollouts:

@@ -30,12 +30,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import piqp
 
 from slot_core.arrays import checked
 from slot_core.geometry import rotate
+from slot_core.matrices import interpolated, inverse, product
 from slot_core.predictive.problem_kernels import set_errors, set_limits, set_reference
 from slot_core.predictive.settings import PredictiveSettings
+from slot_core.quadratic_programme import options, solve_within
 from slot_core.robot import LEGS, Array
 
 LEG_COUNT = len(LEGS)
@@ -57,9 +58,9 @@ class PlanProblem:
     def __init__(self, settings: PredictiveSettings, angle_max: float, dt: float):
         self._settings, self._dt, self._angle_max = settings, dt, angle_max
         stages, cost = settings.stages, settings.cost
-        hats = [np.interp(np.arange(stages + 1), settings.knots, row)
-                for row in np.eye(len(settings.knots))]  # fmt: skip
-        basis = np.einsum("jk,lm->ljkm", hats, MODES)
+        steps, each = np.arange(stages + 1), np.eye(len(settings.knots))
+        hats = np.array([interpolated(steps, settings.knots, row) for row in each])
+        basis = hats[None, :, :, None] * MODES[:, None, None, :]
         self.basis = basis.reshape(-1, stages + 1, LEG_COUNT)  # (n, K + 1, 4)
         self._flat = self.basis.reshape(len(self.basis), -1)  # (n, 4 (K + 1))
         rates = np.diff(self.basis, axis=1).reshape(len(self.basis), -1)
@@ -67,11 +68,11 @@ class PlanProblem:
         scale = [cost.tilt, cost.tilt, cost.yaw, cost.place, cost.place, cost.height]
         self.scale = np.array(scale)  # (6,) of the errors of a pose
         self._weight = 1.0 / (np.sqrt(stages) * self.scale)
-        self._damped = self._flat @ np.array([self._pull(b).ravel() for b in self.basis]).T
-        self._damped += np.eye(len(self.basis)) / cost.change**2
-        self._solver = piqp.DenseSolver()
-        self._solver.settings.eps_abs = self._solver.settings.eps_rel = QP_TOLERANCE
-        self._solver.settings.max_iter = QP_ITERATIONS
+        pulls = np.array([self._pull(b).ravel() for b in self.basis])
+        self._damped = product(self._flat, pulls.T) + np.eye(len(self.basis)) / np.square(
+            cost.change
+        )
+        self._options = options(QP_TOLERANCE, QP_TOLERANCE, QP_ITERATIONS)
         nowhere = np.zeros(3)
         wanted = self.reference(np.zeros((stages + 1, 12)), nowhere, nowhere, 0.0)
         error = self.errors(wanted[None], wanted, 0.0)[0]  # compiles the kernels, as does the step
@@ -109,18 +110,18 @@ class PlanProblem:
 
     def cost(self, error: Array, deviation: Array) -> float:
         """Cost of errors (6 K,) and deviations (K + 1, 4)."""
-        return float(error @ error + deviation.ravel() @ self._pull(deviation).ravel())
+        return float((error * error).sum() + (deviation * self._pull(deviation)).sum())
 
     def _pull(self, deviation: Array) -> Array:
         """Half the gradient (K + 1, 4) of the cost of deviations (K + 1, 4)."""
         cost, mean = self._settings.cost, deviation.sum(axis=0) / len(deviation)
-        swing = (deviation - mean) / cost.swing**2
-        return np.asarray((swing + mean / cost.deviation**2) / self._settings.stages)
+        swing = (deviation - mean) / np.square(cost.swing)
+        return np.asarray((swing + mean / np.square(cost.deviation)) / self._settings.stages)
 
     def linearised(self, slopes: Array) -> Linearisation:
         """Linearisation with the slopes (n, 6 K) of the weighted errors, per rad."""
-        hessian = slopes @ slopes.T + self._damped
-        return Linearisation(slopes, hessian, np.linalg.inv(hessian))
+        hessian = product(slopes, slopes.T) + self._damped
+        return Linearisation(slopes, hessian, inverse(hessian))
 
     def change(
         self, error: Array, linear: Linearisation, deviation: Array, nominal: Array
@@ -133,12 +134,14 @@ class PlanProblem:
         shape = (self._settings.stages + 1, LEG_COUNT)
         nominal = checked("nominal", nominal, shape)
         deviation = checked("deviation", deviation, shape)
-        gradient = linear.slopes @ error + self._flat @ self._pull(deviation).ravel()
+        gradient = product(linear.slopes, error) + product(
+            self._flat, self._pull(deviation).ravel()
+        )
         limits, low, high = self._settings.limits, *np.empty((2, len(self._rows)))
         step = self._dt * limits.rate
         set_limits(nominal, deviation, *self.range(nominal), limits.deviation, step, low, high)
         delta = self._least(linear, gradient, low, high)
-        return None if delta is None else (delta @ self._flat).reshape(nominal.shape)
+        return None if delta is None else product(delta, self._flat).reshape(nominal.shape)
 
     def _least(
         self, linear: Linearisation, gradient: Array, low: Array, high: Array
@@ -147,21 +150,20 @@ class PlanProblem:
 
         The limits that an intermediate minimum violates join the problem until none is left out.
         """
-        rows, delta = self._rows, -(linear.inverse @ gradient)
+        rows, delta = self._rows, -product(linear.inverse, gradient)
         slack = QP_TOLERANCE * self._settings.limits.deviation
         chosen = np.zeros(len(rows), dtype=bool)
         while True:
-            value = rows @ delta
+            value = product(rows, delta)
             missing = ~chosen & ((value < low - slack) | (value > high + slack))
             if not missing.any():
                 return delta
             chosen |= missing
-            self._solver.setup(
-                P=linear.hessian, c=gradient, G=rows[chosen], h_l=low[chosen], h_u=high[chosen]
-            )
-            if self._solver.solve() != piqp.PIQP_SOLVED:
+            limits = rows[chosen], low[chosen], high[chosen]
+            found = solve_within(linear.hessian, gradient, *limits, self._options)
+            if found.fault:
                 return None
-            delta = np.array(self._solver.result.x)
+            delta = found.z
 
     def range(self, nominal: Array) -> tuple[float, float]:
         """Least and largest tendon angle of a plan around the nominal angles, rad."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from slot_core.compiled import kernel
+from slot_core.elementary import cos, sin
 
 
 @kernel
@@ -23,9 +24,9 @@ def set_reference(rows, place, drift, sag, dt, reach, pose):
         roll += rows[k + 1, 0] / count
         pitch += rows[k + 1, 1] / count
     ahead, aside = rows[0, 3] - place[0], rows[0, 4] - place[1]
-    distance = math.hypot(ahead, aside)
+    distance = math.sqrt(ahead * ahead + aside * aside)
     share = 1.0 - reach / distance if distance > reach else 0.0
-    c, s = math.cos(place[2]), math.sin(place[2])
+    c, s = cos(place[2]), sin(place[2])
     for k in range(count):
         row, time = rows[k + 1], dt * (k + 1)
         x, y = time * drift[0], time * drift[1]
@@ -42,7 +43,7 @@ def set_errors(pose, reference, w, yaw, error):
 
     w: (6,) weights of the errors.
     """
-    c, s = math.cos(yaw), math.sin(yaw)
+    c, s = cos(yaw), sin(yaw)
     for p in range(pose.shape[0]):
         for k in range(pose.shape[1]):
             is_, should, e = pose[p, k], reference[k], error[p, k]

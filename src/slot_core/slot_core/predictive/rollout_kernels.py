@@ -9,6 +9,8 @@ import math
 
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.handle import contents
+from slot_core.elementary import cos, sin
+from slot_core.geometry import roll_pitch_yaw
 from slot_core.simulation.tabulated_kernels import divergence_of, one_step
 
 
@@ -48,8 +50,8 @@ def set_torso(machine, known, state):
     torso = contents(machine)[2]
     for i in range(known.size):
         torso.buffer[i] = known[i]
-    cr, cp, cy = math.cos(state[0]), math.cos(state[1]), math.cos(state[2])
-    sr, sp, sy = math.sin(state[0]), math.sin(state[1]), math.sin(state[2])
+    cr, cp, cy = cos(state[0]), cos(state[1]), cos(state[2])
+    sr, sp, sy = sin(state[0]), sin(state[1]), sin(state[2])
     r = torso.rotation
     r[0, 0], r[0, 1], r[0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
     r[1, 0], r[1, 1], r[1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
@@ -72,9 +74,7 @@ def _command(feet, here, there, share, angle_max):
 def _record(pose, force, foot, legs, state, feet, diverged):
     """Write pose, forces and places of the feet, or NaN."""
     r, nan = state.rotation, math.nan
-    pose[0] = nan if diverged else math.atan2(r[2, 1], r[2, 2])
-    pose[1] = nan if diverged else math.asin(min(1.0, max(-1.0, -r[2, 0])))
-    pose[2] = nan if diverged else math.atan2(r[1, 0], r[0, 0])
+    pose[0], pose[1], pose[2] = (nan, nan, nan) if diverged else roll_pitch_yaw(r)
     for i in range(3):
         pose[3 + i] = nan if diverged else state.position[i]
     for leg in range(4):

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slot_core.matrices import norm
 from slot_core.robot import Array
 from slot_core.safety.moving_window import MovingWindow
 from slot_core.safety.settings import MotionLimits
@@ -48,7 +49,7 @@ class MotionWatch:
         rows, limits = self._window.rows(), self._limits
         rows[:, 2] = np.unwrap(rows[:, 2])
         extent = np.ptp(rows, axis=0)
-        moved = float(np.linalg.norm(extent[:6] * ([limits.lever] * 3 + [1.0] * 3)))
+        moved = norm(extent[:6] * ([limits.lever] * 3 + [1.0] * 3))
         asked = float(extent[6:].max())
         if asked >= limits.command_min and moved < limits.ratio_min * asked:
             self.message = (

@@ -122,7 +122,7 @@ class TendonWatch:
         """Compute the slack from the means; set an alarm once it has lasted for `confirm`."""
         missing, slope = self._window.rows().mean(axis=0)
         self._slack = self._radius * missing / np.maximum(slope, self._limits.stiffness_min)
-        shift = self._slack @ SIDES / len(LEGS)
+        shift = (self._slack * SIDES).sum() / len(LEGS)
         limit = self._limits.slack_max
         beyond = self._slack - np.clip(shift, -limit, limit) * SIDES
         over = beyond > limit

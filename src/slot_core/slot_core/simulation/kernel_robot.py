@@ -68,4 +68,6 @@ class KernelRobot(SimulatedRobot):
 
         A spool that stands still is taken to carry the load without friction.
         """
-        return super().servo_torque * self.model.servo.friction ** np.sign(self.state.tendon_rate)
+        rate, friction = self.state.tendon_rate, self.model.servo.friction
+        share = np.where(rate > 0.0, friction, np.where(rate < 0.0, 1.0 / friction, 1.0))
+        return super().servo_torque * share

@@ -16,6 +16,7 @@ from slot_core.dynamics.handle import contents_at
 from slot_core.dynamics.integrator import advance_contents
 from slot_core.dynamics.lanes import in_lanes
 from slot_core.dynamics.simulated_robot import require_steps
+from slot_core.geometry import roll_pitch_yaw
 from slot_core.robot import LEGS, Array
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.rod_robot import RodRobot
@@ -108,9 +109,7 @@ def _advance_tabulated(machine, address, goals, steps, motion):
 def _record(row, state, fine):
     """Write the motion (20,) of a robot, or NaN."""
     r, w, nan = state.rotation, state.rate, math.nan
-    row[0] = math.atan2(r[2, 1], r[2, 2]) if fine else nan
-    row[1] = math.asin(min(1.0, max(-1.0, -r[2, 0]))) if fine else nan
-    row[2] = math.atan2(r[1, 0], r[0, 0]) if fine else nan
+    row[0], row[1], row[2] = roll_pitch_yaw(r) if fine else (nan, nan, nan)
     for i in range(3):
         row[3 + i] = state.position[i] if fine else nan
         row[6 + i] = r[i, 0] * w[0] + r[i, 1] * w[1] + r[i, 2] * w[2] if fine else nan

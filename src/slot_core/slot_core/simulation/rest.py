@@ -8,6 +8,7 @@ import numpy as np
 
 from slot_core.config import ConfigError
 from slot_core.dynamics.simulated_robot import SimulatedRobot
+from slot_core.matrices import norm, product
 from slot_core.robot import LEGS
 
 SPEED_AT_REST = 0.01  # m/s, of the torso; settled in config/scene: at most 4 mm/s, 0.14 m/s^2
@@ -40,5 +41,5 @@ def bring_to_rest(robot: SimulatedRobot) -> None:
 
 def _motion(robot: SimulatedRobot) -> tuple[float, float]:
     """Speed, m/s, and acceleration, m/s^2, of the torso."""
-    acceleration = robot.rotation @ robot.specific_force + np.array(robot.scene.gravity)
-    return float(np.linalg.norm(robot.velocity)), float(np.linalg.norm(acceleration))
+    acceleration = product(robot.rotation, robot.specific_force) + np.array(robot.scene.gravity)
+    return norm(robot.velocity), norm(acceleration)

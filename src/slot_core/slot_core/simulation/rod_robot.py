@@ -24,6 +24,8 @@ from slot_core.dynamics.model import (
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import require_steps
+from slot_core.geometry import Transform
+from slot_core.matrices import product
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.simulation.kernel_robot import KernelRobot
 
@@ -94,9 +96,11 @@ class RodRobot(KernelRobot):
         angular_velocity = checked("angular velocity", angular_velocity, (3,))
         self.state.velocity[:] = velocity
         self.state.rate[:] = angular_velocity
-        arm = np.einsum("ij,lnj->lni", self.state.rotation.T, self.nodes - self.position)
-        body = self.state.rotation.T @ velocity + np.cross(angular_velocity, arm)
-        self.state.node_velocity[:] = np.einsum("lij,lnj->lni", self.model.axes, body)
+        to_base = Transform(self.rotation, self.position).inverse
+        arm = to_base.apply(self.nodes)
+        body = product(to_base.rotation, velocity) + np.cross(angular_velocity, arm)
+        for leg, axes in enumerate(self.model.axes):
+            self.state.node_velocity[leg] = product(body[leg], axes.T)
 
     def set_tip_to_nan(self, leg: int) -> None:
         """Set the tip of leg 0 .. 3 to NaN, so that the simulation diverges; or IndexError."""
@@ -135,8 +139,8 @@ class RodRobot(KernelRobot):
 
         Those of planar legs are the normals of their planes.
         """
-        body = np.einsum("lij,lki->lkj", self.model.axes, self.state.director)
-        return np.asarray(body @ self.state.rotation.T)
+        turns = (product(axes, self.state.rotation.T) for axes in self.model.axes)
+        return np.array([product(*leg) for leg in zip(self.state.director, turns)])
 
     @property
     def ground_force(self) -> Array:

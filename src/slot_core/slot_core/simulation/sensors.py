@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from slot_core.dynamics.scene import ImuSettings, OdometrySettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
+from slot_core.elementary import cos, log
+from slot_core.geometry import quaternion_of_vector, quaternion_product, rotate
+from slot_core.matrices import product
 from slot_core.robot import Array
 
 
@@ -41,9 +43,15 @@ class ImuReading:
     specific_force: Array  # (3,) m/s^2
 
 
+def normal(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+    """Numbers of the standard normal distribution, the same on every processor (Box, Muller)."""
+    radius, turn = rng.random((2, *shape))
+    return np.asarray(np.sqrt(-2.0 * log(1.0 - radius)) * cos(2.0 * np.pi * turn))
+
+
 def true_odometry(sim: SimulatedRobot, stamp: int) -> OdometryReading:
     """Odometry of the simulated robot at `stamp` (ns), without noise."""
-    velocity = sim.rotation.T @ sim.velocity
+    velocity = product(sim.rotation.T, sim.velocity)
     return OdometryReading(stamp, sim.position, sim.quaternion, velocity, sim.angular_velocity)
 
 
@@ -71,20 +79,22 @@ class OdometrySensor:
 
         The noise of the orientation is a rotation vector in odom.
         """
-        s, noise = self._settings, self._rng.normal(size=(4, 3))
+        s, noise = self._settings, normal(self._rng, (4, 3))
         displacement = self._displacement(since)
         if self._is_lost(since):
             return lost_odometry(truth.stamp)
         position = truth.position + s.position_noise * noise[0]
-        turn = Rotation.from_rotvec(s.orientation_noise * noise[1])
-        attitude = turn * Rotation.from_quat(truth.quaternion)
+        turn = quaternion_of_vector(s.orientation_noise * noise[1])
+        attitude = quaternion_product(turn, truth.quaternion)
         if displacement.any():
-            yaw = Rotation.from_euler("z", displacement[3])
-            position, attitude = yaw.apply(position) + displacement[:3], yaw * attitude
+            position[:2] = rotate(position[:2], displacement[3])
+            position += displacement[:3]
+            yaw = quaternion_of_vector(np.array([0.0, 0.0, displacement[3]]))
+            attitude = quaternion_product(yaw, attitude)
         return OdometryReading(
             truth.stamp,
             position,
-            attitude.as_quat(),
+            attitude,
             truth.velocity + s.velocity_noise * noise[2],
             truth.angular_velocity + s.rate_noise * noise[3],
         )
@@ -98,7 +108,7 @@ class OdometrySensor:
         """Displacement (3,), m, and yaw, rad, of the odometry by its drift and jumps so far."""
         s = self._settings
         scale = np.array([s.position_drift] * 3 + [s.yaw_drift]) * np.sqrt(since - self._last)
-        self._drift += scale * self._trouble.normal(size=4)
+        self._drift += scale * normal(self._trouble, (4,))
         self._last = since
         jumps = [[*j.position, j.yaw] for j in s.jumps.values() if since > 0.0 and j.time <= since]
         return self._drift + np.sum(jumps, axis=0) if jumps else self._drift
@@ -114,11 +124,11 @@ class ImuSensor:
 
     def __init__(self, settings: ImuSettings, rng: np.random.Generator):
         self._settings, self._rng = settings, rng
-        self.bias = settings.rate_bias * rng.normal(size=3)
+        self.bias = settings.rate_bias * normal(rng, (3,))
 
     def sample(self, sim: SimulatedRobot, stamp: int) -> ImuReading:
         """Reading at `stamp` (ns)."""
-        rate_noise, force_noise = self._rng.normal(size=(2, 3))
+        rate_noise, force_noise = normal(self._rng, (2, 3))
         return ImuReading(
             stamp,
             sim.angular_velocity + self.bias + self._settings.rate_noise * rate_noise,

@@ -23,7 +23,7 @@ from slot_core.dynamics.torso import add_row, at
 from slot_core.robot import Array
 
 TOO_FAST, TOO_TILTED = range(2)  # kinds of divergence
-COS_TILT_MAX = 0.5  # cosine of the largest tilt of the torso, 60 deg
+TILT_MAX_DEG, COS_TILT_MAX = 60.0, 0.5  # largest tilt of the torso
 NORMAL_PER_DROP_MIN = 0.25  # least D, so that a foot that moves ahead of the torso cannot lock it
 # Of friction, normal force and side rate of a foot, each of which needs the others. They continue
 # those of the step before: 3 leave 2 um in stand and step, 20 iterations as the reference.

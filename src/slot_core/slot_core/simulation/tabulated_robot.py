@@ -44,7 +44,6 @@ constant there. The table belongs to the robot of `config/robot.yaml`: after a c
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -57,11 +56,13 @@ from slot_core.dynamics.model import build_model, build_scheme, state_space, wor
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import require_steps
+from slot_core.geometry import Transform
 from slot_core.legs.leg_table import LegTable, read_leg_table
+from slot_core.matrices import interpolated
 from slot_core.refusal import quoted
 from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.kernel_robot import KernelRobot
-from slot_core.simulation.tabulated_kernels import COS_TILT_MAX, TOO_TILTED, Feet, MapLegs, advance
+from slot_core.simulation.tabulated_kernels import TILT_MAX_DEG, TOO_TILTED, Feet, MapLegs, advance
 
 COLUMNS = (
     "force_N",
@@ -116,9 +117,7 @@ class TabulatedRobot(KernelRobot):
         if divergence >= 0:
             limit = f"torso is beyond {self.scene.solver.speed_limit} m/s or not a number"
             if divergence == TOO_TILTED:
-                limit = (
-                    f"torso is tilted by more than {math.degrees(math.acos(COS_TILT_MAX)):.0f} deg"
-                )
+                limit = f"torso is tilted by more than {TILT_MAX_DEG:g} deg"
             state = self.snapshot() | {"command": self.feet.command.copy()}
             raise DivergenceError(f"simulation diverged at {self.time:.4f} s: {limit}", state)
 
@@ -134,12 +133,12 @@ class TabulatedRobot(KernelRobot):
         """(4, 2, 3) m in odom: clamp and foot, in contact or the lowest point of the leg."""
         node = self.state.node[:, 0]
         angle = self.state.tendon_angle - self.model.fault[0] / self.parameters.tendon.spool_radius
-        hanging = np.interp(self.model.fault[1] * angle, *self._contact_drop)
+        hanging = interpolated(self.model.fault[1] * angle, *self._contact_drop)
         down = np.minimum(-node[:, 2], hanging)
         foot = self.parameters.clamps - down[:, None] * [0, 0, 1]
         foot += node[:, :1] * self.parameters.outward + node[:, 1:2] * self.legs.left
         body = np.stack([self.parameters.clamps, foot], axis=1)
-        return np.asarray(self.state.position + body @ self.state.rotation.T)
+        return Transform(self.rotation, self.position).apply(body)
 
     @property
     def ground_force(self) -> Array:

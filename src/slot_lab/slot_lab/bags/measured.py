@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from slot_core.clock import to_seconds
-from slot_core.geometry import rotation_of
 from slot_core.robot import Array
 from slot_lab.bags.bag import Bag, BagError, Stamps
 from slot_lab.bags.recorded_walk import (
@@ -61,7 +60,7 @@ def measured_motion(bag: Bag, topic: str = "") -> TorsoTrack:
     keep = sound(where, stamps, np.hstack([position, attitude, velocity]))
     position, attitude, velocity = position[keep], attitude[keep], velocity[keep]
     if chosen == ESTIMATE:
-        rotation = rotation_of(attitude)
+        rotation = Rotation.from_euler("xyz", attitude)
     else:
         rotation = _unit(where, attitude)
         velocity = rotation.apply(velocity)

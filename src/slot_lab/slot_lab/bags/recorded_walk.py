@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core.clock import to_seconds
-from slot_core.geometry import rotate, rotation_of, rpy_of
+from slot_core.geometry import matrix_of_quaternion, rotate, rpy_of
 from slot_core.robot import TENDON_JOINTS, Array
 from slot_lab.bags.bag import Bag, BagError, Series, Stamps
 
@@ -34,7 +34,7 @@ class TorsoTrack:
     @cached_property
     def rpy(self) -> Array:
         """(n, 3) roll, pitch and yaw (unwrapped), rad: R = Rz(yaw) Ry(pitch) Rx(roll)."""
-        angles = rpy_of(Rotation.from_quat(self.quaternion))
+        angles = rpy_of(matrix_of_quaternion(self.quaternion))
         angles[:, 2] = np.unwrap(angles[:, 2])
         return angles
 
@@ -137,7 +137,7 @@ def _estimated_motion(bag: Bag) -> TorsoTrack:
     time, last = last_states(series)
     time, order = np.unique(time, return_index=True)  # sorted, also where the clock was set
     new = last[order]
-    quaternion = rotation_of(series["rpy"][new]).as_quat()
+    quaternion = Rotation.from_euler("xyz", series["rpy"][new]).as_quat()
     position, velocity = series["position"][new], series["linear_velocity"][new]
     return TorsoTrack(ESTIMATE, seconds(time), position, quaternion, velocity)
 

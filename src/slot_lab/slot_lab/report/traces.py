@@ -109,7 +109,7 @@ def _torso(source: str, forward: float, height: float, roll: float, pitch: float
 def _of_truth(message: Any) -> Values:
     _, position, quaternion, velocity, *_ = decode.odometry(message)
     rotation = Rotation.from_quat(quaternion)
-    roll, pitch, yaw = rpy_of(rotation)
+    roll, pitch, yaw = rpy_of(rotation.as_matrix())
     forward = rotate(rotation.apply(velocity)[:2], -yaw)[0]
     return _torso("true", forward, position[2], roll, pitch)
 

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from slot_core.config import ConfigError
-from slot_core.geometry import rotation_of
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.measured import COMMANDED, TendonAngles, measured_motion, tendon_angles
@@ -74,7 +74,7 @@ def _from_table(path: Path, measured: bool) -> BagRecording:
         raise TableError(f"{table.head}: columns {given}: expected {','.join(COLUMNS)}")
     t, angle = _columns(path, table, LEGS)
     at, pose = _columns(path, table, POSE)
-    quaternion = rotation_of(pose[:, 3:]).as_quat()
+    quaternion = Rotation.from_euler("xyz", pose[:, 3:]).as_quat()
     velocity = np.gradient(pose[:, :3], at, axis=0)
     return BagRecording(
         path.name,

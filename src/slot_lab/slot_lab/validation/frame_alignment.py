@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slot_core.geometry import rotation_of, rpy_of
+from slot_core.geometry import rpy_of
 from slot_core.robot import Array
 
 RIGID = "rigid"
@@ -37,8 +37,8 @@ class FrameAlignment:
 
     def attitude(self, rpy: Array) -> Array:
         """Attitudes (n, 3) of the measurement in the frame of the run, yaw unwrapped."""
-        turned = Rotation.from_matrix(self.rotation) * rotation_of(rpy)
-        return np.unwrap(rpy_of(turned), axis=0)
+        turned = Rotation.from_matrix(self.rotation) * Rotation.from_euler("xyz", rpy)
+        return np.unwrap(rpy_of(turned.as_matrix()), axis=0)
 
 
 def align_frames(measured: Array, run: Array, frame: str) -> FrameAlignment:

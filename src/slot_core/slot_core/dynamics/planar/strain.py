@@ -23,6 +23,7 @@ import numpy as np
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cosine_sine
 from slot_core.dynamics.lanes import all_lanes, like, where
+from slot_core.elementary import atan2
 from slot_core.robot import Array
 
 
@@ -87,7 +88,7 @@ def angle_between(ax, az, bx, bz):
     angle = 2.0 * y * total
     if all_lanes(small):
         return angle
-    return where(small, angle, math.atan2(cross, dot))
+    return where(small, angle, atan2(cross, dot))
 
 
 @helper

@@ -32,6 +32,7 @@ import numpy as np
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cosine_sine, cross, dot, put, row
 from slot_core.dynamics.lanes import all_lanes, like, where
+from slot_core.elementary import atan2
 from slot_core.robot import Array
 
 
@@ -178,7 +179,7 @@ def rotation_vector(a, b):
     share = 1.0 - y * tail
     if not all_lanes(small):
         size = math.sqrt(max(y, like(1e-12, y)))
-        share = where(small, share, math.atan2(size, like(1.0, size)) / size)
+        share = where(small, share, atan2(size, like(1.0, size)) / size)
         tail = where(small, tail, (1.0 - share) / max(y, like(1e-12, y)))
     twice = 2.0 * share
     return (twice * g1, twice * g2, twice * g3), tail / (twice * twice)
