@@ -1,10 +1,16 @@
 """Same bits everywhere: the control path and the plant call nothing that differs by processor."""
 
 import ast
+import functools
 import importlib
+import os
 import pkgutil
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
+import pytest
 from numba.core.dispatcher import Dispatcher
 
 import slot_core
@@ -17,7 +23,7 @@ ROOMS = (
     "simulation",
 )  # fmt: skip
 GROUND = (
-    "elementary", "matrices", "quadratic_programme", "geometry", "robot", "arrays", "section",
+    "elementary", "matrices", "geometry", "robot", "arrays", "section",
     "clock",
 )  # fmt: skip
 # Files of these rooms that no node of the graph and no simulation of it runs, or that use OpenCV.
@@ -44,10 +50,9 @@ NUMPY = C_LIBRARY | {  # and those that call BLAS, LAPACK or code of their own b
     "convolve", "correlate", "polyfit", "fft", "cov", "corrcoef", "sinc", "logaddexp",
 }  # fmt: skip
 LIBRARIES = {"scipy", "piqp", "cvxpy", "clarabel", "cv2"}
-# Libraries that a file may import: Clarabel is exact (its class says why), of SciPy the sparse
-# matrices are, which are only laid out here.
+# Libraries that a file may import: Clarabel (`mpc/solver.py` says why), and of SciPy the sparse
+# matrices, which are only laid out.
 MAY_IMPORT = {
-    "quadratic_programme.py": {"clarabel", "scipy.sparse"},
     "mpc/solver.py": {"clarabel", "scipy.sparse"},
     "mpc/paper_problem.py": {"clarabel", "scipy.sparse"},
     "mpc/model.py": {"scipy.sparse"},
@@ -184,3 +189,57 @@ def cached_objects():
 def called(path):
     """Functions in C_LIBRARY that an object file names in its table of symbols."""
     return {part.decode(errors="ignore") for part in path.read_bytes().split(b"\0")} & C_LIBRARY
+
+
+UMATH = np._core._multiarray_umath
+
+
+def numpy_features():
+    """Features of this processor that NumPy can do without."""
+    return " ".join(name for name in UMATH.__cpu_dispatch__ if UMATH.__cpu_features__[name])
+
+
+# Variables that let libraries choose other code, as they do on another processor.
+PROCESSORS = {
+    "a plain x86-64 or aarch64": {"NUMBA_CPU_NAME": "generic"},
+    "another BLAS": {"OPENBLAS_CORETYPE": "Prescott"},
+    "a BLAS with AVX2": {"OPENBLAS_CORETYPE": "Haswell"},
+    "NumPy without vectors": {"NPY_DISABLE_CPU_FEATURES": numpy_features()},
+    "a C library without FMA": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4"},
+    "one thread": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
+}
+PROCESSORS["all of them"] = functools.reduce(dict.__or__, PROCESSORS.values())
+TICKS = 100
+
+
+@functools.cache
+def walked(name):
+    """Lines of `same_bits.py` on a processor by its name, or on this one as it is."""
+    program = Path(__file__).with_name("same_bits.py")
+    plain = {key: os.environ[key] for key in os.environ if key not in PROCESSORS["all of them"]}
+    return subprocess.run(
+        [sys.executable, program, str(TICKS), *POLICIES], env=plain | PROCESSORS.get(name, {}),
+        capture_output=True, text=True, check=True,
+    ).stdout.splitlines()  # fmt: skip
+
+
+@pytest.mark.timeout(900)  # "generic" compiles all kernels anew: 40 s on an idle machine
+@pytest.mark.parametrize("name", PROCESSORS)
+def test_every_processor_gives_the_same_walk_to_the_last_bit(name):
+    here = walked("as it is")
+    assert len(here) == len(POLICIES) * TICKS // 10
+    assert walked(name) == here
+
+
+@pytest.mark.skipif(not UMATH.__cpu_features__.get("FMA3"), reason="a processor without FMA")
+def test_the_variables_change_what_the_walk_must_not_depend_on():
+    """The C library's sine differs without FMA."""
+    program = "import math; print(hash(tuple(math.sin(k / 7) for k in range(100000))))"
+    hashes = {
+        subprocess.run(
+            [sys.executable, "-c", program], env={**os.environ, **changes},
+            capture_output=True, text=True, check=True,
+        ).stdout
+        for changes in ({}, PROCESSORS["a C library without FMA"])
+    }  # fmt: skip
+    assert len(hashes) == 2

@@ -13,7 +13,7 @@ from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate
 from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import read_mpc
-from slot_core.quadratic_programme import Solution
+from slot_core.mpc.solver import Solution
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()

@@ -28,8 +28,7 @@ from slot_core.mpc.model import (
     condensed_condition,
 )
 from slot_core.mpc.settings import MpcSettings
-from slot_core.mpc.solver import QpSolver
-from slot_core.quadratic_programme import Solution
+from slot_core.mpc.solver import QpSolver, Solution
 from slot_core.robot import Array, RobotParameters
 
 LONGEST_GAP = 0.5  # s between ticks; after a longer one the acting forces are unknown

@@ -22,7 +22,7 @@ from slot_core.mpc.force_problem import ForceProblem
 from slot_core.mpc.model import FEET, FirstStage
 from slot_core.mpc.paper_problem import PaperProblem
 from slot_core.mpc.settings import MpcSettings, PaperMpcSettings, read_mpc
-from slot_core.quadratic_programme import Solution
+from slot_core.mpc.solver import Solution
 from slot_core.robot import GRAVITY, Array, RobotParameters
 
 _NONE = np.zeros(FEET)

@@ -46,8 +46,7 @@ from slot_core.mpc.model import (
     turned_to,
 )
 from slot_core.mpc.settings import PaperMpcSettings
-from slot_core.mpc.solver import options
-from slot_core.quadratic_programme import Solution, solution_of
+from slot_core.mpc.solver import Solution, options, solution_of
 from slot_core.robot import GRAVITY, Array, RobotParameters
 
 AXES = 3

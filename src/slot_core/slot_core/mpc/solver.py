@@ -1,4 +1,7 @@
-"""Solver of the convex MPC's problem on forces: Clarabel, on the arrays of a `HorizonQp`."""
+"""Solver of the convex MPC: Clarabel, an interior-point method (Goulart and Chen, 2024).
+
+It starts cold and is plain Rust with one order of operations: every processor gives the same bits.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from slot_core import quadratic_programme
 from slot_core.config import quantity
 from slot_core.mpc.model import HorizonQp
-from slot_core.quadratic_programme import Solution, solution_of
 from slot_core.robot import Array
 
 
@@ -27,17 +28,43 @@ class MpcSolverSettings:
     iterations: int = quantity("largest number of iterations of the solver", "", 1, 100000)
 
 
+@dataclass(frozen=True)
+class Solution:
+    """Result of the solver."""
+
+    z: Array  # the variables
+    fault: str  # one line, empty if solved
+    iterations: int
+
+
 def options(settings: MpcSolverSettings) -> clarabel.DefaultSettings:
     """Clarabel's settings."""
-    return quadratic_programme.options(
-        settings.tolerance_abs, settings.tolerance_rel, settings.iterations
-    )
+    made = clarabel.DefaultSettings()
+    made.verbose = False
+    made.max_threads = 1
+    made.direct_solve_method = "qdldl"
+    # Entries removed by presolving could not be updated.
+    made.presolve_enable = False
+    made.input_sparse_dropzeros = False
+    made.tol_gap_abs, made.tol_gap_rel = settings.tolerance_abs, settings.tolerance_rel
+    made.tol_feas = settings.tolerance_rel
+    made.max_iter = settings.iterations
+    return made
+
+
+def solution_of(solver: clarabel.DefaultSolver) -> Solution:
+    """Solve; raises nothing."""
+    found = solver.solve()
+    count = int(found.iterations)
+    solved = found.status == clarabel.SolverStatus.Solved
+    fault = "" if solved else f"{found.status} after {count} iterations"
+    return Solution(np.array(found.x), fault, count)
 
 
 class QpSolver:
-    """Constraints C z + s = d, with s = 0 for equalities and s >= 0 otherwise.
+    """Solver of a `HorizonQp`.
 
-    C = [A; G; -1 or 1 for each bounded side of a variable]; the set of bounded variables is that at
+    Constraints C z + s = d, with s = 0 for equalities and s >= 0 otherwise; C = [A; G; -1 or 1 for each bounded side of a variable]; the set of bounded variables is that at
     construction.
     """
 

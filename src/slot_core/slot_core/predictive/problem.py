@@ -34,22 +34,21 @@ import numpy as np
 from slot_core.arrays import checked
 from slot_core.geometry import rotate
 from slot_core.matrices import interpolated, inverse, product
+from slot_core.predictive.active_set import ActiveSet
 from slot_core.predictive.problem_kernels import set_errors, set_limits, set_reference
 from slot_core.predictive.settings import PredictiveSettings
-from slot_core.quadratic_programme import options, solve_within
 from slot_core.robot import LEGS, Array
 
 LEG_COUNT = len(LEGS)
 MODES = np.vstack([np.eye(LEG_COUNT), np.ones(LEG_COUNT)])  # FL FR RL RR, and all together
-QP_TOLERANCE, QP_ITERATIONS = 1e-6, 50
+QP_TOLERANCE = 1e-6  # of the limits, as a share of the largest deviation
 
 
 class Linearisation(NamedTuple):
-    """Slopes of the weighted errors, and Hessian of the step with its inverse."""
+    """Slopes of the weighted errors, and inverse of the step's Hessian."""
 
     slopes: Array  # (n, 6 K) per rad
-    hessian: Array  # (n, n)
-    inverse: Array
+    inverse: Array  # (n, n)
 
 
 class PlanProblem:
@@ -72,7 +71,7 @@ class PlanProblem:
         self._damped = product(self._flat, pulls.T) + np.eye(len(self.basis)) / np.square(
             cost.change
         )
-        self._options = options(QP_TOLERANCE, QP_TOLERANCE, QP_ITERATIONS)
+        self._solver = ActiveSet(len(self.basis))
         nowhere = np.zeros(3)
         wanted = self.reference(np.zeros((stages + 1, 12)), nowhere, nowhere, 0.0)
         error = self.errors(wanted[None], wanted, 0.0)[0]  # compiles the kernels, as does the step
@@ -121,7 +120,7 @@ class PlanProblem:
     def linearised(self, slopes: Array) -> Linearisation:
         """Linearisation with the slopes (n, 6 K) of the weighted errors, per rad."""
         hessian = product(slopes, slopes.T) + self._damped
-        return Linearisation(slopes, hessian, inverse(hessian))
+        return Linearisation(slopes, inverse(hessian))
 
     def change(
         self, error: Array, linear: Linearisation, deviation: Array, nominal: Array
@@ -140,30 +139,9 @@ class PlanProblem:
         limits, low, high = self._settings.limits, *np.empty((2, len(self._rows)))
         step = self._dt * limits.rate
         set_limits(nominal, deviation, *self.range(nominal), limits.deviation, step, low, high)
-        delta = self._least(linear, gradient, low, high)
+        slack = QP_TOLERANCE * limits.deviation
+        delta = self._solver.solve(linear.inverse, gradient, self._rows, low, high, slack)
         return None if delta is None else product(delta, self._flat).reshape(nominal.shape)
-
-    def _least(
-        self, linear: Linearisation, gradient: Array, low: Array, high: Array
-    ) -> Array | None:
-        """Minimum (n,) within the limits of the rows; None if a problem is not solved.
-
-        The limits that an intermediate minimum violates join the problem until none is left out.
-        """
-        rows, delta = self._rows, -product(linear.inverse, gradient)
-        slack = QP_TOLERANCE * self._settings.limits.deviation
-        chosen = np.zeros(len(rows), dtype=bool)
-        while True:
-            value = product(rows, delta)
-            missing = ~chosen & ((value < low - slack) | (value > high + slack))
-            if not missing.any():
-                return delta
-            chosen |= missing
-            limits = rows[chosen], low[chosen], high[chosen]
-            found = solve_within(linear.hessian, gradient, *limits, self._options)
-            if found.fault:
-                return None
-            delta = found.z
 
     def range(self, nominal: Array) -> tuple[float, float]:
         """Least and largest tendon angle of a plan around the nominal angles, rad."""
