@@ -64,8 +64,8 @@ def solution_of(solver: clarabel.DefaultSolver) -> Solution:
 class QpSolver:
     """Solver of a `HorizonQp`.
 
-    Constraints C z + s = d, with s = 0 for equalities and s >= 0 otherwise; C = [A; G; -1 or 1 for each bounded side of a variable]; the set of bounded variables is that at
-    construction.
+    Constraints C z + s = d, with s = 0 for equalities and s >= 0 otherwise; C = [A; G; -1 or 1 for
+    each bounded side of a variable]. The set of bounded variables is that at construction.
     """
 
     def __init__(self, qp: HorizonQp, settings: MpcSolverSettings):
