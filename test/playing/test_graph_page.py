@@ -240,8 +240,8 @@ def test_after_an_emergency_stop_only_the_reset_resets_and_standing_up_does_not_
     assert "STAND refused in ESTOP: reset first" in page._text.content
     press(operate("relax"), State.ESTOP)
     assert {"supervisor/reset", "supervisor/ready"}.isdisjoint(graph.names)
-    reset = control(page, "reset e-stop or fault")
-    assert press(lambda: setattr(reset, "value", True), State.ESTOP, State.IDLE) == ["reset"]
+    reset = control(page, "after a stop"), "value", "reset e-stop or fault"
+    assert press(lambda: setattr(*reset), State.ESTOP, State.IDLE) == ["reset"]
     control(page, "gait").value = "walk"
     rise = State.IDLE, State.READY, State.STANDING, State.STANDING
     assert press(operate("stand up"), *rise) == ["set_gait", "set_gait", "ready", "stand"]

@@ -94,7 +94,7 @@ def add_drive(gui: viser.GuiApi, do: Do[Driven], start: str = STAND) -> None:
 
     asked.on_click(ask)
     add_key(gui, "X", "e-stop", lambda: do(REQUESTS["e-stop"]))
-    reset = gui.add_button(RESET)
+    reset = gui.add_button_group("after a stop", (RESET,))
     reset.on_click(lambda _: do(lambda r: r.request(Request.RESET)))
 
 
