@@ -170,9 +170,10 @@ def programs():
 
 @pytest.mark.parametrize(("script", "module"), list(programs()))
 def test_every_help_works_without_the_packages_of_an_extra(script, module):
+    path = os.pathsep.join([str(ROOT / "scripts"), os.environ.get("PYTHONPATH", "")])
     run = subprocess.run(
         [sys.executable, "-c", WITHOUT_EXTRAS % (EXTRAS, module)],
-        capture_output=True, text=True, cwd=ROOT / "scripts", check=False,
+        capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path}, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith(f"usage: scripts/{script} ")

@@ -8,7 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import rclpy
+from rclpy.context import Context
 from rclpy.exceptions import NameValidationException
+from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_namespace import validate_namespace
 from rclpy.validate_topic_name import validate_topic_name
 
@@ -123,13 +126,30 @@ def _check_ranges(values: Mapping[str, Any]) -> None:
 
 
 def check_place(namespace: str) -> None:
-    """Raise ConfigError for a namespace (empty: none) or a domain that ROS does not allow."""
+    """Raise ConfigError for a namespace (empty: none), a domain or keys that ROS refuses."""
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (domain.isdecimal() and int(domain) <= DOMAIN_MAX):
         raise ConfigError(
             f"ROS_DOMAIN_ID = {quoted(domain)}: expected a number within [0, {DOMAIN_MAX}]"
         )
     _check_name("namespace", namespace, lambda name: validate_namespace(absolute(name)))
+    if os.environ.get("ROS_SECURITY_ENABLE") == "true":
+        _check_keys()
+
+
+def _check_keys() -> None:
+    """Raise ConfigError where SROS2 does not find its keys."""
+    context = Context()
+    try:
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # an RCLError
+        store = quoted(os.environ.get("ROS_SECURITY_KEYSTORE", ""))
+        reason, _, _ = str(error).partition(", at ")  # a line of rcl
+        raise ConfigError(
+            f"ROS_SECURITY_ENABLE = true with ROS_SECURITY_KEYSTORE = {store}:"
+            f" {reason}; set a keystore, or unset both"
+        ) from None
+    context.try_shutdown()
 
 
 def _check_port(hardware: str, port: str | None) -> None:

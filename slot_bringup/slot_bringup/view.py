@@ -195,7 +195,7 @@ def _follow(namespace: str, log: RerunLog, ended: Callable[[], bool]) -> None:
 @contextmanager
 def live_viewer(namespace: str) -> Iterator[None]:
     """Show a graph live while the block runs, in a process of its own; its errors end only it."""
-    command = [*TIED, sys.executable, "-m", "slot_bringup.view", "--live"]
+    command = [*TIED, sys.executable, "-P", "-m", "slot_bringup.view", "--live"]
     command += ["--namespace", namespace, *([] if has_display() else ["--web"])]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
     try:

@@ -71,6 +71,13 @@ def test_an_invalid_ros_domain_is_refused(refused, monkeypatch, domain):
     assert f"ROS_DOMAIN_ID = '{domain}': expected a number within [0, 232]" in refused()
 
 
+def test_keys_of_sros2_that_are_not_there_are_refused(refused, monkeypatch, tmp_path):
+    """ROS itself ends in a traceback; scripts/env keeps these variables with SLOT_NETWORK=1."""
+    for name, value in {"ENABLE": "true", "STRATEGY": "Enforce", "KEYSTORE": tmp_path}.items():
+        monkeypatch.setenv(f"ROS_SECURITY_{name}", str(value))
+    assert f"ROS_SECURITY_KEYSTORE = '{tmp_path}'" in refused()
+
+
 def test_a_scene_with_a_servo_fault_is_refused_without_a_servo_bus(own_config, refused):
     fault = "{kind: silent, leg: FL, time: 1, duration: 0, value: 0}"
     (own_config / "scene" / "mute.yaml").write_text(f"like: flat\nfaults: {{fl: {fault}}}\n")

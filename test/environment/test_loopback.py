@@ -24,6 +24,8 @@ HOSTILE = {
     "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp",
     "FASTRTPS_DEFAULT_PROFILES_FILE": "/nowhere.xml",
     "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    "ROS_SECURITY_ENABLE": "true",
+    "ROS_SECURITY_KEYSTORE": "/nowhere",
 }
 
 # strace -yy prints the socket in angle brackets, with the address that it is bound to.
@@ -150,6 +152,10 @@ def test_the_environment_keeps_dds_on_the_loopback_whatever_the_caller_has_set()
     assert profile.exists()
     unset = HOSTILE.keys() - environment().keys()
     assert unset >= {"ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_BUILTIN_TRANSPORTS"}
+    assert unset >= {
+        "ROS_SECURITY_ENABLE",
+        "ROS_SECURITY_KEYSTORE",
+    }  # nodes without keys: tracebacks
     assert not unset & variables.keys()
 
 

@@ -72,6 +72,7 @@ class Copy:
         executable(bin_ / "colcon", COLCON)
         for tool in ("cmake", "g++", "git", "make", "strace", "chromium"):
             (bin_ / tool).symlink_to("/bin/true")
+        self.folder = "/"  # of the caller
         self.variables = {
             "PATH": f"{bin_}:{os.defpath}",
             "STUBS": str(self.stubs),
@@ -81,7 +82,7 @@ class Copy:
     def start(self, *arguments: str) -> subprocess.Popen[str]:
         return subprocess.Popen(
             [str(self.root / "scripts/setup"), *arguments],
-            cwd="/",
+            cwd=self.folder,
             env=self.variables,
             stdin=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -247,6 +248,28 @@ def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_comman
     assert copy.calls[:2] == [
         "apt-get -q update", "apt-get -q -y install --no-install-recommends cmake"
     ]  # fmt: skip
+
+
+def test_modules_in_the_callers_folder_name_no_packages(copy, caller):
+    """What they print was taken for packages that apt-get installs as root."""
+    copy.restrict_tools()
+    copy.folder = str(caller.folder)
+    copy.variables |= caller.python
+    command = "setup: Debian packages are missing; run: sudo apt-get install -y cmake"
+    assert copy.setup() == (1, f"{command}\n")
+    assert not caller.ran
+
+
+def test_only_names_of_debian_packages_reach_apt_get(copy):
+    copy.restrict_tools()
+    (copy.stubs / "sudoer").touch()
+    talking = copy.stubs / "talking"  # a Python that says more than it is asked
+    executable(talking, "#!/bin/bash\necho 'my own; script'\n[[ $* = *version_info* ]]\n")
+    (copy.stubs / "bin/python3").unlink()
+    executable(copy.stubs / "bin/python3", f"#!/bin/bash\necho {talking}\n")
+    refusal = "setup: 'my own; script' is no name of a Debian package\n"
+    assert copy.setup() == (1, refusal)
+    assert not copy.calls
 
 
 def test_without_the_right_to_install_the_setup_for_tests_needs_no_browser(copy):

@@ -132,6 +132,7 @@ def test_a_broken_tendon_is_found_and_once_mended_the_robot_goes_on(walking, leg
     walking.change({"scene.payload.mass": 0.1})  # which keeps what faults there are
     assert walking.loop.plant.robot.model.fault[1].all()
     run(walking, 8.0)
+    walking.request(Request.RESET)
     walking.wishes.up = True
     run(walking, 8.0)
     assert walking.loop.report.state is State.WALKING
@@ -159,12 +160,22 @@ def test_a_push_ends_and_a_pull_is_held(standing):
 
 
 def test_after_an_emergency_stop_it_rises_only_on_request(walking):
+    def after(seconds):
+        run(walking, seconds)
+        return walking.loop.report.state
+
     walking.loop.request(Request.ESTOP)
-    run(walking, 3.0)
-    assert walking.loop.report.state is State.ESTOP
-    walking.wishes.up = True
-    run(walking, 8.0)
-    assert walking.loop.report.state is State.WALKING
+    assert after(1.0) is State.ESTOP
+    with pytest.raises(ConfigError, match="STAND refused in ESTOP: reset first"):
+        walking.stand_up()
+    walking.set_gait("crawl")
+    assert after(1.0) is State.ESTOP
+    walking.request(Request.RESET)
+    assert after(1.0) is State.IDLE
+    walking.stand_up()
+    assert after(5.0) is State.STANDING
+    walking.set_gait("walk")
+    assert after(3.0) is State.WALKING
 
 
 def test_it_goes_on_under_another_policy(walking):

@@ -12,7 +12,7 @@ from slot_bringup.playing.graph_robot import TRIES, WAIT, GraphRobot
 from slot_bringup.playing.main_page import main, start_server
 from slot_core.config import ConfigError
 from slot_core.messages import decode
-from slot_core.safety.requests import Request
+from slot_core.safety.requests import LATCHED, Request
 from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview, RobotState
 
@@ -89,9 +89,24 @@ def test_to_walk_does_not_raise_a_robot_that_lies_and_to_stand_up_does(graph, ro
     pass_through(graph, robot, State.IDLE)
     assert graph.names == ["set_gait"]
     robot.stand_up()
-    pass_through(graph, robot, State.FAULT, State.IDLE, State.READY, State.STANDING, State.WALKING)
-    requests = [name.removeprefix("supervisor/") for name in graph.names[1:]]
-    assert requests == ["reset", "ready", "stand", "walk"]
+    pass_through(graph, robot, State.IDLE, State.READY, State.STANDING, State.STANDING)
+    assert graph.names[1:] == ["supervisor/ready", "supervisor/stand"]
+
+
+@pytest.mark.parametrize("state", LATCHED)
+def test_in_an_emergency_stop_and_a_fault_standing_up_is_refused(graph, robot, state):
+    pass_through(graph, robot, state)
+    with pytest.raises(ConfigError, match=f"STAND refused in {state.name}: reset first"):
+        robot.stand_up()
+    pass_through(graph, robot, state, State.IDLE, State.READY)
+    assert not graph.names
+
+
+@pytest.mark.parametrize("state", LATCHED)
+def test_an_emergency_stop_or_a_fault_on_the_way_ends_it(graph, robot, state):
+    robot.stand_up()
+    pass_through(graph, robot, State.IDLE, state, State.IDLE, State.READY)
+    assert graph.names == ["supervisor/ready"]
 
 
 def test_a_request_that_is_refused_is_tried_again_for_a_while_and_is_said(graph, robot):
@@ -197,6 +212,43 @@ def test_the_controls_of_the_page_reach_the_graph(graph, page):
     name, fault = graph.called[-1]
     assert name == "sim_robot/inject"
     assert (fault.kind, fault.leg, fault.value, fault.clear) == ("tendon_slack", "RR", 0.002, False)
+
+
+def test_after_an_emergency_stop_only_the_reset_resets_and_standing_up_does_not_walk(graph, page):
+    def press(act, *states):
+        before = len(graph.called)
+        act()
+        for state in states:
+            graph.report(state)
+            run(page)
+        return [name.removeprefix("supervisor/") for name in graph.names[before:]]
+
+    def operate(button):
+        return lambda: setattr(control(page, "operator"), "value", button)
+
+    graph.preview()
+    graph.report(State.WALKING)
+    run(page)
+    control(page, "gait").value = "walk"
+    run(page)
+    assert press(operate("e-stop"), State.ESTOP) == ["estop"]
+    for label in ("v_x (m/s)", "height (mm)"):
+        press(lambda: setattr(control(page, label), "value", control(page, label).min), State.ESTOP)  # noqa: B023
+    for gait in ("crawl", "walk"):
+        press(lambda: setattr(control(page, "gait"), "value", gait), State.ESTOP)  # noqa: B023
+    press(operate("stand up"), State.ESTOP)
+    assert "STAND refused in ESTOP: reset first" in page._text.content
+    press(operate("relax"), State.ESTOP)
+    assert {"supervisor/reset", "supervisor/ready"}.isdisjoint(graph.names)
+    reset = control(page, "after a stop"), "value", "reset e-stop or fault"
+    assert press(lambda: setattr(*reset), State.ESTOP, State.IDLE) == ["reset"]
+    control(page, "gait").value = "walk"
+    rise = State.IDLE, State.READY, State.STANDING, State.STANDING
+    assert press(operate("stand up"), *rise) == ["set_gait", "set_gait", "ready", "stand"]
+    assert control(page, "gait").value == "stand"
+    assert press(lambda: setattr(control(page, "gait"), "value", "walk"), State.STANDING) == [
+        "set_gait", "walk"
+    ]  # fmt: skip
 
 
 def test_the_page_says_what_the_supervisor_says_and_which_message_is_refused(graph, page):

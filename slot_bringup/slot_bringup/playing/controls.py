@@ -58,7 +58,7 @@ class Driven(Protocol):
         """Take a height m, roll, pitch rad, (3,), or the gait's own."""
 
     def stand_up(self) -> None:
-        """Rise from the floor."""
+        """Rise from the floor and stand."""
 
     def request(self, request: Request) -> None:
         """Make a request to the supervisor."""
@@ -67,7 +67,7 @@ class Driven(Protocol):
 def add_drive(gui: viser.GuiApi, do: Do[Driven], start: str = STAND) -> None:
     """Gait, of which `start` is the present one, velocity, pose; requests to the supervisor."""
     gaits = read_gaits()
-    gait = gui.add_dropdown("gait", tuple(gaits.gaits), initial_value=start)
+    gait: Any = gui.add_dropdown("gait", tuple(gaits.gaits), initial_value=start)
     gait.on_update(lambda _: do(lambda r: r.set_gait(gait.value)))
     most = np.max([each.speeds for each in gaits.gaits.values()], axis=0)
     labels = "v_x (m/s)", "v_y (m/s)", "yaw rate (rad/s)"
@@ -85,13 +85,22 @@ def add_drive(gui: viser.GuiApi, do: Do[Driven], start: str = STAND) -> None:
     _add_keys(gui, speeds, pose)
     for key, name in {"G": "walk", "H": STAND}.items():
         add_key(gui, key, f"gait {name}", partial(setattr, gait, "value", name))
-    asked = gui.add_button_group("operator", ("stand up", "relax", "e-stop"))
-    asked.on_click(lambda _: do(REQUESTS[asked.value]))
+    asked = gui.add_button_group("operator", tuple(REQUESTS))
+
+    def ask(_: object) -> None:
+        if asked.value == STAND_UP:
+            gait.value = STAND  # a gait that is chosen again makes the robot walk again
+        do(REQUESTS[asked.value])
+
+    asked.on_click(ask)
     add_key(gui, "X", "e-stop", lambda: do(REQUESTS["e-stop"]))
+    reset = gui.add_button_group("after a stop", (RESET,))
+    reset.on_click(lambda _: do(lambda r: r.request(Request.RESET)))
 
 
+STAND_UP, RESET = "stand up", "reset e-stop or fault"
 REQUESTS: dict[str, Act[Driven]] = {
-    "stand up": lambda r: r.stand_up(),
+    STAND_UP: lambda r: r.stand_up(),
     "relax": lambda r: r.request(Request.RELAX),
     "e-stop": lambda r: r.request(Request.ESTOP),
 }

@@ -18,7 +18,7 @@ from slot_core.gait.gait import STAND, Posture, read_gaits
 from slot_core.messages import decode
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import Array
-from slot_core.safety.requests import TO_RISE, TO_STAND, TO_WALK, Request
+from slot_core.safety.requests import LATCHED, TO_RISE, TO_STAND, TO_WALK, Request, no_change
 from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview
 from slot_msgs.srv import InjectFault, SetGait
@@ -37,6 +37,7 @@ class GraphRobot:
         self._new: dict[str, Any] = {}  # since the last frame, by topic
         self._preview: GaitPreview | None = None
         self.gait = STAND  # wanted last
+        self._state: State | None = None  # of the supervisor, the last
         self._to: dict[State, Request] = {}  # requests that lead to what is wanted
         self._asked: State | None = None  # in which the last of them was made
         self._tries = self._wait = 0  # tries that are left, and states until the next
@@ -70,7 +71,8 @@ class GraphRobot:
         self._preview = new.get("/gait_preview", self._preview)
         if (state := new.get("/robot_state")) is not None:
             self._steering.repeat(decode.stamp(state), self._preview)
-            self._next_request(decode.robot_state(state)[1])
+            self._state = decode.robot_state(state)[1]
+            self._next_request(self._state)
         return list(new.items())
 
     def set_gait(self, gait: str) -> None:
@@ -91,8 +93,11 @@ class GraphRobot:
             self._steering.lean(self._commanded(), np.array(pose))
 
     def stand_up(self) -> None:
-        """Rise from the floor, and stand or walk in the gait that was wanted last."""
-        self._pursue(TO_RISE | self._to_gait())
+        """Rise from the floor and stand, never walk; raises ConfigError in ESTOP and FAULT."""
+        if self._state in LATCHED:
+            raise ConfigError(no_change(Request.STAND, self._state))
+        self.gait = STAND
+        self._pursue(TO_RISE | TO_STAND)
 
     def request(self, request: Request) -> None:
         """Make a request to the supervisor."""

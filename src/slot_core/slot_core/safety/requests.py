@@ -20,13 +20,15 @@ class Request(enum.Enum):
     ESTOP = Condition.ESTOP_PRESSED
 
 
+LATCHED = (State.ESTOP, State.FAULT)  # left by RESET alone, which no way below makes
 # Requests that lead from a state on: under torque, to a stride, to a posture.
-TO_RISE = {State.ESTOP: Request.RESET, State.FAULT: Request.RESET, State.IDLE: Request.READY}
+TO_RISE = {State.IDLE: Request.READY}
 TO_WALK = {State.READY: Request.STAND, State.STANDING: Request.WALK}
 TO_STAND = dict.fromkeys((State.READY, State.WALKING, State.HOLD), Request.STAND)
 # What comes before READY, STAND or WALK where they change nothing.
 _FIRST = {
-    **{state: f"{request.name.lower()} first" for state, request in TO_RISE.items()},
+    **dict.fromkeys(LATCHED, "reset first"),
+    State.IDLE: "ready first",
     State.READY: "stand first",
     State.HOLD: "it ends when its reason is gone",
     State.RELAX: "wait for IDLE",

@@ -68,7 +68,7 @@ class PlayedLoop(SupervisedLoop):
         before, found = self.report, super().supervise(report)
         if found is not None:
             self._keep(self.plant.now, found)
-            if found.state in RELEASED and not (before and before.state in RELEASED):
+            if found.state in RELEASED and not (before and before.state is found.state):
                 self.wishes.up = False
             self.refusal = self._pursue(found.state)
         return found

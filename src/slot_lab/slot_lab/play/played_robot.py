@@ -20,9 +20,10 @@ from slot_core.divergence import DivergenceError
 from slot_core.dynamics.model import Model
 from slot_core.dynamics.scene import Push, read_scene
 from slot_core.faults import BROKEN, Fault
+from slot_core.gait.gait import STAND
 from slot_core.geometry import rotate
 from slot_core.robot import GRAVITY, Array
-from slot_core.safety.requests import Request
+from slot_core.safety.requests import LATCHED, Request, no_change
 from slot_core.safety.supervisor import PERIOD
 from slot_core.simulation.plant import TrueState
 from slot_core.simulation.rod_robot import RodRobot
@@ -88,8 +89,11 @@ class PlayedRobot:
         self.wishes.pose = pose
 
     def stand_up(self) -> None:
-        """Rise from the floor, again after a fall, a fault or an emergency stop."""
-        self.wishes.up = True
+        """Rise from the floor and stand, never walk; raises ConfigError in ESTOP and FAULT."""
+        state = self.loop.supervisor.state
+        if state in LATCHED:
+            raise ConfigError(no_change(Request.STAND, state))
+        self.wishes.gait, self.wishes.up = STAND, True
 
     def request(self, request: Request) -> None:
         """Make a request to the supervisor."""
