@@ -80,6 +80,9 @@ def test_no_sequence_of_commands_asks_for_more_than_the_final_check_lets_pass():
             tilt = GAITS.tilt_max * rng.choice([-1.0, 1.0], 2)
             robot.scheduler.set_pose(np.array([rng.choice([low, high]), *tilt]))
         robot.run(rng.uniform(0.1, 4.0))
+    for gait in sorted(GAITS.gaits):  # whichever of them were not drawn
+        robot.scheduler.request(gait, reached(gait, rng.uniform(-1.0, 1.0, 3)))
+        robot.run(1.2 * GAITS.transition)
     gate = read_supervisor().gate
     # A blend of two strides that reach from end to end of the range: 1.66 rad once, of 2.02.
     assert robot.steps.max() < 1.05 * gate.rate_max * gate.burst

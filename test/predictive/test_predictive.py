@@ -224,21 +224,31 @@ def test_a_torso_that_the_legs_cannot_carry_sinks_and_walks_on(policy, walking):
     assert last.estimate.state[3] > 0.6 * WALK[0] * 300 * 0.033
 
 
+def soft_walk(seed, limit):
+    """Way (m) in 15 s on legs softer by 30 %, with a limit of the misfit; also its last tick."""
+    soft = {"robot.leg.young_modulus": 0.7 * ROBOT.leg.young_modulus}
+    changes = soft | {"policy.observer.misfit_max": limit}
+    loop = ClosedLoop("flat", "walk", WALK, seed, "predictive", changes=changes)
+    last = list(loop.run(450))[-1]
+    return float(loop.plant.robot.position[0]), last
+
+
 def test_on_legs_that_the_model_does_not_know_the_gait_takes_over():
-    """Legs softer by 30 %: the robot walks on, where a model never doubted holds it back."""
-    changes = {"robot.leg.young_modulus": 0.7 * ROBOT.leg.young_modulus}
-    ahead = []
-    for limit in (SETTINGS.observer.misfit_max, 1000.0):
-        changes["policy.observer.misfit_max"] = limit
-        loop = ClosedLoop("flat", "walk", WALK, 2, "predictive", changes=changes)
-        last = list(loop.run(450))[-1]
-        ahead.append(loop.plant.robot.position[0])
-        far = last.plan.status is Status.MODEL_FAR
-        assert far == (limit < 1000.0)
+    """The robot walks on, where a model never doubted holds it back: the median of five seeds.
+
+    Of twelve seeds ten walk 0.38 to 0.43 m and two 0.10 and 0.13 m; without the gait 0.16 to 0.21.
+    """
+    believed, last = soft_walk(2, 1000.0)
+    assert last.plan.status is Status.SOLVED
+    ways = []
+    for seed in range(2, 7):
+        way, last = soft_walk(seed, SETTINGS.observer.misfit_max)
+        ways.append(way)
+        assert last.plan.status is Status.MODEL_FAR
         own = np.abs(last.plan.angle - last.preview.tendon_angle[: SETTINGS.stages]).max()
-        assert (own < 0.02) == far
+        assert own < 0.02
         assert last.plan.fallback_cycles == 0
-    assert ahead[0] > 1.5 * ahead[1]
+    assert np.median(ways) > 1.5 * believed
 
 
 def test_every_plan_has_the_same_number_of_stages(policy, walking):

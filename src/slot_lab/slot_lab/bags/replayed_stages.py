@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from slot_core import config
-from slot_core.clock import to_ns
+from slot_core.clock import SECOND, to_ns
 from slot_core.control.force_map import make_force_map, read_force_map, read_springs
 from slot_core.control.policy import DEFAULT_POLICY, Status, TendonPlan, policy_class
 from slot_core.control.tuned_policy import TunedPolicy
@@ -31,6 +31,7 @@ from slot_lab.bags.bag import Bag, BagError
 ODOMETRY, PLANS = "/odom", "/tendon_plan"
 SENSORS = (ODOMETRY, "/imu")  # in the order of `source` in StageInputs
 JOURNAL = "/stage_inputs"
+LONG = 10.0  # s, in which each of our stages has published a key frame twice
 PATH, PARAMETERS = FILES["path"], FILES["params_file"]
 PREVIEW = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle",
            "reference", "velocity_ahead", "corrected")  # fmt: skip
@@ -88,8 +89,12 @@ class RecordedStages:
         return {decode.stamp(m): bytes(m.state) for m in found if len(m.state)}
 
     def is_foreign(self, topic: str) -> bool:
-        """Whether the output is of a node that kept no journal, in a bag that has some."""
-        return any(self.journal.values()) and not self.journal[topic]
+        """Whether the output is of a node that kept no journal, in a bag that has some.
+
+        A bag that begins mid-run and is short may hold none of our nodes' entries either.
+        """
+        is_short = self.begins_mid_run and self.bag.duration_ns < LONG * SECOND
+        return any(self.journal.values()) and not self.journal[topic] and not is_short
 
     def from_key_frames(
         self, topic: str, stamps: Iterable[int], core: Callable[[int], Any]
