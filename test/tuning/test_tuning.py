@@ -178,7 +178,7 @@ def test_the_means_are_those_of_whole_strides():
 
 @pytest.mark.parametrize("name", ["walk", "fast_walk", "crawl"])
 def test_the_strides_that_count_are_settled(name):
-    """On friction 0.6, where settling takes longest; the means of strides 5 to 12 missed by 23 %."""
+    """On friction 0.6, where settling takes longest: strides 5 to 12 miss by 23 %."""
     job = Job(STRIDES[name], 0.6, (STRIDES[name].forward.speed, 0.0, 0.0))
     later = config.replace(SHIPPED, {"settling_strides": 32, "strides": 8})
     means = [simulate(job, settings).means for settings in (SHIPPED, later)]
