@@ -5,17 +5,20 @@ import json
 
 import numpy as np
 import pytest
+from real_graph import set_values
 
 from slot_core import config
 from slot_core.gait.gait import HarmonicBasis, read_gaits
-from slot_lab.tuning import gait_file, identification, symmetry
-from slot_lab.tuning.pattern_search import FAILED, Goal, PatternSearch, cost, trial
+from slot_lab.tuning import gait_file, identification, symmetry, tune
+from slot_lab.tuning.pattern_search import FAILED, Goal, PatternSearch, cost, start_of, trial
 from slot_lab.tuning.settings import read_tuning
-from slot_lab.tuning.stride_run import Job, StrideMotion, simulate
+from slot_lab.tuning.stride_run import TIME, Job, StrideMotion, simulate
 
-WALK = read_gaits().strides["walk"]
+STRIDES = read_gaits().strides
+WALK = STRIDES["walk"]
+SHIPPED = read_tuning()
 SETTINGS = config.replace(
-    read_tuning(), {"friction": [0.4], "strides": 3, "settling_strides": 4, "population": 4}
+    SHIPPED, {"friction": [0.4], "strides": 3, "settling_strides": 4, "population": 4}
 )
 PHASES = np.arange(20) / 20
 RNG = np.random.default_rng(1)
@@ -88,6 +91,26 @@ def parabola(jobs):
         yield motion(v_x=share * (0.06 - 1e-4 * distance))
 
 
+@pytest.mark.parametrize("name", STRIDES)
+@pytest.mark.parametrize("kind", symmetry.NUMBERS)
+def test_a_search_starts_from_every_shipped_stride(name, kind):
+    start = start_of(STRIDES[name], kind, SHIPPED)
+    assert PatternSearch(STRIDES[name], Goal(kind), start, SHIPPED, 1).done == 0
+
+
+def test_a_start_beyond_the_largest_coefficient_is_refused_before_any_search(own_config, refusal):
+    set_values(own_config, {"tune": {"coefficient_max_deg": 68.0}})  # the walk's forward: 65
+    line = refusal(tune.main, "mine", "--like", "walk", "--quick")
+    assert "turn.angle_deg[1][4] = 69.84: outside [-68, 68], coefficient_max_deg" in line
+
+
+def test_a_random_start_is_within_the_largest_coefficient():
+    settings = config.replace(SHIPPED, {"coefficient_max_deg": 10.0})
+    drawn = [start_of(WALK, "turn", settings, seed) for seed in (1, 2)]
+    assert (np.abs(drawn) <= 10.0).all()
+    assert (drawn[0] != drawn[1]).any()
+
+
 def search(evaluations, seed=1):
     settings = config.replace(SETTINGS, {"evaluations": evaluations})
     return PatternSearch(WALK, Goal("forward"), np.zeros(10), settings, seed)
@@ -143,6 +166,34 @@ def test_two_generations_on_the_simulated_robot_are_no_worse_than_the_start(tmp_
     slow = Job(job.stride, 0.4, (WALK.forward.speed / 2, 0.0, 0.0))
     assert found.cost <= cost(simulated([job, slow]), WALK, Goal("forward"), settings)[0]
     assert found.speed[0] > 0.05
+
+
+def test_the_means_are_those_of_whole_strides():
+    """From the end of the stride before: a turn's speed varies by half within a stride."""
+    for settling in (0, 1):
+        settings = config.replace(SETTINGS, {"strides": 1, "settling_strides": settling})
+        track = simulate(Job(WALK, 0.4, (0.0, 0.0, 0.1), hold_height=False), settings).track
+        assert track[-1, TIME] - track[0, TIME] == pytest.approx(WALK.period)
+
+
+@pytest.mark.parametrize("name", ["walk", "fast_walk", "crawl"])
+def test_the_strides_that_count_are_settled(name):
+    """On friction 0.6, where settling takes longest: strides 5 to 12 miss by 23 %."""
+    job = Job(STRIDES[name], 0.6, (STRIDES[name].forward.speed, 0.0, 0.0))
+    later = config.replace(SHIPPED, {"settling_strides": 32, "strides": 8})
+    means = [simulate(job, settings).means for settings in (SHIPPED, later)]
+    assert means[0][0] == pytest.approx(means[1][0], rel=0.02)
+    assert means[0][3] == pytest.approx(means[1][3], abs=1e-3)
+
+
+def test_the_documented_search_writes_a_gait(own_config, tmp_path, monkeypatch):
+    """As in the documentation, with 8 of its 32 candidates."""
+    monkeypatch.chdir(tmp_path)
+    arguments = ["mine", "--like", "walk", "--quick", "--evaluations", "8", "--workers", "1"]
+    assert tune.main(arguments) == 0
+    mine = read_gaits().strides["mine"]
+    assert mine.forward.speed > 0.05
+    assert mine.turn.speed > 0.1
 
 
 def test_the_identification_repeats_the_shipped_walk():

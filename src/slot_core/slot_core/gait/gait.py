@@ -78,7 +78,7 @@ class Pattern:
     The tables are differences to the stride's centre at rest; legs in the order FL FR RL RR.
     """
 
-    speed: float = quantity("speed at amplitude one", "m/s or rad/s", 1e-3, 1)
+    speed: float = quantity("velocity commanded by amplitude one", "m/s or rad/s", 1e-3, 1)
     angle_deg: FourHarmonics = quantity("tendon angle", "deg", -360, 360)
     normal_force: FourHarmonics = quantity("normal force of the ground", "N", -50, 50)
     roll: Harmonics = quantity("roll of the torso", "rad", -1, 1)

@@ -31,6 +31,7 @@ from slot_core.robot import Array
 from slot_lab.tuning import symmetry
 from slot_lab.tuning.settings import TuningSettings
 from slot_lab.tuning.stride_run import HEIGHT, HELD, Job, Outcome, RunAll
+from slot_lab.tuning.symmetry import FREE_LEGS, NUMBERS, numbers
 
 FAILED = 1000.0  # cost of a candidate that diverges on a floor
 ZERO = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -108,13 +109,33 @@ def cost(
     return float(np.mean(penalty[:-1]) - gain / scale[axis]), v
 
 
+def start_of(stride: Stride, kind: str, settings: TuningSettings, seed: int | None = None) -> Array:
+    """Numbers that a search starts from: the stride's own, or random ones if a seed is given.
+
+    Raises ConfigError if a number of the stride is beyond the largest coefficient.
+    """
+    limit = settings.coefficient_max_deg
+    if seed is not None:
+        drawn = np.random.default_rng(seed).normal(scale=settings.scatter_deg, size=NUMBERS[kind])
+        return np.clip(drawn, -limit, limit)
+    x = numbers(kind, np.array(getattr(stride, kind).angle_deg))
+    n = int(np.abs(x).argmax())
+    if abs(x[n]) > limit:
+        leg, column = FREE_LEGS[kind][n // 5], n % 5
+        raise ConfigError(
+            f"{kind}.angle_deg[{leg}][{column}] = {x[n]:.4g}: outside [-{limit:g}, {limit:g}], "
+            "coefficient_max_deg of config/tune.yaml; raise it or start from another gait"
+        )
+    return x
+
+
 class PatternSearch:
     """Generations of CMA-ES, with a record of their costs."""
 
     def __init__(
         self, stride: Stride, goal: Goal, start: Array, settings: TuningSettings, seed: int
     ) -> None:
-        """Start from the numbers `start`; seed: positive."""
+        """Start from the numbers of `start_of`; seed: positive."""
         import cma  # noqa: PLC0415 - not installed with the robot
 
         self._stride, self._goal, self._settings = stride, goal, settings

@@ -1,4 +1,4 @@
-"""Run of a stride on the simulated robot, and its means over strides.
+"""Run of a stride on the simulated robot, and its means over settled strides.
 
 The tendon angles are set every `command_period`. The height is held by an offset common to all
 legs, corrected once a stride by a share of the mean height error; or the offset is zero.
@@ -90,11 +90,11 @@ class _Run:
     def motion(self) -> StrideMotion:
         """Run all strides; keep those that count."""
         first, count = self._settings.settling_strides, self._settings.strides
-        rows: list[list[float]] = []
+        rows = [self._sample(-self._settings.command_period / self._job.stride.period)]
         offsets: list[float] = []
         for stride in range(first + count):
             if stride == first:
-                rows, self._top = [], 0.0
+                rows, self._top = rows[-1:], 0.0  # whole strides: from the end of the one before
             begin = len(rows)
             for phase, angle in self._commands(stride):
                 self._robot.advance(self._steps, angle)

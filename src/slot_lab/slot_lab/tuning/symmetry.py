@@ -24,6 +24,7 @@ from slot_core.robot import Array
 
 DIAGONAL = [0, 2, 1, 3]  # legs after the reflection at the diagonal through FL and RR
 NUMBERS = {"forward": 10, "turn": 10}
+FREE_LEGS = {"forward": (0, 2), "turn": (0, 1)}  # rows of a pattern that are its numbers
 # Symmetry of the motion of each pattern: legs exchanged, and the sway that changes its sign.
 EXCHANGED = {"forward": LEFT_RIGHT, "lateral": FRONT_REAR, "turn": [3, 2, 1, 0]}
 REVERSED = {
@@ -64,10 +65,8 @@ def turn(x: Array) -> Array:
 
 def numbers(kind: str, pattern: Array) -> Array:
     """Numbers of the pattern of a kind ("forward" or "turn") nearest to a pattern (4, 5)."""
-    later = pattern * HALF_STRIDE_LATER
-    if kind == "forward":
-        return np.concatenate([pattern[0] + later[1], pattern[2] + later[3]]) / 2
-    return np.concatenate([pattern[0] + later[3], pattern[1] + later[2]]) / 2
+    image = pattern[EXCHANGED[kind]] * HALF_STRIDE_LATER
+    return np.concatenate((pattern + image)[list(FREE_LEGS[kind])]) / 2
 
 
 def symmetrised(name: str, table: Array) -> Array:

@@ -41,7 +41,7 @@ from slot_core.refusal import quoted
 from slot_core.robot import read_robot
 from slot_lab.tuning import gait_file, identification, symmetry
 from slot_lab.tuning.identification import IdentificationError
-from slot_lab.tuning.pattern_search import Goal, PatternSearch, bare_pattern
+from slot_lab.tuning.pattern_search import Goal, PatternSearch, bare_pattern, start_of
 from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import RunAll, simulate
 from slot_lab.workers import gather, workers
@@ -82,13 +82,20 @@ class _Tuning:
         self._options = options
         self.settings = _settings(options)
         self.stride = _start(options)
+        self._stages = options.stages or STAGES
+        seed = options.seed if options.scratch else None
+        self._starts = {  # before the first search: a later one may be refused
+            kind: start_of(self.stride, kind, self.settings, seed)
+            for kind in symmetry.NUMBERS
+            if kind in self._stages
+        }
         self._progress = _Progress()
 
     def run(self, run_all: RunAll) -> list[str]:
         """Run the stages and return their figures, lines of text."""
         notes: list[str] = []
         for stage in STAGES:
-            if stage in (self._options.stages or STAGES):
+            if stage in self._stages:
                 notes += getattr(self, f"_{stage}")(run_all)
         return notes
 
@@ -112,11 +119,8 @@ class _Tuning:
 
     def _search(self, kind: str, run_all: RunAll) -> tuple[Pattern, str]:
         goal = Goal(kind, self._options.top)
-        start = symmetry.numbers(kind, np.array(getattr(self.stride, kind).angle_deg))
-        if self._options.scratch:
-            rng = np.random.default_rng(self._options.seed)
-            start = rng.normal(scale=self.settings.scatter_deg, size=len(start))
-        search = PatternSearch(self.stride, goal, start, self.settings, self._options.seed)
+        start, seed = self._starts[kind], self._options.seed
+        search = PatternSearch(self.stride, goal, start, self.settings, seed)
         found = search.run(run_all, self._record(kind), self._progress)
         angle = symmetry.forward(found.x) if kind == "forward" else symmetry.turn(found.x)
         if not np.mean(found.speed) >= LEAST_SPEED:
