@@ -152,8 +152,6 @@ def _ticks(walk: Walk) -> list[tuple[int, str, Any]]:
         health = message("/servo_health", stamp, action=3, voltage=supply)
         entries += [(_wall(walk, t), "/robot_state", state)]
         entries += [(_wall(walk, t), "/servo_health", health)]
-        taken = message("/stage_inputs", stamp, stage="nobody")
-        entries += [(_wall(walk, t), "/stage_inputs", taken)]
     return entries
 
 

@@ -9,7 +9,6 @@ from slot_core.messages import decode
 from slot_core.robot import LEGS, read_robot
 from slot_msgs.msg import ForceMapStatus, GaitPreview, MpcState, TendonPlan
 from slot_nodes import inputs, messages, qos, runtime
-from slot_nodes.journal import Journal
 
 
 class ForceMapperNode(Node):
@@ -23,7 +22,6 @@ class ForceMapperNode(Node):
         settings = runtime.declare_settings(self, read_force_map())
         self._map = make_force_map(read_robot(), settings)
         self._inputs = TimeSynchronizer("plan", "preview", "state")
-        self._journal = Journal(self, "desired_joint_angles")
         self._angles = runtime.publisher(self, JointState, "desired_joint_angles", qos.CONTROL)
         self._status = runtime.publisher(self, ForceMapStatus, "force_map/status", qos.CONTROL)
         self._polled = inputs.Polled(self)  # they come before their plan
@@ -52,7 +50,6 @@ class ForceMapperNode(Node):
         self._polled.await_next(matched is None)
         if matched is None:
             return
-        self._journal.begin(self._map, stamp)
         command = self._map.step(*matched)
         self._angles.publish(messages.command_to_msg(stamp, command.angle, command.rate))
         self._status.publish(messages.map_status_to_msg(stamp, command))

@@ -17,7 +17,6 @@ from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime
-from slot_nodes.journal import Journal
 
 SEARCH_PERIOD = 1.0  # s, between two looks for publishers of /cmd_vel of the other type
 
@@ -33,7 +32,6 @@ class GaitSchedulerNode(Node):
         path = read_route(file, heading) if file else None
         springs = read_springs()
         self._scheduler = GaitScheduler(settings, read_robot(), springs, STAND, None, path)
-        self._journal = Journal(self, "gait_preview")
         self._preview = runtime.publisher(self, GaitPreview, "gait_preview", qos.CONTROL)
         text = "type of /cmd_vel: TwistStamped, else Twist as of Nav2 and teleop without options"
         stamped = runtime.declare(self, "stamped_cmd_vel", True, text)
@@ -51,7 +49,6 @@ class GaitSchedulerNode(Node):
     def _on_state(self, message: MpcState) -> None:
         estimate = decode.estimate(message)
         inputs.require_finite("state", estimate.state)
-        self._journal.begin(self._scheduler, estimate.stamp)
         preview = self._scheduler.step(estimate.time, estimate.state)
         remark = preview.remark or self._wrong_type
         preview = replace(preview, stamp=estimate.stamp, remark=remark)

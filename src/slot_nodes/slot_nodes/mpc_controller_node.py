@@ -19,7 +19,6 @@ from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
 from slot_nodes import inputs, messages, qos, runtime
-from slot_nodes.journal import Journal
 
 PREPARE_AFTER = 0.004  # s after a plan: by then its command is with the servos
 
@@ -41,7 +40,6 @@ class MpcControllerNode(Node):
         self._preparation = runtime.wall_timer(self, PREPARE_AFTER, self._prepare)
         self._preparation.cancel()
         self._inputs = TimeSynchronizer("state", "preview")
-        self._journal = Journal(self, "tendon_plan")
         self._plans = runtime.publisher(self, TendonPlan, "tendon_plan", qos.CONTROL)
         inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.STATE, numbered=True)
         inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.STATE)
@@ -72,7 +70,6 @@ class MpcControllerNode(Node):
         (number, estimate), preview = matched
         if estimate.stamp < self._stamp:
             self._policy.reset()
-        self._journal.begin(self._policy, estimate.stamp)
         self._stamp, start = estimate.stamp, time.perf_counter()
         plan = self._policy.step(estimate, preview)
         elapsed = time.perf_counter() - start

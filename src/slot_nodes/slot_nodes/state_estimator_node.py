@@ -12,10 +12,9 @@ from slot_core.clock import to_seconds
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.messages import decode
-from slot_msgs.msg import MpcState, StageInputs
+from slot_msgs.msg import MpcState
 from slot_nodes import inputs, messages, qos, runtime
 from slot_nodes.graph_diagnostics import GraphDiagnostics, of_estimator
-from slot_nodes.journal import Journal
 from slot_nodes.process import intra_process
 
 
@@ -35,7 +34,6 @@ class StateEstimatorNode(Node):
         self._filtered = runtime.publisher(self, Odometry, "odometry/filtered", qos.SENSOR)
         mounts = runtime.publisher(self, TFMessage, "tf_static", qos.STATE)
         mounts.publish(messages.mounts_to_tf(settings.mounts.imu, settings.mounts.camera))
-        self._journal = Journal(self, "mpc_state")
         self._diagnostics, self._afterwards = GraphDiagnostics(self), intra_process.afterwards()
         profile = inputs.sensor_profile(self, qos.SENSOR)
         self._imu = inputs.subscribe(self, Imu, "imu", self._on_imu, profile)
@@ -48,9 +46,7 @@ class StateEstimatorNode(Node):
                 " has zeros, which is z up",
                 once=True,
             )
-        reading = decode.imu(message)
-        self._journal.take(self._estimator, StageInputs.IMU, reading[0])
-        self._estimator.add_imu(*reading)
+        self._estimator.add_imu(*decode.imu(message))
         self._publish()
         # skipped without subscribers: it costs more than the filter
         if self._filtered.get_subscription_count() and (present := self._estimator.present()):
@@ -60,7 +56,6 @@ class StateEstimatorNode(Node):
         """Correct with a reading, after the IMU samples that arrived with it."""
         reading = decode.torso_odometry(message)
         inputs.take_waiting(self._imu)
-        self._journal.take(self._estimator, StageInputs.ODOMETRY, reading[0])
         self._estimator.add_odometry(*reading)
         self._publish()
 
@@ -68,7 +63,6 @@ class StateEstimatorNode(Node):
         while (estimate := self._estimator.poll()) is not None:
             self._state.publish(messages.state_to_msg(estimate))
             self._afterwards(partial(self._publish_rest, estimate))
-            self._journal.close(estimate.stamp)
             if estimate.validity != Validity.VALID:
                 self.get_logger().warning(
                     f"state at {to_seconds(estimate.stamp):.3f} s: {estimate.validity.name}",

@@ -63,8 +63,6 @@ class ForceMap:
         }
         self._last: Array | None = None
 
-    STATE = ("_last",)
-
     def step(self, plan: TendonPlan, preview: GaitPreview, state: Array) -> TendonCommand:
         """Command of a plan for the preview and state (12,) of its stamp.
 

@@ -13,8 +13,6 @@ from slot_core.robot import Array
 class GaitAlone(Policy):
     """Tendon angles of the gait: open loop."""
 
-    STATE = ()
-
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """The angles and normal forces of the preview."""
         return gait_plan(preview)

@@ -49,8 +49,6 @@ class OnnxPolicy(Policy):
         self._input = self._session.get_inputs()[0].name
         self.reset()
 
-    STATE = ("_action", "_missed")
-
     @staticmethod
     def read_settings(name: str) -> OnnxSettings:
         """Settings with the file of `onnx:FILE`; raises ConfigError as the constructor does."""

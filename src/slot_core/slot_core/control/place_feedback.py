@@ -35,8 +35,6 @@ class PlaceSettings:
 class PlaceFeedback(Policy):
     """Amplitudes from the error of the place."""
 
-    STATE = ()
-
     def __init__(self, robot: RobotParameters, settings: PlaceSettings, timer: Timer):
         """Take the gain; raises ConfigError for gaits that cannot be read."""
         self._settings, self._strides = settings, read_gaits().strides

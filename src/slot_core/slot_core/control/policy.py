@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -104,10 +104,6 @@ class NoSettings:
 
 class Policy(Protocol):
     """Controller of the legs; its class can derive from this one, which has all but `step`."""
-
-    STATE: ClassVar[tuple[str, ...] | None] = None
-    """Attributes that hold what the policy remembers (`key_frame.py`); None: not known,
-    so that a bag that begins in mid-run cannot replay it."""
 
     def __init__(self, robot: RobotParameters, settings: Any, timer: Timer) -> None:
         """Take the nominal robot and `read_settings`; `timer` returns seconds.

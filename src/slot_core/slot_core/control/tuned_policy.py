@@ -10,7 +10,6 @@ from slot_core.config import ConfigError
 from slot_core.control.policy import Policy, Status, TendonPlan
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import STAND, GaitPreview
-from slot_core.key_frame import has_state
 
 PLANNED = (Status.SOLVED, Status.LATE)  # a first plan may be late
 
@@ -24,11 +23,6 @@ class TunedPolicy:
         self.changes: dict[str, Any] = {}  # of the settings, by dotted name
         self._policy = make(settings)
         self._last: tuple[Estimate, GaitPreview] | None = None
-
-    @property
-    def STATE(self) -> tuple[str, ...] | None:  # noqa: N802 - a constant of other stages
-        """Names the policy, unless it does not say what it remembers."""
-        return ("_policy",) if has_state(self._policy) else None
 
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """The policy's plan."""

@@ -47,19 +47,6 @@ class ImuQueue:
         kept = slice(self._begin, self._end)
         return ImuSamples(self._stamps[kept], self._values[kept])
 
-    STATE = ("kept",)
-    KINDS = (ImuSamples,)
-
-    @property
-    def kept(self) -> ImuSamples:
-        """The samples in the queue, for a key frame; setting it replaces them."""
-        return self.samples
-
-    @kept.setter
-    def kept(self, samples: ImuSamples) -> None:
-        self._begin, self._end = 0, len(samples.stamps)
-        self._stamps[: self._end], self._values[: self._end] = samples.stamps, samples.values
-
     def append(self, stamp: int, value: Array) -> None:
         """Append a sample: stamp (ns), newer than all others, and (6,)."""
         if self._end == len(self._stamps):

@@ -235,9 +235,6 @@ class InertialFilter:
         self._noise = _densities(imu.gyro_noise, imu.acceleration_noise, *drifts)
         self._blind_noise = _densities(blind.gyro_noise, blind.acceleration_noise, *drifts)
 
-    STATE = ("_state", "rate")
-    KINDS = (FilterState, Rate)
-
     def forget_biases(self) -> None:
         """Set the biases to zero, as uncertain as at the start."""
         imu, state = self._settings.imu, self._state

@@ -73,12 +73,6 @@ class StateEstimator:
         self._ready: deque[Estimate] = deque(maxlen=settings.buffers.estimates)
         self._reset()
 
-    STATE = (
-        "_filter", "_newest", "_imu", "_waiting", "_rejected", "_stamp", "_corrected", "_reached",
-        "_tick", "_accepted_stamp", "_accepted",
-    )  # fmt: skip
-    KINDS = (OdometryMotion,)
-
     def _reset(self) -> None:
         """Return to the state after construction; estimates not yet polled are kept."""
         self._filter = InertialFilter(self._settings)

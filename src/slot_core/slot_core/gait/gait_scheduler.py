@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -93,29 +92,6 @@ class GaitScheduler:
         self._velocity = np.zeros(3)  # present, at limited rates
         self._pose = self._home(self._current.gait)  # (3,) height, roll, pitch, present
         self._place: Array | None = None  # (3,) x, y (m), yaw (rad) of the reference
-
-    STATE = (
-        "_running", "_requested", "_wanted", "_remark", "_wanted_pose", "_command_stamp",
-        "_since_change", "_stamp", "_seen", "_followed", "_followed_for", "_velocity", "_pose",
-        "_place", "_path",
-    )  # fmt: skip
-
-    @property
-    def _running(self) -> list[Any]:
-        """Name, phase and share of motion of the present and the previous gait; if they are one."""
-        both = self._current, self._previous
-        rows = [[active.name, active.phase, getattr(active, "moving", 1.0)] for active in both]
-        return [*rows, self._previous is self._current]
-
-    @_running.setter
-    def _running(self, rows: list[Any]) -> None:
-        *both, is_one = rows
-        found = []
-        for name, phase, moving in both:
-            found.append(active := self._activate(name))
-            if isinstance(active, _ActiveStride):
-                active.phase, active.moving = phase, moving
-        self._current, self._previous = found[0], found[0] if is_one else found[1]
 
     def request(self, gait: str, velocity: Array) -> None:
         """Request a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.

@@ -51,8 +51,6 @@ class Route:
         self.travelled = 0.0  # m, of the reference place
         self._arrived = False
 
-    STATE = ("travelled", "_start_yaw", "_arrived")
-
     @property
     def length(self) -> float:
         """Length, m."""

@@ -41,8 +41,6 @@ class Disturbance:
         self.mass = mass
         self.bias = np.zeros(6)
 
-    STATE = ("mass", "bias")
-
     def correct(self, predicted: Array, measured: Array, dt: float) -> None:
         """Correct the estimates by the twist (6,) predicted over dt (s) and the measured twist."""
         gain = 1.0 - exp(-dt / self._settings.time)

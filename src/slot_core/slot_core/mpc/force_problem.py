@@ -64,9 +64,6 @@ class ForceProblem:
         self._ahead: Horizon | None = None
         self._last: _LastTick | None = None
 
-    STATE = ("_stamp", "_state", "_ahead", "_last", "_disturbance")
-    KINDS = (Horizon, _LastTick)
-
     @property
     def mass(self) -> float:
         """Mass of the model, kg."""

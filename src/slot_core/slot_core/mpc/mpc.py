@@ -20,7 +20,7 @@ from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.force_problem import ForceProblem
 from slot_core.mpc.model import FEET, FirstStage
-from slot_core.mpc.paper_problem import PaperProblem, PaperStage
+from slot_core.mpc.paper_problem import PaperProblem
 from slot_core.mpc.settings import MpcSettings, PaperMpcSettings, read_mpc
 from slot_core.mpc.solver import Solution
 from slot_core.robot import GRAVITY, Array, RobotParameters
@@ -49,9 +49,6 @@ class Mpc(Policy):
         """
         self._robot, self._settings, self._timer = robot, settings, timer
         self.reset()
-
-    STATE = ("_stage", "_last", "_missed", "_problem")
-    KINDS = (FirstStage, PaperStage)
 
     @staticmethod
     def read_settings(name: str) -> MpcSettings:

@@ -111,8 +111,6 @@ class PaperProblem:
         self._reference = np.zeros((self.horizon, STATES))
         self._now = self._phases[None]
 
-    STATE = ()  # `read` and `update` set all
-
     def read(self, preview: GaitPreview) -> PaperStage:
         """Take phase and references of a preview; returns the limits of the forces."""
         self._now = self._phases[pulled_leg(preview)]

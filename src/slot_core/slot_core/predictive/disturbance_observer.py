@@ -61,9 +61,6 @@ class DisturbanceObserver:
         self._misfit = np.zeros(6)  # mean squares, in units of the scales
         self._past: deque[_Seen] = deque()
 
-    STATE = ("drift", "wrench", "is_far", "_misfit", "_past")
-    KINDS = (_Seen, NominalState)
-
     def forget(self) -> None:
         """Forget the motion so far: a gap or a jump. The estimates stay."""
         self._past.clear()

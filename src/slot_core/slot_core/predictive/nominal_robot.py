@@ -53,17 +53,6 @@ class NominalRobot:
         self.measured(self._initial, np.zeros(12))  # compiles the kernels, as does the next line
         self.after(self._initial, np.zeros((2, len(LEGS))))
 
-    STATE = ("push",)
-
-    @property
-    def push(self) -> Array:
-        """Force (3,), N, and moment (3,), N m, on the torso; setting it replaces them."""
-        return self.robot.model.push.copy()
-
-    @push.setter
-    def push(self, push: Array) -> None:
-        self.robot.model.push[:] = push
-
     def set_wrench(self, wrench: Array, yaw: float) -> None:
         """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""
         wrench, yaw = checked("wrench", wrench, (3,)), float(checked("yaw", yaw, ()))

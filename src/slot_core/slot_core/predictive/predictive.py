@@ -64,22 +64,6 @@ class Predictive(Policy):
         self._shares = _shares(np.array([np.ones(len(LEGS)), y, -x]))  # (4, 3)
         self._begin(read_gaits().dt)
 
-    STATE = (
-        "stage", "_plan", "_next", "_seen", "_stiffness", "_missed", "_state", "_disturbances",
-        "_far", "observer", "_model",
-    )  # fmt: skip
-    KINDS = (_Plan, NominalState, Linearisation, Rollouts)
-
-    @property
-    def stage(self) -> float:
-        """Duration of a stage, s; another one begins anew."""
-        return self._dt
-
-    @stage.setter
-    def stage(self, dt: float) -> None:
-        if dt != self._dt:
-            self._begin(dt)
-
     @staticmethod
     def read_settings(name: str) -> PredictiveSettings:
         """`config/predictive.yaml`; raises ConfigError."""

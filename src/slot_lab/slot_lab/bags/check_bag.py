@@ -4,9 +4,8 @@ No ROS is needed. Each replayed stage gets the recorded input of its node, so th
 names the stage that has changed: `/odom` and `/imu` go to the state estimator, recorded states to
 the gait scheduler, with the commands that its previews name, recorded states and previews to the
 policy, and recorded plans, previews and states to the force map. A stage whose input or output the
-bag does not hold is left out. A stage begins at its first key frame on `/stage_inputs`, and the
-estimator takes its readings in the order that stands there. Of an older bag, without key frames,
-that begins mid-run, the stages that depend on what came before are left out. The policy and the
+bag does not hold is left out. Of a bag that begins mid-run, such as a later file of a split one, so
+are the stages that depend on what came before: only the force map is compared. The policy and the
 path that was followed are those that the bag names.
 """
 
@@ -16,7 +15,7 @@ import argparse
 import gc
 import math
 import sys
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,12 +28,12 @@ from slot_core.command_line import CommandParser, refuse, show
 from slot_core.messages import decode
 from slot_core.refusal import quoted
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.replayed_stages import NODES, REMEMBERING, STAGES, Fields, RecordedStages
+from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, Fields, RecordedStages
 
 MID_RUN = "the bag begins mid-run, after what the state depends on"
 TOLERANCE = 1e-6
-"""Default of the largest difference, in the field's SI unit. Equal versions give none, on every
-processor; it leaves room for changes that are meant to change nothing but roundoff."""
+"""Default of the largest difference, in the field's SI unit. On another machine the order of
+summation in linear algebra changes the states by 1e-12 and the forces by the solver's tolerance."""
 
 
 @dataclass(frozen=True)
@@ -64,30 +63,23 @@ class StageComparison:
     first: Difference | None = None  # beyond the tolerance
     missing: tuple[str, ...] = ()  # topics that the bag lacks for the comparison
     unknown: bool = False  # whether the stage's state at the begin of the bag is not known
-    reason: str = ""  # another one why it is left out
-    skipped: int = 0  # messages before the first key frame, or after inputs that the bag lacks
 
     @property
     def left_out(self) -> str:
         """Why nothing was compared; empty if it was."""
         lacking = f"the bag holds no {', '.join(self.missing)}" if self.missing else ""
-        return self.reason or lacking or (MID_RUN if self.unknown else "")
+        return lacking or (MID_RUN if self.unknown else "")
 
     def __str__(self) -> str:
         if self.left_out:
             return f"{self.topic:<25}    - left out: {self.left_out}"
-        line = f"{self.topic:<25}{self.compared:5d} compared, largest difference {self.largest:.1e}"
-        left_out = f"; {self.skipped} before a key frame left out"
-        return line + left_out * bool(self.skipped)
+        return f"{self.topic:<25}{self.compared:5d} compared, largest difference {self.largest:.1e}"
 
 
-def check_bag(
-    bag: Bag, tolerance: float, own_policy: str = "", nodes: Collection[str] = tuple(NODES)
-) -> list[StageComparison]:
+def check_bag(bag: Bag, tolerance: float, own_policy: str = "") -> list[StageComparison]:
     """Compare every stage of the bag, in the order of the graph.
 
-    own_policy: file of a policy that is not ours, as `RecordedStages` takes it. nodes: those of
-    NODES whose stages are compared. Raises BagError if no
+    own_policy: file of a policy of one's own, as `RecordedStages` takes it. Raises BagError if no
     stage can be compared, ConfigError if the configuration is invalid.
     """
     recorded = RecordedStages(bag, own_policy)
@@ -97,28 +89,15 @@ def check_bag(
         if topic == "/gait_preview" and recorded.lost_path:
             missing.append(recorded.lost_path)
         unknown = not missing and topic in REMEMBERING and recorded.begins_mid_run
-        unknown = unknown and not recorded.frames(topic)
-        reason = _reason(recorded, topic, nodes)
-        found = StageComparison(topic, missing=tuple(missing), unknown=unknown, reason=reason)
+        found = StageComparison(topic, missing=tuple(missing), unknown=unknown)
         if not found.left_out:
             found = compare(recorded, topic, replay(recorded), tolerance)
         comparisons.append(found)
-    if all(comparison.missing and not comparison.reason for comparison in comparisons):
+    if all(comparison.missing for comparison in comparisons):
         raise BagError(f"{bag.path}: holds no stage together with its input")
     if all(comparison.left_out for comparison in comparisons):
-        why = next((c.left_out for c in comparisons if not c.missing), MID_RUN)
-        raise BagError(f"{bag.path}: {why}; no stage can be compared")
+        raise BagError(f"{bag.path}: {MID_RUN}; no stage can be compared")
     return comparisons
-
-
-def _reason(recorded: RecordedStages, topic: str, nodes: Collection[str]) -> str:
-    """Why a stage is left out although the bag may hold it; empty if it is not."""
-    node = next(name for name, output in NODES.items() if output == topic)
-    if node not in nodes:
-        return "as asked"
-    if recorded.messages[topic] and recorded.is_foreign(topic):
-        return f"it is not of this project's {node}: no entry of it on /stage_inputs"
-    return ""
 
 
 def compare(
@@ -130,15 +109,11 @@ def compare(
     stamp are skipped, and so are those before the first one if the bag begins mid-run. Raises
     BagError if no message is left to compare.
     """
-    compared, skipped, largest, first, end = 0, 0, 0.0, None, max(replayed, default=0)
-    known = recorded.known.get(topic) if recorded.frames(topic) else None
+    compared, largest, first, end = 0, 0.0, None, max(replayed, default=0)
     begin = min(replayed, default=0) if recorded.begins_mid_run else 0
     for message in recorded.messages[topic]:
         stamp = decode.stamp(message)
-        if known is not None and stamp not in known:
-            skipped += 1
-            continue
-        if known is None and not begin <= stamp <= end:
+        if not begin <= stamp <= end:
             continue
         fields = replayed.get(stamp)
         if fields is None:
@@ -162,7 +137,7 @@ def compare(
                 first = Difference(topic, stamp, place, *values)
     if not compared and first is None:
         raise BagError(f"{recorded.bag.path}: holds no {topic} together with its input")
-    return StageComparison(topic, compared, largest, first, skipped=skipped)
+    return StageComparison(topic, compared, largest, first)
 
 
 def _numbers(value: Any) -> np.ndarray:
@@ -232,14 +207,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--tolerance", type=_tolerance, default=TOLERANCE, metavar="N", help=size)
     own = "file of the policy, if it is one of your own, or onnx:FILE"
     add("--policy", default="", metavar="FILE", help=own)
-    choice = parser.add_mutually_exclusive_group()
-    for name, what in (("--only", "compare only the stage"), ("--skip", "leave out the stage")):
-        choice.add_argument(
-            name,
-            action="append",
-            choices=tuple(NODES),
-            help=f"{what} of this node; may be repeated",
-        )
     left = "only write what is left of it as a new bag in DIR"
     add("--mend", type=Path, metavar="DIR", help=left)
     options = parser.parse_args(arguments)
@@ -248,8 +215,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.mend:
             bag.save(options.mend)
             return 0
-        nodes = options.only or [node for node in NODES if node not in (options.skip or ())]
-        comparisons = check_bag(bag, options.tolerance, options.policy, nodes)
+        comparisons = check_bag(bag, options.tolerance, options.policy)
     except (BagError, config.ConfigError) as error:
         refuse(parser.prog, error)
         return 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from slot_core import config
-from slot_core.clock import SECOND, to_ns
+from slot_core.clock import to_ns
 from slot_core.control.force_map import make_force_map, read_force_map, read_springs
 from slot_core.control.policy import DEFAULT_POLICY, Status, TendonPlan, policy_class
 from slot_core.control.tuned_policy import TunedPolicy
@@ -20,7 +20,6 @@ from slot_core.estimation.state_estimator import BEFORE_ALL_TIMES, StateEstimato
 from slot_core.gait.gait import GaitPreview, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.gait.route import KEPT, Route, read_route
-from slot_core.key_frame import restore
 from slot_core.messages import decode
 from slot_core.recording.origin import FILES, NETWORK
 from slot_core.recording.record_settings import root_of
@@ -29,9 +28,7 @@ from slot_core.ros_parameters import of_node, parse_parameters
 from slot_lab.bags.bag import Bag, BagError
 
 ODOMETRY, PLANS = "/odom", "/tendon_plan"
-SENSORS = (ODOMETRY, "/imu")  # in the order of `source` in StageInputs
-JOURNAL = "/stage_inputs"
-LONG = 10.0  # s, in which each of our stages has published a key frame twice
+SENSORS = (ODOMETRY, "/imu")
 PATH, PARAMETERS = FILES["path"], FILES["params_file"]
 PREVIEW = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle",
            "reference", "velocity_ahead", "corrected")  # fmt: skip
@@ -50,17 +47,11 @@ class RecordedStages:
         self.bag, self.origin, self.robot = bag, bag.origin, read_robot()
         self.sensors: list[tuple[str, Any]] = []  # topic and message
         self.messages: dict[str, list[Any]] = {topic: [] for topic in STAGES}
-        self.journal: dict[str, list[Any]] = {topic: [] for topic in STAGES}
-        """Messages of JOURNAL by the output of their stage; empty in an older bag."""
-        self.known: dict[str, set[int]] = {}
-        """Stamps of the outputs that a stage with a journal can replay, once it has been."""
-        topics = [t for t in (*SENSORS, *STAGES, JOURNAL) if bag.counts.get(t)]
+        topics = [t for t in (*SENSORS, *STAGES) if bag.counts.get(t)]
         for topic, _, message in bag.merged(*topics) if topics else ():
             with bag.using(topic):
                 decode.stamp(message)
-            if topic == JOURNAL:
-                self.journal.setdefault(f"/{message.stage}", []).append(message)
-            elif topic in STAGES:
+            if topic in STAGES:
                 self.messages[topic].append(message)
             else:
                 self.sensors.append((topic, message))
@@ -83,42 +74,6 @@ class RecordedStages:
         initial = found[: found.index(Validity.VALID)].count(Validity.INITIALISING)
         return initial < read_estimator().gate.initial_readings - 1
 
-    def frames(self, topic: str) -> dict[int, bytes]:
-        """Key frames of a stage by the stamps of the inputs that it took next."""
-        found = self.journal[topic]
-        return {decode.stamp(m): bytes(m.state) for m in found if len(m.state)}
-
-    def is_foreign(self, topic: str) -> bool:
-        """Whether the output is of a node that kept no journal, in a bag that has some.
-
-        A bag that begins mid-run and is short may hold none of our nodes' entries either.
-        """
-        is_short = self.begins_mid_run and self.bag.duration_ns < LONG * SECOND
-        return any(self.journal.values()) and not self.journal[topic] and not is_short
-
-    def from_key_frames(
-        self, topic: str, stamps: Iterable[int], core: Callable[[int], Any]
-    ) -> Iterator[int]:
-        """The stamps of `stamps` from the first key frame on, where the core is given its state.
-
-        core: the core that is to take the inputs with a stamp.
-
-        Without key frames all of them, unless the bag begins mid-run. Where an input is missing,
-        the output that was made of it is left out, and all others up to the next key frame.
-        """
-        frames, outputs = self.frames(topic), {decode.stamp(m) for m in self.messages[topic]}
-        known, there = not frames and not self.begins_mid_run, set(stamps)
-        covered = self.known.setdefault(topic, set())
-        for stamp in sorted(there | outputs) if frames else stamps:
-            if stamp not in there:
-                known = False
-            elif stamp in frames and not known:
-                restore(core(stamp), frames[stamp])
-                known = True
-            if known:
-                covered.add(stamp)
-                yield stamp
-
     @cached_property
     def previews(self) -> dict[int, GaitPreview]:
         """Gait previews by stamp."""
@@ -138,16 +93,14 @@ class RecordedStages:
         with self.bag.using(topic):
             return {decode.stamp(m): convert(m) for m in self.messages[topic]}
 
-    def matched(self) -> dict[int, tuple[Estimate, GaitPreview, TendonPlan]]:
-        """Estimate, preview and plan by the stamps that have all three, in the states' order.
+    def matched(self) -> Iterator[tuple[int, Estimate, GaitPreview, TendonPlan]]:
+        """Estimate, preview and plan of the stamps that have all three, in the order of the states.
 
         A state that the recorded controller skipped has no plan.
         """
-        return {
-            stamp: (estimate, self.previews[stamp], self.plans[stamp])
-            for stamp, estimate in self.estimates.items()
-            if stamp in self.previews and stamp in self.plans
-        }
+        for stamp, estimate in self.estimates.items():
+            if stamp in self.previews and stamp in self.plans:
+                yield stamp, estimate, self.previews[stamp], self.plans[stamp]
 
     @property
     def policy(self) -> str:
@@ -197,10 +150,8 @@ def estimates(recorded: RecordedStages) -> dict[int, Fields]:
     settings = recorded.settings("state_estimator", read_estimator())
     estimator = StateEstimator(settings)
     delay = to_ns(settings.timing.command_delay)
-    has_frames = bool(recorded.frames("/mpc_state"))
-    readings = _journal(recorded, estimator) if has_frames else _as_they_arrived(recorded, delay)
     fields = {}
-    for topic, message in readings:
+    for topic, message in _as_they_arrived(recorded, delay):
         with suppress(ValueError):
             if topic == ODOMETRY:
                 estimator.add_odometry(*decode.torso_odometry(message))
@@ -217,28 +168,6 @@ def estimates(recorded: RecordedStages) -> dict[int, Fields]:
                 "validity": int(estimate.validity),
             }
     return fields
-
-
-def _journal(recorded: RecordedStages, estimator: StateEstimator) -> Iterator[tuple[str, Any]]:
-    """Sensor readings in the order in which the estimator took them, from its key frames on.
-
-    Where the bag lacks one of them, the estimator goes on at the next key frame.
-    """
-    there: dict[tuple[str, int], Any] = {}
-    for topic, message in recorded.sensors:
-        there.setdefault((topic, decode.stamp(message)), message)
-    known, covered = False, recorded.known.setdefault("/mpc_state", set())
-    for page in recorded.journal["/mpc_state"]:
-        taken = [(SENSORS[source], int(stamp)) for source, stamp in zip(page.source, page.stamp)]
-        if not there.keys() >= set(taken):
-            known = False
-            continue
-        if len(page.state) and not known:
-            restore(estimator, bytes(page.state))
-            known = True
-        if known:
-            covered.add(decode.stamp(page))
-            yield from ((topic, there[topic, stamp]) for topic, stamp in taken)
 
 
 def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str, Any]]:
@@ -277,13 +206,12 @@ def previews(recorded: RecordedStages) -> dict[int, Fields]:
     scheduler = GaitScheduler(
         gaits, recorded.robot, read_springs(), first.gait, first.velocity, recorded.path
     )
-    stamps = [stamp for stamp in recorded.estimates if stamp in recorded.previews]
     fields = {}
-    for stamp in recorded.from_key_frames("/gait_preview", stamps, lambda _: scheduler):
-        estimate = recorded.estimates[stamp]
-        scheduler.set_command(recorded.previews[stamp].command)
-        preview = scheduler.step(estimate.time, estimate.state)
-        fields[stamp] = {name: getattr(preview, name) for name in PREVIEW}
+    for stamp, estimate in recorded.estimates.items():
+        if stamp in recorded.previews:
+            scheduler.set_command(recorded.previews[stamp].command)
+            preview = scheduler.step(estimate.time, estimate.state)
+            fields[stamp] = {name: getattr(preview, name) for name in PREVIEW}
     return fields
 
 
@@ -292,17 +220,11 @@ def plans(recorded: RecordedStages) -> dict[int, Fields]:
     kind = policy_class(recorded.policy)
     settings = recorded.settings("mpc_controller", kind.read_settings(recorded.policy))
     policy = TunedPolicy(lambda s: kind(recorded.robot, s, lambda: 0.0), settings)
-    matched, fields = recorded.matched(), {}
-    changes = recorded.changes
-
-    def prepared(stamp: int) -> TunedPolicy:
+    changes, fields = recorded.changes, {}
+    for stamp, estimate, preview, _ in recorded.matched():
         if changes[stamp] != policy.changes:
             policy.use(changes[stamp])
-        return policy
-
-    for stamp in recorded.from_key_frames(PLANS, matched, prepared):
-        estimate, preview, _ = matched[stamp]
-        plan = prepared(stamp).step(estimate, preview)
+        plan = policy.step(estimate, preview)
         policy.prepare()
         fields[stamp] = {name: getattr(plan, name) for name in PLAN} | vars(plan.report)
     return fields
@@ -316,13 +238,8 @@ def commands(recorded: RecordedStages) -> dict[int, Fields]:
     """
     settings = recorded.settings("force_mapper", read_force_map())
     force_map = make_force_map(recorded.robot, settings)
-    topic = "/desired_joint_angles"
-    matched, fields = recorded.matched(), {}
-    framed = recorded.frames(topic)
-    stamps = recorded.from_key_frames(topic, matched, lambda _: force_map) if framed else matched
-    held = recorded.begins_mid_run and not framed
-    for stamp in stamps:
-        estimate, preview, plan = matched[stamp]
+    fields, held = {}, recorded.begins_mid_run
+    for stamp, estimate, preview, plan in recorded.matched():
         held = held and plan.status is Status.STOPPED
         if held:
             continue
@@ -338,11 +255,5 @@ STAGES: dict[str, tuple[Any, ...]] = {
     "/desired_joint_angles": (commands, "/mpc_state", "/gait_preview", PLANS),
 }
 """By the output of each stage its function here, then its inputs; in the order of the graph."""
-NODES = dict(
-    zip(
-        ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper"), STAGES, strict=True
-    )
-)
-"""Output by the name of its node."""
 REMEMBERING = ("/mpc_state", "/gait_preview", PLANS)
 """Outputs of stages that depend on all that came before."""
