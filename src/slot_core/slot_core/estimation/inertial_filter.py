@@ -34,6 +34,7 @@ from slot_core.estimation.filter_kernels import (
     work_space,
 )
 from slot_core.estimation.imu_samples import ImuQueue, ImuSamples
+from slot_core.key_frame import StateParts
 from slot_core.robot import GRAVITY, Array
 
 UP = np.array([0.0, 0.0, GRAVITY])  # specific force at rest, in odom
@@ -219,6 +220,8 @@ class Rate(NamedTuple):
 
 class InertialFilter:
     """Error-state filter: nominal state, covariance (15, 15), propagation and correction."""
+
+    STATE = StateParts("_state", "rate", values=(FilterState, Rate))
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings

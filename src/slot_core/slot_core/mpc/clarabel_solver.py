@@ -6,6 +6,7 @@ import clarabel
 import numpy as np
 from scipy import sparse
 
+from slot_core.key_frame import StateParts
 from slot_core.mpc.constraint_rows import ConstraintRows
 from slot_core.mpc.model import HorizonQp
 from slot_core.mpc.solver import MpcSolverSettings, Solution
@@ -14,6 +15,8 @@ from slot_core.robot import Array
 
 class ClarabelSolver:
     """Constraints C z + s = d, with s = 0 for equalities and s >= 0 otherwise; starts cold."""
+
+    STATE = StateParts()
 
     def __init__(self, qp: HorizonQp, settings: MpcSolverSettings):
         """Set up the factorisation for the sparsity of `qp`."""

@@ -18,6 +18,8 @@ class PiqpSolver:
     Its roundoff depends on the processor: the library loads one of several compiled variants.
     """
 
+    STATE = None  # of no key frame: its work space, which cannot be read, changes the last bits
+
     def __init__(self, qp: HorizonQp, settings: MpcSolverSettings):
         """Set up the factorisation for the sparsity of `qp`."""
         self._qp, self._settings = qp, settings
