@@ -37,7 +37,7 @@ from slot_msgs.msg import MpcState
 from slot_nodes import qos
 
 BAGS = Path(__file__).parent
-SIZE_MAX = 560_000  # bytes of a bag
+SIZE_MAX = 600_000  # bytes of a bag
 LEFT_OUT = ("/tf", "/force_map/status", "/diagnostics", "/ground_truth/legs")
 
 

@@ -17,6 +17,7 @@ from slot_core.recording.origin import FILES, Origin, origin_here
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags import check_bag as replay
 from slot_lab.bags.bag import Bag
+from slot_lab.bags.recorded_stages import RECORDS
 
 HERE = Path(__file__).parent
 BAGS = ["walk", "turn", "path", "fault", "lost_odometry"]
@@ -153,12 +154,12 @@ def test_odometry_before_the_estimator_listened_changes_nothing(tmp_path):
 
 
 def cut(path, share, name="walk", topics=()):
-    """Copy of what a bag holds after a share of its duration."""
+    """Copy of what a bag holds after a share of its duration, without records of the stages."""
     source = Bag(HERE / name)
     begin = source.start_ns + int(share * source.duration_ns)
     with BagWriter(path, read_record_settings(), source.origin) as bag:
         for topic, time, data in source.raw(*topics):
-            if time >= begin:
+            if time >= begin and topic != RECORDS:
                 bag.write(topic, source.topics[topic], time, data)
     return path
 

@@ -8,7 +8,7 @@ from slot_core.estimation.time_synchronizer import TimeSynchronizer
 from slot_core.messages import decode
 from slot_core.robot import LEGS, read_robot
 from slot_msgs.msg import ForceMapStatus, GaitPreview, MpcState, TendonPlan
-from slot_nodes import inputs, messages, qos, runtime
+from slot_nodes import inputs, messages, qos, runtime, stage_record
 
 
 class ForceMapperNode(Node):
@@ -21,6 +21,7 @@ class ForceMapperNode(Node):
         super().__init__("force_mapper")
         settings = runtime.declare_settings(self, read_force_map())
         self._map = make_force_map(read_robot(), settings)
+        self._record = stage_record.Recorder(self, self._map)
         self._inputs = TimeSynchronizer("plan", "preview", "state")
         self._angles = runtime.publisher(self, JointState, "desired_joint_angles", qos.CONTROL)
         self._status = runtime.publisher(self, ForceMapStatus, "force_map/status", qos.CONTROL)
@@ -52,6 +53,7 @@ class ForceMapperNode(Node):
             return
         command = self._map.step(*matched)
         self._angles.publish(messages.command_to_msg(stamp, command.angle, command.rate))
+        self._record.put(stamp)
         self._status.publish(messages.map_status_to_msg(stamp, command))
         if command.saturated.any():
             legs = ", ".join(leg for leg, hit in zip(LEGS, command.saturated) if hit)

@@ -16,7 +16,7 @@ from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait
-from slot_nodes import inputs, messages, qos, runtime
+from slot_nodes import inputs, messages, qos, runtime, stage_record
 
 SEARCH_PERIOD = 1.0  # s, between two looks for publishers of /cmd_vel of the other type
 
@@ -32,6 +32,7 @@ class GaitSchedulerNode(Node):
         path = read_route(file, heading) if file else None
         springs = read_springs()
         self._scheduler = GaitScheduler(settings, read_robot(), springs, STAND, None, path)
+        self._record = stage_record.Recorder(self, self._scheduler)
         self._preview = runtime.publisher(self, GaitPreview, "gait_preview", qos.CONTROL)
         text = "type of /cmd_vel: TwistStamped, else Twist as of Nav2 and teleop without options"
         stamped = runtime.declare(self, "stamped_cmd_vel", True, text)
@@ -53,6 +54,7 @@ class GaitSchedulerNode(Node):
         remark = preview.remark or self._wrong_type
         preview = replace(preview, stamp=estimate.stamp, remark=remark)
         self._preview.publish(messages.preview_to_msg(preview))
+        self._record.put(estimate.stamp)
 
     def _look_for_wrong_type(self, stamped: bool) -> None:
         """Find publishers of /cmd_vel whose messages do not arrive, since their type is another."""

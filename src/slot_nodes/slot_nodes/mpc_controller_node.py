@@ -18,7 +18,7 @@ from slot_core.estimation.time_synchronizer import TimeSynchronizer
 from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
-from slot_nodes import inputs, messages, qos, runtime
+from slot_nodes import inputs, messages, qos, runtime, stage_record
 
 PREPARE_AFTER = 0.004  # s after a plan: by then its command is with the servos
 
@@ -35,6 +35,7 @@ class MpcControllerNode(Node):
         simulated = self.get_parameter("use_sim_time").value  # a plan takes no simulated time
         robot, timer = read_robot(), (lambda: 0.0) if simulated else time.perf_counter
         self._policy = TunedPolicy(lambda settings: kind(robot, settings, timer), settings)
+        self._record = stage_record.Recorder(self, self._policy)
         self._names = {setting for setting, _, _ in config.leaves(settings)}
         self._pace, self._stamp = Pace(), 0
         self._preparation = runtime.wall_timer(self, PREPARE_AFTER, self._prepare)
@@ -71,11 +72,13 @@ class MpcControllerNode(Node):
         if estimate.stamp < self._stamp:
             self._policy.reset()
         self._stamp, start = estimate.stamp, time.perf_counter()
+        self._policy.prepare()  # unless it has: a replay does so too
         plan = self._policy.step(estimate, preview)
         elapsed = time.perf_counter() - start
         self._pace.add(number, elapsed, preview.dt)
         changes = self._policy.changes
         self._plans.publish(messages.plan_to_msg(plan, preview, elapsed, self._pace, changes))
+        self._record.put(estimate.stamp)
         self._preparation.reset()
         if plan.status != Status.SOLVED:
             self.get_logger().warning(

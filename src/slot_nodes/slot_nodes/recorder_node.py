@@ -3,6 +3,9 @@
 The node publishes `/recording` from when on every transient-local topic, those of the controller,
 has a matched publisher; repeated, so that a robot that has missed it does not wait for ever. A
 simulated robot that waits for it is recorded from the first tick on.
+
+The bag says on `/recorded_nodes` which nodes published its topics, as JSON, as often as that
+changes: a replay tells a node of a user's own from ours.
 """
 
 import json
@@ -14,14 +17,15 @@ from typing import Any, cast
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
+from rclpy.serialization import serialize_message
 from rclpy.subscription import Subscription
-from std_msgs.msg import Bool
+from std_msgs.msg import Bool, String
 
 from slot_core import config
 from slot_core.recording.bag_error import BagError
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.origin import origin_here
-from slot_core.recording.record_settings import RecordedTopic, read_record_settings
+from slot_core.recording.record_settings import RecordedTopic, read_record_settings, root_of
 from slot_nodes import messages, qos, runtime
 from slot_nodes.process.executor import DirectExecutor
 
@@ -31,6 +35,8 @@ SENSORS = (  # types of which drivers publish best effort
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/Imu",
 )
+NODES = "recorded_nodes"  # topic in the bag alone: nodes by the topic that they publish
+UNKNOWN = "UNKNOWN"  # in the name of a node that DDS has not told yet
 ANNOUNCEMENT = 1.0  # s, between two messages that it records
 
 
@@ -60,6 +66,7 @@ class RecorderNode(Node):
         self._awaited = [s for s in self._recorded.values() if _is_latched(s)]
         self._recording = self.create_publisher(Bool, "recording", qos.STATE)
         self._announced = -math.inf  # s, monotonic
+        self._nodes: dict[str, set[str]] = {}  # that have published each topic
 
     def serve(self) -> None:
         """Record until SIGINT or SIGTERM; end the node if the disk is full."""
@@ -76,6 +83,7 @@ class RecorderNode(Node):
                 self._announce_when_matched()
                 if time.monotonic() - flushed >= self._settings.flush:
                     flushed = time.monotonic()
+                    self._note_nodes()
                     self._bag.flush()
                     executor.spin_once(0.0)  # services of the parameters, events of the topics
         except BagError as error:
@@ -100,6 +108,21 @@ class RecorderNode(Node):
         if not self._awaited:
             self._recording.publish(Bool(data=True))
             self._announced = now
+
+    def _note_nodes(self) -> None:
+        """Write which nodes have published the topics, if others have joined."""
+        before = {topic: set(nodes) for topic, nodes in self._nodes.items()}
+        for topic in self._recorded:
+            found = self.get_publishers_info_by_topic(topic)
+            names = {f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in found}
+            known = {name for name in names if UNKNOWN not in name}
+            if known:
+                self._nodes.setdefault(topic, set()).update(known)
+        if self._nodes != before:
+            text = json.dumps({topic: sorted(nodes) for topic, nodes in self._nodes.items()})
+            data = serialize_message(String(data=text))
+            name = f"{root_of(self.get_namespace())}/{NODES}"
+            self._bag.write(name, "std_msgs/msg/String", time.time_ns(), data)
 
     def destroy_node(self) -> None:
         """Write what has arrived, close the bag, which writes its index, and destroy the node."""

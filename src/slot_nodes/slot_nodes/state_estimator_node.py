@@ -12,8 +12,8 @@ from slot_core.clock import to_seconds
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.messages import decode
-from slot_msgs.msg import MpcState
-from slot_nodes import inputs, messages, qos, runtime
+from slot_msgs.msg import MpcState, StageRecord
+from slot_nodes import inputs, messages, qos, runtime, stage_record
 from slot_nodes.graph_diagnostics import GraphDiagnostics, of_estimator
 from slot_nodes.process import intra_process
 
@@ -29,6 +29,7 @@ class StateEstimatorNode(Node):
         settings = runtime.declare_settings(self, read_estimator())
         self._estimator = StateEstimator(settings)
         self._in_base_axes = not any(settings.mounts.imu.rpy)
+        self._record = stage_record.Recorder(self, self._estimator)
         self._state = runtime.publisher(self, MpcState, "mpc_state", qos.CONTROL)
         self._tf = runtime.publisher(self, TFMessage, "tf", qos.SENSOR)
         self._filtered = runtime.publisher(self, Odometry, "odometry/filtered", qos.SENSOR)
@@ -46,7 +47,9 @@ class StateEstimatorNode(Node):
                 " has zeros, which is z up",
                 once=True,
             )
-        self._estimator.add_imu(*decode.imu(message))
+        reading = decode.imu(message)
+        self._record.take(StageRecord.IMU, reading[0])
+        self._estimator.add_imu(*reading)
         self._publish()
         # skipped without subscribers: it costs more than the filter
         if self._filtered.get_subscription_count() and (present := self._estimator.present()):
@@ -56,12 +59,14 @@ class StateEstimatorNode(Node):
         """Correct with a reading, after the IMU samples that arrived with it."""
         reading = decode.torso_odometry(message)
         inputs.take_waiting(self._imu)
+        self._record.take(StageRecord.ODOMETRY, reading[0])
         self._estimator.add_odometry(*reading)
         self._publish()
 
     def _publish(self) -> None:
         while (estimate := self._estimator.poll()) is not None:
             self._state.publish(messages.state_to_msg(estimate))
+            self._record.put(estimate.stamp)
             self._afterwards(partial(self._publish_rest, estimate))
             if estimate.validity != Validity.VALID:
                 self.get_logger().warning(

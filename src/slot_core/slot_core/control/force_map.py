@@ -22,6 +22,7 @@ from slot_core.arrays import checked
 from slot_core.config import quantity
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.gait.gait import GaitPreview
+from slot_core.key_frame import StateParts
 from slot_core.legs.leg_springs import LegSprings, read_leg_springs
 from slot_core.refusal import quoted
 from slot_core.robot import LEGS, Array, RobotParameters
@@ -54,6 +55,8 @@ class TendonCommand:
 
 class ForceMap:
     """Computes tendon angles from the plans of a policy and the gait's nominal angles."""
+
+    STATE = StateParts("_last")
 
     def __init__(self, robot: RobotParameters, settings: ForceMapSettings, springs: LegSprings):
         self._robot, self._settings, self._springs = robot, settings, springs

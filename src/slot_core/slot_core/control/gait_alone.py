@@ -7,11 +7,14 @@ import numpy as np
 from slot_core.control.policy import Policy, TendonPlan
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, first_rate
+from slot_core.key_frame import StateParts
 from slot_core.robot import Array
 
 
 class GaitAlone(Policy):
     """Tendon angles of the gait: open loop."""
+
+    STATE = StateParts()
 
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """The angles and normal forces of the preview."""

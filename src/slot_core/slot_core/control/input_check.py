@@ -6,10 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
 from slot_core.robot import LEGS, Array
 
 STATES, FEET = 12, len(LEGS)
+EXCEED = " ms exceed "
 STAGE = (0.001, 0.1)  # s, shortest and longest time between stages
 
 
@@ -32,8 +34,13 @@ def preview_fault(preview: GaitPreview, stages: int, most: float) -> str:
 
 def time_fault(elapsed: float, budget: float) -> str:
     """The fault of a plan that took `elapsed`, s, of a budget; empty if it was in time."""
-    late = f"{elapsed * 1e3:.1f} ms exceed {budget * 1e3:g} ms"
+    late = f"{elapsed * 1e3:.1f}{EXCEED}{budget * 1e3:g} ms"
     return late if elapsed > budget else ""
+
+
+def is_late(plan: TendonPlan) -> bool:
+    """Whether a plan, also one that has stopped, names the time it took as its fault."""
+    return EXCEED in plan.message
 
 
 def fault_of(name: str, value: Any, shape: tuple[int, ...], low: float, high: float) -> str:

@@ -24,6 +24,7 @@ from slot_core.control.walk_actions import ACTIONS, deviation, observation, obse
 from slot_core.estimation.estimate import Estimate
 from slot_core.files import ONNX, read_bytes
 from slot_core.gait.gait import GaitPreview, read_gaits
+from slot_core.key_frame import StateParts
 from slot_core.refusal import quoted
 from slot_core.robot import Array, RobotParameters
 
@@ -41,6 +42,8 @@ class OnnxSettings:
 
 class OnnxPolicy(Policy):
     """Runs a network in the gait that it has learned."""
+
+    STATE = StateParts("_action", "_missed")
 
     def __init__(self, robot: RobotParameters, settings: OnnxSettings, timer: Timer):
         """Load the network; raises ConfigError for a file that is none, or another's."""

@@ -21,6 +21,7 @@ from slot_core.control.policy import Policy, TendonPlan, Timer
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, Vector3, read_gaits
 from slot_core.geometry import rotate, wrapped
+from slot_core.key_frame import StateParts
 from slot_core.robot import Array, RobotParameters
 
 
@@ -34,6 +35,8 @@ class PlaceSettings:
 
 class PlaceFeedback(Policy):
     """Amplitudes from the error of the place."""
+
+    STATE = StateParts()
 
     def __init__(self, robot: RobotParameters, settings: PlaceSettings, timer: Timer):
         """Take the gain; raises ConfigError for gaits that cannot be read."""

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from slot_core.config import ConfigError
 from slot_core.estimation.estimate import Estimate
 from slot_core.files import ONNX, require_regular
 from slot_core.gait.gait import GaitPreview
+from slot_core.key_frame import StateParts
 from slot_core.refusal import quoted
 from slot_core.robot import LEGS, Array, RobotParameters
 
@@ -103,7 +104,13 @@ class NoSettings:
 
 
 class Policy(Protocol):
-    """Controller of the legs; its class can derive from this one, which has all but `step`."""
+    """Controller of the legs; its class can derive from this one, which has all but `step`.
+
+    STATE names what `step` depends on (`key_frame.py`). Without it a bag that begins after the
+    policy did does not replay its plans.
+    """
+
+    STATE: ClassVar[StateParts | None] = None
 
     def __init__(self, robot: RobotParameters, settings: Any, timer: Timer) -> None:
         """Take the nominal robot and `read_settings`; `timer` returns seconds.

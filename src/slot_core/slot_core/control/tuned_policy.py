@@ -10,12 +10,15 @@ from slot_core.config import ConfigError
 from slot_core.control.policy import Policy, Status, TendonPlan
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import STAND, GaitPreview
+from slot_core.key_frame import StateParts
 
 PLANNED = (Status.SOLVED, Status.LATE)  # a first plan may be late
 
 
 class TunedPolicy:
     """Runs a policy; with other settings it is made anew, and learns again what it had learned."""
+
+    STATE = StateParts("_policy")
 
     def __init__(self, make: Callable[[Any], Policy], settings: Any):
         """make: makes the policy with its settings; raises ConfigError as it does."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.key_frame import StateParts
 from slot_core.robot import Array
 
 
@@ -36,6 +38,8 @@ class ImuSamples:
 class ImuQueue:
     """The newest `size` IMU samples; older ones are dropped."""
 
+    STATE = StateParts("content", values=(ImuSamples,))
+
     def __init__(self, size: int) -> None:
         self._size, self._begin, self._end = size, 0, 0
         self._stamps = np.zeros(2 * size, dtype=np.int64)
@@ -46,6 +50,18 @@ class ImuQueue:
         """The samples in the queue; valid until the next `append`."""
         kept = slice(self._begin, self._end)
         return ImuSamples(self._stamps[kept], self._values[kept])
+
+    @property
+    def content(self) -> list[ImuSamples]:
+        """The samples, for key frames."""
+        return [self.samples]
+
+    @content.setter
+    def content(self, content: Sequence[ImuSamples]) -> None:
+        (samples,) = content
+        self._begin = self._end = 0
+        for stamp, value in zip(samples.stamps[-self._size :], samples.values[-self._size :]):
+            self.append(int(stamp), value)
 
     def append(self, stamp: int, value: Array) -> None:
         """Append a sample: stamp (ns), newer than all others, and (6,)."""

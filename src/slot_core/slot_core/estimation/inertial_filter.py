@@ -35,6 +35,7 @@ from slot_core.estimation.filter_kernels import (
 )
 from slot_core.estimation.imu_samples import ImuQueue, ImuSamples
 from slot_core.geometry import matrix_of_quaternion
+from slot_core.key_frame import StateParts
 from slot_core.matrices import norm, product
 from slot_core.robot import GRAVITY, Array
 
@@ -221,6 +222,8 @@ class Rate(NamedTuple):
 
 class InertialFilter:
     """Error-state filter: nominal state, covariance (15, 15), propagation and correction."""
+
+    STATE = StateParts("_state", "rate", values=(FilterState, Rate))
 
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings

@@ -28,6 +28,7 @@ from slot_core import config
 from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.elementary import atan2
 from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.filter_kernels import FilterState
 from slot_core.estimation.imu_samples import ImuQueue
 from slot_core.estimation.inertial_filter import (
     EstimatorSettings,
@@ -42,6 +43,7 @@ from slot_core.geometry import (
     quaternion_of_vector,
     quaternion_product,
 )
+from slot_core.key_frame import StateParts
 from slot_core.matrices import norm, product
 from slot_core.robot import Array
 
@@ -62,6 +64,12 @@ class StateEstimator:
     readings whose place an estimate without odometry has taken. Bad data raises nothing: IMU
     samples are dropped, odometry readings are rejected.
     """
+
+    STATE = StateParts(
+        "_filter", "_newest", "_imu", "_waiting", "_rejected", "_stamp", "_corrected", "_reached",
+        "_tick", "_accepted_stamp", "_accepted",
+        values=(FilterState, OdometryMotion),
+    )  # fmt: skip
 
     def __init__(self, settings: EstimatorSettings) -> None:
         load_kernels(settings)

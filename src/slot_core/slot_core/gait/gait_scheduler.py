@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +22,7 @@ from slot_core.gait.reach import clipped
 from slot_core.gait.reference import limited, moved, places_ahead, reference
 from slot_core.gait.route import Route
 from slot_core.geometry import wrapped
+from slot_core.key_frame import StateParts
 from slot_core.legs.leg_springs import LegSprings
 from slot_core.matrices import norm
 from slot_core.robot import Array, RobotParameters
@@ -62,6 +65,12 @@ class GaitScheduler:
     phase waits, and no policy corrects anything. The reference place moves with the velocity, or
     along the path, at most `lead` ahead of the robot; without a velocity it is the robot's.
     """
+
+    STATE = StateParts(
+        "_requested", "_wanted", "_remark", "_wanted_pose", "_command_stamp", "_running",
+        "_since_change", "_stamp", "_seen", "_followed", "_followed_for", "_velocity", "_pose",
+        "_place", "_path",
+    )  # fmt: skip
 
     def __init__(  # noqa: PLR0917
         self,
@@ -179,6 +188,20 @@ class GaitScheduler:
         if isinstance(gait, Stride):
             return _ActiveStride(name, gait)
         return _ActivePosture(name, gait)
+
+    @property
+    def _running(self) -> list[list[object]]:
+        """Name, phase and share of motion of the previous and of the present gait."""
+        both = self._previous, self._current
+        return [[a.name, a.phase, getattr(a, "moving", 1.0)] for a in both]
+
+    @_running.setter
+    def _running(self, both: Sequence[Sequence[Any]]) -> None:
+        made = [self._activate(name) for name, _, _ in both]
+        for active, (_, phase, moving) in zip(made, both):
+            if isinstance(active, _ActiveStride):
+                active.phase, active.moving = float(phase), float(moving)
+        self._previous, self._current = made
 
     def _home(self, gait: Posture | Stride) -> Array:
         """Height, roll and pitch (3,) of a gait without a commanded body pose."""

@@ -17,6 +17,7 @@ from slot_core.config import ConfigError
 from slot_core.elementary import atan2, cos, sin
 from slot_core.files import read_text
 from slot_core.geometry import wrapped
+from slot_core.key_frame import StateParts
 from slot_core.matrices import interpolated, norm
 from slot_core.refusal import quoted
 from slot_core.robot import Array
@@ -32,6 +33,8 @@ TURN_GAIN = 1.0  # 1/s, yaw rate per heading error, where the heading follows th
 
 class Route:
     """Polyline, and the reference place on it."""
+
+    STATE = StateParts("travelled", "_start_yaw", "_arrived")
 
     def __init__(self, points: Array, heading: str):
         """Take points (n, 2) m in odom.

@@ -15,6 +15,7 @@ import numpy as np
 
 from slot_core.config import quantity
 from slot_core.elementary import exp
+from slot_core.key_frame import StateParts
 from slot_core.robot import GRAVITY, Array
 
 Z = 5  # index of the linear acceleration along z
@@ -34,6 +35,8 @@ class DisturbanceSettings:
 
 class Disturbance:
     """Estimates of the mass (kg) and of the acceleration bias (6,), rad/s^2 and m/s^2 in odom."""
+
+    STATE = StateParts("mass", "bias")
 
     def __init__(self, mass: float, settings: DisturbanceSettings):
         self._nominal, self._settings = mass, settings

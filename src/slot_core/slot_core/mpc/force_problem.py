@@ -16,6 +16,7 @@ from slot_core.clock import to_seconds
 from slot_core.control.input_check import STAGE
 from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
+from slot_core.key_frame import StateParts
 from slot_core.matrices import product
 from slot_core.mpc.disturbance import Disturbance
 from slot_core.mpc.model import (
@@ -45,6 +46,8 @@ class _LastTick:
 
 class ForceProblem:
     """The problem with the values of the present tick, its observer and its solver."""
+
+    STATE = StateParts("_disturbance", "_solver", "_stamp", "_state", "_last", values=(_LastTick,))
 
     def __init__(self, robot: RobotParameters, settings: MpcSettings):
         """Set up problem and solver.

@@ -18,9 +18,10 @@ from slot_core.control.input_check import preview_fault, state_fault, time_fault
 from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Timer
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
+from slot_core.key_frame import StateParts
 from slot_core.mpc.force_problem import ForceProblem
 from slot_core.mpc.model import FEET, FirstStage
-from slot_core.mpc.paper_problem import PaperProblem
+from slot_core.mpc.paper_problem import PaperProblem, PaperStage
 from slot_core.mpc.settings import MpcSettings, PaperMpcSettings, read_mpc
 from slot_core.mpc.solver import Solution
 from slot_core.robot import GRAVITY, Array, RobotParameters
@@ -41,6 +42,8 @@ class _SolverReport:
 
 class Mpc(Policy):
     """The MPC. `step` raises nothing for bad data; the solver's iterations are limited."""
+
+    STATE = StateParts("_problem", "_stage", "_last", "_missed", values=(FirstStage, PaperStage))
 
     def __init__(self, robot: RobotParameters, settings: MpcSettings, timer: Timer):
         """Set up problem and solver; `timer` returns seconds.

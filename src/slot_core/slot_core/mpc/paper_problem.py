@@ -33,6 +33,7 @@ from scipy import sparse
 from slot_core.control.policy import TendonPlan
 from slot_core.elementary import cos, hypot, sin
 from slot_core.gait.gait import GaitPreview
+from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product, sparse_product
 from slot_core.mpc.model import (
     FEET,
@@ -96,6 +97,8 @@ class _Phase:
 
 class PaperProblem:
     """The problem with the values of the present tick; a second-order cone programme."""
+
+    STATE = StateParts()
 
     def __init__(self, robot: RobotParameters, settings: PaperMpcSettings):
         """Set up the phases: FL pulled, FR pulled, none."""

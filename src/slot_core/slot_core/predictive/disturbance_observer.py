@@ -28,6 +28,7 @@ import numpy as np
 
 from slot_core.arrays import checked
 from slot_core.geometry import rotate, wrapped
+from slot_core.key_frame import StateParts
 from slot_core.matrices import interpolated
 from slot_core.predictive.nominal_robot import NominalRobot, NominalState
 from slot_core.predictive.settings import ObserverSettings
@@ -48,6 +49,10 @@ class _Seen(NamedTuple):
 
 class DisturbanceObserver:
     """Estimates of drift and wrench."""
+
+    STATE = StateParts(
+        "drift", "wrench", "is_far", "_misfit", "_past", values=(_Seen, NominalState)
+    )
 
     def __init__(self, model: NominalRobot, settings: ObserverSettings, scale: Array, dt: float):
         """scale: (6,) errors of roll, pitch, yaw, x, y, z that cost as much as one another."""

@@ -17,6 +17,7 @@ from slot_core.dynamics.scene import NO_SENSORS, Scene, level_changes, read_scen
 from slot_core.dynamics.servo import read_servo
 from slot_core.elementary import atan2
 from slot_core.geometry import rotate
+from slot_core.key_frame import StateParts
 from slot_core.predictive.rollout_kernels import roll_out, set_torso
 from slot_core.predictive.settings import NominalSettings
 from slot_core.robot import LEGS, Array, RobotParameters
@@ -43,6 +44,8 @@ class Rollouts(NamedTuple):
 class NominalRobot:
     """Rollouts of plans of tendon angles; it knows no payload, slope or damage but the wrench."""
 
+    STATE = StateParts("push")
+
     def __init__(self, robot: RobotParameters, settings: NominalSettings, dt: float):
         """Build the model; dt: s between stages. Raises ConfigError as the simulated robot does."""
         self._cycles, self._steps = settings.cycles, settings.steps
@@ -52,6 +55,15 @@ class NominalRobot:
         self._initial = NominalState(self.robot.state.buffer.copy(), np.zeros(len(LEGS)))
         self.measured(self._initial, np.zeros(12))  # compiles the kernels, as does the next line
         self.after(self._initial, np.zeros((2, len(LEGS))))
+
+    @property
+    def push(self) -> Array:
+        """Force (N) and moment (N m) on the torso, (6,)."""
+        return np.array(self.robot.model.push)
+
+    @push.setter
+    def push(self, push: Array) -> None:
+        self.robot.model.push[:] = push
 
     def set_wrench(self, wrench: Array, yaw: float) -> None:
         """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""

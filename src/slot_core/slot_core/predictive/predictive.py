@@ -17,6 +17,7 @@ deviations decay, and the status is MODEL_FAR.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +29,7 @@ from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Tim
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
 from slot_core.geometry import wrapped
+from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product
 from slot_core.predictive.disturbance_observer import PLACE, DisturbanceObserver
 from slot_core.predictive.nominal_robot import NominalRobot, NominalState, Rollouts
@@ -56,6 +58,12 @@ class _Plan:
 class Predictive(Policy):
     """Plans tendon angles over the next stride; `step` raises nothing for bad data."""
 
+    STATE = StateParts(
+        "stage_time", "_model", "observer", "_plan", "_next", "_state", "_prediction",
+        "_stiffness", "_missed", "_disturbances", "_far",
+        values=(_Plan, NominalState, Linearisation, Rollouts),
+    )  # fmt: skip
+
     def __init__(self, robot: RobotParameters, settings: PredictiveSettings, timer: Timer):
         """Take the nominal robot; raises ConfigError for one that the leg table does not cover."""
         self._robot, self._settings, self._timer = robot, settings, timer
@@ -68,6 +76,25 @@ class Predictive(Policy):
     def read_settings(name: str) -> PredictiveSettings:
         """`config/predictive.yaml`; raises ConfigError."""
         return read_predictive()
+
+    @property
+    def stage_time(self) -> float:
+        """Time between the stages of a plan, s."""
+        return self._dt
+
+    @stage_time.setter
+    def stage_time(self, dt: float) -> None:
+        if dt != self._dt:
+            self._begin(dt)
+
+    @property
+    def _prediction(self) -> list[Rollouts]:
+        """What the plan is to bring, for key frames: its arrays grow with the first plan."""
+        return [self._seen]
+
+    @_prediction.setter
+    def _prediction(self, one: Sequence[Rollouts]) -> None:
+        (self._seen,) = one
 
     def reset(self) -> None:
         """Begin anew, without a plan and without disturbances."""
@@ -118,7 +145,7 @@ class Predictive(Policy):
         pose[:, PLACE] += moved
         foot[..., :2] += moved[:, None, :2]
         now = force[:1] if self._plan is None else self._seen.force[1:2]  # as predicted before
-        self._plan, self._next = plan, None
+        self._plan, self._next = replace(plan, linear=None), None
         self._seen = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
         self._state = state
         self._note_disturbances()

@@ -4,9 +4,11 @@ No ROS is needed. Each replayed stage gets the recorded input of its node, so th
 names the stage that has changed: `/odom` and `/imu` go to the state estimator, recorded states to
 the gait scheduler, with the commands that its previews name, recorded states and previews to the
 policy, and recorded plans, previews and states to the force map. A stage whose input or output the
-bag does not hold is left out. Of a bag that begins mid-run, such as a later file of a split one, so
-are the stages that depend on what came before: only the force map is compared. The policy and the
-path that was followed are those that the bag names.
+bag does not hold is left out. A bag that begins mid-run, such as a later file of a split one, is
+compared from its first key frame on: the nodes record their complete state every few seconds, and
+the state estimator the order in which it has taken odometry and IMU (slot_msgs/msg/StageRecord). Of
+a bag without these, as of an older revision, only the force map is compared then. The policy and
+the path that was followed are those that the bag names.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import argparse
 import gc
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +30,8 @@ from slot_core.command_line import CommandParser, refuse, show
 from slot_core.messages import decode
 from slot_core.refusal import quoted
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, Fields, RecordedStages
+from slot_lab.bags.recorded_stages import OUTPUTS, RecordedStages
+from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, Replayed
 
 MID_RUN = "the bag begins mid-run, after what the state depends on"
 TOLERANCE = 1e-6
@@ -62,63 +65,101 @@ class StageComparison:
     largest: float = 0.0  # largest difference of any field
     first: Difference | None = None  # beyond the tolerance
     missing: tuple[str, ...] = ()  # topics that the bag lacks for the comparison
-    unknown: bool = False  # whether the stage's state at the begin of the bag is not known
+    why: str = ""  # nothing was compared, though the bag holds the topics
+    begin: int = 0  # ns, stamp of the first message compared where earlier ones are not; else 0
+    gaps: int = 0  # later messages that are not compared, because the bag lacks what they need
+    lost: str = ""  # the first of what it lacks
+    nodes: tuple[str, ...] = ()  # of a user's own, which published the topic
 
     @property
     def left_out(self) -> str:
         """Why nothing was compared; empty if it was."""
         lacking = f"the bag holds no {', '.join(self.missing)}" if self.missing else ""
-        return lacking or (MID_RUN if self.unknown else "")
+        return lacking or self.why
 
     def __str__(self) -> str:
         if self.left_out:
             return f"{self.topic:<25}    - left out: {self.left_out}"
-        return f"{self.topic:<25}{self.compared:5d} compared, largest difference {self.largest:.1e}"
+        line = f"{self.topic:<25}{self.compared:5d} compared, largest difference {self.largest:.1e}"
+        if self.begin:
+            line += f", from {to_seconds(self.begin):.3f} s on"
+        if self.gaps:
+            line += f"; {self.gaps} are not" + (f": {self.lost}" if self.lost else "")
+        return line + (f"; published by {', '.join(self.nodes)}" if self.nodes else "")
 
 
-def check_bag(bag: Bag, tolerance: float, own_policy: str = "") -> list[StageComparison]:
+def check_bag(
+    bag: Bag,
+    tolerance: float,
+    own_policy: str = "",
+    only: Collection[str] = (),
+    skip: Collection[str] = (),
+) -> list[StageComparison]:
     """Compare every stage of the bag, in the order of the graph.
 
-    own_policy: file of a policy of one's own, as `RecordedStages` takes it. Raises BagError if no
-    stage can be compared, ConfigError if the configuration is invalid.
+    own_policy: file of a policy of one's own, as `RecordedStages` takes it. only: nodes of the
+    stages to compare; none: all but those to `skip`, and those whose output a node of a user's own
+    has published. Raises BagError if no stage can be compared, ConfigError if the configuration is
+    invalid.
     """
     recorded = RecordedStages(bag, own_policy)
     comparisons = []
-    for topic, (replay, *inputs) in STAGES.items():
-        missing = [name for name in (topic, *inputs) if not bag.counts.get(name)]
+    for topic, stage in STAGES.items():
+        missing = [name for name in (topic, *stage.inputs) if not bag.counts.get(name)]
         if topic == "/gait_preview" and recorded.lost_path:
             missing.append(recorded.lost_path)
-        unknown = not missing and topic in REMEMBERING and recorded.begins_mid_run
-        found = StageComparison(topic, missing=tuple(missing), unknown=unknown)
+        why = _reason(recorded, topic, only, skip)
+        found = StageComparison(topic, missing=tuple(missing), why=why)
         if not found.left_out:
-            found = compare(recorded, topic, replay(recorded), tolerance)
+            found = compare(recorded, topic, stage.replay(recorded), tolerance)
         comparisons.append(found)
     if all(comparison.missing for comparison in comparisons):
         raise BagError(f"{bag.path}: holds no stage together with its input")
     if all(comparison.left_out for comparison in comparisons):
-        raise BagError(f"{bag.path}: {MID_RUN}; no stage can be compared")
+        why = MID_RUN if any(c.why == MID_RUN for c in comparisons) else "left out"
+        raise BagError(f"{bag.path}: {why}; no stage can be compared")
     return comparisons
 
 
+def _reason(
+    recorded: RecordedStages, topic: str, only: Collection[str], skip: Collection[str]
+) -> str:
+    """Why a stage is not compared though the bag may hold what it needs; else empty."""
+    node = OUTPUTS[topic]
+    if node in skip or (only and node not in only):
+        return f"--{'only' if only else 'skip'} {' '.join(only or skip)}"
+    if not only and (own := recorded.own_nodes(topic)):
+        return f"published by {', '.join(own)}, not by our {node}"
+    if not only and any(recorded.records.values()) and not recorded.records[node]:
+        return f"the bag holds no record of {node}, as if another node had published it"
+    return MID_RUN if topic in REMEMBERING and recorded.begins_mid_run else ""
+
+
 def compare(
-    recorded: RecordedStages, topic: str, replayed: Mapping[int, Fields], tolerance: float
+    recorded: RecordedStages, topic: str, replayed: Replayed, tolerance: float
 ) -> StageComparison:
-    """Compare the recorded messages of a topic with replayed fields by stamp (ns).
+    """Compare the recorded messages of a topic with the replayed ones.
 
     The end of a recording may hold an output without its input, so messages after the last replayed
-    stamp are skipped, and so are those before the first one if the bag begins mid-run. Raises
-    BagError if no message is left to compare.
+    stamp are skipped, and so are those that the bag does not tell enough for. If no message is left
+    the stage is left out.
     """
-    compared, largest, first, end = 0, 0.0, None, max(replayed, default=0)
-    begin = min(replayed, default=0) if recorded.begins_mid_run else 0
+    compared, largest, first, end = 0, 0.0, None, max(replayed.fields, default=0)
+    skipped, begin, gaps = 0, 0, 0
     for message in recorded.messages[topic]:
         stamp = decode.stamp(message)
-        if not begin <= stamp <= end:
+        if stamp in replayed.unknown:
+            skipped += 1
             continue
-        fields = replayed.get(stamp)
+        if stamp > end:
+            continue
+        if not compared:
+            begin, skipped = stamp if skipped else 0, 0
+        fields = replayed.fields.get(stamp)
         if fields is None:
             first = first or Difference(topic, stamp, "header.stamp", 1.0, math.nan)
             continue
+        gaps, skipped = gaps + skipped, 0
         compared += 1
         for name, value in fields.items():
             if not hasattr(message, name):
@@ -136,8 +177,13 @@ def compare(
                 )
                 first = Difference(topic, stamp, place, *values)
     if not compared and first is None:
-        raise BagError(f"{recorded.bag.path}: holds no {topic} together with its input")
-    return StageComparison(topic, compared, largest, first)
+        if not replayed.unknown:
+            raise BagError(f"{recorded.bag.path}: holds no {topic} together with its input")
+        return StageComparison(topic, why=MID_RUN)
+    nodes = tuple(recorded.own_nodes(topic))
+    return StageComparison(
+        topic, compared, largest, first, (), "", begin, gaps, replayed.lost, nodes
+    )
 
 
 def _numbers(value: Any) -> np.ndarray:
@@ -207,6 +253,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--tolerance", type=_tolerance, default=TOLERANCE, metavar="N", help=size)
     own = "file of the policy, if it is one of your own, or onnx:FILE"
     add("--policy", default="", metavar="FILE", help=own)
+    some = parser.add_mutually_exclusive_group()
+    for name, text in (("--skip", "leave out"), ("--only", "compare nothing but")):
+        some.add_argument(
+            name,
+            choices=list(OUTPUTS.values()),
+            action="append",
+            default=[],
+            help=f"{text} this stage; may be repeated",
+        )
     left = "only write what is left of it as a new bag in DIR"
     add("--mend", type=Path, metavar="DIR", help=left)
     options = parser.parse_args(arguments)
@@ -215,7 +270,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.mend:
             bag.save(options.mend)
             return 0
-        comparisons = check_bag(bag, options.tolerance, options.policy)
+        chosen = options.only, options.skip
+        comparisons = check_bag(bag, options.tolerance, options.policy, *chosen)
     except (BagError, config.ConfigError) as error:
         refuse(parser.prog, error)
         return 2

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
-import json
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import cached_property
-from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, TypeVar
 
-from slot_core import config
-from slot_core.clock import to_ns
-from slot_core.control.force_map import make_force_map, read_force_map, read_springs
-from slot_core.control.policy import DEFAULT_POLICY, Status, TendonPlan, policy_class
+from slot_core.clock import to_ns, to_seconds
+from slot_core.control.force_map import ForceMap, make_force_map, read_force_map, read_springs
+from slot_core.control.input_check import is_late
+from slot_core.control.policy import Status, policy_class
 from slot_core.control.tuned_policy import TunedPolicy
-from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.estimate import Validity
+from slot_core.estimation.inertial_filter import EstimatorSettings
 from slot_core.estimation.state_estimator import BEFORE_ALL_TIMES, StateEstimator, read_estimator
-from slot_core.gait.gait import GaitPreview, read_gaits
+from slot_core.gait.gait import read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
-from slot_core.gait.route import KEPT, Route, read_route
+from slot_core.key_frame import restore
 from slot_core.messages import decode
-from slot_core.recording.origin import FILES, NETWORK
-from slot_core.recording.record_settings import root_of
-from slot_core.robot import read_robot
-from slot_core.ros_parameters import of_node, parse_parameters
-from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.recorded_stages import ODOMETRY, OUTPUTS, PLANS, SENSORS, RecordedStages
 
-ODOMETRY, PLANS = "/odom", "/tendon_plan"
-SENSORS = (ODOMETRY, "/imu")
-PATH, PARAMETERS = FILES["path"], FILES["params_file"]
 PREVIEW = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle",
            "reference", "velocity_ahead", "corrected")  # fmt: skip
 PLAN = ("angle", "rate", "force", "pose", "status", "fallback_cycles")
@@ -38,135 +30,113 @@ Fields = dict[str, Any]
 """Values by the name of the message's field."""
 
 
-class RecordedStages:
-    """What a bag holds of the stages, read once."""
+@dataclass
+class Replayed:
+    """What a stage gives, and what of its recorded output cannot be compared with it."""
 
-    def __init__(self, bag: Bag, own_policy: str = "") -> None:
-        """own_policy: file of the policy, needed if the bag's policy is a file."""
-        self.own_policy = own_policy
-        self.bag, self.origin, self.robot = bag, bag.origin, read_robot()
-        self.sensors: list[tuple[str, Any]] = []  # topic and message
-        self.messages: dict[str, list[Any]] = {topic: [] for topic in STAGES}
-        topics = [t for t in (*SENSORS, *STAGES) if bag.counts.get(t)]
-        for topic, _, message in bag.merged(*topics) if topics else ():
-            with bag.using(topic):
-                decode.stamp(message)
-            if topic in STAGES:
-                self.messages[topic].append(message)
-            else:
-                self.sensors.append((topic, message))
-
-    @cached_property
-    def estimates(self) -> dict[int, Estimate]:
-        """Estimated states by stamp."""
-        return self._by_stamp("/mpc_state", decode.estimate)
-
-    @cached_property
-    def begins_mid_run(self) -> bool:
-        """Whether the states before the first one are not in the bag.
-
-        Before its first valid state an estimator publishes `gate.initial_readings` - 1 states that
-        are initialising. Of a bag without a valid one it is not known: it counts as begun.
-        """
-        found = [estimate.validity for estimate in self.estimates.values()]
-        if Validity.VALID not in found:
-            return False
-        initial = found[: found.index(Validity.VALID)].count(Validity.INITIALISING)
-        return initial < read_estimator().gate.initial_readings - 1
-
-    @cached_property
-    def previews(self) -> dict[int, GaitPreview]:
-        """Gait previews by stamp."""
-        return self._by_stamp("/gait_preview", decode.preview)
-
-    @cached_property
-    def plans(self) -> dict[int, TendonPlan]:
-        """Plans by stamp."""
-        return self._by_stamp(PLANS, lambda message: decode.plan(message)[1])
-
-    @cached_property
-    def changes(self) -> dict[int, dict[str, Any]]:
-        """Settings of the policy that were changed while it ran, by stamps of the plans."""
-        return self._by_stamp(PLANS, lambda m: json.loads(getattr(m, "settings", "") or "{}"))
-
-    def _by_stamp(self, topic: str, convert: Callable[[Any], Any]) -> dict[int, Any]:
-        with self.bag.using(topic):
-            return {decode.stamp(m): convert(m) for m in self.messages[topic]}
-
-    def matched(self) -> Iterator[tuple[int, Estimate, GaitPreview, TendonPlan]]:
-        """Estimate, preview and plan of the stamps that have all three, in the order of the states.
-
-        A state that the recorded controller skipped has no plan.
-        """
-        for stamp, estimate in self.estimates.items():
-            if stamp in self.previews and stamp in self.plans:
-                yield stamp, estimate, self.previews[stamp], self.plans[stamp]
-
-    @property
-    def policy(self) -> str:
-        """Name of the policy, or file if it is one of one's own; the default if none is named.
-
-        Raises BagError for a policy of one's own whose file is not given.
-        """
-        named = self.origin.about.get("policy", DEFAULT_POLICY)
-        is_file = named.endswith(".py") or NETWORK in self.origin.files
-        if is_file and not self.own_policy:
-            raise BagError(f"{self.bag.path}: its policy is a file, {named}: add --policy FILE")
-        return self.own_policy or named
-
-    def settings(self, node: str, settings: T) -> T:
-        """Settings of a node, as the parameter file in the bag has changed them.
-
-        Raises ConfigError for one that does not fit them.
-        """
-        if PARAMETERS not in self.origin.files:
-            return settings
-        found = parse_parameters(self.origin.files[PARAMETERS].decode(), PARAMETERS)
-        given = of_node(found, f"{root_of(self.origin.about.get('namespace', ''))}/{node}")
-        known = {name for name, _, _ in config.leaves(settings)} & given.keys()
-        return config.replace(settings, {name: given[name] for name in known}, node)
-
-    @property
-    def path(self) -> Route | None:
-        """The path that was followed, at the speed of the recorded commands; None without one."""
-        if PATH not in self.origin.files:
-            return None
-        with TemporaryDirectory() as scratch:
-            file = Path(scratch, PATH)
-            file.write_bytes(self.origin.files[PATH])
-            return read_route(file, self.origin.about.get("path_heading", KEPT))
-
-    @property
-    def lost_path(self) -> str:
-        """Path that was followed but is not in the bag, as of `ros2 bag record`; else ""."""
-        return "" if PATH in self.origin.files else self.origin.about.get("path", "")
+    fields: dict[int, Fields] = field(default_factory=dict)  # by stamp, ns
+    unknown: set[int] = field(default_factory=set)  # stamps, ns, of a state that is not known
+    lost: str = ""  # an input that the bag does not hold, though the stage has taken it
 
 
-def estimates(recorded: RecordedStages) -> dict[int, Fields]:
+def estimates(recorded: RecordedStages) -> Replayed:
     """State estimates, as fields of MpcState, from the recorded odometry and IMU.
 
     Readings that the node refuses are left out.
     """
     settings = recorded.settings("state_estimator", read_estimator())
-    estimator = StateEstimator(settings)
-    delay = to_ns(settings.timing.command_delay)
-    fields = {}
-    for topic, message in _as_they_arrived(recorded, delay):
+    records = recorded.records["state_estimator"]
+    if records:
+        return _estimates_of_records(recorded, records, settings)
+    found, estimator = Replayed(), StateEstimator(settings)
+    for topic, message in _as_they_arrived(recorded, to_ns(settings.timing.command_delay)):
         with suppress(ValueError):
-            if topic == ODOMETRY:
-                estimator.add_odometry(*decode.torso_odometry(message))
-            else:
-                estimator.add_imu(*decode.imu(message))
-        while (estimate := estimator.poll()) is not None:
-            x = estimate.state
-            fields[estimate.stamp] = {
-                "rpy": x[0:3],
-                "position": x[3:6],
-                "angular_velocity": x[6:9],
-                "linear_velocity": x[9:12],
-                "covariance": estimate.covariance,
-                "validity": int(estimate.validity),
-            }
+            _take(estimator, topic, message)
+        found.fields.update(_polled(estimator))
+    return found
+
+
+def _estimates_of_records(
+    recorded: RecordedStages, records: list[Any], settings: EstimatorSettings
+) -> Replayed:
+    """Estimates from the readings in the order in which the node has taken them.
+
+    The estimator is that of the node's start or of a key frame. Where a record or a reading is
+    missing, the estimates are unknown up to the next key frame.
+    """
+    found, readings = Replayed(), _by_topic_and_stamp(recorded.sensors)
+    estimator: StateEstimator | None = None
+    known: list[tuple[int, int]] = []  # stamps of the outputs: after, up to
+    expected, before = -1, BEFORE_ALL_TIMES
+    for record in records:
+        if record.number == 0:
+            estimator, expected = StateEstimator(settings), 1
+            continue
+        if record.number != expected:
+            estimator = None
+        expected = record.number + 1
+        for kind, stamp in zip(record.taken, record.stamp):
+            waiting = readings.get((SENSORS[kind], int(stamp)), deque())
+            if not _take_next(estimator, SENSORS[kind], waiting) and estimator is not None:
+                estimator = None
+                lost = f"{SENSORS[kind]} at {to_seconds(int(stamp)):.6f} s is not in the bag"
+                found.lost = (found.lost or lost) if known else ""
+            if estimator is not None:
+                found.fields.update(_polled(estimator))
+        if estimator is not None:
+            known.append((before, decode.stamp(record)))
+        elif record.state:
+            estimator = StateEstimator(settings)
+            restore(estimator, record.state)
+        before = decode.stamp(record)
+    found.unknown = {
+        stamp for stamp in recorded.estimates if not any(a < stamp <= b for a, b in known)
+    }
+    return found
+
+
+def _by_topic_and_stamp(messages: list[tuple[str, Any]]) -> dict[tuple[str, int], deque[Any]]:
+    """Messages by topic and stamp (ns), in their order."""
+    found: dict[tuple[str, int], deque[Any]] = {}
+    for topic, message in messages:
+        found.setdefault((topic, decode.stamp(message)), deque()).append(message)
+    return found
+
+
+def _take_next(estimator: StateEstimator | None, topic: str, waiting: deque[Any]) -> bool:
+    """Let the estimator take the first of the messages that its node does not refuse, if any."""
+    while waiting:
+        with suppress(ValueError):
+            _take(estimator, topic, waiting.popleft())
+            return True
+    return False
+
+
+def _take(estimator: StateEstimator | None, topic: str, message: Any) -> None:
+    """Let the estimator take a message; raises ValueError for one that its node refuses."""
+    if topic == ODOMETRY:
+        odometry = decode.torso_odometry(message)
+        if estimator is not None:
+            estimator.add_odometry(*odometry)
+    else:
+        imu = decode.imu(message)
+        if estimator is not None:
+            estimator.add_imu(*imu)
+
+
+def _polled(estimator: StateEstimator) -> dict[int, Fields]:
+    """The estimates that are ready, by stamp."""
+    fields = {}
+    while (estimate := estimator.poll()) is not None:
+        x = estimate.state
+        fields[estimate.stamp] = {
+            "rpy": x[0:3],
+            "position": x[3:6],
+            "angular_velocity": x[6:9],
+            "linear_velocity": x[9:12],
+            "covariance": estimate.covariance,
+            "validity": int(estimate.validity),
+        }
     return fields
 
 
@@ -199,61 +169,184 @@ def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str
             yield topic, message
 
 
-def previews(recorded: RecordedStages) -> dict[int, Fields]:
+def _stepped(
+    recorded: RecordedStages,
+    topic: str,
+    make: Callable[[int], T],
+    step: Callable[[T, int], Fields],
+    is_independent: Callable[[int], bool] = lambda stamp: False,
+) -> Replayed:
+    """Outputs of a stage that gives one for each of its stamps, from its start or a key frame.
+
+    make: the stage as at its start, for the output of a stamp (ns). step: fields of the output of
+    a stamp; raises KeyError if the bag lacks an input, and outputs are unknown up to the next key
+    frame. is_independent: whether an output does not depend on what came before it.
+    """
+    found, records = Replayed(), recorded.records[OUTPUTS[topic]]
+    starts = _Starts(records, recorded.begins_mid_run)
+    stage: T | None = None
+    for entry in recorded.outputs(topic):
+        if not isinstance(entry, int):
+            if entry.number == 0:
+                stage = None
+            starts.add(entry)
+            continue
+        if stage is None and (starts.are_known_at(entry) or is_independent(entry)):
+            at, frame = starts.frame or (entry, "")
+            stage = make(at)
+            if frame:
+                restore(stage, frame)
+        starts.pass_by(entry)
+        if stage is None:
+            found.unknown.add(entry)
+            continue
+        try:
+            found.fields[entry] = step(stage, entry)
+        except KeyError:
+            if records or not found.fields:
+                stage = None
+                found.unknown.add(entry)
+    return found
+
+
+class _Starts:
+    """From where a stage can be replayed: its start, or the key frame after an output.
+
+    A late recorder also gets records and outputs from before, but not all of them. So a key frame
+    counts right after the output that it names, and the start right before the first output, which
+    the first key frame names.
+    """
+
+    def __init__(self, records: list[Any], begins_mid_run: bool) -> None:
+        self._second = {r.number: decode.stamp(r) for r in records}.get(1)
+        self.frame: tuple[int, str] | None = None  # stamp (ns) and text, "": the start; now
+        self._waiting: tuple[int, str] | None = None  # for its output
+        self._last = -1  # ns, stamp of the last output
+        self._begins = not records and not begins_mid_run
+
+    def add(self, record: Any) -> None:
+        """Take a record."""
+        if record.number == 0:
+            self._begins, self._waiting, self.frame = True, None, None
+        elif record.state:
+            self._waiting = decode.stamp(record), record.state
+            self._activate()
+
+    def are_known_at(self, stamp: int) -> bool:
+        """Whether the state before the output of a stamp, ns, is known: `frame`, or the start."""
+        if self._begins and self._second in (None, stamp):
+            self.frame = None
+            return True
+        return self.frame is not None
+
+    def pass_by(self, stamp: int) -> None:
+        """Take an output."""
+        self._last, self._begins, self.frame = stamp, False, None
+        self._activate()
+
+    def _activate(self) -> None:
+        if self._waiting is not None and self._waiting[0] == self._last:
+            self.frame = self._waiting
+
+
+def previews(recorded: RecordedStages) -> Replayed:
     """Gait previews, as fields of GaitPreview, from the recorded states and commands."""
     gaits = recorded.settings("gait_scheduler", read_gaits())
-    first = next(iter(recorded.previews.values())).command
-    scheduler = GaitScheduler(
-        gaits, recorded.robot, read_springs(), first.gait, first.velocity, recorded.path
-    )
-    fields = {}
-    for stamp, estimate in recorded.estimates.items():
-        if stamp in recorded.previews:
-            scheduler.set_command(recorded.previews[stamp].command)
-            preview = scheduler.step(estimate.time, estimate.state)
-            fields[stamp] = {name: getattr(preview, name) for name in PREVIEW}
-    return fields
+
+    def make(stamp: int) -> GaitScheduler:
+        first = recorded.previews.get(stamp, next(iter(recorded.previews.values()))).command
+        return GaitScheduler(
+            gaits, recorded.robot, read_springs(), first.gait, first.velocity, recorded.path
+        )
+
+    def step(scheduler: GaitScheduler, stamp: int) -> Fields:
+        estimate = recorded.estimates[stamp]
+        scheduler.set_command(recorded.previews[stamp].command)
+        preview = scheduler.step(estimate.time, estimate.state)
+        return {name: getattr(preview, name) for name in PREVIEW}
+
+    return _stepped(recorded, "/gait_preview", make, step)
 
 
-def plans(recorded: RecordedStages) -> dict[int, Fields]:
-    """Plans of the policy, as fields of TendonPlan; its steps take no time."""
-    kind = policy_class(recorded.policy)
+def plans(recorded: RecordedStages) -> Replayed:
+    """Plans of the policy, as fields of TendonPlan.
+
+    Its steps take no time, but those that were recorded as late.
+    """
+    kind, timer = policy_class(recorded.policy), _Timer()
     settings = recorded.settings("mpc_controller", kind.read_settings(recorded.policy))
-    policy = TunedPolicy(lambda s: kind(recorded.robot, s, lambda: 0.0), settings)
-    changes, fields = recorded.changes, {}
-    for stamp, estimate, preview, _ in recorded.matched():
-        if changes[stamp] != policy.changes:
-            policy.use(changes[stamp])
-        plan = policy.step(estimate, preview)
+    last = BEFORE_ALL_TIMES
+
+    def make(stamp: int) -> TunedPolicy:
+        policy = TunedPolicy(lambda s: kind(recorded.robot, s, timer), settings)
+        if recorded.changes.get(stamp):
+            policy.use(recorded.changes[stamp])
+        return policy
+
+    def step(policy: TunedPolicy, stamp: int) -> Fields:
+        nonlocal last
+        estimate, preview = recorded.estimates[stamp], recorded.previews[stamp]
+        if recorded.changes[stamp] != policy.changes:
+            policy.use(recorded.changes[stamp])
+        if stamp < last:
+            policy.reset()
+        last = stamp
+        timer.is_late = is_late(recorded.plans[stamp])
         policy.prepare()
-        fields[stamp] = {name: getattr(plan, name) for name in PLAN} | vars(plan.report)
-    return fields
+        plan = policy.step(estimate, preview)
+        return {name: getattr(plan, name) for name in PLAN} | vars(plan.report)
+
+    return _stepped(recorded, PLANS, make, step)
 
 
-def commands(recorded: RecordedStages) -> dict[int, Fields]:
+class _Timer:
+    """Time of a policy in a replay, s: none passes in a step, or far more than any budget."""
+
+    def __init__(self) -> None:
+        self.is_late, self._now = False, 0.0
+
+    def __call__(self) -> float:
+        self._now += 1e6 * self.is_late
+        return self._now
+
+
+def commands(recorded: RecordedStages) -> Replayed:
     """Tendon angles and their rates, as fields of JointState.
 
-    The first angles that are held are left out of a bag that begins mid-run: they were commanded
-    before.
+    Angles that are held from before the bag begins are unknown.
     """
     settings = recorded.settings("force_mapper", read_force_map())
-    force_map = make_force_map(recorded.robot, settings)
-    fields, held = {}, recorded.begins_mid_run
-    for stamp, estimate, preview, plan in recorded.matched():
-        held = held and plan.status is Status.STOPPED
-        if held:
-            continue
-        command = force_map.step(plan, preview, estimate.state)
-        fields[stamp] = {"position": command.angle, "velocity": command.rate}
-    return fields
+
+    def step(force_map: ForceMap, stamp: int) -> Fields:
+        plan, preview = recorded.plans[stamp], recorded.previews[stamp]
+        command = force_map.step(plan, preview, recorded.estimates[stamp].state)
+        return {"position": command.angle, "velocity": command.rate}
+
+    def is_planned(stamp: int) -> bool:
+        return stamp in recorded.plans and recorded.plans[stamp].status is not Status.STOPPED
+
+    return _stepped(
+        recorded,
+        "/desired_joint_angles",
+        lambda _: make_force_map(recorded.robot, settings),
+        step,
+        is_planned,
+    )
 
 
-STAGES: dict[str, tuple[Any, ...]] = {
-    "/mpc_state": (estimates, ODOMETRY),
-    "/gait_preview": (previews, "/mpc_state"),
-    PLANS: (plans, "/mpc_state", "/gait_preview"),
-    "/desired_joint_angles": (commands, "/mpc_state", "/gait_preview", PLANS),
+class ReplayedStage(NamedTuple):
+    """A stage of the controller in a replay."""
+
+    replay: Callable[[RecordedStages], Replayed]
+    inputs: tuple[str, ...]
+
+
+STAGES = {
+    "/mpc_state": ReplayedStage(estimates, (ODOMETRY,)),
+    "/gait_preview": ReplayedStage(previews, ("/mpc_state",)),
+    PLANS: ReplayedStage(plans, ("/mpc_state", "/gait_preview")),
+    "/desired_joint_angles": ReplayedStage(commands, ("/mpc_state", "/gait_preview", PLANS)),
 }
-"""By the output of each stage its function here, then its inputs; in the order of the graph."""
+"""By their output, in the order of the graph."""
 REMEMBERING = ("/mpc_state", "/gait_preview", PLANS)
 """Outputs of stages that depend on all that came before."""

@@ -1,0 +1,147 @@
+"""A key frame holds all that an object depends on: one made afresh goes on to the last bit."""
+
+import json
+from dataclasses import dataclass, is_dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from estimator_streams import SETTINGS, Walk, imu_messages, odometry_messages
+from real_graph import set_values
+
+from slot_core.control.controller import Controller
+from slot_core.control.policy import POLICIES, Policy, make_policy
+from slot_core.estimation.state_estimator import StateEstimator
+from slot_core.gait.route import Route
+from slot_core.key_frame import StateParts, capture, has_state, restore
+from slot_core.robot import read_robot
+from slot_core.simulation.closed_loop import ClosedLoop
+
+VELOCITY = np.array([0.05, 0.0, 0.05])
+
+
+def shuffled(seed):
+    """A walk whose odometry comes up to 60 ms late, in part lost, amid the IMU's samples."""
+    rng = np.random.default_rng(seed)
+    motion = Walk()
+    odometry = [m for m in odometry_messages(motion, 3.0, rng=rng) if not 1.2e9 < m[1] < 1.5e9]
+    late = [(m[1] + int(rng.integers(0, 60_000_000)), m) for m in odometry]
+    return [m for _, m in sorted([*late, *((m[1], m) for m in imu_messages(motion, 3.0, rng=rng))],
+                                 key=lambda entry: entry[0])]  # fmt: skip
+
+
+def feed(estimator, messages):
+    """The estimates of messages, as bytes."""
+    found = []
+    for kind, stamp, values in messages:
+        (estimator.add_imu if kind == "imu" else estimator.add_odometry)(stamp, *values)
+        while (estimate := estimator.poll()) is not None:
+            whole = estimate.state.tobytes(), estimate.covariance.tobytes()
+            found.append((estimate.stamp, estimate.lead, estimate.validity, *whole))
+    return found
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_estimator_goes_on_from_a_key_frame_at_any_message(seed):
+    messages, rng = shuffled(seed), np.random.default_rng(seed)
+    for at in [0, 1, *rng.integers(2, len(messages), 6)]:
+        first, second = StateEstimator(SETTINGS), StateEstimator(SETTINGS)
+        feed(first, messages[:at])
+        restore(second, capture(first))
+        assert feed(second, messages[at:]) == feed(first, messages[at:])
+
+
+def equal(a, b):
+    """Whether two results are equal to the last bit."""
+    if isinstance(a, np.ndarray):
+        return a.tobytes() == b.tobytes()
+    if is_dataclass(a):
+        return all(equal(value, vars(b)[name]) for name, value in vars(a).items())
+    return repr(a) == repr(b)  # NaN
+
+
+@pytest.mark.parametrize("policy", [*POLICIES])
+def test_scheduler_policy_and_map_go_on_from_key_frames_in_a_walk(own_config, policy):
+    if policy == "forces":  # PIQP keeps what no key frame holds
+        set_values(own_config, {"mpc": {"solver.name": "clarabel"}})
+    ticks = list(ClosedLoop("flat", "walk", VELOCITY, 1, policy).run(50))
+    route = lambda: Route(np.array([[0.0, 0.0], [0.02, 0.0], [0.2, 0.1]]), "along")  # noqa: E731
+    parts = [Controller(read_robot(), make_policy(policy, read_robot(), lambda: 0.0), "walk",
+                        VELOCITY, route()) for _ in range(2)]  # fmt: skip
+    first, second = parts
+
+    def step(controller, tick):
+        controller.policy.prepare()
+        preview = controller.scheduler.step(tick.estimate.time, tick.estimate.state)
+        plan = controller.policy.step(tick.estimate, preview)
+        return preview, plan, controller.force_map.step(plan, preview, tick.estimate.state)
+
+    for tick in ticks[:32]:
+        step(first, tick)
+    for name in ("scheduler", "policy", "force_map"):
+        text = capture(getattr(first, name))
+        assert 0 < len(text) < 150_000
+        restore(getattr(second, name), text)
+    for tick in ticks[32:]:
+        assert all(map(equal, step(first, tick), step(second, tick)))
+
+
+class Value(NamedTuple):
+    rows: np.ndarray
+
+
+@dataclass(frozen=True)
+class Other:
+    name: str
+
+
+class Thing:
+    STATE = StateParts("rows", "number", "value", values=(Value,))
+
+    def __init__(self):
+        self.rows, self.number, self.value = np.zeros((2, 3)), 0.1, None
+
+
+def test_numbers_come_back_to_the_last_bit_and_with_their_types():
+    first, second = Thing(), Thing()
+    first.rows[:] = [[np.nan, -0.0, 5e-324], [np.inf, 1 / 3, 2**60]]
+    first.number, first.value = 2**62 + 1, Value(np.array([True, False]))
+    restore(second, capture(first))
+    assert second.rows.tobytes() == first.rows.tobytes()
+    assert second.number == first.number
+    assert second.value.rows.dtype == bool
+
+
+def test_what_no_key_frame_can_hold_is_refused():
+    thing = Thing()
+    thing.value = object()
+    with pytest.raises(TypeError, match="object is no part of a key frame"):
+        capture(thing)
+
+    class OfAUser(Policy):
+        def step(self, estimate, preview):
+            return None
+
+    assert capture(OfAUser(None, None, None)) == ""
+    assert not has_state(OfAUser(None, None, None))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"rows": {"array": ["<f8", [3, 2], "A" * 64]}},  # another shape
+        {"rows": {"array": ["|O8", [2, 3], "A" * 64]}},
+        {"rows": {"array": ["<f8", [2, 3], "AAAA"]}},
+        {"rows": 1.0},
+        {"value": {"Other": {"name": ""}}},  # not a class of this state
+        {"value": {"Popen": {"args": "true"}}},
+        {"value": {"Value": {}}},
+        {"more": 1},
+    ],
+)
+def test_a_key_frame_of_a_stranger_is_refused_before_a_kernel_sees_it(change):
+    text = json.dumps(json.loads(capture(Thing())) | change)
+    with pytest.raises(ValueError, match="no key frame of Thing"):
+        restore(Thing(), text)
+    with pytest.raises(ValueError, match="no key frame of Thing"):
+        restore(Thing(), "[" * 100_000)
