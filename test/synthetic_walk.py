@@ -152,6 +152,7 @@ def _ticks(walk: Walk) -> list[tuple[int, str, Any]]:
         health = message("/servo_health", stamp, action=3, voltage=supply)
         entries += [(_wall(walk, t), "/robot_state", state)]
         entries += [(_wall(walk, t), "/servo_health", health)]
+        entries += [(_wall(walk, t), "/stage_record", message("/stage_record", stamp))]
     return entries
 
 

@@ -154,9 +154,10 @@ def test_odometry_before_the_estimator_listened_changes_nothing(tmp_path):
 
 
 def cut(path, share, name="walk", topics=()):
-    """Copy of what a bag holds after a share of its duration, without records of the stages."""
+    """Copy of what a bag holds after a share of its states, without records of the stages."""
     source = Bag(HERE / name)
-    begin = source.start_ns + int(share * source.duration_ns)
+    times = [time for time, _ in source.messages("/mpc_state")]
+    begin = times[int(share * len(times))]
     with BagWriter(path, read_record_settings(), source.origin) as bag:
         for topic, time, data in source.raw(*topics):
             if time >= begin and topic != RECORDS:

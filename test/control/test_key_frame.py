@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from estimator_streams import SETTINGS, Walk, imu_messages, odometry_messages
-from real_graph import set_values
 
 from slot_core.control.controller import Controller
 from slot_core.control.policy import POLICIES, Policy, make_policy
@@ -61,9 +60,7 @@ def equal(a, b):
 
 
 @pytest.mark.parametrize("policy", [*POLICIES])
-def test_scheduler_policy_and_map_go_on_from_key_frames_in_a_walk(own_config, policy):
-    if policy == "forces":  # PIQP keeps what no key frame holds
-        set_values(own_config, {"mpc": {"solver.name": "clarabel"}})
+def test_scheduler_policy_and_map_go_on_from_key_frames_in_a_walk(policy):
     ticks = list(ClosedLoop("flat", "walk", VELOCITY, 1, policy).run(50))
     route = lambda: Route(np.array([[0.0, 0.0], [0.02, 0.0], [0.2, 0.1]]), "along")  # noqa: E731
     parts = [Controller(read_robot(), make_policy(policy, read_robot(), lambda: 0.0), "walk",
