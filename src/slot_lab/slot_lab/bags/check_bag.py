@@ -35,8 +35,8 @@ from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, Replayed
 
 MID_RUN = "the bag begins mid-run, after what the state depends on"
 TOLERANCE = 1e-6
-"""Default of the largest difference, in the field's SI unit. On another machine the order of
-summation in linear algebra changes the states by 1e-12 and the forces by the solver's tolerance."""
+"""Default of the largest difference, in the field's SI unit. Equal versions give none, on every
+processor; it leaves room for a change that is to change roundoff alone."""
 
 
 @dataclass(frozen=True)
