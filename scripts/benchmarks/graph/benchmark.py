@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
+from benchmarks import against as other_checkout
 from benchmarks.graph.endurance import endurance_checks, long_walk
 from benchmarks.graph.measured_walk import Walk, measure_walk
 from benchmarks.graph.plots import END_TO_END, draw
@@ -89,10 +90,15 @@ def options(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="graph time of the long walk in lockstep, s; 0: none (default: an hour, quick: none)",
     )
+    other_checkout.options(parser)
 
 
 def run(
-    quick: bool, out: Path, progress: Progress, endurance: float | None = None
+    quick: bool,
+    out: Path,
+    progress: Progress,
+    endurance: float | None = None,
+    against: Path | None = None,
 ) -> tuple[list[Row], list[Check]]:
     """Run the graph as `QUICK` or `FULL` plans; the plot goes to `out/graph.png`."""
     plan = QUICK if quick else FULL
@@ -130,7 +136,15 @@ def run(
         progress(f"long walk in lockstep, {duration:g} s")
         composed = values | {"composed": True}
         rows += attempts.run("long walk", long_walk, graph, composed, duration) or []
-    found = [*checks(rows, plan), *goal_checks(rows), *endurance_checks(rows)]
+    if against is not None:
+        progress("another checkout")
+        rows += other_checkout.against_rows(against)
+    found = [
+        *other_checkout.against_checks(rows),
+        *checks(rows, plan),
+        *goal_checks(rows),
+        *endurance_checks(rows),
+    ]
     return [*rows, *attempts.rows], [*found, *attempts.checks]
 
 

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import against as other_checkout
 from benchmarks.harness import Check, Progress, Row, at_most, cpu_ratio, cpu_time, mark_front
 from benchmarks.robot.hard_cases import CASES
 from benchmarks.robot.plots import draw
@@ -61,7 +62,12 @@ LARGEST_MEMORY = 1.2  # of a run, over one with planar legs
 COMPARED = (22, 31)  # nodes
 
 
-def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
+options = other_checkout.options
+
+
+def run(
+    quick: bool, out: Path, progress: Progress, against: Path | None = None
+) -> tuple[list[Row], list[Check]]:
     """Run all tests; plots of error over cost and of the other engine go to `out`."""
     from benchmarks.robot import other_engine  # noqa: PLC0415 - after REQUIRES is checked
 
@@ -84,7 +90,11 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
     mark_front(moved, "us_per_ms", itemgetter("error_mm"))
     draw(rows, out / "robot.png")
     compared = other_engine.rows(quick, out, progress)
-    return [*rows, *compared], [*checks(rows), *other_engine.checks(compared)]
+    found = [*checks(rows), *other_engine.checks(compared)]
+    if against is not None:
+        progress("another checkout")
+        compared += other_checkout.against_rows(against)
+    return [*rows, *compared], [*found, *other_checkout.against_checks(compared)]
 
 
 def simulator(robot: RobotParameters, solver: dict[str, Any], **changes: Any) -> RodRobot:
