@@ -14,6 +14,9 @@ from slot_lab.bags.bag import Bag
 DURATION = 3.0  # s of the robot's time
 SPACE = "/fleet/ida"
 PREFIXES = {"": "", SPACE: "ida/"}  # of the frames, by namespace
+# Topics of the machine, once a second; with key frames before or after the policy has prepared; of
+# names alone.
+OTHERS = {"/diagnostics", "/stage_record", "/recorded_nodes"}
 OF_THE_MACHINE = {"solve_time", "overruns"}  # fields that differ from run to run
 
 
@@ -67,7 +70,7 @@ def content(bag, topic, prefix):
 def test_a_walk_in_a_namespace_is_the_walk_without_one_but_for_names(bags):
     alone, spaced = Bag(bags[""]), Bag(bags[SPACE], SPACE)
     assert set(alone.topics) == set(spaced.topics) > {"/clock", "/odom", "/tf", "/mpc_state"}
-    for topic in set(alone.topics) - {"/diagnostics"}:  # of the machine, once a second
+    for topic in set(alone.topics) - OTHERS:
         here, there = content(alone, topic, ""), content(spaced, topic, PREFIXES[SPACE])
         shared = here.keys() & there.keys()
         assert len(shared) > 0.9 * DURATION * 30, topic

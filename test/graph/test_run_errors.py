@@ -98,7 +98,7 @@ FAULT = "faults: {{one: {{kind: {}, leg: RL, time: 1.0, duration: 0.0, value: 0.
 @pytest.mark.parametrize(
     ("hardware", "event", "line"),
     [
-        ("sim", TIPPED, "the robot is in RELAX: roll +0.536 rad, limit 0.5 rad\n"),
+        ("sim", TIPPED, "the robot is in RELAX: roll +0.535 rad, limit 0.5 rad\n"),
         ("fake_bus", FAULT.format("overload"), "the robot is in RELAX: servo RL: overload error, "
          "register 70 = 0x20, limit 0\n"),
         ("sim", FAULT.format("nan"), "sim_robot ended with exit code 1: "),

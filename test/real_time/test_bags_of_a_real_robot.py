@@ -24,7 +24,7 @@ pytestmark = pytest.mark.real_time
 SENSORS = ("odom", "imu")
 RELAY = Path(__file__).with_name("relay.py")
 OUTPUTS = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
-TICKS = 30  # at least, of what is waited for and compared
+WAITED, TICKS = 90, 30  # ticks that are waited for; at least so many are compared
 PAUSE = 1.0  # s, between the start of the sensors and of the graph
 
 
@@ -73,9 +73,9 @@ class Robot:
         self.wait_for_commands()
 
     def wait_for_commands(self):
-        """Wait for a second of commands."""
+        """Wait for three seconds of commands; key frames come every second at first."""
         begin = self.rig.now()
-        self.rig.wait_for(lambda: len(self.rig.since("/desired_joint_angles", begin)) >= TICKS)
+        self.rig.wait_for(lambda: len(self.rig.since("/desired_joint_angles", begin)) >= WAITED)
 
     def wait_for_odometry(self, subscribers):
         """Wait until the only odometry has as many subscribers as there are to be."""

@@ -11,7 +11,8 @@ from slot_nodes import messages, qos, runtime
 from slot_nodes.process import intra_process
 
 KEY_FRAME_PERIOD = 3.0  # s between two key frames
-FIRST_PERIOD = 1.0  # s from that of a new subscriber to the next: it may not hear all topics yet
+FIRST_PERIOD = 1.0  # s, while a new subscriber may not hear all topics yet
+DISCOVERY = 4.0  # s after it came
 TAKEN_MAX = 2000  # inputs without an output after which a key frame follows
 
 
@@ -25,6 +26,7 @@ class Recorder:
         self._stamps: list[int] = []
         self._output = 0  # ns, stamp of the last output
         self._due = 0  # ns, of such stamps: of the next key frame
+        self._settled = 0  # ns, of such stamps: from which on every subscriber hears all topics
         self._subscribers, self._waits = 0, False
         self._afterwards = intra_process.afterwards()
         self._records = runtime.publisher(node, StageRecord, "stage_record", qos.CONTROL)
@@ -50,8 +52,11 @@ class Recorder:
         count = self._records.get_subscription_count()
         joined, self._subscribers = count > self._subscribers, count
         state = ""
+        if joined:
+            self._settled = self._output + to_ns(DISCOVERY)
         if joined or not self._output < self._due < self._output + 2 * to_ns(KEY_FRAME_PERIOD):
-            self._due = self._output + to_ns(FIRST_PERIOD if joined else KEY_FRAME_PERIOD)
+            is_settled = self._output >= self._settled
+            self._due = self._output + to_ns(KEY_FRAME_PERIOD if is_settled else FIRST_PERIOD)
             state = capture(self._stage)
         if state or self._taken:
             self._publish(state)
