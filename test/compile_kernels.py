@@ -3,7 +3,6 @@
 So no test's time limit holds a compilation, and the workers do not compile the same kernel twice.
 """
 
-import multiprocessing
 import time
 
 from slot_core import config
@@ -16,25 +15,19 @@ from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import Geometry, Material, Rectangle
+from slot_core.simulation import warm_up
 from slot_core.simulation.rod_robot import RodRobot
-from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 ROBOT = read_robot()
 NO_STEP = 0
 
 
-def compile_robots(legs, law):
-    """Robots with a model of the legs, in lanes and leg by leg, and a law of friction."""
-    changes = {"floor.friction_law": law, "start.settle": 0.0, "solver.legs": legs}
+def compile_robot(legs):
+    """A robot with a model of the legs, in lanes and leg by leg."""
+    changes = {"start.settle": 0.0, "solver.legs": legs}
     rods = RodRobot(ROBOT, config.replace(read_scene("flat"), changes), read_servo())
     _ = rods.momentum(), rods.energy(), rods.snapshot()
     integrator.advance_one_by_one(rods.handle, NO_STEP)
-
-
-def compile_tabulated(law):
-    """A robot on tabulated legs with a law of friction."""
-    changes = {"floor.friction_law": law, "start.settle": 0.0}
-    TabulatedRobot(ROBOT, config.replace(read_scene("map"), changes), read_servo())
 
 
 def compile_legs():
@@ -56,31 +49,6 @@ def compile_mpc():
     Mpc(ROBOT, read_mpc("forces"), time.perf_counter)
 
 
-JOBS = (
-    (compile_robots, "spatial", "bristle"),
-    (compile_robots, "spatial", "viscous"),
-    (compile_robots, "planar", "bristle"),
-    (compile_robots, "planar", "viscous"),
-    (compile_tabulated, "bristle"),
-    (compile_tabulated, "viscous"),
-    (compile_mpc,),
-    (compile_legs,),
-    (compile_rod,),
-)
-
-
-def run(job):
-    """Call a function with its arguments."""
-    function, *arguments = job
-    function(*arguments)
-
-
-def main():
-    """Run the jobs, the longest first, in two processes."""
-    with multiprocessing.get_context("spawn").Pool(2) as pool:
-        for _ in pool.imap_unordered(run, JOBS):
-            pass
-
-
 if __name__ == "__main__":
-    main()
+    legs = [(compile_robot, ("spatial",)), (compile_robot, ("planar",)), (compile_legs, ())]
+    warm_up.run([*legs, (compile_rod, ()), (compile_mpc, ())])

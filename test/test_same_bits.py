@@ -15,6 +15,7 @@ from numba.core.dispatcher import Dispatcher
 
 import slot_core
 from slot_core.control.policy import POLICIES
+from slot_core.kernel_cache import KernelCache
 from slot_core.simulation.closed_loop import ClosedLoop
 
 CORE = Path(__file__).resolve().parents[1] / "src" / "slot_core" / "slot_core"
@@ -182,8 +183,8 @@ def cached_objects():
     """Cache files of the kernels that are loaded, each with an object file in it."""
     for module in pkgutil.walk_packages(slot_core.__path__, "slot_core."):
         for value in vars(importlib.import_module(module.name)).values():
-            if isinstance(value, Dispatcher) and value.overloads and value.stats.cache_path:
-                yield from Path(value.stats.cache_path).glob("*.nbc")
+            if isinstance(value, Dispatcher) and isinstance(value._cache, KernelCache):
+                yield from (value._cache.path(types, value.targetctx) for types in value.signatures)
 
 
 def called(path):

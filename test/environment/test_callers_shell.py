@@ -42,7 +42,7 @@ def test_a_program_keeps_the_packages_of_ros_workspaces_that_were_sourced():
         "PYTHONPATH": ":".join([kept[0], "/home/own", kept[1]]),
     }
     path = environment("--isolated", given)["PYTHONPATH"].split(":")
-    assert [entry for entry in path if not entry.startswith(SLOT)] == kept
+    assert [entry for entry in path if not entry.startswith(f"{ROOT}/")] == kept
 
 
 def test_a_shell_of_the_callers_own_keeps_its_python(caller):

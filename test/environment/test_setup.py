@@ -5,6 +5,7 @@ requirements: all phases run, and nothing is downloaded.
 """
 
 import configparser
+import hashlib
 import os
 import re
 import resource
@@ -13,13 +14,25 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 REQUIREMENTS = ROOT / "scripts/requirements"
-REQUIREMENT_FILES = ("build", "ros", "runtime", "test", "bench", "docs", "view", "play", "learn")
+REQUIREMENT_FILES = (
+    "uv",
+    "build",
+    "ros",
+    "runtime",
+    "test",
+    "bench",
+    "docs",
+    "view",
+    "play",
+    "learn",
+)
 PINNED = re.compile(r"^([A-Za-z0-9._-]+)==(\S+) \\$")
 HASH = re.compile(r"^    --hash=sha256:[0-9a-f]{64}( \\)?$")
 
@@ -30,6 +43,11 @@ echo build >> "$STUBS/calls"
 while [ -e "$STUBS/hold" ]; do sleep 0.05; done
 mkdir -p "$SLOT_ROOT/.slot/install/lib/slot_nodes"
 printf '#!/usr/bin/python3\nimport sys\n' > "$SLOT_ROOT/.slot/install/lib/slot_nodes/supervisor"
+"""
+WARM_UP = """import os, pathlib
+folder = pathlib.Path(os.environ["XDG_CACHE_HOME"], "slot", "kernels")
+folder.mkdir(parents=True, exist_ok=True)
+(folder / "advance.kernel").touch()
 """
 # Logs its call; "installs" cmake if that is asked for.
 APT_GET = """#!/bin/bash
@@ -66,9 +84,7 @@ class Copy:
         bin_ = self.stubs / "bin"
         bin_.mkdir(parents=True)
         (self.stubs / "setup.bash").write_text('export PYTHONPATH="$STUBS"\n')
-        warm_up = self.stubs / "slot_core/simulation/warm_up.py"
-        warm_up.parent.mkdir(parents=True)
-        warm_up.write_text("")
+        (self.root / "src/slot_core/slot_core/simulation/warm_up.py").write_text(WARM_UP)
         executable(bin_ / "colcon", COLCON)
         for tool in ("cmake", "g++", "git", "make", "strace", "chromium"):
             (bin_ / tool).symlink_to("/bin/true")
@@ -77,6 +93,8 @@ class Copy:
             "PATH": f"{bin_}:{os.defpath}",
             "STUBS": str(self.stubs),
             "SLOT_ROS": str(self.stubs),
+            "XDG_CACHE_HOME": str(folder / "cache"),
+            "SLOT_PIP": "1",
         }
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:
@@ -105,8 +123,8 @@ class Copy:
         bin_ = self.stubs / "bin"
         (bin_ / "cmake").unlink()
         used = (
-            "bash cat cut dirname env find flock id ln mkdir python3 rm sed sha256sum sort tail tr "
-            "true xargs"
+            "bash cat cut df dirname env find flock head id ln ls mkdir mv python3 rm sed sha256sum sort tail tr "
+            "true uname xargs"
         )
         for tool in used.split():
             (bin_ / tool).symlink_to(shutil.which(tool, path=os.defpath) or tool)
@@ -185,7 +203,7 @@ def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup
         status, output = ready.setup()
         assert status == 1
         assert "no such message" in output
-        assert str(ready.home / "log/setup-colcon.log") in output
+        assert str(ready.home / "log/setup-workspace.log") in output
     executable(colcon, COLCON)
     assert ready.setup()[0] == 0
 
@@ -219,7 +237,7 @@ def test_two_concurrent_setups_build_once(ready):
 
 @pytest.mark.parametrize("extra", ["test", "bench", "docs", "view", "learn"])
 def test_extra_packages_are_installed_once_and_again_when_their_pins_change(ready, extra):
-    output = f"setup: installing the packages for --{extra}\n"
+    output = f"setup: installing the packages for --{extra} (about 10 s)\n"
     assert ready.setup(f"--{extra}") == (0, output)
     assert ready.setup(f"--{extra}") == (0, "")
     (ready.root / f"scripts/requirements/{extra}.txt").write_text("# changed\n")
@@ -280,6 +298,89 @@ def test_without_the_right_to_install_the_setup_for_tests_needs_no_browser(copy)
     assert copy.setup("--test") == (1, f"{command}\n")
 
 
+# Stands for uv: names itself, and logs what it installs.
+UV = """#!/bin/bash
+case $* in --version) echo uv ;; *) echo "uv $UV_DEFAULT_INDEX $*" >> "$STUBS/calls" ;; esac
+"""
+
+
+def with_uv(copy: Copy) -> None:
+    """Another clone of the user has fetched uv."""
+    del copy.variables["SLOT_PIP"]
+    digest = hashlib.sha256((copy.root / "scripts/requirements/uv.txt").read_bytes()).hexdigest()
+    folder = Path(copy.variables["XDG_CACHE_HOME"]) / "slot" / f"uv-{digest[:16]}"
+    folder.mkdir(parents=True)
+    executable(folder / "uv", UV)
+
+
+def test_uv_of_another_clone_installs_with_hashes_from_the_index_that_pip_would_use(copy):
+    with_uv(copy)
+    settings = copy.root / "pip.conf"
+    settings.write_text("[global]\ntimeout = 9\nindex-url = https://mirror.example/simple\n")
+    copy.variables["PIP_CONFIG_FILE"] = str(settings)
+    assert copy.setup("--test")[0] == 0
+    installs = [call for call in copy.calls if call.startswith("uv")]
+    files = [Path(call.split()[-1]).name for call in installs]
+    assert files == ["build.txt", "runtime.txt", "test.txt"]
+    for call in installs:
+        assert call.startswith("uv https://mirror.example/simple ")
+        assert "--require-hashes" in call
+        assert f"--python {copy.home}/venv/bin/python" in call
+
+
+def test_pip_installs_where_uv_cannot_be_had(copy):
+    del copy.variables["SLOT_PIP"]
+    (copy.root / "scripts/requirements/uv.txt").write_text(
+        f"no-such-uv==1.0 --hash=sha256:{'0' * 64}\n"
+    )
+    copy.variables["PIP_NO_INDEX"] = "1"
+    status, output = copy.setup()
+    assert status == 0
+    assert "uv cannot be had" in output
+    subprocess.run([copy.home / "venv/bin/python", "-c", "import pip"], check=True)
+
+
+def test_full_disk_is_named_in_one_line(copy):
+    executable(
+        copy.stubs / "bin/colcon", "#!/bin/bash\necho 'write: No space left on device'\nexit 1\n"
+    )
+    status, output = copy.setup()
+    assert status == 1
+    assert output.splitlines()[-1].startswith(f"setup: no space left in {copy.home}")
+    assert "write:" not in output
+
+
+def test_progress_on_a_terminal_is_one_line_with_a_bar(copy):
+    terminal, other = os.openpty()
+    process = subprocess.Popen(
+        [str(copy.root / "scripts/setup")],
+        env=copy.variables,
+        stdin=subprocess.DEVNULL,
+        stderr=other,
+    )
+    os.close(other)
+    text = ""
+    with suppress(OSError):  # the terminal's end
+        while data := os.read(terminal, 4096):
+            text += data.decode()
+    assert process.wait() == 0
+    assert "\n" not in text
+    assert re.search(
+        r"setup: \[#* *\] installing the Python packages for Python 3\.\d+\.\d+, about \d+ s left",
+        text,
+    )
+    assert re.search(
+        r"setup: \[#+ *\] building the messages and compiling the kernels, about \d+ s left", text
+    )
+
+
+def test_cache_of_a_user_without_a_writable_home_is_below_the_repository(ready):
+    shell = ". scripts/env; echo $XDG_CACHE_HOME"
+    variables = {"HOME": "/proc/nowhere"}
+    path = subprocess.check_output(["bash", "-c", shell], cwd=ready.root, env=variables, text=True)
+    assert path == f"{ready.home}/cache\n"
+
+
 @pytest.mark.parametrize("name", ["sl\u00f6t", "\u4e8c", "a b", "a:b"])
 def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(tmp_path, name):
     (tmp_path / name).mkdir()
@@ -318,11 +419,11 @@ def test_all_requirement_files_agree_on_versions():
 
 
 def test_logs_and_caches_go_below_the_repository(ready):
-    shell = ". scripts/env; echo $ROS_LOG_DIR $NUMBA_CACHE_DIR $MPLCONFIGDIR $COLCON_LOG_PATH"
+    shell = ". scripts/env; echo $ROS_LOG_DIR $MPLCONFIGDIR $COLCON_LOG_PATH"
     paths = subprocess.check_output(
         ["bash", "-c", shell], cwd=ready.root, env={}, text=True
     ).split()
-    assert len(paths) == 4
+    assert len(paths) == 3
     assert all(Path(path).is_relative_to(ready.home) for path in paths)
 
 

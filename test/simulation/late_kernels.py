@@ -28,7 +28,8 @@ def loaded():
 
 def main(what, scene):
     if what == "warm_up":
-        warm_up.main()
+        warm_up.plant()
+        warm_up.controller()
         before = loaded()
     if what == "servos":
         walk = SupervisedLoop(scene, "walk", None, 0, hardware="fake_bus").run(SECONDS)

@@ -8,6 +8,9 @@ a robot. A `Handle` keeps the unpacked tuple in memory; passing it costs as much
 
 from __future__ import annotations
 
+import struct
+import sys
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -15,9 +18,8 @@ from llvmlite import ir
 from numba import typeof
 from numba.core import types
 from numba.core.datamodel import models
+from numba.core.registry import cpu_target
 from numba.extending import NativeValue, intrinsic, register_model, typeof_impl, unbox
-
-from slot_core.compiled import kernel
 
 
 class _HandleType(types.Type):
@@ -37,10 +39,14 @@ class Handle:
 
     def __init__(self, content: tuple[Any, ...]) -> None:
         self._content = content  # keeps the arrays alive
-        self._memory = np.zeros(_size(content), dtype=np.uint8)
-        _write(content, self._memory)
-        self.address: int = self._memory.ctypes.data
+        self._memory = np.array(list(_words(content)), dtype=np.uint64)
         self.numba_type = _HandleType(typeof(content))
+        context = cpu_target.target_context
+        if self._memory.nbytes != context.get_abi_sizeof(
+            context.get_value_type(self.numba_type.content)
+        ):
+            raise TypeError("Numba lays out the content of a Handle otherwise than _words does")
+        self.address: int = self._memory.ctypes.data
 
     def __reduce__(self) -> str:
         raise TypeError("a Handle holds a memory address and cannot be copied")
@@ -81,31 +87,23 @@ def contents_at(typingctx, handle, address):
     return handle.content(handle, address), build
 
 
-@intrinsic
-def _put(typingctx, content, memory):
-    def build(context, builder, sig, args):
-        view = context.make_array(memory)(context, builder, args[1])
-        builder.store(args[0], builder.bitcast(view.data, args[0].type.as_pointer()), align=1)
-        return context.get_dummy_value()
+def _words(value: Any) -> Iterator[int]:
+    """Words of 64 bits that Numba's form of a tuple, an array or a number takes.
 
-    return types.void(content, memory), build
-
-
-@intrinsic
-def _size_of(typingctx, content):
-    def build(context, builder, sig, args):
-        return context.get_constant(types.intp, context.get_abi_sizeof(args[0].type))
-
-    return types.intp(content), build
-
-
-@kernel
-def _size(content):
-    """Bytes that a tuple takes."""
-    return _size_of(content)
-
-
-@kernel
-def _write(content, memory):
-    """Write a tuple into memory (bytes)."""
-    _put(content, memory)
+    An array is the owner of its memory and its Python object (both none here), its number and size of items, its
+    address, shape and strides. Raises TypeError for other values.
+    """
+    if isinstance(value, tuple):
+        for item in value:
+            yield from _words(item)
+    elif isinstance(value, np.ndarray):
+        yield from (0, 0, value.size, value.itemsize, value.ctypes.data)
+        yield from (n % 2**64 for n in (*value.shape, *value.strides))
+    elif isinstance(value, float):
+        yield int.from_bytes(struct.pack("=d", value), sys.byteorder)
+    elif isinstance(
+        value, (int, np.int64)
+    ):  # a bool takes a byte, and the next item begins with the next word
+        yield int(value) % 2**64
+    else:
+        raise TypeError(f"a Handle holds tuples, arrays and numbers, not {type(value).__name__}")

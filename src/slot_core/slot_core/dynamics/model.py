@@ -69,7 +69,9 @@ class MechanicalState(NamedTuple):
     tendon_rate: Array  # (4,) rad/s, over the last step
     tension: Array  # (4,) N, at the stage of the last step
     drive: Array  # (4, 3) state of the servos, see `servo.spool_rate`
-    bristle: Array  # (4, P, 3) m, odom, and (8, 3) of the torso's corners; empty without bristles
+    bristle: (
+        Array  # (4, P, 3) m, odom, and (8, 3) of the torso's corners; zero with viscous friction
+    )
     corner_bristle: Array
     memory: Array  # (4, N-1, 4, 2) strains of `spatial/relaxation.py`; empty without branches
 
@@ -89,15 +91,15 @@ class Work(NamedTuple):
     counter: Array  # (3,) halvings, steps with a pivot not positive, steps with no halving left
 
 
-def state_space(nodes: int, points: int = 0, relaxes: bool = False) -> MechanicalState:
-    """A state with N nodes and, with bristles, `points` per leg, all zero; legs last in memory.
+def state_space(nodes: int, points: int, relaxes: bool = False) -> MechanicalState:
+    """A state with N nodes and `points` contact points per leg, all zero; legs last in memory.
 
     relaxes: whether the legs have Maxwell branches.
     """
-    n, corners = nodes - 1, 8 if points else 0
+    n = nodes - 1
     shapes: list[tuple[int, ...]] = [(3,), (3, 3), (3,), (3,), (3,)]
     shapes += [(nodes, 3, 4), (nodes, 3, 4), (n, 3, 4), (n, 3, 4)]
-    shapes += [(4,), (4,), (4,), (3, 4), (points, 3, 4), (corners, 3)]
+    shapes += [(4,), (4,), (4,), (3, 4), (points, 3, 4), (8, 3)]
     shapes += [(n if relaxes else 0, 4, 2, 4)]
     ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes])
     buffer = np.zeros(ends[-1])
@@ -283,15 +285,10 @@ def build_scheme(solver: SolverSettings, floor: Floor) -> ThetaScheme:
     )
 
 
-def contact_points(floor: Floor) -> int:
-    """Number of contact points of a leg with bristles; 0 where friction is viscous."""
-    return len(floor.stiffness) if floor.bristle > 0.0 else 0
-
-
 def matching_state(model: Model) -> MechanicalState:
     """A state for the model's nodes, contact points and branches, all zero."""
     relaxes = is_spatial(model) and bool(model.rod.relaxation[0].any())
-    return state_space(len(model.rod.node), contact_points(model.floor), relaxes)
+    return state_space(len(model.rod.node), len(model.floor.stiffness), relaxes)
 
 
 def rest_state(model: Model, height: float) -> MechanicalState:

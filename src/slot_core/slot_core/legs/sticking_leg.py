@@ -23,7 +23,7 @@ from slot_core import config
 from slot_core.arrays import checked
 from slot_core.compiled import kernel
 from slot_core.dynamics.clamp import couple
-from slot_core.dynamics.model import build_model, contact_points, spatial_leg
+from slot_core.dynamics.model import build_model, spatial_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.spatial.elimination import eliminate
@@ -45,7 +45,7 @@ class StickingLeg:
         changes = {f"solver.{name}": value for name, value in settings.items()}
         scene = config.replace(read_scene("flat"), changes | {"floor.friction_law": "bristle"})
         self.model = build_model(robot, scene, read_servo())
-        self._leg = spatial_leg(nodes, (), contact_points(self.model.floor))
+        self._leg = spatial_leg(nodes, (), len(self.model.floor.stiffness))
         self._leg.friction[:] = 1.0  # any: points at rest are below every limit
         self._leg.field[:3] = np.eye(3)
         self._leg.field[3] = self.model.gravity

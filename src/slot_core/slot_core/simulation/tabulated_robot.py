@@ -93,7 +93,7 @@ class TabulatedRobot(KernelRobot):
         self.model = model._replace(torso=rigid_body)
         self.legs = map_legs(robot, table)
         self._contact_drop = _contact_drop(table)
-        self.state = state_space(1, int(self.model.floor.bristle > 0.0))
+        self.state = state_space(1, 1)
         self.state.position[2] = scene.start.height
         self.state.rotation[:] = np.eye(3)
         self.state.node[:, 0] = table.table[0, -1, 1], 0.0, -scene.start.height

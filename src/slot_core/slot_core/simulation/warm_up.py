@@ -1,4 +1,7 @@
-"""Compiles the kernels into the cache, so that no start waits for it; run by scripts/setup."""
+"""Compiles the kernels of a walk into the cache, so that no start waits for it; run by scripts/setup."""
+
+import multiprocessing
+from collections.abc import Callable
 
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
@@ -7,11 +10,26 @@ from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.rod_robot import RodRobot
 
 
+def plant() -> None:
+    """The robot on rods, as configured: constructors call every kernel that they need."""
+    RodRobot(read_robot(), read_scene("flat"), read_servo())
+
+
+def controller() -> None:
+    """The controller, and the robot on tabulated legs."""
+    ClosedLoop("map", "walk", None, 0)
+
+
+def run(jobs: list[tuple[Callable[..., None], tuple[str, ...]]]) -> None:
+    """Call functions with their arguments in two processes, in the order given."""
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        for result in [pool.apply_async(function, arguments) for function, arguments in jobs]:
+            result.get()
+
+
 def main() -> None:
-    """Build the nodes' cores as configured: their constructors call every kernel that they need."""
-    ClosedLoop("flat", "walk", None, 0)
-    sim = RodRobot(read_robot(), read_scene("flat"), read_servo())
-    _ = sim.momentum(), sim.energy()  # for tests and benchmarks
+    """Compile the kernels in two processes."""
+    run([(plant, ()), (controller, ())])
 
 
 if __name__ == "__main__":

@@ -39,7 +39,7 @@ class PlanarLeg(NamedTuple):
     angle: Array
     rate: Array
     tension: Array
-    drive: Array  # (3,), bristle (N or 0, 3): views of the state
+    drive: Array  # (3,), bristle (N, 3): views of the state
     bristle: Array
     command: Array  # (1,) rad, commanded tendon angle
     stage: Array  # (N, 2) m, node at the stage

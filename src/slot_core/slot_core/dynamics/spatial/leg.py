@@ -45,7 +45,7 @@ class SpatialLeg(NamedTuple):
     angle: Array
     rate: Array
     tension: Array
-    drive: Array  # (3,), bristle (P or 0, 3), memory (N-1 or 0, 4, 2): views of the state
+    drive: Array  # (3,), bristle (P, 3), memory (N-1 or 0, 4, 2): views of the state
     bristle: Array
     memory: Array
     command: Array  # (1,) rad, commanded tendon angle
