@@ -181,8 +181,9 @@ def _described(value: Any) -> str:
     if isinstance(value, tuple):
         return f"({', '.join(map(_described, value))})"
     if isinstance(value, types.BaseNamedTuple):
-        fields = zip(value.fields, value.types, strict=True)
-        return f"{value.instance_class.__qualname__}({', '.join(f'{n}: {_described(t)}' for n, t in fields)})"
+        named: Any = value
+        fields = [f"{n}: {_described(t)}" for n, t in zip(named.fields, named.types, strict=True)]
+        return f"{named.instance_class.__qualname__}({', '.join(fields)})"
     if isinstance(value, (types.Tuple, types.UniTuple)):
         return _described(tuple(value.types))
     return str(value)
