@@ -11,7 +11,8 @@ from scipy.integrate import quad
 from slot_core import config
 from slot_core.robot import read_robot
 from slot_lab.calibration import experiments, fit
-from slot_lab.calibration.command import FREE, build_problem, main
+from slot_lab.calibration.calibrate import build_problem
+from slot_lab.calibration.command import FREE, main
 from slot_lab.calibration.data import COLUMNS, Data, Datum, read_data
 from slot_lab.calibration.fit import FitProblem, Parameter, estimate
 from slot_lab.calibration.line import fit_line

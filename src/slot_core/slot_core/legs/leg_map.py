@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import csv
 import math
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +21,6 @@ import numpy as np
 
 from slot_core import config
 from slot_core.arrays import checked
-from slot_core.command_line import CommandParser, refuse
 from slot_core.compiled import kernel
 from slot_core.config import quantity
 from slot_core.dynamics.clamp import couple
@@ -34,7 +31,7 @@ from slot_core.dynamics.planar.leg import load_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.sticking_leg import StickingLeg
-from slot_core.robot import Array, RobotParameters, read_robot
+from slot_core.robot import Array, RobotParameters
 
 COLUMNS = (
     "theta_deg",
@@ -245,25 +242,3 @@ def write(path: Path, table: Array) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows([f"{value:.6g}" for value in row] for row in table)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/tabulate_leg`: writes the map of config/leg_map.yaml as CSV."""
-    parser = CommandParser(prog="scripts/tabulate_leg", description=__doc__)
-    default = config.config_dir() / "leg_map.csv"
-    parser.add_argument(
-        "--out", metavar="FILE", type=Path, default=default, help="CSV file (default: %(default)s)"
-    )
-    out = parser.parse_args(arguments).out
-    if out.is_dir() or not out.parent.is_dir():  # known before the long computation
-        parser.error(f"--out {out}: not a file in an existing directory")
-    try:
-        write(out, tabulate(read_robot(), config.read(LegMapSettings, "leg_map")))
-    except (config.ConfigError, NoEquilibriumError, OSError) as error:
-        refuse(parser.prog, error)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -12,7 +12,8 @@ from PIL import Image
 from slot_core.refusal import InputError
 from slot_core.robot import Array, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag
-from slot_lab.bags.recorded_walk import LEG_STATES, seconds, stride_period
+from slot_lab.bags.recorded_walk import seconds, stride_period
+from slot_lab.bags.topics import LEG_STATES
 from slot_lab.report.plots import read_poses
 from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
 

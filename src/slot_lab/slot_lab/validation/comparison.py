@@ -64,7 +64,7 @@ def compare(
 ) -> Comparison:
     """Align and compare.
 
-    frame: what is free in the frames (frame_alignment.FRAMES), by the first `frame_time` s. zero:
+    frame: what is free in the frames (frame_alignment.py), by the first `frame_time` s. zero:
     each point's mean difference over that time is taken out, so that a marker may sit beside its
     point. offset: of the clocks, s, if known. leg: of points without one. block: of the bootstrap,
     s. Raises RecordingError if the recordings have no point or no time in common.

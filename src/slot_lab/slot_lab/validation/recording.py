@@ -33,7 +33,8 @@ from slot_core.refusal import InputError, quoted
 from slot_core.robot import LEGS, ODOM_FRAME, Array
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.measured import measured_motion, sound
-from slot_lab.bags.recorded_walk import LEG_STATES, seconds
+from slot_lab.bags.recorded_walk import seconds
+from slot_lab.bags.topics import LEG_STATES
 from slot_lab.csv_table import CsvRow, TableError, read_table
 
 POINTS = (*BODY_POINTS, *LEG_POINTS)

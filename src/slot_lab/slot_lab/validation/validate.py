@@ -12,20 +12,16 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from slot_core.command_line import command_parser, show, within
-from slot_core.config import ConfigError
-from slot_core.robot import LEGS
-from slot_lab.bags.bag import BagError
-from slot_lab.bags.measured import MOTION_TOPICS
-from slot_lab.csv_table import TableError
-from slot_lab.validation import curves, tables
-from slot_lab.validation.comparison import AXES, Comparison, compare
-from slot_lab.validation.frame_alignment import FRAMES, RIGID
-from slot_lab.validation.recording import RecordingError, read_recording
+from slot_core.names import LEGS
+from slot_core.refusal import InputError
+from slot_lab.bags.topics import MOTION_TOPICS
 from slot_lab.verdict import EXIT_CODES, Verdict
+
+if TYPE_CHECKING:
+    from slot_lab.validation.comparison import Comparison
 
 CLOCK = 2  # free: offset and drift
 FREE = {"rigid": 6, "level": 4, "none": 0}  # by frame
@@ -37,12 +33,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     try:
         lines, verdict = _run(options)
-    except (RecordingError, TableError, BagError, ConfigError, OSError) as error:
+    except (InputError, OSError) as error:
         parser.error(str(error))
     return verdict.code if show(parser.prog, [*lines, verdict.line]) else 2
 
 
 def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
+    from slot_lab.validation import curves, tables  # noqa: PLC0415 - heavy
+    from slot_lab.validation.comparison import compare  # noqa: PLC0415
+    from slot_lab.validation.frame_alignment import RIGID  # noqa: PLC0415
+    from slot_lab.validation.recording import RecordingError, read_recording  # noqa: PLC0415
+
     run = read_recording(options.run, options.namespace, options.camera, options.motion)
     measured = read_recording(options.measurement, camera=options.camera)
     for recording in (run, measured):
@@ -74,6 +75,10 @@ def judge(found: Comparison, sigma: float, free: int, zero: bool) -> Verdict:
 
     zero: whether each point's mean difference is taken out.
     """
+    import numpy as np  # noqa: PLC0415 - heavy
+
+    from slot_lab.validation.comparison import AXES  # noqa: PLC0415
+
     off = {
         key: (series.run - series.measured) / sigma
         for key, series in found.series.items()
@@ -97,7 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     out = Path("results", "validate")
     add("--out", type=Path, metavar="DIR", default=out, help=f"default: {out}")
     free = "what is free between the frames: rotation and shift, turn about z and shift, nothing"
-    add("--frame", choices=FRAMES, default="level", help=f"{free} (default: level)")
+    add("--frame", choices=tuple(FREE), default="level", help=f"{free} (default: level)")
     begin = "align the frames by the first S seconds only, so that later errors show"
     time = within(1e-3, 1e6, "s")
     add("--frame-time", type=time, metavar="S", default=math.inf, help=begin)

@@ -25,7 +25,8 @@ from slot_core.messages import decode
 from slot_core.refusal import one_line
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_lab.bags.bag import Bag, BagError, Stamps
-from slot_lab.bags.recorded_walk import LEG_STATES, TorsoTrack, read_motion, seconds
+from slot_lab.bags.recorded_walk import TorsoTrack, read_motion, seconds
+from slot_lab.bags.topics import LEG_STATES
 from slot_lab.report import traces
 from slot_lab.report.plots import read_poses
 from slot_lab.report.robot_drawing import Snapshot
