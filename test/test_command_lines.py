@@ -218,6 +218,18 @@ def test_a_help_of_the_graph_names_gaits_scenes_and_policies(capsys):
         assert ", ".join(named) in shown
 
 
+def test_a_replay_imports_no_library_that_it_does_not_use():
+    """Numba would import SciPy and coverage; the plots' libraries are not needed either."""
+    run = subprocess.run(
+        [sys.executable, "-c", HELP, "slot_lab.bags.replay_command", WALK],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    loaded = {*run.stderr.split()}
+    assert "numba" in loaded
+    assert not loaded & {"scipy", "matplotlib", "cv2", "coverage"}
+
+
 @pytest.mark.parametrize(("tool", "arguments", "reason"), CASES)
 def test_what_a_tool_cannot_do_is_refused_before_the_work(place, refusal, tool, arguments, reason):
     main, _ = REFUSED[tool]

@@ -21,6 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
 
+import slot_core.lean_numba  # noqa: F401  # isort: skip
 import numba
 from numba.core.caching import UserProvidedCacheLocator
 
