@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 from slot_bringup import interrupts
 from slot_core.command_line import command_parser, refuse, show
+from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError
 
 if TYPE_CHECKING:
@@ -77,14 +78,17 @@ def view(options: argparse.Namespace) -> None:
     if options.html:
         from slot_lab.report.run_page.run_page import write_page  # noqa: PLC0415 - heavy
 
-        if not show("scripts/view", write_page(bags, options.html)):
+        with ProgressLine("scripts/view") as progress:
+            lines = write_page(bags, options.html, progress)
+        if not show("scripts/view", lines):
             raise SystemExit(2)
         return
     bag = bags[0] if bags else None
     if options.animate and bag:
         from slot_lab.report.animation import animate  # noqa: PLC0415 - heavy
 
-        animate(bag, options.animate)
+        with ProgressLine("scripts/view") as progress:
+            animate(bag, options.animate, partial(progress, "drawing"))
         return
     require_rerun()
     if options.save:

@@ -31,6 +31,7 @@ from slot_core.dynamics.planar.leg import load_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.sticking_leg import StickingLeg
+from slot_core.progress import Tell, untold
 from slot_core.robot import Array, RobotParameters
 
 COLUMNS = (
@@ -204,7 +205,7 @@ def respond(model, leg, height, rise, turn):
     return force, shift / weight if weight > 0.0 else 0.0
 
 
-def tabulate(robot: RobotParameters, grid: LegMapSettings) -> Array:
+def tabulate(robot: RobotParameters, grid: LegMapSettings, tell: Tell = untold) -> Array:
     """Leg map, (angles x heights, 11), columns and units of `COLUMNS`; the height varies fastest.
 
     Raises NoEquilibriumError.
@@ -213,7 +214,10 @@ def tabulate(robot: RobotParameters, grid: LegMapSettings) -> Array:
     heights = np.linspace(grid.height_min, grid.height_max, grid.heights)
     columns = []
     resting = StaticLeg(robot, grid.nodes)
-    for height in heights[::-1]:  # lower the slack leg, then pull the tendon at each height
+    for k, height in enumerate(
+        heights[::-1]
+    ):  # lower the slack leg, then pull the tendon at each height
+        tell(k / len(heights))
         resting.solve(0.0, height)
         columns.append(_rows_at_height(robot, grid, resting.node, height, angles))
     return np.stack(columns[::-1], axis=1).reshape(-1, len(COLUMNS))

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from slot_core import config
 from slot_core.command_line import CommandParser, refuse
+from slot_core.progress import ProgressLine
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,7 +35,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from slot_core.robot import read_robot  # noqa: PLC0415
 
     try:
-        write(out, tabulate(read_robot(), config.read(LegMapSettings, "leg_map")))
+        robot, grid = read_robot(), config.read(LegMapSettings, "leg_map")
+        with ProgressLine(parser.prog) as progress:
+            write(out, tabulate(robot, grid, partial(progress, "leg map")))
     except (config.ConfigError, NoEquilibriumError, OSError) as error:
         refuse(parser.prog, error)
         return 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from slot_core.clock import to_seconds
 from slot_core.messages import decode
+from slot_core.progress import untold
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_stages import RecordedStages
 from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, Replayed
@@ -74,17 +75,20 @@ def check_bag(
     own_policy: str = "",
     only: Collection[str] = (),
     skip: Collection[str] = (),
+    *,
+    tell: Callable[[str], object] = untold,
 ) -> list[StageComparison]:
     """Compare every stage of the bag, in the order of the graph.
 
     own_policy: file of a policy of one's own, as `RecordedStages` takes it. only: nodes of the
     stages to compare; none: all but those to `skip`, and those whose output a node of a user's own
-    has published. Raises BagError if no stage can be compared, ConfigError if the configuration is
-    invalid.
+    has published. tell: takes the topic that is replayed.
+    Raises BagError if no stage can be compared, ConfigError if the configuration is invalid.
     """
     recorded = RecordedStages(bag, own_policy)
     comparisons = []
     for topic, stage in STAGES.items():
+        tell(topic)
         missing = [name for name in (topic, *stage.inputs) if not bag.counts.get(name)]
         if topic == "/gait_preview" and recorded.lost_path:
             missing.append(recorded.lost_path)

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slot_core.command_line import CommandParser, refuse, show
+from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError, quoted
 from slot_lab.bags.topics import OUTPUTS
 
@@ -86,7 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             bag.save(options.mend)
             return 0
         chosen = options.only, options.skip
-        comparisons = check_bag(bag, options.tolerance, options.policy, *chosen)
+        with ProgressLine(parser.prog) as progress:
+            comparisons = check_bag(bag, options.tolerance, options.policy, *chosen, tell=progress)
     except InputError as error:
         refuse(parser.prog, error)
         return 2

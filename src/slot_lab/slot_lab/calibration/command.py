@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slot_core.command_line import command_parser, positive_integer, show
+from slot_core.progress import ProgressLine
 from slot_lab.verdict import EXIT_CODES
 
 FREE = ("leg.young_modulus", "tendon.offset", "tendon.cable_stiffness", "tendon.slack")
@@ -30,7 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from slot_lab.calibration.calibrate import ERRORS, run  # noqa: PLC0415 - heavy
 
     try:
-        lines, verdict = run(options)
+        with ProgressLine(parser.prog) as progress:
+            lines, verdict = run(options, progress)
     except ERRORS as error:
         parser.error(str(error))
     return verdict.code if show(parser.prog, [*lines, "", verdict.line]) else 2

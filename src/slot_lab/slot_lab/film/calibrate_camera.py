@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slot_core.command_line import command_parser, positive_integer, show
+from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError
 from slot_lab.bags.topics import IMAGES
 
@@ -35,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it repeats our messages
     try:
-        found = _calibrate(options)
+        with ProgressLine(parser.prog) as progress:
+            found = _calibrate(options, progress)
         options.out.write_text(camera_text(found.camera, options.name))
     except InputError as error:
         parser.error(str(error))
@@ -44,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0 if show(parser.prog, [*report(found), f"wrote {options.out}"]) else 2
 
 
-def _calibrate(options: argparse.Namespace) -> Calibration:
+def _calibrate(options: argparse.Namespace, progress: ProgressLine) -> Calibration:
     from slot_core.vision.settings import read_vision  # noqa: PLC0415 - heavy
     from slot_lab.film.calibration import calibrate, chessboard, find_view  # noqa: PLC0415
     from slot_lab.film.images import FilmError, read_film  # noqa: PLC0415
@@ -53,6 +55,7 @@ def _calibrate(options: argparse.Namespace) -> Calibration:
     views: list[BoardView] = []
     frames = read_film(options.film, topic=options.topic)
     for number, frame in enumerate(frames):
+        progress(f"image {number}")
         shape = frame.grey.shape[1], frame.grey.shape[0]
         if number and shape != size:
             raise FilmError(f"{options.film}: image {number} has another size: {shape}, {size}")
@@ -60,6 +63,7 @@ def _calibrate(options: argparse.Namespace) -> Calibration:
         if number % options.every == 0:
             view = find_view(board, f"image {number}", frame.grey)
             views += [view] if view else []
+    progress("calibrating")
     return calibrate(views, size)
 
 

@@ -14,6 +14,7 @@ from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
 from slot_core.messages import decode
+from slot_core.progress import Tell
 from slot_core.robot import LEGS, ODOM_FRAME, Array, RobotParameters, read_robot
 from slot_core.vision.board import SQUARE, GreyImage, make_board, print_of, single_marker
 from slot_core.vision.camera import nominal
@@ -137,14 +138,14 @@ def _turned(corners: Array, to_camera: Transform) -> Iterator[Array]:
             yield order
 
 
-def film(options: argparse.Namespace) -> int:
+def film(options: argparse.Namespace, tell: Tell) -> int:
     """Write what is asked for; the number of images. Raises BagError, ConfigError, OSError."""
     cv2.setNumThreads(1)
     write = _film_chessboard if options.what == CHESSBOARD else _film
-    return write(options, read_vision())
+    return write(options, read_vision(), tell)
 
 
-def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
+def _film(options: argparse.Namespace, settings: VisionSettings, tell: Tell) -> int:
     """Write film, depth images and true tracks; the number of images."""
     robot = read_robot()
     times, shots = _motion(Bag(options.what), robot, options.duration)
@@ -161,6 +162,7 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
         raise OSError(0, "no video can be written there", str(options.out))
     truth: list[MarkerSample] = []
     for i, time in enumerate(times):
+        tell(i / len(times))
         soon = None
         if i + 1 < len(times) and times[i + 1] - time < GAP * period:
             soon = shots[i + 1], float(times[i + 1] - time)
@@ -177,7 +179,7 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
     return len(times)
 
 
-def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> int:
+def _film_chessboard(options: argparse.Namespace, settings: VisionSettings, tell: Tell) -> int:
     """Write VIEWS images of the ChArUco board, held in all parts of the image and tilted."""
     rng = np.random.default_rng(options.seed)
     camera = nominal(settings.camera)
@@ -187,6 +189,7 @@ def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> i
     synthetic = SyntheticCamera(camera, Imperfections(), rng)
     options.out.mkdir(parents=True, exist_ok=True)
     for number in range(VIEWS):
+        tell(number / VIEWS)
         distance = rng.uniform(0.35, 0.7)
         ray = camera.rays(rng.uniform(0.2, 0.8, 2) * [camera.width, camera.height])
         tilt = np.array([np.pi, 0.0, 0.0]) + rng.uniform(-0.6, 0.6, 3)

@@ -12,9 +12,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from slot_core.command_line import command_parser, show, within
+from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError
 
 
@@ -27,7 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from slot_lab.film.film import film  # noqa: PLC0415 - heavy
 
     try:
-        count = film(options)
+        with ProgressLine(parser.prog) as progress:
+            count = film(options, partial(progress, "filming"))
     except InputError as error:
         parser.error(str(error))
     except OSError as error:

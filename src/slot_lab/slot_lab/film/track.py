@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import csv
 import itertools
-import sys
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import cv2
 
 from slot_core.body_points import COLUMNS, FRAME, TORSO
-from slot_core.command_line import progress
+from slot_core.progress import ProgressLine, Tell, untold
 from slot_core.vision.camera import Camera, nominal, read_camera
 from slot_core.vision.detector import other_dictionary
 from slot_core.vision.settings import VisionSettings, read_vision
@@ -30,7 +30,7 @@ from slot_lab.film.tracker import MarkerSample, Tracker, Tracks
 COMPLETE = 1.02  # images that a video says over those read: some estimate their length
 
 
-def track(options: argparse.Namespace) -> list[str]:
+def track(options: argparse.Namespace, progress: ProgressLine) -> list[str]:
     """Track a film and write the tracks; returns lines on them.
 
     Raises FilmError, CameraError, ConfigError, OSError.
@@ -39,8 +39,9 @@ def track(options: argparse.Namespace) -> list[str]:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it repeats our messages
     settings = read_vision()
     tracks = track_film(
-        options.film, _camera(options, settings), settings,
+        options.film, _camera(options, settings, progress), settings,
         rate=options.rate, depth=options.depth, topic=options.topic,
+        tell=partial(progress, f"tracking {options.film}"),
     )  # fmt: skip
     samples = of_leg(tracks.samples, options.leg)
     if not samples:
@@ -75,19 +76,19 @@ def track_film(
     rate: float | None = None,
     depth: str = "",
     topic: str = IMAGES,
+    tell: Tell = untold,
 ) -> Tracks:
     """Tracks of the markers of a film, as for `read_film`; raises FilmError, CameraError."""
     frames = read_film(film, rate, depth, topic)
     first = next(frames, None)
     if first is None:
         raise FilmError(f"{film}: no image on {topic}")
-    tracker = Tracker(settings, camera)
+    tracker, claimed = Tracker(settings, camera), claimed_length(film)
     for number, frame in enumerate(itertools.chain([first], frames)):
         tracker.add(frame.time, frame.grey, frame.depth)
-        if sys.stderr.isatty() and number % 30 == 0:
-            print(f"image {number}", end="\r", file=sys.stderr, flush=True)
+        tell(min(1.0, number / claimed) if claimed else 0.0)
     tracks = tracker.tracks()
-    if (claimed := claimed_length(film)) > COMPLETE * tracks.images:
+    if claimed > COMPLETE * tracks.images:
         tracks.notes.append(f"the video says that it has {claimed} images: it is damaged")
     if not tracks.samples:
         raise FilmError(f"{film}: no tracked marker in {_absence(tracks, settings, first)}")
@@ -101,12 +102,14 @@ def _absence(tracks: Tracks, settings: VisionSettings, first: Frame) -> str:
     return text + (f"; the first shows {other})" if other else "; the first shows no marker)")
 
 
-def _camera(options: argparse.Namespace, settings: VisionSettings) -> Camera:
+def _camera(
+    options: argparse.Namespace, settings: VisionSettings, progress: ProgressLine
+) -> Camera:
     if options.camera:
         return read_camera(options.camera)
     if is_bag(options.film):
         return bag_camera(options.film, options.topic)
-    progress("without --camera FILE: the nominal camera of config/vision.yaml is used")
+    progress.say("without --camera FILE: the nominal camera of config/vision.yaml is used")
     return nominal(settings.camera)
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from slot_core.command_line import command_parser, show, within
 from slot_core.names import LEGS
+from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError
 from slot_lab.bags.topics import IMAGES
 
@@ -29,7 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from slot_lab.film.track import track  # noqa: PLC0415 - heavy
 
     try:
-        lines = track(options)
+        with ProgressLine(parser.prog) as progress:
+            lines = track(options, progress)
     except InputError as error:
         parser.error(str(error))
     except OSError as error:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slot_core.command_line import command_parser, show, within
+from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError, quoted
 
 if TYPE_CHECKING:
@@ -117,10 +118,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         if options.plot and options.plot.suffix not in SUFFIXES:
             raise CompareError(f"{options.plot}: the name of a plot ends in {', '.join(SUFFIXES)}")
-        first, second = (Bag(path, options.namespace) for path in options.bags)
-        lines, beyond = _compare((first, second), options)
-        if options.plot:
-            draw(first, second, options.plot)
+        with ProgressLine(parser.prog) as progress:
+            progress("opening the bags")
+            first, second = (Bag(path, options.namespace) for path in options.bags)
+            lines, beyond = _compare((first, second), options, progress)
+            if options.plot:
+                progress("drawing")
+                draw(first, second, options.plot)
     except InputError as error:
         parser.error(str(error))
     except OSError as error:
@@ -130,7 +134,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if beyond else 0
 
 
-def _compare(bags: tuple[Bag, Bag], options: argparse.Namespace) -> tuple[list[str], list[str]]:
+def _compare(
+    bags: tuple[Bag, Bag], options: argparse.Namespace, progress: ProgressLine
+) -> tuple[list[str], list[str]]:
     """Lines on what differs, and on what is beyond the tolerances."""
     from slot_core.dynamics.servo import read_servo  # noqa: PLC0415 - heavy
     from slot_core.recording.record_settings import read_record_settings  # noqa: PLC0415
@@ -139,7 +145,10 @@ def _compare(bags: tuple[Bag, Bag], options: argparse.Namespace) -> tuple[list[s
     from slot_lab.report.origin_changes import origin_lines  # noqa: PLC0415
 
     warm_up = read_record_settings().warm_up if options.warm_up is None else options.warm_up
-    walks = [walk_metrics(bag, warm_up, read_servo()) for bag in bags]
+    walks = []
+    for bag in bags:
+        progress(f"figures of {bag.path}")
+        walks.append(walk_metrics(bag, warm_up, read_servo()))
     pairs = compare_figures(*map(figures, walks))
     head = "".join(f"{name:>{VALUE_WIDTH}}" for name in ("first", "second", "difference"))
     named = list(zip(("first", "second"), bags))

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import math
-import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +14,7 @@ from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
+from slot_core.progress import ProgressLine
 from slot_core.refusal import quoted
 from slot_core.robot import read_robot
 from slot_lab.tuning import gait_file, identification, symmetry
@@ -32,10 +30,10 @@ LEAST_SPEED = 1e-3  # m/s, rad/s, of a pattern
 ERRORS = (ConfigError, IdentificationError, ModuleNotFoundError, OSError)
 
 
-def write_stride(options: argparse.Namespace, command: str) -> list[str]:
+def write_stride(options: argparse.Namespace, command: str, progress: ProgressLine) -> list[str]:
     """Search and write the stride; returns the lines of the report. Raises ERRORS."""
     out = options.out = options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
-    tuning = _Tuning(options)
+    tuning = _Tuning(options, progress)
     call = functools.partial(simulate, settings=tuning.settings)
     with workers(options.scheduler, options.workers) as client:
         notes = tuning.run(functools.partial(gather, client, call))
@@ -47,7 +45,7 @@ def write_stride(options: argparse.Namespace, command: str) -> list[str]:
 class _Tuning:
     """A run of `scripts/tune`: its options, settings and stages."""
 
-    def __init__(self, options: argparse.Namespace) -> None:
+    def __init__(self, options: argparse.Namespace, progress: ProgressLine) -> None:
         """Read the configuration; raises ConfigError."""
         self._options = options
         self.settings = _settings(options)
@@ -59,7 +57,7 @@ class _Tuning:
             for kind in symmetry.NUMBERS
             if kind in self._stages
         }
-        self._progress = _Progress()
+        self._progress = progress
 
     def run(self, run_all: RunAll) -> list[str]:
         """Run the stages and return their figures, lines of text."""
@@ -121,22 +119,6 @@ class _Tuning:
 
     def _record(self, kind: str) -> Path:
         return RECORDS / f"{self._options.out.stem}.{kind}.jsonl"
-
-
-class _Progress:
-    """Line of progress: rewritten in a terminal, else one every ten seconds."""
-
-    INTERVAL = 10.0  # s
-
-    def __init__(self) -> None:
-        self._last = -math.inf  # s
-
-    def __call__(self, line: str) -> None:
-        if sys.stderr.isatty():
-            print(f"\r{line:<78}", end="", file=sys.stderr, flush=True)
-        elif (now := time.monotonic()) - self._last >= self.INTERVAL:
-            self._last = now
-            print(line, file=sys.stderr, flush=True)
 
 
 def _settings(options: argparse.Namespace) -> TuningSettings:

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slot_core.command_line import INTERRUPTED, command_parser, positive_integer, refuse, show
+from slot_core.progress import ProgressLine
 from slot_core.refusal import quoted
 
 STAGES = ("forward", "turn", "steering", "identify")
@@ -35,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = "scripts/tune " + shlex.join(sys.argv[1:] if arguments is None else arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        lines = write_stride(options, command)
+        with ProgressLine("scripts/tune") as progress:
+            lines = write_stride(options, command, progress)
     except KeyboardInterrupt:
         print("\nscripts/tune: interrupted; the same command continues", file=sys.stderr)
         return INTERRUPTED

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.command_line import progress
 from slot_core.config import ConfigError, load
 from slot_core.divergence import DivergenceError
+from slot_core.progress import ProgressLine
 from slot_core.robot import Array
 from slot_lab.bags.bag import BagError
 from slot_lab.calibration.experiments import PredictionError
@@ -40,7 +40,7 @@ ERRORS = (
 )  # fmt: skip
 
 
-def run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
+def run(options: argparse.Namespace, progress: ProgressLine) -> tuple[list[str], Verdict]:
     """Predict, fit if asked for, and write the files; returns the lines of the report."""
     settings, names = read_twin(), places([*filter(None, options.fit.split(","))])
     if options.set:
@@ -49,6 +49,7 @@ def run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
     for name in names:
         parameter(parts, name)  # refused before anything is started
     start = parts.scene.parameters or load("robot")["parameters"]
+    progress(f"reading {options.recording}")
     recorded = read_recorded(options.recording, options.namespace, options.angles, options.motion)
     strides = find_strides(recorded, settings, options.period)
     out = options.out or Path("results", "twin", recorded.name)
@@ -64,14 +65,15 @@ def run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
         "",
     ]
     measured = measured_track(recorded.motion)
-    predicted = predict(recorded, parts, settings)
+    predicting = partial(progress, "predicting the motion")
+    predicted = predict(recorded, parts, settings, predicting)
     if names:
         with _runner(options) as run_all:
             trial = (recorded, strides, parts, names, settings, options.starts)
             kept = _Trials(out / "trials", run_all, trial)
             found = fit_twin(
                 recorded, parts, names, strides, settings,
-                run_all=kept, starts=options.starts, progress=progress,
+                run_all=kept, starts=options.starts, say=progress.say, tell=progress,
             )  # fmt: skip
         seen = len(found.seen[0].level)
         content = parameter_set.record(recorded, parts, start, found, options.note)
@@ -80,7 +82,10 @@ def run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
         lines += [f"fit to {seen} strides, judged on the {strides.count - seen} others", ""]
         lines += [*parameter_set.error_lines(columns), "", *parameter_set.fit_lines(found)]
         lines += ["", f"written: {os.path.relpath(written)}"] if written else []
-        tracks = {"model": predicted, "fitted": predict(recorded, found.parts, settings)}
+        tracks = {
+            "model": predicted,
+            "fitted": predict(recorded, found.parts, settings, predicting),
+        }
         parts = found.parts
         kept.forget()
         judged = strides.split(settings.held_out)[1]
@@ -91,8 +96,10 @@ def run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
         lines += parameter_set.error_lines({"model": stride_errors(predicted, measured, strides)})
         verdict = judge(predicted, measured, strides, settings)
     title = f"{recorded.name}: predicted and measured motion"
+    progress("drawing")
     twin_plot.draw(out / "twin.png", title, measured, tracks, strides=strides, seen=seen)
-    leg_points.write(recorded, parts, settings, out / "predicted.csv")
+    told = partial(progress, "predicting the points of the legs")
+    leg_points.write(recorded, parts, settings, out / "predicted.csv", told)
     (out / "summary.txt").write_text("\n".join([*lines, "", verdict.line]) + "\n")
     return [*lines, "", f"twin.png, predicted.csv and summary.txt are in {out}"], verdict
 

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slot_core.command_line import INTERRUPTED, command_parser, positive_integer, show, within
+from slot_core.progress import ProgressLine
 from slot_lab.bags.topics import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_lab.verdict import EXIT_CODES
 
@@ -28,7 +29,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        lines, verdict = run(options)
+        with ProgressLine(parser.prog) as progress:
+            lines, verdict = run(options, progress)
     except KeyboardInterrupt:
         print("\nscripts/twin: interrupted; the same command continues", file=sys.stderr)
         return INTERRUPTED
