@@ -67,6 +67,7 @@ REPEATED = {
     "__init__.py": "subject of the folder",
     "model.py": "numerical form of the equations of the folder's subject",
     "kernels.py": "the compiled functions of the folder's subject",
+    "options.py": "options of each benchmark that has some",
     "settings.py": "settings class of the folder's YAML file",
     "statics.py": "equilibria of the rod, and those of its benchmark",
     "strain.py": "strains of planar and of spatial legs",

@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,18 +11,19 @@ import pytest
 
 from benchmarks import __main__ as command_line
 from documentation import pictures
-from slot_bringup import operate, play, run, view
-from slot_bringup.graph import read_graph
+from slot_bringup import operate_command, play_command, run, view
+from slot_bringup.arguments import parse
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.legs import leg_map
+from slot_core.control.policies import POLICIES
+from slot_core.legs import tabulate_leg
 from slot_core.mpc.settings import read_mpc
-from slot_lab.bags import check_bag as replay
+from slot_lab.bags import replay_command as replay
 from slot_lab.calibration import command as calibrate
-from slot_lab.film import print_markers
-from slot_lab.report import compare, constraint_map
-from slot_lab.tuning import tune
-from slot_lab.twin import twin
+from slot_lab.film import print_command
+from slot_lab.report import compare, map_command
+from slot_lab.tuning import tune_command
+from slot_lab.twin import twin_command
 from slot_lab.validation import validate
 
 HERE = Path(__file__).parent
@@ -32,23 +34,23 @@ LEG_RUN = str(EXAMPLE / "single_leg_run.csv")
 MEASURED = str(config.config_dir() / "parameters" / "paper_single_leg.csv")
 # Arguments and what the line says, by tool; {} stands for an empty directory.
 REFUSED = {
-    "tabulate_leg": (leg_map.main, [
+    "tabulate_leg": (tabulate_leg.main, [
         (["--out", "{}/nowhere/map.csv"], "/map.csv: not a file in an existing directory"),
     ]),
-    "tune": (tune.main, [
+    "tune": (tune_command.main, [
         (["walk", "fly"], "STAGE: 'fly': expected one of forward, turn, steering, identify"),
         (["stand"], "gait 'stand' is a posture, not a stride"),
         (["trot"], "no gait 'trot' (known: "),
         (["walk", "--friction", "-1"], "friction[0] = -1.0: outside [0.01, 2]"),
         (["walk", "--seed", "0"], "argument --seed: 0 is below 1"),
     ]),
-    "constraint_map": (constraint_map.main, [
+    "constraint_map": (map_command.main, [
         (["{}"], "holds no metadata.yaml, .mcap or .db3 file"),
         (["x" * 300], "xxx ... xxx"),
         (["a\0b"], "embedded null byte"),
         ([WALK, "--out", "{}/map.foo"], "/map.foo: the name of a plot ends in .png"),
     ]),
-    "twin": (twin.main, [
+    "twin": (twin_command.main, [
         (["{}"], "holds no metadata.yaml, .mcap or .db3 file: not a bag"),
         ([WALK], "strides of 0.62 s after a run-in of 2, less than 5"),
         ([WALK, "--fit", "colour"], "--fit colour: expected one of friction"),
@@ -71,7 +73,7 @@ REFUSED = {
         ([MEASURED, "--starts", "0"], "0 is below 1"),
         ([MEASURED, "--plot", "{}/fit.txt"], "the name of a plot ends in .png"),
     ]),
-    "print_markers": (print_markers.main, [
+    "print_markers": (print_command.main, [
         (["door", "--out", "{}/x.png"], "'door': expected one of wall, film, torso, points"),
         (["torso", "--out", "{}/x.gif"], "ends in .png or .pdf"),
         (["torso", "--out", "{}/nowhere/x.png"], "No such file or directory"),
@@ -103,7 +105,7 @@ REFUSED = {
         ([WALK, "--remap", ":=/odom"], "expected OLD:=NEW, names of topics"),
         ([WALK, "--remap", "/odom=/imu"], "expected OLD:=NEW, names of topics"),
     ]),
-    "replay --live": (lambda arguments: play.main(["--live", *arguments]), [
+    "replay --live": (lambda arguments: play_command.main(["--live", *arguments]), [
         (["{}/nowhere"], "nowhere: does not exist"),
         ([WALK, "--namespace", "a b"], "namespace = 'a b'"),
         ([WALK, "--remap", "/odom:=/camera"], "holds no /odom"),
@@ -127,7 +129,7 @@ REFUSED = {
         (["--web", "--save", "x.rrd"], ""),
         (["one", "two"], "2 bags: expected one, or two with --html"),
     ]),
-    "operate": (operate.main, [
+    "operate": (operate_command.main, [
         (["zero"], ""),
         (["reboot", "tail"], ""),
         (["dance"], ""),
@@ -145,38 +147,87 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
-WITHOUT_EXTRAS = """
-import runpy, sys
-class Missing:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in %r:
-            raise ModuleNotFoundError(f"No module named {name!r}")
-sys.meta_path.insert(0, Missing())
-sys.argv = ["", "--help"]
-runpy.run_module(%r, run_name="__main__", alter_sys=True)
+HELP = """
+import atexit, runpy, sys
+module, *sys.argv[1:] = sys.argv[1:]
+atexit.register(lambda: print(*{name.partition(".")[0] for name in sys.modules}, file=sys.stderr))
+runpy.run_module(module, run_name="__main__", alter_sys=True)
 """
-MODULE = r"^(?:exec python -m |module=)([\w.]+)"  # that a script runs
-EXTRAS = ("cma", "cvxpy", "distributed", "elastica", "mujoco", "pytest", "quadprog", "rerun",
-          "viser", "websockets")  # fmt: skip
+MODULE = r"^(?:exec python -m |module=)([\w.]+)|module=([\w.]+);"  # that a script runs
+HEAVY = {"cv2", "matplotlib", "numba", "numpy", "PIL", "rclpy", "rosbags", "scipy"}
+OWN_HELPS = [("bench", "benchmarks", name) for name in ("graph", "perturbations", "robot")]
 
 
 def programs():
-    """Python modules by the command of scripts/ that runs them."""
+    """Python modules by the command of scripts/ that runs them, and arguments before --help."""
     for script in sorted((ROOT / "scripts").iterdir()):
         if script.is_file() and not script.suffix:
-            for module in re.findall(MODULE, script.read_text(), re.MULTILINE):
-                yield script.name, module
+            for module in re.finditer(MODULE, script.read_text(), re.MULTILINE):
+                yield script.name, module[1] or module[2]
 
 
-@pytest.mark.parametrize(("script", "module"), list(programs()))
-def test_every_help_works_without_the_packages_of_an_extra(script, module):
+@pytest.mark.parametrize(
+    ("script", "module", "word"), [*((*p, "") for p in programs()), *OWN_HELPS]
+)
+def test_a_help_imports_nothing_heavy(script, module, word):
     path = os.pathsep.join([str(ROOT / "scripts"), os.environ.get("PYTHONPATH", "")])
     run = subprocess.run(
-        [sys.executable, "-c", WITHOUT_EXTRAS % (EXTRAS, module)],
+        [sys.executable, "-c", HELP, module, *filter(None, [word]), "--help"],
         capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path}, check=False,
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith(f"usage: scripts/{script} ")
+    loaded = {*run.stderr.split()}
+    assert "slot_core" in loaded
+    assert not loaded & HEAVY
+
+
+@pytest.fixture(scope="module")
+def fresh_clone(tmp_path_factory):
+    """A clone without .slot, and a directory with a Python that has no packages."""
+    clone, binaries = (tmp_path_factory.mktemp(name) for name in ("clone", "bin"))
+    for name in ("config", "src", "slot_bringup"):
+        (clone / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "scripts", clone / "scripts")
+    (binaries / "python3").symlink_to(sys._base_executable)
+    return clone, binaries
+
+
+@pytest.mark.parametrize(("command", "text"), [
+    ("run", "walk"), ("servos", "emulate"), ("bench graph", "--endurance"),
+    ("replay --live", "--rate"), ("validate", "explained"),
+])  # fmt: skip
+def test_a_help_needs_no_set_up_and_no_environment(fresh_clone, command, text):
+    clone, binaries = fresh_clone
+    name, *words = command.split()
+    run = subprocess.run(
+        ["/bin/bash", clone / "scripts" / name, *words, "--help"],
+        capture_output=True, text=True, env={"PATH": f"{binaries}:/usr/bin:/bin"}, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.startswith(f"usage: scripts/{name} ")
+    assert text in run.stdout
+    assert not (clone / ".slot").exists()
+
+
+def test_a_help_of_the_graph_names_gaits_scenes_and_policies(capsys):
+    with pytest.raises(SystemExit):
+        parse(["--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    for named in ([*POLICIES], config.names("gait"), config.names("scene")):
+        assert ", ".join(named) in shown
+
+
+def test_a_replay_imports_no_library_that_it_does_not_use():
+    """Numba would import SciPy and coverage; the plots' libraries are not needed either."""
+    run = subprocess.run(
+        [sys.executable, "-c", HELP, "slot_lab.bags.replay_command", WALK],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    loaded = {*run.stderr.split()}
+    assert "numba" in loaded
+    assert not loaded & {"scipy", "matplotlib", "cv2", "coverage"}
 
 
 @pytest.mark.parametrize(("tool", "arguments", "reason"), CASES)
@@ -192,9 +243,9 @@ FILE = "FILE"  # place of a recording
 READERS = {
     "calibrate": (calibrate.main, [FILE]),
     "compare": (compare.main, [WALK, FILE]),
-    "constraint_map": (constraint_map.main, [FILE]),
+    "constraint_map": (map_command.main, [FILE]),
     "replay": (replay.main, [FILE]),
-    "twin": (twin.main, [FILE]),
+    "twin": (twin_command.main, [FILE]),
     "validate": (validate.main, [FILE, LEG_RUN]),
     "view": (view.main, [FILE, "--html", "walk.html"]),
 }
@@ -219,7 +270,7 @@ def test_a_leg_map_without_its_configuration_is_refused(tmp_path, monkeypatch, r
     if text is not None:
         (tmp_path / "leg_map.yaml").write_text(text)
     out = tmp_path / "map.csv"
-    line = refusal(leg_map.main, "--out", out)
+    line = refusal(tabulate_leg.main, "--out", out)
     assert line.startswith("scripts/tabulate_leg: ")
     assert not out.exists()
 
@@ -235,12 +286,12 @@ def test_results_of_a_benchmark_into_a_file_are_refused(tmp_path, refusal):
 
 
 def test_a_bag_with_a_name_too_long_is_refused(refusal):
-    line = refusal(lambda arguments: run.parse(arguments, read_graph()), "--bag", "x" * 300)
+    line = refusal(lambda arguments: run.check_options(parse(arguments)), "--bag", "x" * 300)
     assert line == "scripts/run: bag: File name too long"
 
 
 def test_a_replay_whose_output_cannot_be_written_says_so():
-    command = [sys.executable, "-m", "slot_lab.bags.check_bag", WALK]
+    command = [sys.executable, "-m", "slot_lab.bags.replay_command", WALK]
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert ended.returncode == 2

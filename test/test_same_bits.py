@@ -14,7 +14,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 import slot_core
-from slot_core.control.policy import POLICIES
+from slot_core.control.policies import POLICIES
 from slot_core.kernel_cache import KernelCache
 from slot_core.simulation.closed_loop import ClosedLoop
 

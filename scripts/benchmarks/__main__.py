@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import ROOT, BenchmarkError, about, known, load, run
+from benchmarks.harness import ROOT, BenchmarkError, about, add_options, known, run
 from slot_core.command_line import INTERRUPTED, CommandParser, progress, refuse
 
 CANNOT_RUN = 2  # exit code
@@ -60,10 +60,7 @@ def _add_options(parser: argparse.ArgumentParser, common: argparse.Namespace) ->
     """Add the options of the named benchmark, if any; returns their names."""
     if common.name is None or common.list:
         return []
-    add = getattr(load(common.name, common.benchmarks), "options", None)
-    if add is None:
-        return []
-    add(parser)
+    add_options(parser, common.name, common.benchmarks)
     return sorted(vars(parser.parse_args([common.name])).keys() - vars(common).keys())
 
 

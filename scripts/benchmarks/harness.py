@@ -9,7 +9,8 @@ It may have command line options: a function
 
     options(parser: argparse.ArgumentParser) -> None
 
-adds them, each with a default, and `run` takes their values as keyword arguments.
+in a file `options.py` beside it, which imports Python's standard library alone, adds them, each
+with a default, and `run` takes their values as keyword arguments.
 
 A row is a mapping of names to plain values; other files, such as plots, go to `out`. Plots are
 drawn from the rows and from courses over time in `out/courses.npz`, and so scripts/pictures draws
@@ -25,6 +26,7 @@ scripts/setup --bench installs them.
 
 from __future__ import annotations
 
+import argparse
 import ast
 import dataclasses
 import importlib.util
@@ -38,11 +40,10 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
-
-import numpy as np
 
 from slot_core.refusal import InputError, quoted
 
@@ -201,16 +202,7 @@ def run(
 
 def load(name: str, directory: Path) -> ModuleType:
     """Import the module of a benchmark; raises BenchmarkError."""
-    benchmarks = known(directory)
-    if name not in benchmarks:
-        there = ", ".join(benchmarks) or "none"
-        raise BenchmarkError(f"no benchmark {quoted(name)} (known: {there})")
-    spec = importlib.util.spec_from_file_location(f"slot_benchmark_{name}", benchmarks[name])
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look up their annotations there
-    spec.loader.exec_module(module)
+    module = _imported(f"slot_benchmark_{name}", _find(name, directory))
     packages = getattr(module, "REQUIRES", ())
     missing = [package for package in packages if importlib.util.find_spec(package) is None]
     if missing:  # no peer is left out silently
@@ -219,6 +211,31 @@ def load(name: str, directory: Path) -> ModuleType:
         )
     if not callable(getattr(module, "run", None)):
         raise BenchmarkError(f"benchmark {name}: has no function run(quick, out, progress)")
+    return module
+
+
+def add_options(parser: argparse.ArgumentParser, name: str, directory: Path) -> None:
+    """Add the options of a benchmark, if it has any; raises BenchmarkError for an unknown name."""
+    path = _find(name, directory).with_name("options.py")
+    if path.exists():
+        _imported(f"slot_benchmark_{name}_options", path).options(parser)
+
+
+def _find(name: str, directory: Path) -> Path:
+    benchmarks = known(directory)
+    if name not in benchmarks:
+        there = ", ".join(benchmarks) or "none"
+        raise BenchmarkError(f"no benchmark {quoted(name)} (known: {there})")
+    return benchmarks[name]
+
+
+def _imported(name: str, path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look up their annotations there
+    spec.loader.exec_module(module)
     return module
 
 
@@ -241,7 +258,7 @@ def machine() -> dict[str, Any]:
         "cores": len(os.sched_getaffinity(0)),
         "system": platform.system(),
         "python": platform.python_version(),
-        "numpy": np.__version__,
+        "numpy": version("numpy"),
     }
 
 
@@ -249,10 +266,10 @@ def _plain(value: Any) -> Any:
     """`value` as JSON: NumPy's numbers as Python's, NaN and infinity as null."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
+    if hasattr(value, "tolist"):  # an array or number of NumPy
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -64,7 +64,7 @@ SETTINGS: dict[str, Callable[[], Any]] = {
 
 
 def arguments() -> str:
-    """Arguments of `graph.yaml`: options of scripts/run, and of the launch file."""
+    """Arguments of the graph: options of scripts/run, and of the launch file."""
     rows = [
         (
             f"`--{argument.name.replace('_', '-')}`",

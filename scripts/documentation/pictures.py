@@ -18,10 +18,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-from PIL import Image
-
 from benchmarks.harness import COURSES
 from benchmarks.report.results import ReportError, read_benchmark
 from documentation.markdown import DOC, ROOT
@@ -29,7 +25,6 @@ from slot_core.command_line import command_parser, progress, refuse
 from slot_core.refusal import InputError, quoted
 
 CANNOT_DRAW = 2  # exit code
-PLAIN = Image.Dither.NONE
 Draw = Callable[[Any, Path], object]
 Rows = Sequence[Mapping[str, Any]]
 
@@ -61,6 +56,8 @@ def of_courses(benchmark: str, draw: str) -> Picture:
     """Drawn from the courses over time of a benchmark."""
 
     def make(results: Path, path: Path) -> None:
+        import numpy as np  # noqa: PLC0415 - heavy
+
         with np.load(results / benchmark / COURSES) as courses:
             named(draw)(dict(courses), path)
 
@@ -89,13 +86,19 @@ def ran(commands: Sequence[str], file: str, take: Callable[[Path, Path], object]
 
 def shrink(path: Path) -> None:
     """Write a picture again with a palette, within some 20 of 255 of its colours: a third of it."""
+    from PIL import Image  # noqa: PLC0415 - heavy
+
     with Image.open(path) as picture:
-        small = picture.convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE, 1, None, PLAIN)
+        small = picture.convert("RGB").quantize(
+            256, Image.Quantize.MAXCOVERAGE, 1, None, Image.Dither.NONE
+        )
     small.save(path, optimize=True)
 
 
 def film_image(film: Path, path: Path) -> None:
     """Write the part of a film's first image that shows robot and board."""
+    import cv2  # noqa: PLC0415 - heavy
+
     _, image = cv2.VideoCapture(str(film)).read()
     cv2.imwrite(str(path), cv2.cvtColor(image[FILMED], cv2.COLOR_BGR2GRAY))
 
@@ -105,7 +108,7 @@ def view_image(page: Path, path: Path) -> None:
     named("documentation.page_pictures:write_view")(page, path)
 
 
-FILMED = np.s_[60:500, 160:920]  # px, rows and columns
+FILMED = slice(60, 500), slice(160, 920)  # px, rows and columns
 PUSH = "scripts/run --lockstep --scene push --seed 1 --duration 8 --bag {}/push"
 FILM = "scripts/run --lockstep --duration 3 --bag {}/walk"
 WALK = "scripts/run --lockstep --duration 8 --bag {}/flat"

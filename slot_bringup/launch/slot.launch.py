@@ -44,7 +44,7 @@ OF_LAUNCH = ("launch-prefix", "launch-prefix-filter")  # of ros2 launch itself
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Declare the arguments of `graph.yaml`, then start its nodes."""
+    """Declare the arguments of the graph, then start its nodes."""
     return LaunchDescription(
         [
             *(

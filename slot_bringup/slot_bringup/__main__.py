@@ -3,12 +3,14 @@
 import signal
 import sys
 
+from slot_bringup.arguments import parse
 from slot_bringup.interrupts import INTERRUPTS
 
 try:
-    from slot_bringup.run import main
+    options = parse()  # before what only a run imports
+    from slot_bringup.run import run_and_report
 
-    code = main()
+    code = run_and_report(options)
 except KeyboardInterrupt:
     print("scripts/run: interrupted", file=sys.stderr)
     code = 130

@@ -13,10 +13,8 @@ from typing import Any
 
 import yaml
 
-from slot_core import config
-from slot_core.control.policy import POLICIES
+from slot_bringup.arguments import graph_arguments
 from slot_core.dynamics.scene import read_scene
-from slot_core.refusal import quoted
 
 CONTROLLER = "controller"  # executable of the nodes in one process
 ALWAYS, LOCKSTEP = "always", "lockstep"  # when a node can share that process
@@ -24,54 +22,10 @@ END, GO_ON, RESTART = "end", "go_on", "restart"  # what the graph does when a pr
 RESTARTS = 3  # of a process
 REFUSED = 2  # exit code of a node whose configuration is refused
 CORES = 2  # least number for a real-time priority that nobody has asked for
-PATH = "path"
-KINDS: dict[str, type] = {"str": str, PATH: str, "int": int, "float": float, "bool": bool}
 
 # Before a node's command line: the kernel sends SIGTERM to the node when its parent ends, for
 # whatever reason. Not SIGINT, which is lost while Python imports a module that catches it.
 TIED = ("setpriv", "--pdeathsig", "TERM")
-
-
-@dataclass(frozen=True)
-class Argument:
-    """Argument that a user may set when starting the graph."""
-
-    name: str
-    kind: type
-    default: Any
-    help: str
-    choices: tuple[str, ...] | None = None
-    is_path: bool = False  # whether ~ stands for the home directory
-    unit: str = ""  # of a number
-
-    @property
-    def metavar(self) -> str | None:
-        """What stands for a value in a help; None if that are the choices."""
-        if self.choices:
-            return None
-        kind = "NAME" if self.kind is str else "N"
-        return self.unit or ("FILE" if self.is_path else kind)
-
-    @property
-    def text(self) -> str:
-        """The default in the text form of a launch argument."""
-        return "" if self.default is None else str(self.default)
-
-    def parse(self, text: str) -> Any:
-        """Convert a launch argument's text to its value.
-
-        Raises ValueError, which names the argument, where the type is wrong.
-        """
-        if self.default is None and not text:
-            return None
-        try:
-            value = config.parse(text) if self.kind is bool else self.kind(text)
-        except ValueError:
-            value = None
-        if type(value) is not self.kind:
-            expected = config.KIND_NAMES[self.kind]
-            raise ValueError(f"{self.name} = {quoted(text)}: expected {expected}")
-        return str(Path(text).expanduser()) if self.is_path and text else value
 
 
 @dataclass(frozen=True)
@@ -95,21 +49,10 @@ class NodeSpec:
 
 
 class Graph:
-    """Arguments and nodes of the graph, as described by `graph.yaml`."""
+    """Arguments of the graph, and its nodes as described by `graph.yaml`."""
 
     def __init__(self, description: Mapping[str, Any]):
-        self.arguments = tuple(
-            Argument(
-                name=name,
-                kind=KINDS[entry["type"]],
-                default=entry["default"],
-                help=entry["help"].format_map(_names()),
-                choices=tuple(entry["choices"]) if "choices" in entry else None,
-                is_path=entry["type"] == PATH,
-                unit=entry.get("unit", ""),
-            )
-            for name, entry in description["arguments"].items()
-        )
+        self.arguments = graph_arguments()
         self._common = description["parameters"]
         self._remappings = description["remappings"]
         self._nodes = description["nodes"]
@@ -176,12 +119,6 @@ class Graph:
             parameters |= extra if values[argument] else {}
         parameters = {name: _value(value, values) for name, value in parameters.items()}
         return {name: value for name, value in parameters.items() if value is not None}
-
-
-def _names() -> dict[str, str]:
-    """Names that can be chosen, by the word that stands for them in a help."""
-    known = {"gaits": config.names("gait"), "scenes": config.names("scene"), "policies": POLICIES}
-    return {word: ", ".join(names) for word, names in known.items()}
 
 
 def _value(value: Any, values: Mapping[str, Any]) -> Any:

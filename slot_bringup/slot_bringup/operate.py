@@ -1,31 +1,18 @@
-"""Operator's terminal: without an action a live display with keys to steer, and e-stop source.
-
-With an action it makes a single request:
-
-ready     torque on, legs hold their angles     stand     follow commands slowly
-walk      follow commands                       relax     ramp to slack, then torque off
-estop     torque off at once                    reset     return from ESTOP or FAULT to IDLE
-state     print state, reason and warnings      reboot    restart a servo, torque off
-zero      set a leg's relaxed angle to its present one, torque off
-forget    take a silent source of the e-stop for gone, by its name
-inject    inject a fault into the simulated robot
-"""
+"""The operator's terminal: requests to the running graph, and the live display with its keys."""
 
 from __future__ import annotations
 
 import argparse
 import os
-import re
 import select
 import shutil
-import signal
 import socket
 import sys
 import termios
 import time
 import tty
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -40,26 +27,19 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from slot_bringup import operator_screen, steering
-from slot_bringup.check import check_place
 from slot_bringup.monitor import ListenerExecutor, listener
+from slot_bringup.operator_keys import KEY, KEYS, QUIT, REQUESTS
 from slot_core.clock import to_seconds
-from slot_core.command_line import command_parser, refuse, show
-from slot_core.config import ConfigError
+from slot_core.command_line import show
 from slot_core.messages import decode
 from slot_core.messages.decode import ACTION_NUMBERS
-from slot_core.refusal import printable
-from slot_core.robot import LEGS
+from slot_core.refusal import InputError, printable
 from slot_core.safety.commands import Action
 from slot_core.safety.states import State
 from slot_msgs.msg import EmergencyStop, GaitPreview, MpcState, RobotState, ServoHealth
 from slot_msgs.srv import ForgetSource, InjectFault
 from slot_nodes import qos, runtime
 
-PROGRAM = "scripts/operate"
-REQUESTS = ("ready", "stand", "walk", "relax", "estop", "reset")
-KEYS = {"r": "ready", "s": "stand", "w": "walk", "x": "relax", " ": "estop", "R": "reset"}
-QUIT = "q"
-KEY = re.compile(r"\x1b[\[O][0-9;]*[A-Za-z~]|.", re.S)  # one key's characters
 SEARCH_TIME = 5.0  # s to wait for a service or a message
 ANSWER_TIME = 10.0  # s to wait for an answer; measuring a zero takes 0.5 s
 ESTOP_PERIOD = 0.1  # s, a fifth of timing.estop of config/supervisor.yaml
@@ -68,7 +48,7 @@ REFRESH = 0.2  # s between two redraws
 NEWEST = QoSProfile(depth=1)
 
 
-class OperateError(RuntimeError):
+class OperateError(InputError):
     """A request failed; the message is one line."""
 
 
@@ -279,62 +259,18 @@ def _draw(view: operator_screen.OperatorView) -> None:
     print(f"\x1b[H{screen}\x1b[K\x1b[J", end="", flush=True)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of `scripts/operate`; returns the exit code."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    try:
-        check_place(options.namespace)
-    except ConfigError as error:
-        parser.error(str(error))
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)
-    try:
-        return _act(options)
-    except OperateError as error:
-        refuse(parser.prog, error)
-        return 1
-    except KeyboardInterrupt:
-        return 130
-
-
-def _act(options: argparse.Namespace) -> int:
+def act(options: argparse.Namespace, program: str) -> int:
+    """Do what the command line asks for; returns the exit code. Raises OperateError."""
     if options.action is None:
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
             raise OperateError("the live display needs a terminal, scripts/operate state none")
         live(options.namespace)
     elif options.action == "state":
         lines = operator_screen.state_lines(receive_state(options.namespace))
-        return 0 if show(PROGRAM, lines) else 2
+        return 0 if show(program, lines) else 2
     else:
         success, message = call(service(options), options.namespace)
         if not success:
             raise OperateError(message)
-        return 0 if show(PROGRAM, [answer_text(options.action, message)]) else 2
+        return 0 if show(program, [answer_text(options.action, message)]) else 2
     return 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("operate", __doc__)
-    parser.add_argument(
-        "--namespace", metavar="NAME", default="", help="of the graph, as given to scripts/run"
-    )
-    actions = parser.add_subparsers(dest="action", metavar="ACTION")
-    for name in (*REQUESTS, "state"):
-        actions.add_parser(name)
-    for name in ("reboot", "zero"):
-        actions.add_parser(name).add_argument("leg", choices=LEGS)
-    actions.add_parser("forget").add_argument(
-        "source", help="name, as the refusal of a reset has it"
-    )
-    inject = actions.add_parser("inject")
-    inject.add_argument("kind", help="kind of fault, as in config/scene")
-    inject.add_argument("leg", choices=(*LEGS, "all"), nargs="?", default="all")
-    inject.add_argument("--value", type=float, default=0.0, help="in the unit of the kind")
-    inject.add_argument("--duration", type=float, default=0.0, help="s; 0 (default): until cleared")
-    inject.add_argument("--clear", action="store_true", help="clear this kind at this leg")
-    return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,16 +1,10 @@
-"""Plays the sensors of a bag into running nodes, in their recorded order and pace, with /clock.
-
-The graph has to run without a robot: `scripts/run --hardware none`, or the launch file with
-`hardware:=none`. The nodes then follow the clock of the bag. The stages before the one of interest
-may run or not: each answers what it gets.
-"""
+"""Player of the sensors of a bag into running nodes, in their recorded order and pace."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,16 +17,15 @@ from rosgraph_msgs.msg import Clock
 from slot_bringup.check import check_place
 from slot_bringup.monitor import listener
 from slot_core.clock import SECOND, to_seconds
-from slot_core.command_line import CommandParser, refuse, show, within
-from slot_core.config import ConfigError
+from slot_core.command_line import show
 from slot_core.messages import decode
 from slot_core.recording.message_types import Types, message_types
-from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.check_bag import add_bag_arguments, open_bag
-from slot_lab.bags.recorded_walk import LEG_STATES
+from slot_core.refusal import InputError
+from slot_lab.bags.bag import Bag
+from slot_lab.bags.topics import LEG_STATES
 from slot_nodes import messages, qos
 
-PROGRAM, CLOCK = "scripts/replay", "/clock"
+CLOCK = "/clock"
 PLAYED = ("/odom", "/imu", "/joint_states", "/servo_health", "/cmd_vel", "/ground_truth/odom",
           "/ground_truth/legs")  # fmt: skip
 """What comes from outside of the controller: the robot's topics, and the user's velocity."""
@@ -47,7 +40,7 @@ CLOCK_PERIOD = 5_000_000  # ns, at least, between two messages on /clock
 SEARCH_TIME = 10.0  # s to wait for a node that subscribes
 
 
-class PlayError(RuntimeError):
+class PlayError(InputError):
     """A bag cannot be played; the message is one line."""
 
 
@@ -158,36 +151,14 @@ def message_class(kind: str) -> type:
         raise PlayError(f"messages of {kind} are not installed") from None
 
 
-def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = CommandParser(prog=PROGRAM, description=__doc__)
-    add = parser.add_argument
-    add("--live", action="store_true", help="play into running nodes")
-    add_bag_arguments(parser)
-    rate, time = within(0.01, 100.0), within(0.0, 1e6, "s")
-    add("--rate", type=rate, default=1.0, help="of the clock (default: %(default)g)")
-    add("--start", type=time, default=0.0, metavar="S", help="leave out S seconds")
-    return parser.parse_args(arguments)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/replay --live`; exit code 0: played, 1: interrupted, 2: refused."""
-    options = _parse(arguments)
-    try:
-        check_place(options.namespace)
-        bag = open_bag(options)
-        if not show(PROGRAM, bag.lines()):
-            return 2
-        with listener("player", options.namespace) as (node, _):
-            player = Player(node, bag)
-            player.wait_for_nodes()
-            count, span = player.play(entries(bag, options.start), options.rate)
-        return 0 if show(PROGRAM, [f"played {count} messages, {span:.2f} s"]) else 2
-    except (BagError, ConfigError, PlayError) as error:
-        refuse(PROGRAM, error)
-        return 2
-    except KeyboardInterrupt:
-        return 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def play_bag(options: argparse.Namespace, program: str) -> bool:
+    """Play a bag as asked for; False if the output cannot be written. Raises InputError."""
+    check_place(options.namespace)
+    bag = Bag(options.bag, options.namespace, dict(options.remap))
+    if not show(program, bag.lines()):
+        return False
+    with listener("player", options.namespace) as (node, _):
+        player = Player(node, bag)
+        player.wait_for_nodes()
+        count, span = player.play(entries(bag, options.start), options.rate)
+    return show(program, [f"played {count} messages, {span:.2f} s"])

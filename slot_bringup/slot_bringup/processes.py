@@ -15,10 +15,10 @@ from typing import Any
 
 from ament_index_python.packages import get_package_prefix
 
+from slot_bringup.arguments import PROGRAM
 from slot_bringup.graph import RESTART, RESTARTS, NodeSpec, absolute, ends_graph
 from slot_core.command_line import refuse
 
-PROGRAM = "scripts/run"
 STOP_TIMEOUT = 5.0  # s, from SIGINT to SIGKILL
 
 

@@ -12,58 +12,34 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from slot_bringup.arguments import PROGRAM, parse
 from slot_bringup.check import check
 from slot_bringup.graph import Graph, is_attended, is_simulated, read_graph
 from slot_bringup.interrupts import deferred, on_interrupt
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
-from slot_bringup.processes import PROGRAM, Processes, print_error
+from slot_bringup.processes import Processes, print_error
 from slot_bringup.view import ViewError, live_viewer, require_rerun
-from slot_core.command_line import CommandParser, show, within
+from slot_core.command_line import refuse, show
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.recorded_walk import LEG_STATES
+from slot_lab.bags.topics import LEG_STATES
 from slot_lab.report import metrics, plots
 from slot_lab.report.summary import summary_lines
 
 TO_WALK = "with --attended it waits for scripts/operate: r ready, s stand, w walk"
 
 
-def parse(arguments: Sequence[str] | None, graph: Graph) -> argparse.Namespace:
-    """Parse the command line; a wrong value exits with code 2 and one line."""
-    parser = CommandParser(prog=PROGRAM, description=__doc__)
-    for argument in graph.arguments:
-        if argument.name == "bag":
-            continue
-        default = f" (default: {argument.text})" if argument.text else ""
-        flag: dict[str, Any] = {"help": argument.help + default}
-        if argument.kind is bool:
-            both = argparse.BooleanOptionalAction
-            flag |= (
-                {"action": both, "default": True} if argument.default else {"action": "store_true"}
-            )
-        else:
-            flag |= {name: getattr(argument, name) for name in ("default", "choices", "metavar")}
-            flag["type"] = argument.kind
-        parser.add_argument(f"--{argument.name.replace('_', '-')}", **flag)
-    add, time = parser.add_argument, within(0.5, 86400.0, "s")
-    length = "length of the run on the robot's clock, s (default: 20)"
-    add("--duration", type=time, default=20.0, metavar="S", help=length)
-    show = "show the run in rerun: a window, or for a browser"
-    add("--view", action="store_true", help=show)
-    keep = parser.add_mutually_exclusive_group()
-    place = "directory for bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)"
-    keep.add_argument("--bag", type=Path, metavar="DIR", help=place)
-    keep.add_argument("--no-bag", action="store_true", help="write nothing, only print the summary")
-    options = parser.parse_args(arguments)
+def check_options(options: argparse.Namespace) -> None:
+    """Refuse values that cannot be run: ends the program with code 2 and one line."""
     try:
         check(vars(options))
         if options.view:
             require_rerun()
     except (ConfigError, ViewError) as error:
-        parser.error(str(error))
-    return options
+        refuse(PROGRAM, error)
+        raise SystemExit(2) from None
 
 
 def run(options: argparse.Namespace, graph: Graph, directory: Path, remarks: list[str]) -> bool:
@@ -136,9 +112,14 @@ def report(directory: Path, keep: bool, namespace: str = "", remarks: Sequence[s
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of `scripts/run`; returns the exit code."""
+    """Entry point of `ros2 run slot_bringup run`; returns the exit code."""
+    return run_and_report(parse(arguments))
+
+
+def run_and_report(options: argparse.Namespace) -> int:
+    """Run the graph as the command line says, and report on it; returns the exit code."""
+    check_options(options)
     graph = read_graph()
-    options = parse(arguments, graph)
     name = f"{options.gait}_{datetime.now():%Y%m%d_%H%M%S}"
     with on_interrupt(signal.default_int_handler), tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch, name) if options.no_bag else options.bag or Path("bags", name)

@@ -7,13 +7,15 @@ from collections.abc import Sequence
 
 from slot_core.command_line import refuse
 from slot_core.config import ConfigError
-from slot_core.servos.registry import read_brand
+from slot_core.libraries import prints_help
+from slot_core.servos.registry import brand_of_help, read_brand
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/servos`; returns the exit code."""
     try:
-        return read_brand().tools(arguments)
+        brand = brand_of_help() if prints_help() else read_brand()
+        return brand.tools(arguments)
     except ConfigError as error:
         refuse("scripts/servos", error)
         return 1

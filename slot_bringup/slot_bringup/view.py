@@ -20,28 +20,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slot_bringup import interrupts
-from slot_bringup.check import check_place
-from slot_bringup.graph import TIED
-from slot_bringup.monitor import listener
-from slot_bringup.rerun_viewer import Viewer, ViewerError
 from slot_core.command_line import command_parser, refuse, show
-from slot_core.config import ConfigError
-from slot_core.recording.bag_error import BagError
-from slot_core.recording.record_settings import read_record_settings
-from slot_lab.bags.bag import STORAGES, Bag
-from slot_lab.report.animation import AnimationError, animate
-from slot_lab.report.run_page.run_page import PageError, write_page
-from slot_nodes import messages, qos
+from slot_core.progress import ProgressLine
+from slot_core.refusal import InputError
 
 if TYPE_CHECKING:
     from slot_bringup.rerun_log import RerunLog
+    from slot_bringup.rerun_viewer import Viewer
+    from slot_lab.bags.bag import Bag
 
 BAGS = Path("bags")  # where scripts/run keeps them
 QUEUE = 100  # messages of a topic that wait while others are drawn
 STOP_TIMEOUT = 10.0  # s, from SIGTERM to SIGKILL
 
 
-class ViewError(RuntimeError):
+class ViewError(InputError):
     """A run cannot be shown; the message is one line."""
 
 
@@ -74,18 +67,28 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 def view(options: argparse.Namespace) -> None:
     """Show or write what the options ask for.
 
-    Raises ViewError, ViewerError, AnimationError, PageError, BagError, ConfigError, OSError.
+    Raises InputError, ViewerError, OSError.
     """
+    from slot_bringup.check import check_place  # noqa: PLC0415 - heavy
+    from slot_lab.bags.bag import Bag  # noqa: PLC0415
+
     check_place(options.namespace)
     paths = [] if options.live else options.bags or [newest_bag(BAGS)]
     bags = [Bag(path, options.namespace) for path in paths]
     if options.html:
-        if not show("scripts/view", write_page(bags, options.html)):
+        from slot_lab.report.run_page.run_page import write_page  # noqa: PLC0415 - heavy
+
+        with ProgressLine("scripts/view") as progress:
+            lines = write_page(bags, options.html, progress)
+        if not show("scripts/view", lines):
             raise SystemExit(2)
         return
     bag = bags[0] if bags else None
     if options.animate and bag:
-        animate(bag, options.animate)
+        from slot_lab.report.animation import animate  # noqa: PLC0415 - heavy
+
+        with ProgressLine("scripts/view") as progress:
+            animate(bag, options.animate, partial(progress, "drawing"))
         return
     require_rerun()
     if options.save:
@@ -113,6 +116,8 @@ def has_display() -> bool:
 
 def newest_bag(directory: Path) -> Path:
     """The bag in a directory that was changed last; raises ViewError if there is none."""
+    from slot_lab.bags.bag import STORAGES  # noqa: PLC0415 - heavy
+
     files = [path for suffix in STORAGES for path in directory.glob(f"*/*{suffix}")]
     bags = {path.parent for path in files}
     if not bags:
@@ -151,6 +156,8 @@ def _started(
     options: argparse.Namespace, scratch: Path, recording: Path | None
 ) -> Iterator[Viewer]:
     """Start the viewer and end it, but for the window of a live run, which has what it got."""
+    from slot_bringup.rerun_viewer import Viewer  # noqa: PLC0415 - heavy
+
     viewer = Viewer(web=options.web, log=scratch / "viewer.log", recording=recording)
     try:
         if options.web:
@@ -166,6 +173,7 @@ def _started(
 def _log_bag(bag: Bag, path: Path) -> None:
     """Write a bag as a recording of rerun; raises BagError if it has nothing that is shown."""
     from slot_bringup import rerun_log  # noqa: PLC0415 - optional
+    from slot_core.recording.bag_error import BagError  # noqa: PLC0415 - heavy
 
     known = rerun_log.RerunLog.TOPICS
     topics = [topic for topic in known if bag.counts.get(topic)]
@@ -178,6 +186,10 @@ def _log_bag(bag: Bag, path: Path) -> None:
 
 def _follow(namespace: str, log: RerunLog, ended: Callable[[], bool]) -> None:
     """Log the messages of a running graph until `ended`, or an interrupt."""
+    from slot_bringup.monitor import listener  # noqa: PLC0415 - heavy
+    from slot_core.recording.record_settings import read_record_settings  # noqa: PLC0415
+    from slot_nodes import messages, qos  # noqa: PLC0415
+
     with log, listener("view", namespace) as (node, executor):
         for name, topic in read_record_settings().topics.items():
             if name not in log.TOPICS:
@@ -195,6 +207,8 @@ def _follow(namespace: str, log: RerunLog, ended: Callable[[], bool]) -> None:
 @contextmanager
 def live_viewer(namespace: str) -> Iterator[None]:
     """Show a graph live while the block runs, in a process of its own; its errors end only it."""
+    from slot_bringup.graph import TIED  # noqa: PLC0415 - heavy
+
     command = [*TIED, sys.executable, "-P", "-m", "slot_bringup.view", "--live"]
     command += ["--namespace", namespace, *([] if has_display() else ["--web"])]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
@@ -212,10 +226,12 @@ def live_viewer(namespace: str) -> Iterator[None]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/view`; returns the exit code."""
     options = parse(arguments)
+    from slot_bringup.rerun_viewer import ViewerError  # noqa: PLC0415 - heavy
+
     try:
         with interrupts.on_interrupt(signal.default_int_handler):
             view(options)
-    except (ViewError, ViewerError, AnimationError, PageError, BagError, ConfigError) as error:
+    except (InputError, ViewerError) as error:
         refuse("scripts/view", error)
         return 2
     except OSError as error:

@@ -22,6 +22,7 @@ from geometry_msgs.msg import TwistStamped
 from real_graph import changed_config
 
 from slot_bringup import run
+from slot_bringup.arguments import parse
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import RunError, listener
 from slot_core.clock import SECOND
@@ -87,7 +88,7 @@ def record(name: str, case: Case, scratch: Path) -> Path:
     graph, recorded = read_graph(), scratch / "recorded"
     with commanded(case.velocity):
         try:
-            run.run(run.parse([*options, "--bag", str(recorded)], graph), graph, recorded, [])
+            run.run(parse([*options, "--bag", str(recorded)]), graph, recorded, [])
         except RunError as error:
             print(f"{name}: {error}", file=sys.stderr)
     return thinned(Bag(recorded), scratch / name, case)

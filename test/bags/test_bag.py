@@ -21,7 +21,7 @@ from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
-from slot_lab.bags.recorded_walk import LEG_STATES
+from slot_lab.bags.topics import LEG_STATES
 
 SETTINGS = read_record_settings()
 

@@ -14,7 +14,7 @@ from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.message_types import message_types
 from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings
-from slot_lab.bags import check_bag as replay
+from slot_lab.bags import replay_command
 from slot_lab.bags.bag import Bag, BagError
 
 SETTINGS = read_record_settings()
@@ -144,14 +144,14 @@ def test_a_whole_file_without_metadata_is_read_as_not_finished(whole, tmp_path):
 def test_a_mended_bag_is_whole_to_another_reader(whole, tmp_path):
     size = (whole / "walk.mcap").stat().st_size * 7 // 10
     left = cut(whole, tmp_path / "walk", size)
-    assert replay.main([str(left), "--mend", str(tmp_path / "new")]) == 0
+    assert replay_command.main([str(left), "--mend", str(tmp_path / "new")]) == 0
     with Reader(tmp_path / "new") as reader:
         entries = [(c.topic, time, data) for c, time, data in reader.messages()]
         assert all(c.ext.offered_qos_profiles and c.msgdef.data for c in reader.connections)
     assert entries == list(Bag(left).raw())
     assert Bag(tmp_path / "new").finished
     assert Bag(tmp_path / "new").origin == ORIGIN
-    assert replay.main([str(left), "--mend", str(tmp_path / "new")]) == 2  # it exists
+    assert replay_command.main([str(left), "--mend", str(tmp_path / "new")]) == 2  # it exists
 
 
 def copied(whole, path, plugin, mode):

@@ -16,6 +16,7 @@ from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.origin import FILES, Origin, origin_here
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags import check_bag as replay
+from slot_lab.bags import replay_command
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_stages import RECORDS
 
@@ -27,13 +28,13 @@ TOPICS = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"
 
 
 def first_differences(path=WALK):
-    return {c.topic: c.first for c in replay.check_bag(Bag(path), replay.TOLERANCE)}
+    return {c.topic: c.first for c in replay.check_bag(Bag(path), replay_command.TOLERANCE)}
 
 
 @pytest.mark.parametrize("name", BAGS)
 def test_a_recorded_bag_is_small_and_replays(name):
     assert sum(file.stat().st_size for file in (HERE / name).iterdir()) < SIZE_MAX
-    comparisons = replay.check_bag(Bag(HERE / name), replay.TOLERANCE)
+    comparisons = replay.check_bag(Bag(HERE / name), replay_command.TOLERANCE)
     assert [c.topic for c in comparisons] == TOPICS
     for comparison in comparisons:
         assert comparison.first is None, str(comparison.first)
@@ -70,7 +71,7 @@ def test_the_parameter_file_of_a_run_is_that_of_its_replay(tmp_path, node, chang
 
 def test_the_first_difference_is_reported(own_config, capsys):
     set_values(own_config, {"predictive": {"cost.height": 3e-3}})
-    assert replay.main([str(WALK)]) == 1
+    assert replay_command.main([str(WALK)]) == 1
     line = capsys.readouterr().out.strip().splitlines()[-1]
     assert line.startswith("first difference: /tendon_plan at 1.0")
     assert " s: angle[" in line
@@ -98,7 +99,7 @@ def partly(path, topics, **changes):
 
 def test_stages_that_a_bag_does_not_hold_are_left_out_by_name(tmp_path, capsys):
     path = partly(tmp_path / "bag", [*STATES, "/gait_preview"])
-    assert replay.main([str(path)]) == 0
+    assert replay_command.main([str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[2] for line in lines[:2]] == ["compared,"] * 2
     assert lines[2].endswith("left out: the bag holds no /tendon_plan")
@@ -121,7 +122,7 @@ def test_readings_that_the_node_refuses_are_left_out(tmp_path):
             else:
                 continue
             bag.write(topic, kind, time, bytes(TYPES.serialize_cdr(message, kind)))
-    (states, *_) = replay.check_bag(Bag(path), replay.TOLERANCE)
+    (states, *_) = replay.check_bag(Bag(path), replay_command.TOLERANCE)
     assert states.compared > 40
     assert states.first is None
 
@@ -130,7 +131,7 @@ def test_readings_that_the_node_refuses_are_left_out(tmp_path):
 def test_the_order_in_which_odometry_and_imu_were_recorded_changes_nothing(tmp_path, delay):
     """The recorder receives odometry 12 ms before or after the estimator did."""
     path = partly(tmp_path / "bag", STATES, late={"/odom": delay})
-    (states, *_) = replay.check_bag(Bag(path), replay.TOLERANCE)
+    (states, *_) = replay.check_bag(Bag(path), replay_command.TOLERANCE)
     assert states.compared == Bag(WALK).counts["/mpc_state"]
     assert states.first is None
 
@@ -148,7 +149,7 @@ def test_odometry_before_the_estimator_listened_changes_nothing(tmp_path):
                 bag.write(topic, kind, time - early, bytes(TYPES.serialize_cdr(message, kind)))
         for topic, time, data in source.raw("/odom", "/imu", "/mpc_state"):
             bag.write(topic, source.topics[topic], time, data)
-    (states, *_) = replay.check_bag(Bag(path), replay.TOLERANCE)
+    (states, *_) = replay.check_bag(Bag(path), replay_command.TOLERANCE)
     assert states.compared == source.counts["/mpc_state"]
     assert states.first is None
 
@@ -170,7 +171,7 @@ def test_a_bag_that_begins_mid_run_says_so_and_compares_the_stage_without_memory
     tmp_path, capsys, name, share
 ):
     """The first share begins among the states that are initialising, the others in the walk."""
-    assert replay.main([str(cut(tmp_path / "bag", share, name))]) == 0
+    assert replay_command.main([str(cut(tmp_path / "bag", share, name))]) == 0
     *left_out, last = capsys.readouterr().out.splitlines()[-4:]
     assert [line.split()[0] for line in left_out] == TOPICS[:3]
     assert all("left out: the bag begins mid-run" in line for line in left_out)
@@ -178,7 +179,7 @@ def test_a_bag_that_begins_mid_run_says_so_and_compares_the_stage_without_memory
 
 
 def test_a_bag_that_begins_mid_run_without_the_force_map_is_refused(tmp_path, refusal):
-    line = refusal(replay.main, cut(tmp_path / "bag", 0.5, topics=STATES))
+    line = refusal(replay_command.main, cut(tmp_path / "bag", 0.5, topics=STATES))
     assert "the bag begins mid-run" in line
     assert line.endswith("; no stage can be compared")
 
@@ -186,14 +187,14 @@ def test_a_bag_that_begins_mid_run_without_the_force_map_is_refused(tmp_path, re
 def test_what_a_bag_says_of_itself_cannot_command_the_terminal(tmp_path, capsys):
     about, files = {"revision": "\x1b]0;x\x07", "gait": "\x9b2J"}, {"config.zip": b"no zip"}
     path = partly(tmp_path / "bag", STATES, origin=Origin(about, files))
-    assert replay.main([str(path)]) == 0
+    assert replay_command.main([str(path)]) == 0
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert first == r"recorded by  revision \x1b]0;x\x07, gait \x9b2J"
     assert "its configuration cannot be read: config.zip: File is not a zip file" in second
 
 
 def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):
-    assert replay.main([str(partly(tmp_path / "bag", ["/odom", "/imu"]))]) == 2
+    assert replay_command.main([str(partly(tmp_path / "bag", ["/odom", "/imu"]))]) == 2
     assert "holds no stage together with its input" in capsys.readouterr().err
 
 
@@ -201,7 +202,7 @@ def test_topics_of_other_names_are_replayed_by_their_new_ones(tmp_path, capsys):
     names = {"/odom": "/visual_slam/odometry", "/imu": "/camera/imu"}
     path = partly(tmp_path / "bag", STATES, names=names)
     remaps = [word for new, old in names.items() for word in ("--remap", f"{old}:={new}")]
-    assert replay.main([str(path), *remaps]) == 0
+    assert replay_command.main([str(path), *remaps]) == 0
     assert re.match(r"/mpc_state +4\d compared", capsys.readouterr().out)
 
 
@@ -210,12 +211,12 @@ def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
 ):
     origin = origin_here({"scene": "flat", "seed": 1})
     path = partly(tmp_path / "bag", STATES, origin=origin)
-    assert replay.main([str(path)]) == 0
+    assert replay_command.main([str(path)]) == 0
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"recorded by  revision \S.*, scene flat, seed 1", first)
     assert second.startswith("/mpc_state")
     set_values(own_config, {"predictive": {"cost.height": 3e-3}})
-    assert replay.main([str(path)]) == 0
+    assert replay_command.main([str(path)]) == 0
     shown = capsys.readouterr().out
     assert "its configuration differs in predictive.yaml\n" in shown
 
@@ -232,7 +233,7 @@ def test_the_policy_that_the_bag_names_is_replayed(tmp_path):
 def test_a_path_that_the_bag_lacks_leaves_out_the_gait_by_name(tmp_path, capsys):
     """As in a bag of `ros2 bag record`, which has the path's name without its file."""
     path = partly(tmp_path / "bag", [*STATES, "/gait_preview"], origin=Origin({"path": "way.csv"}))
-    assert replay.main([str(path)]) == 0
+    assert replay_command.main([str(path)]) == 0
     assert "left out: the bag holds no way.csv" in capsys.readouterr().out
 
 
@@ -240,7 +241,7 @@ def test_what_is_left_of_a_cut_off_bag_is_replayed(tmp_path, capsys):
     whole = partly(tmp_path / "whole", STATES)
     data = (whole / "whole.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[:-20])
-    assert replay.main([str(tmp_path / "cut.mcap")]) == 0
+    assert replay_command.main([str(tmp_path / "cut.mcap")]) == 0
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"unfinished   what is left of it: \d\.\d\d s", first)
     assert second.startswith("/mpc_state")

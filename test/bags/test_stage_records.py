@@ -17,6 +17,7 @@ from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.message_types import message_types
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags import check_bag as replay
+from slot_lab.bags import replay_command
 from slot_lab.bags.bag import Bag
 
 NEW = message_types()
@@ -173,7 +174,7 @@ def test_the_output_of_a_node_of_a_users_own_is_left_out_and_its_node_named(tmp_
 
 @pytest.mark.parametrize("option", ["--skip", "--only"])
 def test_stages_are_left_out_at_request_with_a_line_that_says_so(capsys, option):
-    assert replay.main([str(WALK), option, "mpc_controller"]) == 0
+    assert replay_command.main([str(WALK), option, "mpc_controller"]) == 0
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
     for topic in replay.STAGES:
         left_out = f"left out: {option} mpc_controller" in lines[topic]

@@ -70,7 +70,7 @@ def test_the_outcome_of_a_command_line_is_counted(kind, text, code):
 def test_the_fuzz_detects_a_reader_without_checks(monkeypatch):
     """Without the check of bounds wrong values are used, and a mutated file raises what it may."""
     monkeypatch.setattr("slot_core.config._convert_scalar", lambda value, *_: value)
-    monkeypatch.setattr("slot_core.config._require_plain", lambda text: None)
+    monkeypatch.setattr("slot_core.yaml_text._require_plain", lambda text: None)
     found = hostile_files.fuzz(40, np.random.default_rng(1))
     assert found.accepted > 0
 

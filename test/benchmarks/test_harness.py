@@ -4,6 +4,7 @@ import json
 import math
 import os
 import platform
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -95,10 +96,11 @@ def test_a_benchmark_that_cannot_run_is_refused_in_one_line(places, capsys, name
     assert not places[1].exists()
 
 
-OWN = '''"""With options of its own."""
-
+OPTIONS = """
 def options(parser):
     parser.add_argument("--count", type=int, default=3)
+"""
+OWN = '''"""With options of its own."""
 
 def run(quick, out, progress, *, count):
     return [{"count": count}], []
@@ -108,6 +110,7 @@ def run(quick, out, progress, *, count):
 @pytest.mark.parametrize(("given", "count"), [((), 3), (("--count", "5"), 5)])
 def test_a_benchmark_gets_the_options_that_it_declares_and_no_others(places, given, count):
     write_benchmark(places[0], "own", OWN)
+    (places[0] / "own" / "options.py").write_text(OPTIONS)
     assert bench(places, "own", *given) == 0
     assert json.loads((places[1] / "own.json").read_text())["rows"] == [{"count": count}]
     with pytest.raises(SystemExit):
@@ -209,7 +212,8 @@ def test_script_sets_up_sources_the_environment_and_passes_its_arguments_and_exi
     scripts = tmp_path / "scripts"
     (scripts / "benchmarks/graph").mkdir(parents=True)
     (scripts / "benchmarks/graph/benchmark.py").write_text('REQUIRES = ("peer",)\n' * needs)
-    (scripts / "bench").write_bytes((ROOT / "scripts" / "bench").read_bytes())
+    for name in ("bench", "help"):
+        shutil.copy(ROOT / "scripts" / name, scripts)
     # The installation of the packages fails; the benchmark reports that, not the setup.
     setup = f"#!/bin/sh\necho setup $* >> {tmp_path}/order\n[ $# = 0 ]\n"
     (scripts / "setup").write_text(setup)

@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
 
-from slot_bringup import operate
+from slot_bringup import operate, operate_command, operator_keys
 from slot_bringup.operator_screen import SILENCE, Motion, OperatorView, lines
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
@@ -78,16 +78,16 @@ class FakeNode:
 
 def test_every_request_of_the_supervisor_has_a_key_and_a_command():
     names = {request.name.lower() for request in Request}
-    assert set(operate.REQUESTS) == names
-    assert sorted(operate.KEYS.values()) == sorted(names)
-    assert operate.QUIT not in operate.KEYS
+    assert set(operator_keys.REQUESTS) == names
+    assert sorted(operator_keys.KEYS.values()) == sorted(names)
+    assert operator_keys.QUIT not in operator_keys.KEYS
 
 
-@pytest.mark.parametrize("key", [*operate.KEYS, "a", "W", "\x1b", "\n"])
+@pytest.mark.parametrize("key", [*operator_keys.KEYS, "a", "W", "\x1b", "\n"])
 def test_a_key_calls_its_service_if_it_has_one_and_no_other(key):
     node = FakeNode()
     assert operate.Operator(node).press(key)
-    wanted = [f"supervisor/{operate.KEYS[key]}"] if key in operate.KEYS else []
+    wanted = [f"supervisor/{operator_keys.KEYS[key]}"] if key in operator_keys.KEYS else []
     assert node.called() == wanted
     assert wanted or not node.published
 
@@ -111,7 +111,7 @@ def test_each_terminal_is_a_source_of_its_own():
 
 def test_a_terminal_that_quits_is_not_missed_once_the_supervisor_knows():
     node = FakeNode()
-    assert not operate.Operator(node).press(operate.QUIT)
+    assert not operate.Operator(node).press(operator_keys.QUIT)
     left, waited = node.published
     assert left == (False, True)
     assert waited.nanoseconds == operate.LEAVE_TIME * 1e9
@@ -149,13 +149,13 @@ def test_a_foreign_message_is_named_and_does_not_end_the_e_stops_source(
 def test_quitting_is_refused_under_torque():
     operator = operate.Operator(FakeNode())
     operator._on_state(state(State.WALKING))
-    assert operator.press(operate.QUIT)
+    assert operator.press(operator_keys.QUIT)
     assert operator.view.answer == "WALKING: relax first (x), or stop with Ctrl-C"
     idle = state(State.IDLE)
     idle.action = RobotState.ACTION_OFF
     operator._on_state(idle)
-    assert not operator.press(operate.QUIT)
-    assert not operate.Operator(FakeNode()).press(operate.QUIT)  # without a supervisor
+    assert not operator.press(operator_keys.QUIT)
+    assert not operate.Operator(FakeNode()).press(operator_keys.QUIT)  # without a supervisor
 
 
 def test_the_screen_shows_state_warnings_and_what_is_wrong_with_a_servo():
@@ -237,19 +237,19 @@ def test_the_first_line_is_red_in_relax_estop_and_fault_and_without_a_present_st
     ],
 )
 def test_an_action_calls_the_service_of_its_node(arguments, name):
-    assert operate.service(operate._parser().parse_args(arguments)).name == name
+    assert operate.service(operate_command._parser().parse_args(arguments)).name == name
 
 
 def test_inject_passes_every_field_of_the_fault():
     arguments = ["inject", "late", "RR", "--value", "0.02", "--duration", "3", "--clear"]
-    request = operate.service(operate._parser().parse_args(arguments)).request
+    request = operate.service(operate_command._parser().parse_args(arguments)).request
     fields = (request.kind, request.leg, request.value, request.duration, request.clear)
     assert fields == ("late", "RR", 0.02, 3.0, True)
 
 
 def test_the_live_display_without_a_terminal_is_refused_in_one_line(capsys, monkeypatch):
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
-    assert operate.main([]) == 1
+    assert operate_command.main([]) == 1
     message = "the live display needs a terminal, scripts/operate state none"
     assert capsys.readouterr().err == f"scripts/operate: {message}\n"
 
@@ -264,7 +264,7 @@ def test_the_live_display_without_a_terminal_is_refused_in_one_line(capsys, monk
 )
 def test_without_a_graph_one_line_names_the_missing_node(arguments, who, capsys, monkeypatch):
     monkeypatch.setattr(operate, "SEARCH_TIME", 0.2)
-    assert operate.main(arguments) == 1
+    assert operate_command.main(arguments) == 1
     place = f"ROS domain {os.environ['ROS_DOMAIN_ID']}, namespace /"
     message = f"no {who} answers in {place} within 0.2 s: does scripts/run run?"
     assert capsys.readouterr().err == f"scripts/operate: {message}\n"

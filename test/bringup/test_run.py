@@ -9,7 +9,7 @@ from nav_msgs.msg import Odometry
 from synthetic_walk import Walk, write_walk
 
 from slot_bringup import monitor, run, view
-from slot_bringup.graph import read_graph
+from slot_bringup.arguments import parse
 from slot_msgs.msg import MpcState, TendonPlan
 from slot_nodes import qos
 from slot_nodes.messages import header
@@ -22,7 +22,7 @@ def refused(refusal):
     """A function that gives arguments to scripts/run, which has to refuse them; its line."""
 
     def refuse(*arguments):
-        line = refusal(lambda given: run.parse(given, read_graph()), *arguments)
+        line = refusal(lambda given: run.check_options(parse(given)), *arguments)
         assert line.startswith("scripts/run: ")
         return line
 
@@ -83,7 +83,7 @@ def test_a_scene_with_a_servo_fault_is_refused_without_a_servo_bus(own_config, r
     (own_config / "scene" / "mute.yaml").write_text(f"like: flat\nfaults: {{fl: {fault}}}\n")
     message = "fault 'silent': only the servos of hardware fake_bus can have it"
     assert refused("--scene", "mute") == f"scripts/run: {message}"
-    assert run.parse(["--scene", "mute", "--hardware", "fake_bus"], read_graph()).scene == "mute"
+    assert run.check_options(parse(["--scene", "mute", "--hardware", "fake_bus"])) is None
 
 
 def test_a_run_whose_summary_cannot_be_printed_fails(monkeypatch, capsys):
@@ -251,5 +251,5 @@ def test_a_run_hears_its_pace_and_says_it_before_it_fails(monkeypatch, capsys):
     ],
 )
 def test_the_remedy_fits_the_run(arguments, remedy):
-    options = run.parse([*arguments.split(), "--no-bag"], read_graph())
+    options = parse([*arguments.split(), "--no-bag"])
     assert run._remedy(vars(options)) == remedy

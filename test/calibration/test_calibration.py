@@ -11,7 +11,8 @@ from scipy.integrate import quad
 from slot_core import config
 from slot_core.robot import read_robot
 from slot_lab.calibration import experiments, fit
-from slot_lab.calibration.command import FREE, build_problem, main
+from slot_lab.calibration.calibrate import build_problem
+from slot_lab.calibration.command import FREE, main
 from slot_lab.calibration.data import COLUMNS, Data, Datum, read_data
 from slot_lab.calibration.fit import FitProblem, Parameter, estimate
 from slot_lab.calibration.line import fit_line
@@ -289,11 +290,27 @@ def test_a_failed_prediction_is_an_error_at_the_start_and_rejected_in_a_trial():
 def test_a_fit_that_runs_out_of_trials_reports_it_and_keeps_its_best_point(monkeypatch):
     monkeypatch.setattr(fit, "TRIALS", 2)
     problem, lines = beam_problem(np.random.default_rng(1))[0], []
-    found = fit.fit(problem, progress=lines.append)
+    found = fit.fit(problem, say=lines.append)
     start = problem.residuals(problem.coordinates([1e7, 0.01]))
     assert not found.converged
     assert found.chi_square < start @ start
     assert lines[0].endswith("stopped after 2 trials")
+    assert lines[1].startswith("not well: the best start was stopped")
+
+
+@pytest.mark.parametrize(("converged", "verdict"), [
+    ([True, False], ["well: the best start converged"]),
+    ([False, True], ["not well: the best start was stopped"]),
+    ([True, True], []),
+])  # fmt: skip
+def test_a_fit_says_whether_a_start_that_was_stopped_matters(monkeypatch, converged, verdict):
+    """The first start is the better one."""
+    results = [fit.FitResult(np.ones(2), 1.0 + k, end) for k, end in enumerate(converged)]
+    monkeypatch.setattr(fit, "_fit_from", lambda *_: results.pop(0))
+    lines = []
+    fit.fit(beam_problem(np.random.default_rng(1))[0], starts=2, say=lines.append)
+    assert len(lines) == 2 + len(verdict)
+    assert all(line.startswith(start) for line, start in zip(lines[2:], verdict))
 
 
 # --- line

@@ -9,7 +9,8 @@ import pytest
 from estimator_streams import SETTINGS, Walk, imu_messages, odometry_messages
 
 from slot_core.control.controller import Controller
-from slot_core.control.policy import POLICIES, Policy, make_policy
+from slot_core.control.policies import POLICIES
+from slot_core.control.policy import Policy, make_policy
 from slot_core.estimation.state_estimator import StateEstimator
 from slot_core.gait.route import Route
 from slot_core.key_frame import StateParts, capture, has_state, restore

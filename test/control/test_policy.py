@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from slot_core.config import ConfigError
-from slot_core.control.policy import POLICIES, Status, make_policy, policy_class
+from slot_core.control.policies import POLICIES
+from slot_core.control.policy import Status, make_policy, policy_class
 from slot_core.robot import LEGS, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 

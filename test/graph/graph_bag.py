@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from slot_bringup import monitor, run
+from slot_bringup.arguments import parse
 from slot_bringup.graph import read_graph
 from slot_core.messages import decode
 from slot_core.simulation.supervised_loop import SupervisedLoop
@@ -24,7 +25,7 @@ def record(bag: Path, *arguments: str) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         for name in ("START_TIMEOUT", "SILENCE_TIMEOUT"):
             patch.setattr(monitor, name, math.inf)
-        run.run(run.parse([*arguments, "--bag", str(bag)], graph), graph, bag, [])
+        run.run(parse([*arguments, "--bag", str(bag)]), graph, bag, [])
     return bag
 
 

@@ -8,7 +8,8 @@ from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.safety.states import State
 from slot_lab.bags.bag import Bag
-from slot_lab.bags.check_bag import TOLERANCE, check_bag
+from slot_lab.bags.check_bag import check_bag
+from slot_lab.bags.replay_command import TOLERANCE
 from slot_msgs.msg import EmergencyStop, GaitPreview, MpcState, TendonPlan
 from slot_nodes import qos
 

@@ -21,7 +21,7 @@ from slot_bringup.processes import Processes
 
 pytestmark = pytest.mark.real_time
 
-OPERATE = [sys.executable, "-m", "slot_bringup.operate"]
+OPERATE = [sys.executable, "-m", "slot_bringup.operate_command"]
 CTRL_C = "\x03"
 
 

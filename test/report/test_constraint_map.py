@@ -10,7 +10,8 @@ from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.report import constraint_map
-from slot_lab.report.constraint_map import TOPIC, main, map_figure, read_map
+from slot_lab.report.constraint_map import TOPIC, map_figure, read_map
+from slot_lab.report.map_command import main
 
 TYPE = "slot_msgs/msg/TendonPlan"
 

@@ -9,7 +9,7 @@ from real_graph import set_values
 
 from slot_core import config
 from slot_core.gait.gait import HarmonicBasis, read_gaits
-from slot_lab.tuning import gait_file, identification, symmetry, tune
+from slot_lab.tuning import gait_file, identification, symmetry, tune_command
 from slot_lab.tuning.pattern_search import FAILED, Goal, PatternSearch, cost, start_of, trial
 from slot_lab.tuning.settings import read_tuning
 from slot_lab.tuning.stride_run import TIME, Job, StrideMotion, simulate
@@ -100,7 +100,7 @@ def test_a_search_starts_from_every_shipped_stride(name, kind):
 
 def test_a_start_beyond_the_largest_coefficient_is_refused_before_any_search(own_config, refusal):
     set_values(own_config, {"tune": {"coefficient_max_deg": 68.0}})  # the walk's forward: 65
-    line = refusal(tune.main, "mine", "--like", "walk", "--quick")
+    line = refusal(tune_command.main, "mine", "--like", "walk", "--quick")
     assert "turn.angle_deg[1][4] = 69.84: outside [-68, 68], coefficient_max_deg" in line
 
 
@@ -190,7 +190,7 @@ def test_the_documented_search_writes_a_gait(own_config, tmp_path, monkeypatch):
     """As in the documentation, with 8 of its 32 candidates."""
     monkeypatch.chdir(tmp_path)
     arguments = ["mine", "--like", "walk", "--quick", "--evaluations", "8", "--workers", "1"]
-    assert tune.main(arguments) == 0
+    assert tune_command.main(arguments) == 0
     mine = read_gaits().strides["mine"]
     assert mine.forward.speed > 0.05
     assert mine.turn.speed > 0.1

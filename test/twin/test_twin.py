@@ -11,10 +11,11 @@ from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_parameters, read_robot
-from slot_lab.bags.measured import COMMANDED, MEASURED, TendonAngles
+from slot_lab.bags.measured import TendonAngles
 from slot_lab.bags.recorded_walk import TorsoTrack
+from slot_lab.bags.topics import COMMANDED, MEASURED
 from slot_lab.csv_table import TableError
-from slot_lab.twin import parameter_set, twin
+from slot_lab.twin import parameter_set, twin, twin_command
 from slot_lab.twin.prediction import PredictedTrack, measured_track, predict, read_parts
 from slot_lab.twin.recorded import COLUMNS, BagRecording, read_recorded
 from slot_lab.twin.settings import read_twin
@@ -124,7 +125,7 @@ def test_a_csv_file_is_the_walk_that_it_holds(recorded, tmp_path):
 
 def test_a_csv_file_is_predicted_and_compared(recorded, tmp_path, capsys):
     walk = write_walk(tmp_path / "walk.csv", recorded)
-    assert twin.main([str(walk), "--out", str(tmp_path / "out")]) == NOT_EXPLAINED
+    assert twin_command.main([str(walk), "--out", str(tmp_path / "out")]) == NOT_EXPLAINED
     text = capsys.readouterr().out
     assert text.splitlines()[-1].startswith("verdict: not explained: chi-square")
     assert "tendon angles       FL, FR, RL, RR (measured)" in text

@@ -10,7 +10,7 @@ from PIL import Image
 from views import CAMERA, VISION
 
 from slot_core.vision.camera import CameraError, read_camera
-from slot_lab.film import calibrate_camera, film, print_markers
+from slot_lab.film import calibrate_camera, film, film_command, print_command
 from slot_lab.film.calibration import BoardView, calibrate
 from slot_lab.film.print_markers import sheet_of
 
@@ -32,7 +32,7 @@ def test_a_print_shows_its_markers_in_their_size(what):
 @pytest.mark.parametrize("name", ["board.pdf", "board.png"])
 def test_a_print_is_written_with_its_resolution(tmp_path, capsys, name):
     out = tmp_path / name
-    assert print_markers.main(["torso", "--out", str(out), "--dpi", "200"]) == 0
+    assert print_command.main(["torso", "--out", str(out), "--dpi", "200"]) == 0
     with Image.open(out) if name.endswith("png") else nullcontext() as image:
         if image:
             assert image.info["dpi"] == pytest.approx((200, 200), abs=0.01)
@@ -45,7 +45,7 @@ def test_a_print_is_written_with_its_resolution(tmp_path, capsys, name):
 
 def test_a_calibration_finds_the_camera_that_filmed_the_board(tmp_path, monkeypatch):
     monkeypatch.setattr(film, "VIEWS", 14)
-    film.main(["chessboard", "--out", str(tmp_path / "views")])
+    film_command.main(["chessboard", "--out", str(tmp_path / "views")])
     out = tmp_path / "camera.yaml"
     assert calibrate_camera.main([str(tmp_path / "views"), "--out", str(out)]) == 0
     found = read_camera(out)

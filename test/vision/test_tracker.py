@@ -10,7 +10,7 @@ from views import CAMERA, VISION, natural_robot, stage, synthetic
 from slot_core.geometry import Transform
 from slot_core.robot import read_robot
 from slot_core.vision.camera import Camera, camera_text
-from slot_lab.film import track
+from slot_lab.film import track_command
 from slot_lab.film.film import filmed
 from slot_lab.film.tracker import Tracker
 
@@ -92,12 +92,12 @@ def rows(path):
 def test_the_csv_has_a_row_for_every_marker_that_a_image_shows(folder, capsys):
     out = folder / "tracks.csv"
     place = ["--camera", str(folder / "camera.yaml"), "--out", str(out), "--rate", "25"]
-    assert track.main([str(folder / "film"), *place, "--depth", str(folder / "depth")]) == 0
+    assert track_command.main([str(folder / "film"), *place, "--depth", str(folder / "depth")]) == 0
     found = rows(out)
     assert list(found[0]) == ["time", "point", "x", "y", "z"]
     assert {r["point"] for r in found} == set(POINTS)
     assert sorted({float(r["time"]) for r in found}) == pytest.approx(np.arange(COUNT) / 25)
-    assert track.main([str(folder / "film"), *place, "--leg", "FR"]) == 0
+    assert track_command.main([str(folder / "film"), *place, "--leg", "FR"]) == 0
     assert {r["point"] for r in rows(out)} == {"torso", "base", "third", "two_thirds", "tip"}
     assert "100.0 % of the images" in capsys.readouterr().out
 
@@ -109,10 +109,10 @@ def test_a_damaged_video_is_tracked_as_far_as_it_can_be_read_and_named(tmp_path,
     for image, _, _ in shots:
         video.write(image)
     video.release()
-    assert track.main([str(film), "--out", str(tmp_path / "all.csv")]) == 0
+    assert track_command.main([str(film), "--out", str(tmp_path / "all.csv")]) == 0
     assert "damaged" not in capsys.readouterr().out
     film.write_bytes(film.read_bytes()[: film.stat().st_size // 2])
-    assert track.main([str(film), "--out", str(tmp_path / "half.csv")]) == 0
+    assert track_command.main([str(film), "--out", str(tmp_path / "half.csv")]) == 0
     assert "says that it has 6 images: it is damaged" in capsys.readouterr().out
     whole, half = (rows(tmp_path / f"{name}.csv") for name in ("all", "half"))
     assert 0 < len(half) < len(whole)
@@ -131,32 +131,32 @@ def test_an_unreadable_film_is_refused_in_one_line(tmp_path, refusal, name, cont
     film, out = tmp_path / name, tmp_path / "out.csv"
     if content is not None:
         film.write_bytes(content)
-    assert reason in refusal(track.main, str(film), "--out", str(out))
+    assert reason in refusal(track_command.main, str(film), "--out", str(out))
     assert not out.exists()
 
 
 def test_a_result_that_cannot_be_written_is_refused_before_the_work(tmp_path, refusal):
     out = str(tmp_path / "nowhere" / "x.csv")
-    line = refusal(track.main, str(tmp_path / "no.avi"), "--out", out)
+    line = refusal(track_command.main, str(tmp_path / "no.avi"), "--out", out)
     assert line.endswith(f"--out {out}: not in an existing directory")
 
 
 def test_films_that_do_not_fit_are_refused(folder, refusal):
     film, out = str(folder / "film"), ["--out", str(folder / "x.csv")]
     (folder / "none").mkdir()
-    assert "without images" in refusal(track.main, str(folder / "none"), *out)
+    assert "without images" in refusal(track_command.main, str(folder / "none"), *out)
     half = Camera(640, 360, CAMERA.matrix / 2, CAMERA.distortion)
     (folder / "half.yaml").write_text(camera_text(half))
     place = ["--camera", str(folder / "half.yaml")]
-    assert "calibrated at 640 x 360 px" in refusal(track.main, film, *out, *place)
-    assert "expected one 16-bit channel" in refusal(track.main, film, *out, "--depth", film)
+    assert "calibrated at 640 x 360 px" in refusal(track_command.main, film, *out, *place)
+    assert "expected one 16-bit channel" in refusal(track_command.main, film, *out, "--depth", film)
     (folder / "depth" / "005.png").unlink()
-    line = refusal(track.main, film, *out, "--depth", str(folder / "depth"))
+    line = refusal(track_command.main, film, *out, "--depth", str(folder / "depth"))
     assert line.endswith("5 depth images, fewer than images")
     assert not (folder / "x.csv").exists()
     (folder / "blank").mkdir()
     cv2.imwrite(str(folder / "blank" / "0.png"), np.full((720, 1280), 90, np.uint8))
-    line = refusal(track.main, str(folder / "blank"), *out)
+    line = refusal(track_command.main, str(folder / "blank"), *out)
     assert line.endswith("(ids 40 to 56 of DICT_4X4_100; the first shows no marker)")
 
 

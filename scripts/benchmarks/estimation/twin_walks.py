@@ -15,8 +15,9 @@ from slot_core.clock import to_seconds
 from slot_core.joint_reading import JointReading
 from slot_core.robot import Array
 from slot_core.simulation.plant import Reading, RobotSimulator, TrueState
-from slot_lab.bags.measured import MEASURED, ODOMETRY, TendonAngles
+from slot_lab.bags.measured import TendonAngles
 from slot_lab.bags.recorded_walk import TorsoTrack
+from slot_lab.bags.topics import MEASURED, ODOMETRY
 from slot_lab.twin.recorded import BagRecording
 
 POSITION_NOISE, ANGLE_NOISE = 1e-3, 2e-3  # m, rad: the odometry of config/scene/flat.yaml

@@ -22,8 +22,9 @@ from slot_core.recording.record_settings import read_record_settings
 from slot_core.refusal import LINE_MAX, InputError
 from slot_core.robot import read_robot
 from slot_lab.bags.bag import Bag
-from slot_lab.bags.check_bag import TOLERANCE, check_bag
+from slot_lab.bags.check_bag import check_bag
 from slot_lab.bags.measured import measured_motion, tendon_angles
+from slot_lab.bags.replay_command import TOLERANCE
 from slot_lab.report import compare_plot
 from slot_lab.report.compare import compare_figures
 from slot_lab.report.constraint_map import map_figure, read_map, summary_lines

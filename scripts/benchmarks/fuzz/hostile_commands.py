@@ -12,13 +12,13 @@ import numpy as np
 
 from benchmarks.fuzz.outcomes import Outcomes
 from slot_bringup import run, view
-from slot_bringup.graph import read_graph
+from slot_bringup.arguments import parse
 from slot_core import config
-from slot_lab.bags import check_bag
+from slot_lab.bags import replay_command
 from slot_lab.calibration import command as calibrate
-from slot_lab.film import calibrate_camera, film, print_markers, track
-from slot_lab.report import compare, constraint_map
-from slot_lab.twin import twin
+from slot_lab.film import calibrate_camera, film_command, print_command, track_command
+from slot_lab.report import compare, map_command
+from slot_lab.twin import twin_command
 from slot_lab.validation import validate
 
 MEASURED = "parameters/paper_single_leg.csv"  # in config/
@@ -41,33 +41,33 @@ Main = Callable[[Sequence[str]], Any]
 
 def tools() -> list[tuple[str, Main, list[list[str]]]]:
     """Name, entry point and forms of the command lines of every tool that needs no graph."""
-    graph, measured = read_graph(), str(config.config_dir() / MEASURED)
+    measured = str(config.config_dir() / MEASURED)
 
-    def parse(words: Sequence[str]) -> Any:
-        return run.parse(words, graph)
+    def check(words: Sequence[str]) -> Any:
+        return run.check_options(parse(words))
 
     return [
-        ("run", parse, [["--path", PATH], ["--calibration", PATH], ["--gait", NAME],
+        ("run", check, [["--path", PATH], ["--calibration", PATH], ["--gait", NAME],
             ["--scene", NAME], ["--policy", NAME], ["--vx", NUMBER], ["--duration", NUMBER],
             ["--seed", NUMBER], ["--namespace", "\x1b" + "x" * 400], ["--frame-prefix", "fred"],
             ["--hardware", NAME], ["--yaw-rate", NUMBER]]),
-        ("replay", check_bag.main, [[PATH], [PATH, "--tolerance", "1"],
+        ("replay", replay_command.main, [[PATH], [PATH, "--tolerance", "1"],
             ["x", "--tolerance", NUMBER],
             ["x", "--remap", NAME], ["x", "--" + "y" * 3000]]),
         ("compare", compare.main, [[PATH, PATH], ["x", "x", "--tolerance", NAME],
             ["x", "x", "--warm-up", NUMBER], ["x", "x", "--plot", NAME]]),
-        ("constraint_map", constraint_map.main, [[PATH], ["x", "--out", NAME]]),
+        ("constraint_map", map_command.main, [[PATH], ["x", "--out", NAME]]),
         ("validate", validate.main, [[PATH, measured], [measured, PATH],
             ["x", "x", "--frame", NAME],
             ["x", "x", "--offset", NUMBER], ["x", "x", "--block", NUMBER]]),
-        ("twin", twin.main, [[PATH], ["x", "--scene", NAME], ["x", "--period", NUMBER],
+        ("twin", twin_command.main, [[PATH], ["x", "--scene", NAME], ["x", "--period", NUMBER],
             ["x", "--fit", NAME + "y"], ["x", "--parameters", "moon" + NAME]]),
         ("calibrate", calibrate.main, [[PATH], [measured, "--start", NAME],
             [measured, "--free", NAME], [measured, "--starts", NUMBER]]),
-        ("track", track.main, [[PATH], [PATH, "--camera", PATH], ["x", "--rate", NUMBER]]),
+        ("track", track_command.main, [[PATH], [PATH, "--camera", PATH], ["x", "--rate", NUMBER]]),
         ("calibrate_camera", calibrate_camera.main, [[PATH], ["x", "--every", NUMBER]]),
-        ("film", film.main, [[PATH], ["x", "--duration", NUMBER]]),
-        ("print_markers", print_markers.main, [[NAME], ["torso", "--dpi", NUMBER]]),
+        ("film", film_command.main, [[PATH], ["x", "--duration", NUMBER]]),
+        ("print_markers", print_command.main, [[NAME], ["torso", "--dpi", NUMBER]]),
         ("view", view.main, [[PATH, "--animate", "x.gif"], ["x", "--animate", NAME],
             [PATH, "--html", "x.html"], ["x", "--html", NAME]]),
     ]  # fmt: skip

@@ -7,7 +7,6 @@ shows what grows. Percentages of CPU are of one core. The warm-up of `config/rec
 out of every figure.
 """
 
-import argparse
 import math
 import statistics
 import time
@@ -27,9 +26,9 @@ from benchmarks.graph.measured_walk import Walk, measure_walk
 from benchmarks.graph.plots import END_TO_END, draw
 from benchmarks.harness import Attempts, Check, Progress, Row, at_least, at_most, cpu_time, timed
 from slot_bringup.graph import CONTROLLER, read_graph
-from slot_core.command_line import within
 from slot_core.control.pace import Pace
-from slot_core.control.policy import DEFAULT_POLICY, make_policy
+from slot_core.control.policies import DEFAULT_POLICY
+from slot_core.control.policy import make_policy
 from slot_core.dynamics.scene import read_scene
 from slot_core.messages import decode
 from slot_core.robot import read_robot
@@ -80,17 +79,6 @@ class Plan:
 
 
 QUICK, FULL = Plan(1, 10.0, 10.0, 5, 0.0), Plan(3, 60.0, 30.0, 20, 3600.0)
-
-
-def options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this benchmark."""
-    parser.add_argument(
-        "--endurance",
-        type=within(0.0, 1e6, "s"),
-        metavar="S",
-        help="graph time of the long walk in lockstep, s; 0: none (default: an hour, quick: none)",
-    )
-    other_checkout.options(parser)
 
 
 def run(

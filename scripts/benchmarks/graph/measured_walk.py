@@ -19,8 +19,9 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import Array
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.check_bag import TOLERANCE, check_bag
+from slot_lab.bags.check_bag import check_bag
 from slot_lab.bags.recorded_walk import Ticks, read_motion, read_ticks
+from slot_lab.bags.replay_command import TOLERANCE
 from slot_lab.report.metrics import WalkMetrics, walk_metrics
 
 STANDING = 1.0  # s, at most, from the first state to the first command: the robot stands still

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from slot_core.clock import LOCKSTEP_START, to_seconds
-from slot_core.control.policy import DEFAULT_POLICY
+from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo

@@ -6,7 +6,6 @@ Carlo study over mass, friction, lag, pushes and noise. Details are in published
 simulated.py and samples.py.
 """
 
-import argparse
 import hashlib
 import subprocess
 from collections.abc import Iterable
@@ -35,7 +34,7 @@ from benchmarks.perturbations.cases import (
     metrics,
 )
 from benchmarks.perturbations.plots import draw_failures, draw_responses, table_lines
-from benchmarks.perturbations.samples import PLANTS, RandomSample, SampleRecord, draw, summary
+from benchmarks.perturbations.samples import RandomSample, SampleRecord, draw, summary
 from slot_core.mpc.settings import read_mpc, read_paper_mpc
 from slot_core.robot import read_robot
 from slot_lab.workers import workers
@@ -60,24 +59,12 @@ NOTES = (
 Runs = dict[str, PerturbedRun]  # by case
 
 
-def options(parser: argparse.ArgumentParser) -> None:
-    """Options of the Monte Carlo study."""
-    parser.add_argument("--samples", type=int, default=0, metavar="N", help="random samples")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the samples")
-    parser.add_argument("--plant", choices=PLANTS, default=PLANTS[0], help="of the samples")
-    parser.add_argument(
-        "--observer", type=float, default=read_mpc("forces").disturbance.time, metavar="S",
-        help="time constant of the MPC's observer of mass and bias in the samples, 0: none",
-    )  # fmt: skip
-    parser.add_argument(
-        "--scheduler", default="", metavar="ADDRESS", help="of a dask cluster, else local processes"
-    )
-
-
 def run(
     quick: bool, out: Path, progress: Progress, *, samples: int, scheduler: str, **like: Any
 ) -> tuple[list[Row], list[Check]]:
     """Run the studies; `perturbations.png` shows them, `failures.png` the failed samples."""
+    if like["observer"] is None:
+        like["observer"] = read_mpc("forces").disturbance.time
     runs, rows = cases(QUICK_DURATION if quick else DURATION, progress)
     rows += [{"kind": "note", "note": note} for note in NOTES]
     np.savez_compressed(out / COURSES, **courses_of(runs))

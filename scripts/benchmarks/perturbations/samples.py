@@ -44,7 +44,6 @@ NOISES = {
     "odometry": ("position_noise", "orientation_noise", "velocity_noise", "rate_noise"),
     "imu": ("rate_noise", "acceleration_noise"),
 }
-PLANTS = ("torso", "robot")
 DURATION, PUSH_AT, PUSH_TIME, END = 5.0, 1.0, 0.2, 1.0  # s; END: length of the final interval
 LIMITS = {
     "tilt_max": 0.35,  # rad, at any time

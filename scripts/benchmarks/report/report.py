@@ -11,10 +11,9 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from benchmarks.harness import ROOT, about, known
-from benchmarks.report.page import Contents, render
-from benchmarks.report.paper_figures import RUNS
 from benchmarks.report.results import (
     ReportError,
     commands,
@@ -23,7 +22,9 @@ from benchmarks.report.results import (
     read_run,
 )
 from slot_core.command_line import CommandParser, refuse
-from slot_core.recording.origin import revision
+
+if TYPE_CHECKING:
+    from benchmarks.report.page import Contents
 
 CANNOT_REPORT = 2  # exit code
 BENCHMARKS = ROOT / "scripts" / "benchmarks"
@@ -62,6 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--out", type=Path, metavar="FILE", default=out, help=f"default: {out}")
     options = parser.parse_args(arguments)
+    from benchmarks.report.page import render  # noqa: PLC0415 - needs Jinja
+    from slot_core.recording.origin import revision  # noqa: PLC0415
+
     try:
         if options.out.suffix != ".html":
             raise ReportError(f"--out {options.out}: expected a name that ends in .html")
@@ -76,6 +80,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def read_contents(directory: Path) -> Contents:
     """All that a report shows of the results in `directory`; raises ReportError."""
+    from benchmarks.report.page import Contents  # noqa: PLC0415 - needs Jinja
+    from benchmarks.report.paper_figures import RUNS  # noqa: PLC0415 - heavy
+
     if not directory.is_dir():
         raise ReportError(f"--results {directory}: not a directory; scripts/bench NAME makes one")
     found = known(BENCHMARKS)

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Check
+from slot_core.recording.bag_error import BagError
 from slot_core.refusal import InputError, quoted
-from slot_lab.bags.bag import Bag, BagError
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -192,6 +192,8 @@ def _bag_origin(folder: Path) -> str:
     """Revision and arguments inside the bag in `folder`, if there is one."""
     if not (folder / "metadata.yaml").is_file():
         return "revision not recorded"
+    from slot_lab.bags.bag import Bag  # noqa: PLC0415 - heavy
+
     try:
         about = dict(Bag(folder).origin.about)
     except BagError as error:

@@ -62,9 +62,6 @@ LARGEST_MEMORY = 1.2  # of a run, over one with planar legs
 COMPARED = (22, 31)  # nodes
 
 
-options = other_checkout.options
-
-
 def run(
     quick: bool, out: Path, progress: Progress, against: Path | None = None
 ) -> tuple[list[Row], list[Check]]:

@@ -16,7 +16,7 @@ import numpy as np
 import viser
 
 from slot_bringup.playing.graph_robot import GraphRobot
-from slot_core.control.policy import POLICIES
+from slot_core.control.policies import POLICIES
 from slot_core.dynamics.scene import read_scene
 from slot_core.faults import ALL_LEGS, BROKEN, KINDS, Fault
 from slot_core.gait.gait import STAND, read_gaits

@@ -21,15 +21,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slot_bringup import interrupts
-from slot_bringup.check import check_place
-from slot_bringup.monitor import listener
-from slot_bringup.operate import SEARCH_TIME, no_answer
-from slot_bringup.playing.access import Access, guarded, is_this_machine
 from slot_bringup.playing.page_scripts import GAMEPAD, GIVE_KEYS_BACK, WIDE_ON_A_PHONE
 from slot_core.command_line import command_parser, refuse, within
 from slot_core.config import ConfigError
-from slot_core.control.policy import DEFAULT_POLICY
-from slot_lab.play.played_robot import PlayedRobot
+from slot_core.control.policies import DEFAULT_POLICY
 
 if TYPE_CHECKING:
     import viser
@@ -70,6 +65,8 @@ def start_server(host: str, port: int, token: str) -> viser.ViserServer:
     import viser  # noqa: PLC0415 - optional
     from viser import _messages  # noqa: PLC0415 - it has no other way to a script
 
+    from slot_bringup.playing.access import Access, guarded  # noqa: PLC0415 - heavy
+
     class Server(viser.ViserServer):
         """viser's server, which nobody can connect to one elsewhere."""
 
@@ -89,6 +86,8 @@ def start_server(host: str, port: int, token: str) -> viser.ViserServer:
 
 def play(options: argparse.Namespace) -> None:
     """Play until an interrupt; raises ConfigError and OSError."""
+    from slot_bringup.check import check_place  # noqa: PLC0415 - heavy
+
     check_place(options.namespace)
     if options.graph:
         _play_graph(options)
@@ -98,6 +97,7 @@ def play(options: argparse.Namespace) -> None:
 
 def _play_robot(options: argparse.Namespace) -> None:
     from slot_bringup.playing.play_page import PlayPage  # noqa: PLC0415 - needs viser
+    from slot_lab.play.played_robot import PlayedRobot  # noqa: PLC0415 - heavy
 
     robot = PlayedRobot(options.scene or "flat", options.policy or DEFAULT_POLICY)
     with _served(options) as server:
@@ -105,6 +105,8 @@ def _play_robot(options: argparse.Namespace) -> None:
 
 
 def _play_graph(options: argparse.Namespace) -> None:
+    from slot_bringup.monitor import listener  # noqa: PLC0415 - heavy
+    from slot_bringup.operate import SEARCH_TIME, no_answer  # noqa: PLC0415
     from slot_bringup.playing.graph_page import GraphPage  # noqa: PLC0415 - needs viser
     from slot_bringup.playing.graph_robot import GraphRobot  # noqa: PLC0415
 
@@ -120,6 +122,8 @@ def _play_graph(options: argparse.Namespace) -> None:
 @contextlib.contextmanager
 def _served(options: argparse.Namespace) -> Iterator[viser.ViserServer]:
     """Server of a page, whose address is printed; raises OSError."""
+    from slot_bringup.playing.access import is_this_machine  # noqa: PLC0415 - heavy
+
     token = "" if is_this_machine(options.host) else secrets.token_urlsafe(24)
     server = start_server(options.host, options.port, token)
     try:

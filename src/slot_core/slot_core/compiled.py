@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
+import slot_core.lean_numba  # noqa: F401  # isort: skip
 import numba
 
 from slot_core.kernel_cache import KernelCache

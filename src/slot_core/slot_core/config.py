@@ -12,18 +12,15 @@ import dataclasses
 import math
 import os
 import typing
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
-
-import yaml
 
 from slot_core.files import read_text
 from slot_core.refusal import InputError, quoted
 
 T = TypeVar("T")
 SIZE_MAX = 1_000_000  # bytes of a configuration file
-DEPTH_MAX = 100  # nested collections of a YAML text
 KIND_NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
 
 
@@ -86,49 +83,13 @@ def names(folder: str) -> list[str]:
 
 
 def parse(text: str) -> Any:
-    """Content of a YAML text.
+    """Content of a YAML text; raises ConfigError as `load_plain` does ValueError."""
+    from slot_core.yaml_text import load_plain  # noqa: PLC0415 - a help needs no PyYAML
 
-    Raises ConfigError if it is not YAML, repeats a key, nests deeper than DEPTH_MAX, where the
-    loader in C would overflow its stack, or has aliases, of which a few lines can make gigabytes,
-    or tags.
-    """
     try:
-        _require_plain(text)
-        return yaml.load(text, _UniqueKeyLoader)
-    except (ValueError, OverflowError, yaml.YAMLError) as error:
+        return load_plain(text)
+    except ValueError as error:
         raise ConfigError(error) from None
-
-
-def _require_plain(text: str) -> None:
-    """Raise ConfigError for aliases, tags and deep nesting; raises yaml.YAMLError."""
-    depth = 0
-    for event in yaml.parse(text, yaml.CSafeLoader):
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > DEPTH_MAX:
-            raise ConfigError(f"nested deeper than {DEPTH_MAX} levels")
-        if isinstance(event, yaml.AliasEvent) or getattr(event, "tag", None):
-            kind = "alias" if isinstance(event, yaml.AliasEvent) else "tag"
-            mark = event.start_mark
-            where = f"line {mark.line + 1}: " if mark else ""
-            raise ConfigError(f"{where}no {kind} is allowed")
-
-
-class _UniqueKeyLoader(yaml.CSafeLoader):
-    """YAML's safe loader, which refuses a mapping that repeats a key."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """The mapping of a node; raises ConstructorError."""
-        seen: set[Hashable] = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, Hashable):
-                break  # which is refused below
-            if key in seen:
-                where, problem = key_node.start_mark, f"the key {quoted(key)} is repeated"
-                raise yaml.constructor.ConstructorError(None, None, problem, where)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
 
 
 def build(cls: type[T], mapping: Any, where: str) -> T:

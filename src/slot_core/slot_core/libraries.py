@@ -14,6 +14,8 @@ def require_libraries() -> None:
     `ros2 launch` runs under the system's Python. In a terminal in which scripts/env was sourced it
     finds here what its own packages lack.
     """
+    if prints_help():
+        return
     if _missing():
         venv = Path(os.environ.get("VIRTUAL_ENV", os.devnull))
         sys.path += [str(path) for path in venv.glob("lib/python3*/site-packages")]
@@ -22,6 +24,11 @@ def require_libraries() -> None:
             f"Python finds no {', '.join(missing)}: in a new terminal first source scripts/env of"
             " the SLOT repository, then install/setup.bash"
         )
+
+
+def prints_help() -> bool:
+    """Whether scripts/help runs the program, which needs no package and finds none."""
+    return bool(sys.flags.isolated and sys.flags.no_site)
 
 
 def _missing() -> list[str]:

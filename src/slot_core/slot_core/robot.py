@@ -22,9 +22,9 @@ from slot_core.arrays import Array as Array  # noqa: PLC0414 - for those who imp
 from slot_core.config import ConfigError, choice, quantity
 from slot_core.elementary import cos, exp, hypot, sin
 from slot_core.matrices import interpolated, product
+from slot_core.names import LEGS as LEGS  # noqa: PLC0414 - as Array
 from slot_core.refusal import quoted
 
-LEGS = ("FL", "FR", "RL", "RR")
 TENDON_JOINTS = tuple(f"{leg}_tendon" for leg in LEGS)
 ARC_CELLS = 4000  # of a leg's natural shape
 GRAVITY = 9.81  # m/s^2, the value of the paper

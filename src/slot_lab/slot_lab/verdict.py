@@ -14,8 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from scipy.stats import chi2
-
 LARGEST = 2.0  # residuals 1.4 times as large as the uncertainty
 CONFIDENCE = 0.99
 EXPLAINED, NOT_EXPLAINED = 0, 1  # exit codes
@@ -38,6 +36,8 @@ class Verdict:
     @property
     def limit(self) -> float:
         """Largest sum of squares per degree of freedom that counts as explained."""
+        from scipy.stats import chi2  # noqa: PLC0415 - half a second
+
         return max(LARGEST, float(chi2.ppf(CONFIDENCE, self.freedom)) / self.freedom)
 
     @property

@@ -12,7 +12,8 @@ from rclpy.parameter import Parameter
 
 from slot_core import config
 from slot_core.control.pace import Pace
-from slot_core.control.policy import DEFAULT_POLICY, Status, policy_class
+from slot_core.control.policies import DEFAULT_POLICY
+from slot_core.control.policy import Status, policy_class
 from slot_core.control.tuned_policy import TunedPolicy
 from slot_core.estimation.time_synchronizer import TimeSynchronizer
 from slot_core.messages import decode

@@ -2,8 +2,8 @@
 
 `mpc_controller` runs the policy that `scripts/run --policy` names and publishes its plan;
 `force_mapper` makes the tendon angles of it (`force_map.py`). A policy of one's own is a class like
-those of `POLICIES`, named there, or in a Python file that ends with `POLICY = TheClass`. A learned
-network is `onnx:FILE` (`onnx_policy.py`).
+those of `policies.py`, named there, or in a Python file that ends with `POLICY = TheClass`. A
+learned network is `onnx:FILE` (`onnx_policy.py`).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from slot_core.config import ConfigError
+from slot_core.control.policies import POLICIES
 from slot_core.estimation.estimate import Estimate
 from slot_core.files import ONNX, require_regular
 from slot_core.gait.gait import GaitPreview
@@ -29,17 +30,6 @@ from slot_core.refusal import quoted
 from slot_core.robot import LEGS, Array, RobotParameters
 
 Timer = Callable[[], float]  # s
-DEFAULT_POLICY = "predictive"
-MPC = "slot_core.mpc.mpc:Mpc"
-POLICIES = {
-    DEFAULT_POLICY: "slot_core.predictive.predictive:Predictive",  # MPC that simulates the robot
-    "place": "slot_core.control.place_feedback:PlaceFeedback",  # amplitudes from the place's error
-    "forces": MPC,  # MPC on ground reaction forces
-    "paper_text": MPC,  # the same as printed in the paper
-    "paper_code": MPC,  # and as in the authors' published scripts
-    "gait_alone": "slot_core.control.gait_alone:GaitAlone",
-}
-"""Module and class by name."""
 
 
 class Status(enum.IntEnum):

@@ -1,12 +1,4 @@
-"""Dynamixel servos on the bench: scan, inspect, set up, zero or emulate them.
-
-scan      list the servos that answer, with their baud rates
-info      print state of the four servos and differences from the configuration
-assign    set id and baud rate of the only servo on the line
-prepare   write the configuration into the servos' EEPROM
-zero      measure the servo angle at which a leg's tendon is relaxed (torque off)
-emulate   emulate the four servos on a pseudo-terminal, until interrupted
-"""
+"""Tools for Dynamixel servos on the bench; each returns its exit code."""
 
 from __future__ import annotations
 
@@ -16,11 +8,10 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Callable
 
 from slot_core import config
-from slot_core.command_line import CommandParser, refuse
+from slot_core.command_line import refuse
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.checks import examine, expected
@@ -40,14 +31,13 @@ PERIOD = 0.002  # s, between two steps of the emulated servos
 FAILED = 1  # exit code
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Entry point of `scripts/servos`; returns the exit code."""
-    options = _parser().parse_args(arguments)
+def use(options: argparse.Namespace) -> int:
+    """Run the tool that the command line names; returns the exit code."""
     try:
         settings = read_settings()
         changed = {k: v for k, v in (("port", options.port), ("baud", options.baud)) if v}
         bus = dataclasses.replace(settings.bus, **changed)
-        return _ACTIONS[options.action](dataclasses.replace(settings, bus=bus), options)
+        return TOOLS[options.action](dataclasses.replace(settings, bus=bus), options)
     except RefusedError as error:
         print("\n".join(error.reasons), file=sys.stderr)
     except (ServoError, ConfigError, ValueError, OSError) as error:
@@ -173,34 +163,7 @@ def _open(settings: DynamixelSettings, baud: int | None = None) -> Bus:
     return Bus(port, settings.bus, {joint.id: joint.name for joint in joints(settings.joints)})
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = CommandParser(
-        prog="scripts/servos",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "--port", metavar="DEVICE", help="serial port; default: of config/dynamixel.yaml"
-    )
-    parser.add_argument(
-        "--baud", metavar="N", type=int, help="baud rate; default: configured, scan: all"
-    )
-    actions = parser.add_subparsers(dest="action", required=True)
-    for name, action in _ACTIONS.items():
-        sub = actions.add_parser(name, help=(action.__doc__ or "").splitlines()[0])
-        if name == "assign":
-            sub.add_argument("id", type=int, choices=range(253), metavar="ID")
-            sub.add_argument("--to-baud", type=int, choices=BAUD_RATES, help="new baud rate")
-        if name == "zero":
-            sub.add_argument("leg", choices=LEGS)
-            sub.add_argument("--write", action="store_true", help="to config/dynamixel.yaml")
-        if name == "emulate":
-            sub.add_argument("--link", type=Path, help="symbolic link to the port")
-            sub.add_argument("--usb-latency", type=float, help="latency of the emulated adapter, s")
-    return parser
-
-
-_ACTIONS: dict[str, Callable[[DynamixelSettings, argparse.Namespace], int]] = {
+TOOLS: dict[str, Callable[[DynamixelSettings, argparse.Namespace], int]] = {
     "scan": scan,
     "info": info,
     "assign": assign,

@@ -13,8 +13,6 @@ from __future__ import annotations
 
 import csv
 import math
-import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -23,7 +21,6 @@ import numpy as np
 
 from slot_core import config
 from slot_core.arrays import checked
-from slot_core.command_line import CommandParser, refuse
 from slot_core.compiled import kernel
 from slot_core.config import quantity
 from slot_core.dynamics.clamp import couple
@@ -34,7 +31,8 @@ from slot_core.dynamics.planar.leg import load_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.sticking_leg import StickingLeg
-from slot_core.robot import Array, RobotParameters, read_robot
+from slot_core.progress import Tell, untold
+from slot_core.robot import Array, RobotParameters
 
 COLUMNS = (
     "theta_deg",
@@ -207,7 +205,7 @@ def respond(model, leg, height, rise, turn):
     return force, shift / weight if weight > 0.0 else 0.0
 
 
-def tabulate(robot: RobotParameters, grid: LegMapSettings) -> Array:
+def tabulate(robot: RobotParameters, grid: LegMapSettings, tell: Tell = untold) -> Array:
     """Leg map, (angles x heights, 11), columns and units of `COLUMNS`; the height varies fastest.
 
     Raises NoEquilibriumError.
@@ -216,7 +214,10 @@ def tabulate(robot: RobotParameters, grid: LegMapSettings) -> Array:
     heights = np.linspace(grid.height_min, grid.height_max, grid.heights)
     columns = []
     resting = StaticLeg(robot, grid.nodes)
-    for height in heights[::-1]:  # lower the slack leg, then pull the tendon at each height
+    for k, height in enumerate(
+        heights[::-1]
+    ):  # lower the slack leg, then pull the tendon at each height
+        tell(k / len(heights))
         resting.solve(0.0, height)
         columns.append(_rows_at_height(robot, grid, resting.node, height, angles))
     return np.stack(columns[::-1], axis=1).reshape(-1, len(COLUMNS))
@@ -245,25 +246,3 @@ def write(path: Path, table: Array) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows([f"{value:.6g}" for value in row] for row in table)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/tabulate_leg`: writes the map of config/leg_map.yaml as CSV."""
-    parser = CommandParser(prog="scripts/tabulate_leg", description=__doc__)
-    default = config.config_dir() / "leg_map.csv"
-    parser.add_argument(
-        "--out", metavar="FILE", type=Path, default=default, help="CSV file (default: %(default)s)"
-    )
-    out = parser.parse_args(arguments).out
-    if out.is_dir() or not out.parent.is_dir():  # known before the long computation
-        parser.error(f"--out {out}: not a file in an existing directory")
-    try:
-        write(out, tabulate(read_robot(), config.read(LegMapSettings, "leg_map")))
-    except (config.ConfigError, NoEquilibriumError, OSError) as error:
-        refuse(parser.prog, error)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

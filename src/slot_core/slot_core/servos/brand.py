@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import TYPE_CHECKING, Any, NoReturn, Protocol, TypeAlias
 
-from slot_core.clock import Clock
 from slot_core.config import ConfigError
-from slot_core.faults import Fault
-from slot_core.robot import Array
-from slot_core.servos.servo_bus import ServoBus
+
+if TYPE_CHECKING:
+    from slot_core.arrays import Array
+    from slot_core.clock import Clock
+    from slot_core.faults import Fault
+    from slot_core.servos.servo_bus import ServoBus
 
 
 class EmulatedPort(Protocol):
@@ -67,7 +69,7 @@ class EmulatedServos(Protocol):
         ...
 
 
-Emulate = Callable[[Sequence[float] | Array, float], EmulatedServos]
+Emulate: TypeAlias = "Callable[[Sequence[float] | Array, float], EmulatedServos]"
 """Makes servos at tendon angles (4,), rad, and a supply voltage, V."""
 
 

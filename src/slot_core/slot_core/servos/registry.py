@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
 from slot_core import config
 from slot_core.config import ConfigError, text
+from slot_core.files import read_text
 from slot_core.refusal import quoted
 from slot_core.servos.brand import Brand
 
@@ -40,3 +42,13 @@ def read_servo_bus() -> ServoBusSettings:
 def read_brand() -> Brand:
     """The configured brand; raises ConfigError."""
     return BRANDS[read_servo_bus().brand]()
+
+
+def brand_of_help() -> Brand:
+    """The brand that the text of `config/servo_bus.yaml` names, read without PyYAML.
+
+    Raises ConfigError.
+    """
+    path = config.config_dir() / "servo_bus.yaml"
+    found = re.search(r"^brand: *(\w+)", read_text(path, config.SIZE_MAX), re.MULTILINE)
+    return BRANDS[ServoBusSettings(found[1] if found else "").brand]()

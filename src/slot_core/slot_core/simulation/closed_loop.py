@@ -10,7 +10,8 @@ import numpy as np
 from slot_core import config
 from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
 from slot_core.control.controller import Controller, Tick
-from slot_core.control.policy import DEFAULT_POLICY, make_policy, policy_class
+from slot_core.control.policies import DEFAULT_POLICY
+from slot_core.control.policy import make_policy, policy_class
 from slot_core.dynamics.scene import CameraSettings, Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.gait.gait import read_gaits

@@ -12,7 +12,7 @@ import numpy as np
 from slot_core import config
 from slot_core.clock import LOCKSTEP_START, to_ns
 from slot_core.control.controller import Tick
-from slot_core.control.policy import DEFAULT_POLICY
+from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.gait.gait import STAND

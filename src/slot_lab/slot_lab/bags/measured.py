@@ -17,17 +17,18 @@ from slot_core.clock import to_seconds
 from slot_core.robot import Array
 from slot_lab.bags.bag import Bag, BagError, Stamps
 from slot_lab.bags.recorded_walk import (
-    ESTIMATE,
-    GROUND_TRUTH,
     TorsoTrack,
     joint_columns,
     last_states,
     seconds,
 )
+from slot_lab.bags.topics import (
+    COMMANDED,
+    ESTIMATE,
+    MEASURED,
+    MOTION_TOPICS,
+)
 
-ODOMETRY = "/odom"
-MOTION_TOPICS = (GROUND_TRUTH, ODOMETRY, ESTIMATE)  # the first that is recorded is taken
-MEASURED, COMMANDED = "/joint_states", "/desired_joint_angles"
 UNIT = 0.01  # largest deviation of a quaternion's length from one
 
 

@@ -10,7 +10,8 @@ from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from slot_core import config
-from slot_core.control.policy import DEFAULT_POLICY, TendonPlan
+from slot_core.control.policies import DEFAULT_POLICY
+from slot_core.control.policy import TendonPlan
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import GaitPreview
@@ -21,18 +22,10 @@ from slot_core.recording.record_settings import root_of
 from slot_core.robot import read_robot
 from slot_core.ros_parameters import of_node, parse_parameters
 from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.topics import OUTPUTS, PLANS, SENSORS
 
-ODOMETRY, PLANS = "/odom", "/tendon_plan"
-SENSORS = (ODOMETRY, "/imu")  # in the order of the numbers in StageRecord
 RECORDS, NODES = "/stage_record", "/recorded_nodes"
 PATH, PARAMETERS = FILES["path"], FILES["params_file"]
-OUTPUTS = {
-    "/mpc_state": "state_estimator",
-    "/gait_preview": "gait_scheduler",
-    PLANS: "mpc_controller",
-    "/desired_joint_angles": "force_mapper",
-}
-"""Outputs of the stages, in the order of the graph, and our nodes."""
 T = TypeVar("T")
 
 

@@ -12,10 +12,8 @@ from slot_core.clock import to_seconds
 from slot_core.geometry import matrix_of_quaternion, rotate, rpy_of
 from slot_core.robot import TENDON_JOINTS, Array
 from slot_lab.bags.bag import Bag, BagError, Series, Stamps
+from slot_lab.bags.topics import ESTIMATE, GROUND_TRUTH
 
-GROUND_TRUTH = "/ground_truth/odom"
-LEG_STATES = "/ground_truth/legs"
-ESTIMATE = "/mpc_state"
 CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles")
 STAGES = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
 

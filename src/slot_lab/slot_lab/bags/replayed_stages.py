@@ -20,7 +20,8 @@ from slot_core.gait.gait import read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.key_frame import restore
 from slot_core.messages import decode
-from slot_lab.bags.recorded_stages import ODOMETRY, OUTPUTS, PLANS, SENSORS, RecordedStages
+from slot_lab.bags.recorded_stages import RecordedStages
+from slot_lab.bags.topics import ODOMETRY, OUTPUTS, PLANS, SENSORS
 
 PREVIEW = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle",
            "reference", "velocity_ahead", "corrected")  # fmt: skip

@@ -18,9 +18,11 @@ Inference, 2015, sec. II).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -29,6 +31,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from slot_core.config import ConfigError, leaves
+from slot_core.progress import untold
 from slot_core.robot import Array, RobotParameters
 from slot_lab.calibration.experiments import PredictionError
 
@@ -166,41 +169,70 @@ def parameters_of(robot: RobotParameters, names: Sequence[str]) -> tuple[Paramet
     return tuple(Parameter(name, v, meta["low"], meta["high"]) for name, v, meta in chosen)
 
 
-def fit(problem: FitProblem, starts: int = 1, progress: Callable[[str], None] = print) -> FitResult:
+def fit(
+    problem: FitProblem,
+    starts: int = 1,
+    say: Callable[[str], None] = print,
+    tell: Callable[[str], object] = untold,
+) -> FitResult:
     """Best of the fits from the parameters' start values and from `starts` - 1 further starts.
 
-    The further starts scatter about the first, with a random generator of fixed seed. progress
-    takes a line of text per start. Raises FitError where every start fails.
+    The further starts scatter about the first, with a random generator of fixed seed. `say` takes
+    a line on each start, and on the best if any was stopped, `tell` one on each trial. Raises
+    FitError where every start fails.
     """
     rng = np.random.default_rng(0)
     first = problem.coordinates([p.start for p in problem.parameters])
     low, high = problem.bounds()
-    best, reason = None, ""
+    best, reason, stopped = None, "", 0
     for k in range(starts):
         shift = SCATTER * rng.uniform(-1.0, 1.0, len(first)) if k else 0.0
         try:
-            found = _fit_from(problem, np.clip(first + shift, low, high))
+            trial = partial(_trial, tell, f"start {k + 1} of {starts}")
+            found = _fit_from(problem, np.clip(first + shift, low, high), trial)
         except FitError as error:
             reason = str(error)
-            progress(f"start {k + 1} of {starts}: {error}")
+            say(f"start {k + 1} of {starts}: {error}")
             continue
-        end = "" if found.converged else f", stopped after {TRIALS} trials"
-        progress(f"start {k + 1} of {starts}: sum of squares {found.chi_square:.6g}{end}")
+        end = "converged" if found.converged else f"stopped after {TRIALS} trials"
+        say(f"start {k + 1} of {starts}: sum of squares {found.chi_square:.6g}, {end}")
+        stopped += not found.converged
         if best is None or found.chi_square < best.chi_square:
             best = found
     if best is None:
         raise FitError(reason)
+    if stopped:
+        say(_on_stopped(best))
     return best
 
 
-def _fit_from(problem: FitProblem, start: Array) -> FitResult:
-    """Fit from coordinates `start`; raises FitError where prediction or derivative fails."""
+def _on_stopped(best: FitResult) -> str:
+    """Whether the result holds although starts were stopped before they converged."""
+    if best.converged:
+        return "well: the best start converged; a start that was stopped found nothing better"
+    return (
+        "not well: the best start was stopped while its sum of squares still fell; give more"
+        " --starts, or fit on from the parameters that it found"
+    )
+
+
+def _trial(tell: Callable[[str], object], start: str, number: int) -> None:
+    tell(f"{start}, trial {number} of at most {TRIALS}")
+
+
+def _fit_from(problem: FitProblem, start: Array, tell: Callable[[int], object]) -> FitResult:
+    """Fit from coordinates `start`; raises FitError where prediction or derivative fails.
+
+    tell: takes the number of each trial.
+    """
+    numbers = itertools.count(1)
     try:
         problem.residuals(start)
     except PredictionError as error:
         raise FitError(f"no prediction at the start: {error}") from None
 
     def residuals(u: Array) -> Array:
+        tell(next(numbers))
         try:
             return problem.residuals(u)
         except PredictionError:

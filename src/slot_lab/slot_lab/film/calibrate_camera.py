@@ -9,19 +9,19 @@ camera_info and, beside it, the covariance of the calibration, which enters that
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-
-import cv2
-import numpy as np
+from typing import TYPE_CHECKING
 
 from slot_core.command_line import command_parser, positive_integer, show
-from slot_core.config import ConfigError
-from slot_core.vision.camera import CameraError, camera_text
-from slot_core.vision.settings import VisionSettings, read_vision
-from slot_lab.film.calibration import BoardView, Calibration, calibrate, chessboard, find_view
-from slot_lab.film.images import IMAGES, FilmError, read_film
+from slot_core.progress import ProgressLine
+from slot_core.refusal import InputError
+from slot_lab.bags.topics import IMAGES
+
+if TYPE_CHECKING:
+    from slot_lab.film.calibration import BoardView, Calibration
 
 NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
 
@@ -30,21 +30,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/calibrate_camera`; one line and exit code 2 for unusable views."""
     parser = _parser()
     options = parser.parse_args(arguments)
+    import cv2  # noqa: PLC0415 - heavy
+
+    from slot_core.vision.camera import camera_text  # noqa: PLC0415
+
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it repeats our messages
     try:
-        found = _calibrate(options, read_vision())
+        with ProgressLine(parser.prog) as progress:
+            found = _calibrate(options, progress)
         options.out.write_text(camera_text(found.camera, options.name))
-    except (FilmError, CameraError, ConfigError) as error:
+    except InputError as error:
         parser.error(str(error))
     except OSError as error:
         parser.error(f"--out {options.out}: {error.strerror}")
     return 0 if show(parser.prog, [*report(found), f"wrote {options.out}"]) else 2
 
 
-def _calibrate(options: argparse.Namespace, settings: VisionSettings) -> Calibration:
-    board, views, size = chessboard(settings), list[BoardView](), (0, 0)
+def _calibrate(options: argparse.Namespace, progress: ProgressLine) -> Calibration:
+    from slot_core.vision.settings import read_vision  # noqa: PLC0415 - heavy
+    from slot_lab.film.calibration import calibrate, chessboard, find_view  # noqa: PLC0415
+    from slot_lab.film.images import FilmError, read_film  # noqa: PLC0415
+
+    board, size = chessboard(read_vision()), (0, 0)
+    views: list[BoardView] = []
     frames = read_film(options.film, topic=options.topic)
     for number, frame in enumerate(frames):
+        progress(f"image {number}")
         shape = frame.grey.shape[1], frame.grey.shape[0]
         if number and shape != size:
             raise FilmError(f"{options.film}: image {number} has another size: {shape}, {size}")
@@ -52,6 +63,7 @@ def _calibrate(options: argparse.Namespace, settings: VisionSettings) -> Calibra
         if number % options.every == 0:
             view = find_view(board, f"image {number}", frame.grey)
             views += [view] if view else []
+    progress("calibrating")
     return calibrate(views, size)
 
 
@@ -69,9 +81,9 @@ def report(found: Calibration) -> list[str]:
     if found.left_out:
         lines.append(f"left out for gross errors: {', '.join(found.left_out)}")
     assert camera.covariance is not None
-    deviations = np.sqrt(np.diag(camera.covariance))
-    for name, value, deviation in zip(NAMES, values, deviations):
-        lines.append(f"{name:<4} {value:10.4f} +- {deviation:.4f}")
+    variances = camera.covariance.diagonal()
+    for name, value, variance in zip(NAMES, values, variances):
+        lines.append(f"{name:<4} {value:10.4f} +- {math.sqrt(variance):.4f}")
     return lines
 
 

@@ -1,18 +1,9 @@
-"""Films a recorded walk with a synthetic camera beside the robot, to try scripts/track with.
-
-WHAT is a recording of scripts/run. The film shows the markers on torso and legs and the board
-behind the robot, as config/vision.yaml places them, from `film_camera`. With the word chessboard
-the result is a folder of images of the ChArUco board, for scripts/calibrate_camera. Both are
-synthetic: distortion, blur and noise are added to rendered images, and nothing in them was
-measured.
-"""
+"""Films of a recorded walk and of the chessboard by a synthetic camera."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import cv2
@@ -20,17 +11,17 @@ import numpy as np
 
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
 from slot_core.clock import to_seconds
-from slot_core.command_line import command_parser, show, within
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
 from slot_core.messages import decode
+from slot_core.progress import Tell
 from slot_core.robot import LEGS, ODOM_FRAME, Array, RobotParameters, read_robot
 from slot_core.vision.board import SQUARE, GreyImage, make_board, print_of, single_marker
 from slot_core.vision.camera import nominal
 from slot_core.vision.settings import TrackedMarkers, VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.recorded_walk import GROUND_TRUTH, LEG_STATES
+from slot_lab.bags.topics import GROUND_TRUTH, LEG_STATES
 from slot_lab.film.calibration import chessboard
 from slot_lab.film.track import write_tracks
 from slot_lab.film.tracker import MarkerSample
@@ -147,24 +138,14 @@ def _turned(corners: Array, to_camera: Transform) -> Iterator[Array]:
             yield order
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/film`; one line and exit code 2 for a bag that cannot be filmed."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    if not options.out.absolute().parent.is_dir():
-        parser.error(f"--out {options.out}: not in an existing directory")
+def film(options: argparse.Namespace, tell: Tell) -> int:
+    """Write what is asked for; the number of images. Raises BagError, ConfigError, OSError."""
     cv2.setNumThreads(1)
-    try:
-        film = _film_chessboard if options.what == CHESSBOARD else _film
-        count = film(options, read_vision())
-    except (BagError, ConfigError) as error:
-        parser.error(str(error))
-    except OSError as error:
-        parser.error(f"{error.filename}: {error.strerror}")
-    return 0 if show(parser.prog, [f"{count} images in {options.out}"]) else 2
+    write = _film_chessboard if options.what == CHESSBOARD else _film
+    return write(options, read_vision(), tell)
 
 
-def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
+def _film(options: argparse.Namespace, settings: VisionSettings, tell: Tell) -> int:
     """Write film, depth images and true tracks; the number of images."""
     robot = read_robot()
     times, shots = _motion(Bag(options.what), robot, options.duration)
@@ -181,6 +162,7 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
         raise OSError(0, "no video can be written there", str(options.out))
     truth: list[MarkerSample] = []
     for i, time in enumerate(times):
+        tell(i / len(times))
         soon = None
         if i + 1 < len(times) and times[i + 1] - time < GAP * period:
             soon = shots[i + 1], float(times[i + 1] - time)
@@ -197,7 +179,7 @@ def _film(options: argparse.Namespace, settings: VisionSettings) -> int:
     return len(times)
 
 
-def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> int:
+def _film_chessboard(options: argparse.Namespace, settings: VisionSettings, tell: Tell) -> int:
     """Write VIEWS images of the ChArUco board, held in all parts of the image and tilted."""
     rng = np.random.default_rng(options.seed)
     camera = nominal(settings.camera)
@@ -207,6 +189,7 @@ def _film_chessboard(options: argparse.Namespace, settings: VisionSettings) -> i
     synthetic = SyntheticCamera(camera, Imperfections(), rng)
     options.out.mkdir(parents=True, exist_ok=True)
     for number in range(VIEWS):
+        tell(number / VIEWS)
         distance = rng.uniform(0.35, 0.7)
         ray = camera.rays(rng.uniform(0.2, 0.8, 2) * [camera.width, camera.height])
         tilt = np.array([np.pi, 0.0, 0.0]) + rng.uniform(-0.6, 0.6, 3)
@@ -239,20 +222,3 @@ def _motion(bag: Bag, robot: RobotParameters, duration: float) -> tuple[Array, l
         base = Transform.of_quaternion(places[m], turns[m])
         shots.append(filmed(robot, base, nodes, directors))
     return times, shots
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("film", __doc__)
-    add = parser.add_argument
-    add("what", metavar="BAG", help=f"recording of scripts/run, or the word {CHESSBOARD}")
-    add("--out", type=Path, metavar="FILE", required=True, help="video (.avi), or folder")
-    add("--depth", type=Path, metavar="DIR", help="also write depth images (mm, 16 bit)")
-    add("--truth", type=Path, metavar="FILE", help="also write the true tracks")
-    duration = "length of the film, s (default: 6)"
-    add("--duration", type=within(0.1, 3600.0, "s"), default=6.0, metavar="S", help=duration)
-    add("--seed", metavar="N", type=int, default=0, help="of the noise (default: 0)")
-    return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -19,9 +19,9 @@ from slot_core.vision import image_message
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera, CameraError, from_camera_info
 from slot_lab.bags.bag import STORAGES, Bag, BagError
+from slot_lab.bags.topics import IMAGES
 
 Depth = NDArray[np.uint16]
-IMAGES = "/camera/image_raw"  # topic of a bag
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 SYNCHRONOUS = 0.017  # s, largest distance of a depth image from the image
 

@@ -1,24 +1,14 @@
-"""Writes the boards and markers of config/vision.yaml to print at their true size.
-
-WHAT is a board of vision.yaml (wall, torso, ...), points for the single markers of torso and legs,
-or chessboard for the ChArUco board of scripts/calibrate_camera. A PDF has the true size if it is
-printed at 100 %, without fitting to the page; measure the line that is printed with it. A PNG has
-its resolution in the file.
-"""
+"""Boards and markers to print, at their true size."""
 
 from __future__ import annotations
 
-import argparse
 import math
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 from PIL import Image
 
-from slot_core.command_line import command_parser, show, within
 from slot_core.config import ConfigError
 from slot_core.refusal import quoted
 from slot_core.vision.board import WHITE, GreyImage, image_of, make_board, single_marker
@@ -27,27 +17,16 @@ from slot_lab.film.calibration import chessboard
 
 INCH = 0.0254  # m
 SCALE = 0.1  # m, of the line to measure
-FORMATS = (".png", ".pdf")
 COLUMNS = 4  # single markers beside each other
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/print_markers`; one line and exit code 2 for a wrong argument."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    dots = options.dpi / INCH  # px per m
-    if options.out.suffix.lower() not in FORMATS:
-        parser.error(f"--out {options.out}: the name of a print ends in {' or '.join(FORMATS)}")
-    try:
-        sheet = with_scale(sheet_of(options.what, read_vision(), dots), options.what, dots)
-        Image.fromarray(sheet).save(options.out, dpi=(options.dpi,) * 2, resolution=options.dpi)
-    except ConfigError as error:
-        parser.error(str(error))
-    except OSError as error:
-        parser.error(f"--out {options.out}: {error.strerror or error}")
+def print_sheet(what: str, out: Path, dpi: int) -> str:
+    """Write what is printed; returns its size. Raises ConfigError, OSError."""
+    dots = dpi / INCH  # px per m
+    sheet = with_scale(sheet_of(what, read_vision(), dots), what, dots)
+    Image.fromarray(sheet).save(out, dpi=(dpi,) * 2, resolution=dpi)
     height, width = (1e3 * edge / dots for edge in sheet.shape)
-    size = f"{width:.0f} x {height:.0f} mm at {options.dpi} dots per inch"
-    return 0 if show(parser.prog, [f"{options.out}: {size}"]) else 2
+    return f"{width:.0f} x {height:.0f} mm at {dpi} dots per inch"
 
 
 def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
@@ -96,17 +75,3 @@ def _write(page: GreyImage, text: str, place: tuple[int, int], height: float) ->
     """Write text of a height, px, at the left end of its base line."""
     scale = height / 21.0  # px of a capital at scale one
     cv2.putText(page, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, max(1, int(scale)))
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("print_markers", __doc__)
-    add = parser.add_argument
-    add("what", metavar="NAME", help="name of a board, points, or chessboard")
-    add("--out", type=Path, metavar="FILE", required=True, help="PNG or PDF to write")
-    dots = "dots per inch (default: 300)"
-    add("--dpi", type=within(50, 1200), default=300, metavar="N", help=dots)
-    return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())

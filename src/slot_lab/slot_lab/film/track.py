@@ -1,33 +1,23 @@
-"""Tracks the markers on torso and legs through a film and writes where they are.
-
-FILM is a video, a folder of images, or a bag with images. The CSV has a comment with the frame
-and the columns time (s), point, x, y, z (m): a row for each marker that an image shows. Points are
-torso, FL_base, FL_third, FL_two_thirds, FL_tip and so on; with --leg those of that leg are base,
-third, two_thirds, tip. The camera has to stand still. Where it sees a board that config/vision.yaml
-places in odom, the tracks are in odom, else in the camera's own axes: x forward, y left, z up.
-"""
+"""Tracks of the markers of a film, and their file."""
 
 from __future__ import annotations
 
 import argparse
 import csv
 import itertools
-import sys
 from collections import Counter
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import cv2
 
 from slot_core.body_points import COLUMNS, FRAME, TORSO
-from slot_core.command_line import command_parser, progress, show, within
-from slot_core.config import ConfigError
-from slot_core.robot import LEGS
-from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
+from slot_core.progress import ProgressLine, Tell, untold
+from slot_core.vision.camera import Camera, nominal, read_camera
 from slot_core.vision.detector import other_dictionary
 from slot_core.vision.settings import VisionSettings, read_vision
+from slot_lab.bags.topics import IMAGES
 from slot_lab.film.images import (
-    IMAGES,
     FilmError,
     Frame,
     bag_camera,
@@ -40,29 +30,24 @@ from slot_lab.film.tracker import MarkerSample, Tracker, Tracks
 COMPLETE = 1.02  # images that a video says over those read: some estimate their length
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/track`; one line and exit code 2 for what cannot be tracked."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    if not options.out.absolute().parent.is_dir():
-        parser.error(f"--out {options.out}: not in an existing directory")
+def track(options: argparse.Namespace, progress: ProgressLine) -> list[str]:
+    """Track a film and write the tracks; returns lines on them.
+
+    Raises FilmError, CameraError, ConfigError, OSError.
+    """
     cv2.setNumThreads(1)
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it repeats our messages
-    try:
-        settings = read_vision()
-        tracks = track_film(
-            options.film, _camera(options, settings), settings,
-            rate=options.rate, depth=options.depth, topic=options.topic,
-        )  # fmt: skip
-        samples = of_leg(tracks.samples, options.leg)
-        if not samples:
-            parser.error(f"{options.film}: no marker of leg {options.leg}")
-        write_tracks(options.out, samples, tracks.frame)
-    except (FilmError, CameraError, ConfigError) as error:
-        parser.error(str(error))
-    except OSError as error:
-        parser.error(f"--out {options.out}: {error.strerror}")
-    return 0 if show(parser.prog, _summary(tracks, samples)) else 2
+    settings = read_vision()
+    tracks = track_film(
+        options.film, _camera(options, settings, progress), settings,
+        rate=options.rate, depth=options.depth, topic=options.topic,
+        tell=partial(progress, f"tracking {options.film}"),
+    )  # fmt: skip
+    samples = of_leg(tracks.samples, options.leg)
+    if not samples:
+        raise FilmError(f"{options.film}: no marker of leg {options.leg}")
+    write_tracks(options.out, samples, tracks.frame)
+    return _summary(tracks, samples)
 
 
 def of_leg(samples: list[MarkerSample], leg: str | None) -> list[MarkerSample]:
@@ -91,19 +76,19 @@ def track_film(
     rate: float | None = None,
     depth: str = "",
     topic: str = IMAGES,
+    tell: Tell = untold,
 ) -> Tracks:
     """Tracks of the markers of a film, as for `read_film`; raises FilmError, CameraError."""
     frames = read_film(film, rate, depth, topic)
     first = next(frames, None)
     if first is None:
         raise FilmError(f"{film}: no image on {topic}")
-    tracker = Tracker(settings, camera)
+    tracker, claimed = Tracker(settings, camera), claimed_length(film)
     for number, frame in enumerate(itertools.chain([first], frames)):
         tracker.add(frame.time, frame.grey, frame.depth)
-        if sys.stderr.isatty() and number % 30 == 0:
-            print(f"image {number}", end="\r", file=sys.stderr, flush=True)
+        tell(min(1.0, number / claimed) if claimed else 0.0)
     tracks = tracker.tracks()
-    if (claimed := claimed_length(film)) > COMPLETE * tracks.images:
+    if claimed > COMPLETE * tracks.images:
         tracks.notes.append(f"the video says that it has {claimed} images: it is damaged")
     if not tracks.samples:
         raise FilmError(f"{film}: no tracked marker in {_absence(tracks, settings, first)}")
@@ -117,12 +102,14 @@ def _absence(tracks: Tracks, settings: VisionSettings, first: Frame) -> str:
     return text + (f"; the first shows {other})" if other else "; the first shows no marker)")
 
 
-def _camera(options: argparse.Namespace, settings: VisionSettings) -> Camera:
+def _camera(
+    options: argparse.Namespace, settings: VisionSettings, progress: ProgressLine
+) -> Camera:
     if options.camera:
         return read_camera(options.camera)
     if is_bag(options.film):
         return bag_camera(options.film, options.topic)
-    progress("without --camera FILE: the nominal camera of config/vision.yaml is used")
+    progress.say("without --camera FILE: the nominal camera of config/vision.yaml is used")
     return nominal(settings.camera)
 
 
@@ -135,23 +122,3 @@ def _summary(tracks: Tracks, samples: list[MarkerSample]) -> list[str]:
     for point, count in counts.items():
         lines.append(f"{point:<{width}}  in {100 * count / tracks.images:5.1f} % of the images")
     return lines
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("track", __doc__)
-    add = parser.add_argument
-    add("film", type=Path, metavar="RECORDING", help="video, folder of images, or bag")
-    add("--out", type=Path, metavar="FILE", required=True, help="file to write")
-    add("--camera", type=Path, metavar="FILE", help="calibration; default: that in the bag")
-    add("--leg", choices=LEGS, help="write the torso and this leg only")
-    depth = "folder of 16-bit depth images (mm) registered to the images, or topic of the bag"
-    add("--depth", default="", metavar="DIR|NAME", help=depth)
-    topic = f"topic of the bag (default: {IMAGES})"
-    add("--topic", default=IMAGES, metavar="NAME", help=topic)
-    rate = "images per second (default: the video's own; 30 for a folder)"
-    add("--rate", type=within(0.1, 10000.0), metavar="HZ", help=rate)
-    return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -15,7 +15,7 @@ import numpy as np
 from slot_core.clock import LOCKSTEP_START, SECOND, to_seconds
 from slot_core.config import ConfigError
 from slot_core.control.controller import Tick
-from slot_core.control.policy import DEFAULT_POLICY
+from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.divergence import DivergenceError
 from slot_core.dynamics.model import Model
 from slot_core.dynamics.scene import Push, read_scene

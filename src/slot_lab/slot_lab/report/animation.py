@@ -9,10 +9,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from slot_core.progress import Tell, untold
 from slot_core.refusal import InputError
 from slot_core.robot import Array, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag
-from slot_lab.bags.recorded_walk import LEG_STATES, seconds, stride_period
+from slot_lab.bags.recorded_walk import seconds, stride_period
+from slot_lab.bags.topics import LEG_STATES
 from slot_lab.report.plots import read_poses
 from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
 
@@ -29,7 +31,7 @@ class AnimationError(InputError):
     """An animation cannot be made; the message is one line."""
 
 
-def animate(bag: Bag, path: Path) -> None:
+def animate(bag: Bag, path: Path, tell: Tell = untold) -> None:
     """Write the last STRIDES of a walk as a GIF, PNG or WebP that moves, in a loop.
 
     Raises AnimationError for another suffix, BagError if the bag holds no leg shapes, OSError.
@@ -39,7 +41,10 @@ def animate(bag: Bag, path: Path) -> None:
     times, robot = frame_times(bag), read_robot()
     pause = round(1e3 * SLOWER * float(np.diff(times).mean()))  # ms
     with path.open("wb") as file:
-        frames = [draw_frame(pose, robot) for pose in read_poses(bag, times, robot)]
+        frames: list[Image.Image] = []
+        for pose in read_poses(bag, times, robot):
+            tell(len(frames) / len(times))
+            frames.append(draw_frame(pose, robot))
         frames[0].save(
             file, path.suffix[1:], save_all=True, append_images=frames[1:], duration=pause, loop=0
         )

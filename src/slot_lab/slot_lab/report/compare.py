@@ -14,22 +14,21 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slot_core.command_line import command_parser, show, within
-from slot_core.config import ConfigError
-from slot_core.dynamics.servo import read_servo
-from slot_core.recording.record_settings import read_record_settings
+from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError, quoted
-from slot_lab.bags.bag import Bag, BagError
-from slot_lab.report.compare_plot import SUFFIXES, draw
-from slot_lab.report.figures import UNITS, Figure, figures
-from slot_lab.report.metrics import walk_metrics
-from slot_lab.report.origin_changes import origin_lines
+
+if TYPE_CHECKING:
+    from slot_lab.bags.bag import Bag
+    from slot_lab.report.figures import Figure
 
 EXIT_CODES = """\
 Exit code: 0, 1 where a difference exceeds a tolerance, 2 unusable input.
 """
 NAME_WIDTH, VALUE_WIDTH = 29, 14
+SUFFIXES = (".png", ".pdf", ".svg")  # of a plot
 
 
 class CompareError(InputError):
@@ -77,6 +76,8 @@ class FigurePair:
 
 def compare_figures(first: Sequence[Figure], second: Sequence[Figure]) -> list[FigurePair]:
     """The figures of two walks in pairs; a figure that one lacks, such as a stage, is a NaN."""
+    from slot_lab.report.figures import Figure  # noqa: PLC0415 - heavy
+
     a, b = ({figure.name: figure for figure in run} for run in (first, second))
     units = {name: figure.unit for name, figure in {**a, **b}.items()}
     missing = {name: Figure(name, math.nan, unit) for name, unit in units.items()}
@@ -88,6 +89,8 @@ def exceeded(pairs: Sequence[FigurePair], tolerances: Sequence[Tolerance]) -> li
 
     Raises CompareError for a tolerance that matches no figure that is known of a run.
     """
+    from slot_lab.report.figures import UNITS  # noqa: PLC0415 - heavy
+
     known = [p.first.name for p in pairs if not p.unknown]
     for tolerance in tolerances:
         if not fnmatch.filter(known, tolerance.pattern):
@@ -109,14 +112,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/compare`; ends with exit code 2 and one line on a bad input."""
     parser = _parser()
     options = parser.parse_args(arguments)
+    from slot_lab.bags.bag import Bag  # noqa: PLC0415 - heavy
+    from slot_lab.report.compare_plot import draw  # noqa: PLC0415
+
     try:
         if options.plot and options.plot.suffix not in SUFFIXES:
             raise CompareError(f"{options.plot}: the name of a plot ends in {', '.join(SUFFIXES)}")
-        first, second = (Bag(path, options.namespace) for path in options.bags)
-        lines, beyond = _compare((first, second), options)
-        if options.plot:
-            draw(first, second, options.plot)
-    except (CompareError, BagError, ConfigError) as error:
+        with ProgressLine(parser.prog) as progress:
+            progress("opening the bags")
+            first, second = (Bag(path, options.namespace) for path in options.bags)
+            lines, beyond = _compare((first, second), options, progress)
+            if options.plot:
+                progress("drawing")
+                draw(first, second, options.plot)
+    except InputError as error:
         parser.error(str(error))
     except OSError as error:
         parser.error(f"{error.filename}: {error.strerror}")
@@ -125,10 +134,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if beyond else 0
 
 
-def _compare(bags: tuple[Bag, Bag], options: argparse.Namespace) -> tuple[list[str], list[str]]:
+def _compare(
+    bags: tuple[Bag, Bag], options: argparse.Namespace, progress: ProgressLine
+) -> tuple[list[str], list[str]]:
     """Lines on what differs, and on what is beyond the tolerances."""
+    from slot_core.dynamics.servo import read_servo  # noqa: PLC0415 - heavy
+    from slot_core.recording.record_settings import read_record_settings  # noqa: PLC0415
+    from slot_lab.report.figures import figures  # noqa: PLC0415
+    from slot_lab.report.metrics import walk_metrics  # noqa: PLC0415
+    from slot_lab.report.origin_changes import origin_lines  # noqa: PLC0415
+
     warm_up = read_record_settings().warm_up if options.warm_up is None else options.warm_up
-    walks = [walk_metrics(bag, warm_up, read_servo()) for bag in bags]
+    walks = []
+    for bag in bags:
+        progress(f"figures of {bag.path}")
+        walks.append(walk_metrics(bag, warm_up, read_servo()))
     pairs = compare_figures(*map(figures, walks))
     head = "".join(f"{name:>{VALUE_WIDTH}}" for name in ("first", "second", "difference"))
     named = list(zip(("first", "second"), bags))

@@ -16,7 +16,6 @@ from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import TorsoTrack, read_motion
 from slot_lab.plot_file import write_plot
 
-SUFFIXES = (".png", ".pdf", ".svg")
 DPI = 100
 GRID: dict[str, Any] = {"color": palette.PALE, "lw": 0.5}
 

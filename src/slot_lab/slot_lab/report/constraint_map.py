@@ -8,7 +8,6 @@ hatched. Fields that the messages of an older bag lack are listed and left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from slot_core.clock import to_seconds
-from slot_core.command_line import CommandParser, refuse, show
 from slot_core.control.policy import Status
 from slot_core.drawing import palette
 from slot_core.robot import LEGS, Array
@@ -204,34 +202,6 @@ def _finish(ax: Axes, found: ConstraintMap) -> None:
     )  # fmt: skip
 
 
-def _beside(bag: Path) -> Path:
+def beside(bag: Path) -> Path:
     """Default file of the map of a bag; a directory v0.05 has no suffix."""
     return bag.with_name(f"{bag.name if bag.is_dir() else bag.stem}_constraints.png")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/constraint_map`; exit code 0: clean, 1: a violation, 2: no map."""
-    parser = CommandParser(
-        prog="scripts/constraint_map", description="Draws the Dynamic Constraint Map of a bag."
-    )
-    parser.add_argument(
-        "bag", metavar="BAG", type=Path, help="directory of a bag, or its .mcap file"
-    )
-    parser.add_argument("--namespace", metavar="NAME", default="", help="of the recorded graph")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="default: BAG_constraints.png")
-    options = parser.parse_args(arguments)
-    if options.out and options.out.suffix != ".png":
-        parser.error(f"--out {options.out}: the name of a plot ends in .png")
-    try:
-        found = read_map(Bag(options.bag, options.namespace))
-        draw_map(found, out := options.out or _beside(options.bag.resolve()))
-    except (BagError, OSError) as error:
-        refuse(parser.prog, error)
-        return 2
-    if not show(parser.prog, [*summary_lines(found), str(out)]):
-        return 2
-    return 1 if found.violated.any() else 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

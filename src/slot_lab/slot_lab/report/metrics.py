@@ -16,7 +16,6 @@ from slot_core.geometry import rotate
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_walk import (
-    GROUND_TRUTH,
     STAGES,
     TorsoTrack,
     joint_columns,
@@ -24,6 +23,7 @@ from slot_lab.bags.recorded_walk import (
     read_ticks,
     seconds,
 )
+from slot_lab.bags.topics import GROUND_TRUTH
 
 NOT_KNOWN = (math.nan,) * len(LEGS)
 

@@ -8,13 +8,13 @@ from typing import Any
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.control.policy import DEFAULT_POLICY
+from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.recording.bag_error import BagError
 from slot_core.recording.origin import CONFIGURATION, Origin
 from slot_core.refusal import one_line, quoted
 from slot_lab.bags.bag import Bag
+from slot_lab.bags.topics import PLANS
 
-PLANS = "/tendon_plan"
 WIDTH = 24  # of the names
 
 

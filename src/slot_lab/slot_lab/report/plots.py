@@ -14,7 +14,8 @@ from slot_core.drawing.shapes import FORCE_SCALE, bent_legs
 from slot_core.messages import decode
 from slot_core.robot import LEGS, Array, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.recorded_walk import LEG_STATES, read_motion, read_ticks, seconds, stride_period
+from slot_lab.bags.recorded_walk import read_motion, read_ticks, seconds, stride_period
+from slot_lab.bags.topics import LEG_STATES
 from slot_lab.plot_file import write_plot
 from slot_lab.report import panels
 from slot_lab.report.metrics import WalkMetrics

@@ -151,7 +151,7 @@ class PatternSearch:
         self.best = Found(start, np.inf, np.full(len(settings.friction), np.nan))
         self.done = 0  # candidates, without the start
 
-    def run(self, run_all: RunAll, record: Path, progress: Callable[[str], None]) -> Found:
+    def run(self, run_all: RunAll, record: Path, progress: Callable[[str, float], None]) -> Found:
         """Search to the end of the evaluations; the best candidate, the start included.
 
         Raises ConfigError if `record` is that of another search.
@@ -166,7 +166,8 @@ class PatternSearch:
             speeds = " ".join(f"{v:.4f}" for v in self.best.speed)
             progress(
                 f"{self._goal.kind}: {self.done} of {self._settings.evaluations}, "
-                f"cost {self.best.cost:.3f}, speed {speeds}"
+                f"cost {self.best.cost:.3f}, speed {speeds}",
+                self.done / self._settings.evaluations,
             )
         return self.best
 

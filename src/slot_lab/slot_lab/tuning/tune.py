@@ -1,25 +1,9 @@
-"""Searches a stride on the simulated robot, identifies it and writes its file.
-
-The stages, in this order (default: all):
-
-    forward   search of the forward pattern; the lateral one is its reflection
-    turn      search of the pattern that turns in place
-    steering  change of the patterns that alters the yaw rate alone
-    identify  speeds, normal forces and sway of every pattern
-
-An interrupted search continues when the same command is given again.
-"""
+"""Search of a stride on the simulated robot: its stages, and what they write."""
 
 from __future__ import annotations
 
 import argparse
 import functools
-import math
-import shlex
-import signal
-import sys
-import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,16 +11,10 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.command_line import (
-    INTERRUPTED,
-    command_parser,
-    positive_integer,
-    refuse,
-    show,
-)
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
+from slot_core.progress import ProgressLine
 from slot_core.refusal import quoted
 from slot_core.robot import read_robot
 from slot_lab.tuning import gait_file, identification, symmetry
@@ -46,57 +24,46 @@ from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import RunAll, simulate
 from slot_lab.workers import gather, workers
 
-STAGES = ("forward", "turn", "steering", "identify")
 RECORDS = Path("results", "tune")
 QUICK = {"friction": [0.4], "strides": 3, "evaluations": 32, "population": 8}
 LEAST_SPEED = 1e-3  # m/s, rad/s, of a pattern
+ERRORS = (ConfigError, IdentificationError, ModuleNotFoundError, OSError)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/tune`; returns the exit code."""
-    options = _parser().parse_args(arguments)
-    options.out = options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
-    command = "scripts/tune " + shlex.join(sys.argv[1:] if arguments is None else arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        tuning = _Tuning(options)
-        call = functools.partial(simulate, settings=tuning.settings)
-        with workers(options.scheduler, options.workers) as client:
-            notes = tuning.run(functools.partial(gather, client, call))
-        gait_file.write(options.out, tuning.stride, [command, *notes])
-    except KeyboardInterrupt:
-        print("\nscripts/tune: interrupted; the same command continues", file=sys.stderr)
-        return INTERRUPTED
-    except (ConfigError, IdentificationError, ModuleNotFoundError, OSError) as error:
-        refuse("scripts/tune", error)
-        return 2
+def write_stride(options: argparse.Namespace, command: str, progress: ProgressLine) -> list[str]:
+    """Search and write the stride; returns the lines of the report. Raises ERRORS."""
+    out = options.out = options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
+    tuning = _Tuning(options, progress)
+    call = functools.partial(simulate, settings=tuning.settings)
+    with workers(options.scheduler, options.workers) as client:
+        notes = tuning.run(functools.partial(gather, client, call))
+    gait_file.write(out, tuning.stride, [command, *notes])
     tuning.forget()
-    return 0 if show("scripts/tune", [*notes, str(options.out)]) else 2
+    return [*notes, str(out)]
 
 
 class _Tuning:
     """A run of `scripts/tune`: its options, settings and stages."""
 
-    def __init__(self, options: argparse.Namespace) -> None:
+    def __init__(self, options: argparse.Namespace, progress: ProgressLine) -> None:
         """Read the configuration; raises ConfigError."""
         self._options = options
         self.settings = _settings(options)
         self.stride = _start(options)
-        self._stages = options.stages or STAGES
+        self._stages = options.stages
         seed = options.seed if options.scratch else None
         self._starts = {  # before the first search: a later one may be refused
             kind: start_of(self.stride, kind, self.settings, seed)
             for kind in symmetry.NUMBERS
             if kind in self._stages
         }
-        self._progress = _Progress()
+        self._progress = progress
 
     def run(self, run_all: RunAll) -> list[str]:
         """Run the stages and return their figures, lines of text."""
         notes: list[str] = []
-        for stage in STAGES:
-            if stage in self._stages:
-                notes += getattr(self, f"_{stage}")(run_all)
+        for stage in self._stages:
+            notes += getattr(self, f"_{stage}")(run_all)
         return notes
 
     def forget(self) -> None:
@@ -154,22 +121,6 @@ class _Tuning:
         return RECORDS / f"{self._options.out.stem}.{kind}.jsonl"
 
 
-class _Progress:
-    """Line of progress: rewritten in a terminal, else one every ten seconds."""
-
-    INTERVAL = 10.0  # s
-
-    def __init__(self) -> None:
-        self._last = -math.inf  # s
-
-    def __call__(self, line: str) -> None:
-        if sys.stderr.isatty():
-            print(f"\r{line:<78}", end="", file=sys.stderr, flush=True)
-        elif (now := time.monotonic()) - self._last >= self.INTERVAL:
-            self._last = now
-            print(line, file=sys.stderr, flush=True)
-
-
 def _settings(options: argparse.Namespace) -> TuningSettings:
     given = {
         "evaluations": options.evaluations, "friction": options.friction,
@@ -203,43 +154,3 @@ def _rest(height: float) -> dict[str, object]:
     """Centre of a stride at a height (m): tendon angles of legs that carry a quarter each."""
     angle = read_springs().angle(np.array([read_robot().weight / 4]), np.array([height]))[0]
     return {"centre_deg": [round(float(np.degrees(angle)), 1)] * 4}
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("tune", __doc__)
-    add = parser.add_argument
-    add("gait", metavar="NAME", help="name of the stride that is written")
-    add("stages", nargs="*", metavar="STAGE", type=_stage, help=", ".join(STAGES))
-    add("--like", metavar="NAME", help="stride to start from (default: the same)")
-    add("--scratch", action="store_true", help="start the searches from a random pattern")
-    add("--out", type=Path, metavar="FILE", help="default: config/gait/NAME.yaml")
-    add(
-        "--seed",
-        metavar="N",
-        type=positive_integer,
-        default=1,
-        help="seed of the searches (default: 1)",
-    )
-    add("--evaluations", type=int, metavar="N", help="candidates of a search")
-    add("--friction", type=float, nargs="+", metavar="N", help="friction of the floors")
-    add("--tilt", type=float, metavar="DEG", help="tilt RMS that costs nothing")
-    add("--top", type=float, default=np.inf, metavar="M", help="height the torso stays below")
-    add("--height", type=float, metavar="M", help="height of base_link")
-    add("--height-range", type=float, nargs=2, metavar="M", help="heights that can be commanded")
-    add("--period", type=float, metavar="S", help="duration of a stride")
-    add("--cruise", type=float, metavar="M/S", help="v_x if none is requested, m/s")
-    add("--scene", metavar="NAME", help="scene of config/scene; map is three times as fast")
-    add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
-    add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
-    add("--quick", action="store_true", help="one floor, 32 candidates: a demonstration")
-    return parser
-
-
-def _stage(text: str) -> str:
-    if text not in STAGES:
-        raise argparse.ArgumentTypeError(f"{quoted(text)}: expected one of {', '.join(STAGES)}")
-    return text
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -32,7 +32,7 @@ from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import Array
 from slot_core.simulation.plant import make_robot
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.measured import COMMANDED, MEASURED, ODOMETRY
+from slot_lab.bags.topics import COMMANDED, MEASURED, ODOMETRY
 from slot_lab.csv_table import TableError
 from slot_lab.twin.prediction import ModelParts, read_parts
 from slot_lab.validation.recording import PointTrack, RecordingError, read_recording, write_points

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, at_shares
+from slot_core.progress import Tell, untold
 from slot_core.robot import LEGS
 from slot_lab.twin.prediction import ModelParts, simulate
 from slot_lab.twin.recorded import BagRecording
@@ -16,14 +17,20 @@ from slot_lab.validation.recording import write_points
 PERIOD = 1 / 30  # s, between two rows of a point
 
 
-def write(recorded: BagRecording, parts: ModelParts, settings: TwinSettings, path: Path) -> None:
+def write(
+    recorded: BagRecording,
+    parts: ModelParts,
+    settings: TwinSettings,
+    path: Path,
+    tell: Tell = untold,
+) -> None:
     """Write the predicted places of torso and leg points at 30 Hz; raises OSError.
 
     Legs of fewer than LEAST_NODES nodes have no points.
     """
     rows: dict[str, list[tuple[float, ...]]] = {}
     due = -np.inf
-    for t, sim in simulate(recorded, parts, settings):
+    for t, sim in simulate(recorded, parts, settings, tell):
         if t < due:
             continue
         due = t + PERIOD - settings.hold / 2

@@ -23,6 +23,7 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
+from slot_core.progress import Tell, untold
 from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
 from slot_core.safety.commands import extrapolated
 from slot_core.simulation.plant import make_robot
@@ -84,12 +85,13 @@ def measured_track(motion: TorsoTrack) -> PredictedTrack:
 
 
 def simulate(
-    recorded: BagRecording, parts: ModelParts, settings: TwinSettings
+    recorded: BagRecording, parts: ModelParts, settings: TwinSettings, tell: Tell = untold
 ) -> Iterator[tuple[float, SimulatedRobot]]:
     """Yield (graph time, robot) at the start and after each hold; the robot is advanced in place.
 
     Raises DivergenceError, and ConfigError if it cannot be simulated with these settings.
     """
+    tell(0.0)
     begin, end = recorded.span
     scene, servo = parts.scene, parts.servo
     step = scene.solver.step
@@ -106,12 +108,15 @@ def simulate(
         if until > now:
             sim.advance(until - now, command)
             now = until
+            tell(now / commands[-1][0])
             yield begin + now * step, sim
 
 
-def predict(recorded: BagRecording, parts: ModelParts, settings: TwinSettings) -> PredictedTrack:
+def predict(
+    recorded: BagRecording, parts: ModelParts, settings: TwinSettings, tell: Tell = untold
+) -> PredictedTrack:
     """The predicted motion after each hold; raises as `simulate`."""
-    rows = [(t, *sim.position, *sim.rpy) for t, sim in simulate(recorded, parts, settings)]
+    rows = [(t, *sim.position, *sim.rpy) for t, sim in simulate(recorded, parts, settings, tell)]
     table = np.array(rows)
     table[:, 6] = np.unwrap(table[:, 6])
     return PredictedTrack(table[:, 0], table[:, 1:4], table[:, 4:])

@@ -20,8 +20,9 @@ from scipy.spatial.transform import Rotation
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS, Array
 from slot_lab.bags.bag import STORAGES, Bag
-from slot_lab.bags.measured import COMMANDED, TendonAngles, measured_motion, tendon_angles
+from slot_lab.bags.measured import TendonAngles, measured_motion, tendon_angles
 from slot_lab.bags.recorded_walk import TorsoTrack, stride_period
+from slot_lab.bags.topics import COMMANDED
 from slot_lab.csv_table import Table, TableError, read_table
 
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")

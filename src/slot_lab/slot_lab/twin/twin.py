@@ -1,11 +1,4 @@
-"""Predicts the motion of recorded tendon angles on the simulated robot and compares it.
-
-RECORDING is a bag, or a CSV file with the header time,FL,FR,RL,RR,x,y,z,roll,pitch,yaw (s, rad, m).
-Of a bag measured angles (/joint_states) are taken if recorded, else the commands through the model
-of the servo; the motion from the ground truth if recorded, else /odom, else /mpc_state. With --fit,
-parameters of the model are fitted to the first strides and judged on the others. An interrupted fit
-continues when the same command is given again.
-"""
+"""Prediction of recorded tendon angles on the simulated robot, and the fit of its parameters."""
 
 from __future__ import annotations
 
@@ -14,8 +7,6 @@ import hashlib
 import os
 import pickle
 import shutil
-import signal
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -24,19 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.command_line import (
-    INTERRUPTED,
-    command_parser,
-    positive_integer,
-    progress,
-    show,
-    within,
-)
 from slot_core.config import ConfigError, load
 from slot_core.divergence import DivergenceError
+from slot_core.progress import ProgressLine
 from slot_core.robot import Array
 from slot_lab.bags.bag import BagError
-from slot_lab.bags.measured import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitError
 from slot_lab.csv_table import TableError
@@ -46,7 +29,7 @@ from slot_lab.twin.recorded import read_recorded
 from slot_lab.twin.settings import TwinSettings, read_twin
 from slot_lab.twin.strides import Strides, find_strides, residuals, stride_errors
 from slot_lab.twin.twin_fit import RunAll, fit_twin, parameter, places, serially
-from slot_lab.verdict import EXIT_CODES, Verdict
+from slot_lab.verdict import Verdict
 from slot_lab.workers import gather, workers
 
 LAID_ON = 3  # numbers taken from the measurement in each window: x, y, heading
@@ -57,24 +40,7 @@ ERRORS = (
 )  # fmt: skip
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/twin`; returns the exit code."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        lines, verdict = _run(options)
-    except KeyboardInterrupt:
-        print("\nscripts/twin: interrupted; the same command continues", file=sys.stderr)
-        return INTERRUPTED
-    except ModuleNotFoundError as error:
-        parser.error(f"{error}: run scripts/setup --bench, or give --workers 1")
-    except ERRORS as error:
-        parser.error(str(error))
-    return verdict.code if show(parser.prog, [*lines, verdict.line]) else 2
-
-
-def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
+def run(options: argparse.Namespace, progress: ProgressLine) -> tuple[list[str], Verdict]:
     """Predict, fit if asked for, and write the files; returns the lines of the report."""
     settings, names = read_twin(), places([*filter(None, options.fit.split(","))])
     if options.set:
@@ -83,6 +49,7 @@ def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
     for name in names:
         parameter(parts, name)  # refused before anything is started
     start = parts.scene.parameters or load("robot")["parameters"]
+    progress(f"reading {options.recording}")
     recorded = read_recorded(options.recording, options.namespace, options.angles, options.motion)
     strides = find_strides(recorded, settings, options.period)
     out = options.out or Path("results", "twin", recorded.name)
@@ -98,14 +65,15 @@ def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
         "",
     ]
     measured = measured_track(recorded.motion)
-    predicted = predict(recorded, parts, settings)
+    predicting = partial(progress, "predicting the motion")
+    predicted = predict(recorded, parts, settings, predicting)
     if names:
         with _runner(options) as run_all:
             trial = (recorded, strides, parts, names, settings, options.starts)
             kept = _Trials(out / "trials", run_all, trial)
             found = fit_twin(
                 recorded, parts, names, strides, settings,
-                run_all=kept, starts=options.starts, progress=progress,
+                run_all=kept, starts=options.starts, say=progress.say, tell=progress,
             )  # fmt: skip
         seen = len(found.seen[0].level)
         content = parameter_set.record(recorded, parts, start, found, options.note)
@@ -114,7 +82,10 @@ def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
         lines += [f"fit to {seen} strides, judged on the {strides.count - seen} others", ""]
         lines += [*parameter_set.error_lines(columns), "", *parameter_set.fit_lines(found)]
         lines += ["", f"written: {os.path.relpath(written)}"] if written else []
-        tracks = {"model": predicted, "fitted": predict(recorded, found.parts, settings)}
+        tracks = {
+            "model": predicted,
+            "fitted": predict(recorded, found.parts, settings, predicting),
+        }
         parts = found.parts
         kept.forget()
         judged = strides.split(settings.held_out)[1]
@@ -125,8 +96,10 @@ def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
         lines += parameter_set.error_lines({"model": stride_errors(predicted, measured, strides)})
         verdict = judge(predicted, measured, strides, settings)
     title = f"{recorded.name}: predicted and measured motion"
+    progress("drawing")
     twin_plot.draw(out / "twin.png", title, measured, tracks, strides=strides, seen=seen)
-    leg_points.write(recorded, parts, settings, out / "predicted.csv")
+    told = partial(progress, "predicting the points of the legs")
+    leg_points.write(recorded, parts, settings, out / "predicted.csv", told)
     (out / "summary.txt").write_text("\n".join([*lines, "", verdict.line]) + "\n")
     return [*lines, "", f"twin.png, predicted.csv and summary.txt are in {out}"], verdict
 
@@ -188,30 +161,3 @@ def _runner(options: argparse.Namespace) -> Iterator[RunAll]:
         return
     with workers(options.scheduler, options.workers) as client:
         yield partial(gather, client)
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("twin", f"{__doc__}\n{EXIT_CODES}")
-    add = parser.add_argument
-    add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
-    add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")
-    add("--parameters", default="", metavar="NAME", help="set of config/parameters in that scene")
-    angles = "tendon angles that are simulated; of a CSV file, what they are"
-    add("--angles", default="", choices=[MEASURED, COMMANDED], help=angles)
-    add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
-    add("--namespace", metavar="NAME", default="", help="of the recorded graph")
-    length = "length of a stride (default: the gait's)"
-    add("--period", type=within(0.05, 60.0, "s"), metavar="S", help=length)
-    add("--fit", default="", metavar="NAME,...", help="parameters to fit")
-    add("--set", default="", metavar="NAME", help="write the fit as config/parameters/NAME.yaml")
-    add("--note", default="", metavar="TEXT", help="text for that file")
-    starts = "starts of the fit (default: 1)"
-    add("--starts", type=positive_integer, default=1, metavar="N", help=starts)
-    add("--out", type=Path, metavar="DIR", help="default: results/twin/RECORDING")
-    add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
-    add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
-    return parser
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -20,6 +20,7 @@ import numpy as np
 from slot_core import config
 from slot_core.config import ConfigError, leaves
 from slot_core.divergence import DivergenceError
+from slot_core.progress import untold
 from slot_core.robot import LEGS, Array
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitProblem, Parameter, ParameterEstimate, estimate, fit
@@ -128,7 +129,8 @@ def fit_twin(
     *,
     run_all: RunAll = serially,
     starts: int = 1,
-    progress: Callable[[str], None] = print,
+    say: Callable[[str], None] = print,
+    tell: Callable[[str], object] = untold,
 ) -> TwinFit:
     """Fit the parameters at `names` (places); raises ConfigError, FitError, PredictionError."""
     if recorded.angles.measured and any(name.startswith("servo.") for name in names):
@@ -148,7 +150,7 @@ def fit_twin(
     problem = FitProblem(
         free, lambda values: run_all(call, [values])[0], zero, one, partial(run_all, call)
     )
-    found = fit(problem, starts, progress)
+    found = fit(problem, starts, say, tell)
     result = estimate(problem, found.values, groups)
     best = changed(parts, names, found.values)
     before, after = (predict(recorded, each, settings) for each in (parts, best))

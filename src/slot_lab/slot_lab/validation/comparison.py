@@ -10,6 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from slot_core.body_points import LEG_POINTS, TORSO
+from slot_core.progress import Tell, untold
 from slot_core.robot import Array
 from slot_lab.validation.error_metrics import Errors, errors
 from slot_lab.validation.frame_alignment import FrameAlignment, align_frames
@@ -61,10 +62,11 @@ def compare(
     zero: bool = False,
     leg: str = "FL",
     block: float = 1.0,
+    tell: Tell = untold,
 ) -> Comparison:
     """Align and compare.
 
-    frame: what is free in the frames (frame_alignment.FRAMES), by the first `frame_time` s. zero:
+    frame: what is free in the frames (frame_alignment.py), by the first `frame_time` s. zero:
     each point's mean difference over that time is taken out, so that a marker may sit beside its
     point. offset: of the clocks, s, if known. leg: of points without one. block: of the bootstrap,
     s. Raises RecordingError if the recordings have no point or no time in common.
@@ -92,7 +94,8 @@ def compare(
         np.vstack([theirs for theirs, _ in parts]), np.vstack([mine for _, mine in parts]), frame
     )
     series = {}
-    for name, (t, mine, theirs) in joined.items():
+    for k, (name, (t, mine, theirs)) in enumerate(joined.items()):
+        tell(k / len(joined))
         size = max(1, round(block / float(np.median(np.diff(t)))))
         for axis, (r, m) in _coordinates(mine, theirs, aligned).items():
             shift = np.mean((r - m)[t <= until]) if zero else 0.0

@@ -21,7 +21,6 @@ from slot_core.geometry import rpy_of
 from slot_core.robot import Array
 
 RIGID = "rigid"
-FRAMES = (RIGID, "level", "none")
 
 
 @dataclass(frozen=True)

@@ -29,11 +29,13 @@ from slot_core.body_points import (
     TORSO,
     at_shares,
 )
+from slot_core.progress import Tell, untold
 from slot_core.refusal import InputError, quoted
 from slot_core.robot import LEGS, ODOM_FRAME, Array
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.measured import measured_motion, sound
-from slot_lab.bags.recorded_walk import LEG_STATES, seconds
+from slot_lab.bags.recorded_walk import seconds
+from slot_lab.bags.topics import LEG_STATES
 from slot_lab.csv_table import CsvRow, TableError, read_table
 
 POINTS = (*BODY_POINTS, *LEG_POINTS)
@@ -68,7 +70,11 @@ class PointRecording:
 
 
 def read_recording(
-    path: Path, namespace: str = "", camera: Path | None = None, motion: str = ""
+    path: Path,
+    namespace: str = "",
+    camera: Path | None = None,
+    motion: str = "",
+    tell: Tell = untold,
 ) -> PointRecording:
     """A recording from a bag, a CSV file, or a video and its camera's file.
 
@@ -77,7 +83,7 @@ def read_recording(
     the settings of the tracker.
     """
     if path.suffix.lower() in VIDEOS:
-        return _from_video(path, camera)
+        return _from_video(path, camera, tell)
     if path.is_dir() or path.suffix in STORAGES:
         return _from_bag(Bag(path, namespace), motion)
     return _from_csv(path)
@@ -113,7 +119,7 @@ def _from_bag(bag: Bag, topic: str) -> PointRecording:
     return dataclasses.replace(found, notes=tuple(notes))
 
 
-def _from_video(path: Path, camera: Path | None) -> PointRecording:
+def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
     # OpenCV takes a second to load, which other recordings do without.
     from slot_core.vision.camera import CameraError, nominal, read_camera  # noqa: PLC0415
     from slot_core.vision.settings import read_vision  # noqa: PLC0415
@@ -123,7 +129,7 @@ def _from_video(path: Path, camera: Path | None) -> PointRecording:
     settings = read_vision()
     try:
         lens = read_camera(camera) if camera else nominal(settings.camera)
-        found = track_film(path, lens, settings)
+        found = track_film(path, lens, settings, tell=tell)
     except (FilmError, CameraError) as error:
         raise RecordingError(str(error)) from None
     rows: dict[str, list[tuple[float, ...]]] = {}

@@ -11,21 +11,19 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from slot_core.command_line import command_parser, show, within
-from slot_core.config import ConfigError
-from slot_core.robot import LEGS
-from slot_lab.bags.bag import BagError
-from slot_lab.bags.measured import MOTION_TOPICS
-from slot_lab.csv_table import TableError
-from slot_lab.validation import curves, tables
-from slot_lab.validation.comparison import AXES, Comparison, compare
-from slot_lab.validation.frame_alignment import FRAMES, RIGID
-from slot_lab.validation.recording import RecordingError, read_recording
+from slot_core.names import LEGS
+from slot_core.progress import ProgressLine
+from slot_core.refusal import InputError
+from slot_lab.bags.topics import MOTION_TOPICS
 from slot_lab.verdict import EXIT_CODES, Verdict
+
+if TYPE_CHECKING:
+    from slot_lab.validation.comparison import Comparison
 
 CLOCK = 2  # free: offset and drift
 FREE = {"rigid": 6, "level": 4, "none": 0}  # by frame
@@ -36,26 +34,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     try:
-        lines, verdict = _run(options)
-    except (RecordingError, TableError, BagError, ConfigError, OSError) as error:
+        with ProgressLine(parser.prog) as progress:
+            lines, verdict = _run(options, progress)
+    except (InputError, OSError) as error:
         parser.error(str(error))
     return verdict.code if show(parser.prog, [*lines, verdict.line]) else 2
 
 
-def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
-    run = read_recording(options.run, options.namespace, options.camera, options.motion)
-    measured = read_recording(options.measurement, camera=options.camera)
+def _run(options: argparse.Namespace, progress: ProgressLine) -> tuple[list[str], Verdict]:
+    from slot_lab.validation import curves, tables  # noqa: PLC0415 - heavy
+    from slot_lab.validation.comparison import compare  # noqa: PLC0415
+    from slot_lab.validation.frame_alignment import RIGID  # noqa: PLC0415
+    from slot_lab.validation.recording import RecordingError, read_recording  # noqa: PLC0415
+
+    tell = partial(progress, f"reading {options.run}")
+    tell(0.0)
+    run = read_recording(options.run, options.namespace, options.camera, options.motion, tell)
+    tell = partial(progress, f"reading {options.measurement}")
+    tell(0.0)
+    measured = read_recording(options.measurement, camera=options.camera, tell=tell)
     for recording in (run, measured):
         if recording.tilted and options.frame != RIGID:
             raise RecordingError(
                 f"{recording.name}: no board places the camera in odom, so the tracks are in its"
                 f" axes; align them with --frame {RIGID}"
             )
+    progress("aligning")
     found = compare(
         run, measured,
         frame=options.frame, frame_time=options.frame_time, zero=options.zero,
         offset=options.offset,
-        leg=options.leg, block=options.block,
+        leg=options.leg, block=options.block, tell=partial(progress, "errors of the points"),
     )  # fmt: skip
     lines = [f"run {run.name}, measurement {measured.name}"]
     lines += [f"{r.name}: {note}" for r in (run, measured) for note in r.notes]
@@ -64,6 +73,7 @@ def _run(options: argparse.Namespace) -> tuple[list[str], Verdict]:
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "summary.txt").write_text("\n".join([*lines, "", verdict.line]) + "\n")
     tables.write_csv(found, options.out / "errors.csv")
+    progress("drawing")
     plots = curves.draw(found, f"{run.name} and {measured.name}", options.out)
     names = ["summary.txt", "errors.csv", *(path.name for path in plots)]
     return [*lines, "", f"{', '.join(names)} are in {options.out}"], verdict
@@ -74,6 +84,10 @@ def judge(found: Comparison, sigma: float, free: int, zero: bool) -> Verdict:
 
     zero: whether each point's mean difference is taken out.
     """
+    import numpy as np  # noqa: PLC0415 - heavy
+
+    from slot_lab.validation.comparison import AXES  # noqa: PLC0415
+
     off = {
         key: (series.run - series.measured) / sigma
         for key, series in found.series.items()
@@ -97,7 +111,7 @@ def _parser() -> argparse.ArgumentParser:
     out = Path("results", "validate")
     add("--out", type=Path, metavar="DIR", default=out, help=f"default: {out}")
     free = "what is free between the frames: rotation and shift, turn about z and shift, nothing"
-    add("--frame", choices=FRAMES, default="level", help=f"{free} (default: level)")
+    add("--frame", choices=tuple(FREE), default="level", help=f"{free} (default: level)")
     begin = "align the frames by the first S seconds only, so that later errors show"
     time = within(1e-3, 1e6, "s")
     add("--frame-time", type=time, metavar="S", default=math.inf, help=begin)

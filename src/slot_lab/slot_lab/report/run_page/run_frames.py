@@ -22,10 +22,12 @@ from numpy.typing import NDArray
 from slot_core.drawing.drawing import NATURAL_NODES
 from slot_core.drawing.shapes import natural_legs
 from slot_core.messages import decode
+from slot_core.progress import Tell, untold
 from slot_core.refusal import one_line
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_lab.bags.bag import Bag, BagError, Stamps
-from slot_lab.bags.recorded_walk import LEG_STATES, TorsoTrack, read_motion, seconds
+from slot_lab.bags.recorded_walk import TorsoTrack, read_motion, seconds
+from slot_lab.bags.topics import LEG_STATES
 from slot_lab.report import traces
 from slot_lab.report.plots import read_poses
 from slot_lab.report.robot_drawing import Snapshot
@@ -76,8 +78,9 @@ class RunFrames:
         }
 
 
-def read_frames(bag: Bag, robot: RobotParameters) -> RunFrames:
+def read_frames(bag: Bag, robot: RobotParameters, tell: Tell = untold) -> RunFrames:
     """The frames of a bag; raises BagError if it holds no motion of the torso."""
+    tell(0.0)
     known = bool(bag.counts.get(LEG_STATES))
     motion = None if known else read_motion(bag)
     source = motion.source if motion else LEG_STATES
@@ -90,7 +93,7 @@ def read_frames(bag: Bag, robot: RobotParameters) -> RunFrames:
         thickness = np.asarray(robot.leg.thickness(poses[0].legs.fraction))
         if not np.isfinite(thickness).all():
             raise ValueError("the first shape of the legs is not finite")
-    curves, states, left_out = _read_traces(bag, stamps)
+    curves, states, left_out = _read_traces(bag, stamps, tell)
     return RunFrames(
         name=one_line(bag.path.absolute().name),
         columns={n: v.reshape(len(stamps), -1) for n, v in (columns | curves).items()},
@@ -138,12 +141,16 @@ def _continuous(quaternion: Array) -> Array:
     return quaternion * np.concatenate([[1.0], sign])[:, None]
 
 
-def _read_traces(bag: Bag, stamps: Stamps) -> tuple[dict[str, Array], States, list[str]]:
+def _read_traces(
+    bag: Bag, stamps: Stamps, tell: Tell
+) -> tuple[dict[str, Array], States, list[str]]:
     """Curves (n, k) by name at the stamps (n,), changes of states, why a topic is left out."""
     curves: dict[str, Array] = {}
     states: States = {}
     left_out = []
-    for topic in filter(bag.counts.get, traces.TOPICS):
+    topics = [*filter(bag.counts.get, traces.TOPICS)]
+    for k, topic in enumerate(topics):
+        tell((k + 1) / (len(topics) + 1))  # the robot's motion was the first part
         try:
             with bag.using(topic):
                 found = sorted(

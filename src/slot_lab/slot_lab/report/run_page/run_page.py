@@ -6,12 +6,14 @@ import base64
 import html
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from slot_core.drawing import palette
 from slot_core.drawing.shapes import FORCE_SCALE, LEAST_FORCE
+from slot_core.progress import untold
 from slot_core.refusal import InputError
 from slot_core.robot import RobotParameters, read_robot
 from slot_lab.bags.bag import Bag
@@ -27,7 +29,9 @@ class PageError(InputError):
     """A page cannot be made; the message is one line."""
 
 
-def write_page(bags: Sequence[Bag], path: Path) -> list[str]:
+def write_page(
+    bags: Sequence[Bag], path: Path, progress: Callable[[str, float], object] = untold
+) -> list[str]:
     """Write the page of one or two bags; returns lines on it.
 
     Raises PageError for another suffix, BagError if a bag holds no motion of the torso, OSError.
@@ -35,7 +39,8 @@ def write_page(bags: Sequence[Bag], path: Path) -> list[str]:
     if path.suffix.lower() != SUFFIX:
         raise PageError(f"{path}: expected a name that ends in {SUFFIX}")
     robot = read_robot()
-    runs = [read_frames(bag, robot) for bag in bags]
+    runs = [read_frames(bag, robot, partial(progress, f"reading {bag.path}")) for bag in bags]
+    progress("writing", 0.0)
     text = page(content(runs, robot))
     path.write_text(text, encoding="utf-8")
     counts = ", ".join(f"{run.name} {run.count} frames{_thinned(run)}" for run in runs)

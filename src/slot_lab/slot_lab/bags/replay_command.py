@@ -1,0 +1,108 @@
+"""Replays a bag: runs the controller on the recorded sensor data and compares what it gives.
+
+No ROS is needed. Each replayed stage gets the recorded input of its node, so the first difference
+names the stage that has changed: `/odom` and `/imu` go to the state estimator, recorded states to
+the gait scheduler, with the commands that its previews name, recorded states and previews to the
+policy, and recorded plans, previews and states to the force map. A stage whose input or output the
+bag does not hold is left out. A bag that begins mid-run, such as a later file of a split one, is
+compared from its first key frame on: the nodes record their complete state every few seconds, and
+the state estimator the order in which it has taken odometry and IMU (slot_msgs/msg/StageRecord). Of
+a bag without these, as of an older revision, only the force map is compared then. The policy and
+the path that was followed are those that the bag names.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from slot_core.command_line import CommandParser, refuse, show
+from slot_core.progress import ProgressLine
+from slot_core.refusal import InputError, quoted
+from slot_lab.bags.topics import OUTPUTS
+
+TOLERANCE = 1e-6
+"""Default of the largest difference, in the field's SI unit. Equal versions give none, on every
+processor; it leaves room for a change that is to change roundoff alone."""
+
+
+def _tolerance(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value < math.inf:  # no difference exceeds NaN
+        raise argparse.ArgumentTypeError(f"{text}: outside [0, inf)")
+    return value
+
+
+def _renaming(text: str) -> tuple[str, str]:
+    old, separator, new = text.partition(":=")
+    if not (separator and old.strip("/") and new.strip("/")):
+        raise argparse.ArgumentTypeError(f"{quoted(text)}: expected OLD:=NEW, names of topics")
+    return old, new
+
+
+def add_bag_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the bag, its namespace and the new names of its topics."""
+    add = parser.add_argument
+    place = "directory of the bag, or one .mcap or .db3 file"
+    add("bag", type=Path, metavar="BAG", help=place)
+    add("--namespace", default="", metavar="NAME", help="of the recorded graph")
+    new = "read the bag's topic OLD as NEW, for example /camera/odom:=/odom; may be repeated"
+    add("--remap", type=_renaming, action="append", default=[], metavar="OLD:=NEW", help=new)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/replay`; exit code 0: equal, 1: a difference, 2: no replay."""
+    parser = CommandParser(
+        prog="scripts/replay",
+        description=__doc__.split("\n\n")[0],
+        epilog="With --live it plays the sensors into running nodes: scripts/replay --live --help",
+    )
+    add_bag_arguments(parser)
+    add, size = parser.add_argument, "largest difference, in SI units (default: %(default)g)"
+    add("--tolerance", type=_tolerance, default=TOLERANCE, metavar="N", help=size)
+    own = "file of the policy, if it is one of your own, or onnx:FILE"
+    add("--policy", default="", metavar="FILE", help=own)
+    some = parser.add_mutually_exclusive_group()
+    for name, text in (("--skip", "leave out"), ("--only", "compare nothing but")):
+        some.add_argument(
+            name,
+            choices=list(OUTPUTS.values()),
+            action="append",
+            default=[],
+            help=f"{text} this stage; may be repeated",
+        )
+    left = "only write what is left of it as a new bag in DIR"
+    add("--mend", type=Path, metavar="DIR", help=left)
+    options = parser.parse_args(arguments)
+    from slot_lab.bags.bag import Bag  # noqa: PLC0415 - heavy
+    from slot_lab.bags.check_bag import check_bag  # noqa: PLC0415
+
+    try:
+        bag = Bag(options.bag, options.namespace, dict(options.remap))
+        if options.mend:
+            bag.save(options.mend)
+            return 0
+        chosen = options.only, options.skip
+        with ProgressLine(parser.prog) as progress:
+            comparisons = check_bag(bag, options.tolerance, options.policy, *chosen, tell=progress)
+    except InputError as error:
+        refuse(parser.prog, error)
+        return 2
+    except ValueError as error:  # a recorded message that its node has rejected
+        refuse(parser.prog, f"{options.bag}: cannot be replayed: {error}")
+        return 2
+    differences = [c.first for c in comparisons if c.first is not None]
+    lines = [*bag.lines(), *map(str, comparisons)]
+    lines += [f"first difference: {differences[0]}"] if differences else []
+    if not show(parser.prog, lines):
+        return 2
+    return 1 if differences else 0
+
+
+if __name__ == "__main__":
+    gc.disable()  # all messages are kept to the end: collections would take a tenth of the time
+    sys.exit(main())

@@ -1,0 +1,17 @@
+"""Topics of a bag: sensors, outputs of the stages, ground truth."""
+
+ODOMETRY = "/odom"
+SENSORS = (ODOMETRY, "/imu")  # in the order of the numbers in StageRecord
+GROUND_TRUTH = "/ground_truth/odom"
+IMAGES = "/camera/image_raw"
+LEG_STATES = "/ground_truth/legs"
+ESTIMATE, PREVIEWS, PLANS = "/mpc_state", "/gait_preview", "/tendon_plan"
+MEASURED, COMMANDED = "/joint_states", "/desired_joint_angles"
+MOTION_TOPICS = (GROUND_TRUTH, ODOMETRY, ESTIMATE)  # the first that is recorded is taken
+OUTPUTS = {
+    ESTIMATE: "state_estimator",
+    PREVIEWS: "gait_scheduler",
+    PLANS: "mpc_controller",
+    COMMANDED: "force_mapper",
+}
+"""Outputs of the stages, in the order of the graph, and our nodes."""
