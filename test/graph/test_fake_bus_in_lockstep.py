@@ -5,7 +5,8 @@ In one process; test_walk.py compares separate ones with it.
 
 import numpy as np
 import pytest
-from graph_bag import commands_of_core, read, record, recorded_commands
+from graph_bag import commands_of_core, read, recorded_commands
+from recorded_run import record
 
 from slot_bringup.monitor import RunError
 from slot_core.dynamixel.settings import read_settings

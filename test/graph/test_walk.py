@@ -4,13 +4,13 @@ The bags are read with the mcap library where the recorder is under test.
 """
 
 import dataclasses
-import math
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from graph_bag import commands_of_core, first_times, read, recorded_commands, stamps
+from recorded_run import patient
 
 from slot_bringup import monitor, run
 from slot_bringup.graph import read_graph
@@ -43,22 +43,20 @@ def bags(tmp_path_factory):
     alone = values | {"bag": str(paths[""])}
     spaced = {"namespace": SPACE, "frame_prefix": PREFIX, "composed": True}
     spaced = values | spaced | {"bag": str(paths[SPACE])}
-    with pytest.MonkeyPatch.context() as patch:  # a slow machine must not end a run in lockstep
-        for name in ("START_TIMEOUT", "SILENCE_TIMEOUT"):
-            patch.setattr(monitor, name, math.inf)
-        with (
-            ThreadPoolExecutor(1) as pool,
-            run.started(graph, alone, directory / "log") as processes,
-            run.started(graph, spaced, directory / "log_beside") as others,
-        ):
+    with (
+        patient(),
+        ThreadPoolExecutor(1) as pool,
+        run.started(graph, alone, directory / "log") as processes,
+        run.started(graph, spaced, directory / "log_beside") as others,
+    ):
 
-            def walk_beside():
-                monitor.watch(others, BESIDE, namespace=SPACE)
-                others.stop(last="recorder")
+        def walk_beside():
+            monitor.watch(others, BESIDE, namespace=SPACE)
+            others.stop(last="recorder")
 
-            beside = pool.submit(walk_beside)
-            monitor.watch(processes, DURATION)
-            beside.result()
+        beside = pool.submit(walk_beside)
+        monitor.watch(processes, DURATION)
+        beside.result()
     return paths
 
 
