@@ -39,8 +39,9 @@ __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 Stamps = NDArray[np.int64]
 STORAGES = (".mcap", ".db3")
 METADATA_MAX = 10_000_000  # bytes of metadata.yaml
-# The library parses the quality of service of every topic, a text of YAML, whenever a file is opened.
-storage_mcap.parse_qos = functools.lru_cache(64)(storage_mcap.parse_qos)
+# At every opening of a file the library parses a text of YAML for every topic.
+_mcap: Any = storage_mcap
+_mcap.parse_qos = functools.lru_cache(64)(_mcap.parse_qos)
 SPARE = 64  # bytes at the end of a message, beyond its own, at most
 
 
