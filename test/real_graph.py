@@ -5,14 +5,10 @@ import functools
 import os
 import shutil
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 import yaml
-
-from slot_lab.bags.bag import Bag
 
 DOMAINS = 100  # above 101 the ports of DDS lie in the range that Linux assigns dynamically
 SLOW_MPC = {"acceptance.time_budget": 0.2}  # s, on a busy machine
@@ -89,15 +85,3 @@ def set_values(config, changes):
             mapping[last] = value
         # one line per list, as `write_zero` expects
         path.write_text(yaml.safe_dump(content, default_flow_style=None, width=1000))
-
-
-def walked(policy, duration, directory):
-    """Bag of a walk of the graph in lockstep, which is started in `directory`."""
-    bag = directory / "bag"
-    command = ["--policy", policy, "--lockstep", "--composed", "--bag", str(bag)]
-    run = subprocess.run(
-        [sys.executable, "-m", "slot_bringup", *command, "--duration", f"{duration:g}"],
-        capture_output=True, text=True, env=os.environ, cwd=directory, check=False,
-    )  # fmt: skip
-    assert run.returncode == 0, run.stderr
-    return Bag(bag)

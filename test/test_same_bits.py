@@ -201,15 +201,18 @@ def numpy_features():
 
 
 # Variables that let libraries choose other code, as they do on another processor.
+LIBRARIES_OF_OTHERS = {
+    "OPENBLAS_CORETYPE": "Prescott",
+    "NPY_DISABLE_CPU_FEATURES": numpy_features(),
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4",
+    "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1",
+}  # fmt: skip
+PLAIN = {"NUMBA_CPU_NAME": "generic"}
 PROCESSORS = {
-    "a plain x86-64 or aarch64": {"NUMBA_CPU_NAME": "generic"},
-    "another BLAS": {"OPENBLAS_CORETYPE": "Prescott"},
+    "BLAS, NumPy and C library of another, one thread": LIBRARIES_OF_OTHERS,
     "a BLAS with AVX2": {"OPENBLAS_CORETYPE": "Haswell"},
-    "NumPy without vectors": {"NPY_DISABLE_CPU_FEATURES": numpy_features()},
-    "a C library without FMA": {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4"},
-    "one thread": {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"},
+    "a plain x86-64 or aarch64": LIBRARIES_OF_OTHERS | PLAIN,
 }
-PROCESSORS["all of them"] = functools.reduce(dict.__or__, PROCESSORS.values())
 TICKS = 100
 
 
@@ -217,15 +220,20 @@ TICKS = 100
 def walked(name):
     """Lines of `same_bits.py` on a processor by its name, or on this one as it is."""
     program = Path(__file__).with_name("same_bits.py")
-    plain = {key: os.environ[key] for key in os.environ if key not in PROCESSORS["all of them"]}
+    others = LIBRARIES_OF_OTHERS | PLAIN
+    plain = {key: os.environ[key] for key in os.environ if key not in others}
     return subprocess.run(
         [sys.executable, program, str(TICKS), *POLICIES], env=plain | PROCESSORS.get(name, {}),
         capture_output=True, text=True, check=True,
     ).stdout.splitlines()  # fmt: skip
 
 
-@pytest.mark.timeout(900)  # "generic" compiles all kernels anew: 40 s on an idle machine
-@pytest.mark.parametrize("name", PROCESSORS)
+SLOW = pytest.mark.slow, pytest.mark.timeout(900)  # compiles all kernels anew
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=SLOW if "plain" in n else ()) for n in PROCESSORS]
+)
 def test_every_processor_gives_the_same_walk_to_the_last_bit(name):
     here = walked("as it is")
     assert len(here) == len(POLICIES) * TICKS // 10
@@ -241,6 +249,6 @@ def test_the_variables_change_what_the_walk_must_not_depend_on():
             [sys.executable, "-c", program], env={**os.environ, **changes},
             capture_output=True, text=True, check=True,
         ).stdout
-        for changes in ({}, PROCESSORS["a C library without FMA"])
+        for changes in ({}, LIBRARIES_OF_OTHERS)
     }  # fmt: skip
     assert len(hashes) == 2

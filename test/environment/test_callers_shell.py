@@ -1,6 +1,7 @@
 """Programs of scripts/ in a caller's folder and shell: neither changes what they do."""
 
 import os
+import shlex
 import subprocess
 from pathlib import Path
 
@@ -61,18 +62,19 @@ def test_every_program_is_isolated(program):
 
 
 def test_a_graph_walks_in_a_folder_with_modules_of_the_callers_own(caller):
-    """Its processes are the runner and the nodes."""
+    """Its processes are the runner and the nodes; the bag's name has quotes and spaces."""
+    name = 'it\'s a "bag" of ü: 1'
     program = os.path.relpath(ROOT / "scripts/run", caller.folder)
     given = {"PATH": os.environ["PATH"], "ROS_DOMAIN_ID": process_domain(), "CDPATH": "/"}
     done = subprocess.run(
-        ["bash", "-c", f"{program} --lockstep --duration 3 --bag bag"],
+        ["bash", "-c", f"{program} --lockstep --duration 0.5 --bag {shlex.quote(name)}"],
         cwd=caller.folder, env=given | caller.python | {"ROS_SECURITY_ENABLE": "true"},
         stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert not caller.ran
     assert "my own script" not in done.stdout + done.stderr
-    assert (caller.folder / "bag/metadata.yaml").exists()
+    assert (caller.folder / name / "metadata.yaml").exists()
 
 
 def test_a_relative_path_is_not_looked_up_in_cdpath(tmp_path):

@@ -2,31 +2,34 @@
 
 import math
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from real_graph import walked
+from recorded_run import record
 
-from slot_lab.bags.bag import BagError
+from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.check_bag import check_bag
 
 EXAMPLES = Path(__file__).parents[2] / "scripts" / "examples"
 OWN = str(EXAMPLES / "own_controller.py")
 
 
-def output(name, cwd, *arguments):
-    run = subprocess.run(
-        [sys.executable, EXAMPLES / name, *arguments],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        check=False,
-    )
-    assert run.returncode == 0, run.stderr
-    assert run.stderr == ""
-    return run.stdout
+@pytest.fixture
+def output(tmp_path, monkeypatch, capsys):
+    """A function that runs an example with arguments in an empty directory; what it prints."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name, *arguments):
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+        printed = capsys.readouterr()
+        assert printed.err == ""
+        return printed.out
+
+    return run
 
 
 def numbers(pattern, text):
@@ -42,31 +45,36 @@ def test_the_five_lines_of_the_readme(tmp_path):
     readme = (EXAMPLES.parents[1] / "README.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
     (tmp_path / "five.py").write_text(code)
-    assert len(output(tmp_path / "five.py", tmp_path).splitlines()) == 300
+    command = [sys.executable, "five.py"]
+    run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
+    assert run.stderr == ""
+    assert len(run.stdout.splitlines()) == 300
 
 
-def test_walk(tmp_path):
-    x = numbers(r"x +(-?[\d.]+) m", output("walk.py", tmp_path))
+def test_walk(output):
+    x = numbers(r"x +(-?[\d.]+) m", output("walk.py"))
     assert len(x) == 10
     assert x[-1] > 0.4  # m: 9 s at 50 mm/s, less the start
 
 
-def test_own_controller(tmp_path):
-    own, alone = numbers(r"([\d.]+) mm high", output("own_controller.py", tmp_path))
+def test_own_controller(output):
+    own, alone = numbers(r"([\d.]+) mm high", output("own_controller.py"))
     assert alone < 34.0  # mm, of 40
     assert own > alone + 2.0
 
 
-def test_learning_begins_with_the_walk_of_the_gait_alone(tmp_path):
-    text = output("learn_to_walk.py", tmp_path, "--generations", "0")
+def test_learning_begins_with_the_walk_of_the_gait_alone(tmp_path, monkeypatch, output):
+    monkeypatch.setattr("slot_lab.learning.learned_walk.SEEDS", (1,))
+    monkeypatch.setattr("slot_lab.learning.learned_walk.DURATION", 6.0)
+    text = output("learn_to_walk.py", "--generations", "0")
     walks = re.findall(r"(?:onnx:walk.onnx|gait_alone) +(.*)", text)
     assert len(walks) == 6
     assert walks[::2] == walks[1::2]
     assert (tmp_path / "learning.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_rod_bends(tmp_path):
-    text = output("rod_bends.py", tmp_path)
+def test_rod_bends(output):
+    text = output("rod_bends.py")
     small, smallest, *large = re.findall(r"([\d.]+) mm +([\d.]+) mm", text)
     for rod, beam in (small, smallest):
         assert float(rod) == pytest.approx(float(beam), rel=1e-3)
@@ -76,14 +84,15 @@ def test_rod_bends(tmp_path):
     assert numbers(r"rest, Hz: \[([\d.]+)", text) == [pytest.approx(0.5596 * strip, rel=0.01)]
 
 
-def test_read_a_bag(tmp_path):
-    text = output("read_a_bag.py", tmp_path)
+def test_read_a_bag(tmp_path, output):
+    text = output("read_a_bag.py")
     assert "/joint_states  sensor_msgs/msg/JointState" in text
     assert (tmp_path / "walk.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_graph_walks_with_a_controller_of_ones_own_and_its_bag_replays(tmp_path):
-    recorded = walked(OWN, 2.0, tmp_path)
+    options = ("--lockstep", "--composed", "--policy", OWN, "--duration", "2")
+    recorded = Bag(record(tmp_path / "bag", *options))
     assert recorded.origin.files["policy.py"] == Path(OWN).read_bytes()
     compared = {c.topic: c for c in check_bag(recorded, 0.0, OWN)}
     assert compared["/tendon_plan"].compared > 50

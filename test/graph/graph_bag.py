@@ -1,32 +1,13 @@
 """Bags of the graph, read with the mcap library, independently of the recorder."""
 
-import math
 from collections import defaultdict
-from pathlib import Path
 
-import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from slot_bringup import monitor, run
-from slot_bringup.arguments import parse
-from slot_bringup.graph import read_graph
 from slot_core.messages import decode
 from slot_core.simulation.supervised_loop import SupervisedLoop
 from slot_lab.bags.bag import Bag
-
-
-def record(bag: Path, *arguments: str) -> Path:
-    """Run the graph with a bag and return the directory of the bag.
-
-    A machine that is slow must not end a run in lockstep; pytest's timeout ends one that hangs.
-    """
-    graph = read_graph()
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("START_TIMEOUT", "SILENCE_TIMEOUT"):
-            patch.setattr(monitor, name, math.inf)
-        run.run(parse([*arguments, "--bag", str(bag)]), graph, bag, [])
-    return bag
 
 
 def read(bag):

@@ -1,14 +1,18 @@
-"""The graph on emulated servos in lockstep: driver and bus on the robot's clock."""
+"""The graph on emulated servos in lockstep: driver and bus on the robot's clock.
+
+In one process; test_walk.py compares separate ones with it.
+"""
 
 import numpy as np
 import pytest
-from graph_bag import commands_of_core, read, record, recorded_commands
+from graph_bag import commands_of_core, read, recorded_commands
+from recorded_run import record
 
 from slot_bringup.monitor import RunError
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 
-OPTIONS = ("--lockstep", "--hardware", "fake_bus", "--seed", "3")
+OPTIONS = ("--lockstep", "--composed", "--hardware", "fake_bus", "--seed", "3")
 UNPLUGGED = """
 like: flat
 faults:
@@ -23,7 +27,7 @@ def walk(tmp_path_factory):
 
 
 def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
-    """Bit-equal: processes, DDS and the order of arrival have no effect."""
+    """Bit-equal."""
     recorded = recorded_commands(walk)
     commands = commands_of_core(3, 2.5, "fake_bus")
     assert len(commands) > 70
@@ -45,13 +49,13 @@ def test_joint_states_are_those_of_the_encoders_every_bus_cycle(walk):
 
 
 def test_run_ends_with_torque_off(walk):
-    assert "servos left under torque: none" in (walk / "log/sim_robot.log").read_text()
+    assert "servos left under torque: none" in (walk / "log/controller.log").read_text()
 
 
 def test_an_unplugged_bus_ends_the_run_as_its_driver_would(tmp_path, own_config):
     (own_config / "scene" / "unplugged.yaml").write_text(UNPLUGGED)
-    with pytest.raises(RunError, match="sim_robot ended"):
+    with pytest.raises(RunError, match="controller ended"):
         record(tmp_path / "bag", *OPTIONS, "--scene", "unplugged", "--duration", "5")
-    log = (tmp_path / "bag/log/sim_robot.log").read_text()
+    log = (tmp_path / "bag/log/controller.log").read_text()
     assert "their bus watchdogs stop the servos" in log
     assert "Traceback" not in log

@@ -4,7 +4,7 @@ Processes end while the robot walks in lockstep, so that no time matters: a proc
 ended by pytest's timeout.
 """
 
-import os
+import ctypes
 import signal
 import subprocess
 import sys
@@ -19,6 +19,7 @@ from nav_msgs.msg import Odometry
 from rclpy.event_handler import PublisherEventCallbacks
 from sensor_msgs.msg import Imu, JointState
 
+from slot_bringup import monitor
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
@@ -26,10 +27,11 @@ from slot_msgs.msg import MpcState, RobotState
 from slot_nodes import qos
 
 GRAPH = read_graph()
-DEFAULTS = {argument.name: argument.default for argument in GRAPH.arguments}
-NODES = {spec.name: spec for spec in GRAPH.nodes(DEFAULTS | {"bag": "bag"})}
-RUN = [sys.executable, "-m", "slot_bringup"]
-LOCKSTEP = ["--lockstep", "--duration", "600"]  # a run that does not end by itself
+VALUES = {argument.name: argument.default for argument in GRAPH.arguments} | {"bag": "bag"}
+NODES = {spec.name: spec for spec in GRAPH.nodes(VALUES)}
+# A run that does not end by itself.
+RUN = [sys.executable, "-m", "slot_bringup", "--lockstep", "--duration", "600", "--bag", "bag"]
+ADOPTS = 36  # PR_SET_CHILD_SUBREAPER of prctl(2)
 
 
 def wait_until(condition):
@@ -38,10 +40,17 @@ def wait_until(condition):
         time.sleep(0.05)
 
 
-def start(arguments, cwd):
+def start(cwd, composed=False):
     """Start a run of the graph; return its process and those of its nodes by name."""
+    expected = {
+        spec.name for spec in GRAPH.nodes(VALUES | {"lockstep": True, "composed": composed})
+    }
     run = subprocess.Popen(
-        [*RUN, *arguments], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*RUN, *(["--composed"] if composed else [])],
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     nodes = {}
 
@@ -50,8 +59,8 @@ def start(arguments, cwd):
         for child in psutil.Process(run.pid).children():
             with suppress(psutil.NoSuchProcess):
                 names = {Path(word).name for word in child.cmdline()}
-                nodes.update({name: child for name in names & set(NODES)})
-        return len(nodes) == len(NODES)
+                nodes.update({name: child for name in names & expected})
+        return nodes.keys() == expected
 
     wait_until(all_started)
     return run, nodes
@@ -71,36 +80,56 @@ def wait_for_commands(run, count=30):
             assert run.poll() is None, run.communicate()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_signal_stops_every_process_and_keeps_the_bag(tmp_path, number):
-    run, nodes = start([*LOCKSTEP, "--bag", "bag"], tmp_path)
+def test_an_interrupt_stops_every_process_without_a_fault_and_keeps_the_bag(tmp_path, monkeypatch):
+    """Meanwhile a second graph in the domain is refused."""
+    run, nodes = start(tmp_path)
     wait_for_commands(run)
+    monkeypatch.setattr(monitor, "DISCOVERY_TIME", 60.0)  # it ends with the first message
+    with pytest.raises(
+        monitor.RunError, match=r"another graph runs in ROS domain \d+, namespace /: set another"
+    ):
+        monitor.require_no_other_graph()
+    assert_interrupted(run, nodes, tmp_path, signal.SIGINT)
+
+
+def test_sigterm_stops_every_process_and_keeps_the_bag(tmp_path):
+    run, nodes = start(tmp_path, composed=True)
+    wait_for_commands(run)
+    assert_interrupted(run, nodes, tmp_path, signal.SIGTERM)
+
+
+def assert_interrupted(run, nodes, directory, number):
     run.send_signal(number)
-    if number == signal.SIGKILL:
-        run.wait()
-        wait_until(lambda: all_ended(nodes))
-        return
     _, errors = run.communicate()
     assert run.returncode == 130, errors
     assert "scripts/run: interrupted, all nodes stopped" in errors
+    assert "ended with exit code" not in errors  # of a node at its end
     assert all_ended(nodes)
-    assert (tmp_path / "bag" / "metadata.yaml").exists()
+    assert (directory / "bag" / "metadata.yaml").exists()
 
 
-@pytest.mark.parametrize("name", ["sim_robot", "mpc_controller"])
-def test_killed_node_ends_the_run_and_is_named(tmp_path, name):
-    run, nodes = start([*LOCKSTEP, "--bag", "bag"], tmp_path)
+@pytest.fixture
+def adopting():
+    """Processes whose parent ends become children of this one, which gets their exit codes."""
+    prctl = ctypes.CDLL(None).prctl
+    prctl(ADOPTS, 1)
+    yield
+    prctl(ADOPTS, 0)
+
+
+@pytest.mark.usefixtures("adopting")
+def test_every_node_ends_without_a_fault_by_sigterm_when_its_run_is_killed(tmp_path):
+    """The kernel sends the signal, see slot_bringup.graph.TIED."""
+    run, nodes = start(tmp_path)
     wait_for_commands(run)
-    nodes[name].kill()
-    _, errors = run.communicate()
-    assert run.returncode == 1
-    assert f"scripts/run: {name} ended with exit code -9" in errors
-    assert all_ended(nodes)
+    run.kill()
+    run.communicate()
+    assert {name: node.wait() for name, node in nodes.items()} == dict.fromkeys(nodes, 0)
 
 
 def test_a_second_publisher_of_the_commands_ends_the_run_and_is_named(tmp_path):
     """It need not send anything: DDS says that it is there."""
-    run, nodes = start([*LOCKSTEP, "--bag", "bag"], tmp_path)
+    run, nodes = start(tmp_path, composed=True)
     wait_for_commands(run)
     with listener("intruder") as (node, _):
         node.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
@@ -113,9 +142,13 @@ def test_a_second_publisher_of_the_commands_ends_the_run_and_is_named(tmp_path):
 FULL = "node recorder has ended; the robot goes on without it"
 
 
-@pytest.mark.parametrize(("fault", "code"), [("killed", -9), ("full disk", 1)])
-def test_the_robot_walks_on_without_its_recorder_and_says_so(tmp_path, fault, code):
-    run, nodes = start([*LOCKSTEP, "--bag", "bag"], tmp_path)
+@pytest.mark.parametrize(
+    ("fault", "code", "needed"), [("killed", -9, "sim_robot"), ("full disk", 1, "mpc_controller")]
+)
+def test_the_robot_walks_on_without_its_recorder_but_not_without_another_node_and_both_are_named(
+    tmp_path, fault, code, needed
+):
+    run, nodes = start(tmp_path)
     wait_for_commands(run)
     if fault == "killed":
         nodes["recorder"].kill()
@@ -125,13 +158,15 @@ def test_the_robot_walks_on_without_its_recorder_and_says_so(tmp_path, fault, co
     line = run.stderr.readline()
     while "recorder" not in line:
         line = run.stderr.readline()
-    wait_for_commands(run)
-    run.send_signal(signal.SIGINT)
-    summary, _ = run.communicate()
     said = f"recorder ended with exit code {code}: "
     assert said in line
     assert line.endswith("; the robot goes on without it\n")
+    wait_for_commands(run)
+    nodes[needed].kill()
+    summary, errors = run.communicate()
+    assert run.returncode == 1
     assert said in summary
+    assert f"scripts/run: {needed} ended with exit code -9" in errors
     assert all_ended(nodes)
 
 
@@ -144,25 +179,6 @@ def wait_for_warning(run, wanted):
         while wanted not in warnings:
             executor.spin_once(timeout_sec=0.1)
             assert run.poll() is None, run.communicate()
-
-
-@pytest.mark.parametrize("name", sorted(NODES))
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_node_ends_cleanly_on_a_signal(tmp_path, name, number):
-    child = subprocess.Popen(
-        command_line(NODES[name]), cwd=tmp_path, stderr=subprocess.PIPE, start_new_session=True
-    )
-    try:
-        process = psutil.Process(child.pid)
-        # it handles signals once DDS has opened its sockets
-        wait_until(lambda: len(process.net_connections(kind="udp")) > 1)
-        time.sleep(0.5)
-        child.send_signal(number)
-        _, errors = child.communicate()
-    finally:
-        if child.poll() is None:
-            os.killpg(child.pid, signal.SIGKILL)
-    assert child.returncode == 0, errors.decode()
 
 
 @pytest.mark.parametrize("best_effort", [False, True])

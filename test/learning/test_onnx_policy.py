@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from real_graph import walked
+from recorded_run import record
 
 from slot_core.config import ConfigError
 from slot_core.control.gait_alone import gait_plan
@@ -18,7 +18,7 @@ from slot_core.simulation.closed_loop import ClosedLoop
 for module in ("gymnasium", "onnxruntime"):
     pytest.importorskip(module, reason="needs scripts/setup --learn")
 onnx = pytest.importorskip("onnx", reason="needs scripts/setup --learn")
-from slot_lab.bags.bag import BagError  # noqa: E402
+from slot_lab.bags.bag import Bag, BagError  # noqa: E402
 from slot_lab.bags.check_bag import check_bag  # noqa: E402
 from slot_lab.learning.evolution import shape_of  # noqa: E402
 from slot_lab.learning.learned_walk import export  # noqa: E402
@@ -149,7 +149,8 @@ def test_a_policy_that_sees_the_servos_is_not_exported(tmp_path):
 def test_the_graph_walks_with_a_network_and_its_bag_replays(tmp_path):
     file, _ = network(tmp_path)
     policy = f"onnx:{file}"
-    recorded = walked(policy, 4.0, tmp_path)
+    options = ("--lockstep", "--composed", "--policy", policy, "--duration", "4")
+    recorded = Bag(record(tmp_path / "bag", *options))
     assert recorded.origin.files["policy.onnx"] == file.read_bytes()
     compared = {c.topic: c for c in check_bag(recorded, 0.0, policy)}
     assert compared["/tendon_plan"].compared > 100

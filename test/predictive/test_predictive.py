@@ -234,14 +234,14 @@ def soft_walk(seed, limit):
 
 
 def test_on_legs_that_the_model_does_not_know_the_gait_takes_over():
-    """The robot walks on, where a model never doubted holds it back: the median of five seeds.
+    """The robot walks on, where a model never doubted holds it back: the median of three seeds.
 
     Of twelve seeds ten walk 0.38 to 0.43 m and two 0.10 and 0.13 m; without the gait 0.16 to 0.21.
     """
     believed, last = soft_walk(2, 1000.0)
     assert last.plan.status is Status.SOLVED
     ways = []
-    for seed in range(2, 7):
+    for seed in range(2, 5):
         way, last = soft_walk(seed, SETTINGS.observer.misfit_max)
         ways.append(way)
         assert last.plan.status is Status.MODEL_FAR

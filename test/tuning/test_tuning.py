@@ -186,6 +186,7 @@ def test_the_strides_that_count_are_settled(name):
     assert means[0][3] == pytest.approx(means[1][3], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_documented_search_writes_a_gait(own_config, tmp_path, monkeypatch):
     """As in the documentation, with 8 of its 32 candidates."""
     monkeypatch.chdir(tmp_path)

@@ -7,12 +7,12 @@ message is its publisher's wall clock at publication; its stamp is graph time.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import heapq
 import operator
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, MessageDefinitionFormat
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, storage_mcap
 from rosbags.serde import SerdeError
 
 from slot_core import config
@@ -39,6 +39,9 @@ __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 Stamps = NDArray[np.int64]
 STORAGES = (".mcap", ".db3")
 METADATA_MAX = 10_000_000  # bytes of metadata.yaml
+# At every opening of a file the library parses a text of YAML for every topic.
+_mcap: Any = storage_mcap
+_mcap.parse_qos = functools.lru_cache(64)(_mcap.parse_qos)
 SPARE = 64  # bytes at the end of a message, beyond its own, at most
 
 
@@ -149,7 +152,7 @@ class Bag:
         for topic, time, data in self.raw(*topics):
             yield topic, time, self.decode(topic, data)
 
-    @cached_property
+    @functools.cached_property
     def _known_topics(self) -> Mapping[str, RecordedTopic]:
         """The topics of the graph."""
         return read_record_settings().topics
