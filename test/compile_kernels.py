@@ -5,6 +5,8 @@ So no test's time limit holds a compilation, and the workers do not compile the 
 
 import time
 
+import numpy as np
+
 from slot_core import config
 from slot_core.dynamics import integrator
 from slot_core.dynamics.scene import read_scene
@@ -16,7 +18,9 @@ from slot_core.robot import read_robot
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import Geometry, Material, Rectangle
 from slot_core.simulation import warm_up
+from slot_core.simulation.many_robots import ManyRobots
 from slot_core.simulation.rod_robot import RodRobot
+from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 ROBOT = read_robot()
 NO_STEP = 0
@@ -28,6 +32,12 @@ def compile_robot(legs):
     rods = RodRobot(ROBOT, config.replace(read_scene("flat"), changes), read_servo())
     _ = rods.momentum(), rods.energy(), rods.snapshot()
     integrator.advance_one_by_one(rods.handle, NO_STEP)
+
+
+def compile_many(kind, scene):
+    """Many robots with a model of the legs."""
+    start = config.replace(read_scene(scene), {"start.settle": 0.0})
+    ManyRobots([kind(ROBOT, start, read_servo())]).advance(np.zeros((1, 1, 4)), NO_STEP)
 
 
 def compile_legs():
@@ -51,4 +61,5 @@ def compile_mpc():
 
 if __name__ == "__main__":
     legs = [(compile_robot, ("spatial",)), (compile_robot, ("planar",)), (compile_legs, ())]
-    warm_up.run([*legs, (compile_rod, ()), (compile_mpc, ())])
+    many = [(compile_many, (RodRobot, "flat")), (compile_many, (TabulatedRobot, "map"))]
+    warm_up.run([*legs, *many, (compile_rod, ()), (compile_mpc, ())])
