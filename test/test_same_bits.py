@@ -213,6 +213,7 @@ PROCESSORS = {
     "a BLAS with AVX2": {"OPENBLAS_CORETYPE": "Haswell"},
     "a plain x86-64 or aarch64": LIBRARIES_OF_OTHERS | PLAIN,
 }
+HERE = {key: os.environ[key] for key in os.environ if key not in LIBRARIES_OF_OTHERS | PLAIN}
 TICKS = 100
 
 
@@ -220,10 +221,8 @@ TICKS = 100
 def walked(name):
     """Lines of `same_bits.py` on a processor by its name, or on this one as it is."""
     program = Path(__file__).with_name("same_bits.py")
-    others = LIBRARIES_OF_OTHERS | PLAIN
-    plain = {key: os.environ[key] for key in os.environ if key not in others}
     return subprocess.run(
-        [sys.executable, program, str(TICKS), *POLICIES], env=plain | PROCESSORS.get(name, {}),
+        [sys.executable, program, str(TICKS), *POLICIES], env=HERE | PROCESSORS.get(name, {}),
         capture_output=True, text=True, check=True,
     ).stdout.splitlines()  # fmt: skip
 
@@ -246,7 +245,7 @@ def test_the_variables_change_what_the_walk_must_not_depend_on():
     program = "import math; print(hash(tuple(math.sin(k / 7) for k in range(100000))))"
     hashes = {
         subprocess.run(
-            [sys.executable, "-c", program], env={**os.environ, **changes},
+            [sys.executable, "-c", program], env=HERE | changes,
             capture_output=True, text=True, check=True,
         ).stdout
         for changes in ({}, LIBRARIES_OF_OTHERS)

@@ -61,10 +61,12 @@ class RodRobot(KernelRobot):
         """Go on from the present state with other parameters; pushes stay.
 
         Raises ConfigError as `build_model` does, and for what would take another state: other
-        settings of the solver, bristles, or branches of the material.
+        settings of the solver, another friction law, or branches of the material.
         """
         model = build_model(robot, scene, servo)
-        if scene.solver != self.scene.solver or _state_shapes(model) != _state_shapes(self.model):
+        law = scene.floor.friction_law != self.scene.floor.friction_law
+        shapes = _state_shapes(model) != _state_shapes(self.model)
+        if scene.solver != self.scene.solver or law or shapes:
             raise ConfigError("solver, friction law and branches cannot change in a run")
         model.push[:] = self.model.push
         self.parameters, self.scene, self.model = robot, scene, model
