@@ -350,7 +350,8 @@ def test_full_disk_is_named_in_one_line(copy):
     assert "write:" not in output
 
 
-def test_progress_on_a_terminal_is_one_line_with_a_bar(copy):
+def on_terminal(copy: Copy) -> tuple[subprocess.Popen[bytes], int]:
+    """A setup that writes to a terminal, and the terminal's other end."""
     terminal, other = os.openpty()
     process = subprocess.Popen(
         [str(copy.root / "scripts/setup")],
@@ -359,19 +360,39 @@ def test_progress_on_a_terminal_is_one_line_with_a_bar(copy):
         stderr=other,
     )
     os.close(other)
+    return process, terminal
+
+
+def shown(terminal: int) -> str:
+    """What a terminal shows until no process has it any more."""
     text = ""
-    with suppress(OSError):  # the terminal's end
+    with suppress(OSError):
         while data := os.read(terminal, 4096):
             text += data.decode()
+    return text
+
+
+def test_progress_on_a_terminal_is_one_line_with_a_bar(copy):
+    process, terminal = on_terminal(copy)
+    text = shown(terminal)
     assert process.wait() == 0
     assert "\n" not in text
-    assert re.search(
-        r"setup: \[#* *\] installing the Python packages for Python 3\.\d+\.\d+, about \d+ s left",
-        text,
+    python = (
+        r"setup: \[#* *\] installing the Python packages for Python 3\.\d+\.\d+, about \d+ s left"
     )
-    assert re.search(
-        r"setup: \[#+ *\] building the messages and compiling the kernels, about \d+ s left", text
-    )
+    assert re.search(python, text)
+    build = r"setup: \[#+ *\] building the messages and compiling the kernels, about \d+ s left"
+    assert re.search(build, text)
+
+
+def test_no_process_goes_on_after_an_interrupt_on_a_terminal(copy):
+    """The bar's too: the terminal is free, else this would not end."""
+    (copy.stubs / "hold").touch()
+    process, terminal = on_terminal(copy)
+    until(lambda: copy.calls == ["build"])
+    process.send_signal(signal.SIGINT)
+    assert "interrupted" in shown(terminal).splitlines()[-1]
+    assert process.wait() == 130
 
 
 def test_cache_of_a_user_without_a_writable_home_is_below_the_repository(ready):
