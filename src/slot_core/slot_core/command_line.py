@@ -10,6 +10,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Iterable
+from pathlib import Path
 from typing import NoReturn, TypeVar
 
 from slot_core.refusal import one_line, printable
@@ -52,6 +53,12 @@ def show(program: str, lines: Iterable[str]) -> bool:
 def progress(line: str) -> None:
     """Print a line of progress."""
     print(line, file=sys.stderr, flush=True)
+
+
+def require_directory(parser: argparse.ArgumentParser, out: Path) -> None:
+    """End the program with one line and code 2 if the file --out is not in an existing directory."""
+    if not out.absolute().parent.is_dir():
+        parser.error(f"--out {out}: not in an existing directory")
 
 
 def positive_integer(text: str) -> int:

@@ -214,9 +214,8 @@ def tabulate(robot: RobotParameters, grid: LegMapSettings, tell: Tell = untold) 
     heights = np.linspace(grid.height_min, grid.height_max, grid.heights)
     columns = []
     resting = StaticLeg(robot, grid.nodes)
-    for k, height in enumerate(
-        heights[::-1]
-    ):  # lower the slack leg, then pull the tendon at each height
+    for k, height in enumerate(heights[::-1]):
+        # Lower the slack leg, then pull the tendon at each height.
         tell(k / len(heights))
         resting.solve(0.0, height)
         columns.append(_rows_at_height(robot, grid, resting.node, height, angles))

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from slot_core.command_line import command_parser, show, within
+from slot_core.command_line import command_parser, require_directory, show, within
 from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError
 
@@ -24,8 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/film`; one line and exit code 2 for a bag that cannot be filmed."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    if not options.out.absolute().parent.is_dir():
-        parser.error(f"--out {options.out}: not in an existing directory")
+    require_directory(parser, options.out)
     from slot_lab.film.film import film  # noqa: PLC0415 - heavy
 
     try:

@@ -14,7 +14,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import command_parser, show, within
+from slot_core.command_line import command_parser, require_directory, show, within
 from slot_core.names import LEGS
 from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError
@@ -25,8 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/track`; one line and exit code 2 for what cannot be tracked."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    if not options.out.absolute().parent.is_dir():
-        parser.error(f"--out {options.out}: not in an existing directory")
+    require_directory(parser, options.out)
     from slot_lab.film.track import track  # noqa: PLC0415 - heavy
 
     try:
