@@ -58,8 +58,7 @@ def test_a_publisher_of_the_other_type_is_named(walking, monkeypatch):
     walking.run(1.2)
     change = "false" if walking.stamped else "true"
     line = f"cmd_vel of teleop is not heard, a {wrong}: start with stamped_cmd_vel {change}"
-    warnings = walking.last("/robot_state").warnings
-    assert [warning for warning in warnings if "cmd_vel" in warning] == [line]
+    assert list(walking.last("/robot_state").warnings) == [line]
     assert walking.log_lines("gait_scheduler") == [line]  # once
     found[0].topic_type = f"geometry_msgs/msg/{KINDS[walking.stamped].__name__}"
     walking.run(1.2)
