@@ -78,7 +78,7 @@ class TendonLimits:
 
     slack_max: float = quantity("extra length, inferred from the load", "m", 1e-4, 0.05)
     window_min: float = quantity("shortest time of the mean; else a stride", "s", 0.1, 10)
-    confirm: float = quantity("how long the slack has to last", "s", 0, 5)
+    excess_max: float = quantity("slack beyond its limit, summed over time", "m s", 0, 0.1)
     sample_gap: float = quantity("gap between two readings that restarts the mean", "s", 1e-3, 1)
     age_max: float = quantity(
         "age of a reading, estimate or command that restarts it", "s", 0.01, 1

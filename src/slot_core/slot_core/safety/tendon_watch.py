@@ -30,7 +30,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_core.clock import SECOND
+from slot_core.clock import to_seconds
 from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.safety.moving_window import MovingWindow
@@ -82,7 +82,7 @@ class TendonWatch:
         """Discard the readings, but not the alarms."""
         self._window.clear()
         self._slack = np.full(len(LEGS), np.nan)
-        self._over_since: int | None = None
+        self._excess = np.zeros(len(LEGS))  # m s, sum of the slack beyond its limit
 
     def observe(
         self,
@@ -105,12 +105,13 @@ class TendonWatch:
         values, newest = np.array([angle, torque, height], dtype=np.float64), self._window.newest
         if not np.isfinite(values).all() or (newest is not None and stamp <= newest):
             return self.state
-        if newest is not None and stamp - newest > self._limits.sample_gap * SECOND:
+        elapsed = 0.0 if newest is None else to_seconds(stamp - newest)
+        if elapsed > self._limits.sample_gap:
             self.pause()
         expected, slope = self._load(values[0], values[2])
         row = np.array([expected - values[1], slope])
         if self._window.add(stamp, row, max(stride, self._limits.window_min)):
-            self._evaluate(stamp)
+            self._evaluate(elapsed)
         return self.state
 
     @property
@@ -118,20 +119,16 @@ class TendonWatch:
         """Slack and alarms at present."""
         return TendonReport(self._slack.copy(), self._damaged.copy(), self._message())
 
-    def _evaluate(self, stamp: int) -> None:
-        """Compute the slack from the means; set an alarm once it has lasted for `confirm`."""
+    def _evaluate(self, elapsed: float) -> None:
+        """Compute the slack from the means; sum its excess over `elapsed` (s), set the alarms."""
         missing, slope = self._window.rows().mean(axis=0)
         self._slack = self._radius * missing / np.maximum(slope, self._limits.stiffness_min)
         shift = (self._slack * SIDES).sum() / len(LEGS)
         limit = self._limits.slack_max
         beyond = self._slack - np.clip(shift, -limit, limit) * SIDES
-        over = beyond > limit
+        self._excess = np.maximum(self._excess + elapsed * (beyond - limit), 0.0)
+        over = self._excess >= self._limits.excess_max
         if not over.any():
-            self._over_since = None
-            return
-        if self._over_since is None:
-            self._over_since = stamp
-        if stamp - self._over_since < self._limits.confirm * SECOND:
             return
         damaged = over & (self._slack >= self._limits.share * self._slack.max())
         damaged &= np.logical_not(self._limits.broken)
