@@ -22,6 +22,7 @@ from launch.event_handlers import OnProcessExit
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
+from slot_bringup import composition
 from slot_bringup.check import check
 from slot_bringup.graph import GO_ON, RESTART, RESTARTS, TIED, ends_graph, read_graph
 from slot_bringup.monitor import require_no_other_graph
@@ -72,11 +73,13 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
     values = {argument.name: argument.parse(given[argument.name]) for argument in GRAPH.arguments}
     check(values)
     require_no_other_graph(values["namespace"])
+    values["composed"], choice = composition.choose(values)
+    said = [LogInfo(msg=choice)] if choice else []
     stock = [_stock_recorder(values)] if given["recorder"] == "ros2bag" and values["bag"] else []
     if stock:
         values |= {"bag": ""}  # no node that records, and no robot that waits for it
     model = _robot_model(values) if given["robot_description"] == "true" else []
-    return [*stock, *model] + [
+    return [*said, *stock, *model] + [
         Node(
             package=spec.package,
             executable=spec.name,

@@ -156,9 +156,9 @@ def graph_arguments() -> tuple[Argument, ...]:
         Argument(
             "composed",
             bool,
-            False,
-            "the controller's nodes share one process, the driver too on a thread of its own; in "
-            "lockstep robot and supervisor too",
+            None,
+            "the controller's nodes share one process, in lockstep with robot and supervisor; "
+            "default: in lockstep, and where one core carries the controller",
         ),
         Argument(
             "realtime",
@@ -224,7 +224,9 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
             continue
         default = f" (default: {argument.text})" if argument.text else ""
         flag: dict[str, Any] = {"help": argument.help + default}
-        if argument.kind is bool:
+        if argument.name == "composed":
+            flag |= {"action": "store_true", "default": None}
+        elif argument.kind is bool:
             both = argparse.BooleanOptionalAction
             flag |= (
                 {"action": both, "default": True} if argument.default else {"action": "store_true"}
@@ -234,6 +236,8 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
             flag["type"] = argument.kind
         parser.add_argument(f"--{argument.name.replace('_', '-')}", **flag)
     add, time = parser.add_argument, within(0.5, 86400.0, "s")
+    each = "each of the controller's nodes in a process of its own"
+    add("--separate", dest="composed", action="store_false", help=each)
     length = "length of the run on the robot's clock, s (default: 20)"
     add("--duration", type=time, default=20.0, metavar="S", help=length)
     show = "show the run in rerun: a window, or for a browser"

@@ -58,7 +58,10 @@ class Graph:
         self._nodes = description["nodes"]
 
     def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
-        """Nodes to start; `values` holds the value of every argument by name."""
+        """Nodes to start; `values` holds the value of every argument by name.
+
+        `composed` is that of `composition.choose`; None stands for false.
+        """
         values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
         values |= _camera(values) | {"about": self.about(values)}
         remappings = self.remappings(values)
@@ -71,7 +74,7 @@ class Graph:
                 namespace=values["namespace"],
                 remappings=remappings,
                 params_file=values["params_file"],
-                prefix=(*TIED, *(first if "composable" in entry else ())),
+                prefix=(*TIED, *(first if "realtime" in entry else ())),
                 if_it_ends=self.if_it_ends(name),
             )
             for name, entry in self._nodes.items()

@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from slot_bringup import composition
 from slot_bringup.arguments import PROGRAM, parse
 from slot_bringup.check import check
 from slot_bringup.graph import Graph, is_attended, is_simulated, read_graph
@@ -19,7 +20,7 @@ from slot_bringup.interrupts import deferred, on_interrupt
 from slot_bringup.monitor import RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes, print_error
 from slot_bringup.view import ViewError, live_viewer, require_rerun
-from slot_core.command_line import refuse, show
+from slot_core.command_line import progress, refuse, show
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
@@ -49,7 +50,10 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path, remarks: lis
     early and that the graph does not need. Raises RunError when another one ends, no torso state
     arrives for too long, an unattended robot goes slack, or another graph runs already.
     """
-    values = vars(options) | {"bag": str(directory)}
+    composed, choice = composition.choose(vars(options))
+    if choice:
+        progress(f"{PROGRAM}: {choice}")
+    values = vars(options) | {"bag": str(directory), "composed": composed}
     shown = live_viewer(options.namespace) if options.view else nullcontext()
     with shown, started(graph, values, directory / "log") as processes:  # the robot stops first
         played, attended = options.hardware == "none", is_attended(values)

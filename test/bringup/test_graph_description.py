@@ -52,13 +52,12 @@ def test_arguments_reach_their_nodes_in_the_yaml_that_ros_parses(graph):
     [("sim", False), ("fake_bus", False), ("real", False), ("sim", True), ("fake_bus", True)],
 )
 def test_composed_nodes_share_a_process_and_keep_their_parameters(graph, hardware, lockstep):
-    """In lockstep robot and supervisor too."""
+    """In lockstep robot and supervisor too; the driver, whose watchdog outlives them, never."""
     given = {"hardware": hardware, "lockstep": lockstep, "vx": 0.05, "policy": "paper_text"}
     chosen = values(graph, bag="x", **given)
     separate = {s.name: s for s in graph.nodes(chosen)}
     *others, process = graph.nodes(chosen | {"composed": True})
     shared = ["state_estimator", "gait_scheduler", "mpc_controller", "force_mapper"]
-    shared += ["dynamixel_driver"] if hardware != "sim" and not lockstep else []
     shared += ["sim_robot", "supervisor"] if lockstep else []
     assert sorted(process.nodes) == sorted(shared)
     assert [s.name for s in others] == [name for name in separate if name not in process.nodes]
@@ -76,7 +75,7 @@ def test_what_the_walk_waits_for_gets_the_real_time_priority_and_no_more(graph):
     [process] = [
         s for s in graph.nodes(values(graph, hardware="fake_bus", composed=True)) if s.nodes
     ]
-    assert first == {*process.nodes, "supervisor", "sim_robot"}
+    assert first == {*process.nodes, "dynamixel_driver", "supervisor", "sim_robot"}
     with pytest.raises(ConfigError, match=r"realtime = 100: outside \[0, 99\]"):
         check(values(graph, realtime=100))
 
@@ -202,7 +201,7 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
     asked = []
     started = load_launch_file(monkeypatch, given, asked)
     assert asked == ["fred"]
-    described = graph.nodes(values(graph, **given | {"vx": 0.0, "realtime": 0}))
+    described = graph.nodes(values(graph, **given | {"vx": 0.0, "realtime": 0, "composed": False}))
     assert [node["name"] for node in started] == [spec.name for spec in described]
     for node, spec in zip(started, described):
         typed = {
@@ -215,6 +214,14 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
         assert (node["namespace"], node["remappings"]) == ("fred", [("/clock", "clock")])
         assert node["name"] == node["exec_name"] == spec.name
         assert node["prefix"] == "setpriv --pdeathsig TERM"
+
+
+def test_the_launch_file_chooses_the_processes_of_the_controller_and_says_why(monkeypatch):
+    choice = (True, "controller in one process: it is small")
+    monkeypatch.setattr("slot_bringup.composition.choose", lambda _: choice)
+    said, *nodes = load_launch_file(monkeypatch, {"composed": ""})
+    assert said["msg"] == choice[1]
+    assert nodes[-1]["executable"] == "controller"
 
 
 def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch, tmp_path):
@@ -235,7 +242,7 @@ def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch, tmp_
     assert about[0].startswith("revision=")
     assert about[1:] == [
         "hardware=sim", "gait=crawl", "scene=flat", "odometry_topic=/rtabmap/odom",
-        "namespace=fred",
+        "composed=False", "namespace=fred",
     ]  # fmt: skip
 
 
@@ -391,7 +398,7 @@ def load_launch_file(monkeypatch, given, asked=None, words=()):
 
     asked: gets the namespaces in which it looks for another graph. words: of the command line.
     """
-    given = {"robot_description": "false"} | given
+    given = {"robot_description": "false", "composed": "false"} | given
     asked = [] if asked is None else asked
     monkeypatch.setattr("slot_bringup.monitor.require_no_other_graph", asked.append)
     *arguments, start, _ = graph_launch_file(monkeypatch)

@@ -51,7 +51,7 @@ def test_a_slow_reader_in_the_process_gets_the_newest_of_all_that_wait(node):
         seen.append(message.data)
 
     def pass_on(message):
-        mailbox.put(read, newest_only=True, message=message, number=1)
+        mailbox.put((read, True), message, number=1)
 
     node.create_subscription(Int32, "numbers", pass_on, qos.CONTROL)
     for number in range(20):

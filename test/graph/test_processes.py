@@ -46,7 +46,7 @@ def start(cwd, composed=False):
         spec.name for spec in GRAPH.nodes(VALUES | {"lockstep": True, "composed": composed})
     }
     run = subprocess.Popen(
-        [*RUN, *(["--composed"] if composed else [])],
+        [*RUN, "--composed" if composed else "--separate"],
         cwd=cwd,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -1,12 +1,10 @@
 """Messages between nodes of one process."""
 
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.qos import QoSProfile
 
 from slot_nodes.process import intra_process
-from slot_nodes.process.intra_process import DELIVERIES_MAX, Mailbox, Topics
+from slot_nodes.process.intra_process import DELIVERIES_MAX, Mailbox
 
 EVERY, NEWEST = QoSProfile(depth=50), QoSProfile(depth=1)
 
@@ -25,10 +23,7 @@ class Recorded:
 
 @pytest.fixture
 def mailbox():
-    context = Context()
-    rclpy.init(context=context)
-    yield Mailbox(context)
-    context.try_shutdown()
+    return Mailbox()
 
 
 @pytest.fixture
@@ -41,7 +36,7 @@ def reader(events, name):
 
 
 def test_nodes_of_the_process_receive_a_message_before_its_topic_does(mailbox, events):
-    with Topics().nodes_of(mailbox):
+    with mailbox.in_use():
         numbers = intra_process.publisher(Recorded(events))
         assert intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
         assert intra_process.subscribe("/numbers", reader(events, "b"), EVERY)
@@ -56,7 +51,7 @@ def test_nodes_of_the_process_receive_a_message_before_its_topic_does(mailbox, e
 
 
 def test_a_topic_that_no_node_of_the_process_publishes_is_left_to_dds(mailbox, events):
-    with Topics().nodes_of(mailbox):
+    with mailbox.in_use():
         assert not intra_process.subscribe("/odom", reader(events, "a"), EVERY)
     assert not intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
     alone = Recorded(events)
@@ -64,7 +59,7 @@ def test_a_topic_that_no_node_of_the_process_publishes_is_left_to_dds(mailbox, e
 
 
 def test_a_slow_reader_of_the_newest_skips_the_others_and_sees_their_number(mailbox, events):
-    with Topics().nodes_of(mailbox):
+    with mailbox.in_use():
         numbers = intra_process.publisher(Recorded(events))
         intra_process.subscribe("/numbers", reader(events, "every"), EVERY)
         intra_process.subscribe("/numbers", reader(events, "newest"), NEWEST)
@@ -77,7 +72,7 @@ def test_a_slow_reader_of_the_newest_skips_the_others_and_sees_their_number(mail
 
 def test_an_answer_to_a_message_is_delivered_in_the_same_round(mailbox, events):
     """The command of a tick is there before the messages that led to it are published."""
-    with Topics().nodes_of(mailbox):
+    with mailbox.in_use():
         numbers = intra_process.publisher(Recorded(events))
         answers = intra_process.publisher(type("", (Recorded,), {"topic_name": "/answers"})(events))
         intra_process.subscribe("/numbers", lambda m, _: answers.publish(-m), NEWEST)
@@ -88,7 +83,7 @@ def test_an_answer_to_a_message_is_delivered_in_the_same_round(mailbox, events):
 
 
 def test_what_is_put_off_waits_for_the_answers_and_is_done_at_once_by_a_lone_node(mailbox, events):
-    with Topics().nodes_of(mailbox):
+    with mailbox.in_use():
         numbers = intra_process.publisher(Recorded(events))
         intra_process.subscribe("/numbers", reader(events, "a"), NEWEST)
         later = intra_process.afterwards()
@@ -102,7 +97,7 @@ def test_what_is_put_off_waits_for_the_answers_and_is_done_at_once_by_a_lone_nod
 
 def test_a_reader_made_before_the_publisher_leaves_its_subscription_by_dds(mailbox, events):
     """Robot and controller read each other's topics, so one of them is made first."""
-    with Topics().nodes_of(mailbox):
+    with mailbox.in_use():
         assert not intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
         intra_process.subscribe_later(
             "/numbers", reader(events, "a"), EVERY, lambda: events.append("unsubscribed")
@@ -116,7 +111,7 @@ def test_a_reader_made_before_the_publisher_leaves_its_subscription_by_dds(mailb
 
 
 def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(mailbox, events):
-    with Topics().nodes_of(mailbox):
+    with mailbox.in_use():
         numbers = intra_process.publisher(Recorded(events))
         intra_process.subscribe("/numbers", lambda m, _: numbers.publish(m + 1), NEWEST)
     numbers.publish(1)
@@ -124,19 +119,3 @@ def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(mailbox, even
         mailbox.deliver()
     assert mailbox.waiting
     assert events == [("topic", number) for number in range(1, 3 * DELIVERIES_MAX + 2)]
-
-
-def test_a_message_for_another_thread_wakes_its_executor(mailbox, events):
-    other, topics, woken = Mailbox(mailbox.guard._context), Topics(), []
-    other.guard.trigger = lambda: woken.append(True)
-    with topics.nodes_of(mailbox):
-        numbers = intra_process.publisher(Recorded(events))
-    with topics.nodes_of(other):
-        intra_process.subscribe("/numbers", reader(events, "other"), EVERY)
-    numbers.publish(1)
-    assert woken == [True]
-    assert other.waiting
-    mailbox.deliver()
-    assert events == [("topic", 1)]
-    other.deliver()
-    assert events[1:] == [("other", 1, 1)]

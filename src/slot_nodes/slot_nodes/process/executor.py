@@ -46,7 +46,7 @@ class DirectExecutor(SingleThreadedExecutor):
 
     def __init__(self, mailbox: Mailbox | None = None, *, context: Context | None = None) -> None:
         self._entities_changed = True
-        self._mailbox = mailbox or Mailbox(context)
+        self._mailbox = mailbox or Mailbox()
         super().__init__(context=context)
 
     def wake(self) -> None:
@@ -108,7 +108,7 @@ class DirectExecutor(SingleThreadedExecutor):
         nodes = self.get_nodes()
         self._entities: dict[str, list[Any]] = {
             "subscription": [e for node in nodes for e in node.subscriptions],
-            "guard_condition": [self._guard, self._sigint_gc, self._mailbox.guard],
+            "guard_condition": [self._guard, self._sigint_gc],
             "timer": [e for node in nodes for e in node.timers],
             "client": [e for node in nodes for e in node.clients],
             "service": [e for node in nodes for e in node.services],

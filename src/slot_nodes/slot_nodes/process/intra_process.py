@@ -14,32 +14,62 @@ from functools import partial
 from itertools import count
 from typing import Any
 
-from rclpy.context import Context
-from rclpy.guard_condition import GuardCondition
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
 Receive = Callable[[Any, int], None]  # a message and its number on the topic, from 1
+Reader = tuple[Receive, bool]  # bool: the newest message only
 # messages delivered in a row: robot and controller in lockstep always have another one
 DELIVERIES_MAX = 250
 
 
 class Mailbox:
-    """Messages that wait for the nodes of one executor, and what these do when all are answered."""
+    """Topics that the nodes of one process publish, and the messages that wait for its nodes."""
 
-    def __init__(self, context: Context | None = None) -> None:
-        self.guard = GuardCondition(None, None, context)  # wakes the executor
+    def __init__(self) -> None:
+        self._readers: dict[str, list[Reader]] = {}
+        self._early: dict[str, list[tuple[Reader, Callable[[], Any]]]] = {}
         self._queue: deque[tuple[Receive, Any, int]] = deque()
         self._newest: dict[Receive, tuple[Any, int]] = {}
         self._later: deque[Callable[[], None]] = deque()
+
+    @contextmanager
+    def in_use(self) -> Iterator[None]:
+        """Nodes made in the block publish and read the topics through this mailbox."""
+        global _present  # noqa: PLW0603 - a node does not know in which process it is
+        _present = self
+        try:
+            yield
+        finally:
+            _present = None
+
+    def add_reader(self, topic: str, reader: Reader) -> bool:
+        """Add a reader; false if no node of the process publishes the topic."""
+        if topic not in self._readers:
+            return False
+        self._readers[topic].append(reader)
+        return True
+
+    def add_early_reader(self, topic: str, reader: Reader, unsubscribe: Callable[[], Any]) -> None:
+        """Add a reader subscribed by DDS, until a node of the process publishes the topic."""
+        self._early.setdefault(topic, []).append((reader, unsubscribe))
+
+    def readers(self, topic: str) -> list[Reader]:
+        """The readers of a topic that is published; more may come."""
+        readers = self._readers.setdefault(topic, [])
+        for reader, unsubscribe in self._early.pop(topic, ()):
+            unsubscribe()
+            readers.append(reader)
+        return readers
 
     @property
     def waiting(self) -> bool:
         """Whether a message waits."""
         return bool(self._queue or self._newest or self._later)
 
-    def put(self, receive: Receive, newest_only: bool, message: Any, number: int) -> None:
-        """Queue a message for a node; with `newest_only` it replaces the one that waits."""
+    def put(self, reader: Reader, message: Any, number: int) -> None:
+        """Queue a message for a node; the newest message only replaces the one that waits."""
+        receive, newest_only = reader
         if newest_only:
             self._newest[receive] = message, number
         else:
@@ -67,52 +97,12 @@ class Mailbox:
             self._later.popleft()()
 
 
-Reader = tuple[Mailbox, Receive, bool]  # bool: the newest message only
-
-
-class Topics:
-    """Topics that nodes of one process publish, and their readers in it."""
-
-    def __init__(self) -> None:
-        self._readers: dict[str, list[Reader]] = {}
-        self._early: dict[str, list[tuple[Reader, Callable[[], Any]]]] = {}
-
-    @contextmanager
-    def nodes_of(self, mailbox: Mailbox) -> Iterator[None]:
-        """Nodes made in the block publish and read the topics through their executor's mailbox."""
-        global _present  # noqa: PLW0603 - a node does not know in which process it is
-        _present = self, mailbox
-        try:
-            yield
-        finally:
-            _present = None
-
-    def add_reader(self, topic: str, reader: Reader) -> bool:
-        """Add a reader; false if no node of the process publishes the topic."""
-        if topic not in self._readers:
-            return False
-        self._readers[topic].append(reader)
-        return True
-
-    def add_early_reader(self, topic: str, reader: Reader, unsubscribe: Callable[[], Any]) -> None:
-        """Add a reader subscribed by DDS, until a node of the process publishes the topic."""
-        self._early.setdefault(topic, []).append((reader, unsubscribe))
-
-    def readers(self, topic: str) -> list[Reader]:
-        """The readers of a topic that is published; more may come."""
-        readers = self._readers.setdefault(topic, [])
-        for reader, unsubscribe in self._early.pop(topic, ()):
-            unsubscribe()
-            readers.append(reader)
-        return readers
-
-
 class IntraProcessPublisher:
     """Publisher on a topic for the nodes of the same process and for all others."""
 
-    def __init__(self, publisher: Publisher, topics: Topics, mailbox: Mailbox) -> None:
+    def __init__(self, publisher: Publisher, mailbox: Mailbox) -> None:
         self._publisher, self._mailbox = publisher, mailbox
-        self._readers = topics.readers(publisher.topic_name)
+        self._readers = mailbox.readers(publisher.topic_name)
         self._number = count(1)
 
     def publish(self, message: Any) -> None:
@@ -121,10 +111,8 @@ class IntraProcessPublisher:
             self._publisher.publish(message)
             return
         number = next(self._number)
-        for mailbox, receive, newest_only in self._readers:
-            mailbox.put(receive, newest_only, message, number)
-            if mailbox is not self._mailbox:
-                mailbox.guard.trigger()
+        for reader in self._readers:
+            self._mailbox.put(reader, message, number)
         self._mailbox.put_off(partial(self._publisher.publish, message))
 
     @property
@@ -137,7 +125,7 @@ class IntraProcessPublisher:
         return self._publisher.get_subscription_count()
 
 
-_present: tuple[Topics, Mailbox] | None = None
+_present: Mailbox | None = None
 
 
 def afterwards() -> Callable[[Callable[[], None]], None]:
@@ -146,7 +134,7 @@ def afterwards() -> Callable[[Callable[[], None]], None]:
     It waits until the nodes of the process have answered what was published; a node that is alone
     in its process does it at once.
     """
-    return _call if _present is None else _present[1].put_off
+    return _call if _present is None else _present.put_off
 
 
 def _call(act: Callable[[], None]) -> None:
@@ -155,7 +143,7 @@ def _call(act: Callable[[], None]) -> None:
 
 def publisher(made: Publisher) -> Any:
     """The publisher for a node that is being made: itself, unless nodes share the process."""
-    return made if _present is None else IntraProcessPublisher(made, *_present)
+    return made if _present is None else IntraProcessPublisher(made, _present)
 
 
 def subscribe(topic: str, receive: Receive, profile: QoSProfile) -> bool:
@@ -163,10 +151,7 @@ def subscribe(topic: str, receive: Receive, profile: QoSProfile) -> bool:
 
     With a depth of 1 the node receives the newest message only.
     """
-    if _present is None:
-        return False
-    topics, mailbox = _present
-    return topics.add_reader(topic, (mailbox, receive, profile.depth == 1))
+    return _present is not None and _present.add_reader(topic, (receive, profile.depth == 1))
 
 
 def subscribe_later(
@@ -177,5 +162,4 @@ def subscribe_later(
     Then its subscription by DDS is ended by `unsubscribe`.
     """
     if _present is not None:
-        topics, mailbox = _present
-        topics.add_early_reader(topic, (mailbox, receive, profile.depth == 1), unsubscribe)
+        _present.add_early_reader(topic, (receive, profile.depth == 1), unsubscribe)
