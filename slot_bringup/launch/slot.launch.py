@@ -92,7 +92,8 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
                 *filter(None, [spec.params_file]),
                 {name: _typed(value) for name, value in spec.parameters.items()},
             ],
-            prefix=" ".join(spec.prefix),  # launch leaves its nodes running at SIGTERM
+            prefix=" ".join(TIED),  # launch leaves its nodes running at SIGTERM
+            additional_env=dict(spec.environment),
             output="screen",
             respawn=spec.if_it_ends == RESTART,
             respawn_max_retries=RESTARTS,

@@ -39,7 +39,9 @@ class NodeSpec:
     remappings: Mapping[str, str] = field(default_factory=dict)
     nodes: tuple[str, ...] = ()  # of a process with several
     params_file: str = ""  # of parameters; those of `parameters` prevail
-    prefix: tuple[str, ...] = TIED  # before the command line
+    environment: Mapping[str, str] = field(
+        default_factory=dict
+    )  # of the process, beside its parent's
     if_it_ends: str = END
 
     @property
@@ -74,7 +76,7 @@ class Graph:
                 namespace=values["namespace"],
                 remappings=remappings,
                 params_file=values["params_file"],
-                prefix=(*TIED, *(first if "realtime" in entry else ())),
+                environment=first if "realtime" in entry else {},
                 if_it_ends=self.if_it_ends(name),
             )
             for name, entry in self._nodes.items()
@@ -143,12 +145,12 @@ def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _priority(values: Mapping[str, Any]) -> tuple[str, ...]:
-    """What gives nodes a priority; SLOT_PRIORITY is empty for that which they take if they may."""
+def _priority(values: Mapping[str, Any]) -> dict[str, str]:
+    """Environment with the real-time priority of nodes. Empty text: the default, if permitted."""
     wanted = values["realtime"]
     if wanted is None and not values["lockstep"] and len(os.sched_getaffinity(0)) >= CORES:
-        return "env", "SLOT_PRIORITY="
-    return ("env", f"SLOT_PRIORITY={wanted}") if wanted else ()
+        return {"SLOT_PRIORITY": ""}
+    return {"SLOT_PRIORITY": str(wanted)} if wanted else {}
 
 
 def _ports(hardware: str, port: str | None) -> dict[str, str | None]:

@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import time
 from collections import Counter
 from collections.abc import Iterable
 from contextlib import suppress
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from ament_index_python.packages import get_package_prefix
 
 from slot_bringup.arguments import PROGRAM
+from slot_bringup.forked_node import fork, start_server
 from slot_bringup.graph import RESTART, RESTARTS, NodeSpec, absolute, ends_graph
 from slot_core.command_line import refuse
 
@@ -28,7 +29,7 @@ class Processes:
     def __init__(self, log_dir: Path, environment: dict[str, str] | None = None):
         self.log_dir = log_dir
         self._environment = environment
-        self._children: dict[str, subprocess.Popen[bytes]] = {}
+        self._children: dict[str, BaseProcess] = {}
         self._specs: dict[str, NodeSpec] = {}
         self._restarts: Counter[str] = Counter()
         self.remarks: list[str] = []
@@ -38,21 +39,17 @@ class Processes:
 
     def start(self, specs: Iterable[NodeSpec]) -> None:
         """Start the nodes; their output goes to `<log_dir>/<name>.log`."""
+        specs = list(specs)
+        start_server(specs)
         for spec in specs:
             self._nodes.update(spec.nodes or [spec.name])
             self._specs[spec.name] = spec
             self._start(spec)
 
     def _start(self, spec: NodeSpec) -> None:
-        with self.log_path(spec.name).open("ab") as log:
-            self._children[spec.name] = subprocess.Popen(
-                [*spec.prefix, *command_line(spec)],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-                env=self._environment,
-                start_new_session=True,  # Ctrl-C reaches only us; `stop` ends the nodes
-            )
+        environment = {**(self._environment or os.environ), **spec.environment}
+        log = self.log_path(spec.name)
+        self._children[spec.name] = fork(spec, command_line(spec), log, environment)
 
     def __contains__(self, name: str) -> bool:
         """Whether a node of that name was started, also with others in one process."""
@@ -69,7 +66,7 @@ class Processes:
 
     def pid(self, name: str) -> int:
         """Process id of a node."""
-        return self._children[name].pid
+        return cast(int, self._children[name].pid)
 
     def failed(self) -> tuple[str, int] | None:
         """Name and exit code of an ended process with which the graph ends, or None."""
@@ -102,7 +99,7 @@ class Processes:
     def _ended(self) -> list[tuple[str, int]]:
         """Name and exit code of the processes that are no longer running."""
         children = self._children.items()
-        return [(name, c.returncode) for name, c in children if c.poll() is not None]
+        return [(name, c.exitcode) for name, c in children if c.exitcode is not None]
 
     def stop(self, last: str = "") -> dict[str, int]:
         """Send SIGINT to every node, to `last` after the others; SIGKILL after STOP_TIMEOUT.
@@ -117,23 +114,28 @@ class Processes:
             deadline = time.monotonic() + STOP_TIMEOUT
             for name in running:
                 child = self._children[name]
-                try:
-                    code = child.wait(max(0.0, deadline - time.monotonic()))
-                    if code not in (0, -signal.SIGINT):  # SIGINT: ended while Python started
-                        print_error(f"{name} ended with exit code {code}: {self.last_line(name)}")
-                except subprocess.TimeoutExpired:
+                child.join(max(0.0, deadline - time.monotonic()))
+                code = child.exitcode
+                if code is None:
                     print_error(f"{name} did not end within {STOP_TIMEOUT:g} s of SIGINT: killed")
                     self._signal([name], signal.SIGKILL)
-                    child.wait()
-        return {name: child.returncode for name, child in self._children.items()}
+                    child.join()
+                elif code not in (0, -signal.SIGINT):  # SIGINT: ended while Python started
+                    print_error(f"{name} ended with exit code {code}: {self.last_line(name)}")
+        return {name: child.exitcode or 0 for name, child in self._children.items()}
 
     def _is_running(self, name: str) -> bool:
-        return name in self._children and self._children[name].poll() is None
+        return name in self._children and self._children[name].exitcode is None
 
     def _signal(self, names: Iterable[str], number: signal.Signals) -> None:
         for name in names:
-            if self._is_running(name):
-                os.killpg(self._children[name].pid, number)
+            if not self._is_running(name):
+                continue
+            try:
+                os.killpg(self.pid(name), number)
+            except ProcessLookupError:  # it has ended meanwhile, or has no session of its own yet
+                with suppress(ProcessLookupError):
+                    os.kill(self.pid(name), number)
 
 
 def command_line(spec: NodeSpec) -> list[str]:

@@ -1,6 +1,6 @@
 """End of the graph's processes."""
 
-import subprocess
+import time
 
 import pytest
 
@@ -12,33 +12,39 @@ KILLED = ("", -9, "node did not end within 0.2 s of SIGINT: killed")
 FAILED = ("exit 3", 3, "node ended with exit code 3: its last words")
 
 
+@pytest.fixture
+def start(tmp_path, monkeypatch):
+    """A function that starts a shell script as a node."""
+
+    def start(name, script, if_it_ends=END):
+        monkeypatch.setattr(processes, "command_line", lambda _: ["/bin/bash", "-c", script])
+        started = Processes(tmp_path)
+        started.start([NodeSpec(name, "of_no_python_package", {}, if_it_ends=if_it_ends)])
+        return started
+
+    return start
+
+
 @pytest.mark.parametrize("case", [KILLED, FAILED])
-def test_a_node_that_is_killed_or_fails_at_its_end_is_named(tmp_path, monkeypatch, capsys, case):
+def test_a_node_that_is_killed_or_fails_at_its_end_is_named(start, monkeypatch, capsys, case):
     trap, code, line = case
     if case is KILLED:
         monkeypatch.setattr(processes, "STOP_TIMEOUT", 0.2)
-    node = f"trap '{trap}' INT; echo ready; while :; do sleep 0.01; done"
-    started = Processes(tmp_path)
-    with subprocess.Popen(
-        ["bash", "-c", node], stdout=subprocess.PIPE, start_new_session=True
-    ) as child:
-        assert child.stdout.readline() == b"ready\n"
-        started._children["node"] = child
-        started.log_path("node").write_text("its last words\n\n")
-        assert started.stop() == {"node": code}
+    loop = "while :; do sleep 0.01; done"
+    started = start("node", f"trap '{trap}' INT; echo its last words; echo; {loop}")
+    while started.last_line("node") != "its last words":
+        time.sleep(0.01)
+    assert started.stop() == {"node": code}
     assert capsys.readouterr().err == f"scripts/run: {line}\n"
 
 
 @pytest.fixture
-def ended(tmp_path, monkeypatch):
+def ended(start):
     """A function that starts a process, which ends with a code; the processes."""
-    monkeypatch.setattr(processes, "command_line", lambda spec: ["bash", "-c", spec.package])
 
     def end(if_it_ends, code):
-        started = Processes(tmp_path)
-        program = f"echo its last words; exit {code}"
-        started.start([NodeSpec("viewer", program, {}, prefix=(), if_it_ends=if_it_ends)])
-        started._children["viewer"].wait()
+        started = start("viewer", f"echo its last words; exit {code}", if_it_ends)
+        started._children["viewer"].join()
         return started
 
     return end
@@ -59,7 +65,7 @@ def test_a_process_that_is_not_needed_is_restarted_a_few_times_then_missed(
     line = "at 1.5 s viewer ended with exit code 3: its last words; "
     for _ in range(restarts):
         assert started.restart_ended(1.5) == [line + "restarted"]
-        started._children["viewer"].wait()
+        started._children["viewer"].join()
     assert started.restart_ended(1.5) == [line + "the robot goes on without it"]
     assert started.restart_ended(1.6) == []  # said once
     assert started.failed() is None

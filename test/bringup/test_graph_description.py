@@ -71,7 +71,7 @@ def test_composed_nodes_share_a_process_and_keep_their_parameters(graph, hardwar
 def test_what_the_walk_waits_for_gets_the_real_time_priority_and_no_more(graph):
     chosen = values(graph, hardware="fake_bus", realtime=50, bag="x", visualize=True)
     specs = graph.nodes(chosen)
-    first = {spec.name for spec in specs if spec.prefix[-1] == "SLOT_PRIORITY=50"}
+    first = {spec.name for spec in specs if spec.environment == {"SLOT_PRIORITY": "50"}}
     [process] = [
         s for s in graph.nodes(values(graph, hardware="fake_bus", composed=True)) if s.nodes
     ]

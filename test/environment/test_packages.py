@@ -23,7 +23,7 @@ PACKAGES = {
 KEYS = {
     "clarabel": "python3-clarabel-pip", "cv2": "python3-opencv", "llvmlite": "python3-numba",
     "matplotlib": "python3-matplotlib", "mcap": "python3-mcap-pip", "numba": "python3-numba",
-    "numpy": "python3-numpy", "PIL": "python3-pil",
+    "numpy": "python3-numpy", "PIL": "python3-pil", "setproctitle": "python3-setproctitle",
     "rosbags": "python3-rosbags-pip", "scipy": "python3-scipy", "serial": "python3-serial",
     "yaml": "python3-yaml",
 }  # fmt: skip

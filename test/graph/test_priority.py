@@ -43,16 +43,16 @@ def test_the_priority_is_taken_where_there_is_a_right_to_it(monkeypatch):
 @pytest.mark.parametrize(
     ("cores", "chosen", "priority"),
     [
-        (2, {}, "SLOT_PRIORITY="),  # that which the nodes may take
+        (2, {}, ""),  # that which the nodes may take
         (2, {"realtime": 0}, None),
         (2, {"lockstep": True}, None),
         (1, {}, None),
-        (1, {"realtime": 20}, "SLOT_PRIORITY=20"),
+        (1, {"realtime": 20}, "20"),
     ],
 )
 def test_the_priority_that_nobody_has_asked_for(monkeypatch, cores, chosen, priority):
     monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)))
     graph = read_graph()
     specs = graph.nodes({a.name: a.default for a in graph.arguments} | chosen)
-    found = {spec.prefix[-1] for spec in specs if "env" in spec.prefix}
-    assert found == ({priority} if priority else set())
+    found = {spec.environment.get("SLOT_PRIORITY") for spec in specs} - {None}
+    assert found == ({priority} - {None})

@@ -11,7 +11,6 @@ import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
 
 import psutil
 import pytest
@@ -56,10 +55,9 @@ def start(cwd, composed=False):
 
     def all_started():
         assert run.poll() is None, run.communicate()
-        for child in psutil.Process(run.pid).children():
+        for child in psutil.Process(run.pid).children(recursive=True):
             with suppress(psutil.NoSuchProcess):
-                names = {Path(word).name for word in child.cmdline()}
-                nodes.update({name: child for name in names & expected})
+                nodes.update({name: child for name in {child.name()} & expected})
         return nodes.keys() == expected
 
     wait_until(all_started)
@@ -119,7 +117,7 @@ def adopting():
 
 @pytest.mark.usefixtures("adopting")
 def test_every_node_ends_without_a_fault_by_sigterm_when_its_run_is_killed(tmp_path):
-    """The kernel sends the signal, see slot_bringup.graph.TIED."""
+    """The kernel sends the signal, see slot_bringup.forked_node."""
     run, nodes = start(tmp_path)
     wait_for_commands(run)
     run.kill()

@@ -64,7 +64,11 @@ def test_repeated_signals_end_the_run_cleanly(tmp_path, numbers):
     """The signals arrive while the nodes are still starting."""
     child = subprocess.Popen([*RUN, "bag"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     ours = psutil.Process(child.pid)
-    while not (nodes := [c for c in ours.children() if "slot_nodes" in " ".join(c.cmdline())]):
+    while not (
+        nodes := [
+            c for c in ours.children(recursive=True) if "slot_nodes/" in " ".join(c.cmdline())
+        ]
+    ):
         assert child.poll() is None
         time.sleep(0.01)
     for number in numbers:
