@@ -300,7 +300,7 @@ def test_without_the_right_to_install_the_setup_for_tests_needs_no_browser(copy)
 
 # Stands for uv: names itself, and logs what it installs.
 UV = """#!/bin/bash
-case $* in --version) echo uv ;; *) echo "uv $UV_DEFAULT_INDEX $*" >> "$STUBS/calls" ;; esac
+case $* in --version) echo uv ;; *) echo "uv $UV_DEFAULT_INDEX $SSL_CERT_FILE $HTTPS_PROXY $*" >> "$STUBS/calls" ;; esac
 """
 
 
@@ -313,17 +313,23 @@ def with_uv(copy: Copy) -> None:
     executable(folder / "uv", UV)
 
 
-def test_uv_of_another_clone_installs_with_hashes_from_the_index_that_pip_would_use(copy):
+def test_uv_of_another_clone_installs_with_hashes_over_the_network_that_pip_would_use(copy):
     with_uv(copy)
     settings = copy.root / "pip.conf"
-    settings.write_text("[global]\ntimeout = 9\nindex-url = https://mirror.example/simple\n")
+    settings.write_text(
+        "[global]\ntimeout = 9\nindex-url = https://mirror.example/simple\n"
+        "cert = /our/certificates.pem\nproxy = http://proxy.example:3128\n"
+    )
+    for name in ("SSL_CERT_FILE", "HTTPS_PROXY", "PIP_CERT", "PIP_PROXY"):
+        copy.variables.pop(name, None)
     copy.variables["PIP_CONFIG_FILE"] = str(settings)
     assert copy.setup("--test")[0] == 0
     installs = [call for call in copy.calls if call.startswith("uv")]
     files = [Path(call.split()[-1]).name for call in installs]
     assert files == ["build.txt", "runtime.txt", "test.txt"]
     for call in installs:
-        assert call.startswith("uv https://mirror.example/simple ")
+        network = "/our/certificates.pem http://proxy.example:3128"
+        assert call.startswith(f"uv https://mirror.example/simple {network} ")
         assert "--require-hashes" in call
         assert f"--python {copy.home}/venv/bin/python" in call
 

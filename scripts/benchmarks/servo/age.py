@@ -45,7 +45,7 @@ Ages = npt.NDArray[np.float64]
 def walk(duration: float, nodes: str) -> Ages:
     """Ages (s) of every command of a walk, the warm-up left out; raises BenchmarkError.
 
-    nodes: `SEPARATE`, or `COMPOSED` or `BUSY` for controller and driver in one process.
+    nodes: `SEPARATE`, or `COMPOSED` or `BUSY` for the controller in one process, the driver in another.
     """
     graph, warm_up = read_graph(), read_record_settings().warm_up
     values = {argument.name: argument.default for argument in graph.arguments}
