@@ -45,8 +45,7 @@ CAPTIONS = {
         "gaits.png": "every gait in stills: postures, then strides over their phase",
     },
     "perturbations": {
-        "perturbations.png": "costs of the perturbations over time, and the table",
-        "failures.png": "failed samples",
+        "perturbations.png": "maximum cost beside the paper's, motion of the robot",
     },
     "graph": {"graph.png": "latency, CPU time and memory of the nodes"},
     "servo": {"servo_step.png": "a step of an emulated servo"},
