@@ -95,22 +95,12 @@ def shrink(path: Path) -> None:
     small.save(path, optimize=True)
 
 
-def film_image(film: Path, path: Path) -> None:
-    """Write the part of a film's first image that shows robot and board."""
-    import cv2  # noqa: PLC0415 - heavy
-
-    _, image = cv2.VideoCapture(str(film)).read()
-    cv2.imwrite(str(path), cv2.cvtColor(image[FILMED], cv2.COLOR_BGR2GRAY))
-
-
 def view_image(page: Path, path: Path) -> None:
     """Write what the page of a run shows at a moment."""
     named("documentation.page_pictures:write_view")(page, path)
 
 
-FILMED = slice(60, 500), slice(160, 920)  # px, rows and columns
 PUSH = "scripts/run --lockstep --scene push --seed 1 --duration 8 --bag {}/push"
-FILM = "scripts/run --lockstep --duration 3 --bag {}/walk"
 WALK = "scripts/run --lockstep --duration 8 --bag {}/flat"
 SLOPE = "scripts/run --lockstep --duration 8 --scene slope5 --vx 0.04 --bag {}/slope5"
 COMPARED = "scripts/compare {}/flat {}/slope5 --plot {}/compare.png"
@@ -136,9 +126,7 @@ PICTURES = {
     "walk.png": ran(["scripts/run --duration 20 --bag {}/walk"], "walk/walk.png", shutil.copyfile),
     "walk.gif": ran([PUSH, "scripts/view {}/push --animate {}/x.gif"], "x.gif", shutil.copyfile),
     "walk.html": ran([PUSH, "scripts/view {}/push --html {}/x.html"], "x.html", shutil.copyfile),
-    "vision.png": ran(
-        [FILM, "scripts/film {}/walk --duration 1 --out {}/walk.avi"], "walk.avi", film_image
-    ),
+    "vision.png": drawn("benchmarks.estimation.vision_rows:draw_film", "simulated"),
     "twin.png": ran([FIT], "twin.png", shutil.copyfile),
     "learning.png": ran(
         [f"python {ROOT}/scripts/examples/learn_to_walk.py"], "learning.png", shutil.copyfile

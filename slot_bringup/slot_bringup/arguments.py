@@ -240,7 +240,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     add("--separate", dest="composed", action="store_false", help=each)
     length = "length of the run on the robot's clock, s (default: 20)"
     add("--duration", type=time, default=20.0, metavar="S", help=length)
-    show = "show the run in rerun: a window, or for a browser"
+    show = "serve the live page of scripts/play --graph while it runs"
     add("--view", action="store_true", help=show)
     keep = parser.add_mutually_exclusive_group()
     place = "directory for bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)"

@@ -17,9 +17,9 @@ from slot_bringup.arguments import PROGRAM, parse
 from slot_bringup.check import check
 from slot_bringup.graph import Graph, is_attended, is_simulated, read_graph
 from slot_bringup.interrupts import deferred, on_interrupt
-from slot_bringup.monitor import RunError, require_no_other_graph, watch
+from slot_bringup.live_page import live_page, require_viser
+from slot_bringup.monitor import START_TIMEOUT, RunError, require_no_other_graph, watch
 from slot_bringup.processes import Processes, print_error
-from slot_bringup.view import ViewError, live_viewer, require_rerun
 from slot_core.command_line import progress, refuse, show
 from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
@@ -37,8 +37,8 @@ def check_options(options: argparse.Namespace) -> None:
     try:
         check(vars(options))
         if options.view:
-            require_rerun()
-    except (ConfigError, ViewError) as error:
+            require_viser()
+    except ConfigError as error:
         refuse(PROGRAM, error)
         raise SystemExit(2) from None
 
@@ -54,7 +54,7 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path, remarks: lis
     if choice:
         progress(f"{PROGRAM}: {choice}")
     values = vars(options) | {"bag": str(directory), "composed": composed}
-    shown = live_viewer(options.namespace) if options.view else nullcontext()
+    shown = live_page(options.namespace, START_TIMEOUT) if options.view else nullcontext()
     with shown, started(graph, values, directory / "log") as processes:  # the robot stops first
         played, attended = options.hardware == "none", is_attended(values)
         watched, remedy = (options.duration, attended, options.namespace), _remedy(values)

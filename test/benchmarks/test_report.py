@@ -1,23 +1,21 @@
-"""Report of results: one page that needs nothing else, and says where every figure is from."""
+"""Report of results: one page in Markdown that says where every figure is from."""
 
-import base64
 import json
 import math
 import re
-from functools import cached_property
-from html.parser import HTMLParser
 
 import pytest
 
 from benchmarks.harness import known
 from benchmarks.locomotion.rows import rows as locomotion_rows
 from benchmarks.report import claims, paper_figures
-from benchmarks.report.report import BENCHMARKS, CAPTIONS, DOC, main
-from benchmarks.report.results import PNG, bench_command
+from benchmarks.report.report import BENCHMARKS, CAPTIONS, main
+from benchmarks.report.results import bench_command
+from documentation.markdown import plain
 from slot_core.robot import read_robot
 
-IMAGE = PNG + b"no more of it is read"
-HOSTILE = "<script>alert('x')</script> & \"<b>\""
+HOSTILE = "<script>|`x`"
+ESCAPED = r"\<script\>\|\`x\`"
 COLUMNS = ("row", "unit", "goal", "better", "gait alone", "paper", "default")
 LOCOMOTION = [  # the last row of a kind that no benchmark writes
     dict(zip(COLUMNS, ("fast", "m/s", 0.08, "larger", 0.0, 0.0, 0.07))),
@@ -28,29 +26,6 @@ point,axis,samples,range,rmse,mae,nrmse,mean_error,error,accuracy
 base,z,9,0.1,0.00494,0.00372,0.056,0.00138,0.0157,0.9843
 tip,z,9,0.1,0.00235,0.0021,nan,0.00207,0.31,0.69
 """
-
-
-class Page(HTMLParser):
-    """Tags of a page with their attributes, and its text."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.tags, self.text = [], []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-
-    def handle_data(self, data):
-        self.text.append(data)
-
-    @cached_property
-    def words(self):
-        return " ".join(" ".join(self.text).split())
-
-    def all(self, attribute):
-        return [attrs[attribute] for _, attrs in self.tags if attribute in attrs]
 
 
 def result(name, rows=(), checks=(), **others):
@@ -78,17 +53,17 @@ def write_results(directory):
     """Results of three benchmarks and a comparison, with a hostile name and without values."""
     checks = [(HOSTILE, 0.125, "N", "<= 0.5", True), ("slow", None, "ms", "<= 2", False)]
     folder = write(directory, result("rod", checks=checks))
-    (folder / "rod.png").write_bytes(IMAGE)
-    (folder / "more.png").write_bytes(IMAGE + b"!")
+    (folder / "rod.png").touch()
+    (folder / "more.png").touch()
     write(directory, result("perturbations", options={"seed": 7, "scheduler": ""}))
     write(directory, result("locomotion", LOCOMOTION))
     (directory / "mpc.json").write_text(json.dumps(result("mpc")))  # not in a folder of its own
-    (directory / "mpc.png").write_bytes(IMAGE)
-    (directory / "others.png").write_bytes(b"not read")
+    (directory / "mpc.png").touch()
+    (directory / "others.png").touch()
     (directory / "walk").mkdir()
-    (directory / "walk" / "walk.png").write_bytes(IMAGE)
+    (directory / "walk" / "walk.png").touch()
     (directory / "single_leg").mkdir()
-    (directory / "single_leg" / "leg.png").write_bytes(IMAGE)
+    (directory / "single_leg" / "leg.png").touch()
     (directory / "single_leg" / "errors.csv").write_text(ERRORS)
     (directory / "single_leg" / "summary.txt").write_text(f"run {HOSTILE}")
     return directory
@@ -101,42 +76,43 @@ def results(tmp_path):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Directory of the results, and the page of them."""
+    """Directory of the results, and the text of their page."""
     directory = write_results(tmp_path_factory.mktemp("results"))
-    out = directory / "deep" / "page.html"
+    out = directory / "deep" / "page.md"
     assert main(["--results", str(directory), "--out", str(out)]) == 0
     return directory, out.read_text()
 
 
 @pytest.fixture(scope="module")
-def text(made):
+def page(made):
     return made[1]
 
 
-@pytest.fixture(scope="module")
-def page(text):
-    return Page(text)
+def test_a_page_links_to_the_pictures_of_its_results_and_to_nothing_else(made):
+    directory, page = made
+    found = re.findall(r"!\[.*\]\((.*)\)", page)
+    there = ["rod/rod.png", "rod/more.png", "mpc.png", "walk/walk.png", "single_leg/leg.png"]
+    linked = [(directory / "deep" / link).resolve() for link in found]
+    assert linked == [directory.resolve() / file for file in there]
+    outside = re.sub(r"```.*?```", "", page, flags=re.DOTALL)
+    assert not re.search(r"https?://|(?<!\\)<", outside)
 
 
-def test_a_page_holds_its_images_loads_nothing_and_runs_nothing_but_the_walk(page, text):
-    sources = page.all("src")
-    assert [base64.b64decode(s.partition("base64,")[2]) for s in sources] == [
-        IMAGE, IMAGE + b"!", IMAGE, IMAGE, IMAGE
-    ]  # fmt: skip
-    assert all(source.startswith("data:image/") for source in sources)
-    assert not {tag for tag, _ in page.tags} & {"script", "link", "object", "base"}
-    (walk,) = (attrs for tag, attrs in page.tags if tag == "iframe")
-    assert walk.pop("srcdoc") == (DOC / "walk.html").read_text()
-    policy = next(attrs["content"] for _, attrs in page.tags if "http-equiv" in attrs)
-    assert "script-src 'unsafe-inline' blob:" in policy  # which the walk inherits
-    assert walk == {"class": "walk", "title": walk["title"]}
-    assert not re.search(r"https?://|url\(|@import", text)
-    assert not [name for _, attrs in page.tags for name in attrs if name.startswith("on")]
-    assert page.words.count(" ".join(HOSTILE.split())) == 2  # as text
+def test_names_in_a_result_are_taken_as_text(page):
+    assert page.count(f"| holds | {ESCAPED} | 0.125 N | \\<= 0.5 |") == 1
+    assert "| **missed** | slow | no value ms | \\<= 2 |" in page
+    assert "| [rod](#rod) | slow |" in page
 
 
-def test_what_is_missing_is_named_with_the_command_that_makes_it(made, page):
-    missing = page.words.rpartition("What is missing")[2]
+def test_a_result_stands_with_its_command_revision_and_machine(page):
+    (section,) = re.findall(r"### perturbations\n(.*?)\n### ", page, re.DOTALL)
+    assert "```bash\nscripts/bench perturbations --quick --seed 7\n```" in section
+    assert "revision v1-g1234 with changes; Z80, z80, 1 cores" in section
+    assert "| fast | m/s | \\>= 0.08 | 0 | 0 | 0.07 | **missed** |" in page
+
+
+def test_what_is_missing_is_named_with_the_command_that_makes_it(made):
+    missing = made[1].rpartition("What is missing")[2]
     for name in known(BENCHMARKS).keys() - {"rod", "perturbations", "locomotion", "mpc"}:
         assert f"scripts/bench {name} --out {made[0] / name}" in missing
     assert f"scripts/run --lockstep --gait crawl --bag {made[0] / 'crawl'}" in missing
@@ -144,11 +120,11 @@ def test_what_is_missing_is_named_with_the_command_that_makes_it(made, page):
 
 def test_without_results_the_papers_figures_stand_alone_with_what_would_be_beside_them(tmp_path):
     (tmp_path / "empty").mkdir()
-    arguments = ["--results", str(tmp_path / "empty"), "--out", str(tmp_path / "page.html")]
+    arguments = ["--results", str(tmp_path / "empty"), "--out", str(tmp_path / "page.md")]
     assert main(arguments) == 0
-    tables = Page((tmp_path / "page.html").read_text()).words.rpartition("What is missing")[0]
-    assert " here " not in tables.partition("The paper beside ours")[2].partition("Claims")[0]
-    assert "Not run: robot , mpc , graph" in tables
+    tables = (tmp_path / "page.md").read_text().partition("The paper beside ours")[2]
+    assert "| here: " not in tables
+    assert "Not run: robot, mpc, graph." in tables
 
 
 def test_a_command_repeats_the_options_of_its_result():
@@ -196,14 +172,14 @@ def test_figures_are_looked_up_under_names_that_the_benchmarks_use():
 def test_a_claim_of_the_paper_has_one_verdict_and_a_reason(page, about):
     (claim,) = [claim for claim in claims.CLAIMS if about in claim.text]
     assert claim.verdict in claims.VERDICTS
-    assert " ".join((claim.text, claim.verdict, claim.reason)) in page.words
+    assert f"{plain(claim.text)} | {claim.verdict} | {plain(claim.reason)} |" in page
 
 
 def test_every_claim_is_counted_once_under_its_verdict(page):
     count = [sum(c.verdict == verdict for c in claims.CLAIMS) for verdict in claims.VERDICTS]
     assert sum(count) == len(claims.CLAIMS) > 40
     for number, verdict in zip(count, claims.VERDICTS):
-        assert f"{number} {verdict}" in page.words
+        assert f"{number} {verdict}" in page
 
 
 def test_what_the_papers_own_numbers_refute_is_so():
@@ -233,15 +209,14 @@ NONSENSE = {
 @pytest.mark.parametrize("text", NONSENSE.values(), ids=NONSENSE)
 def test_a_file_that_is_no_result_is_refused_in_one_line(results, refusal, text):
     (results / "rod" / "rod.json").write_text(text)
-    line = refusal(main, "--results", results, "--out", results / "page.html")
+    line = refusal(main, "--results", results, "--out", results / "page.md")
     assert line.startswith(f"scripts/report: {results / 'rod' / 'rod.json'}: not ")
-    assert not (results / "page.html").exists()
+    assert not (results / "page.md").exists()
 
 
 @pytest.mark.parametrize(
     ("file", "content", "said"),
     [
-        ("rod/rod.png", b"GIF89a", "rod/rod.png: not an image"),
         ("rod/rod.json", b"\xff\xfe\x00", "not text in UTF-8"),
         ("single_leg/errors.csv", b"point,axis,rmse\nbase,z,much\n", "not a table of"),
         ("single_leg/metadata.yaml", b"nonsense", "single_leg: cannot be read"),
@@ -251,15 +226,15 @@ def test_a_damaged_file_beside_a_result_is_refused_in_one_line(
     results, refusal, file, content, said
 ):
     (results / file).write_bytes(content)
-    assert said in refusal(main, "--results", results, "--out", results / "page.html")
+    assert said in refusal(main, "--results", results, "--out", results / "page.md")
 
 
 @pytest.mark.parametrize(
     ("folder", "out", "said"),
     [
-        ("nowhere", "page.html", "not a directory; scripts/bench NAME makes one"),
-        ("", "page.pdf", "expected a name that ends in .html"),
-        ("", "rod/rod.json/page.html", "File exists"),
+        ("nowhere", "page.md", "not a directory; scripts/bench NAME makes one"),
+        ("", "page.pdf", "expected a name that ends in .md"),
+        ("", "rod/rod.json/page.md", "File exists"),
     ],
 )
 def test_a_place_that_does_not_do_is_refused_in_one_line(results, refusal, folder, out, said):

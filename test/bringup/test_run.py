@@ -8,7 +8,7 @@ import pytest
 from nav_msgs.msg import Odometry
 from synthetic_walk import Walk, write_walk
 
-from slot_bringup import monitor, run, view
+from slot_bringup import live_page, monitor, run
 from slot_bringup.arguments import parse
 from slot_msgs.msg import MpcState, TendonPlan
 from slot_nodes import qos
@@ -56,11 +56,11 @@ def refused(refusal):
         ("--path /dev/zero", "/dev/zero: no path with columns x, y: not a regular file"),
         ("--calibration /dev/zero", "calibration /dev/zero: not a regular file"),
         ("--policy /dev/zero.py", "policy /dev/zero.py: FileNotFoundError"),
-        ("--view", "rerun-sdk is missing; run scripts/setup --view"),
+        ("--view", "viser is missing; run scripts/setup --play"),
     ],
 )
 def test_a_wrong_value_is_refused_with_one_line(refused, monkeypatch, arguments, message):
-    monkeypatch.setattr(view.importlib.util, "find_spec", {}.get)  # without rerun
+    monkeypatch.setattr(live_page.importlib.util, "find_spec", {}.get)  # without viser
     assert message in refused(*arguments.split())
 
 

@@ -27,8 +27,8 @@ KEYS = {
     "rosbags": "python3-rosbags-pip", "scipy": "python3-scipy", "serial": "python3-serial",
     "yaml": "python3-yaml",
 }  # fmt: skip
-OPTIONAL = {  # of the extras --bench, --view, --play and --learn of scripts/setup
-    "cma", "distributed", "gymnasium", "onnx", "onnxruntime", "rerun", "viser", "websockets",
+OPTIONAL = {  # of the extras --bench, --play and --learn of scripts/setup
+    "cma", "distributed", "gymnasium", "onnx", "onnxruntime", "viser", "websockets",
 }  # fmt: skip
 STARTED = {  # by the launch files, or part of the build
     "slot_bringup": {"robot_state_publisher", "ros2bag", "ros2launch", "rosbag2_storage_mcap"},

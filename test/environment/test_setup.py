@@ -29,7 +29,6 @@ REQUIREMENT_FILES = (
     "test",
     "bench",
     "docs",
-    "view",
     "play",
     "learn",
 )
@@ -235,7 +234,7 @@ def test_two_concurrent_setups_build_once(ready):
     assert len(ready.calls) == builds + 1
 
 
-@pytest.mark.parametrize("extra", ["test", "bench", "docs", "view", "learn"])
+@pytest.mark.parametrize("extra", ["test", "bench", "docs", "play", "learn"])
 def test_extra_packages_are_installed_once_and_again_when_their_pins_change(ready, extra):
     output = f"setup: installing the packages for --{extra} (about 10 s)\n"
     assert ready.setup(f"--{extra}") == (0, output)
@@ -422,7 +421,7 @@ def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(tmp_p
 def test_a_wrong_argument_gets_one_line_and_status_2(copy):
     status, output = copy.setup("--tests")
     assert status == 2
-    expected = "--test, --bench, --docs, --view, --play or --learn"
+    expected = "--test, --bench, --docs, --play or --learn"
     assert output == f"setup: unknown arguments: --tests; expected {expected}\n"
 
 

@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from views import CAMERA, VISION
+from views import CAMERA, VISION, write_chessboard
 
 from slot_core.vision.camera import CameraError, read_camera
-from slot_lab.film import calibrate_camera, film, film_command, print_command
+from slot_lab.film import calibrate_camera, print_command
 from slot_lab.film.calibration import BoardView, calibrate
 from slot_lab.film.print_markers import sheet_of
 
@@ -43,9 +43,8 @@ def test_a_print_is_written_with_its_resolution(tmp_path, capsys, name):
     assert "136 x 108 mm at 200 dots per inch" in capsys.readouterr().out
 
 
-def test_a_calibration_finds_the_camera_that_filmed_the_board(tmp_path, monkeypatch):
-    monkeypatch.setattr(film, "VIEWS", 14)
-    film_command.main(["chessboard", "--out", str(tmp_path / "views")])
+def test_a_calibration_finds_the_camera_that_filmed_the_board(tmp_path):
+    write_chessboard(tmp_path / "views", 14)
     out = tmp_path / "camera.yaml"
     assert calibrate_camera.main([str(tmp_path / "views"), "--out", str(out)]) == 0
     found = read_camera(out)

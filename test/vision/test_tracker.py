@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from views import CAMERA, VISION, natural_robot, stage, synthetic
 
+from benchmarks.estimation.filmed_robot import filmed
 from slot_core.geometry import Transform
 from slot_core.robot import read_robot
 from slot_core.vision.camera import Camera, camera_text
 from slot_lab.film import track_command
-from slot_lab.film.film import filmed
 from slot_lab.film.tracker import Tracker
 
 COUNT = 6

@@ -1,6 +1,6 @@
 """Vision on rendered images: error and CPU time of the marker tracker, a walk through images.
 
-The film is that of scripts/film: the leg FR and the torso from 0.8 m, 1280 x 720 px, with
+The film is rendered: the leg FR and the torso from 0.8 m, 1280 x 720 px, with
 distortion, blur, motion and noise. Errors are those of all its points, across and along the line of
 sight of the camera. The tracker's CPU time is compared with that of cv2.aruco.detectMarkers on the
 same images.
@@ -9,11 +9,13 @@ same images.
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from benchmarks.estimation.filmed_robot import DEPTH_NOISE, FilmedRobot, Stage, filmed
 from benchmarks.estimation.measured_streams import WARM_UP, RecordingPlant
 from benchmarks.harness import Check, Progress, Row, at_most, timed
 from slot_core.dynamics.scene import read_scene
@@ -23,10 +25,10 @@ from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.vision.camera import nominal
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
-from slot_lab.film.film import DEPTH_NOISE, FilmedRobot, Stage, filmed
 from slot_lab.film.tracker import MarkerSample, Tracker
 
 PERIOD = read_scene("marker_camera").sensors.camera.period  # s, of the images
+FILMED = slice(60, 500), slice(160, 920)  # px, rows and columns that show robot and board
 
 
 def rows(quick: bool, progress: Progress) -> list[Row]:
@@ -49,6 +51,14 @@ def shots(count: int) -> list[FilmedRobot]:
         base = Transform(sim.rotation.copy(), sim.position.copy())
         found.append(filmed(robot, base, sim.nodes.copy(), sim.directors.copy()))
     return found
+
+
+def draw_film(path: Path) -> None:
+    """Write the part of an image of the film that shows robot and board."""
+    settings = read_vision()
+    surfaces = Stage(settings, read_robot()).surfaces(shots(1)[0])
+    camera = SyntheticCamera(nominal(settings.camera), Imperfections(), np.random.default_rng(0))
+    cv2.imwrite(str(path), camera.image(surfaces)[FILMED])
 
 
 def tracker_rows(settings: VisionSettings, walk: list[FilmedRobot]) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ from slot_bringup.arguments import parse
 from slot_core import config
 from slot_lab.bags import replay_command
 from slot_lab.calibration import command as calibrate
-from slot_lab.film import calibrate_camera, film_command, print_command, track_command
+from slot_lab.film import calibrate_camera, print_command, track_command
 from slot_lab.report import compare, map_command
 from slot_lab.twin import twin_command
 from slot_lab.validation import validate
@@ -66,7 +66,6 @@ def tools() -> list[tuple[str, Main, list[list[str]]]]:
             [measured, "--free", NAME], [measured, "--starts", NUMBER]]),
         ("track", track_command.main, [[PATH], [PATH, "--camera", PATH], ["x", "--rate", NUMBER]]),
         ("calibrate_camera", calibrate_camera.main, [[PATH], ["x", "--every", NUMBER]]),
-        ("film", film_command.main, [[PATH], ["x", "--duration", NUMBER]]),
         ("print_markers", print_command.main, [[NAME], ["torso", "--dpi", NUMBER]]),
         ("view", view.main, [[PATH, "--animate", "x.gif"], ["x", "--animate", NAME],
             [PATH, "--html", "x.html"], ["x", "--html", NAME]]),

@@ -1,1 +1,1 @@
-"""Report of results as one HTML file: benchmarks, runs and the paper's figures beside ours."""
+"""Report of results as one page in Markdown: benchmarks, runs and the paper's figures beside ours."""

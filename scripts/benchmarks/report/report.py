@@ -1,8 +1,8 @@
-"""Makes one self-contained HTML file of what scripts/bench, scripts/run and scripts/validate wrote.
+"""Makes one page in Markdown of what scripts/bench, scripts/run and scripts/validate wrote.
 
-It works offline, and but for the moving robot without JavaScript: images are inside the file. Each
-figure stands with the command, revision and parameters that made it, and beside the paper's where
-that has one. What is missing is named with the command that makes it.
+The page links to the pictures beside the results. Each figure stands with the command, revision and
+parameters that made it, and beside the paper's where that has one. The page names every result that
+is missing, with the command that makes it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from benchmarks.harness import ROOT, about, known
 from benchmarks.report.results import (
     ReportError,
     commands,
-    fault_table,
     read_benchmark,
     read_run,
 )
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
 
 CANNOT_REPORT = 2  # exit code
 BENCHMARKS = ROOT / "scripts" / "benchmarks"
-DOC = ROOT / "slot_bringup" / "doc"
 CAPTIONS = {
     "rod": {"rod.png": "speed against error of the public rod, MuJoCo and PyElastica"},
     "robot": {
@@ -56,20 +54,20 @@ CAPTIONS = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/report`; ends with exit code 2 and one line on a bad input."""
     parser = CommandParser(prog="scripts/report", description=__doc__)
-    results, out = Path("results"), Path("results", "report.html")
+    results, out = Path("results"), Path("results", "report.md")
     parser.add_argument(
         "--results", type=Path, metavar="DIR", default=results, help=f"default: {results}"
     )
     parser.add_argument("--out", type=Path, metavar="FILE", default=out, help=f"default: {out}")
     options = parser.parse_args(arguments)
-    from benchmarks.report.page import render  # noqa: PLC0415 - needs Jinja
+    from benchmarks.report.page import render  # noqa: PLC0415 - heavy
     from slot_core.recording.origin import revision  # noqa: PLC0415
 
     try:
-        if options.out.suffix != ".html":
-            raise ReportError(f"--out {options.out}: expected a name that ends in .html")
+        if options.out.suffix != ".md":
+            raise ReportError(f"--out {options.out}: expected a name that ends in .md")
         contents = read_contents(options.results)
-        _write(options.out, render(contents, revision()))
+        _write(options.out, render(contents, revision(), options.out.parent))
     except ReportError as error:
         refuse(parser.prog, error)
         return CANNOT_REPORT
@@ -79,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def read_contents(directory: Path) -> Contents:
     """All that a report shows of the results in `directory`; raises ReportError."""
-    from benchmarks.report.page import Contents  # noqa: PLC0415 - needs Jinja
+    from benchmarks.report.page import Contents  # noqa: PLC0415 - heavy
     from benchmarks.report.paper_figures import RUNS  # noqa: PLC0415 - heavy
 
     if not directory.is_dir():
@@ -91,7 +89,6 @@ def read_contents(directory: Path) -> Contents:
         for name in names
     }
     return Contents(
-        robot=(DOC / "walk.html").read_text(encoding="utf-8"),
         benchmarks=benchmarks,
         runs={run.folder: (run.title, read_run(directory, run)) for run in RUNS},
         commands={
@@ -99,14 +96,13 @@ def read_contents(directory: Path) -> Contents:
             for name in names
         }
         | {run.folder: commands(directory, run) for run in RUNS},
-        faults=fault_table(DOC / "safety.md"),
     )
 
 
 def _write(path: Path, text: str) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", errors="xmlcharrefreplace")
+        path.write_text(text, encoding="utf-8", errors="replace")
     except OSError as error:
         raise ReportError(f"--out {path}: {error.strerror}") from None
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import csv
 import json
 import math
@@ -17,41 +16,23 @@ from benchmarks.harness import Check
 from slot_core.recording.bag_error import BagError
 from slot_core.refusal import InputError, quoted
 
-PNG = b"\x89PNG\r\n\x1a\n"
-
 
 class ReportError(InputError):
     """A result that cannot be read, or a report that cannot be written; the message is one line."""
 
 
 @dataclass(frozen=True)
-class Image:
-    """An image as a data URI."""
-
-    name: str  # of the file
-    caption: str
-    uri: str
-
-
-@dataclass(frozen=True)
 class Result:
     """What a command has left in a directory."""
 
-    name: str
-    path: Path
     command: str
     origin: str  # revision and machine, or what is known of them
     quick: bool
     rows: Sequence[Mapping[str, Any]]
     checks: Sequence[Check]
-    images: Sequence[Image]
+    images: Sequence[tuple[Path, str]]  # with captions
     text: str = ""  # summary
     absent: Sequence[str] = ()  # images that are not there
-
-    @property
-    def missed(self) -> list[Check]:
-        """The checks that do not hold."""
-        return [check for check in self.checks if not check.holds]
 
 
 @dataclass(frozen=True)
@@ -80,7 +61,7 @@ def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> R
         quick, command = found["quick"], bench_command(name, found["quick"], found["options"])
         origin = _origin(found["revision"], found["machine"])
         rows, checks = [dict(row) for row in found["rows"]], list(map(_check, found["checks"]))
-        return Result(name, path, command, origin, quick, rows, checks, images)
+        return Result(command, origin, quick, rows, checks, images)
     except KeyError as error:
         raise ReportError(f"{path}: not a result of scripts/bench: no {error}") from None
     except (TypeError, ValueError, AttributeError) as error:
@@ -102,7 +83,7 @@ def bench_command(name: str, quick: bool, options: Mapping[str, Any]) -> str:
 def read_run(directory: Path, run: Run) -> Result | None:
     """What `run` left in its folder of `directory`; None if its first image is not there.
 
-    Raises ReportError for a damaged bag, table or image.
+    Raises ReportError for a damaged bag or table.
     """
     folder = directory / run.folder
     if not (folder / next(iter(run.images))).is_file():
@@ -110,11 +91,11 @@ def read_run(directory: Path, run: Run) -> Result | None:
     there = [file for file in run.images if (folder / file).is_file()]
     summary, errors = folder / "summary.txt", folder / "errors.csv"
     rows = _read_errors(errors) if errors.is_file() else []
-    images = [read_image(folder / file, run.images[file]) for file in there]
+    images = [(folder / file, run.images[file]) for file in there]
     text = _read_text(summary) if summary.is_file() else ""
     absent = [file for file in run.images if file not in there]
     command, origin = "\n".join(commands(directory, run)), _bag_origin(folder)
-    return Result(run.folder, folder, command, origin, False, rows, [], images, text, absent)
+    return Result(command, origin, False, rows, [], images, text, absent)
 
 
 def commands(directory: Path, run: Run) -> list[str]:
@@ -122,33 +103,10 @@ def commands(directory: Path, run: Run) -> list[str]:
     return [line.replace("{}", shlex.quote(str(directory / run.folder))) for line in run.commands]
 
 
-def read_image(path: Path, caption: str) -> Image:
-    """A PNG; raises ReportError for another file."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ReportError(f"{path}: {error.strerror}") from None
-    if path.suffix.lower() != ".png" or not data.startswith(PNG):
-        raise ReportError(f"{path}: not an image (.png)")
-    uri = f"data:image/png;base64,{base64.b64encode(data).decode()}"
-    return Image(path.name, caption, uri)
-
-
 def number(value: Any) -> float | None:
     """`value` if it is a finite number; else None, as where a benchmark found none."""
     numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
     return float(value) if numeric and abs(value) <= sys.float_info.max else None
-
-
-def fault_table(page: Path) -> list[list[str]]:
-    """The table of measured times in the page on safety, head first; raises ReportError."""
-    text = _read_text(page)
-    _, head, rest = text.partition("| at 1 s of a walk |")
-    if not head:
-        raise ReportError(f"{page}: no table of faults at 1 s of a walk")
-    lines = (head + rest.partition("\n\n")[0]).splitlines()
-    rows = [[cell.strip(" `") for cell in line.strip().strip("|").split("|")] for line in lines]
-    return [rows[0], *rows[2:]]
 
 
 def _load(path: Path) -> Mapping[str, Any]:
@@ -203,12 +161,12 @@ def _bag_origin(folder: Path) -> str:
     return f"revision {revision}" + (f"; {values}" if values else "")
 
 
-def _images(path: Path, name: str, captions: Mapping[str, str]) -> list[Image]:
+def _images(path: Path, name: str, captions: Mapping[str, str]) -> list[tuple[Path, str]]:
     """Images beside a result: those with a caption first, in a folder of its own all others."""
     files = [path.parent / file for file in captions if (path.parent / file).is_file()]
     if path.parent.name == name:
         files += sorted(set(path.parent.glob("*.png")) - set(files))
-    return [read_image(file, captions.get(file.name, file.stem)) for file in files]
+    return [(file, captions.get(file.name, file.stem)) for file in files]
 
 
 def _read_errors(path: Path) -> list[dict[str, Any]]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.util
 import io
 import logging
 import secrets
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slot_bringup import interrupts
+from slot_bringup.live_page import open_in_browser, require_viser
 from slot_bringup.playing.page_scripts import GAMEPAD, GIVE_KEYS_BACK, WIDE_ON_A_PHONE
 from slot_core.command_line import command_parser, refuse, within
 from slot_core.config import ConfigError
@@ -43,6 +43,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--policy", metavar="NAME", help=f"policy (default: {DEFAULT_POLICY})")
     add("--graph", action="store_true", help="drive a running graph")
     add("--namespace", metavar="NAME", default="", help="of the graph")
+    wait = "for the graph to answer (default: %(default)g s)"
+    add("--wait", default=5.0, type=within(0.0, 3600.0, "s"), metavar="S", help=wait)
+    add("--open", action="store_true", help="open the page in the browser, if there is a display")
     add("--host", default="127.0.0.1", metavar="ADDRESS", help="to listen on (default: 127.0.0.1)")
     add("--port", default=PORT, type=within(0, 65535), metavar="N", help="default: %(default)s")
     options = made.parse_args(arguments)
@@ -106,14 +109,14 @@ def _play_robot(options: argparse.Namespace) -> None:
 
 def _play_graph(options: argparse.Namespace) -> None:
     from slot_bringup.monitor import listener  # noqa: PLC0415 - heavy
-    from slot_bringup.operate import SEARCH_TIME, no_answer  # noqa: PLC0415
+    from slot_bringup.operate import no_answer  # noqa: PLC0415
     from slot_bringup.playing.graph_page import GraphPage  # noqa: PLC0415 - needs viser
     from slot_bringup.playing.graph_robot import GraphRobot  # noqa: PLC0415
 
     with listener("play", options.namespace) as (node, executor):
         robot = GraphRobot(node)
-        if not executor.spin_until(robot.found, SEARCH_TIME):
-            raise ConfigError(no_answer(node, "supervisor", SEARCH_TIME))
+        if not executor.spin_until(robot.found, options.wait):
+            raise ConfigError(no_answer(node, "supervisor", options.wait))
         executor.spin_until(robot.walks, GAIT_TIME)  # none before the servos have torque
         with _served(options) as server:
             GraphPage(server, robot).run(lambda: False, executor.spin_once)
@@ -121,25 +124,27 @@ def _play_graph(options: argparse.Namespace) -> None:
 
 @contextlib.contextmanager
 def _served(options: argparse.Namespace) -> Iterator[viser.ViserServer]:
-    """Server of a page, whose address is printed; raises OSError."""
+    """Server of a page, whose address is printed and opened if wanted; raises OSError."""
     from slot_bringup.playing.access import is_this_machine  # noqa: PLC0415 - heavy
 
     token = "" if is_this_machine(options.host) else secrets.token_urlsafe(24)
     server = start_server(options.host, options.port, token)
     try:
-        print(f"{address(options.host, server.get_port(), token)}\nCtrl-C ends it", flush=True)
+        page = address(options.host, server.get_port(), token)
+        print(f"{page}\nCtrl-C ends it", flush=True)
+        if options.open:
+            open_in_browser(page)
         yield server
     finally:
-        server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            server.stop()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/play`; returns the exit code."""
     options = parse(arguments)
-    if importlib.util.find_spec("viser") is None:
-        refuse(PROGRAM, "viser is missing; run scripts/setup --play")
-        return 2
     try:
+        require_viser()
         with interrupts.on_interrupt(signal.default_int_handler):
             play(options)
     except ConfigError as error:

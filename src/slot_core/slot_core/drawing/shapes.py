@@ -1,7 +1,7 @@
 """Shapes that show the robot in a 3-D viewer: bent legs, tendons, forces, torso and paths.
 
 A shape is points and colours in odom, for any viewer: `slot_nodes.visualization` makes ROS markers
-of it, `slot_bringup.rerun_log` logs it to rerun.
+of it, `slot_bringup.playing.scene_view` shows it in the browser.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Films: markers tracked through them, camera calibration, synthetic films, printed markers."""
+"""Films: markers tracked through them, camera calibration, printed markers."""

@@ -82,7 +82,6 @@ PLOTS = {
     ),
     "solve_time": Plot("solve time of the MPC (ms)", {"mpc": _one("solve time", palette.INK)}),
 }
-OF_TORSO = ("velocity", "height", "roll", "pitch")  # plots
 STATES = {"supervisor": "supervisor", "mpc": "MPC", "gait": "gait"}  # by key of `states`: title
 
 

@@ -1,35 +1,22 @@
-"""Films of a recorded walk and of the chessboard by a synthetic camera."""
+"""The walking robot with its markers as surfaces before a synthetic camera, for tests and rows of vision."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
-from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, arc_length, at_shares
-from slot_core.clock import to_seconds
+from slot_core.body_points import LEG_POINTS, TORSO, arc_length, at_shares
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
-from slot_core.messages import decode
-from slot_core.progress import Tell
-from slot_core.robot import LEGS, ODOM_FRAME, Array, RobotParameters, read_robot
-from slot_core.vision.board import SQUARE, GreyImage, make_board, print_of, single_marker
-from slot_core.vision.camera import nominal
-from slot_core.vision.settings import TrackedMarkers, VisionSettings, read_vision
-from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
-from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.topics import GROUND_TRUTH, LEG_STATES
-from slot_lab.film.calibration import chessboard
-from slot_lab.film.track import write_tracks
-from slot_lab.film.tracker import MarkerSample
+from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.vision.board import GreyImage, make_board, print_of, single_marker
+from slot_core.vision.settings import TrackedMarkers, VisionSettings
+from slot_core.vision.synthetic_camera import Surface
 
 BOARD = "film"
 DEPTH_NOISE = 0.002  # m, of a pixel of a RealSense D435 at 0.8 m
-CHESSBOARD, VIEWS = "chessboard", 30
-GAP = 1.5  # periods between two samples from which the film has no motion there
 SKIN = np.full((4, 4), 60, np.uint8)  # of the robot's body
 
 
@@ -136,89 +123,3 @@ def _turned(corners: Array, to_camera: Transform) -> Iterator[Array]:
     for order in (corners, corners[::-1]):
         if Surface(SKIN, to_camera.apply(order)).faces_camera:
             yield order
-
-
-def film(options: argparse.Namespace, tell: Tell) -> int:
-    """Write what is asked for; the number of images. Raises BagError, ConfigError, OSError."""
-    cv2.setNumThreads(1)
-    write = _film_chessboard if options.what == CHESSBOARD else _film
-    return write(options, read_vision(), tell)
-
-
-def _film(options: argparse.Namespace, settings: VisionSettings, tell: Tell) -> int:
-    """Write film, depth images and true tracks; the number of images."""
-    robot = read_robot()
-    times, shots = _motion(Bag(options.what), robot, options.duration)
-    stage = Stage(settings, robot)
-    rng = np.random.default_rng(options.seed)
-    camera = SyntheticCamera(nominal(settings.camera), Imperfections(), rng)
-    if options.depth:
-        options.depth.mkdir(parents=True, exist_ok=True)
-    period = float(np.median(np.diff(times)))
-    size = settings.camera.width, settings.camera.height
-    coding = cv2.VideoWriter.fourcc(*"MJPG")
-    video = cv2.VideoWriter(str(options.out), coding, 1 / period, size, isColor=False)
-    if not video.isOpened():
-        raise OSError(0, "no video can be written there", str(options.out))
-    truth: list[MarkerSample] = []
-    for i, time in enumerate(times):
-        tell(i / len(times))
-        soon = None
-        if i + 1 < len(times) and times[i + 1] - time < GAP * period:
-            soon = shots[i + 1], float(times[i + 1] - time)
-        surfaces = stage.surfaces(shots[i], soon)
-        video.write(camera.image(surfaces))
-        if options.depth:
-            depth = camera.depth(surfaces, DEPTH_NOISE)
-            cv2.imwrite(str(options.depth / f"{i:06d}.png"), depth)
-        for name, plate in stage.plates(shots[i]).items():
-            truth.append(MarkerSample(i * period, name, plate.position))
-    video.release()
-    if options.truth:
-        write_tracks(options.truth, truth, ODOM_FRAME)
-    return len(times)
-
-
-def _film_chessboard(options: argparse.Namespace, settings: VisionSettings, tell: Tell) -> int:
-    """Write VIEWS images of the ChArUco board, held in all parts of the image and tilted."""
-    rng = np.random.default_rng(options.seed)
-    camera = nominal(settings.camera)
-    board, dots = chessboard(settings), 3000.0  # px per m of the print
-    size = np.array(board.getChessboardSize()) * board.getSquareLength()  # m
-    sheet = np.asarray(board.generateImage(np.round(dots * size).astype(int).tolist()), np.uint8)
-    synthetic = SyntheticCamera(camera, Imperfections(), rng)
-    options.out.mkdir(parents=True, exist_ok=True)
-    for number in range(VIEWS):
-        tell(number / VIEWS)
-        distance = rng.uniform(0.35, 0.7)
-        ray = camera.rays(rng.uniform(0.2, 0.8, 2) * [camera.width, camera.height])
-        tilt = np.array([np.pi, 0.0, 0.0]) + rng.uniform(-0.6, 0.6, 3)
-        pose = Transform.of(distance * np.array([*ray, 1.0]), tilt)
-        surface = Surface(sheet, pose.apply(SQUARE * [*size, 0.0]))
-        cv2.imwrite(str(options.out / f"{number:03d}.png"), synthetic.image([surface]))
-    return VIEWS
-
-
-def _motion(bag: Bag, robot: RobotParameters, duration: float) -> tuple[Array, list[FilmedRobot]]:
-    """Times (n,) s, and the robot at these, of a recorded walk, up to a duration (s)."""
-    truth = bag.series(GROUND_TRUTH, "pose.pose.position", "pose.pose.orientation")
-    places, turns = truth["pose.pose.position"], truth["pose.pose.orientation"]
-    states = [message for _, message in bag.messages(LEG_STATES)]
-    stamps = np.array([decode.stamp(message) for message in states])
-    shared, mine, theirs = np.intersect1d(truth.stamp, stamps, return_indices=True)
-    if len(shared) < 2:
-        raise BagError(f"{bag.path}: fewer than two samples of {GROUND_TRUTH} and {LEG_STATES}")
-    count = int(states[0].nodes)
-    if count < LEAST_NODES:
-        raise BagError(f"{bag.path}: legs of {count} nodes have no shape to film")
-    times = np.asarray(to_seconds(shared), np.float64)
-    times = times[: int(np.searchsorted(times, times[0] + duration))]
-    shots = []
-    for m, k in zip(mine[: len(times)], theirs):
-        try:
-            *_, nodes, directors = decode.legs(states[k])
-        except ValueError as error:
-            raise BagError(f"{bag.path}: {LEG_STATES}: {error}") from None
-        base = Transform.of_quaternion(places[m], turns[m])
-        shots.append(filmed(robot, base, nodes, directors))
-    return times, shots
