@@ -5,9 +5,6 @@ delays, losses and jumps are put on them. Three ways are compared: the authors' 
 with zero angular rates, the filter's state at the stamp of the odometry, and the state predicted
 with the IMU to its newest sample. Errors are RMS over all axes, at the arrival of the odometry.
 Vision, on rendered images: `vision_rows.py`.
-
-Beside that: how exactly scripts/validate aligns the clock of a camera, and scripts/twin recovers
-known changes of a robot from a noisy walk.
 """
 
 from __future__ import annotations
@@ -20,8 +17,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from benchmarks.estimation import identification_rows, methods, plots, vision_rows
 from benchmarks.estimation import measured_streams as measured
+from benchmarks.estimation import methods, plots, vision_rows
 from benchmarks.estimation.measured_streams import PERIOD, WARM_UP, Arrival, Slam, Streams
 from benchmarks.harness import Check, Progress, Row, at_least, at_most, cpu_time
 from slot_core.clock import SECOND
@@ -66,8 +63,7 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
     rows += [cpu_row(walks[0], settings), *closed_loop_rows(range(8 if quick else 20), progress)]
     rows += vision_rows.rows(quick, progress)
     plots.draw(rows, out / "estimation.png")
-    more, of_twin = identification_rows.rows_and_checks(quick, progress)
-    return [*rows, *more], [*checks(rows, np.array(lost)), *of_twin]
+    return rows, checks(rows, np.array(lost))
 
 
 def method_rows(

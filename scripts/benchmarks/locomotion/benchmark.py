@@ -1,7 +1,7 @@
-"""Locomotion in all directions and under disturbances, with seven policies.
+"""Locomotion in all directions and under disturbances, with six policies.
 
-Every row of the table is measured in seven columns: the gait's angles alone; two rivals without a
-model, the feedback once a stride and `place`; a learned network, which acts in the gait `walk`
+Every row of the table is measured in six columns: the gait's angles alone; `place`, a rival without
+a model; a learned network, which acts in the gait `walk`
 alone; the default, `predictive`; the paper's problem and map as printed, and as in the authors'
 scripts, these in the first case of a row. With --quick there are two columns and fewer rows. The
 default must reach the goal of the row, and where the gait alone does not, be better by the row's

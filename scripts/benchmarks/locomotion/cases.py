@@ -35,7 +35,6 @@ Changes = tuple[tuple[str, Any], ...]  # dotted names and values, hashable
 ALONE, PAPER, LEARNED, DEFAULT = "gait alone", "paper", "learned", "default"
 COLUMNS: Mapping[str, str] = {  # policies by the name of their column
     ALONE: "gait_alone",
-    "stride feedback": str(Path(__file__).with_name("stride_feedback.py")),
     "place": "place",
     LEARNED: f"onnx:{Path(__file__).with_name('walk.onnx')}",  # that of the example
     DEFAULT: DEFAULT_POLICY,

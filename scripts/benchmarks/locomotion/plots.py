@@ -30,7 +30,6 @@ class Mark(NamedTuple):
 
 MARKS = {
     ALONE: Mark("|", 9, palette.INK),
-    "stride feedback": Mark("x", 5, palette.SECONDARY),
     "place": Mark("o", 5, "#009E73"),
     LEARNED: Mark("^", 5, "#CC79A7"),
     DEFAULT: Mark("D", 6, palette.TRUE),
