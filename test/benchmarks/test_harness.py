@@ -1,7 +1,8 @@
-"""Harness and command line of the benchmarks, with tiny benchmarks; figures of the graph's."""
+"""Harness and command line of the benchmarks, with tiny benchmarks."""
 
+import argparse
+import inspect
 import json
-import math
 import os
 import platform
 import shutil
@@ -13,9 +14,7 @@ import pytest
 
 from benchmarks import harness
 from benchmarks.__main__ import main
-from benchmarks.graph.usage import Usage
 from benchmarks.harness import Attempts, BenchmarkError, at_least, at_most, cpu_time
-from benchmarks.servo import age
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -125,31 +124,6 @@ def test_checks_hold_up_to_their_goal():
     assert not at_most("unknown", float("nan"), 1.0).holds
 
 
-@pytest.fixture(scope="module")
-def graph():
-    """The module of the benchmark `graph`; no node is started."""
-    return harness.load("graph", ROOT / "scripts" / "benchmarks")
-
-
-def test_graph_cpu_is_the_share_of_the_sampled_time():
-    usage = Usage(("busy", "idle"), time=[100.0, 102.0, 104.0, 106.0])
-    usage.cpu = [[5.0, 1.0, 0.0], [5.0, 1.0, 0.0], [6.0, 1.0, 0.5], [8.0, 1.0, 0.5]]
-    assert usage.percent(102.0, 106.0) == pytest.approx([75.0, 0.0, 12.5])
-    assert usage.percent(105.0, 109.0) == pytest.approx([100.0, 0.0, 0.0])  # no samples later
-
-
-def test_graph_medians_are_per_stage_and_ignore_single_outliers(graph):
-    rows = [
-        {"kind": "latency", "repeat": repeat, "stage": stage, "p50_ms": p50}
-        for repeat, pair in enumerate([(1.0, 7.0), (90.0, 8.0), (2.0, 9.0)])
-        for stage, p50 in zip(("mpc", "map"), pair)
-    ]
-    assert graph.medians(rows) == [
-        {"kind": "latency", "repeat": "median", "stage": "mpc", "p50_ms": 2.0},
-        {"kind": "latency", "repeat": "median", "stage": "map", "p50_ms": 8.0},
-    ]
-
-
 def test_a_measurement_that_fails_is_a_row_and_a_missed_check_and_the_others_go_on():
     attempts = Attempts()
 
@@ -163,16 +137,15 @@ def test_a_measurement_that_fails_is_a_row_and_a_missed_check_and_the_others_go_
     assert (check.name, check.holds) == ("first", False)
 
 
-@pytest.mark.parametrize("failed", age.NODES)
-def test_the_checks_of_a_walk_that_failed_are_missed(failed, tmp_path):
-    ages = {nodes: np.full(100, young) for nodes, young in zip(age.NODES, (2e-3, 1e-3, 1e-3))}
-    assert all(check.holds for check in age.checks([age.row(a, n) for n, a in ages.items()]))
-    del ages[failed]
-    age.draw(ages, tmp_path / "age.png")
-    found = age.checks([age.row(a, n) for n, a in ages.items()])
-    missed = [check for check in found if not check.holds]
-    assert len(missed) == {age.SEPARATE: 1, age.COMPOSED: 3, age.BUSY: 1}[failed]
-    assert all(math.isnan(check.value) for check in missed)
+@pytest.mark.parametrize("name", harness.known(ROOT / "scripts/benchmarks"))
+def test_every_benchmark_can_be_imported_with_its_options(name):
+    directory, parser = ROOT / "scripts/benchmarks", argparse.ArgumentParser()
+    harness.add_options(parser, name, directory)
+    try:
+        wanted = inspect.signature(harness.load(name, directory).run).parameters
+    except BenchmarkError as error:
+        pytest.skip(str(error))  # needs scripts/setup --bench
+    assert set(vars(parser.parse_args([]))) == set(wanted) - {"quick", "out", "progress"}
 
 
 def test_cpu_time_is_the_median_per_call_after_a_warm_up():
