@@ -1,4 +1,4 @@
-"""Reference of arguments, messages, configuration and benchmark results, as Markdown."""
+"""Reference of configuration and benchmark results, as Markdown."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from typing import Any
 
 from benchmarks.report.results import bench_command
 from documentation.markdown import ROOT, code, format_value, link, plain, table
-from slot_bringup.graph import read_graph
 from slot_core import config
 from slot_core.control.force_map import ForceMapSettings
 from slot_core.control.place_feedback import PlaceSettings
@@ -61,35 +60,6 @@ SETTINGS: dict[str, Callable[[], Any]] = {
     "calibration.yaml": partial(config.read, ExperimentSettings, "calibration"),
     "paper.yaml": partial(config.read, PaperSettings, "paper"),
 }
-
-
-def arguments() -> str:
-    """Arguments of the graph: options of scripts/run, and of the launch file."""
-    rows = [
-        (
-            f"`--{argument.name.replace('_', '-')}`",
-            f"`{argument.name}`",
-            argument.kind.__name__,
-            code(argument.default),
-            plain(argument.help + _choices(argument)),
-        )
-        for argument in read_graph().arguments
-    ]
-    return table(("option of scripts/run", "launch argument", "type", "default", "meaning"), rows)
-
-
-def _choices(argument: Any) -> str:
-    return f"; one of {', '.join(argument.choices)}" if argument.choices else ""
-
-
-def messages() -> str:
-    """Definitions of the messages and services of `slot_msgs`."""
-    files = sorted((ROOT / "slot_msgs").glob("*/*.[ms][sr][gv]"))
-    return "\n".join(
-        f"## {path.stem}\n\n`slot_msgs/{path.parent.name}/{path.stem}`\n\n"
-        f"```text\n{path.read_text()}```\n"
-        for path in files
-    )
 
 
 def configuration() -> str:

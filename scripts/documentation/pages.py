@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 from documentation import generated
@@ -25,19 +24,8 @@ def readme() -> str:
     return _relative((ROOT / "README.md").read_text(), ROOT, DOC)
 
 
-def of_nodes(part: str) -> str:
-    """The `topics` and services, or the `parameters`, of all nodes."""
-    from documentation import nodes  # noqa: PLC0415 - needs ROS 2, which the tests here do without
-
-    return getattr(nodes, part)()
-
-
 PARTS: dict[str, Callable[[], str]] = {
     "readme": readme,
-    "arguments": generated.arguments,
-    "topics": partial(of_nodes, "topics"),
-    "parameters": partial(of_nodes, "parameters"),
-    "messages": generated.messages,
     "configuration": generated.configuration,
     "results": generated.results,
 }
