@@ -23,7 +23,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
-from documentation.markdown import DOC, ROOT
+from documentation import DOC, ROOT
 from slot_bringup.arguments import graph_arguments
 
 MARK = "<!-- Written by scripts/docs --tables. -->\n\n"  # the generated part of a page follows

@@ -20,7 +20,7 @@ from typing import Any
 
 from benchmarks.harness import COURSES
 from benchmarks.report.results import ReportError, read_benchmark
-from documentation.markdown import DOC, ROOT
+from documentation import DOC, ROOT
 from slot_core.command_line import command_parser, progress, refuse
 from slot_core.refusal import InputError, quoted
 

@@ -15,8 +15,7 @@ import yaml
 from PIL import Image
 
 from benchmarks import harness
-from documentation import generated, pages, pictures
-from documentation.markdown import DOC, ROOT
+from documentation import DOC, ROOT, pictures
 from slot_bringup.graph import read_graph
 from slot_core.drawing.palette import LEG_COLOURS
 
@@ -52,20 +51,6 @@ def test_every_page_is_in_the_table_of_contents():
     assert found - set(listed) == {"index"}
 
 
-def test_every_mark_stands_for_a_generated_part():
-    marks = [mark for page in PAGES for mark in pages.MARK.findall(page.read_text())]
-    assert sorted(marks) == sorted(pages.PARTS)
-    with pytest.raises(ValueError, match="generated: nothing: expected one of readme, "):
-        pages.read("<!-- generated: nothing -->", DOC / "index.md")
-
-
-@pytest.mark.parametrize("name", ["index.md", "simulation.md"])
-def test_the_site_shows_the_page_of_the_walk_in_the_place_of_its_picture(name):
-    text = pages.read((DOC / name).read_text(), DOC / name)
-    assert '<iframe src="walk.html" title="The robot walks' in text
-    assert "walk.gif)" not in text
-
-
 def test_scripts_pictures_draws_every_picture():
     files = {path.name for path in DOC.iterdir() if path.suffix in (".png", ".gif", ".html")}
     assert files == set(pictures.PICTURES)
@@ -73,7 +58,7 @@ def test_scripts_pictures_draws_every_picture():
 
 def test_every_picture_is_shown_on_a_page():
     shown = {Path(link).name for page in PAGES for link in LINK.findall(page.read_text())}
-    assert {*pictures.PICTURES} - shown == {"walk.html"}  # which pages.py shows
+    assert {*pictures.PICTURES} - shown == {"walk.html"}  # which the site shows for walk.gif
 
 
 MEASURED = """
@@ -133,33 +118,33 @@ def test_the_reference_has_every_message_and_service():
         assert f"```{{literalinclude}} ../../../{file.relative_to(ROOT)}\n" in text
 
 
-def settings_in(path):
-    """Names of the classes of a file with a field made by one of `FIELDS`."""
+def settings_in(path, package):
+    """Full names of the classes of a file with a field made by one of `FIELDS`."""
+    module = ".".join(path.relative_to(package.parent).with_suffix("").parts)
     for kind in ast.walk(ast.parse(path.read_text())):
         if isinstance(kind, ast.ClassDef):
             values = [line.value for line in kind.body if isinstance(line, ast.AnnAssign)]
             calls = [ast.unparse(value.func) for value in values if isinstance(value, ast.Call)]
             if {call.removeprefix("config.") for call in calls} & FIELDS:
-                yield kind.name
+                yield f"{module}.{kind.name}"
 
 
 def test_the_reference_has_every_settings_class_and_file_of_the_configuration():
-    core = ROOT / "src" / "slot_core" / "slot_core"
-    described = {name for path in core.rglob("*.py") for name in settings_in(path)}
+    packages = [ROOT / "src" / name / name for name in ("slot_core", "slot_lab")]
+    described = {
+        name
+        for package in packages
+        for path in package.rglob("*.py")
+        for name in settings_in(path, package)
+    }
     assert len(described) > 40
-    listed = {kind.__name__ for kind in generated.settings_classes()}
+    text = (DOC / "reference" / "configuration.md").read_text()
+    listed = set(re.findall(r"^\.\. autoclass:: (.*)$", text, re.MULTILINE))
     # read from a message, see decode.servo_limits; named on the command line
-    assert described - listed == {"ServoLimits", "OnnxSettings"}
-    files = {path.name for path in (ROOT / "config").glob("*.yaml")}
-    assert files <= set(generated.SETTINGS)
-
-
-def test_a_damaged_result_is_named(tmp_path, monkeypatch):
-    (tmp_path / "results" / "tiny").mkdir(parents=True)
-    (tmp_path / "results" / "tiny" / "tiny.json").write_text('{"name": ')
-    monkeypatch.setattr(generated, "ROOT", tmp_path)
-    with pytest.raises(ValueError, match=r"results/tiny/tiny\.json: Expecting value"):
-        generated.results()
+    others = {"slot_core.safety.settings.ServoLimits", "slot_core.control.onnx_policy.OnnxSettings"}
+    assert described - listed == others
+    for path in (ROOT / "config").glob("*.yaml"):
+        assert f"```{{literalinclude}} ../../../config/{path.name}\n" in text
 
 
 @pytest.mark.parametrize(
