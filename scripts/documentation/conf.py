@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 from sphinx.application import Sphinx
 from sphinx.util.rst import escape
 
-from documentation import DOC, ROOT, excerpts
+from documentation import DOC, ROOT
 
 project = "SLOT"
 author = "SLOT developers"
@@ -31,6 +31,7 @@ html_copy_source = False
 html_extra_path = [str(DOC / "walk.html")]  # shown in the place of walk.gif
 html_static_path, html_css_files = ["site.css"], ["site.css"]
 html_show_copyright = False
+html_show_search_summary = False  # a browser opens files, but fetches none
 mermaid_cmd, mermaid_output_format = "mermaidx", "svg"  # drawn here, without a script
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["mermaid"]  # as GitHub writes it
@@ -47,11 +48,9 @@ PAGE_OF_THE_WALK = (
 
 
 def setup(app: Sphinx) -> None:
-    """Adapt the pages to the site; describe settings; give the search its excerpts."""
+    """Adapt the pages to the site; describe settings."""
     app.connect("source-read", read_page)
     app.connect("autodoc-process-docstring", add_settings)
-    app.connect("html-page-context", excerpts.add_script)
-    app.connect("build-finished", excerpts.write)
 
 
 def read_page(app: Sphinx, name: str, source: list[str]) -> None:
