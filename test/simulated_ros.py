@@ -1,4 +1,4 @@
-"""What the nodes of a SimulatedRig get in place of rclpy's timers, topics, clocks and ports."""
+"""Timers, topics, clocks and ports of the nodes of a SimulatedRig, in place of rclpy's."""
 
 import inspect
 import types

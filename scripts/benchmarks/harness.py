@@ -89,7 +89,7 @@ class Attempts:
         self.checks: list[Check] = []
 
     def run(self, name: str, call: Callable[..., T], *arguments: Any) -> T | None:
-        """What the call returns; None if it raises BenchmarkError."""
+        """Result of the call; None if it raises BenchmarkError."""
         try:
             return call(*arguments)
         except BenchmarkError as error:
@@ -129,7 +129,7 @@ def cpu_time(
 
 
 def timed(call: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
-    """What a call returns, and its CPU time, s."""
+    """Result of a call, and its CPU time, s."""
     start = time.process_time()
     result = call(*arguments)
     return result, time.process_time() - start
@@ -168,7 +168,7 @@ def known(directory: Path) -> dict[str, Path]:
 
 
 def about(benchmark: Path) -> str:
-    """What a benchmark measures: the first line of its docstring; the module is not imported."""
+    """Subject of a benchmark: the first line of its docstring; the module is not imported."""
     return (ast.get_docstring(ast.parse(benchmark.read_text())) or "").partition("\n")[0]
 
 

@@ -59,7 +59,7 @@ def write_panels(path: Path) -> None:
 
 
 def panel(window: Any, name: str) -> Pixels:
-    """What a panel shows."""
+    """Image of a panel."""
     window.click(TAB.format(name))
     browser.wait_for(lambda: window.run(f"{TAB.format(name)}.ariaSelected") == "true")
     return captured(window, window.run(SHOWN))

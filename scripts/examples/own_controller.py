@@ -1,4 +1,4 @@
-"""A controller of one's own: the angles of the gait, and springs that hold the torso's corners up.
+"""A user's controller: the angles of the gait, and springs that hold the torso's corners up.
 
 Here it walks in one process under a payload of 0.3 kg; the whole graph walks with it by
 `scripts/run --policy scripts/examples/own_controller.py`.

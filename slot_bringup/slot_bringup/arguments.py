@@ -31,7 +31,7 @@ class Argument:
 
     @property
     def metavar(self) -> str | None:
-        """What stands for a value in a help; None if that are the choices."""
+        """Placeholder of a value in a help; None where the choices stand."""
         if self.choices:
             return None
         kind = "NAME" if self.kind is str else "N"
@@ -60,7 +60,7 @@ class Argument:
 
 
 def graph_arguments() -> tuple[Argument, ...]:
-    """The arguments in the order of the help; those of config/ are the names of its files."""
+    """The arguments in the order of the help; choices from config/ are the names of its files."""
     return (
         Argument(
             "hardware",

@@ -108,7 +108,7 @@ def _check_parameters(values: Mapping[str, Any]) -> None:
 
 
 def _check_lockstep(values: Mapping[str, Any]) -> None:
-    """Raise ConfigError for what has no lockstep."""
+    """Raise ConfigError for arguments that lockstep excludes."""
     if not is_simulated(values):
         raise ConfigError(f"lockstep: servos of hardware {values['hardware']} move in real time")
     if values["attended"]:

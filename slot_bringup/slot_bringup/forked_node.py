@@ -75,7 +75,7 @@ def _entry(package: str, name: str) -> EntryPoint | None:
 def _become(
     spec: NodeSpec, command: list[str], log: Path, directory: Path, environment: dict[str, str]
 ) -> None:
-    """Make this process that of a node, and run it to its end."""
+    """Turn this process into the process of a node, and run it to its end."""
     os.setsid()  # Ctrl-C reaches only the launcher, which ends the nodes
     end_with_parent()
     setproctitle(" ".join(command))  # before the environment, next to whose memory it is

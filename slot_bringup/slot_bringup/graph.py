@@ -30,7 +30,7 @@ TIED = ("setpriv", "--pdeathsig", "TERM")
 
 @dataclass(frozen=True)
 class NodeSpec:
-    """Node of the graph, or several in one process; its name is that of its executable."""
+    """Node of the graph, or several in one process; named after its executable."""
 
     name: str
     package: str
@@ -88,7 +88,7 @@ class Graph:
         return self._composed(specs, when) if values["composed"] else specs
 
     def if_it_ends(self, name: str) -> str:
-        """What the graph does when a node ends: END, GO_ON or RESTART."""
+        """Reaction of the graph to the end of a node: END, GO_ON or RESTART."""
         entry: Mapping[str, Any] = self._nodes.get(name, {})
         return str(entry.get("if_it_ends", END))
 
@@ -127,12 +127,12 @@ class Graph:
 
 
 def _value(value: Any, values: Mapping[str, Any]) -> Any:
-    """A value of `graph.yaml`: that of an argument for $name."""
+    """A value of `graph.yaml`; $name stands for the value of an argument."""
     return values[value[1:]] if isinstance(value, str) and value.startswith("$") else value
 
 
 def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Whether images are localised, and what the camera stands on: None for what is configured.
+    """Whether images are localised, and the frame that carries the camera: None as configured.
 
     The camera of a scene replaces its odometry.
     """
@@ -185,7 +185,7 @@ def is_attended(values: Mapping[str, Any]) -> bool:
 
 
 def _start_up(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of the supervisor at the start, and what depends on the hardware.
+    """Parameters of the supervisor at the start, and the ones that depend on the hardware.
 
     Unattended, the supervisor starts to walk by itself and needs no e-stop source; attended, it
     waits for requests.

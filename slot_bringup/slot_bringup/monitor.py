@@ -142,7 +142,7 @@ class PaceReport:
     """Prints a line while the graph is slower than real time, now and then."""
 
     def __init__(self, progress: Progress, remedy: str) -> None:
-        """`remedy`: what to do about it; "": nothing is printed."""
+        """`remedy`: advice against it; "": nothing is printed."""
         self._progress, self._remedy = progress, remedy
         self._printed = -math.inf  # s, monotonic
 

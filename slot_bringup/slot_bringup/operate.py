@@ -260,7 +260,7 @@ def _draw(view: operator_screen.OperatorView) -> None:
 
 
 def act(options: argparse.Namespace, program: str) -> int:
-    """Do what the command line asks for; returns the exit code. Raises OperateError."""
+    """Carry out the command line; returns the exit code. Raises OperateError."""
     if options.action is None:
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
             raise OperateError("the live display needs a terminal, scripts/operate state none")

@@ -28,7 +28,7 @@ from slot_nodes import messages, qos
 CLOCK = "/clock"
 PLAYED = ("/odom", "/imu", "/joint_states", "/servo_health", "/cmd_vel", "/ground_truth/odom",
           "/ground_truth/legs")  # fmt: skip
-"""What comes from outside of the controller: the robot's topics, and the user's velocity."""
+"""Topics from outside of the controller: those of the robot, and the user's velocity."""
 NEEDED = "/odom"
 NEWER: dict[str, tuple[str, Any]] = {
     LEG_STATES: ("director", lambda types: np.zeros(0, np.float32)),

@@ -66,7 +66,7 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path, remarks: lis
 
 
 def _remedy(values: Mapping[str, Any]) -> str:
-    """What helps a graph that is slower than real time; "" where the clock is the robot's own."""
+    """Advice for a graph that is slower than real time; "" where the robot's clock does not run in it."""
     if values["lockstep"] or values["hardware"] == "none":
         return ""
     fewer = "run fewer processes" + ("" if values["composed"] else " (--composed)")

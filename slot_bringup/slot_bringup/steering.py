@@ -85,10 +85,10 @@ class SteeringPublisher:
 
 
 class SteeringKeys(SteeringPublisher):
-    """Steering by keys, each of which changes what is commanded by a step."""
+    """Steering by keys, each of which changes the command by a step."""
 
     def press(self, key: str, commanded: GaitPreview | None) -> str:
-        """Handle a key; return a line on what is commanded now or why not, "" for another key."""
+        """Handle a key; return a line on the new command or its refusal, "" for another key."""
         if key not in VELOCITY_KEYS and key not in POSE_KEYS:
             return ""
         if commanded is None:

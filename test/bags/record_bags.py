@@ -136,7 +136,7 @@ def thinned(bag: Bag, path: Path, case: Case) -> Path:
 
 
 def figures(path: Path) -> dict[str, str]:
-    """What a bag shows, in words and numbers."""
+    """Figures of a bag, by name."""
     bag = Bag(path)
     m = walk_metrics(bag, 0.0, read_servo())
     shown = {

@@ -73,7 +73,7 @@ def test_bytes_and_times_are_read_as_they_were_written(tmp_path):
 
 @pytest.mark.parametrize("effort", [[], [0.1]])
 def test_messages_that_rclpy_has_serialized_are_read(tmp_path, effort):
-    """As by a program of one's own with rosbag2_py; without velocities it adds eight bytes."""
+    """As by a user's program with rosbag2_py; without velocities it adds eight bytes."""
     joints = JointState(name=["FL"], position=[0.5], effort=effort)
     data = serialize_message(joints)
     path = write(tmp_path / "bag", ("/joint_states", WALL, data))

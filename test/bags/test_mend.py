@@ -1,4 +1,4 @@
-"""What is left of a recording that did not end is read; storages and compressions of rosbag2."""
+"""Recordings that did not end are read; storages and compressions of rosbag2."""
 
 import os
 import resource

@@ -29,7 +29,7 @@ WALK = Path(__file__).parents[1] / "bags" / "walk"
 
 @pytest.fixture(scope="module")
 def received():
-    """What arrives of the recorded walk: {topic: [bytes, or Clock]}."""
+    """Messages of the recorded walk that arrive: {topic: [bytes, or Clock]}."""
     bag, arrived = Bag(WALK), defaultdict(list)
     with listener("listener") as (node, executor):
         for topic in play.PLAYED:

@@ -58,7 +58,7 @@ def test_a_standing_stride_stands_at_the_angles_of_its_height():
 
 
 def reached(name, share):
-    """What a gait reaches of a share (3,) of its largest velocities."""
+    """Velocity that a gait reaches when a share (3,) of its largest ones is commanded."""
     gait = GAITS.find(name)
     asked = share * np.array(gait.speeds)
     return gait.reached(asked) if name in GAITS.strides else asked

@@ -1,4 +1,4 @@
-"""Policies: the contract, their names, policies of one's own."""
+"""Policies: the contract, their names, a user's policies."""
 
 import numpy as np
 import pytest

@@ -60,7 +60,7 @@ def test_colcon_test_runs_every_test_in_one_package_with_the_same_settings():
 
 
 def imported(folder, name):
-    """What the modules of a package import, but for itself and the standard library."""
+    """Imports of the modules of a package, but for itself and the standard library."""
     found = set()
     for path in [*(folder / name).rglob("*.py"), *(folder / "launch").glob("*.py")]:
         for node in ast.walk(ast.parse(path.read_text())):

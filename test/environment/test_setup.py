@@ -268,7 +268,7 @@ def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_comman
 
 
 def test_modules_in_the_callers_folder_name_no_packages(copy, caller):
-    """What they print was taken for packages that apt-get installs as root."""
+    """Their output was once taken for packages that apt-get installs as root."""
     copy.restrict_tools()
     copy.folder = str(caller.folder)
     copy.variables |= caller.python
@@ -369,7 +369,7 @@ def on_terminal(copy: Copy) -> tuple[subprocess.Popen[bytes], int]:
 
 
 def shown(terminal: int) -> str:
-    """What a terminal shows until no process has it any more."""
+    """Text of a terminal until no process has it any more."""
     text = ""
     with suppress(OSError):
         while data := os.read(terminal, 4096):

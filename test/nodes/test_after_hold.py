@@ -1,4 +1,4 @@
-"""What a robot does after a HOLD: it resumes what was requested last, and nothing else."""
+"""After a HOLD a robot resumes the last request, and nothing else."""
 
 import numpy as np
 import pytest

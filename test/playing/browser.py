@@ -60,7 +60,7 @@ class Browser:
         return found["result"].get("value")
 
     def text(self):
-        """What the page says."""
+        """Text of the page."""
         return self.run("document.body ? document.body.innerText : ''")
 
     def click(self, script):

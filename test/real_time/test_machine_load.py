@@ -71,7 +71,7 @@ def test_a_fixture_that_failed_on_an_overloaded_machine_is_excused_in_every_test
 
 
 def test_the_cpu_of_this_process_is_its_own():
-    """What this process uses between two readings is no one else's."""
+    """CPU time of this process between two readings counts as its own."""
     before, used = read_cpu(), own_cpu()
     while own_cpu() - used < 0.1:
         pass

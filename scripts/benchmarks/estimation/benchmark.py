@@ -173,7 +173,7 @@ def cpu_times(arrivals: Sequence[Arrival], settings: EstimatorSettings) -> tuple
 
 
 def closed_loop_rows(seeds: Sequence[int], progress: Progress) -> list[Row]:
-    """What the walk loses by a late odometry: velocity, drift to the side, tilt over 8 s.
+    """Errors of the walk with late odometry: velocity, drift to the side, tilt over 8 s.
 
     Means over the seeds; the drift alone varies by 15 % from seed to seed.
     """

@@ -21,7 +21,7 @@ SKIN = np.full((4, 4), 60, np.uint8)  # of the robot's body
 
 
 class FilmedRobot(NamedTuple):
-    """What a film shows of the robot: its torso and its legs, in odom."""
+    """The robot in a film: torso and legs in odom."""
 
     base: Transform  # of base_link
     nodes: Array  # (4, N, 3) m, centre lines

@@ -58,7 +58,7 @@ class RecordingPlant(RobotSimulator):
 
 @dataclass(frozen=True)
 class Streams:
-    """What the sensors of one walk measured, and the true motion."""
+    """Readings of the sensors in one walk, and the true motion."""
 
     readings: list[ImuReading | OdometryReading]
     stamps: NDArray[np.int64]  # (n,) ns, of the true states
@@ -102,7 +102,7 @@ def record(seed: int, duration: float) -> Streams:
 
 @dataclass(frozen=True)
 class Slam:
-    """What happens to the odometry between the camera and the estimator."""
+    """Delay, loss and errors of the odometry between camera and estimator."""
 
     delay: float = 0.0  # s, mean
     jitter: float = 0.0  # s, largest deviation of the delay

@@ -48,5 +48,5 @@ def apart(part: str, count: int) -> Outcomes:
 
 
 def checks(rows: Sequence[Row]) -> list[Check]:
-    """That no part has a fault of any kind."""
+    """Check of each part: no fault of any kind."""
     return [at_most(f"{row['part']}: {kind}", row[kind], 0) for row in rows for kind in KINDS]

@@ -78,7 +78,7 @@ def mutate(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def read_all(path: Path) -> None:
-    """What every reader of a bag does first, then its messages."""
+    """Read a bag as every command does first, then all messages."""
     bag = Bag(path)
     lines = bag.lines()
     if not all(line.isprintable() for line in lines):

@@ -46,7 +46,7 @@ TOKENS = (
     "- 1", "%TAG", "|", ">", "@", "`", "\t", "\ufeff", "\u202e", "1:2:3", "._", "0o8",
     "1__", "true", "null",
 )  # fmt: skip
-"""What is put into a file, or in the place of a value."""
+"""Contents put into a file, or in the place of a value."""
 WRONG = ("much", math.nan, [1, 2, 3, 4, 5, 6, 7], {"a": 1}, None, True, "\x1b]0;x\x07", 10**400)
 """None of them is a number."""
 
@@ -75,7 +75,7 @@ READERS: Mapping[str, Reader] = {
 
 
 def reader_of(path: Path) -> Reader | None:
-    """What reads a file of config/, by its path there; None of one that a command writes."""
+    """Reader of a file of config/, by its path there; None for a file that a command writes."""
     folder, name = path.parent.name, path.stem
     of_folder: dict[str, Reader] = {
         "gait": read_gaits,

@@ -44,7 +44,7 @@ Courses = Mapping[str, Array]
 
 
 def courses(quick: bool, motions: Motions) -> dict[str, Array]:
-    """What `draw_velocity` and `draw_top` show, by plot and policy, of the motions that there are.
+    """Curves for `draw_velocity` and `draw_top` by plot and policy, of the motions that there are.
 
     velocity: (n, 4) commanded and reached v_x, v_y, m/s; the others: (n, 4) time, x, y, yaw.
     """

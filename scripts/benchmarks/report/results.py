@@ -23,7 +23,7 @@ class ReportError(InputError):
 
 @dataclass(frozen=True)
 class Result:
-    """What a command has left in a directory."""
+    """Result of a command, read from its directory."""
 
     command: str
     origin: str  # revision and machine, or what is known of them
@@ -37,7 +37,7 @@ class Result:
 
 @dataclass(frozen=True)
 class Run:
-    """What a run, a comparison or a fit leaves in `folder` of the results."""
+    """Files of a run, a comparison or a fit in `folder` of the results."""
 
     folder: str
     title: str
@@ -81,7 +81,7 @@ def bench_command(name: str, quick: bool, options: Mapping[str, Any]) -> str:
 
 
 def read_run(directory: Path, run: Run) -> Result | None:
-    """What `run` left in its folder of `directory`; None if its first image is not there.
+    """Result of `run` in its folder of `directory`; None if its first image is not there.
 
     Raises ReportError for a damaged bag or table.
     """

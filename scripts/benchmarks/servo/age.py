@@ -104,7 +104,7 @@ def row(found: Ages, nodes: str) -> Row:
 
 
 def checks(rows: Sequence[Row]) -> list[Check]:
-    """That one process makes the commands younger, and the goals, which are the machine's too.
+    """Checks: younger commands in one process, and the goals, which depend on the machine.
 
     Without the row of a walk its checks are missed.
     """

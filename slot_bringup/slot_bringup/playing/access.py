@@ -77,7 +77,7 @@ def guarded(access: Access) -> Iterator[None]:
     serve: Any = module.serve
 
     class Guarded(serve):
-        """A server that refuses what `access` refuses."""
+        """A server that refuses the requests that `access` refuses."""
 
         def __init__(self, *args: Any, process_request: Answer, **options: Any) -> None:
             super().__init__(*args, process_request=checked(access, process_request), **options)

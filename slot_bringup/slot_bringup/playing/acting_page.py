@@ -1,4 +1,4 @@
-"""What the pages of a played robot and of a running graph share: acts, and what is said of them."""
+"""Acts of a user, common to the pages of a played robot and of a running graph, and their answers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Page(Generic[Robot]):
         self._wanted.put(act)
 
     def do_wanted(self) -> bool:
-        """Do what is wanted, if anything; what is refused is said."""
+        """Carry out the waiting acts, and report refused ones."""
         wanted = not self._wanted.empty()
         while not self._wanted.empty():
             self.said = ""
@@ -45,7 +45,7 @@ class Page(Generic[Robot]):
         return wanted
 
     def write(self, speed: str, *remarks: str) -> None:
-        """Write what the page says of the robot, in every third frame."""
+        """Write the page's text on the robot, in every third frame."""
         if self.count % WRITTEN == 0:
             shown = self.display
             lines = self._status.of(shown.newest, shown.position, [*remarks, self.said])

@@ -1,4 +1,4 @@
-"""Controls of the page: what they are called, their ranges, and what they do to the robot.
+"""Controls of the page: their names, their ranges, and their effects on the robot.
 
 Callbacks run in threads of viser, in any order; what they want is done by `do`, between two frames,
 and reads the sliders only then.
@@ -261,7 +261,7 @@ def _load(robot: PlayedRobot, mass: float) -> None:
 
 
 def on_top(robot: PlayedRobot) -> float:
-    """Height of a payload's centre above that of the torso on which it lies, m."""
+    """Height of a payload's centre above the centre of the torso on which it lies, m."""
     return robot.loop.plant.robot.parameters.torso.size[2] / 2 + PAYLOAD_RADIUS
 
 

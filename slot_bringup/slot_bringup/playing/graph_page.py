@@ -1,4 +1,4 @@
-"""The page of a running graph: the robot, what steers it, faults of its simulation, plots."""
+"""The page of a running graph: the robot, its steering, faults of its simulation, plots."""
 
 from __future__ import annotations
 

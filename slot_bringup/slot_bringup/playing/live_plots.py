@@ -50,7 +50,7 @@ class LivePlots:
             plot.advance(to_seconds(stamp - self._start))
 
     def show(self) -> None:
-        """Show what has been added."""
+        """Show the added points."""
         for plot in self._plots.values():
             plot.show()
 

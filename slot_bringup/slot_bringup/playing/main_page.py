@@ -57,7 +57,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
 
 
 def address(host: str, port: int, token: str) -> str:
-    """The page's address in the browser; that of a host which stands for all has its name."""
+    """The page's address in the browser; a host that stands for all addresses is replaced by its name."""
     if host in {"", "0.0.0.0", "::"}:
         host = socket.gethostname()
     return f"http://{host}:{port}/" + (f"?token={token}" if token else "")

@@ -38,7 +38,7 @@ class PlayPage(Page[PlayedRobot]):
     """A page that shows and drives a played robot."""
 
     def __init__(self, server: viser.ViserServer, robot: PlayedRobot, bags: Path) -> None:
-        """bags: directory for what is saved."""
+        """bags: directory for saved bags."""
         super().__init__(server, robot)
         self._bags = bags
         self._paused, self._steps = False, 0  # steps to take while paused

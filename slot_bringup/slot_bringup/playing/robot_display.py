@@ -1,4 +1,4 @@
-"""The robot in the page, its plots and what is said of it, from the messages of a run."""
+"""The robot in the page, its plots and its status text, from the messages of a run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from slot_lab.report import traces
 Named: TypeAlias = tuple[str, Any]  # topic and message
 TOPICS = tuple(dict.fromkeys((*Drawing.TOPICS, *traces.TOPICS)))
 View: TypeAlias = tuple[tuple[float, float, float], tuple[float, float, float]]
-"""Places of the camera, and of what it looks at, m."""
+"""Places of the camera, and of its target, m."""
 WIDE: View = (0.28, -0.5, 0.25), (0.0, 0.0, 0.05)
 # On a phone the panel of viser covers the lower 60 % of the page.
 TALL: View = (0.5, -0.9, 0.41), (0.0, 0.0, -0.45)
@@ -72,7 +72,7 @@ class RobotDisplay:
         return None
 
     def clear(self) -> None:
-        """Forget what was: time begins anew."""
+        """Forget all earlier messages: time begins anew."""
         self.newest.clear()
         self.view.remove("path", "reference_path")
         self._drawing = _new_drawing()

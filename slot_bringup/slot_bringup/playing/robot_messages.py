@@ -1,4 +1,4 @@
-"""Messages of the graph from what happened to a played robot: to draw it, and to save a bag."""
+"""Messages of the graph from the events of a played robot: to draw it, and to save a bag."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PACE = Pace()  # without overruns: the robot's clock waits
 
 
 def of_frame(happened: Iterable[Happened]) -> Iterator[Named]:
-    """Messages of what is drawn, from the newest value of each kind in a frame."""
+    """Messages for the drawing, from the newest value of each kind in a frame."""
     newest = {type(value): (time, value) for time, value in happened}
     for kind in DRAWN:
         if kind in newest:
@@ -72,7 +72,7 @@ _ENCODE: dict[type, Callable[[int, Any], Iterable[Named]]] = {
 
 
 def save(robot: PlayedRobot, path: Path) -> int:
-    """Save what happened to the robot as a bag; returns the number of messages.
+    """Save the events of the robot as a bag; returns the number of messages.
 
     Changes of robot and scene are named in the bag. Raises BagError.
     """

@@ -63,7 +63,7 @@ class SceneView:
             handle.visible = visible
 
     def handle(self, name: str) -> Any:
-        """What is shown as `name`, its first part."""
+        """First shown part of the object `name`."""
         return self._shown[name][0]
 
     def _show_box(self, name: str, box: Box, shown: list[Any] | None) -> None:

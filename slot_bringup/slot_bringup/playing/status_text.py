@@ -1,4 +1,4 @@
-"""What the page says of the robot: state, speed, disturbances in units of the hand."""
+"""Text of the page on the robot: state, speed, disturbances in units that a hand knows."""
 
 from __future__ import annotations
 
@@ -66,9 +66,9 @@ class StatusText:
         return lines + [f"<i>{escape(text)}</i>" for text in dict.fromkeys(remarks) if text]
 
     def of_disturbances(self, mass: float, wrench: ArrayLike, drift: ArrayLike) -> str:
-        """What the policy has found: payload in kg, tilt in deg, slip in mm/s; or that it does not.
+        """Disturbances that the policy estimates: payload (kg), tilt (deg), slip (mm/s).
 
-        The tilt is that by which the moment would turn the robot as it stands.
+        A note if it estimates none. The tilt is the one that the moment causes in a standing robot.
         """
         if not math.isfinite(mass):
             return "disturbances: none are estimated"

@@ -48,7 +48,7 @@ def _parts(value: Fraction, bits: int, count: int) -> tuple[float, ...]:
 
 
 def _arc_tangents() -> Array:
-    """(GRID + 1, 2) arc tangents of k / GRID as a float64 and what it lacks.
+    """(GRID + 1, 2) arc tangents of k / GRID as a float64 and its rounding error.
 
     atan(k / G) - atan((k - 1) / G) = atan(G / (G^2 + k (k - 1))), by Gregory's series.
     """
@@ -82,7 +82,7 @@ def _two_difference(a, b):
 
 @helper
 def _reduced(x):
-    """Multiple k of pi/2 nearest to x, and x - k pi/2 as a float64 and what it lacks."""
+    """Multiple k of pi/2 nearest to x, and x - k pi/2 as a float64 and its rounding error."""
     k = (x * TWO_OVER_PI + SHIFT) - SHIFT
     s, first = _two_difference(x - k * P1, k * P2)
     s, second = _two_difference(s, k * P3)
@@ -148,7 +148,7 @@ def _halves(a):
 
 @helper
 def _quotient(y, x):
-    """y / x as a float64 and what it lacks, 0 <= y <= x (Dekker)."""
+    """y / x as a float64 and its rounding error, 0 <= y <= x (Dekker)."""
     q = y / x
     (a, b), (c, d) = _halves(q), _halves(x)
     p = q * x
@@ -158,7 +158,7 @@ def _quotient(y, x):
 
 @helper
 def _arc_of_ratio(y, x):
-    """atan(y / x), 0 <= y <= x, as a float64 and what it lacks."""
+    """atan(y / x), 0 <= y <= x, as a float64 and its rounding error."""
     q, rest = _quotient(y, x)
     if q < SERIES_BELOW:
         k, t = 0, q
@@ -178,7 +178,7 @@ def _arc_of_ratio(y, x):
 
 @helper
 def _difference(whole, whole_rest, part, part_rest):
-    """whole - part, each a float64 and what it lacks, 0 <= part <= whole."""
+    """whole - part, each a float64 and its rounding error, 0 <= part <= whole."""
     s = whole - part
     return s, ((whole - s) - part) + (whole_rest - part_rest)
 

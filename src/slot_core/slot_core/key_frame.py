@@ -53,7 +53,7 @@ def restore(thing: Any, text: str) -> None:
 
 
 def has_state(thing: Any) -> bool:
-    """Whether the class of an object, and those of its parts, say what its state consists of."""
+    """Whether the class of an object, and the classes of its parts, declare their state."""
     state = getattr(type(thing), "STATE", None)
     if not isinstance(state, StateParts):
         return False
@@ -110,7 +110,7 @@ def _restore_part(thing: Any, plain: Any) -> None:
 
 
 def _value(plain: Any, values: dict[str, type]) -> Any:
-    """The value of what `_plain` gave; a sequence becomes a tuple."""
+    """Inverse of `_plain`; a sequence becomes a tuple."""
     if isinstance(plain, list):
         return tuple(_value(item, values) for item in plain)
     if not isinstance(plain, dict):

@@ -1,4 +1,4 @@
-"""Progress of a program's work on standard error: what it does, how far it is, what is left."""
+"""Progress of a program's work on standard error: task, share that is done, time left."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Tell = Callable[[float], object]
 
 
 def untold(*_: object) -> None:
-    """Takes what work tells that nobody watches."""
+    """Receiver of the progress of work that nobody watches."""
 
 
 class ProgressLine:
@@ -57,7 +57,7 @@ class ProgressLine:
             self._clear()
 
     def __call__(self, what: str, share: float = 0.0) -> None:
-        """Say what is being done, and which share of it is done, if that is known.
+        """Report the task, and the share of it that is done, if known.
 
         Other words with a larger share go on with the same work.
         """

@@ -15,14 +15,14 @@ CUT = " ... "
 
 
 class InputError(ValueError):
-    """What was given cannot be used; the message is one line of at most LINE_MAX characters."""
+    """An input that cannot be used; the message is one line of at most LINE_MAX characters."""
 
     def __init__(self, message: object = "") -> None:
         super().__init__(one_line(message))
 
 
 def one_line(message: object) -> str:
-    """A message, or that of an error, as one printable line; the middle of a long one is cut."""
+    """A message or an error's text as one printable line; the middle of a long one is cut."""
     text = str(message)
     if len(text) > 4 * LINE_MAX:  # what is cut away is neither split nor escaped
         text = f"{text[: 2 * LINE_MAX]}{CUT}{text[-2 * LINE_MAX :]}"

@@ -41,7 +41,7 @@ class GraphDiagnostics:
     def publish(
         self, stamp: int, make: Callable[[], list[DiagnosticStatus]], key: Hashable = None
     ) -> None:
-        """Publish what `make` returns at `stamp` (ns) if it is due."""
+        """Publish the status of `make` at `stamp` (ns) if it is due."""
         if self._last is not None:
             last, time = self._last
             if key == last and 0 <= stamp - time < PERIOD * SECOND:
@@ -61,7 +61,7 @@ class SupervisorDiagnostics:
         self._counted = TendonPlan()  # with the overruns of the last message
 
     def publish(self, stamp: int, report: Report) -> None:
-        """Publish what is known at `stamp` (ns) if it is due; at once in a new state."""
+        """Publish the diagnostics at `stamp` (ns) if they are due; at once in a new state."""
         self._diagnostics.publish(stamp, partial(self._describe, report), report.state)
 
     def with_remark(self, report: Report) -> Report:
@@ -115,7 +115,7 @@ def of_controller(plan: TendonPlan, passed: tuple[int, int]) -> DiagnosticStatus
 
 
 def of_disturbances(plan: TendonPlan, mass: float) -> DiagnosticStatus:
-    """What the policy has learned that the robot of `mass` (kg) does not explain; "": unknown."""
+    """Disturbances that the policy estimates, payload beyond `mass` (kg); "": not estimated."""
     known = 1.0 if math.isfinite(plan.mass) else math.nan  # else the policy plans nothing now
     vertical, *moment = known * np.array(plan.wrench)
     slip, turn = 1e3 * known * np.array(plan.drift[:2]), known * math.degrees(plan.drift[2])

@@ -68,12 +68,12 @@ def sensor_profile(node: Node, profile: QoSProfile) -> QoSProfile:
 
 
 def _with_number(receive: Callable[[Any, int], None]) -> Any:
-    """Callback with two arguments: rclpy passes it what is known of the message too."""
+    """Callback with two arguments, to which rclpy passes the message's metadata too."""
     return lambda message, info: receive(message, info["publication_sequence_number"])
 
 
 def take_waiting(subscription: Subscription | None) -> None:
-    """Process now what a subscription has received, before the executor would."""
+    """Process the messages that a subscription has received now, before the executor would."""
     while subscription and (
         taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)
     ):
@@ -100,7 +100,7 @@ class Polled:
         return made
 
     def take(self) -> None:
-        """Process what has been received."""
+        """Process the messages received so far."""
         for subscription in self._subscriptions:
             take_waiting(subscription)
 
@@ -136,7 +136,7 @@ def require_present_permission(message: RobotState, now: int, limit: float) -> N
 
 
 def require_sole_publisher(node: Node, topic: str, relax: Callable[[str], None]) -> None:
-    """Raise ValueError, and let the servos relax, if several nodes publish what they obey.
+    """Raise ValueError, and let the servos relax, if several nodes publish the topic.
 
     Both get one line that names the nodes. DDS lists a killed node for another 20 s.
     """

@@ -112,7 +112,7 @@ def lost_odometry(fix: NoFix) -> Odometry:
 def _odometry(
     stamp: int, position: Array, quaternion: Array, velocity: Array, rate: Array
 ) -> Odometry:
-    """Odometry without covariance; without a quaternion with that of RTAB-Map when it is lost."""
+    """Odometry without covariance; of lost odometry with the covariance of RTAB-Map."""
     message = Odometry(header=header(stamp), child_frame_id=BASE_FRAME)
     x, y, z = (float(v) for v in position)
     message.pose.pose.position = Point(x=x, y=y, z=z)
@@ -165,7 +165,7 @@ def joints_to_msg(reading: JointReading) -> JointState:
 
 
 def command_to_msg(stamp: int, angle: Array, rate: Array) -> JointState:
-    """Desired tendon angles, and the rates at which they go on until the next command."""
+    """Desired tendon angles, and the rates for their extrapolation until the next command."""
     return JointState(
         header=header(stamp, BASE_FRAME),
         name=TENDON_JOINTS,
@@ -228,7 +228,7 @@ def mounts_to_tf(*mounts: Mount) -> TFMessage:
 
 
 def _transform(head: Header, child: str, place: Transform) -> TransformStamped:
-    """Place of a frame in that of the header."""
+    """Place of a frame in the frame of the header."""
     made = TransformStamped(header=head, child_frame_id=child)
     made.transform.translation = _vector(place.position)
     made.transform.rotation = _quaternion(place.quaternion)

@@ -125,7 +125,7 @@ class RecorderNode(Node):
             self._bag.write(name, "std_msgs/msg/String", time.time_ns(), data)
 
     def destroy_node(self) -> None:
-        """Write what has arrived, close the bag, which writes its index, and destroy the node."""
+        """Write the received messages, close the bag, which writes its index, and destroy the node."""
         try:
             self._take()
             self._bag.close()

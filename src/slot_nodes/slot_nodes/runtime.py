@@ -83,7 +83,7 @@ class Interrupt:
             signal.signal(number, signal.SIG_IGN)
 
     def end_preparation(self) -> None:
-        """Raise nothing from now on, but what was raised before and dropped."""
+        """Raise an earlier interrupt that was dropped, and none from now on."""
         self._raises = self.prepares = False
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         if self.received:

@@ -179,7 +179,7 @@ class SimRobotNode(Node):
             self._publish_all(self._plant.readings_at_rest(self._now()))
 
     def _missing(self) -> str:
-        """What the first readings wait for, or ""."""
+        """Condition for which the first readings wait, or ""."""
         if self._waits_for_recorder and not self._is_recording:
             return "the recorder"
         if not self._servos.powered:

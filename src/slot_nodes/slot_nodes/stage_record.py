@@ -17,7 +17,7 @@ TAKEN_MAX = 2000  # inputs without an output after which a key frame follows
 
 
 class Recorder:
-    """Publishes the record of a stage, after what the command waits for."""
+    """Publishes the record of a stage, after the outputs for which the command waits."""
 
     def __init__(self, node: Node, stage: Any) -> None:
         """stage: object of the core whose class may have a STATE; it has taken nothing yet."""
@@ -47,7 +47,7 @@ class Recorder:
             self._afterwards(self._record)
 
     def _record(self) -> None:
-        """Publish what was taken, and a key frame if it is due or somebody new listens."""
+        """Publish the readings taken, and a key frame if it is due or a new node subscribes."""
         self._waits = False
         count = self._records.get_subscription_count()
         joined, self._subscribers = count > self._subscribers, count

@@ -75,7 +75,7 @@ class StateEstimatorNode(Node):
                 )
 
     def _publish_rest(self, estimate: Estimate) -> None:
-        """Publish what no command waits for."""
+        """Publish the outputs for which no command waits."""
         self._tf.publish(messages.state_to_tf(estimate))
         describe = partial(self._describe, estimate.validity)
         self._diagnostics.publish(estimate.stamp, describe)

@@ -143,11 +143,11 @@ class SupervisorNode(Node):
         inputs.subscribe(self, EmergencyStop, "estop", self._on_estop, qos.SENSOR)
 
     def _now(self) -> int:
-        """Time of the messages' clock, ns; in lockstep that of the last step."""
+        """Time of the messages' clock, ns; in lockstep the time of the last step."""
         return self._stepped if self._lockstep else self.get_clock().now().nanoseconds
 
     def _take(self, source: str, stamp: int, take: Callable[..., Any], *given: Any) -> Any:
-        """Take an input now, or in lockstep at its step; returns what `take` returns."""
+        """Take an input now, or in lockstep at its step; returns the result of `take`."""
         if not self._lockstep:
             return take(self._now(), *given)
         self._gathered.add(source, stamp, lambda now: take(now, *given))
@@ -247,7 +247,7 @@ class SupervisorNode(Node):
         self._send()
 
     def _send(self) -> None:
-        """In lockstep publish the state when the gait scheduler has what goes with it."""
+        """In lockstep publish the state when the gait scheduler has the gait that goes with it."""
         if self._unsent is None:
             return
         self._make_requests()
@@ -256,7 +256,7 @@ class SupervisorNode(Node):
             self._state.publish(messages.robot_state_to_msg(self._stepped, report))
 
     def _make_requests(self) -> None:
-        """Request what is wanted of the gait scheduler, as far as its services are there."""
+        """Call the gait scheduler's services for the wanted gait, as far as they are there."""
         for answer in self._answers:
             if answer.done() and not answer.result().success:
                 self.get_logger().error(f"gait_scheduler refuses: {answer.result().message}")

@@ -50,7 +50,7 @@ class TendonCommand:
     slope: Array  # (4,) N/rad, zero without a map
     angle_unclamped: Array  # (4,) rad, before the limits
     saturated: NDArray[np.bool_]  # (4,) whether the limits changed the angle
-    rate: Array  # (4,) rad/s, at which the angle goes on until the next command
+    rate: Array  # (4,) rad/s, at which the driver extrapolates the angle
 
 
 class ForceMap:

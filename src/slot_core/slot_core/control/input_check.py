@@ -1,4 +1,4 @@
-"""Checks of what a policy is given and of its time: one line on the first fault."""
+"""Checks of a policy's inputs and of its computing time: one line on the first fault."""
 
 from __future__ import annotations
 

@@ -141,7 +141,7 @@ def _require_sizes(file: Path, session: Any, expected: tuple[int, int]) -> None:
 
 @contextmanager
 def _refused(file: Path) -> Iterator[None]:
-    """Raise what the runtime raises as ConfigError."""
+    """Convert exceptions of the runtime to ConfigError."""
     try:
         yield
     except Exception as error:

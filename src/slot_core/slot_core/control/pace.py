@@ -48,6 +48,6 @@ class Speed:
         return (self._values[-1][1] - self._values[0][1]) / (now - self._values[0][0])
 
     def _drop(self, now: float) -> None:
-        """Drop what is older than the window, but the newest of it."""
+        """Drop the samples older than the window, but the newest of them."""
         while len(self._values) > 1 and now - self._values[1][0] >= self._window:
             self._values.popleft()

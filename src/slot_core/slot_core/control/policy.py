@@ -1,9 +1,9 @@
 """Policy: contract of a controller, from the estimated state and the gait's preview to a plan.
 
 `mpc_controller` runs the policy that `scripts/run --policy` names and publishes its plan;
-`force_mapper` makes the tendon angles of it (`force_map.py`). A policy of one's own is a class like
-those of `policies.py`, named there, or in a Python file that ends with `POLICY = TheClass`. A
-learned network is `onnx:FILE` (`onnx_policy.py`).
+`force_mapper` makes the tendon angles of it (`force_map.py`). A user's policy is a class like those of
+`policies.py`, named there, or in a Python file that ends with `POLICY = TheClass`. A learned
+network is `onnx:FILE` (`onnx_policy.py`).
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class TendonPlan:
     """
 
     angle: Array  # (n, 4) rad, or (0, 4)
-    rate: Array  # (4,) rad/s, at which the angles of the first stage go on until the next plan
+    rate: Array  # (4,) rad/s, rates at which the driver extrapolates the first angles until the next plan
     force: Array  # (n, 4, 3) N, predicted or planned, in odom
     status: Status = Status.SOLVED
     message: str = ""  # one line, empty if SOLVED
@@ -120,7 +120,7 @@ class Policy(Protocol):
         """Plan for an estimate and the preview of the same stamp; raises nothing for bad data."""
 
     def prepare(self) -> None:
-        """Compute ahead what the next `step` needs, once its command has been sent."""
+        """Prepare the next `step` after the command has been sent."""
 
     def reset(self) -> None:
         """Discard what was learned from earlier estimates: time has been set back."""

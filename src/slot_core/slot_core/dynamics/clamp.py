@@ -1,4 +1,4 @@
-"""The clamp of a leg: what is left of the leg's equations there, and its part of the torso's.
+"""The clamp of a leg: the remainder of the leg's equations there, and its part of the torso's.
 
 F (7 x 8) is the quadratic form over the six displacements of the clamp, the change lambda of the
 tendon's tension, and the gradient, of a planar or a spatial leg. A taut tendon adds

@@ -75,7 +75,7 @@ def advance_one_by_one(machine, steps):
 
 @helper
 def advance_contents(model, state, work, start, legs, scheme, steps):
-    """`advance` on what its handle holds; legs in lanes."""
+    """`advance` on the arrays of its handle; legs in lanes."""
     for k in range(steps):
         copy(start.buffer, state.buffer)
         for halving in range(scheme.halvings + 1):

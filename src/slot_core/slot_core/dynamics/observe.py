@@ -58,7 +58,7 @@ def _contact_point(model, state, position, velocity, leg, p):
 
 @kernel
 def ground_forces(model, state, position, velocity, force):
-    """Write force (4, 3), N, odom: what the floor exerts on each leg."""
+    """Write the force (4, 3), N, odom, of the floor on each leg."""
     force[:] = 0.0
     floor, friction = model.floor, model.friction
     for leg in range(4):

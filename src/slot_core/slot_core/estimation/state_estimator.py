@@ -8,7 +8,7 @@ the drift of the IMU over it. The filter itself is in `inertial_filter.py`.
 
     reading                        effect
     newer than the last one:       corrects when the IMU has reached it, or after `imu_wait`
-    not newer:                     dropped: repeated, or overtaken by a newer one
+    not newer:                     dropped: repeated, or out of order
     none for `odometry_wait`:      estimates continue on the IMU alone, as ODOMETRY_LOST
     none for `odometry_gap`:       estimates end; the next reading restarts the filter
     rejected, but in agreement:    after `max_rejections` of them the filter restarts

@@ -16,7 +16,7 @@ def moved(place: Array, velocity: Array, dt: float) -> Array:
 
 
 def limited(place: Array, robot: Array, lead: float, heading_lead: float) -> Array:
-    """The place (3,), at most `lead` (m) and `heading_lead` (rad) from that of the robot."""
+    """Reference place (3,), at most `lead` (m) and `heading_lead` (rad) from the robot's place."""
     gap, turn = place[:2] - robot[:2], wrapped(place[2] - robot[2])
     share = min(1.0, lead / max(norm(gap), 1e-12))
     return np.append(robot[:2] + share * gap, robot[2] + np.clip(turn, -heading_lead, heading_lead))

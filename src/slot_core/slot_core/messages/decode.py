@@ -70,7 +70,7 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
 
 
 def torso_odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
-    """As `odometry`; raises ValueError for that of another frame than base_link."""
+    """As `odometry`; raises ValueError if its child frame is not base_link."""
     if message.child_frame_id.rpartition("/")[2] != BASE_FRAME:
         frame = quoted(message.child_frame_id)
         raise ValueError(f"child_frame_id {frame}: expected {BASE_FRAME!r}")

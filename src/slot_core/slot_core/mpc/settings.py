@@ -1,4 +1,4 @@
-"""Settings of the MPC: `config/mpc.yaml`, and what the paper's policies have in their place."""
+"""Settings of the MPC: `config/mpc.yaml`, and the paper's policies in `config/mpc/`."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class MpcSettings:
 
 @dataclass(frozen=True)
 class PaperTerms:
-    """What the paper's problem (`paper_problem.py`) has beside weights and limits."""
+    """Terms of the paper's problem (`paper_problem.py`) beside weights and limits."""
 
     mass: float = quantity(
         "mass of the box, whose weight the normal forces balance", "kg", 0.1, 100

@@ -1,4 +1,4 @@
-"""Disturbance observer: what the nominal robot does not know, from its errors over a stride.
+"""Disturbance observer: drift and wrench from the errors of the nominal robot over a stride.
 
 The nominal robot repeats the motion of the last `window` ticks or a little more, a time T, with the
 commands that were given, from the torso as it was measured then. Estimates need not come at the
@@ -39,7 +39,7 @@ TILTS = [5, 0, 1]  # height, roll and pitch
 
 
 class _Seen(NamedTuple):
-    """What an estimate found."""
+    """The robot at the time of an estimate: predicted start, estimated state, commanded angles."""
 
     time: int  # ns
     start: NominalState
@@ -118,7 +118,7 @@ class DisturbanceObserver:
 
     @property
     def misfit(self) -> float:
-        """What drift and wrench leave over, in units of the scales."""
+        """Residual of the model error after drift and wrench, in units of the scales."""
         return float(np.sqrt(self._misfit.mean()))
 
 

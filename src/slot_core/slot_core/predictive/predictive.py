@@ -89,7 +89,7 @@ class Predictive(Policy):
 
     @property
     def _prediction(self) -> list[Rollouts]:
-        """What the plan is to bring, for key frames: its arrays grow with the first plan."""
+        """Predicted motion of the plan, for key frames: its arrays grow with the first plan."""
         return [self._seen]
 
     @_prediction.setter
@@ -204,7 +204,7 @@ class Predictive(Policy):
         return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
 
     def _share(self, time: int) -> float:
-        """Stages from that of the present plan to `time` (ns)."""
+        """Stages from the first one of the present plan to `time` (ns)."""
         assert self._plan is not None
         return 1e-9 * (time - self._plan.time) / self._dt
 

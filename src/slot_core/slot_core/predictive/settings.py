@@ -39,7 +39,7 @@ class CostSettings:
 
 @dataclass(frozen=True)
 class ObserverSettings:
-    """Estimates of what the simulated robot does not know; gains are per tick."""
+    """Observer of the disturbances that the nominal robot lacks; gains are per tick."""
 
     window: int = quantity("ticks over which measured and simulated motion differ", "", 2, 200)
     drift_gain: float = quantity("gain of the drift, the error of the velocity", "", 0, 1)

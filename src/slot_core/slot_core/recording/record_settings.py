@@ -1,4 +1,4 @@
-"""What is recorded: topics, and how the files of a bag are written (`config/record.yaml`)."""
+"""Recorded topics, and how the files of a bag are written (`config/record.yaml`)."""
 
 from __future__ import annotations
 

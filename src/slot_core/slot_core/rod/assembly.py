@@ -159,7 +159,7 @@ def _stretch(g, Q, bulge, before, behind, axial):
 
 @helper
 def own(mesh, work, k, inv, lever):
-    """Add to the form what belongs to segment k alone, as the one before a hinge.
+    """Add the terms of segment k alone to the form, as the segment before a hinge.
 
     Its geometric stiffness, its spin, and what is left of its inertia (`dynamics/rod.py`). Both
     hinges must have their moments.

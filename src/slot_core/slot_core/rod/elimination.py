@@ -66,7 +66,7 @@ def eliminate(mesh, work, loads, inv, shift):
 
 @helper
 def _carry(F, before):
-    """Add what is left of the hinge before."""
+    """Add the remainder of the hinge before."""
     for i in range(7):
         for j in range(i, 7):
             F[i, j] += before[4 + i, 4 + j]

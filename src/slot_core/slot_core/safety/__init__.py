@@ -1,1 +1,1 @@
-"""What may stop the robot: supervisor, conditions, watchdog and rate limiter of the servos."""
+"""Supervisor, its conditions, watchdog and rate limiter of the servos: they may stop the robot."""

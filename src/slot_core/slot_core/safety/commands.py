@@ -10,7 +10,7 @@ from slot_core.robot import LEGS, Array
 
 
 class Action(enum.Enum):
-    """What the servos do with commands."""
+    """Reaction of the servos to commands."""
 
     PASS = "pass"  # follow them, rate-limited
     HOLD = "hold"  # keep the last goals

@@ -1,8 +1,8 @@
-"""Companions: nodes without which the robot walks on, as recorder and viewer; their end is said.
+"""Optional nodes such as recorder and viewer: the robot keeps walking when one ends.
 
-The supervisor's node looks for them among the nodes that ROS has discovered. So their end is
-noticed whatever has started them, and needs no message of theirs. A node that says goodbye is gone
-at once; one that was killed stays listed until its lease ends (20 s with Fast DDS).
+The supervisor reports the end. Its node looks for them among the nodes that ROS has discovered. So their end is
+noticed whatever has started them, and needs no message of theirs. A node that leaves the graph is
+missing at once; one that was killed stays listed until its lease ends (20 s with Fast DDS).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterable
 
 
 class Companions:
-    """Those of the named nodes that were there and are gone."""
+    """Nodes that were discovered earlier and are missing now."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self._names = frozenset(names)

@@ -29,7 +29,7 @@ class EmergencyStop:
         self._sources: dict[str, _Source] = {}
 
     def receive(self, time: int, source: str, pressed: bool, leaving: bool = False) -> None:
-        """State of a source; one that is `leaving` is not missed, unless it is pressed."""
+        """State of a source; a source that is `leaving` is not missed, unless it is pressed."""
         if leaving and not pressed:
             self._sources.pop(source, None)
         else:
@@ -65,7 +65,7 @@ class EmergencyStop:
                     del self._sources[name]
 
     def forget(self, time: int, source: str) -> str:
-        """Release what a silent source has pressed, and miss it no more; or return why not."""
+        """Release the e-stop of a silent source and forget it; returns the reason of a refusal."""
         if source not in self._sources:
             known = ", ".join(self._sources) or "none"
             return f"{source}: no source of the e-stop; known: {known}"

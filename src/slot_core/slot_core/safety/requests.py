@@ -55,7 +55,7 @@ _REACHED: dict[Request, tuple[State, ...]] = {
 
 
 def no_change(request: Request, state: State) -> str:
-    """Why a request changes nothing in a state, and what comes before it; "" if it is reached."""
+    """Reason why a request has no effect in a state; "" if the state is the requested one."""
     if state in _REACHED[request]:
         return ""
     if state in _FIRST and request in (Request.READY, Request.STAND, Request.WALK):

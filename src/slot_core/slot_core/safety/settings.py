@@ -92,7 +92,7 @@ class TendonLimits:
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits below which a walk counts as one that does not move."""
+    """Limits below which the walking robot counts as stuck."""
 
     window: float = quantity("time in which torso and commands are compared", "s", 0.5, 60)
     command_min: float = quantity("least extent of a commanded angle", "rad", 0.05, 3)

@@ -41,7 +41,7 @@ from slot_core.safety.commands import Action
 
 
 class State(enum.IntEnum):
-    """State of the robot, which decides what the servos may do."""
+    """State of the robot, which decides whether the servos may move."""
 
     IDLE = 0  # torque off
     READY = 1  # under torque, without motion

@@ -1,4 +1,4 @@
-"""The supervisor: state of the robot, its reason, and what the servos are permitted to do.
+"""The supervisor: state of the robot, its reason, and the permission of the servos.
 
 States and transitions are data (`states.py`). Conditions that forbid motion come from
 `conditions.py`, damaged tendons from `tendon_watch.py`. Commands do not pass through here: the

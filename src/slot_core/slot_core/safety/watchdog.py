@@ -32,7 +32,7 @@ NO_LIMITS = "no limits of the supervisor yet"
 
 @dataclass(frozen=True)
 class Permission:
-    """What the supervisor permits the servos to do, received at `time` (ns)."""
+    """Permission of the supervisor for the servos, received at `time` (ns)."""
 
     time: int
     action: Action

@@ -1,4 +1,4 @@
-"""What a brand of servos provides: its settings, its bus, and, as it likes, emulator and tools."""
+"""A brand of servos provides its settings and its bus, optionally an emulator and tools."""
 
 from __future__ import annotations
 

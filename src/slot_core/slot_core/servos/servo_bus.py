@@ -63,14 +63,14 @@ class ServoBus(Protocol):
 
 @runtime_checkable
 class ServoMaintenance(Protocol):
-    """What a bus may offer for one servo with torque off, beside ServoBus; raises ServoError."""
+    """Optional services of a bus for one servo with torque off, beside ServoBus; raise ServoError."""
 
     def reboot(self, leg: str) -> None:
         """Restart a servo, as after a hardware error; it does not answer meanwhile."""
         ...
 
     def zero(self, leg: str, sleep: Callable[[float], None]) -> str:
-        """Take the present angle as that of a relaxed tendon, also in `config/`; returns a line.
+        """Set the zero: the tendon is relaxed at the present angle, also in `config/`; returns a line.
 
         sleep: waits for a time (s). Raises ConfigError where the zero is not possible.
         """

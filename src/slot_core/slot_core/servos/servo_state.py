@@ -1,4 +1,4 @@
-"""What a servo bus reports: its facts, the servos' status, bus cycles, torque off."""
+"""Reports of a servo bus: its facts, the servos' status, bus cycles, torque off."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slot_core.robot import Array
 
 @dataclass(frozen=True)
 class BusFacts:
-    """What does not change while a bus runs."""
+    """Properties of a bus that do not change while it runs."""
 
     brand: str  # as in BRANDS, and name of the settings in `config/`
     port: str  # device, which may not be there yet

@@ -29,7 +29,7 @@ def camera_link(mount: Mount) -> Transform:
 
 
 class CameraSensor:
-    """Renders what the camera of a scene sees; its optics and the boards are in vision.yaml."""
+    """Renders the image of a scene's camera; its optics and the boards are in vision.yaml."""
 
     def __init__(self, settings: CameraSettings, rng: np.random.Generator):
         """Raises ConfigError for a board that is not in vision.yaml, or where it is not seen."""

@@ -29,7 +29,7 @@ Settings = TypeVar("Settings")
 
 
 class _Parts(NamedTuple):
-    """What is simulated."""
+    """The simulated robot, scene and servos."""
 
     robot: RobotParameters
     scene: Scene

@@ -70,7 +70,7 @@ Reading = OdometryReading | ImageReading | ImuReading | JointReading | TrueState
 
 @dataclass(frozen=True, order=True)
 class _Event:
-    """Action due at `due` (ns); those of one instant run in the order of `number`."""
+    """Action due at `due` (ns); actions of one instant run in the order of `number`."""
 
     due: int
     number: int

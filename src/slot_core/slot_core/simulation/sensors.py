@@ -56,7 +56,7 @@ def true_odometry(sim: SimulatedRobot, stamp: int) -> OdometryReading:
 
 
 def lost_odometry(stamp: int) -> OdometryReading:
-    """What a visual SLAM publishes when it is lost: a quaternion of zeros, as RTAB-Map does."""
+    """The reading of a visual SLAM that is lost: a quaternion of zeros, as RTAB-Map publishes it."""
     return OdometryReading(stamp, np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3))
 
 

@@ -60,7 +60,7 @@ class SimulatedServos(ABC):
     @property
     @abstractmethod
     def action(self) -> Action:
-        """What the servos do with commands."""
+        """Reaction of the servos to commands."""
 
     @property
     def moving(self) -> bool:
@@ -136,7 +136,7 @@ class DirectServos(SimulatedServos):
 
     @property
     def action(self) -> Action:
-        """What the servos do with commands."""
+        """Reaction of the servos to commands."""
         return self.watchdog.action
 
     @property
@@ -223,7 +223,7 @@ class BusServos(SimulatedServos):
 
     @property
     def action(self) -> Action:
-        """What the servos do with commands: in real time HOLD until the driver moves one."""
+        """Reaction of the servos to commands: in real time HOLD until the driver moves one."""
         if self._lockstep:
             return self.session.action
         return Action.PASS if self._servos.driven() else Action.HOLD

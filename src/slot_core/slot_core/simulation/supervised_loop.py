@@ -106,7 +106,7 @@ class SupervisedLoop:
         return report
 
     def _take(self, readings: Iterable[Reading]) -> Report | None:
-        """Take readings in turn; returns the supervisor's report on that of the servos."""
+        """Take readings in turn; returns the supervisor's report on the servos' reading."""
         report = None
         for reading in readings:
             if isinstance(reading, StampedHealth):

@@ -1,4 +1,4 @@
-"""Rigid torso on massless legs: the forces of each leg are those of a leg at rest, from a table.
+"""Rigid torso on massless legs, each with the force of a leg at rest, from a table.
 
 At tendon angle theta and drop eta (foot below clamp) a leg carries the force F(theta, eta) at
 x(theta, eta) outward from the clamp, and its tendon the tension T(theta, eta). The table

@@ -61,7 +61,7 @@ class Series:
 
 
 class Bag:
-    """Reads a rosbag2 bag: a directory, or one .mcap or .db3 file; also one that was cut off.
+    """Reads a rosbag2 bag: a directory, or one .mcap or .db3 file; also a truncated file.
 
     With a `namespace` only its topics are read, named without it: /fred/odom of `fred` is /odom.
     `remap` names topics of the bag (in full) otherwise; a topic that has the new name is left out.
@@ -99,12 +99,12 @@ class Bag:
 
     @property
     def finished(self) -> bool:
-        """Whether the recording ended; else what is left of it is read."""
+        """Whether the recording ended; else its intact part is read."""
         return self._scratch is None
 
     @property
     def remark(self) -> str:
-        """A line on a recording that did not end; empty for one that did."""
+        """A line on a recording that did not end, else empty."""
         left = f"unfinished   what is left of it: {to_seconds(self.duration_ns):.2f} s"
         return "" if self.finished else left
 
@@ -113,7 +113,7 @@ class Bag:
         return [*self.origin.lines(), *filter(None, [self.remark])]
 
     def save(self, path: Path) -> None:
-        """Write what is read of the bag as a new, whole one; raises BagError."""
+        """Write the readable part of the bag as a new, whole bag; raises BagError."""
         with BagWriter(path, read_record_settings(), self.origin) as copy:
             with self._open() as readers:
                 kinds = {t: c for reader in readers for t, c in self._connections(reader)}

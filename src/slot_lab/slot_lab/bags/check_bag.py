@@ -80,9 +80,9 @@ def check_bag(
 ) -> list[StageComparison]:
     """Compare every stage of the bag, in the order of the graph.
 
-    own_policy: file of a policy of one's own, as `RecordedStages` takes it. only: nodes of the
-    stages to compare; none: all but those to `skip`, and those whose output a node of a user's own
-    has published. tell: takes the topic that is replayed.
+    own_policy: file of a user's policy, as `RecordedStages` takes it. only: nodes of the stages to
+    compare; none: all but those to `skip`, and those whose output a user's node has published.
+    tell: takes the topic that is replayed.
     Raises BagError if no stage can be compared, ConfigError if the configuration is invalid.
     """
     recorded = RecordedStages(bag, own_policy)
@@ -108,7 +108,7 @@ def check_bag(
 def _reason(
     recorded: RecordedStages, topic: str, only: Collection[str], skip: Collection[str]
 ) -> str:
-    """Why a stage is not compared though the bag may hold what it needs; else empty."""
+    """Reason why a stage is not compared though the bag may hold its inputs; else empty."""
     node = OUTPUTS[topic]
     if node in skip or (only and node not in only):
         return f"--{'only' if only else 'skip'} {' '.join(only or skip)}"

@@ -1,4 +1,4 @@
-"""What a bag holds of the controller's stages, and of their inputs and records."""
+"""The controller's stages in a bag, with their inputs and records."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ T = TypeVar("T")
 
 
 class RecordedStages:
-    """What a bag holds of the stages, read once."""
+    """The stages in a bag, read once."""
 
     def __init__(self, bag: Bag, own_policy: str = "") -> None:
         """own_policy: file of the policy, needed if the bag's policy is a file."""
@@ -113,9 +113,9 @@ class RecordedStages:
 
     @property
     def policy(self) -> str:
-        """Name of the policy, or file if it is one of one's own; the default if none is named.
+        """Name of the policy, or file of a user's policy; the default if none is named.
 
-        Raises BagError for a policy of one's own whose file is not given.
+        Raises BagError for a user's policy whose file is not given.
         """
         named = self.origin.about.get("policy", DEFAULT_POLICY)
         is_file = named.endswith(".py") or NETWORK in self.origin.files

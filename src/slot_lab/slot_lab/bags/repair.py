@@ -1,4 +1,4 @@
-"""Mends bags whose recording did not end: copies what is whole, and adds the index."""
+"""Mends bags whose recording did not end: copies the intact part, and adds the index."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MAGIC = b"\x89MCAP0\r\n"  # at both ends of a whole file
 
 
 def is_complete(file: Path) -> bool:
-    """Whether a file of a bag was finished; true of one that was never an MCAP or SQLite file."""
+    """Whether a file of a bag was finished; true if it was never an MCAP or SQLite file."""
     if file.suffix == ".db3":
         return not _log(file).exists()
     with file.open("rb") as stream:
@@ -51,7 +51,7 @@ def repaired(file: Path, directory: Path) -> Path:
 
 
 def read_origin(file: Path) -> Origin:
-    """Origin in an MCAP file, finished or not: what stands before its first chunk."""
+    """Origin in an MCAP file, finished or not: the metadata before its first chunk."""
     about, files = {}, {}
     for record in _whole_records(file, emit_chunks=True):
         if isinstance(record, Metadata) and record.name == ORIGIN:
@@ -64,7 +64,7 @@ def read_origin(file: Path) -> Origin:
 
 
 def _whole_records(file: Path, emit_chunks: bool = False) -> Iterator[Any]:
-    """Records up to the first one that is cut off or damaged."""
+    """Records up to the first truncated or damaged one."""
     with file.open("rb") as stream:
         records = StreamReader(stream, emit_chunks=emit_chunks, validate_crcs=True).records
         while True:

@@ -1,4 +1,4 @@
-"""Replays a bag: runs the controller on the recorded sensor data and compares what it gives.
+"""Replays a bag: runs the controller on the recorded sensor data and compares its outputs.
 
 No ROS is needed. Each replayed stage gets the recorded input of its node, so the first difference
 names the stage that has changed: `/odom` and `/imu` go to the state estimator, recorded states to

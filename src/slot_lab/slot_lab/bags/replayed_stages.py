@@ -33,7 +33,7 @@ Fields = dict[str, Any]
 
 @dataclass
 class Replayed:
-    """What a stage gives, and what of its recorded output cannot be compared with it."""
+    """Output of a replayed stage, and the recorded outputs that cannot be compared with it."""
 
     fields: dict[int, Fields] = field(default_factory=dict)  # by stamp, ns
     unknown: set[int] = field(default_factory=set)  # stamps, ns, of a state that is not known
@@ -114,7 +114,7 @@ def _take_next(estimator: StateEstimator | None, topic: str, waiting: deque[Any]
 
 
 def _take(estimator: StateEstimator | None, topic: str, message: Any) -> None:
-    """Let the estimator take a message; raises ValueError for one that its node refuses."""
+    """Let the estimator take a message; raises ValueError if its node refuses it."""
     if topic == ODOMETRY:
         odometry = decode.torso_odometry(message)
         if estimator is not None:

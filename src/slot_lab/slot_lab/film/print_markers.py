@@ -30,7 +30,7 @@ def print_sheet(what: str, out: Path, dpi: int) -> str:
 
 
 def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
-    """What is printed, `dots` px per m; raises ConfigError for an unknown name."""
+    """Image of a sheet, `dots` px per m; raises ConfigError for an unknown name."""
     number = settings.dictionary_number
     if what == "chessboard":
         board = settings.chessboard

@@ -51,7 +51,7 @@ class Tracks:
 
     @property
     def warnings(self) -> list[str]:
-        """What limits their use, one line each."""
+        """Limits to the use of the tracks, one line each."""
         if self.camera_motion <= MOVED:
             return self.notes
         moved = f"the board by {self.camera_motion:.1f} px, limit {MOVED:g} px"

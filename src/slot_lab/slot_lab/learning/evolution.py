@@ -61,7 +61,7 @@ class Walks(NamedTuple):
 
 
 class Generation(NamedTuple):
-    """What is known after a generation."""
+    """Result of one generation."""
 
     generation: int
     steps: int  # of the environment so far
@@ -104,7 +104,7 @@ def spread(client: Any, parts: int) -> Callable[[Walks], Array]:
 
 @contextmanager
 def trials(scheduler: str) -> Iterator[Callable[[Walks], Array]]:
-    """What tries networks: `returns`, or the workers of the scheduler at an address."""
+    """Function that evaluates networks: `returns`, or workers of the scheduler at an address."""
     if not scheduler:
         yield returns
         return
@@ -115,7 +115,7 @@ def trials(scheduler: str) -> Iterator[Callable[[Walks], Array]]:
 def learn(
     task: Task, evolution: Evolution, evaluate: Callable[[Walks], Array] = returns
 ) -> Iterator[Generation]:
-    """What is known every `test_every` generations; the first network's actions are zero."""
+    """Yield the result of every `test_every`-th generation; the first network's actions are zero."""
     e, size = evolution, shape_of(task).size
     rng, centre, moments = np.random.default_rng(e.seed), np.zeros(size), np.zeros((2, size))
     best, most, mean = centre.copy(), -np.inf, np.nan

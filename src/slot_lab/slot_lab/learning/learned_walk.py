@@ -26,7 +26,7 @@ SEEDS = (1, 2, 3)  # of the sensors' noise
 
 
 class StraightWalk(NamedTuple):
-    """How far a walk is from the one that was commanded."""
+    """Distance of a walk from the commanded one."""
 
     speed: float  # m/s, error of the mean after WARM_UP
     aside: float  # m, largest |y|

@@ -38,7 +38,7 @@ WEIGHTS = {
 
 
 class Walked(NamedTuple):
-    """What happened in a step, of M robots."""
+    """One step of M robots, as the reward needs it."""
 
     state: Array  # (M, 12) as in `Estimate`
     faster: Array  # (M,) m/s, than the course

@@ -1,4 +1,4 @@
-"""Task of a learner: which robot walks where, what it sees and does, and what is drawn at a reset.
+"""Task of a learner: robot, scene, observations, actions, and the random draws of a reset.
 
 What is drawn are settings of the scene or the servos by dotted name, as `scene.floor.friction`, and
 the commanded `velocity`, each uniformly between two ends. Ends that are numbers set all values of

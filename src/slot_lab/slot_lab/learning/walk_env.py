@@ -94,7 +94,7 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         return self._observed(), reward, down, self._ticks >= self._limit and not down, terms
 
     def _walked(self, taken: Array, state: Array) -> Walked:
-        """What the reward is about after an action (1, n) that has led to a state (1, 12)."""
+        """The step for the reward: an action (1, n) that has led to a state (1, 12)."""
         assert self._loop is not None
         course = self._course
         return Walked(

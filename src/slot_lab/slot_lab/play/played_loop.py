@@ -25,7 +25,7 @@ Keep = Callable[[int, Any], None]
 
 @dataclass
 class Wishes:
-    """What the robot is to do; legs FL FR RL RR."""
+    """Requests of the player to the robot; legs FL FR RL RR."""
 
     gait: str = STAND
     velocity: Array = field(default_factory=lambda: np.zeros(3))  # v_x, v_y m/s, yaw rate rad/s

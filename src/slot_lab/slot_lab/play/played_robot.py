@@ -1,4 +1,4 @@
-"""The robot as it is played with: its loop, changes of robot and scene, pushes, and what happened.
+"""The robot as it is played with: its loop, changes of robot and scene, pushes, and events.
 
 The clock is the robot's: `advance` moves it on by a frame, however long that takes.
 """
@@ -136,7 +136,7 @@ class PlayedRobot:
 
     @property
     def model(self) -> Model:
-        """What is simulated now."""
+        """Model of the simulated robot as it is now."""
         robot = self.loop.plant.robot
         assert isinstance(robot, RodRobot)
         return robot.model

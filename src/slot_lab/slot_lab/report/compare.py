@@ -1,4 +1,4 @@
-"""Compares two runs: what made them, and every figure of their summaries side by side.
+"""Compares two runs: their origins, and every figure of their summaries side by side.
 
 First what differs in revision, policy, arguments, attached files and the values of the
 configuration, then the figures, named as in `walk_metrics`: those of the first bag, those of the
@@ -137,7 +137,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _compare(
     bags: tuple[Bag, Bag], options: argparse.Namespace, progress: ProgressLine
 ) -> tuple[list[str], list[str]]:
-    """Lines on what differs, and on what is beyond the tolerances."""
+    """Lines on the differences, and on the figures beyond the tolerances."""
     from slot_core.dynamics.servo import read_servo  # noqa: PLC0415 - heavy
     from slot_core.recording.record_settings import read_record_settings  # noqa: PLC0415
     from slot_lab.report.figures import figures  # noqa: PLC0415

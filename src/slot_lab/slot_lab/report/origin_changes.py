@@ -1,4 +1,4 @@
-"""What differs between the origins of two bags: revision, policy, arguments, configuration."""
+"""Differences between the origins of two bags: revision, policy, arguments, configuration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WIDTH = 24  # of the names
 
 
 def origin_lines(first: Bag, second: Bag) -> list[str]:
-    """Lines on revision, policy and what else of the origins differs."""
+    """Lines on revision, policy and other differences of the origins."""
     a, b = _about(first), _about(second)
     names = dict.fromkeys(["revision", "policy", *a, *b])
     changed = [name for name in names if a.get(name) != b.get(name)]
@@ -69,7 +69,7 @@ def _file_lines(first: Origin, second: Origin) -> list[str]:
 
 
 def _states(then: bytes | None, now: bytes | None) -> tuple[str, str]:
-    """What is said of two files that are not equal."""
+    """Words for two files that are not equal."""
     if then is not None and now is not None:
         return "one file", "another one"
     return ("-", "a file") if then is None else ("a file", "-")

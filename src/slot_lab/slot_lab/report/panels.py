@@ -133,7 +133,7 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
 
 
 def draw_disturbance(ax: Axes, bag: Bag, start: float) -> None:
-    """What the policy has found that its model lacks: payload, slip and turning."""
+    """Draw the disturbances that the policy estimates: payload, slip and turning."""
     if bag.counts.get("/tendon_plan"):
         with suppress(NoFieldError):  # a bag from before there was an observer
             series = bag.series("/tendon_plan", "wrench", "drift")

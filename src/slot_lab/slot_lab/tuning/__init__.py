@@ -1,1 +1,1 @@
-"""Search of strides on the simulated robot, and identification of what a stride does."""
+"""Search of strides on the simulated robot, and identification of a stride's motion."""

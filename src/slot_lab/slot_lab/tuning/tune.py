@@ -1,4 +1,4 @@
-"""Search of a stride on the simulated robot: its stages, and what they write."""
+"""Search of a stride on the simulated robot: its stages, and their files."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def fit_lines(found: TwinFit) -> list[str]:
 
 
 def undetermined(names: tuple[str, ...], result: ParameterEstimate) -> list[str]:
-    """What the data do not determine: parameters, and pairs of which they give a combination."""
+    """Parameters that the data do not determine, and pairs of which they give only a combination."""
     out = [n for n, low in zip(names, result.interval[:, 0]) if math.isnan(low)]
     for i, row in enumerate(result.correlation):
         for j in range(i):

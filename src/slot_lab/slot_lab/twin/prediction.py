@@ -123,7 +123,7 @@ def predict(
 
 
 def _imposed(servo: ServoSettings, hold: float) -> ServoSettings:
-    """A servo whose spool follows what it is given."""
+    """A servo whose spool follows given angles."""
     changes = {"model": "ideal", "ideal_rpm": FREE_RPM, "lag": hold / 2, "backlash_deg": 0.0}
     return config.replace(servo, changes)
 

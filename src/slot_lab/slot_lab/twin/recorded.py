@@ -31,7 +31,7 @@ COLUMNS = ("time", *LEGS, *POSE)
 
 @dataclass(frozen=True)
 class BagRecording:
-    """What a recording says about a walk: tendon angles and motion."""
+    """A walk in a recording: tendon angles and motion."""
 
     name: str
     angles: TendonAngles
@@ -40,7 +40,7 @@ class BagRecording:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Begin and end of what both cover, s of graph time."""
+        """Begin and end of the time that both cover, s of graph time."""
         t, moved = self.angles.t, self.motion.t
         return max(float(t[0]), float(moved[0])), min(float(t[-1]), float(moved[-1]))
 

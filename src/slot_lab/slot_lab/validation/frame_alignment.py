@@ -1,4 +1,4 @@
-"""Alignment of a measurement's frame with that of a run.
+"""Alignment of a measurement's frame with the frame of a run.
 
 The rotation R and shift d minimise sum |R m_i + d - r_i|^2 over the samples of all points
 (W. Kabsch, Acta Cryst. A 34, 1978, 827; det R = 1). What is free:

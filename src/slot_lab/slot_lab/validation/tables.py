@@ -33,7 +33,7 @@ def report(comparison: Comparison, frame: str) -> list[str]:
 
 
 def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
-    """Alignment in time and space, and what it leaves open."""
+    """Alignment in time and space, and its ambiguities."""
     time, placed = comparison.time, comparison.frame
     turned = np.degrees(Rotation.from_matrix(placed.rotation).as_rotvec())
     lines = [

@@ -1,4 +1,4 @@
-"""Alignment of a measurement's clock with that of a run.
+"""Alignment of a measurement's clock with the clock of a run.
 
     t_run = offset + (1 + drift) t_measurement
 

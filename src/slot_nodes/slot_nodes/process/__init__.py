@@ -1,1 +1,1 @@
-"""What runs the nodes of a process: executor, intra-process communication, composition."""
+"""Nodes of a process: executor, intra-process communication, composition."""

@@ -80,7 +80,7 @@ class Mailbox:
         self._later.append(act)
 
     def deliver(self) -> None:
-        """Deliver at most DELIVERIES_MAX messages, the newest ones last; then do what was put off.
+        """Deliver at most DELIVERIES_MAX messages, the newest ones last; then run the postponed calls.
 
         What a node publishes meanwhile is delivered too.
         """
@@ -129,7 +129,7 @@ _present: Mailbox | None = None
 
 
 def afterwards() -> Callable[[Callable[[], None]], None]:
-    """For a node that is being made: a function that does what is not urgent.
+    """For a node under construction: a function that postpones calls that are not urgent.
 
     It waits until the nodes of the process have answered what was published; a node that is alone
     in its process does it at once.

@@ -12,7 +12,7 @@ from slot_core.dynamics.spatial.hinge import Symmetric
 
 
 class Form(NamedTuple):
-    """Quadratic form over (X, Phi, lambda | 1) of what lies beyond a node."""
+    """Quadratic form over (X, Phi, lambda | 1) of the leg beyond a node."""
 
     place: Symmetric  # over X
     x: tuple[float, float, float]  # rows X of the coupling to Phi

@@ -47,7 +47,7 @@ class MemoryPort(SerialPort):
         return len(packet)
 
     def isPacketTimeout(self) -> bool:  # noqa: N802
-        """Whether no answer is left: answers are there at once or never."""
+        """True if the receive buffer is empty; the emulated bus answers immediately."""
         if not self._answers:
             self.packet_timeout = 0.0
         return not self._answers

@@ -1,4 +1,4 @@
-"""What a page shows of a run, sampled at its frames, and its form in the page.
+"""A run sampled at the frames of its page, and its encoding in the page.
 
 A frame is a recorded state of the simulated legs; without them, an estimated state. Columns of
 numbers are rounded to multiples of a step. What is stored are the differences of these integers

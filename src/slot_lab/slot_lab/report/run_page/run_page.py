@@ -53,7 +53,7 @@ def _thinned(run: RunFrames) -> str:
 
 
 def content(runs: Sequence[RunFrames], robot: RobotParameters) -> dict[str, Any]:
-    """What a page shows."""
+    """Data of a page: robot, plots and runs."""
     held = {name for run in runs for name in run.columns}
     plots = [
         {
