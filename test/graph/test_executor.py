@@ -63,7 +63,7 @@ def test_a_slow_reader_in_the_process_gets_the_newest_of_all_that_wait(node):
 def test_polled_messages_wake_the_node_only_while_they_are_awaited(node):
     """Else it waits its whole time beside a message; rclpy's executor may take it with others."""
     received = []
-    polled = inputs.Polled(node)
+    polled = inputs.PassiveSubscriptions(node)
     polled.subscribe(Int32, "polled", lambda message: received.append(message.data), qos.CONTROL)
     publisher = node.create_publisher(Int32, "polled", qos.CONTROL)
 
@@ -76,7 +76,7 @@ def test_polled_messages_wake_the_node_only_while_they_are_awaited(node):
     last = next(number for number in range(20) if sleeps(number))
     while last not in received:
         polled.take()
-    polled.await_next(True)
+    polled.wake_on_message(True)
     publisher.publish(Int32(data=last + 1))
     spin_until(node, lambda: last + 1 in received)
     assert received == list(range(last + 2))

@@ -167,7 +167,7 @@ def test_a_wrong_task_is_refused_with_name_value_and_limit(arguments, named):
 def test_speed_place_and_heading_off_the_course_cost(strayed, term, value):
     values = [np.array([value]) for value in strayed]
     rest = np.zeros((1, 12)), *values, np.zeros((1, 2)), np.zeros((1, 4)), np.zeros((1, 3))
-    terms = rewards.reward_terms(rewards.Walked(*rest))
+    terms = rewards.reward_terms(rewards.Transition(*rest))
     expected = dict.fromkeys(rewards.WEIGHTS, 0.0) | {"walking": 1.0, term: value}
     assert terms == pytest.approx(expected, abs=1e-9)
 

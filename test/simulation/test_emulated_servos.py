@@ -16,7 +16,7 @@ from slot_core.faults import Fault
 from slot_core.robot import read_robot
 from slot_core.servos.registry import read_brand
 from slot_core.servos.session import ServoSession
-from slot_core.simulation.plant import RobotSimulator, immediate_servo
+from slot_core.simulation.plant import RobotSimulator, ideal_servo
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 ROBOT = read_robot()
@@ -80,7 +80,7 @@ def test_joint_readings_come_only_from_the_driver(plant):
 def test_backlash_is_refused():
     servo = dataclasses.replace(read_servo(), backlash_deg=1.0)
     with pytest.raises(ConfigError, match=r"backlash_deg = 1\.0: emulated servos have none"):
-        immediate_servo(servo, 0.001)
+        ideal_servo(servo, 0.001)
 
 
 def test_spool_angles_stay_within_the_range_of_the_tendons(plant):

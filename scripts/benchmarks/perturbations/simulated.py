@@ -40,7 +40,7 @@ NOISE_FIELDS = ("position_noise", "orientation_noise", "velocity_noise", "rate_n
 
 
 @dataclass(frozen=True)
-class Realised:
+class RealisedCase:
     """A case as inputs of the simulated robot."""
 
     start_angle_deg: float  # tendon angle while it settles
@@ -48,12 +48,12 @@ class Realised:
     speed: float  # m/s added to v_x
 
 
-def realise(change: Mapping[int, float], start_angle_deg: float) -> Realised:
+def realise(change: Mapping[int, float], start_angle_deg: float) -> RealisedCase:
     """Inputs of a case; `start_angle_deg` is the tendon angle at the reference height."""
     angle = lowest_angle(change[P_Z]) if P_Z in change else start_angle_deg
     moment = (pulse(ROLL, change.get(ROLL, 0.0)), pulse(PITCH, change.get(PITCH, 0.0)))
     speed = change[V_X] - SPEED if V_X in change else 0.0
-    return Realised(angle, moment, speed)
+    return RealisedCase(angle, moment, speed)
 
 
 @functools.cache
@@ -78,7 +78,7 @@ def pulse(axis: int, angle: float) -> float:
 
     def beyond(moment: float) -> float:
         moments = (moment, 0.0) if axis == ROLL else (0.0, moment)
-        realised = Realised(read_scene("flat").start.tendon_angle_deg, moments, 0.0)
+        realised = RealisedCase(read_scene("flat").start.tendon_angle_deg, moments, 0.0)
         rpy = states(realised, quiet(), TRIAL)[0][:, :3]
         return float(rpy[:, axis].max()) - angle
 
@@ -92,7 +92,7 @@ def quiet(noise: float = 0.0) -> Scene:
     return config.replace(read_scene("flat"), odometry | {f"sensors.imu.{n}": 0.0 for n in imu})
 
 
-def states(realised: Realised, scene: Scene, duration: float) -> tuple[Array, list[float], int]:
+def states(realised: RealisedCase, scene: Scene, duration: float) -> tuple[Array, list[float], int]:
     """(n, 12) true states at the ticks, costs of the MPC, number of steps without a solution."""
     scene = config.replace(scene, {"start.tendon_angle_deg": realised.start_angle_deg})
     loop = ClosedLoop("flat", "stand", np.zeros(3), SEED)

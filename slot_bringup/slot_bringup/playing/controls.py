@@ -45,7 +45,7 @@ class Range:
     start: float
 
 
-class Driven(Protocol):
+class DrivableRobot(Protocol):
     """Robot of the panel Drive."""
 
     def set_gait(self, gait: str) -> None:
@@ -64,7 +64,7 @@ class Driven(Protocol):
         """Make a request to the supervisor."""
 
 
-def add_drive(gui: viser.GuiApi, do: Do[Driven], start: str = STAND) -> None:
+def add_drive(gui: viser.GuiApi, do: Do[DrivableRobot], start: str = STAND) -> None:
     """Gait, of which `start` is the present one, velocity, pose; requests to the supervisor."""
     gaits = read_gaits()
     gait: Any = gui.add_dropdown("gait", tuple(gaits.gaits), initial_value=start)
@@ -99,7 +99,7 @@ def add_drive(gui: viser.GuiApi, do: Do[Driven], start: str = STAND) -> None:
 
 
 STAND_UP, RESET = "stand up", "reset e-stop or fault"
-REQUESTS: dict[str, Act[Driven]] = {
+REQUESTS: dict[str, Act[DrivableRobot]] = {
     STAND_UP: lambda r: r.stand_up(),
     "relax": lambda r: r.request(Request.RELAX),
     "e-stop": lambda r: r.request(Request.ESTOP),
@@ -155,7 +155,7 @@ def add_key(
     gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(lambda _: act())
 
 
-def _add_pose(gui: viser.GuiApi, do: Do[Driven]) -> tuple[Any, Any, Any]:
+def _add_pose(gui: viser.GuiApi, do: Do[DrivableRobot]) -> tuple[Any, Any, Any]:
     """Height, roll and pitch; returns their sliders."""
     gaits = read_gaits()
     reached = [each.height_range for each in gaits.gaits.values()]
@@ -166,7 +166,7 @@ def _add_pose(gui: viser.GuiApi, do: Do[Driven]) -> tuple[Any, Any, Any]:
     height = _slider(gui, "height (mm)", Range(low, high, 1.0, start))
     roll, pitch = (_slider(gui, f"{n} (deg)", Range(-tilt, tilt, 0.1, 0.0)) for n in ANGLES)
 
-    def take(robot: Driven) -> None:
+    def take(robot: DrivableRobot) -> None:
         z, *tilts = _values((height, roll, pitch))
         robot.set_pose(None if own.value else np.array([1e-3 * z, *np.radians(tilts)]))
 

@@ -25,7 +25,7 @@ class ForceMapperNode(Node):
         self._inputs = TimeSynchronizer("plan", "preview", "state")
         self._angles = runtime.publisher(self, JointState, "desired_joint_angles", qos.CONTROL)
         self._status = runtime.publisher(self, ForceMapStatus, "force_map/status", qos.CONTROL)
-        self._polled = inputs.Polled(self)  # they come before their plan
+        self._polled = inputs.PassiveSubscriptions(self)  # they come before their plan
         self._polled.subscribe(MpcState, "mpc_state", self._on_state, qos.CONTROL)
         self._polled.subscribe(GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
         inputs.subscribe(self, TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL)
@@ -48,7 +48,7 @@ class ForceMapperNode(Node):
         self._command(stamp, self._inputs.add("plan", stamp, plan))
 
     def _command(self, stamp: int, matched: tuple | None) -> None:
-        self._polled.await_next(matched is None)
+        self._polled.wake_on_message(matched is None)
         if matched is None:
             return
         command = self._map.step(*matched)

@@ -36,7 +36,7 @@ def subscribe(
     """Subscribe; a ValueError of the callback drops the message and is logged once a second.
 
     overridable: whether parameters can override the quality of service. numbered: whether the
-    callback also gets the number of the message on its topic. group: see `Polled`. Returns None for
+    callback also gets the number of the message on its topic. group: see `PassiveSubscriptions`. Returns None for
     a topic that a node of the same process publishes: its messages come without DDS. Where that
     node is made later, the subscription that is returned is destroyed then.
     """
@@ -72,7 +72,7 @@ def _with_number(receive: Callable[[Any, int], None]) -> Any:
     return lambda message, info: receive(message, info["publication_sequence_number"])
 
 
-def take_waiting(subscription: Subscription | None) -> None:
+def process_received(subscription: Subscription | None) -> None:
     """Process the messages that a subscription has received now, before the executor would."""
     while subscription and (
         taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)
@@ -80,7 +80,7 @@ def take_waiting(subscription: Subscription | None) -> None:
         subscription.callback(taken[0])
 
 
-class Polled:
+class PassiveSubscriptions:
     """Subscriptions whose messages do not wake the node: it processes them when it calls `take`.
 
     A node that only needs them with another message, or with its next step, leaves the processor to
@@ -102,9 +102,9 @@ class Polled:
     def take(self) -> None:
         """Process the messages received so far."""
         for subscription in self._subscriptions:
-            take_waiting(subscription)
+            process_received(subscription)
 
-    def await_next(self, awaited: bool) -> None:
+    def wake_on_message(self, awaited: bool) -> None:
         """Let the node wake for the messages while they are `awaited`."""
         self._group.awaited = awaited
 

@@ -58,7 +58,7 @@ class StateEstimatorNode(Node):
     def _on_odometry(self, message: Odometry) -> None:
         """Correct with a reading, after the IMU samples that arrived with it."""
         reading = decode.torso_odometry(message)
-        inputs.take_waiting(self._imu)
+        inputs.process_received(self._imu)
         self._record.take(StageRecord.ODOMETRY, reading[0])
         self._estimator.add_odometry(*reading)
         self._publish()

@@ -84,8 +84,8 @@ class SupervisorNode(Node):
         self._answers: list[Future] = []  # that are awaited
         self._awaited: tuple[int, Health] | None = None  # in lockstep, report to step on
         self._unsent: Report | None = None  # in lockstep, until it is published
-        self._polled = inputs.Polled(self)  # at each step
-        self._polled.await_next(self._lockstep)
+        self._polled = inputs.PassiveSubscriptions(self)  # at each step
+        self._polled.wake_on_message(self._lockstep)
         self._hears_controller = False
         if self._lockstep:
             self._subscribe_to_controller()
@@ -237,7 +237,7 @@ class SupervisorNode(Node):
         if self._awaited is None:
             return
         stamp, health = self._awaited
-        inputs.take_waiting(self._joints)  # published before the report
+        inputs.process_received(self._joints)  # published before the report
         if not self._gathered.are_complete(health):
             return
         self._awaited, self._stepped = None, stamp

@@ -316,22 +316,22 @@ class GaitScheduler:
         """Blend (n, 20) of the previous and the present gait at velocities (n, 3)."""
         elapsed = self._since_change + times
         weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[:, None]
-        current = self._course(self._current, times, velocity)
+        current = self._table_ahead(self._current, times, velocity)
         if weight.min() == 1.0:
             return current
-        return (1 - weight) * self._course(self._previous, times, velocity) + weight * current
+        return (1 - weight) * self._table_ahead(self._previous, times, velocity) + weight * current
 
-    def _course(self, active: _Active, times: Array, velocity: Array) -> Array:
+    def _table_ahead(self, active: _Active, times: Array, velocity: Array) -> Array:
         """Angles, normal forces and torso states (n, 20) of a gait at `times` (s) ahead."""
         if isinstance(active, _ActiveStride):
-            return self._stride_course(active, times, velocity)
+            return self._stride_table_ahead(active, times, velocity)
         if active.gait.loaded:
             return self._posture_course(times)
         slack = np.zeros((len(times), 20))
         slack[:, 13] = self._pose[0]
         return slack
 
-    def _stride_course(self, active: _ActiveStride, times: Array, velocity: Array) -> Array:
+    def _stride_table_ahead(self, active: _ActiveStride, times: Array, velocity: Array) -> Array:
         """Course (n, 20) of a stride that moves, stands on its centre, or changes between both."""
         gait, moving = active.gait, self._moving_after(active, times)[:, None]
         if moving.max() == 0.0:

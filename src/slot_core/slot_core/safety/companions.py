@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 
-class Companions:
+class OptionalNodes:
     """Nodes that were discovered earlier and are missing now."""
 
     def __init__(self, names: Iterable[str]) -> None:

@@ -18,7 +18,7 @@ from slot_core.clock import SECOND, to_seconds
 from slot_core.estimation.estimate import Estimate
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.safety.commands import AT_REST, Action, command_fault
-from slot_core.safety.companions import Companions
+from slot_core.safety.companions import OptionalNodes
 from slot_core.safety.conditions import Conditions
 from slot_core.safety.motion_watch import MotionWatch
 from slot_core.safety.requests import FORBIDDEN_BY, OPERATOR, Request, no_change
@@ -68,7 +68,7 @@ class Supervisor:
         settings.gate.check_ramp(robot.tendon.angle_max)
         self._robot, self._settings, self._watch = robot, settings, watch
         self._inputs = Conditions(settings)
-        self._companions = Companions(settings.companions)
+        self._companions = OptionalNodes(settings.companions)
         self._motion = MotionWatch(settings.motion)
         self._clock = SteadyClock(settings.timing.clock_jump)
         self._newest: dict[str, int] = {}  # ns, stamp of each input

@@ -108,7 +108,7 @@ def make_robot(robot: RobotParameters, scene: Scene, servo: ServoSettings) -> Si
     return MODELS[scene.solver.legs](robot, scene, servo)
 
 
-def immediate_servo(servo: ServoSettings, step: float) -> ServoSettings:
+def ideal_servo(servo: ServoSettings, step: float) -> ServoSettings:
     """Ideal servo that reaches its command within one step (s); raises ConfigError on backlash."""
     if servo.backlash_deg:
         raise ConfigError(
@@ -139,7 +139,7 @@ class RobotSimulator:
     ):
         """`emulate`: makes the emulated servos, if there are any; their torque is off."""
         odometry_rng, imu_rng, trouble_rng, camera_rng = rng.spawn(4)
-        driven = servo if emulate is None else immediate_servo(servo, scene.solver.step)
+        driven = servo if emulate is None else ideal_servo(servo, scene.solver.step)
         self.robot = make_robot(robot, scene, driven)
         bring_to_rest(self.robot)
         self.emulated: EmulatedServos | None = None

@@ -228,7 +228,7 @@ class Bag:
     def _find_files(self) -> tuple[list[Path], Mapping[str, str]]:
         """Whole files of the bag, mended where needed, and the custom data of metadata.yaml."""
         if not self.path.is_dir():
-            return [self._whole(self.path)], {}
+            return [self._intact(self.path)], {}
         metadata = self.path / "metadata.yaml"
         if not metadata.exists():
             found = sorted(p for p in self.path.iterdir() if p.suffix in STORAGES)
@@ -236,7 +236,7 @@ class Bag:
                 raise BagError(
                     f"{self.path}: holds no metadata.yaml, .mcap or .db3 file: not a bag"
                 )
-            files = [self._whole(file) for file in found]
+            files = [self._intact(file) for file in found]
             self._scratch = self._scratch or TemporaryDirectory()  # it did not end, even if whole
             return files, {}
         content = config.parse(read_text(metadata, METADATA_MAX))
@@ -247,9 +247,9 @@ class Bag:
             for file in listed:
                 require_regular(file)
             return [self.path], custom  # the library unpacks it
-        return [self._whole(file) for file in listed], custom
+        return [self._intact(file) for file in listed], custom
 
-    def _whole(self, file: Path) -> Path:
+    def _intact(self, file: Path) -> Path:
         """The file, or a mended copy if its recording did not end; raises ValueError for a pipe."""
         require_regular(file)
         if is_complete(file):

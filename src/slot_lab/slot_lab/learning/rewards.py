@@ -37,7 +37,7 @@ WEIGHTS = {
 }  # fmt: skip
 
 
-class Walked(NamedTuple):
+class Transition(NamedTuple):
     """One step of M robots, as the reward needs it."""
 
     state: Array  # (M, 12) as in `Estimate`
@@ -49,7 +49,7 @@ class Walked(NamedTuple):
     change: Array  # (M, n) of the action
 
 
-def reward_terms(walked: Walked) -> dict[str, Array]:
+def reward_terms(walked: Transition) -> dict[str, Array]:
     """Terms (M,) by name; a robot that has fallen gives zeros."""
     state = walked.state
     terms = {

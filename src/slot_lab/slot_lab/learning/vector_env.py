@@ -28,7 +28,7 @@ from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
 from slot_core.simulation.plant import make_robot
 from slot_lab.learning.course import Course
 from slot_lab.learning.gait_clock import GaitClock
-from slot_lab.learning.rewards import Walked, fallen, reward_terms, total
+from slot_lab.learning.rewards import Transition, fallen, reward_terms, total
 from slot_lab.learning.spaces import action_space, observation_space, servo_error
 from slot_lab.learning.task import Task, make_task
 
@@ -110,7 +110,7 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         state, torque = motion[:, STATE], motion[:, TENSION] * task.robot.tendon.spool_radius
         tilt, change = clock.reference[:, :2], action - self._action
         strayed = course.faster, course.aside, course.turn
-        walked = Walked(state, *strayed, tilt, torque, change)
+        walked = Transition(state, *strayed, tilt, torque, change)
         terms, self._action = reward_terms(walked), action
         self._ticks += 1
         terminated, truncated = fallen(state), self._ticks >= self._limit

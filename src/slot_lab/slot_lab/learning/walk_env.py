@@ -26,7 +26,7 @@ from slot_core.joint_reading import JointReading
 from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.learning.course import Course
-from slot_lab.learning.rewards import Walked, fallen, reward_terms, total
+from slot_lab.learning.rewards import Transition, fallen, reward_terms, total
 from slot_lab.learning.spaces import action_space, observation_space, servo_error
 from slot_lab.learning.task import Task, make_task
 
@@ -93,11 +93,11 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         terms = {name: float(value[0]) for name, value in found.items()}
         return self._observed(), reward, down, self._ticks >= self._limit and not down, terms
 
-    def _walked(self, taken: Array, state: Array) -> Walked:
+    def _walked(self, taken: Array, state: Array) -> Transition:
         """The step for the reward: an action (1, n) that has led to a state (1, 12)."""
         assert self._loop is not None
         course = self._course
-        return Walked(
+        return Transition(
             state, course.faster, course.aside, course.turn,
             self._preview.reference[:1, :2], self._loop.plant.robot.servo_torque[None],
             taken - self._action,

@@ -182,11 +182,11 @@ def residuals(
         last = min(first + settings.window, strides.count)
         inside = (measured.t >= strides.edges[first]) & (measured.t < strides.edges[last])
         if inside.sum() >= 3:
-            out.append(_laid_on(predicted.at(measured.t[inside]), measured.columns[inside]) / scale)
+            out.append(_aligned(predicted.at(measured.t[inside]), measured.columns[inside]) / scale)
     return out
 
 
-def _laid_on(predicted: PredictedTrack, measured: Array) -> Array:
+def _aligned(predicted: PredictedTrack, measured: Array) -> Array:
     """Predicted minus measured (n, 6), laid on each other in the plane."""
     moved = predicted.columns
     off = moved - measured

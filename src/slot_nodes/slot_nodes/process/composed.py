@@ -19,7 +19,7 @@ from slot_nodes import runtime
 from slot_nodes.process.executor import DirectExecutor
 from slot_nodes.process.intra_process import Mailbox
 
-# In the order of the data: a node that calls `inputs.take_waiting` is made after the publisher.
+# In the order of the data: a node that calls `inputs.process_received` is made after the publisher.
 CONTROLLER = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
 CHAIN = ("sim_robot", *CONTROLLER, "supervisor")
 
