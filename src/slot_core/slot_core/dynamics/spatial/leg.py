@@ -15,7 +15,6 @@ from typing import NamedTuple
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cross, dot, plus, product, put, rotation, row, times
 from slot_core.dynamics.contact import advance_bristle
-from slot_core.dynamics.lanes import like
 from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.spatial.floor_contact import angular_velocity
 from slot_core.dynamics.spatial.relaxation import relax, remember
@@ -138,11 +137,10 @@ def hold_clamp(leg):
 @helper
 def load_leg(model, leg, tau):
     """Strains and tendon tension of a leg at the iterate."""
-    s, f, rate, nothing = leg.segments, leg.frame, leg.rate[0], like(0.0, leg.rate[0])
+    s, f, rate = leg.segments, leg.frame, leg.rate[0]
     clamp = (row(f, 0), row(f, 1), row(f, 2))
     measure(s, model.rod, leg.velocity, leg.spin, clamp, row(leg.motion, 1))
-    angle, line = leg.angle[0] + tau * rate, (nothing, nothing)
-    leg.pull[0] = pull(s, model.tendon, angle, rate, line, leg.fault)
+    leg.pull[0] = pull(s, model.tendon, leg.angle[0] + tau * rate, rate, leg.fault)
 
 
 @helper
