@@ -94,32 +94,81 @@ def state_space(nodes: int, points: int, relaxes: bool = False) -> MechanicalSta
     relaxes: whether the legs have Maxwell branches.
     """
     n = nodes - 1
-    shapes: list[tuple[int, ...]] = [(3,), (3, 3), (3,), (3,), (3,)]
-    shapes += [(nodes, 3, 4), (nodes, 3, 4), (n, 3, 4), (n, 3, 4)]
-    shapes += [(4,), (4,), (4,), (3, 4), (points, 3, 4), (8, 3)]
-    shapes += [(n if relaxes else 0, 4, 2, 4)]
-    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes])
+    shapes: dict[str, tuple[int, ...]] = {
+        "position": (3,),
+        "rotation": (3, 3),
+        "velocity": (3,),
+        "rate": (3,),
+        "specific_force": (3,),
+        "node": (nodes, 3, 4),
+        "node_velocity": (nodes, 3, 4),
+        "director": (n, 3, 4),
+        "swirl": (n, 3, 4),
+        "tendon_angle": (4,),
+        "tendon_rate": (4,),
+        "tension": (4,),
+        "drive": (3, 4),
+        "bristle": (points, 3, 4),
+        "corner_bristle": (8, 3),
+        "memory": (n if relaxes else 0, 4, 2, 4),
+    }
+    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes.values()])
     buffer = np.zeros(ends[-1])
-    parts = np.split(buffer, ends[:-1])
-    views = [part.reshape(shape) for part, shape in zip(parts, shapes)]
-    views[5:9] = [view.transpose(2, 0, 1) for view in views[5:9]]
-    views[12], views[13] = views[12].T, views[13].transpose(2, 0, 1)
-    views[15] = views[15].transpose(3, 0, 1, 2)
-    return MechanicalState(buffer, *views)
+    parts = zip(shapes.items(), np.split(buffer, ends[:-1]))
+    views = {name: part.reshape(shape) for (name, shape), part in parts}
+    for name in ("node", "node_velocity", "director", "swirl", "drive", "bristle", "memory"):
+        views[name] = np.moveaxis(views[name], -1, 0)
+    return MechanicalState(buffer, **views)
 
 
 def spatial_leg(nodes: int, lanes: tuple[int, ...] = (), points: int = 0) -> SpatialLeg:
     """Arrays of one leg of N nodes, or of four with the axis `lanes` = (4,); zero, not broken."""
     n = nodes - 1
-    shapes: list[tuple[int, ...]] = [(3, 3), (3,), (6, 6), (2,), (2,), (nodes, 3), (nodes, 3)]
-    shapes += [(n, 3), (n, 3), (1,), (1,), (1,), (3,), (points, 3), (0, 4, 2), (1,)]
-    shapes += [(nodes, 3)] * 4
-    shapes += [(n, 3), (n,), (n, 3), (), (7, 8), (6,), (n, 4, 8), (1,), (points,), (points, 2)]
-    shapes += [(7,), (6, 7), (6, 6), *[(3, 3)] * 6, (3,), (4, 3)]
-    inner = segments(nodes, lanes)
-    leg = SpatialLeg(*(np.zeros(shape + lanes) if shape else inner for shape in shapes))  # type: ignore[arg-type]
-    leg.fault[1] = 1.0  # nothing is broken
-    return leg
+    shapes: dict[str, tuple[int, ...]] = {
+        "axes": (3, 3),
+        "root": (3,),
+        "clamp": (6, 6),
+        "friction": (2,),
+        "fault": (2,),
+        "node": (nodes, 3),
+        "node_velocity": (nodes, 3),
+        "director": (n, 3),
+        "swirl": (n, 3),
+        "angle": (1,),
+        "rate": (1,),
+        "tension": (1,),
+        "drive": (3,),
+        "bristle": (points, 3),
+        "memory": (0, 4, 2),
+        "command": (1,),
+        "stage": (nodes, 3),
+        "velocity": (nodes, 3),
+        "before": (nodes, 3),
+        "base": (nodes, 3),
+        "begin": (n, 3),
+        "spin": (n,),
+        "spin_before": (n, 3),
+        "form": (7, 8),
+        "moved": (6,),
+        "back": (n, 4, 8),
+        "pull": (1,),
+        "limit": (points,),
+        "slope": (points, 2),
+        "release": (7,),
+        "reduced": (6, 7),
+        "product": (6, 6),
+        "frame": (3, 3),
+        "turns": (3, 3),
+        "whole": (3, 3),
+        "back_turn": (3, 3),
+        "forth": (3, 3),
+        "motion": (3, 3),
+        "axis_rate": (3,),
+        "field": (4, 3),
+    }
+    arrays = {name: np.zeros(shape + lanes) for name, shape in shapes.items()}
+    arrays["fault"][1] = 1.0  # nothing is broken
+    return SpatialLeg(segments=segments(nodes, lanes), **arrays)
 
 
 def leg_lanes(model: Model, state: MechanicalState) -> SpatialLeg:

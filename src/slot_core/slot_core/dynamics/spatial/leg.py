@@ -35,18 +35,16 @@ class SpatialLeg(NamedTuple):
     clamp: Array  # (6, 6) torso increments to the displacements (X, Phi) of the clamp
     friction: Array  # (2,) as in Model
     fault: Array  # (2,) as in Model
-    node: (
-        Array  # (N, 3), node_velocity (N, 3), director, swirl (N-1, 3), angle, rate, tension (1,):
-    )
-    node_velocity: Array  # views of the state
-    director: Array
-    swirl: Array
-    angle: Array
-    rate: Array
-    tension: Array
-    drive: Array  # (3,), bristle (P, 3), memory (N-1 or 0, 4, 2): views of the state
-    bristle: Array
-    memory: Array
+    node: Array  # (N, 3) m, from here to `memory` views of the state
+    node_velocity: Array  # (N, 3) m/s
+    director: Array  # (N-1, 3)
+    swirl: Array  # (N-1, 3) rad/s
+    angle: Array  # (1,) rad
+    rate: Array  # (1,) rad/s
+    tension: Array  # (1,) N
+    drive: Array  # (3,)
+    bristle: Array  # (P, 3) m
+    memory: Array  # (N-1 or 0, 4, 2)
     command: Array  # (1,) rad, commanded tendon angle
     stage: Array  # (N, 3) m, node at the stage
     velocity: Array  # (N, 3) m/s, V
