@@ -26,10 +26,9 @@ ROBOT = read_robot()
 NO_STEP = 0
 
 
-def compile_robot(legs):
-    """A robot with a model of the legs, in lanes and leg by leg."""
-    changes = {"start.settle": 0.0, "solver.legs": legs}
-    rods = RodRobot(ROBOT, config.replace(read_scene("flat"), changes), read_servo())
+def compile_robot():
+    """A robot on rods, in lanes and leg by leg."""
+    rods = RodRobot(ROBOT, config.replace(read_scene("flat"), {"start.settle": 0.0}), read_servo())
     _ = rods.momentum(), rods.energy(), rods.snapshot()
     integrator.advance_one_by_one(rods.handle, NO_STEP)
 
@@ -60,6 +59,6 @@ def compile_mpc():
 
 
 if __name__ == "__main__":
-    legs = [(compile_robot, ("spatial",)), (compile_robot, ("planar",)), (compile_legs, ())]
+    legs = [(compile_robot, ()), (compile_legs, ())]
     many = [(compile_many, (RodRobot, "flat")), (compile_many, (TabulatedRobot, "map"))]
     warm_up.run([*legs, *many, (compile_rod, ()), (compile_mpc, ())])

@@ -1,4 +1,4 @@
-"""Energy of a planar leg, written without the kernels: an oracle for tests."""
+"""Energy of a leg in its plane, written without the kernels: an oracle for tests."""
 
 import numpy as np
 
@@ -39,6 +39,7 @@ def leg_energy(model, node, angle, height):
     rod, tendon = model.rod, model.tendon
     slack = tendon.relaxed - tendon.around @ rod.rest_angle
     cable = max(0.0, cable_length(rod, tendon, node) - slack + tendon.spool_radius * angle)
-    depth = np.minimum(0.0, height + node[:, 1])
+    ends = np.column_stack([node[:-1, 1], node[1:, 1]]).ravel()  # of the segments
+    depth = np.minimum(0.0, height + np.repeat(ends, 2))  # both edges touch
     stored = tendon.stiffness * cable**2 + model.floor.stiffness @ depth**2
     return rod_energy(rod, node) + stored / 2 - model.gravity[2] * rod.mass @ node[:, 1]

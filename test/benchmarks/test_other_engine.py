@@ -160,12 +160,6 @@ def test_servo_that_is_not_modelled_is_refused(change):
         mujoco_robot.MujocoRobot(ROBOT, ABOVE, config.replace(read_servo(), change))
 
 
-def test_straight_tendon_is_refused():
-    straight = config.replace(ROBOT, {"tendon.routing": "straight"})
-    with pytest.raises(ValueError, match="spatial legs need 'routed'"):
-        mujoco_robot.MujocoRobot(straight, ABOVE, read_servo())
-
-
 def test_standing_feet_carry_the_weight_without_chatter():
     """Over 50 ms no force changes by more than 1 %; with stiffer contacts they did by a quarter."""
     scene = config.replace(

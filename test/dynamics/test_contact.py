@@ -17,17 +17,18 @@ from slot_core.dynamics.model import build_floor
 from slot_core.dynamics.rod import discretise
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.legs.level_leg import at_nodes
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
-ROD = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
+ROD, WIDTH = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction), ROBOT.leg.contact_width
 MU, STIFFNESS, DAMPING = 0.4, 2e4, 5.0
 
 
 def floor(**changes):
     """The floor of the scene `flat` with changed settings."""
     changes = {f"floor.{name}": value for name, value in changes.items()}
-    return build_floor(config.replace(read_scene("flat"), changes).floor, ROD)
+    return build_floor(config.replace(read_scene("flat"), changes).floor, ROD, WIDTH)
 
 
 @njit
@@ -230,22 +231,22 @@ def test_the_floor_carries_robot_and_payload(law, contact):
     np.testing.assert_allclose(force, [0.0, 0.0, weight], atol=1e-4 * weight)
 
 
-def test_contact_at_the_tip_leaves_the_other_nodes_without_stiffness():
+def test_contact_at_the_tip_leaves_the_other_points_without_stiffness():
     law = floor(contact="tip")
     assert law.first == 21
-    np.testing.assert_array_equal(law.stiffness[:-1], 0.0)
-    assert law.stiffness[-1] == 2e4
+    np.testing.assert_array_equal(law.stiffness[:-2], 0.0)
+    np.testing.assert_array_equal(law.stiffness[-2:], 1e4)  # both edges
 
 
 @pytest.mark.parametrize("nodes", [8, 22, 121])
 def test_the_total_contact_stiffness_is_the_same_at_any_number_of_nodes(nodes):
-    """Sum of the nodes' stiffness = line stiffness times length + stiffness of the tip."""
+    """Sum of the points' stiffness = line stiffness times length + stiffness of the tip."""
     rod = discretise(ROBOT.leg, nodes, ROBOT.tendon.end_fraction)
-    law = build_floor(read_scene("flat").floor, rod)
+    law = build_floor(read_scene("flat").floor, rod, WIDTH)
     step = np.diff(rod.arc)
     length = rod.arc[-1] - (step[0] + step[-1]) / 2  # without the half cells of clamp and tip
     assert law.stiffness.sum() == pytest.approx(2e4 + 2.2e6 * length, rel=1e-12)
-    np.testing.assert_allclose(law.damping[1:] / law.stiffness[1:], 5.0 / 2e4, rtol=1e-12)
+    np.testing.assert_allclose(law.damping[2:] / law.stiffness[2:], 5.0 / 2e4, rtol=1e-12)
 
 
 def test_ground_force_is_the_sum_of_springs_dampers_and_friction_of_all_nodes():
@@ -255,7 +256,8 @@ def test_ground_force_is_the_sum_of_springs_dampers_and_friction_of_all_nodes():
     sim.set_motion(velocity, np.zeros(3))
     depth = np.maximum(0.0, -sim.nodes[:, :, 2])
     depth[:, 0] = 0.0  # the clamp belongs to the torso
-    normal = np.where(depth > 0.0, law.stiffness * depth + law.damping * 0.01, 0.0).sum(1)
+    stiffness, damping = at_nodes(law.stiffness), at_nodes(law.damping)
+    normal = np.where(depth > 0.0, stiffness * depth + damping * 0.01, 0.0).sum(1)
     slip = np.hypot(0.03, 0.02)
     drag = 0.4 * normal / np.hypot(slip, law.friction_velocity)
     expected = np.column_stack([-drag * 0.03, drag * 0.02, normal])

@@ -64,7 +64,7 @@ def test_a_loaded_leg_creeps_as_its_material():
 
 
 def test_only_spatial_legs_relax():
-    for legs in ("planar", "map", "paper"):
+    for legs in ("map", "paper"):
         scene = config.replace(read_scene("flat"), {"solver.legs": legs})
         with pytest.raises(ConfigError, match=f"leg.relaxation_share = .* model '{legs}' cannot"):
             make_robot(RELAXING, scene, read_servo())

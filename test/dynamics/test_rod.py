@@ -5,39 +5,60 @@ import dataclasses
 import numpy as np
 import pytest
 from numba import njit
-from planar_energy import cable_length, mass_matrix, rod_energy
+from planar_energy import leg_energy, mass_matrix
 from scipy.integrate import solve_bvp
 from scipy.linalg import eigh
 
-from slot_core.dynamics.planar.strain import load, measure, segments
 from slot_core.dynamics.rod import build, discretise
+from slot_core.dynamics.spatial.strain import measure, point_along
 from slot_core.dynamics.tendon import route
+from slot_core.legs.leg_map import relax
+from slot_core.legs.level_leg import level_leg
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()
 ANCHOR = 2 / 3  # of the length
 LENGTH = 0.19
+SHORT = 1e-11  # s: within it a leg moves by its acceleration alone
+HIGH = 1.0  # m, above the floor
 
 
 @njit
-def evaluate(s, rod, node, velocity, pull):
-    measure(s, rod, node, velocity, 0.0, 0.0)
-    load(s, rod, pull[0], pull[1])
+def strain(s, rod, node, velocity, spin, rate):  # noqa: PLR0917
+    point_along(s, node)
+    clamp = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+    measure(s, rod, velocity, spin, clamp, rate)
 
 
-def gradient(rod, node, tension=0.0, velocity=None):
-    """(N, 2) gradient of the energy by the nodes, from the kernels' forces and moments."""
-    s = segments(len(node))
-    velocity = np.zeros((len(node), 3)) if velocity is None else velocity
-    evaluate(s, rod, node, velocity, (route(rod, ROBOT.tendon), tension))
-    normal = s.direction[:, ::-1] * [-1.0, 1.0]
-    pull = s.force[:, None] * s.direction - (np.diff(s.moment) / s.length)[:, None] * normal
-    return np.pad(pull, ((1, 0), (0, 0))) - np.pad(pull, ((0, 1), (0, 0)))
+class WeightlessLeg:
+    """An undamped leg without weight on a rod, its clamp held."""
 
+    def __init__(self, rod):
+        model, self.leg = level_leg(ROBOT, len(rod.node), {})
+        tendon = route(rod, ROBOT.tendon)._replace(damping=0.0)
+        self.rod = rod._replace(damping_time=0.0)
+        self.model = model._replace(rod=self.rod, tendon=tendon, gravity=np.zeros(3))
+        self.leg.field[3] = 0.0
+        self.mass = mass_matrix(rod)
 
-def energy(rod, node, tension=0.0):
-    """Energy of rod and tendon, J."""
-    return rod_energy(rod, node) + tension * cable_length(rod, route(rod, ROBOT.tendon), node)
+    def gradient(self, node, angle=0.0):
+        """(N, 2) gradient of the energy by the nodes but the clamp: -M times the acceleration.
+
+        angle: of the tendon, rad; zero: without a tendon.
+        """
+        leg = self.leg
+        leg.stage[:, ::2], leg.spin[:] = node, 0.0
+        leg.angle[0], leg.fault[1] = angle, angle > 0.0
+        relax(self.model, leg, HIGH, SHORT, 0.0, 1)
+        return -self.mass @ leg.velocity[:, ::2] / SHORT
+
+    def strains(self, node, velocity, rate):
+        """Segments with the strains at nodes (N, 2), m, and their rates, at a clamp's rate, rad/s."""
+        place = np.insert(node, 1, 0.0, axis=1)
+        along = np.diff(place, axis=0)
+        spin = along @ rate / np.linalg.norm(along, axis=1)  # of segments that turn with the clamp
+        strain(self.leg.segments, self.rod, place, velocity, spin, tuple(rate))
+        return self.leg.segments
 
 
 def straight(nodes, thickness=(5e-3, 5e-3)):
@@ -51,7 +72,7 @@ def straight(nodes, thickness=(5e-3, 5e-3)):
     ), leg.young_modulus * leg.width * thickness[0] ** 3 / 12
 
 
-def stiffness_matrix(rod, node, step=1e-7):
+def stiffness_matrix(leg, node, step=1e-7):
     """(2N-2, 2N-2) stiffness by central differences of the kernels' forces at the free nodes.
 
     A force depends on nodes at most two apart: every fifth node is shifted at once.
@@ -61,7 +82,7 @@ def stiffness_matrix(rod, node, step=1e-7):
     for first, axis in np.ndindex(5, 2):
         shift = np.zeros_like(node)
         shift[first::5, axis] = step
-        change = gradient(rod, node + shift) - gradient(rod, node - shift)
+        change = leg.gradient(node + shift) - leg.gradient(node - shift)
         for moved in range(first, count, 5):
             near = slice(max(0, moved - 2), moved + 3)
             matrix[near, :, moved, axis] = change[near] / (2 * step)
@@ -70,12 +91,12 @@ def stiffness_matrix(rod, node, step=1e-7):
 
 def bent(rod, load_at_tip):
     """(N, 2) equilibrium under a dead force (2,) at the tip: Newton's method in steps of load."""
-    node = rod.node.copy()
+    node, leg = rod.node.copy(), WeightlessLeg(rod)
     for part in np.linspace(0.0, 1.0, 21)[1:]:
         for _ in range(30):
-            residual = gradient(rod, node)
+            residual = leg.gradient(node)
             residual[-1] -= part * np.asarray(load_at_tip)
-            change = np.linalg.solve(stiffness_matrix(rod, node), -residual[1:].ravel())
+            change = np.linalg.solve(stiffness_matrix(leg, node), -residual[1:].ravel())
             node[1:] += change.reshape(-1, 2)
             if np.abs(change).max() < 1e-10:
                 break
@@ -107,39 +128,35 @@ def elastica(load_parameter, give=0.0):
 
 
 def test_forces_are_the_gradient_of_the_energy():
-    rod = discretise(ROBOT.leg, 10, ANCHOR)
-    node = rod.node + np.random.default_rng(1).normal(scale=2e-3, size=rod.node.shape)
+    leg, angle = WeightlessLeg(discretise(ROBOT.leg, 10, ANCHOR)), 0.6
+    node = leg.rod.node + np.random.default_rng(1).normal(scale=2e-3, size=(10, 2))
     node[0] = 0.0
     numeric, step = np.zeros_like(node), 1e-7
     for index in np.ndindex(node.shape):
         shift = np.zeros_like(node)
         shift[index] = step
-        change = energy(rod, node + shift, 30.0) - energy(rod, node - shift, 30.0)
-        numeric[index] = change / (2 * step)
+        up, down = (leg_energy(leg.model, node + s * shift, angle, HIGH) for s in (1.0, -1.0))
+        numeric[index] = (up - down) / (2 * step)
+    found = leg.gradient(node, angle)
+    assert leg.leg.pull[0] > 30.0
     # Rounding of an energy of some 10 J: 1e-15 * 10 / 1e-7 = 1e-7 N; truncation stays below 1e-5.
-    np.testing.assert_allclose(gradient(rod, node, 30.0)[1:], numeric[1:], atol=1e-5)
+    np.testing.assert_allclose(found[1:], numeric[1:], atol=1e-5)
 
 
 def test_the_natural_shape_has_no_internal_force():
-    rod = discretise(ROBOT.leg, 22, ANCHOR)
+    leg = WeightlessLeg(discretise(ROBOT.leg, 22, ANCHOR))
     # Stiffest spring 6e5 N/m, positions rounded at 1e-17 m.
-    assert np.abs(gradient(rod, rod.node)).max() < 1e-9
+    assert np.abs(leg.gradient(leg.rod.node)[1:]).max() < 1e-9
 
 
 def test_rigid_motion_dissipates_nothing():
     """Kelvin-Voigt damping depends on strain rates only; the clamp turns with the rod."""
-    rod, rate = discretise(ROBOT.leg, 12, ANCHOR), 3.0
-    velocity = rate * np.column_stack([-rod.node[:, 1], 0 * rod.node[:, 0], rod.node[:, 0]])
-
-    s = segments(12)
-    measure_turning(s, rod, rod.node, velocity, rate)
+    leg, rate = WeightlessLeg(discretise(ROBOT.leg, 12, ANCHOR)), np.array([1.0, -3.0, 2.0])
+    node = np.insert(leg.rod.node, 1, 0.0, axis=1)
+    s = leg.strains(leg.rod.node, np.cross(rate, node), rate)
     assert np.abs(s.extension_rate).max() < 1e-15
-    assert np.abs(s.turn_rate).max() < 1e-12  # differences of rates of 3 rad/s
-
-
-@njit
-def measure_turning(s, rod, node, velocity, rate):
-    measure(s, rod, node, velocity, 0.0, rate)
+    # differences of rates of 3 rad/s
+    assert np.abs([s.twist_rate, s.turn_rate, s.side_rate]).max() < 1e-12
 
 
 @pytest.mark.parametrize("load_parameter", [1.0, 10.0])
@@ -174,11 +191,11 @@ def rolled(nodes):
 @pytest.mark.parametrize("nodes", [8, 31])
 def test_an_end_moment_bends_every_hinge_and_stretches_nothing(nodes):
     rod, moment, node = rolled(nodes)
-    s = segments(nodes)
-    evaluate(s, rod, node, np.zeros((nodes, 3)), (route(rod, ROBOT.tendon), 0.0))
-    np.testing.assert_allclose(s.moment[:-1], moment, rtol=1e-9)
+    s = WeightlessLeg(rod).strains(node, np.zeros((nodes, 3)), np.zeros(3))
+    np.testing.assert_allclose(rod.bending * (s.turn - rod.rest_angle), moment, rtol=1e-9)
+    assert np.abs([s.twist, s.side]).max() == 0.0
     # Axial force from rounding: EA/l0 of 3e5 N/m times 1e-17 m.
-    assert np.abs(s.force).max() < 1e-9
+    assert np.abs(rod.axial * s.extension).max() < 1e-9
 
 
 def test_an_end_moment_closes_the_circle_to_third_order():
@@ -189,7 +206,7 @@ def test_an_end_moment_closes_the_circle_to_third_order():
 
 def lowest_frequencies(rod, count):
     """Lowest natural frequencies about the natural shape, Hz."""
-    stiffness = stiffness_matrix(rod, rod.node)
+    stiffness = stiffness_matrix(WeightlessLeg(rod), rod.node)
     mass = np.kron(mass_matrix(rod)[1:, 1:], np.eye(2))  # of the free nodes
     values = eigh((stiffness + stiffness.T) / 2, mass, eigvals_only=True)
     return np.sqrt(values[:count]) / (2 * np.pi)

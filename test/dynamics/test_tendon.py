@@ -1,33 +1,24 @@
 """The tendon compared with the geometry of offset curves and the statics of a pulled rod."""
 
-import dataclasses
-
 import numpy as np
 import pytest
-from numba import njit
-from planar_energy import rod_energy
+from rod_robots import FLOATING, ROBOT, simulator
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from slot_core import config
-from slot_core.dynamics.model import build_model
-from slot_core.dynamics.planar.strain import measure, segments
 from slot_core.dynamics.rod import build, discretise
-from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.tendon import pull, route
+from slot_core.dynamics.tendon import route
 from slot_core.legs.leg_map import StaticLeg
-from slot_core.robot import read_robot
-from slot_core.simulation.rod_robot import RodRobot
-
-ROBOT = read_robot()
-HELD = config.replace(read_servo(), {"model": "torque_speed"})  # holds its angle under load
+from slot_core.legs.level_leg import level_leg
+from slot_core.legs.sticking_leg import tangent
 
 
-@njit
-def tension(s, rod, tendon, node, angle, rate):  # noqa: PLR0917
-    measure(s, rod, node, np.zeros((len(node), 3)), 0.0, 0.0)
-    return pull(s, tendon, angle, rate, (0.0, 0.0), (0.0, 1.0))
+def tension(angle, rate):
+    """Tension (N) of a leg in its natural shape at tendon angle (rad) and rate; its tendon."""
+    model, leg = level_leg(ROBOT, 22, {})
+    leg.angle[0], leg.rate[0] = angle, rate
+    tangent(model, leg, 1.0)
+    return leg.pull[0], model.tendon
 
 
 def straight(nodes):
@@ -63,24 +54,18 @@ def test_a_node_is_at_the_anchor_for_any_number_of_nodes(nodes):
 
 
 def test_a_slack_tendon_has_no_tension():
-    rod = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
-    tendon = route(rod, ROBOT.tendon)
     slack_ends = ROBOT.tendon.slack / ROBOT.tendon.spool_radius
     for angle in (0.0, 0.99 * slack_ends):
-        assert tension(segments(22), rod, tendon, rod.node, angle, 0.0) == 0.0
-    pulled = tension(segments(22), rod, tendon, rod.node, slack_ends + 0.01, 0.0)
+        assert tension(angle, 0.0)[0] == 0.0
+    pulled, tendon = tension(slack_ends + 0.01, 0.0)
     # 0.1 mm of stretch in the natural shape.
     assert pulled == pytest.approx(tendon.stiffness * 0.01 * ROBOT.tendon.spool_radius, rel=1e-9)
 
 
 def test_damping_acts_on_the_rate_of_the_cable():
-    rod = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction)
-    tendon = route(rod, ROBOT.tendon)
     taut = 0.4  # rad
-    still = tension(segments(22), rod, tendon, rod.node, taut, 0.0)
-    turning = tension(segments(22), rod, tendon, rod.node, taut, 2.0)
     expected = ROBOT.tendon.cable_damping * 2.0 * ROBOT.tendon.spool_radius
-    assert turning - still == pytest.approx(expected, rel=1e-9)
+    assert tension(taut, 2.0)[0] - tension(taut, 0.0)[0] == pytest.approx(expected, rel=1e-9)
 
 
 def pulled_leg(force):
@@ -115,11 +100,9 @@ def test_a_pulled_leg_converges_to_the_continuous_one_to_second_order():
     reeled = settings.spool_radius * angle - settings.slack
     force = brentq(lambda f: settings.cable_stiffness * (pulled_leg(f)[1] + reeled) - f, 1.0, 200.0)
     exact, errors = pulled_leg(force)[0], []
-    scene = dataclasses.replace(read_scene("flat"), gravity=(0.0, 0.0, 0.0))
     for nodes in (13, 22, 43):
         leg = StaticLeg(ROBOT, nodes)
-        fine = dataclasses.replace(scene.solver, nodes=nodes)
-        leg.model = build_model(ROBOT, dataclasses.replace(scene, solver=fine), read_servo())
+        leg._leg.field[3] = 0.0  # gravity
         for part in np.linspace(0.1, 1.0, 10):
             here = leg.solve(part * angle, 1.0)
         errors.append(np.hypot(*(here.node[-1] - exact)))
@@ -129,15 +112,11 @@ def test_a_pulled_leg_converges_to_the_continuous_one_to_second_order():
     assert errors[1] < 4e-4  # m at N = 22; without the anchor's own cell 5.7 mm
 
 
-def hanging(robot=ROBOT, **changes):
-    """A robot floating without gravity, with natural legs."""
-    changes = {name.replace("__", "."): value for name, value in changes.items()}
-    changes |= {"gravity": [0.0, 0.0, 0.0], "start.height": 5.0, "start.settle": 0.0}
-    return RodRobot(robot, config.replace(read_scene("flat"), changes), HELD)
-
-
 def test_only_the_broken_tendon_has_no_tension():
-    whole, broken = hanging(), hanging(tendons__broken=[False, True, False, False])
+    whole, broken = (
+        simulator(**FLOATING),
+        simulator(**FLOATING, tendons__broken=[False, True, False, False]),
+    )
     for sim in (whole, broken):
         sim.advance(500, np.full(4, 1.5))
     assert broken.tension[1] == 0.0
@@ -152,114 +131,10 @@ def test_slack_is_equivalent_to_an_angle_of_the_spool():
     """A tendon longer by s has at theta + s / r the tension of an intact one at theta."""
     slack = 2e-3
     angle = slack / ROBOT.tendon.spool_radius
-    whole, slackened = hanging(), hanging(tendons__slack=[slack] * 4)
+    whole, slackened = simulator(**FLOATING), simulator(**FLOATING, tendons__slack=[slack] * 4)
     whole.state.tendon_angle[:] = 1.0
     slackened.state.tendon_angle[:] = 1.0 + angle
     whole.advance(300, np.full(4, 1.0))
     slackened.advance(300, np.full(4, 1.0 + angle))
     np.testing.assert_allclose(slackened.tension, whole.tension, rtol=1e-9)
     np.testing.assert_allclose(slackened.nodes, whole.nodes, atol=1e-9)
-
-
-# From below the torso the line to the anchor passes below the leg, and bends it downward.
-STRAIGHT = config.replace(
-    ROBOT,
-    {
-        "tendon.routing": "straight",
-        "tendon.pulley_angle_deg": 250.0,
-        "tendon.pulley_distance": 0.04,
-        "tendon.slack": 0.0,
-    },
-)
-
-
-def potential(leg, node, angle, height):
-    """Energy of one leg at nodes (N, 2), J, without the kernels: rod, cable, weight and floor."""
-    model = leg.model
-    rod, settings = model.rod, STRAIGHT.tendon
-    total = rod_energy(rod, node)
-    line = np.linalg.norm(node[rod.anchor] - settings.pulley)
-    natural = np.linalg.norm(rod.node[rod.anchor] - settings.pulley)
-    stretch = max(0.0, line - natural + settings.spool_radius * angle)
-    total += settings.cable_stiffness * stretch**2 / 2
-    total -= model.gravity[2] * rod.mass @ (node[:, 1] + height)
-    gap = np.minimum(0.0, node[:, 1] + height)
-    return total + model.floor.stiffness @ gap**2 / 2
-
-
-def straight_leg(angle, height):
-    """A leg with a straight tendon, and its equilibrium at tendon angle (rad) and height (m)."""
-    leg = StaticLeg(STRAIGHT, 22)
-    for part in np.linspace(0.05, 1.0, 20):
-        here = leg.solve(part * angle, height)
-    return leg, here
-
-
-def test_a_leg_at_rest_under_a_straight_tendon_has_no_gradient_of_the_energy():
-    """The gradient of the energy by every node is zero."""
-    angle, height = 0.6, 0.045
-    leg, here = straight_leg(angle, height)
-    assert here.tension > 3.0
-    gradient, step = np.zeros((21, 2)), 1e-7
-    for i in range(1, 22):
-        for axis in range(2):
-            node = here.node.copy()
-            node[i, axis] += step
-            up = potential(leg, node, angle, height)
-            node[i, axis] -= 2 * step
-            gradient[i - 1, axis] = (up - potential(leg, node, angle, height)) / (2 * step)
-    # Rounding of some J over 1e-7 m; the force of the tendon alone would be its tension.
-    np.testing.assert_allclose(gradient, 0.0, atol=1e-5 * here.tension)
-
-
-def test_the_clamp_force_under_a_straight_tendon_is_the_derivative_of_the_energy():
-    """Work at the raised clamp = change of the energy of a leg that stays in equilibrium."""
-    angle, height, step = 0.6, 0.045, 1e-5
-    leg, here = straight_leg(angle, height)
-    up, down = leg.solve(angle, height + step), leg.solve(angle, height - step)
-    change = potential(leg, up.node, angle, height + step)
-    change -= potential(leg, down.node, angle, height - step)
-    weight = -leg.model.gravity[2] * leg.model.rod.mass.sum()
-    assert here.force > 0.5
-    assert weight - here.force == pytest.approx(change / (2 * step), rel=1e-5)
-
-
-def test_a_straight_tendon_conserves_momentum_in_flight():
-    """Its reaction on the torso acts at the pulley."""
-    errors = []
-    for step in (2e-3, 1e-3):
-        sim = hanging(
-            STRAIGHT,
-            solver__legs="planar",
-            solver__step=step,
-            solver__theta=0.5,
-            solver__iterations=8,
-        )
-        sim.set_motion(np.array([0.3, 0.2, 0.1]), np.array([3.0, 4.0, 5.0]))
-        before = sim.momentum()
-        sim.advance(round(0.4 / step), np.array([0.8, 0.6, 0.4, 0.2]))
-        after = sim.momentum()
-        assert sim.tension.max() > 5.0
-        np.testing.assert_allclose(after[0], before[0], rtol=1e-11)
-        errors.append(np.linalg.norm(after[1] - before[1]) / np.linalg.norm(before[1]))
-    assert errors[0] < 1e-6
-    assert np.log2(errors[0] / errors[1]) > 1.9  # second order
-
-
-def test_an_undamped_straight_tendon_conserves_energy_in_flight():
-    """With fixed spools the tendon's force is the gradient of the cable's energy."""
-    leg = dataclasses.replace(STRAIGHT.leg, damping_time=0.0)
-    tendon = dataclasses.replace(STRAIGHT.tendon, cable_damping=0.0, cable_stiffness=2e3)
-    robot = dataclasses.replace(STRAIGHT, leg=leg, tendon=tendon)
-    errors = []
-    for step in (2.5e-4, 1.25e-4):
-        sim = hanging(
-            robot, solver__legs="planar", solver__step=step, solver__theta=0.5, solver__iterations=8
-        )
-        sim.set_motion(np.zeros(3), np.array([3.0, 4.0, 5.0]))
-        sim.state.tendon_angle[:] = 0.5
-        before = sim.energy()
-        sim.advance(round(0.1 / step), np.full(4, 0.5))
-        errors.append(abs(sim.energy() / before - 1))
-    assert errors[0] < 1e-3
-    assert np.log2(errors[0] / errors[1]) > 1.5  # two in the limit; the stiff modes converge late

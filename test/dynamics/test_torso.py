@@ -19,7 +19,8 @@ from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 ROBOT = read_robot()
-FLOOR = build_floor(read_scene("flat").floor, discretise(ROBOT.leg, 10, 2 / 3))
+ROD = discretise(ROBOT.leg, 10, 2 / 3)
+FLOOR = build_floor(read_scene("flat").floor, ROD, ROBOT.leg.contact_width)
 
 
 @njit
@@ -186,7 +187,6 @@ def test_the_forces_of_the_feet_balance_an_eccentric_payload():
     """Moments of the feet's forces about the centre of mass cancel; they act at the tips."""
     mass, place = 0.5, np.array([-0.03, 0.02, 0.03])
     changes = {
-        "solver.legs": "planar",  # whose tip is one point
         "floor.contact": "tip",
         "floor.friction_law": "bristle",
         "payload.mass": mass,
@@ -194,7 +194,8 @@ def test_the_forces_of_the_feet_balance_an_eccentric_payload():
         "start.settle": 4.0,
         "start.tendon_angle_deg": 90.0,
     }
-    sim = RodRobot(ROBOT, config.replace(read_scene("flat"), changes), read_servo())
+    narrow = config.replace(ROBOT, {"leg.contact_width": 1e-4})  # m, a tip is nearly one point
+    sim = RodRobot(narrow, config.replace(read_scene("flat"), changes), read_servo())
     sim.advance(6000, sim.tendon_angle)
     masses, nodes = sim.model.rod.mass, sim.nodes
     centre = ROBOT.torso.mass * sim.position + mass * (sim.position + sim.rotation @ place)

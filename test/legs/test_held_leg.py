@@ -6,7 +6,8 @@ from planar_energy import leg_energy
 
 from slot_core import config
 from slot_core.legs.held_leg import HeldLeg
-from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
+from slot_core.legs.leg_map import StaticLeg
+from slot_core.legs.level_leg import NoEquilibriumError, at_nodes
 from slot_core.robot import read_robot
 
 # Without damping, a slowly moving leg has the forces of a leg at rest.
@@ -40,7 +41,7 @@ def test_force_balance_leaves_the_coulomb_friction_of_the_sliding_foot(friction)
     before = leg.pull(angle - 0.01, RATE), leg.node
     force, node = leg.pull(angle, RATE), leg.node
     slip = (node - before[1])[1:, 0]
-    normal = leg.model.floor.stiffness[1:] * np.maximum(0.0, -HEIGHT - node[1:, 1])
+    normal = at_nodes(leg.model.floor.stiffness)[1:] * np.maximum(0.0, -HEIGHT - node[1:, 1])
     residual = gradient(node[1:].ravel(), leg.model, angle).reshape(-1, 2)
     touching = normal > 0.0
     assert touching.any()

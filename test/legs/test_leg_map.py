@@ -10,7 +10,8 @@ from scipy.optimize import minimize
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.legs.leg_map import COLUMNS, LegMapSettings, NoEquilibriumError, StaticLeg, tabulate
+from slot_core.legs.leg_map import COLUMNS, LegMapSettings, StaticLeg, tabulate
+from slot_core.legs.level_leg import NoEquilibriumError
 from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
@@ -39,6 +40,12 @@ def test_equilibrium_is_a_minimum_of_the_energy():
     )
     # BFGS with difference gradients stops at 1e-8 of the gradient, about 1e-5 m from the minimum.
     np.testing.assert_allclose(found.x.reshape(-1, 2), here.node[1:], atol=3e-5)
+
+
+def test_a_leg_loaded_in_its_plane_stays_in_it_to_the_last_bit():
+    leg, _ = pulled(22, np.radians(100.0), 0.05)
+    assert not leg._leg.stage[:, 1].any()
+    assert not leg._leg.spin.any()
 
 
 @pytest.mark.parametrize("angle_deg", [50.0, 80.0, 100.0])

@@ -1,4 +1,4 @@
-"""Stiffness of a leg whose foot sticks: an independent energy, unit loads, the planar leg."""
+"""Stiffness of a leg whose foot sticks: an independent energy, unit loads, the static leg."""
 
 import numpy as np
 import pytest

@@ -5,7 +5,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 from synthetic_walk import NODES, ROBOT, Walk, leg_nodes
 
-from slot_core import config
 from slot_core.drawing import shapes
 
 WALK = Walk(roll=0.1)
@@ -90,7 +89,7 @@ def test_without_directors_a_leg_is_wide_across_the_plane_of_its_azimuth():
 
 def test_a_tendon_runs_below_its_leg_at_the_offset_up_to_the_anchor():
     legs = shapes.natural_legs(PLACE, TURN.as_quat(), ROBOT, NODES)
-    drawn = shapes.tendon_strips(legs, TURN.as_quat(), np.zeros(4), ROBOT, 1.0).points
+    drawn = shapes.tendon_strips(legs, np.zeros(4), ROBOT, 1.0).points
     apart = TURN.inv().apply((drawn - legs.nodes[:, : drawn.shape[1]]).reshape(-1, 3))
     assert np.allclose(np.linalg.norm(apart, axis=1), ROBOT.tendon.offset)
     assert np.all(apart[:, 2] < -0.8 * ROBOT.tendon.offset)  # below in the torso's frame
@@ -100,18 +99,9 @@ def test_a_tendon_runs_below_its_leg_at_the_offset_up_to_the_anchor():
     assert np.allclose(share, ROBOT.tendon.end_fraction, atol=1.5 / NODES)
 
 
-def test_a_straight_tendon_goes_from_the_pulley_to_the_anchor(legs):
-    robot = config.replace(ROBOT, {"tendon.routing": "straight"})
-    drawn = shapes.tendon_strips(legs, STILL, np.zeros(4), robot, 1.0).points
-    assert drawn.shape == (4, 2, 3)
-    distance = np.linalg.norm(drawn[:, 0] - legs.nodes[:, 0], axis=1)
-    assert np.allclose(distance, robot.tendon.pulley_distance)
-    assert np.allclose(drawn[:, 1], legs.nodes[:, round(2 / 3 * (NODES - 1))])
-
-
 def test_the_colour_of_a_tendon_goes_with_its_tension_up_to_the_largest(legs):
     tension = np.array([0.0, 5.0, 10.0, 30.0])
-    colours = shapes.tendon_strips(legs, STILL, tension, ROBOT, 10.0).colours
+    colours = shapes.tendon_strips(legs, tension, ROBOT, 10.0).colours
     middle = (shapes.SLACK + shapes.LOADED) / 2
     assert np.allclose(colours, [shapes.SLACK, middle, shapes.LOADED, shapes.LOADED])
 

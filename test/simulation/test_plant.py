@@ -71,7 +71,7 @@ def test_a_command_goes_on_at_its_rate_for_a_tenth_of_a_second():
         assert each.robot.tendon_angle == pytest.approx(begin + moved * rate, abs=1e-5)
 
 
-@pytest.mark.parametrize(("legs", "segments"), [("spatial", 21), ("planar", 21), ("map", 0)])
+@pytest.mark.parametrize(("legs", "segments"), [("spatial", 21), ("map", 0)])
 def test_the_truth_has_the_directors_of_the_legs_that_have_a_width(legs, segments):
     changes = {"solver.legs": legs, "solver.halvings": 0, "start.settle": 0.1}
     scene = config.replace(read_scene("flat"), changes)

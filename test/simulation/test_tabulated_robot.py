@@ -277,11 +277,6 @@ def test_scene_that_the_table_does_not_cover_is_refused_with_the_name_of_the_set
         simulator(**changes)
 
 
-def test_straight_tendon_is_refused():
-    with pytest.raises(ConfigError, match=r"tendon\.routing"):
-        simulator(config.replace(ROBOT, {"tendon.routing": "straight"}))
-
-
 @pytest.mark.parametrize(
     ("speed", "spin", "message"),
     [

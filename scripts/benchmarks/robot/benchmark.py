@@ -10,8 +10,6 @@ import dataclasses
 import functools
 import itertools
 import math
-import subprocess
-import sys
 from collections.abc import Callable, Iterable
 from operator import itemgetter
 from pathlib import Path
@@ -40,25 +38,15 @@ REQUIRES = ("mujoco",)
 COMMANDS = ((0.5, (63.0, 63.0, 63.0, 63.0)), (1.0, (90.0, 30.0, 50.0, 75.0)))  # s, deg
 DURATION = sum(seconds for seconds, _ in COMMANDS)
 SAMPLE = 0.01  # s
-MEMORY = """
-import resource
-from slot_core.simulation.closed_loop import ClosedLoop
-changes = {{"scene.solver.legs": "{legs}"}}
-for _ in ClosedLoop("flat", "walk", None, 1, changes=changes).run(300):
-    pass
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-"""
 FINE = {"nodes": 121, "step": 1e-5, "theta": 0.5, "iterations": 3}
 SCHEMES = ((0.5, 1), (0.5, 2), (0.55, 1), (0.55, 2), (0.55, 4), (1.0, 1), (1.0, 2))
 NODES = (7, 10, 16, 22, 31, 61)
 STEPS = (5e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)
-LEVELS = ("map", "planar", "coarse", "standard", "fine")
+LEVELS = ("map", "coarse", "standard", "fine")
 LARGEST_ERROR = 0.3  # mm
 # A step of the robot, two iterations of four legs in lanes, over a step of one public rod with as
 # many nodes and two iterations: no more than of four such rods.
 LARGEST_RATIO = 4.0
-LARGEST_OVER_PLANAR = 6.0  # a step of spatial legs over one of planar legs
-LARGEST_MEMORY = 1.2  # of a run, over one with planar legs
 COMPARED = (22, 31)  # nodes
 
 
@@ -78,8 +66,6 @@ def run(
     rows += [level_row(robot, name, exact, repeats) for name in LEVELS]
     progress("energy and momentum in flight")
     rows += flight_rows(robot, quick)
-    progress("memory of a run")
-    rows += [memory_row(legs) for legs in ("planar", "spatial")]
     if not quick:
         progress("hard cases")
         rows += [hard_row(name, case) for name, case in CASES.items()]
@@ -136,12 +122,7 @@ def cost_row(robot: RobotParameters, nodes: int, repeats: int) -> dict[str, Any]
     if nodes not in COMPARED:
         return row
     rod, _ = DAMPED.leg(nodes, Scheme(0.5, 2))
-    planar = simulator(robot, {"nodes": nodes, "legs": "planar"}, **{"start.settle": 1.0})
-    peers = {
-        "over_rod": lambda: rod.run(step, calls),
-        "over_planar": lambda: planar.advance(calls, planar.tendon_angle),
-    }
-    return row | {name: cpu_ratio(advance, peer, repeats) for name, peer in peers.items()}
+    return row | {"over_rod": cpu_ratio(advance, lambda: rod.run(step, calls), repeats)}
 
 
 def sweep(
@@ -197,13 +178,6 @@ def flight_rows(robot: RobotParameters, quick: bool) -> Iterable[dict[str, Any]]
         yield row | {"angular": lost[1], "energy": abs(sim.energy() / energy - 1)}
 
 
-def memory_row(legs: str) -> dict[str, Any]:
-    """Memory of a process that walks, MB."""
-    code = MEMORY.format(legs=legs)
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
-    return {"kind": "memory", "legs": legs, "MB": float(done.stdout) / 1024}
-
-
 def hard_row(name: str, case: StressCase) -> dict[str, Any]:
     """Record of a hard case, its limits (`limit_...`) and whether they hold."""
     record = examine(case)
@@ -217,15 +191,11 @@ def checks(rows: list[dict[str, Any]]) -> list[Check]:
     out = []
     for row in rows:
         if row["kind"] == "cost" and "over_rod" in row:
-            name = f"step of {row['nodes']} nodes over that of"
-            out.append(at_most(f"{name} one public rod", row["over_rod"], LARGEST_RATIO))
-            out.append(at_most(f"{name} planar legs", row["over_planar"], LARGEST_OVER_PLANAR))
+            name = f"step of {row['nodes']} nodes over that of one public rod"
+            out.append(at_most(name, row["over_rod"], LARGEST_RATIO))
         if row["kind"] == "level" and row["level"] == "standard":
             name = "stand and step: 22 nodes, 1 ms, 2 iterations"
             out.append(at_most(name, row["error_mm"], LARGEST_ERROR, "mm RMS"))
-    memory = {row["legs"]: row["MB"] for row in rows if row["kind"] == "memory"}
-    ratio = memory["spatial"] / memory["planar"]
-    out.append(at_most("memory of a run over that with planar legs", ratio, LARGEST_MEMORY))
     hard = [row["holds"] for row in rows if row["kind"] == "hard case"]
     if hard:
         out.append(at_most(f"violated of {len(hard)} hard cases", hard.count(False), 0))

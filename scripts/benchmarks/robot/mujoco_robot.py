@@ -122,12 +122,7 @@ def cable(model: Model, stretch: bool) -> Cable:
 
 
 def build(robot: RobotParameters, model: Model, engine: Engine) -> mujoco.MjModel:
-    """The robot on its floor.
-
-    Raises ValueError for a straight tendon: the engine's is routed along the leg.
-    """
-    if model.tendon.straight:
-        raise ValueError("the robot in MuJoCo has routed tendons only, not straight ones")
+    """The robot on its floor."""
     shape, spec = links(robot, model), mujoco.MjSpec()
     set_option(spec.option, model, engine)
     spec.worldbody.add_geom(
@@ -248,8 +243,8 @@ def motor_speed(law: Servo, speed: Array, error: Array, torque: Array, h: float)
 class MujocoRobot(SimulatedRobot):
     """The robot in MuJoCo with the interface of the project's; settles as that does.
 
-    Raises ValueError for a straight tendon and for a servo other than the pid without integral
-    and backlash. Payload, damaged tendons and uneven floors are not modelled.
+    Raises ValueError for a servo other than the pid without integral and backlash. Payload, damaged
+    tendons and uneven floors are not modelled.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ from numpy.polynomial import Polynomial
 
 from slot_core import config
 from slot_core.arrays import Array as Array  # noqa: PLC0414 - for those who import it from here
-from slot_core.config import ConfigError, choice, quantity
+from slot_core.config import ConfigError, quantity
 from slot_core.elementary import cos, exp, hypot, sin
 from slot_core.matrices import interpolated, product
 from slot_core.names import LEGS as LEGS  # noqa: PLC0414 - as Array
@@ -135,19 +135,6 @@ class Tendon:
     angle_max_deg: float = quantity("largest tendon angle", "deg", 1, 360)
     guide_friction: float = quantity("friction coefficient of the cable in its guide", "", 0.0, 1.0)
     guide_angle_deg: float = quantity("angle by which the guide turns the cable", "deg", 0.0, 720.0)
-    routing: str = choice(
-        "path of the tendon: through the leg, or straight from a pulley", "routed", "straight"
-    )
-    pulley_angle_deg: float = quantity(
-        "direction of the pulley from the clamp, 0: outward", "deg", -360, 360
-    )
-    pulley_distance: float = quantity("distance of the pulley from the clamp", "m", 0.0, 0.2)
-
-    @property
-    def pulley(self) -> Array:
-        """(2,) m, pulley of a straight tendon relative to the clamp, x and z in leg axes."""
-        angle = math.radians(self.pulley_angle_deg)
-        return self.pulley_distance * np.array([cos(angle), sin(angle)])
 
     @property
     def capstan(self) -> float:

@@ -109,7 +109,7 @@ class Drawing:
         return {"tendons": self._tendons(_finite(torque) / self._robot.tendon.spool_radius)}
 
     def _tendons(self, tension: Array) -> Shape:
-        return tendon_strips(self._legs, self._quaternion, tension, self._robot, self._tension_max)
+        return tendon_strips(self._legs, tension, self._robot, self._tension_max)
 
     def _draw_reference(self, message: Any) -> dict[str, Shape]:
         """Reference pose of the torso now, its way over the horizon, and where it was."""

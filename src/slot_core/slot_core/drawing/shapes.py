@@ -175,23 +175,13 @@ def leg_bars(legs: Legs, robot: RobotParameters, *, known: bool = True) -> Bars:
     return Bars(corners, LEG_COLOURS if known else np.tile(SLACK, (len(LEGS), 1)))
 
 
-def tendon_strips(
-    legs: Legs, quaternion: Array, tension: Array, robot: RobotParameters, top: float
-) -> Strips:
+def tendon_strips(legs: Legs, tension: Array, robot: RobotParameters, top: float) -> Strips:
     """Tendons along the lower sides of the legs up to the anchors.
 
-    quaternion (4,) of the torso, which carries the pulley of a straight tendon. The colour goes
-    with the tension (4,) N from pale at zero to red at `top` (N).
+    The colour goes with the tension (4,) N from pale at zero to red at `top` (N).
     """
-    nodes = legs.nodes
-    last = round(robot.tendon.end_fraction * (nodes.shape[1] - 1)) + 1
-    if robot.tendon.routing == "straight":
-        x, z = robot.tendon.pulley
-        turn = Rotation.from_quat(quaternion)
-        pulley = nodes[:, 0] + turn.apply(x * robot.outward + [0.0, 0.0, z])
-        points = np.stack([pulley, nodes[:, last - 1]], axis=1)
-    else:
-        points = (nodes + robot.tendon.offset * legs.axes[1])[:, :last]
+    last = round(robot.tendon.end_fraction * (legs.nodes.shape[1] - 1)) + 1
+    points = (legs.nodes + robot.tendon.offset * legs.axes[1])[:, :last]
     share = np.clip(tension / top, 0.0, 1.0)[:, None]
     return Strips(points, (1 - share) * SLACK + share * LOADED, TENDON_WIDTH)
 

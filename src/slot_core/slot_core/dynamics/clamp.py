@@ -1,7 +1,7 @@
 """The clamp of a leg: the remainder of the leg's equations there, and its part of the torso's.
 
 F (7 x 8) is the quadratic form over the six displacements of the clamp, the change lambda of the
-tendon's tension, and the gradient, of a planar or a spatial leg. A taut tendon adds
+tendon's tension, and the gradient. A taut tendon adds
 lambda dl - lambda^2 / (2 kappa), with kappa = k + c / (theta h), in place of its full matrix
 kappa grad l grad l^T.
 """

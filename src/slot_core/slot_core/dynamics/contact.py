@@ -11,8 +11,8 @@ creep, then slips. The Newton tangent does not differentiate the scalar factor o
 (it is lagged), so the matrix of the friction is symmetric and dissipative.
 
 A leg's tip is an edge of stiffness k. Along the leg the floor has the line stiffness k' (N/m^2); a
-node takes k' ds of it, so the contact does not depend on the number of nodes. A spatial leg touches
-with both edges of its width, each of which has half of the stiffness.
+node takes k' ds of it, so the contact does not depend on the number of nodes. A leg touches with
+both edges of its width, each of which has half of the stiffness.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -36,15 +36,14 @@ TINY = 1e-12  # N or m, prevents a division by zero
 class Floor(NamedTuple):
     """Parameters of the contact law.
 
-    The contact points of a planar leg are its nodes. Those of a spatial leg are the four corners of
-    each segment k, 4 k + 2 end + side, at node k + end and half_width along the director or against
-    it (side 1, 0).
+    The contact points of a leg are the four corners of each segment k, 4 k + 2 end + side, at node
+    k + end and half_width along the director or against it (side 1, 0).
     """
 
     stiffness: Array  # (P,) N/m of the contact points of a leg
     damping: Array  # (P,) N s/m
     first: int  # first node of a leg that can touch the floor
-    half_width: float  # m, 0: planar
+    half_width: float  # m
     corner_stiffness: float  # N/m
     corner_damping: float  # N s/m
     corner_friction: float

@@ -6,8 +6,8 @@ Theta scheme with the stage at t + theta h: with inv = 1 / (theta h),
 
 solved for the stage velocity V by Newton's method with a fixed number of iterations.
 
-The unknowns are absolute velocities: of the nodes and of the torso, and the spins of the segments
-of spatial legs. The internal forces of a segment depend only on differences of its nodes and
+The unknowns are absolute velocities: of the nodes and of the torso, and the spins of the segments.
+The internal forces of a segment depend only on differences of its nodes and
 frames. Torso and leg are therefore coupled at the clamp alone, where they exchange momentum, and
 `eliminate` solves each leg on its own.
 
@@ -36,15 +36,8 @@ from slot_core.dynamics.clamp import add_to_torso, couple
 from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.handle import contents
 from slot_core.dynamics.lanes import all_lanes, in_lanes, one_lane
-from slot_core.dynamics.leg import (
-    advance_bristles,
-    eliminate,
-    finish,
-    load_leg,
-    predict,
-    stage,
-    substitute,
-)
+from slot_core.dynamics.spatial.elimination import eliminate, substitute
+from slot_core.dynamics.spatial.leg import advance_bristles, finish, load_leg, predict, stage
 from slot_core.dynamics.torso import add_corners, add_inertia, add_payload, add_push, at
 
 

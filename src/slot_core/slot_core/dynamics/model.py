@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.config import ConfigError
 from slot_core.dynamics.contact import Floor
-from slot_core.dynamics.planar import strain as planar_strain
-from slot_core.dynamics.planar.leg import PlanarLeg
 from slot_core.dynamics.rod import Rod, discretise
 from slot_core.dynamics.scene import FloorSettings, Scene, SolverSettings
 from slot_core.dynamics.servo import Servo, ServoSettings, servo
-from slot_core.dynamics.spatial import strain as spatial_strain
 from slot_core.dynamics.spatial.leg import SpatialLeg
+from slot_core.dynamics.spatial.strain import segments
 from slot_core.dynamics.tendon import TendonModel, route
 from slot_core.dynamics.terrain import read_terrain
 from slot_core.dynamics.torso import TorsoBox, box
@@ -97,84 +94,103 @@ def state_space(nodes: int, points: int, relaxes: bool = False) -> MechanicalSta
     relaxes: whether the legs have Maxwell branches.
     """
     n = nodes - 1
-    shapes: list[tuple[int, ...]] = [(3,), (3, 3), (3,), (3,), (3,)]
-    shapes += [(nodes, 3, 4), (nodes, 3, 4), (n, 3, 4), (n, 3, 4)]
-    shapes += [(4,), (4,), (4,), (3, 4), (points, 3, 4), (8, 3)]
-    shapes += [(n if relaxes else 0, 4, 2, 4)]
-    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes])
+    shapes: dict[str, tuple[int, ...]] = {
+        "position": (3,),
+        "rotation": (3, 3),
+        "velocity": (3,),
+        "rate": (3,),
+        "specific_force": (3,),
+        "node": (nodes, 3, 4),
+        "node_velocity": (nodes, 3, 4),
+        "director": (n, 3, 4),
+        "swirl": (n, 3, 4),
+        "tendon_angle": (4,),
+        "tendon_rate": (4,),
+        "tension": (4,),
+        "drive": (3, 4),
+        "bristle": (points, 3, 4),
+        "corner_bristle": (8, 3),
+        "memory": (n if relaxes else 0, 4, 2, 4),
+    }
+    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes.values()])
     buffer = np.zeros(ends[-1])
-    parts = np.split(buffer, ends[:-1])
-    views = [part.reshape(shape) for part, shape in zip(parts, shapes)]
-    views[5:9] = [view.transpose(2, 0, 1) for view in views[5:9]]
-    views[12], views[13] = views[12].T, views[13].transpose(2, 0, 1)
-    views[15] = views[15].transpose(3, 0, 1, 2)
-    return MechanicalState(buffer, *views)
-
-
-def planar_leg(nodes: int, lanes: tuple[int, ...] = (), points: int = 0) -> PlanarLeg:
-    """Arrays of one leg of N nodes, or of four with the axis `lanes` = (4,); zero, not broken."""
-    n = nodes - 1
-    shapes: list[tuple[int, ...]] = [(3, 3), (3,), (6, 6), (2,), (2,), (nodes, 3), (nodes, 3)]
-    shapes += [(1,), (1,), (1,), (3,), (points, 3), (1,), (nodes, 2), (nodes, 3), (nodes, 3)]
-    shapes += [(nodes, 2), (), (7, 8), (4, 5), (6,), (n, 2, 8), (1,), (3,), (points,), (points, 2)]
-    shapes += [(7,), (6, 7), (6, 6), *[(3, 3)] * 5, (4, 3)]
-    inner = planar_strain.segments(nodes, lanes)
-    space = [np.zeros(shape + lanes) if shape else inner for shape in shapes]
-    return _whole(PlanarLeg(*space))  # type: ignore[arg-type]
+    parts = zip(shapes.items(), np.split(buffer, ends[:-1]))
+    views = {name: part.reshape(shape) for (name, shape), part in parts}
+    for name in ("node", "node_velocity", "director", "swirl", "drive", "bristle", "memory"):
+        views[name] = np.moveaxis(views[name], -1, 0)
+    return MechanicalState(buffer, **views)
 
 
 def spatial_leg(nodes: int, lanes: tuple[int, ...] = (), points: int = 0) -> SpatialLeg:
-    """As `planar_leg`, of a spatial leg."""
+    """Arrays of one leg of N nodes, or of four with the axis `lanes` = (4,); zero, not broken."""
     n = nodes - 1
-    shapes: list[tuple[int, ...]] = [(3, 3), (3,), (6, 6), (2,), (2,), (nodes, 3), (nodes, 3)]
-    shapes += [(n, 3), (n, 3), (1,), (1,), (1,), (3,), (points, 3), (0, 4, 2), (1,)]
-    shapes += [(nodes, 3)] * 4
-    shapes += [(n, 3), (n,), (n, 3), (), (7, 8), (6,), (n, 4, 8), (1,), (points,), (points, 2)]
-    shapes += [(7,), (6, 7), (6, 6), *[(3, 3)] * 6, (3,), (4, 3)]
-    inner = spatial_strain.segments(nodes, lanes)
-    space = [np.zeros(shape + lanes) if shape else inner for shape in shapes]
-    return _whole(SpatialLeg(*space))  # type: ignore[arg-type]
+    shapes: dict[str, tuple[int, ...]] = {
+        "axes": (3, 3),
+        "root": (3,),
+        "clamp": (6, 6),
+        "friction": (2,),
+        "fault": (2,),
+        "node": (nodes, 3),
+        "node_velocity": (nodes, 3),
+        "director": (n, 3),
+        "swirl": (n, 3),
+        "angle": (1,),
+        "rate": (1,),
+        "tension": (1,),
+        "drive": (3,),
+        "bristle": (points, 3),
+        "memory": (0, 4, 2),
+        "command": (1,),
+        "stage": (nodes, 3),
+        "velocity": (nodes, 3),
+        "before": (nodes, 3),
+        "base": (nodes, 3),
+        "begin": (n, 3),
+        "spin": (n,),
+        "spin_before": (n, 3),
+        "form": (7, 8),
+        "moved": (6,),
+        "back": (n, 4, 8),
+        "pull": (1,),
+        "limit": (points,),
+        "slope": (points, 2),
+        "release": (7,),
+        "reduced": (6, 7),
+        "product": (6, 6),
+        "frame": (3, 3),
+        "turns": (3, 3),
+        "whole": (3, 3),
+        "back_turn": (3, 3),
+        "forth": (3, 3),
+        "motion": (3, 3),
+        "axis_rate": (3,),
+        "field": (4, 3),
+    }
+    arrays = {name: np.zeros(shape + lanes) for name, shape in shapes.items()}
+    arrays["fault"][1] = 1.0  # nothing is broken
+    return SpatialLeg(segments=segments(nodes, lanes), **arrays)
 
 
-def _whole(leg: Any) -> Any:
-    leg.fault[1] = 1.0  # nothing is broken
-    return leg
-
-
-def is_spatial(model: Model) -> bool:
-    """Whether the legs are spatial: only these touch the floor with a width."""
-    return model.floor.half_width > 0.0
-
-
-def segments(model: Model) -> planar_strain.PlanarSegments | spatial_strain.Segments:
-    """Scratch arrays for the strains of one leg."""
-    return (spatial_strain if is_spatial(model) else planar_strain).segments(len(model.rod.node))
-
-
-def leg_lanes(model: Model, state: MechanicalState) -> PlanarLeg | SpatialLeg:
+def leg_lanes(model: Model, state: MechanicalState) -> SpatialLeg:
     """The four legs of a robot in lanes; their state arrays are views of `state`."""
-    nodes, points = len(model.rod.node), state.bristle.shape[1]
-    spatial = is_spatial(model)
-    legs = (spatial_leg if spatial else planar_leg)(nodes, (4,), points)
+    legs = spatial_leg(len(model.rod.node), (4,), state.bristle.shape[1])
     legs.axes[:] = model.axes.transpose(1, 2, 0)
     legs.root[:] = model.root.T
     legs.clamp[:] = model.clamp.transpose(1, 2, 0)
-    views: dict[str, Any] = {
-        "friction": model.friction,
-        "fault": model.fault,
-        "node": state.node.transpose(1, 2, 0),
-        "node_velocity": state.node_velocity.transpose(1, 2, 0),
-        "angle": state.tendon_angle[None],
-        "rate": state.tendon_rate[None],
-        "tension": state.tension[None],
-        "drive": state.drive.T,
-        "bristle": state.bristle.transpose(1, 2, 0),
-    }
-    if spatial:
-        views["director"] = state.director.transpose(1, 2, 0)
-        views["swirl"] = state.swirl.transpose(1, 2, 0)
-        views["memory"] = state.memory.transpose(1, 2, 3, 0)
-    return legs._replace(**views)
+    return legs._replace(
+        friction=model.friction,
+        fault=model.fault,
+        node=state.node.transpose(1, 2, 0),
+        node_velocity=state.node_velocity.transpose(1, 2, 0),
+        director=state.director.transpose(1, 2, 0),
+        swirl=state.swirl.transpose(1, 2, 0),
+        angle=state.tendon_angle[None],
+        rate=state.tendon_rate[None],
+        tension=state.tension[None],
+        drive=state.drive.T,
+        bristle=state.bristle.transpose(1, 2, 0),
+        memory=state.memory.transpose(1, 2, 3, 0),
+    )
 
 
 def work_space() -> Work:
@@ -183,35 +199,24 @@ def work_space() -> Work:
     return Work(*(np.zeros(shape) for shape in shapes))
 
 
-def clamp_maps(axes: Array, root: Array, spatial: bool) -> Array:
-    """(4, 6, 6) from the torso's increments (shift, turn; base_link) to a clamp's displacements.
-
-    Those of a spatial leg are (X, Phi), of a planar one (X_x, X_z, phi, q), see its elimination.
-    """
+def clamp_maps(axes: Array, root: Array) -> Array:
+    """(4, 6, 6) from the torso's increments (shift, turn; base_link) to (X, Phi) of a clamp."""
     maps = np.zeros((4, 6, 6))
     for out, a, (rx, ry, rz) in zip(maps, axes, root):
         shift, turn = np.hstack([a, np.zeros((3, 3))]), np.hstack([np.zeros((3, 3)), a])
-        x = shift[0] + turn[1] * rz - turn[2] * ry
-        z = shift[2] + turn[0] * ry - turn[1] * rx
-        if spatial:
-            out[:] = x, shift[1] + turn[2] * rx - turn[0] * rz, z, *turn
-        else:
-            out[:] = x, z, -turn[1], shift[1], turn[0], turn[2]
+        out[0] = shift[0] + turn[1] * rz - turn[2] * ry
+        out[1] = shift[1] + turn[2] * rx - turn[0] * rz
+        out[2] = shift[2] + turn[0] * ry - turn[1] * rx
+        out[3:] = turn
     return maps
 
 
 def build_model(robot: RobotParameters, scene: Scene, settings: ServoSettings) -> Model:
     """Parameters of the kernels for a robot, its scene and its servos.
 
-    Raises ConfigError for a height map that cannot be read, a supply voltage beyond those of the
-    servos, and a straight tendon on spatial legs.
+    Raises ConfigError for a height map that cannot be read, and for a supply voltage beyond those
+    of the servos.
     """
-    spatial = scene.solver.legs == "spatial"
-    if spatial and robot.tendon.routing != "routed":
-        raise ConfigError(
-            f"tendon.routing = {robot.tendon.routing!r}: spatial legs need 'routed'; solver.legs ="
-            " 'planar' has straight tendons"
-        )
     c, s = cos(robot.azimuth), sin(robot.azimuth)
     zero, one = np.zeros(4), np.ones(4)
     axes = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]]).transpose(2, 0, 1).copy()
@@ -222,13 +227,13 @@ def build_model(robot: RobotParameters, scene: Scene, settings: ServoSettings) -
         rod=rod,
         tendon=route(rod, robot.tendon),
         torso=box(robot.torso),
-        floor=build_floor(scene.floor, rod, robot.leg.contact_width if spatial else 0.0),
+        floor=build_floor(scene.floor, rod, robot.leg.contact_width),
         servo=servo(settings, scene.supply_voltage)._replace(friction=robot.tendon.capstan),
         friction=np.array([scene.floor.friction, scene.floor.friction_other]),
         gravity=np.array(scene.gravity),
         axes=axes,
         root=root,
-        clamp=clamp_maps(axes, root, spatial),
+        clamp=clamp_maps(axes, root),
         speed_limit=scene.solver.speed_limit,
         payload=np.array([payload.mass, *payload.place]),
         push=np.zeros(6),
@@ -236,11 +241,10 @@ def build_model(robot: RobotParameters, scene: Scene, settings: ServoSettings) -
     )
 
 
-def build_floor(settings: FloorSettings, rod: Rod, width: float = 0.0) -> Floor:
+def build_floor(settings: FloorSettings, rod: Rod, width: float) -> Floor:
     """Parameters of the contact law, with stiffness and damping of the contact points of a rod.
 
-    width: m, of a spatial leg; 0: a planar one, which touches along its centre line. Raises
-    ConfigError for a height map that cannot be read.
+    width: m, between the edges that touch. Raises ConfigError for a height map that cannot be read.
     """
     step = np.diff(rod.arc)
     # Of the line stiffness each segment has half at each end. The clamp is in the torso, whose
@@ -250,10 +254,7 @@ def build_floor(settings: FloorSettings, rod: Rod, width: float = 0.0) -> Floor:
     tip_only = settings.contact == "tip"
     if tip_only:
         ends[:-1], ends[-1, 0] = 0.0, 0.0
-    if width > 0.0:
-        stiffness = np.repeat(ends.ravel() / 2, 2)
-    else:
-        stiffness = np.append(ends[:, 0], 0.0) + np.append(0.0, ends[:, 1])
+    stiffness = np.repeat(ends.ravel() / 2, 2)  # of both edges
     return Floor(
         stiffness=stiffness,
         damping=stiffness * (settings.damping / settings.stiffness),
@@ -275,7 +276,7 @@ def build_scheme(solver: SolverSettings, floor: Floor) -> ThetaScheme:
     A position error d of a node in a contact of stiffness k is an energy of up to k d^2 / 2. The
     limit of the correction, d = sqrt(2 E / k), follows from the limit of that energy.
     """
-    stiffest = max(floor.stiffness.max() * (1 + (floor.half_width > 0.0)), floor.corner_stiffness)
+    stiffest = max(2 * floor.stiffness.max(), floor.corner_stiffness)
     return ThetaScheme(
         step=solver.step,
         theta=solver.theta,
@@ -287,7 +288,7 @@ def build_scheme(solver: SolverSettings, floor: Floor) -> ThetaScheme:
 
 def matching_state(model: Model) -> MechanicalState:
     """A state for the model's nodes, contact points and branches, all zero."""
-    relaxes = is_spatial(model) and bool(model.rod.relaxation[0].any())
+    relaxes = bool(model.rod.relaxation[0].any())
     return state_space(len(model.rod.node), len(model.floor.stiffness), relaxes)
 
 

@@ -10,8 +10,8 @@ import math
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import cross, dot, plus, row, times, times_transposed
 from slot_core.dynamics.contact import coefficient, friction_force, normal_force
-from slot_core.dynamics.leg import elastic_energy
-from slot_core.dynamics.tendon import cable_energy, straight_length
+from slot_core.dynamics.spatial.strain import elastic_energy
+from slot_core.dynamics.tendon import cable_energy
 from slot_core.dynamics.terrain import ground, is_uneven
 
 
@@ -41,10 +41,7 @@ def _to_odom(model, state, leg, x, y, z):
 @helper
 def _contact_point(model, state, position, velocity, leg, p):
     """Node of contact point p of a leg, its position and velocity, odom, m and m/s."""
-    reach = model.floor.half_width
-    if reach == 0.0:
-        return p, row(position[leg], p), row(velocity[leg], p)
-    k, i = p // 4, p // 4 + (p // 2) % 2
+    reach, k, i = model.floor.half_width, p // 4, p // 4 + (p // 2) % 2
     if p % 2 == 0:
         reach = -reach
     d, s = state.director[leg, k], state.swirl[leg, k]
@@ -163,12 +160,10 @@ def energy(model, state, segments, position, velocity):
 @helper
 def _leg_energy(model, state, segments, position, velocity, leg):
     """J, of the rod and its cable, and of the motion and weight of its masses."""
-    rod, line, angle = model.rod, 0.0, state.tendon_angle[leg]
+    rod, angle = model.rod, state.tendon_angle[leg]
     total = elastic_energy(segments, rod, state.node[leg], state.director[leg])
-    if model.tendon.straight:
-        line = straight_length(model.tendon, state.node[leg])
     fault = (model.fault[0, leg], model.fault[1, leg])
-    total += cable_energy(segments, model.tendon, angle, line, fault)
+    total += cable_energy(segments, model.tendon, angle, fault)
     for i in range(position.shape[0]):
         total += _point_energy(model, rod.mass[i], position[i], velocity[i])
     for k in range(position.shape[0] - 1):

@@ -1,9 +1,9 @@
 """The soft leg as a chain of N nodes and N - 1 segments: stiffness, mass and natural shape.
 
 Segment i runs from node i to i + 1; node i is the hinge between the segments i - 1 and i, and node
-0 the clamp. The strains and their energy are in `planar/strain.py` and `spatial/strain.py`. Four
-choices make the chain's error fall with the fourth power of the segments' length for tip loads and
-natural frequencies in one plane:
+0 the clamp. The strains and their energy are in `spatial/strain.py`. Four choices make the chain's
+error fall with the fourth power of the segments' length for tip loads and natural frequencies in
+one plane:
 
 - A hinge has the stiffness E I_i / w_i. The deflection of the chain is then a sum over its hinges
   that approximates the integral over the curvature. The weights w_i are those of Gregory's rule of

@@ -88,8 +88,8 @@ class SolverSettings:
     """
 
     legs: str = choice(
-        "model of the legs: rods in space or in their planes, quasi-static, or as published",
-        "spatial", "planar", "map", "paper",
+        "model of the legs: rods, quasi-static, or as published",
+        "spatial", "map", "paper",
     )  # fmt: skip
     nodes: int = quantity("nodes per leg", "", 4, 401)
     step: float = quantity("time step", "s", 1e-6, 0.02)

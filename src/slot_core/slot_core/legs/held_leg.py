@@ -1,13 +1,8 @@
 """One leg on a floor with friction, its clamp held horizontal, while its tendon is pulled slowly.
 
-The equations are those of the robot with the torso at rest, integrated with backward Euler:
-
-    M (V - V_n) / tau = F(x_n + tau V, V),      x_{n+1} = x_n + tau V.
-
 With friction the force depends on the history of the motion. The leg starts at rest on a
-frictionless floor with its tendon slack; each call of `pull` continues the motion. `leg_map.py`
-solves the leg without friction. The leg is planar: loads in its plane neither bend it sideways nor
-twist it.
+frictionless floor with its tendon slack; each call of `pull` continues the motion, in the steps of
+`level_leg.py`. `leg_map.py` solves the leg without friction.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -19,17 +14,11 @@ import math
 
 import numpy as np
 
-from slot_core import config
 from slot_core.arrays import checked
 from slot_core.compiled import helper, kernel
-from slot_core.dynamics.clamp import couple
-from slot_core.dynamics.contact import normal_force
-from slot_core.dynamics.model import Model, build_model, planar_leg
-from slot_core.dynamics.planar.elimination import eliminate, substitute
-from slot_core.dynamics.planar.leg import load_leg
-from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
-from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
+from slot_core.dynamics.algebra import put, row
+from slot_core.legs.leg_map import StaticLeg
+from slot_core.legs.level_leg import NoEquilibriumError, at_nodes, level_leg, take_step
 from slot_core.robot import Array, RobotParameters
 
 STEP = 1e-3  # s; half of it changes the force by less than 1e-3 N
@@ -47,23 +36,16 @@ class HeldLeg:
     """
 
     def __init__(self, robot: RobotParameters, nodes: int, friction: float, height: float):
-        changes = {"solver.legs": "planar", "solver.nodes": nodes, "floor.friction_law": "viscous"}
-        settings = config.replace(read_scene("flat"), changes)
         self.height = height  # m, checked by `StaticLeg`
-        friction = float(checked("friction", friction, ()))
-        self.model: Model = build_model(robot, settings, read_servo())
-        self._leg = planar_leg(nodes)
-        self._start = np.zeros((nodes, 2)), np.zeros((nodes, 3))
-        self._leg.friction[:] = friction
-        self._leg.field[:3] = np.eye(3)
-        self._leg.field[3] = self.model.gravity
-        resting = StaticLeg(robot, nodes)
-        self._leg.stage[:] = resting.solve(0.0, height).node
+        self.model, self._leg = level_leg(robot, nodes, {"friction_law": "viscous"})
+        self._leg.friction[:] = checked("friction", friction, ())
+        self._leg.stage[:, ::2] = StaticLeg(robot, nodes).solve(0.0, height).node
+        self._start = np.zeros((2, nodes, 3))
 
     @property
     def node(self) -> Array:
         """(N, 2) present shape, m from the clamp, x and z."""
-        return self._leg.stage.copy()
+        return self._leg.stage[:, ::2].copy()
 
     def pull(self, angle: float, rate: float) -> float:
         """Turn the spool to an angle (rad) at a rate (rad/s).
@@ -84,14 +66,17 @@ class HeldLeg:
                 f" last correction of a node {change:.1e} m, limit {LIMIT:.0e} m"
             )
         self._leg.angle[0] = angle  # removes the rounding of the sum
-        return float(floor_force(self.model, self._leg, self.height))
+        floor, gap = self.model.floor, self.height + self._leg.stage[:, 2]
+        damped = at_nodes(floor.damping) * self._leg.velocity[:, 2]
+        normal = np.maximum(0.0, -at_nodes(floor.stiffness) * gap - damped)
+        return float(normal[gap < 0.0].sum())
 
 
 @kernel
 def turn_spool(model, leg, start, height, turn, steps):
     """Take steps of STEP that turn the spool by `turn` (rad) each; returns the last correction, m.
 
-    start: scratch space for the nodes (N, 2) and velocities (N, 3) at the start of a step.
+    start: (2, N, 3) scratch space for the nodes and velocities at the start of a step.
     A step whose last correction is above LIMIT is repeated in 2, 4, ... 2^HALVINGS substeps. If it
     stays above, the motion ends with this step.
     """
@@ -103,7 +88,7 @@ def turn_spool(model, leg, start, height, turn, steps):
             substeps = 2**halving
             for k in range(substeps):
                 leg.angle[0] = begin + turn * (k + 1) / substeps
-                change = take_step(model, leg, height, STEP / substeps)
+                change = take_step(model, leg, height, STEP / substeps, ITERATIONS, TOLERANCE)
                 if not change <= LIMIT:
                     break
             if change <= LIMIT:
@@ -117,44 +102,7 @@ def turn_spool(model, leg, start, height, turn, steps):
 
 @helper
 def copy_motion(node, velocity, from_node, from_velocity):
-    """Copy nodes (N, 2) and their velocities (N, 3)."""
+    """Copy nodes and their velocities, (N, 3) each."""
     for i in range(node.shape[0]):
-        node[i, 0], node[i, 1] = from_node[i, 0], from_node[i, 1]
-        for k in range(3):
-            velocity[i, k] = from_velocity[i, k]
-
-
-@helper
-def take_step(model, leg, height, tau):
-    """Backward Euler step of tau (s) at the leg's tendon angle; returns the last correction, m."""
-    stage, velocity, base, before = leg.stage, leg.velocity, leg.base, leg.before
-    held = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for i in range(stage.shape[0]):
-        base[i, 0], base[i, 1] = stage[i, 0], stage[i, 1]
-        for k in range(3):
-            before[i, k] = velocity[i, k]
-    change = 0.0
-    for _ in range(ITERATIONS):
-        load_leg(model, leg, 0.0)
-        eliminate(model, leg, 1.0 / tau, (0.0, 0.0, height))
-        couple(model.tendon, leg, 1.0 / tau)
-        substitute(leg, held, 1.0 / tau)
-        change = 0.0
-        for i in range(stage.shape[0]):
-            x, z = base[i, 0] + tau * velocity[i, 0], base[i, 1] + tau * velocity[i, 2]
-            change += (x - stage[i, 0]) ** 2 + (z - stage[i, 1]) ** 2
-            stage[i, 0], stage[i, 1] = x, z
-        change = math.sqrt(change)  # a sum: a maximum could drop a NaN
-        if change <= TOLERANCE:
-            break
-    return change
-
-
-@kernel
-def floor_force(model, leg, height):
-    """Vertical force of the floor on the leg at its present shape and velocity, N."""
-    force, floor = 0.0, model.floor
-    for i in range(floor.first, leg.stage.shape[0]):
-        gap = height + leg.stage[i, 1]
-        force += normal_force(floor.stiffness[i], floor.damping[i], gap, leg.velocity[i, 2])
-    return force
+        put(node, i, row(from_node, i))
+        put(velocity, i, row(from_velocity, i))

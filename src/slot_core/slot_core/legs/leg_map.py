@@ -19,17 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core import config
 from slot_core.arrays import checked
 from slot_core.compiled import kernel
 from slot_core.config import quantity
-from slot_core.dynamics.clamp import couple
-from slot_core.dynamics.contact import normal_force
-from slot_core.dynamics.model import Model, build_model, planar_leg
-from slot_core.dynamics.planar.elimination import eliminate, follow, substitute
-from slot_core.dynamics.planar.leg import load_leg
-from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
+from slot_core.dynamics.spatial.elimination import follow
+from slot_core.legs.level_leg import NoEquilibriumError, at_nodes, level_leg, take_step
 from slot_core.legs.sticking_leg import StickingLeg
 from slot_core.progress import Tell, untold
 from slot_core.robot import Array, RobotParameters
@@ -49,10 +43,9 @@ COLUMNS = (
 )
 TOLERANCE = 1e-11  # m, last Newton correction of a node
 ITERATIONS = 2000
-# Stages of the pseudo time stepping: reciprocal step, 1/s, and the correction (m) that ends a
-# stage. The short steps of the first stage stay on the branch; the second one is nearly Newton's
-# method.
-STAGES = ((20.0, 1e-6), (1e-3, TOLERANCE))
+# Stages of the pseudo time stepping: step, s, and the correction (m) that ends a stage. The short
+# steps of the first stage stay on the branch; the second one is nearly Newton's method.
+STAGES = ((0.05, 1e-6), (1000.0, TOLERANCE))
 
 
 @dataclass(frozen=True)
@@ -65,10 +58,6 @@ class LegMapSettings:
     height_min: float = quantity("lowest clamp height", "m", 0.0, 1.0)
     height_max: float = quantity("highest clamp height", "m", 0.0, 1.0)
     substeps: int = quantity("angle steps between two points of the grid", "", 1, 1000)
-
-
-class NoEquilibriumError(RuntimeError):
-    """No equilibrium was found; the message gives tendon angle and height."""
 
 
 class LegEquilibrium(NamedTuple):
@@ -91,24 +80,17 @@ class StaticLeg:
     """One leg on a frictionless floor, clamp horizontal; keeps its shape between solutions."""
 
     def __init__(self, robot: RobotParameters, nodes: int):
-        changes = {
-            "solver.legs": "planar",
-            "solver.nodes": nodes,
-            "floor.friction": (0.0, 0.0, 0.0, 0.0),
-        }
-        settings = config.replace(read_scene("flat"), changes)
-        self.model: Model = build_model(robot, settings, read_servo())
-        self._leg = planar_leg(nodes)
-        self._leg.stage[:] = self.model.rod.node
+        self.model, self._leg = level_leg(robot, nodes, {"friction": (0.0, 0.0, 0.0, 0.0)})
+        self._stiffness = at_nodes(self.model.floor.stiffness)
 
     @property
     def node(self) -> Array:
         """(N, 2) present shape, m from the clamp, x and z; the next solution starts from it."""
-        return self._leg.stage.copy()
+        return self._leg.stage[:, ::2].copy()
 
     @node.setter
     def node(self, node: Array) -> None:
-        self._leg.stage[:] = checked("node", node, self._leg.stage.shape)
+        self._leg.stage[:, ::2] = checked("node", node, (len(self._leg.stage), 2))
 
     def solve(self, angle: float, height: float) -> LegEquilibrium:
         """Equilibrium at a tendon angle (rad) and a clamp height (m), from the present shape.
@@ -118,72 +100,54 @@ class StaticLeg:
         """
         _, height = checked("angle, height", (angle, height), (2,)).tolist()
         self._leg.angle[0] = angle
-        for inv, tolerance in STAGES:
-            change = relax(self.model, self._leg, height, inv, tolerance, ITERATIONS)
+        for tau, tolerance in STAGES:
+            change = relax(self.model, self._leg, height, tau, tolerance, ITERATIONS)
         if not change <= TOLERANCE:
             raise NoEquilibriumError(
                 f"leg at {math.degrees(angle):.3f} deg, {height:.4f} m: last correction of a node"
                 f" {change:.1e} m, limit {TOLERANCE:.0e} m"
             )
-        out = np.zeros(2)
-        pressure(self.model, self._leg, height, out)
-        slope, foot_slope = respond(self.model, self._leg, height, 0.0, 1.0)
-        stiffness, foot_rise = respond(self.model, self._leg, height, 1.0, 0.0)
-        tension = float(self._leg.pull[0])
-        feet = foot_slope, foot_rise
-        return LegEquilibrium(out[0], slope, stiffness, out[1], tension, self.node, *feet)
+        node = self.node
+        normal = self._stiffness * np.maximum(0.0, -height - node[:, 1])
+        force, contact = normal.sum(), node[-1, 0]
+        if force > 0.0:
+            contact = (normal * node[:, 0]).sum() / force
+        self._leg.back[:, :, 7] = 0.0  # the last correction is no part of the response
+        slope, foot_slope = respond(self.model, self._leg, self._stiffness, height, 0.0, 1.0)
+        stiffness, foot_rise = respond(self.model, self._leg, self._stiffness, height, 1.0, 0.0)
+        return LegEquilibrium(
+            force=float(force),
+            slope=slope,
+            stiffness=stiffness,
+            contact_x=float(contact),
+            tension=float(self._leg.pull[0]),
+            node=node,
+            foot_slope=foot_slope,
+            foot_rise=foot_rise,
+        )
 
 
 @kernel
-def relax(model, leg, height, inv, tolerance, iterations):
-    """Take pseudo time steps of 1/inv (s) from the present shape at rest.
+def relax(model, leg, height, tau, tolerance, iterations):
+    """Take pseudo time steps of tau (s), each of one Newton iteration from rest.
 
     Stops at a correction of `tolerance` (m) or after `iterations` steps; returns the last
     correction, m.
     """
-    leg.motion[:] = 0.0
-    for i in range(3):
-        for k in range(3):
-            leg.field[k, i] = 1.0 if i == k else 0.0
-        leg.field[3, i] = model.gravity[i]
-    stage, velocity, held = leg.stage, leg.velocity, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    leg.rate[0] = 0.0
     change = 0.0
     for _ in range(iterations):
-        velocity[:] = 0.0
-        leg.before[:] = 0.0
-        load_leg(model, leg, 0.0)
-        eliminate(model, leg, inv, (0.0, 0.0, height))
-        couple(model.tendon, leg, inv)
-        substitute(leg, held, inv)
-        change = 0.0
-        for i in range(stage.shape[0]):
-            dx, dz = velocity[i, 0] / inv, velocity[i, 2] / inv
-            stage[i, 0] += dx
-            stage[i, 1] += dz
-            change += dx * dx + dz * dz
-        change = math.sqrt(change)  # a sum: a maximum could drop a NaN
+        leg.velocity[:] = 0.0
+        change = take_step(model, leg, height, tau, 1, tolerance)
         if change <= tolerance:
             break
     return change
 
 
 @kernel
-def pressure(model, leg, height, out):
-    """Write out (2,): vertical force of the floor, N, and centre of pressure, m from the clamp."""
-    force = moment = 0.0
-    stage = leg.stage
-    for i in range(model.floor.first, stage.shape[0]):
-        normal = normal_force(model.floor.stiffness[i], 0.0, height + stage[i, 1], 0.0)
-        force += normal
-        moment += normal * stage[i, 0]
-    out[0] = force
-    out[1] = moment / force if force > 0.0 else stage[-1, 0]
-
-
-@kernel
-def respond(model, leg, height, rise, turn):
+def respond(model, leg, springs, height, rise, turn):
     """Linear response to a rise of the clamp (m) and a turn of the spool (rad).
+
+    springs: (N,) N/m, stiffness of the floor at the nodes.
 
     Returns the change of the floor's force, N, and the outward shift of the material on the floor
     averaged by pressure, m. Uses the last factorisation of `relax`, hence is exact while the same
@@ -191,17 +155,17 @@ def respond(model, leg, height, rise, turn):
     """
     tendon, F = model.tendon, leg.form
     stiffness = tendon.stiffness if leg.pull[0] > 0.0 else 0.0
-    pull = F[6, 1] * rise + tendon.spool_radius * turn
+    pull = F[6, 2] * rise + tendon.spool_radius * turn
     tension = pull * stiffness / (1.0 - stiffness * F[6, 6])
-    X, q = (0.0, rise, 0.0), (0.0, 0.0, 0.0, tension, 0.0)
+    shifted, turned = (0.0, 0.0, rise), (0.0, 0.0, 0.0)
     force = shift = weight = 0.0
-    for i in range(leg.back.shape[0]):
-        X = follow(leg, i, X, q)
-        gap = height + leg.stage[i + 1, 1]
+    for k in range(leg.back.shape[0]):
+        shifted, turned, _ = follow(leg, k, shifted, turned, tension)
+        gap = height + leg.stage[k + 1, 2]
         if gap < 0.0:
-            force -= model.floor.stiffness[i + 1] * X[1]
-            shift -= model.floor.stiffness[i + 1] * gap * X[0]
-            weight -= model.floor.stiffness[i + 1] * gap
+            force -= springs[k + 1] * shifted[2]
+            shift -= springs[k + 1] * gap * shifted[0]
+            weight -= springs[k + 1] * gap
     return force, shift / weight if weight > 0.0 else 0.0
 
 

@@ -1,8 +1,7 @@
 """Stiffness at the clamp of a standing leg whose foot sticks to the floor.
 
-About the equilibrium of `leg_map.py`, in the leg's plane, a spatial leg (`dynamics/spatial`) with
-its foot stuck answers small displacements X and small rotations Phi of its clamp with the force and
-moment
+About the equilibrium of `leg_map.py`, in the leg's plane, a leg with its foot stuck answers small
+displacements X and small rotations Phi of its clamp with the force and moment
 
     (f, m) = -K (X, Phi),      K (6 x 6) = `leg.reduced` without inertia.
 
@@ -17,18 +16,9 @@ stiffness with its lowest node stuck, which is the limit for a leg that just tou
 
 from __future__ import annotations
 
-import numpy as np
-
-from slot_core import config
 from slot_core.arrays import checked
 from slot_core.compiled import kernel
-from slot_core.dynamics.clamp import couple
-from slot_core.dynamics.model import build_model, spatial_leg
-from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.spatial.elimination import eliminate
-from slot_core.dynamics.spatial.leg import hold_clamp, load_leg
-from slot_core.dynamics.spatial.strain import point_along
+from slot_core.legs.level_leg import level_leg, linearise
 from slot_core.robot import Array, RobotParameters
 
 # 1/s, reciprocal of a step so long that inertia and damping, some kg and some N s/m times powers
@@ -41,15 +31,8 @@ class StickingLeg:
     """One leg of `nodes` nodes, clamp horizontal, on the floor of the scene `flat`."""
 
     def __init__(self, robot: RobotParameters, nodes: int):
-        settings = {"legs": "spatial", "nodes": nodes}
-        changes = {f"solver.{name}": value for name, value in settings.items()}
-        scene = config.replace(read_scene("flat"), changes | {"floor.friction_law": "bristle"})
-        self.model = build_model(robot, scene, read_servo())
-        self._leg = spatial_leg(nodes, (), len(self.model.floor.stiffness))
+        self.model, self._leg = level_leg(robot, nodes, {"friction_law": "bristle"})
         self._leg.friction[:] = 1.0  # any: points at rest are below every limit
-        self._leg.field[:3] = np.eye(3)
-        self._leg.field[3] = self.model.gravity
-        self._leg.segments.director[:] = 0.0, -1.0, 0.0
 
     def stiffness(self, node: Array, angle: float, height: float) -> Array:
         """(6, 6) K over X (m) and Phi (rad), leg axes; N/m, N, N m/rad.
@@ -68,8 +51,4 @@ class StickingLeg:
 @kernel
 def tangent(model, leg, height):
     """Write the leg's form at its clamp, at rest with the clamp level at a height (m)."""
-    point_along(leg.segments, leg.stage)
-    hold_clamp(leg)
-    load_leg(model, leg, 0.0)
-    eliminate(model, leg, AT_REST, (0.0, 0.0, height))
-    couple(model.tendon, leg, AT_REST)
+    linearise(model, leg, AT_REST, height)

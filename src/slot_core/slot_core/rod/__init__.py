@@ -1,1 +1,1 @@
-"""A public planar Cosserat rod, usable without the robot: statics, vibration and motion."""
+"""A public spatial Cosserat rod, usable without the robot: statics, vibration and motion."""

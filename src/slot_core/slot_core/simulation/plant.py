@@ -88,7 +88,6 @@ def make_camera(settings: CameraSettings, rng: np.random.Generator) -> CameraSen
 
 MODELS: dict[str, type[SimulatedRobot]] = {
     "spatial": RodRobot,
-    "planar": RodRobot,
     "map": TabulatedRobot,
     "paper": PaperRobot,
 }

@@ -18,12 +18,12 @@ from slot_core.dynamics.model import (
     leg_lanes,
     matching_state,
     rest_state,
-    segments,
     work_space,
 )
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import require_steps
+from slot_core.dynamics.spatial.strain import segments
 from slot_core.geometry import Transform
 from slot_core.matrices import product
 from slot_core.robot import LEGS, Array, RobotParameters
@@ -51,7 +51,7 @@ class RodRobot(KernelRobot):
 
     def _connect(self) -> None:
         """Give model and state to the kernels."""
-        self._segments = segments(self.model)
+        self._segments = segments(len(self.model.rod.node))
         self._legs = leg_lanes(self.model, self.state)
         scheme = build_scheme(self.scene.solver, self.model.floor)
         parts = (self.model, self.state, self._work, self._start, self._legs)
@@ -137,10 +137,7 @@ class RodRobot(KernelRobot):
 
     @property
     def directors(self) -> Array:
-        """(4, N-1, 3) unit vectors along the width of the segments, to the right, in odom.
-
-        Those of planar legs are the normals of their planes.
-        """
+        """(4, N-1, 3) unit vectors along the width of the segments, to the right, in odom."""
         turns = (product(axes, self.state.rotation.T) for axes in self.model.axes)
         return np.array([product(*leg) for leg in zip(self.state.director, turns)])
 

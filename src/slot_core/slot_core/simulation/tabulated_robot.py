@@ -77,20 +77,22 @@ COLUMNS = (
 class TabulatedRobot(KernelRobot):
     """The robot with legs from a table.
 
-    Raises ConfigError, which names the setting, for a robot or scene that the table does not cover:
-    an uneven floor, another stiffness of the floor, contact of the tips alone, halved steps, a
-    straight tendon. A torso tilted by more than 60 deg is a DivergenceError, because the legs touch
-    only a floor below the torso.
+    Raises ConfigError, which names the setting, for a scene that the table does not cover:
+    an uneven floor, another stiffness of the floor, contact of the tips alone, halved steps. A torso
+    tilted by more than 60 deg is a DivergenceError, because the legs touch only a floor below it.
     """
 
     def __init__(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
-        _require_tabulated(robot, scene)
+        _require_tabulated(scene)
         self.parameters, self.scene = robot, scene
         table = read_leg_table(COLUMNS)
         model = build_model(robot, scene, servo)
-        # The torso carries the mass of the legs.
-        rigid_body = model.torso._replace(mass=robot.mass, inertia=robot.inertia)
-        self.model = model._replace(torso=rigid_body)
+        # The torso carries the mass of the legs. Their feet are the tips' both edges in one point.
+        rigid_body, floor = model.torso, model.floor
+        rigid_body = rigid_body._replace(mass=robot.mass, inertia=robot.inertia)
+        foot = 2 * floor.stiffness[-1:], 2 * floor.damping[-1:]
+        floor = floor._replace(stiffness=foot[0], damping=foot[1])
+        self.model = model._replace(torso=rigid_body, floor=floor)
         self.legs = map_legs(robot, table)
         self._contact_drop = _contact_drop(table)
         self.state = state_space(1, 1)
@@ -154,7 +156,7 @@ class _Requirement(NamedTuple):
     needed: object
 
 
-def _require_tabulated(robot: RobotParameters, scene: Scene) -> None:
+def _require_tabulated(scene: Scene) -> None:
     """Raise ConfigError at the first setting that the table does not cover."""
     floor, made_for = scene.floor, read_scene("flat").floor
     needs = (
@@ -163,7 +165,6 @@ def _require_tabulated(robot: RobotParameters, scene: Scene) -> None:
         _Requirement("floor.stiffness", floor.stiffness, made_for.stiffness),
         _Requirement("floor.line_stiffness", floor.line_stiffness, made_for.line_stiffness),
         _Requirement("solver.halvings", scene.solver.halvings, 0),
-        _Requirement("tendon.routing", robot.tendon.routing, "routed"),
     )
     for need in needs:
         if need.value != need.needed:

@@ -2,8 +2,8 @@
 
 The floor is that of the scene `flat`, with the friction of the measurement. The tests are
 quasi-static: inertia is negligible and friction has its Coulomb value. The result depends on the
-history of the motion, so the simulation follows it from rest. The leg is planar: the tests load it
-in its plane alone, and there it equals a spatial one.
+history of the motion, so the simulation follows it from rest. The tests load a leg in its plane
+alone, which it does not leave.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.held_leg import HeldLeg
-from slot_core.legs.leg_map import NoEquilibriumError, StaticLeg
+from slot_core.legs.leg_map import StaticLeg
+from slot_core.legs.level_leg import NoEquilibriumError
 from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.calibration.data import Datum
@@ -89,7 +90,6 @@ def marker_ranges(
     first = rows[0]
     changes = {
         "floor.friction": (first.friction,) * 4,
-        "solver.legs": "planar",  # no leg leaves its plane
         "solver.nodes": settings.nodes,
         "start.tendon_angle_deg": 0.0,
     }

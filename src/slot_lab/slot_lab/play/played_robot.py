@@ -32,7 +32,6 @@ from slot_lab.play.played_loop import PlayedLoop, Wishes
 FRAME = 2 * PERIOD  # s, of the robot's clock
 KEPT = 120.0  # s of the robot's clock that can be saved
 SEED = 0
-RODS = ("spatial", "planar")  # models of the legs
 Happened: TypeAlias = tuple[int, Any]
 """Time on the robot's clock, ns; a reading, tick or report."""
 
@@ -42,7 +41,7 @@ class PlayedRobot:
 
     def __init__(self, scene: str = "flat", policy: str = DEFAULT_POLICY) -> None:
         """Raises ConfigError for an unknown scene or policy, and for legs that are no rods."""
-        if (legs := read_scene(scene).solver.legs) not in RODS:
+        if (legs := read_scene(scene).solver.legs) != "spatial":
             raise ConfigError(f"scene {scene}: legs of the model {legs!r}; only rods can change")
         self.scene, self.policy = scene, policy
         self.wishes = Wishes()

@@ -15,7 +15,6 @@ from typing import NamedTuple
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cross, dot, plus, product, put, rotation, row, times
 from slot_core.dynamics.contact import advance_bristle
-from slot_core.dynamics.lanes import like
 from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.spatial.floor_contact import angular_velocity
 from slot_core.dynamics.spatial.relaxation import relax, remember
@@ -36,18 +35,16 @@ class SpatialLeg(NamedTuple):
     clamp: Array  # (6, 6) torso increments to the displacements (X, Phi) of the clamp
     friction: Array  # (2,) as in Model
     fault: Array  # (2,) as in Model
-    node: (
-        Array  # (N, 3), node_velocity (N, 3), director, swirl (N-1, 3), angle, rate, tension (1,):
-    )
-    node_velocity: Array  # views of the state
-    director: Array
-    swirl: Array
-    angle: Array
-    rate: Array
-    tension: Array
-    drive: Array  # (3,), bristle (P, 3), memory (N-1 or 0, 4, 2): views of the state
-    bristle: Array
-    memory: Array
+    node: Array  # (N, 3) m, from here to `memory` views of the state
+    node_velocity: Array  # (N, 3) m/s
+    director: Array  # (N-1, 3)
+    swirl: Array  # (N-1, 3) rad/s
+    angle: Array  # (1,) rad
+    rate: Array  # (1,) rad/s
+    tension: Array  # (1,) N
+    drive: Array  # (3,)
+    bristle: Array  # (P, 3) m
+    memory: Array  # (N-1 or 0, 4, 2)
     command: Array  # (1,) rad, commanded tendon angle
     stage: Array  # (N, 3) m, node at the stage
     velocity: Array  # (N, 3) m/s, V
@@ -138,11 +135,10 @@ def hold_clamp(leg):
 @helper
 def load_leg(model, leg, tau):
     """Strains and tendon tension of a leg at the iterate."""
-    s, f, rate, nothing = leg.segments, leg.frame, leg.rate[0], like(0.0, leg.rate[0])
+    s, f, rate = leg.segments, leg.frame, leg.rate[0]
     clamp = (row(f, 0), row(f, 1), row(f, 2))
     measure(s, model.rod, leg.velocity, leg.spin, clamp, row(leg.motion, 1))
-    angle, line = leg.angle[0] + tau * rate, (nothing, nothing)
-    leg.pull[0] = pull(s, model.tendon, angle, rate, line, leg.fault)
+    leg.pull[0] = pull(s, model.tendon, leg.angle[0] + tau * rate, rate, leg.fault)
 
 
 @helper
