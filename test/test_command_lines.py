@@ -1,6 +1,7 @@
 """The command line tools refuse what they cannot do in one line, with exit code 2."""
 
 import os
+import random
 import re
 import shutil
 import subprocess
@@ -8,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from damage import require_short
 
 from benchmarks import __main__ as command_line
 from documentation import pictures
@@ -20,7 +22,7 @@ from slot_core.legs import tabulate_leg
 from slot_core.mpc.settings import read_mpc
 from slot_lab.bags import replay_command as replay
 from slot_lab.calibration import command as calibrate
-from slot_lab.film import print_command
+from slot_lab.film import calibrate_camera, film_command, print_command, track_command
 from slot_lab.report import compare, map_command
 from slot_lab.tuning import tune_command
 from slot_lab.twin import twin_command
@@ -235,29 +237,150 @@ def test_what_a_tool_cannot_do_is_refused_before_the_work(place, refusal, tool, 
     assert list(place.iterdir()) == []
 
 
-FILE = "FILE"  # place of a recording
-READERS = {
-    "calibrate": (calibrate.main, [FILE]),
-    "compare": (compare.main, [WALK, FILE]),
-    "constraint_map": (map_command.main, [FILE]),
-    "replay": (replay.main, [FILE]),
-    "twin": (twin_command.main, [FILE]),
-    "validate": (validate.main, [FILE, LEG_RUN]),
-    "view": (view.main, [FILE, "--html", "walk.html"]),
+PIPES = ["pipe.mcap", "pipe.csv", "pipe.mp4", "piped/metadata.yaml"]
+NO_FILES = ["/dev/zero", "piped", *PIPES]
+NOISE = ["n.csv", "n.mcap", "n.db3", "n.yaml", "n.mp4", "n.py", "\x1b[2J"]
+WORDS = {
+    "PATH": [
+        "/dev/full",
+        "/dev/stdin",
+        "/proc/self/mem",
+        "/nowhere/\x1b[2J",
+        "empty",
+        "x" * 5000,
+        "a\0b",
+        "..",
+        "\udcff",
+        *NO_FILES,
+        *NOISE,
+    ],
+    "NAME": [
+        "",
+        "moon",
+        "\x1b]0;x\x07",
+        "x" * 5000,
+        "..",
+        "a b",
+        "\u202e",
+        "\udcff",
+        "[1]",
+        "/dev/zero",
+    ],
+    "NUMBER": ["nan", "inf", "-inf", "1e400", "x", "", "\x1b[2J", "1" * 5000, "-1e9", "0x10"],
 }
+"""Words that cannot be used, by the place that they take in a command line."""
 
 
-@pytest.mark.parametrize("file", ["/dev/zero", "pipe.csv", "pipe.mcap", "piped"])
-@pytest.mark.parametrize("tool", READERS)
-def test_a_device_and_a_pipe_are_refused_without_reading(place, refusal, tool, file):
-    """The one has no end, and nobody writes to the other."""
-    Path("piped").mkdir()
-    for pipe in ("pipe.csv", "pipe.mcap", "piped/metadata.yaml"):
-        os.mkfifo(pipe)
-    main, words = READERS[tool]
-    line = refusal(main, *(file if word == FILE else word for word in words))
-    assert line.startswith(f"scripts/{tool}: ")
-    assert "not a regular file" in line
+def check_run(words):
+    """Check the options of scripts/run, which starts nothing before."""
+    return run.check_options(parse(words))
+
+
+SOUND = {"WALK": WALK, "RUN": LEG_RUN, "MEASURED": MEASURED}
+COMMANDS = {
+    "run": (
+        check_run,
+        [
+            "--path PATH",
+            "--calibration PATH",
+            "--gait NAME",
+            "--scene NAME",
+            "--policy NAME",
+            "--vx NUMBER",
+            "--yaw-rate NUMBER",
+            "--duration NUMBER",
+            "--seed NUMBER",
+            "--namespace \x1b" + "x" * 400,
+            "--frame-prefix fred",
+            "--hardware NAME",
+        ],
+    ),
+    "replay": (
+        replay.main,
+        [
+            "PATH",
+            "PATH --tolerance 1",
+            "WALK --tolerance NUMBER",
+            "WALK --remap NAME",
+            "WALK --" + "y" * 3000,
+        ],
+    ),
+    "compare": (
+        compare.main,
+        [
+            "PATH PATH",
+            "WALK PATH",
+            "WALK WALK --tolerance NAME",
+            "WALK WALK --warm-up NUMBER",
+            "WALK WALK --plot NAME",
+        ],
+    ),
+    "constraint_map": (map_command.main, ["PATH", "WALK --out NAME"]),
+    "validate": (
+        validate.main,
+        [
+            "PATH RUN",
+            "RUN PATH",
+            "RUN RUN --frame NAME",
+            "RUN RUN --offset NUMBER",
+            "RUN RUN --block NUMBER",
+        ],
+    ),
+    "twin": (
+        twin_command.main,
+        [
+            "PATH",
+            "WALK --scene NAME",
+            "WALK --period NUMBER",
+            "WALK --fit NAMEy",
+            "WALK --parameters moonNAME",
+        ],
+    ),
+    "calibrate": (
+        calibrate.main,
+        ["PATH", "MEASURED --start NAME", "MEASURED --free NAME", "MEASURED --starts NUMBER"],
+    ),
+    "track": (
+        track_command.main,
+        ["PATH --out t.csv", "PATH --out t.csv --camera PATH", "x --out t.csv --rate NUMBER"],
+    ),
+    "calibrate_camera": (
+        calibrate_camera.main,
+        ["PATH --out c.yaml", "x --out c.yaml --every NUMBER"],
+    ),
+    "film": (film_command.main, ["PATH --out f.avi", "WALK --out f.avi --duration NUMBER"]),
+    "print_markers": (print_command.main, ["NAME --out x.png", "torso --out x.png --dpi NUMBER"]),
+    "view": (
+        view.main,
+        ["PATH --animate x.gif", "WALK --animate NAME", "PATH --html x.html", "WALK --html NAME"],
+    ),
+}
+"""Function of every tool that needs no graph, and its command lines with such places."""
+
+
+@pytest.fixture
+def unusable(place):
+    """The directory, with pipes, noise and an empty directory in it."""
+    for name in ("empty", "piped"):
+        Path(name).mkdir()
+    for name in PIPES:
+        os.mkfifo(name)
+    for name in NOISE:
+        Path(name).write_bytes(random.Random(1).randbytes(3000))
+
+
+@pytest.mark.parametrize("tool", COMMANDS)
+def test_a_path_a_name_and_a_number_that_cannot_be_used_are_refused(unusable, refusal, tool):
+    """Without reading a device, which has no end, or a pipe, to which nobody writes."""
+    main, forms = COMMANDS[tool]
+    for form in forms:
+        place = next((kind for kind in WORDS if kind in form), "")
+        parts = [SOUND.get(part, part) for part in form.split()]
+        for word in WORDS.get(place, [""]):
+            line = refusal(main, *(part.replace(place, word) for part in parts))
+            require_short(line)
+            assert line.startswith(f"scripts/{tool}: "), (form, word)
+            assert word not in NO_FILES or place != "PATH" or "not a regular file" in line
 
 
 @pytest.mark.parametrize("text", [None, "", "nodes: many\n"])
@@ -282,7 +405,7 @@ def test_results_of_a_benchmark_into_a_file_are_refused(tmp_path, refusal):
 
 
 def test_a_bag_with_a_name_too_long_is_refused(refusal):
-    line = refusal(lambda arguments: run.check_options(parse(arguments)), "--bag", "x" * 300)
+    line = refusal(check_run, "--bag", "x" * 300)
     assert line == "scripts/run: bag: File name too long"
 
 

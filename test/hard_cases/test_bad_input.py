@@ -15,39 +15,6 @@ from slot_core.simulation.rod_robot import RodRobot
 from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 SETTINGS = {"robot": read_robot(), "scene": read_scene("flat"), "servo": read_servo()}
-BOUNDED = [
-    (source, name)
-    for source, settings in SETTINGS.items()
-    for name, value, meta in config.leaves(settings)
-    if "low" in meta and math.isfinite(meta["low"])
-]
-
-
-def replaced(source, name, make):
-    """Settings with the value at `name` replaced by make(value, metadata); a tuple's first item."""
-    value, meta = {n: (v, m) for n, v, m in config.leaves(SETTINGS[source])}[name]
-    new = make(value, meta)
-    new = [new, *value[1:]] if isinstance(value, tuple) else new
-    return config.replace(SETTINGS[source], {name: new})
-
-
-@pytest.mark.parametrize(("source", "name"), BOUNDED)
-@pytest.mark.parametrize("bound", ["low", "high"])
-def test_every_bounded_value_is_refused_beyond_its_bounds(source, name, bound):
-    def beyond(value, meta):
-        if isinstance(value, int):
-            return meta[bound] + (1 if bound == "high" else -1)
-        return math.nextafter(meta[bound], math.inf if bound == "high" else -math.inf)
-
-    with pytest.raises(ConfigError, match=rf"{name}.* = .*: outside \["):
-        replaced(source, name, beyond)
-
-
-@pytest.mark.parametrize(("source", "name"), BOUNDED)
-@pytest.mark.parametrize("nonsense", [math.nan, "much"])
-def test_no_bounded_value_may_be_nan_or_a_string(source, name, nonsense):
-    with pytest.raises(ConfigError, match=rf"{name}.* = {nonsense}|{name}.* = '{nonsense}'"):
-        replaced(source, name, lambda value, _: nonsense)
 
 
 @pytest.mark.parametrize(

@@ -1,1 +1,1 @@
-"""Benchmark of the servo bus: rate, age of commands, fuzzing."""
+"""Benchmark of the servo bus: rate, age of commands."""

@@ -1,1 +1,0 @@
-"""Benchmark of hostile input: what is refused, and how."""

@@ -1,0 +1,177 @@
+"""Files of config/ and settings that cannot be used are refused in one short line."""
+
+import math
+import re
+
+import pytest
+from damage import examples, refusable, require_short, spliced
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slot_core import config
+from slot_core.config import ConfigError
+from slot_core.control.force_map import read_force_map
+from slot_core.control.place_feedback import PlaceFeedback
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamixel.emulator.emulated_bus import read_emulator
+from slot_core.dynamixel.settings import read_settings as read_dynamixel
+from slot_core.estimation.state_estimator import read_estimator
+from slot_core.gait.gait import read_gaits
+from slot_core.mpc.settings import read_mpc
+from slot_core.paper.numbers import read_paper
+from slot_core.predictive.settings import read_predictive
+from slot_core.recording.record_settings import read_record_settings
+from slot_core.robot import read_robot
+from slot_core.safety.settings import read_supervisor
+from slot_core.servos.registry import read_servo_bus
+from slot_core.vision.settings import read_vision
+from slot_lab.calibration.experiments import read_settings as read_experiments
+from slot_lab.tuning.settings import read_tuning
+from slot_lab.twin.settings import read_twin
+
+FOLDERS = {  # of config/, and what reads a file of it by its name
+    "gait": lambda name: read_gaits(),
+    "mpc": read_mpc,
+    "parameters": lambda name: (read_robot(name), read_servo(name)),
+    "scene": read_scene,
+    "solver": lambda name: [read_scene(scene) for scene in ("flat", "map", "paper")],
+}
+FILES = {
+    "calibration": read_experiments,
+    "dynamixel": read_dynamixel,
+    "emulator": read_emulator,
+    "estimator": read_estimator,
+    "force_map": read_force_map,
+    "gait": read_gaits,
+    "mpc": read_mpc,
+    "paper": read_paper,
+    "place": lambda: PlaceFeedback.read_settings("place"),
+    "predictive": read_predictive,
+    "record": read_record_settings,
+    "robot": read_robot,
+    "servo": read_servo,
+    "servo_bus": read_servo_bus,
+    "supervisor": read_supervisor,
+    "tune": read_tuning,
+    "twin": read_twin,
+    "vision": read_vision,
+}
+TOKENS = [
+    token.encode()
+    for token in (
+        "!!timestamp zz",
+        "!!bool x",
+        "!!python/name:os.system ''",
+        "&a [*a]",
+        "*a",
+        "<<: {a: 1}",
+        ".inf",
+        ".nan",
+        "-.inf",
+        "1e999",
+        "9" * 400,
+        "0x" + "f" * 9000,
+        "2001-99-99",
+        "[" * 200,
+        "{" * 50,
+        "? [1]",
+        '"\\e]0;x\\a"',
+        "\x00",
+        "\x1b[2J",
+        "x" * 20000,
+        "=",
+        "~",
+        "''",
+        "[]",
+        "{}",
+        "- 1",
+        "%TAG",
+        "|",
+        ">",
+        "@",
+        "`",
+        "\t",
+        "\ufeff",
+        "\u202e",
+        "1:2:3",
+        "._",
+        "0o8",
+        "1__",
+        "true",
+        "null",
+    )
+]
+
+
+def reader_of(path):
+    """Function that reads a file of config/ by its path there, if one does."""
+    folder = FOLDERS.get(path.parent.name)
+    return (lambda: folder(path.stem)) if folder else FILES.get(path.stem)
+
+
+PATHS = [path.relative_to(config.config_dir()) for path in config.config_dir().rglob("*.yaml")]
+READ = sorted(path for path in PATHS if reader_of(path))
+
+
+def changed_text(text):
+    """Strategy of a file of YAML with a value replaced, a line inserted or doubled, or bytes."""
+    lines = text.splitlines(keepends=True)
+    values = [match.span(1) for match in re.finditer(rb": (.*)$", text, re.MULTILINE)]
+    inserted = st.sampled_from([*lines, *(token + b"\n" for token in TOKENS)])
+    return (
+        st.builds(
+            lambda span, token: text[: span[0]] + token + text[span[1] :],
+            st.sampled_from(values),
+            st.sampled_from(TOKENS),
+        )
+        | st.builds(
+            lambda n, line: b"".join([*lines[:n], line, *lines[n:]]),
+            st.integers(0, len(lines)),
+            inserted,
+        )
+        | spliced(text, *TOKENS)
+    )
+
+
+@given(st.data(), st.sampled_from(READ))
+@examples(300)
+def test_a_changed_file_of_the_configuration_is_read_or_refused(own_config, data, path):
+    file = own_config / path
+    sound = file.read_bytes()
+    try:
+        file.write_bytes(data.draw(changed_text(sound)))
+        with refusable(ConfigError):
+            reader_of(path)()
+    finally:
+        file.write_bytes(sound)
+
+
+NO_NUMBERS = ["much", math.nan, [1] * 7, {"a": 1}, None, True, "\x1b]0;x\x07", 10**400]
+
+
+def first(value):
+    return first(value[0]) if isinstance(value, tuple) else value
+
+
+def with_first(value, new):
+    return (with_first(value[0], new), *value[1:]) if isinstance(value, tuple) else new
+
+
+def beyond(value, meta):
+    """Numbers next to the bounds of a value, outside."""
+    for bound, way in ((meta["low"], -1), (meta["high"], 1)):
+        if math.isfinite(bound):
+            yield bound + way if isinstance(value, int) else math.nextafter(bound, way * math.inf)
+
+
+@pytest.mark.parametrize("name", [*FILES, "scene"])
+def test_every_bounded_value_is_refused_beyond_its_bounds_and_if_it_is_no_number(name):
+    settings = FILES[name]() if name in FILES else read_scene("flat")
+    for setting, value, meta in config.leaves(settings):
+        if "low" in meta and value != ():
+            outside = [(number, r".*: outside \[") for number in beyond(first(value), meta)]
+            for wrong, reason in [*outside, *((nonsense, "") for nonsense in NO_NUMBERS)]:
+                with pytest.raises(ConfigError, match=re.escape(setting) + reason) as refused:
+                    config.replace(settings, {setting: with_first(value, wrong)})
+                require_short(str(refused.value))
