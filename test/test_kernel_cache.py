@@ -1,6 +1,7 @@
 """Compiled kernels on disk: shared by content, never trusted when damaged, bounded in size."""
 
 import os
+import resource
 import subprocess
 import sys
 from collections import namedtuple
@@ -12,13 +13,15 @@ import pytest
 from slot_core import kernel_cache
 from slot_core.compiled import kernel
 from slot_core.kernel_cache import KernelCache, prune
+from slot_core.simulation.warm_up import compile_with
 
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
-    """An empty folder of kernels, in a process that has announced nothing."""
+    """An empty folder of kernels, in a process that has announced and lost nothing."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(KernelCache, "told", False)
+    monkeypatch.setattr(KernelCache, "lost", None)
     return tmp_path
 
 
@@ -63,6 +66,27 @@ def test_folder_that_cannot_be_written_costs_a_compilation_at_every_start(
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder / "file" / "cache"))
     assert doubled()(1.5) == 3.0
     assert "cannot be written, so every start does" in capsys.readouterr().err
+
+
+def test_full_disk_costs_a_compilation_at_every_start(folder, capsys):
+    """An empty file could be made on it, so it was said that the kernel is kept."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    try:
+        assert doubled()(1.5) == 3.0
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert "cannot be written, so every start does" in capsys.readouterr().err
+    assert not list(folder.iterdir())
+
+
+def test_setup_fails_where_a_kernel_cannot_be_kept(folder, monkeypatch):
+    """It marked the kernels as compiled, and every run compiled them again."""
+    compile_with(doubled(), (1.5,))
+    (folder / "file").write_text("")
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder / "file" / "cache"))
+    with pytest.raises(NotADirectoryError):
+        compile_with(doubled(), (1.5,))
 
 
 def test_order_of_fields_is_part_of_the_key(folder):

@@ -333,26 +333,65 @@ def test_uv_of_another_clone_installs_with_hashes_over_the_network_that_pip_woul
         assert f"--python {copy.home}/venv/bin/python" in call
 
 
-def test_pip_installs_where_uv_cannot_be_had(copy):
+def no_uv(copy: Copy) -> None:
+    """It is looked for, and not found."""
     del copy.variables["SLOT_PIP"]
     (copy.root / "scripts/requirements/uv.txt").write_text(
         f"no-such-uv==1.0 --hash=sha256:{'0' * 64}\n"
     )
     copy.variables["PIP_NO_INDEX"] = "1"
+
+
+def test_pip_installs_where_uv_cannot_be_had(copy):
+    no_uv(copy)
     status, output = copy.setup()
     assert status == 0
     assert "uv cannot be had" in output
     subprocess.run([copy.home / "venv/bin/python", "-c", "import pip"], check=True)
 
 
-def test_full_disk_is_named_in_one_line(copy):
-    executable(
-        copy.stubs / "bin/colcon", "#!/bin/bash\necho 'write: No space left on device'\nexit 1\n"
-    )
+@pytest.mark.parametrize("reason", ["No space left on device", "Disk quota exceeded"])
+def test_full_disk_is_named_in_one_line(copy, reason):
+    executable(copy.stubs / "bin/colcon", f"#!/bin/bash\necho 'write: {reason}'\nexit 1\n")
     status, output = copy.setup()
     assert status == 1
     assert output.splitlines()[-1].startswith(f"setup: no space left in {copy.home}")
     assert "write:" not in output
+
+
+def test_interrupted_fetch_of_uv_leaves_nothing_in_the_users_cache(copy):
+    no_uv(copy)
+    cache = Path(copy.variables["XDG_CACHE_HOME"]) / "slot"
+    process = copy.start()
+    places = [(cache, "uv-*/bin/python"), (copy.home, "cache/uv/bin/python")]
+    until(lambda: any(list(folder.glob(name)) for folder, name in places))
+    process.send_signal(signal.SIGINT)
+    assert "interrupted" in process.communicate()[1]
+    assert not list(cache.iterdir())
+
+
+def test_full_disk_is_named_where_uv_does_not_fit(copy):
+    """With pip the set-up would go on, and keep no kernel."""
+    no_uv(copy)
+    executable(copy.stubs / "bin/df", "#!/bin/bash\nprintf 'Avail\\n0\\n'\n")
+    status, output = copy.setup()
+    assert status == 1
+    assert output.splitlines()[-1].startswith(f"setup: no space left in {copy.home}")
+    assert len(output.splitlines()) == 2  # the first names the phase
+
+
+def test_full_disk_is_named_where_a_phase_cannot_be_marked_as_done(copy):
+    """The last write of a phase had a line of the shell's own."""
+    colcon = copy.stubs / "bin/colcon"
+    stamp = copy.home / "install/.stamp"
+    executable(colcon, f"#!/bin/bash\nmkdir -p {stamp.parent}/lib\nln -s /dev/full {stamp}\n")
+    status, output = copy.setup()
+    assert status == 1
+    assert output.splitlines()[-1].startswith(f"setup: no space left in {copy.home}")
+    assert len(output.splitlines()) == 3  # the others name the phases
+    stamp.unlink()
+    executable(colcon, COLCON)
+    assert copy.setup()[0] == 0
 
 
 def on_terminal(copy: Copy) -> tuple[subprocess.Popen[bytes], int]:
@@ -398,6 +437,43 @@ def test_no_process_goes_on_after_an_interrupt_on_a_terminal(copy):
     process.send_signal(signal.SIGINT)
     assert "interrupted" in shown(terminal).splitlines()[-1]
     assert process.wait() == 130
+
+
+def test_no_process_goes_on_after_a_setup_that_was_killed_outright(copy):
+    """Its bar held the lock, so that the next one waited for ever, and its build went on."""
+    (copy.stubs / "hold").touch()
+    process, terminal = on_terminal(copy)
+    until(lambda: copy.calls == ["build"])
+    process.kill()
+    process.wait()
+    free = subprocess.run(["flock", "-w", "10", copy.home / "lock", "true"], check=False)
+    assert free.returncode == 0
+    assert "building" in shown(terminal)
+
+
+def test_a_setup_that_waits_for_another_can_be_ended(copy):
+    hold = copy.stubs / "hold"
+    hold.touch()
+    first = copy.start()
+    until(lambda: copy.calls == ["build"])
+    second = copy.start()
+    assert second.stderr and "waiting for another" in second.stderr.readline()
+    second.terminate()
+    try:
+        assert second.wait(10) == 130
+    finally:
+        hold.unlink()
+        first.communicate()
+        second.communicate()
+    assert first.returncode == 0
+
+
+def test_what_versions_before_have_left_is_removed(ready):
+    places = [ready.home / name for name in ("cache/pip", "cache/numba", "underlay")]
+    for place in places:
+        place.mkdir()
+    assert ready.setup() == (0, "")
+    assert not any(place.exists() for place in places)
 
 
 def test_cache_of_a_user_without_a_writable_home_is_below_the_repository(ready):

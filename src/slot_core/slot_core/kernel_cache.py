@@ -48,7 +48,9 @@ IMPORT = re.compile(
 class KernelCache(NullCache):
     """Cache of one kernel, in the form that Numba's dispatcher asks for."""
 
-    told = False  # of all kernels of this process: that they are compiled
+    # Of all kernels of this process: whether it was said that they are compiled; why one could not be kept.
+    told = False
+    lost: OSError | None = None
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.name = f"{function.__module__}.{function.__qualname__}"
@@ -109,8 +111,8 @@ class KernelCache(NullCache):
         try:
             _write(path, hashlib.sha256(content).digest() + content)
             prune(path.parent)
-        except OSError:  # read-only or full, as _announce says
-            pass
+        except OSError as error:  # read-only or full, as _announce says
+            KernelCache.lost = error
         seconds = time.perf_counter() - self._start
         if seconds > 1.0:
             _say(f"compiled {self.name} in {seconds:.0f} s")
@@ -166,7 +168,8 @@ def _write(path: Path, data: bytes) -> None:
 def _writable(directory: Path) -> bool:
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=directory):
+        with tempfile.TemporaryFile(dir=directory) as file:
+            file.write(bytes(1 << 20))  # on a full disk an empty file would do
             return True
     except OSError:
         return False

@@ -2,9 +2,11 @@
 
 import multiprocessing
 from collections.abc import Callable
+from typing import Any
 
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.kernel_cache import KernelCache
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.rod_robot import RodRobot
@@ -20,11 +22,24 @@ def controller() -> None:
     ClosedLoop("map", "walk", None, 0)
 
 
-def run(jobs: list[tuple[Callable[..., None], tuple[str, ...]]]) -> None:
-    """Call functions with their arguments in two processes, in the order given."""
+def run(jobs: list[tuple[Callable[..., Any], tuple[str, ...]]]) -> None:
+    """Call functions with their arguments in two processes, in the order given.
+
+    Raises
+    ------
+    OSError
+        If a kernel could not be kept.
+    """
     with multiprocessing.get_context("spawn").Pool(2) as pool:
-        for result in [pool.apply_async(function, arguments) for function, arguments in jobs]:
+        for result in [pool.apply_async(compile_with, job) for job in jobs]:
             result.get()
+
+
+def compile_with(function: Callable[..., Any], arguments: tuple[str, ...]) -> None:
+    """Call a function whose kernels are to be kept."""
+    function(*arguments)
+    if KernelCache.lost:
+        raise KernelCache.lost
 
 
 def main() -> None:
