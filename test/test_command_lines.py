@@ -22,7 +22,7 @@ from slot_core.legs import tabulate_leg
 from slot_core.mpc.settings import read_mpc
 from slot_lab.bags import replay_command as replay
 from slot_lab.calibration import command as calibrate
-from slot_lab.film import calibrate_camera, film_command, print_command, track_command
+from slot_lab.film import calibrate_camera, print_command, track_command
 from slot_lab.report import compare, map_command
 from slot_lab.tuning import tune_command
 from slot_lab.twin import twin_command
@@ -348,7 +348,6 @@ COMMANDS = {
         calibrate_camera.main,
         ["PATH --out c.yaml", "x --out c.yaml --every NUMBER"],
     ),
-    "film": (film_command.main, ["PATH --out f.avi", "WALK --out f.avi --duration NUMBER"]),
     "print_markers": (print_command.main, ["NAME --out x.png", "torso --out x.png --dpi NUMBER"]),
     "view": (
         view.main,

@@ -457,7 +457,8 @@ def test_a_setup_that_waits_for_another_can_be_ended(copy):
     first = copy.start()
     until(lambda: copy.calls == ["build"])
     second = copy.start()
-    assert second.stderr and "waiting for another" in second.stderr.readline()
+    assert second.stderr
+    assert "waiting for another" in second.stderr.readline()
     second.terminate()
     try:
         assert second.wait(10) == 130
