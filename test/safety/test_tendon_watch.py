@@ -188,7 +188,10 @@ KILOGRAM = {"scene.payload.mass": 1.0}
     ("scene", "changes"), [("slope10", {}), ("flat", KILOGRAM), ("slope5", KILOGRAM)]
 )
 def test_a_walk_up_a_slope_or_with_a_payload_raises_no_alarm(scene, changes):
-    """Largest slack inferred in 12 s: 1.5, 2.0 and 2.0 mm, of both rear legs."""
+    """Largest slack inferred in 12 s: 1.5, 2.0 and 2.0 mm, of both rear legs.
+
+    It holds in most walks: of 12 seeds one with 1 kg on the flat floor raises a false alarm.
+    """
     loop = SupervisedLoop(scene, "walk", np.array([0.05, 0.0, 0.0]), 0, changes=changes)
     reports = list(loop.run(12.0))
     assert max(np.nanmax(r.slack) for r in reports[100:]) > LIMITS.slack_max
