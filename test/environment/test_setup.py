@@ -122,8 +122,8 @@ class Copy:
         bin_ = self.stubs / "bin"
         (bin_ / "cmake").unlink()
         used = (
-            "bash cat cut df dirname env find flock head id ln ls mkdir mv python3 rm sed sha256sum sort tail tr "
-            "true uname xargs"
+            "bash cat cut df dirname env find flock head id ln ls mkdir mv python3 rm sed sha256sum sleep sort "
+            "tail tr true uname xargs"
         )
         for tool in used.split():
             (bin_ / tool).symlink_to(shutil.which(tool, path=os.defpath) or tool)
@@ -429,14 +429,22 @@ def test_progress_on_a_terminal_is_one_line_with_a_bar(copy):
     assert re.search(build, text)
 
 
-def test_no_process_goes_on_after_an_interrupt_on_a_terminal(copy):
-    """The bar's too: the terminal is free, else this would not end."""
+def lock_is_free(copy: Copy) -> bool:
+    """No process of a setup holds its lock, soon at the latest."""
+    command = ["flock", "-w", "10", copy.home / "lock", "true"]
+    return subprocess.run(command, check=False).returncode == 0
+
+
+@pytest.mark.parametrize("cut", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_no_process_goes_on_after_a_signal_on_a_terminal(copy, cut):
+    """Nor the bar's: the terminal is free, else this would not end."""
     (copy.stubs / "hold").touch()
     process, terminal = on_terminal(copy)
     until(lambda: copy.calls == ["build"])
-    process.send_signal(signal.SIGINT)
+    process.send_signal(cut)
     assert "interrupted" in shown(terminal).splitlines()[-1]
     assert process.wait() == 130
+    assert lock_is_free(copy)
 
 
 def test_no_process_goes_on_after_a_setup_that_was_killed_outright(copy):
@@ -446,8 +454,7 @@ def test_no_process_goes_on_after_a_setup_that_was_killed_outright(copy):
     until(lambda: copy.calls == ["build"])
     process.kill()
     process.wait()
-    free = subprocess.run(["flock", "-w", "10", copy.home / "lock", "true"], check=False)
-    assert free.returncode == 0
+    assert lock_is_free(copy)
     assert "building" in shown(terminal)
 
 
