@@ -9,10 +9,9 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
-import re
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from documentation import DOC, ROOT
+from documentation.markdown import plain, table
 from slot_bringup.arguments import graph_arguments
 
 MARK = "<!-- Written by scripts/docs --tables. -->\n\n"  # the generated part of a page follows
@@ -165,17 +165,6 @@ def _range(descriptor: ParameterDescriptor) -> str:
     for bound in (*descriptor.integer_range, *descriptor.floating_point_range):
         return f"{bound.from_value:g} to {bound.to_value:g}"
     return plain(descriptor.additional_constraints)
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of cells that are Markdown already."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
-
-
-def plain(text: str) -> str:
-    """Text in one line that Markdown takes as it is."""
-    return re.sub(r"([\\`*_{}\[\]<>$|#])", r"\\\1", " ".join(text.split()))
 
 
 def code(value: Any) -> str:
