@@ -380,6 +380,16 @@ def test_full_disk_is_named_where_uv_does_not_fit(copy):
     assert len(output.splitlines()) == 2  # the first names the phase
 
 
+def test_full_disk_is_named_where_a_log_cannot_be_made(copy):
+    log = copy.home / "log/setup-venv.log"
+    log.parent.mkdir(parents=True)
+    log.symlink_to("/nowhere/log")
+    status, output = copy.setup()
+    assert status == 1
+    assert output.splitlines()[-1].startswith(f"setup: no space left in {copy.home}")
+    assert len(output.splitlines()) == 2  # the first names the phase
+
+
 def test_full_disk_is_named_where_a_phase_cannot_be_marked_as_done(copy):
     """The last write of a phase had a line of the shell's own."""
     colcon = copy.stubs / "bin/colcon"
