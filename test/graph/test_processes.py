@@ -24,6 +24,7 @@ from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
 from slot_msgs.msg import MpcState, RobotState
 from slot_nodes import qos
+from slot_nodes.supervisor_node import NODES_PERIOD
 
 GRAPH = read_graph()
 VALUES = {argument.name: argument.default for argument in GRAPH.arguments} | {"bag": "bag"}
@@ -68,12 +69,12 @@ def all_ended(nodes):
     return not any(psutil.pid_exists(node.pid) and node.is_running() for node in nodes.values())
 
 
-def wait_for_commands(run, count=30):
-    """Wait until the graph has published `count` commands, so that the robot walks."""
-    received = []
+def wait_for_commands(run, count=30, seconds=0.0):
+    """Wait until the graph has published commands, `count` or more, for a time: the robot walks."""
+    received, end = [], time.monotonic() + seconds
     with listener("listener") as (node, executor):
         node.create_subscription(JointState, "desired_joint_angles", received.append, qos.CONTROL)
-        while len(received) < count:
+        while len(received) < count or time.monotonic() < end:
             executor.spin_once(timeout_sec=0.1)
             assert run.poll() is None, run.communicate()
 
@@ -147,7 +148,7 @@ def test_the_robot_walks_on_without_its_recorder_but_not_without_another_node_an
     tmp_path, fault, code, needed
 ):
     run, nodes = start(tmp_path)
-    wait_for_commands(run)
+    wait_for_commands(run, seconds=2 * NODES_PERIOD)  # the supervisor has seen the recorder
     if fault == "killed":
         nodes["recorder"].kill()
     else:
