@@ -81,8 +81,7 @@ def add_settings(app: Sphinx, what: str, name: str, kind: Any, *rest: Any) -> No
 def meaning(meta: Mapping[str, Any]) -> str:
     """Text of a setting from the metadata of its field."""
     low, high = meta.get("low", -math.inf), meta.get("high", math.inf)
-    limits = [f"at least {low:g}"] * math.isfinite(low) + [f"at most {high:g}"] * math.isfinite(
-        high
-    )
+    bounds = ("at least", low), ("at most", high)
+    limits = [f"{words} {value:g}" for words, value in bounds if math.isfinite(value)]
     options = ["one of " + ", ".join(meta["options"])] if "options" in meta else []
     return "; ".join(filter(None, [meta["doc"], meta.get("unit"), *limits, *options]))

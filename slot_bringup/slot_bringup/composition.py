@@ -45,10 +45,8 @@ def choose(values: Mapping[str, Any]) -> tuple[bool, str]:
     except ConfigError:
         raise
     except Exception as error:  # of a policy of the user's own, which ends its node too
-        return (
-            False,
-            f"controller in four processes: its policy fails, {type(error).__name__}: {error}",
-        )
+        found = f"its policy fails, {type(error).__name__}: {error}"
+        return False, f"controller in four processes: {found}"
     found = f"its load is {load:.2f} of a core, limit {LOAD_MAX:g}"
     if load <= LOAD_MAX:
         return True, f"controller in one process: {found}"

@@ -39,9 +39,7 @@ class NodeSpec:
     remappings: Mapping[str, str] = field(default_factory=dict)
     nodes: tuple[str, ...] = ()  # of a process with several
     params_file: str = ""  # of parameters; those of `parameters` prevail
-    environment: Mapping[str, str] = field(
-        default_factory=dict
-    )  # of the process, beside its parent's
+    environment: Mapping[str, str] = field(default_factory=dict)  # beside that of its parent
     if_it_ends: str = END
 
     @property

@@ -350,6 +350,14 @@ def test_pip_installs_where_uv_cannot_be_had(copy):
     subprocess.run([copy.home / "venv/bin/python", "-c", "import pip"], check=True)
 
 
+def full_disk_is_named(copy: Copy, lines: int) -> None:
+    """A set-up fails; the last of its lines names the full disk, the others their phases."""
+    status, output = copy.setup()
+    assert status == 1
+    assert output.splitlines()[-1].startswith(f"setup: no space left in {copy.home}")
+    assert len(output.splitlines()) == lines
+
+
 @pytest.mark.parametrize("reason", ["No space left on device", "Disk quota exceeded"])
 def test_full_disk_is_named_in_one_line(copy, reason):
     executable(copy.stubs / "bin/colcon", f"#!/bin/bash\necho 'write: {reason}'\nexit 1\n")
@@ -374,20 +382,14 @@ def test_full_disk_is_named_where_uv_does_not_fit(copy):
     """With pip the set-up would go on, and keep no kernel."""
     no_uv(copy)
     executable(copy.stubs / "bin/df", "#!/bin/bash\nprintf 'Avail\\n0\\n'\n")
-    status, output = copy.setup()
-    assert status == 1
-    assert output.splitlines()[-1].startswith(f"setup: no space left in {copy.home}")
-    assert len(output.splitlines()) == 2  # the first names the phase
+    full_disk_is_named(copy, lines=2)
 
 
 def test_full_disk_is_named_where_a_log_cannot_be_made(copy):
     log = copy.home / "log/setup-venv.log"
     log.parent.mkdir(parents=True)
     log.symlink_to("/nowhere/log")
-    status, output = copy.setup()
-    assert status == 1
-    assert output.splitlines()[-1].startswith(f"setup: no space left in {copy.home}")
-    assert len(output.splitlines()) == 2  # the first names the phase
+    full_disk_is_named(copy, lines=2)
 
 
 def test_full_disk_is_named_where_a_phase_cannot_be_marked_as_done(copy):
@@ -395,10 +397,7 @@ def test_full_disk_is_named_where_a_phase_cannot_be_marked_as_done(copy):
     colcon = copy.stubs / "bin/colcon"
     stamp = copy.home / "install/.stamp"
     executable(colcon, f"#!/bin/bash\nmkdir -p {stamp.parent}/lib\nln -s /dev/full {stamp}\n")
-    status, output = copy.setup()
-    assert status == 1
-    assert output.splitlines()[-1].startswith(f"setup: no space left in {copy.home}")
-    assert len(output.splitlines()) == 3  # the others name the phases
+    full_disk_is_named(copy, lines=3)
     stamp.unlink()
     executable(colcon, COLCON)
     assert copy.setup()[0] == 0
