@@ -48,12 +48,16 @@ def install(package, prefix):
     (about / "METADATA").write_text(
         "Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n".format(**settings)
     )
-    (about / "entry_points.txt").write_text("\n".join(["[console_scripts]", *entries, ""]))
+    (about / "entry_points.txt").write_text(
+        "\n".join(["[console_scripts]", *entries, ""])
+    )
     for entry in entries:
         name, module, function = entry.replace(":", " = ").split(" = ")
         program = prefix / "lib" / settings["name"] / name
         program.parent.mkdir(parents=True, exist_ok=True)
-        program.write_text(PROGRAM.format(python=sys.executable, module=module, function=function))
+        program.write_text(
+            PROGRAM.format(python=sys.executable, module=module, function=function)
+        )
         program.chmod(0o755)
 
 

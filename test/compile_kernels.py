@@ -28,7 +28,9 @@ NO_STEP = 0
 
 def compile_robot():
     """A robot on rods, in lanes and leg by leg."""
-    rods = RodRobot(ROBOT, config.replace(read_scene("flat"), {"start.settle": 0.0}), read_servo())
+    rods = RodRobot(
+        ROBOT, config.replace(read_scene("flat"), {"start.settle": 0.0}), read_servo()
+    )
     _ = rods.momentum(), rods.energy(), rods.snapshot()
     integrator.advance_one_by_one(rods.handle, NO_STEP)
 
@@ -46,7 +48,9 @@ def compile_legs():
 
 def compile_rod():
     """The public rod."""
-    rod = CosseratRod(Material(1e7, 3e6, 1200.0, 0.0), Geometry(0.2, Rectangle(0.02, (0.01, 0.01))))
+    rod = CosseratRod(
+        Material(1e7, 3e6, 1200.0, 0.0), Geometry(0.2, Rectangle(0.02, (0.01, 0.01)))
+    )
     rod.state = rod.state
     rod.run(1e-3, NO_STEP)
     rod.solve_static()

@@ -29,10 +29,14 @@ def examples(count):
 def spliced(data, *inserted):
     """Strategy of `data` with bytes changed, inserted, removed or cut off, often near an end."""
     near = min(len(data), 4000)
-    place = st.integers(0, len(data)) | st.integers(0, near) | st.integers(len(data) - near)
+    place = (
+        st.integers(0, len(data)) | st.integers(0, near) | st.integers(len(data) - near)
+    )
     removed = st.sampled_from([0, 1, 4, 200, len(data)])
     new = st.binary(max_size=20) | st.sampled_from(inserted or [b""])
-    return st.builds(lambda n, size, b: data[:n] + b + data[n + size :], place, removed, new)
+    return st.builds(
+        lambda n, size, b: data[:n] + b + data[n + size :], place, removed, new
+    )
 
 
 def require_short(line):

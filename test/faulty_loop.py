@@ -26,11 +26,18 @@ class FaultyLoop(SupervisedLoop):
 
     def __init__(self, hardware="sim", scene="flat", seed=0):
         super().__init__(scene, "walk", None, seed, hardware=hardware)
-        self.first, self.reasons = {}, {}  # s since the fault, and the reason of a state
-        self.change_odometry = self.change_command = self.change_imu = lambda value: value
+        self.first, self.reasons = (
+            {},
+            {},
+        )  # s since the fault, and the reason of a state
+        self.change_odometry = self.change_command = self.change_imu = lambda value: (
+            value
+        )
         self.estop = {}  # sources of the e-stop by name: whether it is pressed
         self.clock_offset = 0  # ns, of the computer's clock
-        self.delay = lambda: 0.0  # s, by which the next tick of the controller arrives late
+        self.delay = lambda: (
+            0.0
+        )  # s, by which the next tick of the controller arrives late
 
     def react(self, fault, last, limit, begin=BEGIN):
         """Walk for `begin` s, let `fault` happen, and run until the event `last` or for `limit` s.
@@ -98,14 +105,18 @@ class FaultyLoop(SupervisedLoop):
 
     def spoil_odometry(self):
         """Let the position of the odometry be NaN."""
-        self.change_odometry = lambda o: dataclasses.replace(o, position=np.full(3, np.nan))
+        self.change_odometry = lambda o: dataclasses.replace(
+            o, position=np.full(3, np.nan)
+        )
 
     def lose_imu(self):
         self.change_imu = lambda i: None
 
     def spoil_imu(self):
         """Let the acceleration be NaN."""
-        self.change_imu = lambda i: dataclasses.replace(i, specific_force=np.full(3, np.nan))
+        self.change_imu = lambda i: dataclasses.replace(
+            i, specific_force=np.full(3, np.nan)
+        )
 
     def jam(self):
         """Let the legs stay where they are, whatever they are commanded."""
@@ -127,7 +138,9 @@ class FaultyLoop(SupervisedLoop):
 
         def invalid(*arguments):
             preview = step(*arguments)
-            return dataclasses.replace(preview, friction=np.full_like(preview.friction, np.nan))
+            return dataclasses.replace(
+                preview, friction=np.full_like(preview.friction, np.nan)
+            )
 
         self.loop.controller.scheduler.step = invalid
 
@@ -173,7 +186,9 @@ class FaultyLoop(SupervisedLoop):
 
     def supervise(self, report):
         for source, pressed in self.estop.items():
-            receive = partial(self.supervisor.receive_estop, source=source, pressed=pressed)
+            receive = partial(
+                self.supervisor.receive_estop, source=source, pressed=pressed
+            )
             self.ticked.add("e-stop", report.stamp, receive)
         shifted = dataclasses.replace(report, stamp=report.stamp + self.clock_offset)
         return super().supervise(shifted)

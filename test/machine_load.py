@@ -15,11 +15,15 @@ import numpy as np
 import psutil
 
 PERIOD = 0.05  # s, between two wake-ups
-WINDOW = 20  # periods, over which the CPU is counted: the kernel does so in steps of 10 ms
+WINDOW = (
+    20  # periods, over which the CPU is counted: the kernel does so in steps of 10 ms
+)
 LATE = 0.05  # s; the limits of the tests are ten times as long or more
 LARGEST_LATE_SHARE = 0.02  # of the wake-ups
 LARGEST_TAKEN = 0.25  # of the CPU, over the whole test
-LARGEST_TAKEN_IN_WINDOW = 0.6  # of the CPU, over a second: a half of two cores, and a tenth
+LARGEST_TAKEN_IN_WINDOW = (
+    0.6  # of the CPU, over a second: a half of two cores, and a tenth
+)
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,9 @@ class Load:
 
     def taken(self) -> np.ndarray:
         """Share of the CPU that others took or the host stole, in each window (n,)."""
-        passed, busy, own = np.diff([[c.passed, c.busy, c.own] for c in self.cpu], axis=0).T
+        passed, busy, own = np.diff(
+            [[c.passed, c.busy, c.own] for c in self.cpu], axis=0
+        ).T
         return np.clip((busy - own) / np.maximum(passed, 1e-9), 0.0, 1.0)
 
     def overload(self) -> str:
@@ -65,7 +71,9 @@ def read_cpu():
     """The CPU times now, of the cores that this process may use."""
     cores = {f"cpu{number}" for number in os.sched_getaffinity(0)}
     rows = [line.split() for line in Path("/proc/stat").read_text().splitlines()]
-    ticks = np.sum([[int(v) for v in row[1:9]] for row in rows if row[0] in cores], axis=0)
+    ticks = np.sum(
+        [[int(v) for v in row[1:9]] for row in rows if row[0] in cores], axis=0
+    )
     idle = ticks[3] + ticks[4]  # user nice system idle iowait irq softirq steal
     hertz = os.sysconf("SC_CLK_TCK")
     return Cpu(ticks.sum() / hertz, (ticks.sum() - idle) / hertz, own_cpu())
@@ -76,7 +84,9 @@ def own_cpu():
     this, total = psutil.Process(), 0.0
     for process in (this, *this.children(recursive=True)):
         with suppress(psutil.Error):  # it has ended meanwhile
-            total += sum(process.cpu_times()[:4])  # user, system, and both of ended children
+            total += sum(
+                process.cpu_times()[:4]
+            )  # user, system, and both of ended children
     return total
 
 
@@ -116,7 +126,9 @@ class Judge:
         """Change the report of a failure with its exception if the load excuses it."""
         if not report.failed:
             return
-        known = next((reason for excused, reason in self._excused if excused is error), "")
+        known = next(
+            (reason for excused, reason in self._excused if excused is error), ""
+        )
         if reason := known or load.overload():
             self._excused.append((error, reason))
             report.outcome = "skipped"

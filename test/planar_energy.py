@@ -38,7 +38,9 @@ def leg_energy(model, node, angle, height):
     """
     rod, tendon = model.rod, model.tendon
     slack = tendon.relaxed - tendon.around @ rod.rest_angle
-    cable = max(0.0, cable_length(rod, tendon, node) - slack + tendon.spool_radius * angle)
+    cable = max(
+        0.0, cable_length(rod, tendon, node) - slack + tendon.spool_radius * angle
+    )
     ends = np.column_stack([node[:-1, 1], node[1:, 1]]).ravel()  # of the segments
     depth = np.minimum(0.0, height + np.repeat(ends, 2))  # both edges touch
     stored = tendon.stiffness * cable**2 + model.floor.stiffness @ depth**2

@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-DOMAINS = 100  # above 101 the ports of DDS lie in the range that Linux assigns dynamically
+DOMAINS = (
+    100  # above 101 the ports of DDS lie in the range that Linux assigns dynamically
+)
 SLOW_MPC = {"acceptance.time_budget": 0.2}  # s, on a busy machine
 # Time limits that hold on a busy machine, where processes wait longer than on a robot. Without
 # `clock_jump` a supervisor that has waited for 0.5 s reports a jump of the clock and holds.

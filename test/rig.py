@@ -48,9 +48,12 @@ TOPICS = {
 }
 # Request that leads towards WALKING, by state.
 NEXT_REQUEST = {
-    State.ESTOP: "reset", State.FAULT: "reset",
-    State.IDLE: "ready", State.READY: "stand", State.STANDING: "walk",
-}  # fmt: skip
+    State.ESTOP: "reset",
+    State.FAULT: "reset",
+    State.IDLE: "ready",
+    State.READY: "stand",
+    State.STANDING: "walk",
+}
 TICK = 0.033  # s, between two odometry readings
 JOINTS, GAINS = read_settings().joints, read_settings().gains
 # counts, largest motion under load when torque comes on: before, gearbox friction holds up to 0.1
@@ -61,10 +64,14 @@ SAG = 1 + 0.1 * 885 * 128 / GAINS.p
 class Rig:
     """A graph with its messages, requests and faults. Times are ns of the messages' clock."""
 
-    def __init__(self, directory, config=PATIENT, parameters=None, only=None, **arguments):
+    def __init__(
+        self, directory, config=PATIENT, parameters=None, only=None, **arguments
+    ):
         """`config`: as for `changed_config`; `parameters`: by node; `only`: nodes to
         start now, else all; `arguments`: of the graph."""
-        self._describe(directory, config, parameters, {"hardware": "fake_bus"} | arguments)
+        self._describe(
+            directory, config, parameters, {"hardware": "fake_bus"} | arguments
+        )
         self.children = {}
         self._open_node()
         self.start(*(self.specs if only is None else only))
@@ -72,23 +79,37 @@ class Rig:
     def _describe(self, directory, config, parameters, arguments):
         """Configuration and nodes; no messages yet."""
         self.directory, self.bus = directory, directory / "bus"
-        self.config, self._parameters = changed_config(directory, config), parameters or {}
+        self.config, self._parameters = (
+            changed_config(directory, config),
+            parameters or {},
+        )
         graph = read_graph()
         values = {a.name: a.default for a in graph.arguments} | arguments
         if values["hardware"] == "fake_bus":
             values["port"] = str(self.bus)
         self.specs = {spec.name: spec for spec in graph.nodes(values)}
         self._injected = set()  # (kind, leg)
-        self.messages, self.transitions = defaultdict(list), []  # (since, State, reason)
+        self.messages, self.transitions = (
+            defaultdict(list),
+            [],
+        )  # (since, State, reason)
 
     def _open_node(self):
         """Subscribe to TOPICS, and receive in a thread."""
         self.context = Context()
-        rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(
+            args=[],
+            context=self.context,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
         self.node = rclpy.create_node("tester", context=self.context)
         for topic, (kind, profile) in TOPICS.items():
-            self.node.create_subscription(kind, topic, self.messages[topic].append, profile)
-        self.node.create_subscription(RobotState, "/robot_state", self._on_state, qos.STATE)
+            self.node.create_subscription(
+                kind, topic, self.messages[topic].append, profile
+            )
+        self.node.create_subscription(
+            RobotState, "/robot_state", self._on_state, qos.STATE
+        )
         self._clients = {}
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
@@ -122,13 +143,18 @@ class Rig:
         for name in names:
             executable, *arguments = command_line(self.specs[name])
             values = {**self._parameters.get(name, {}), **(parameters or {})}
-            options = [w for key, value in values.items() for w in ("-p", f"{key}:={value}")]
+            options = [
+                w for key, value in values.items() for w in ("-p", f"{key}:={value}")
+            ]
             with (self.directory / f"{name}.log").open("ab") as log:
                 self.children[name] = subprocess.Popen(
                     [*TIED, *(program or [executable]), *arguments, *options],
-                    env=environment, stdout=log, stderr=log, start_new_session=True,
+                    env=environment,
+                    stdout=log,
+                    stderr=log,
+                    start_new_session=True,
                     cwd=self.directory,
-                )  # fmt: skip
+                )
 
     def log(self, name):
         """Output of a node so far."""
@@ -165,7 +191,10 @@ class Rig:
         """Last transitions and the ends of all logs, for the message of a failure."""
         logs = {name: self.log(name)[-2000:] for name in self.children}
         return "\n".join(
-            [*map(str, self.transitions[-12:]), *(f"{n}:\n{t}" for n, t in logs.items())]
+            [
+                *map(str, self.transitions[-12:]),
+                *(f"{n}:\n{t}" for n, t in logs.items()),
+            ]
         )
 
     def call(self, kind, service, /, **request):
@@ -189,7 +218,9 @@ class Rig:
             InjectFault, "/sim_robot/inject", kind=kind, leg=leg, clear=clear, **values
         )
         assert answer.success, answer.message
-        self._injected = {*self._injected, (kind, leg)} - ({(kind, leg)} if clear else set())
+        self._injected = {*self._injected, (kind, leg)} - (
+            {(kind, leg)} if clear else set()
+        )
         return now
 
     @property
@@ -203,7 +234,11 @@ class Rig:
 
     def since(self, topic, time):
         """Messages of a topic stamped at or after a time."""
-        return [message for message in list(self.messages[topic]) if decode.stamp(message) >= time]
+        return [
+            message
+            for message in list(self.messages[topic])
+            if decode.stamp(message) >= time
+        ]
 
     def supervisor_settings(self):
         """Settings of supervisor.yaml in force."""
@@ -218,7 +253,9 @@ class Rig:
         """Wait for a transition to `state` at or after `time`; returns (since, reason)."""
 
         def found():
-            later = (t for t in list(self.transitions) if t[0] >= time and t[1] is state)
+            later = (
+                t for t in list(self.transitions) if t[0] >= time and t[1] is state
+            )
             return next(((since, reason) for since, _, reason in later), None)
 
         return self.wait_for(found, limit, f"never {state.name}")
@@ -237,7 +274,9 @@ class Rig:
 
         def still():
             angles = [m.position for m in self.since("/joint_states", begin)[-50:]]
-            return len(angles) == 50 and np.ptp(angles, axis=0).max() < 1.5 * RAD_PER_COUNT
+            return (
+                len(angles) == 50 and np.ptp(angles, axis=0).max() < 1.5 * RAD_PER_COUNT
+            )
 
         self.wait_for(still, what="never at rest")
         return np.array(self.last("/joint_states").position)
@@ -281,7 +320,10 @@ class Rig:
 
     def walk_steadily(self):
         """Bring the robot to WALKING, and wait until it has walked for half a second."""
-        while self.state is not State.WALKING or self.now() - self.transitions[-1][0] < 5e8:
+        while (
+            self.state is not State.WALKING
+            or self.now() - self.transitions[-1][0] < 5e8
+        ):
             self.walk()
             time.sleep(0.05)
 

@@ -27,13 +27,20 @@ def content(value):
 def main(ticks, policies):
     """Walk and print, after every tenth tick, the digest of each stage up to there."""
     for policy in policies:
-        stages = {name: hashlib.sha256() for name in ("estimate", "preview", "plan", "command")}
+        stages = {
+            name: hashlib.sha256()
+            for name in ("estimate", "preview", "plan", "command")
+        }
         loop = ClosedLoop("flat", "walk", VELOCITY, seed=3, policy=policy)
         for k, tick in enumerate(loop.run(ticks)):
             for name, digest in stages.items():
                 digest.update(content(getattr(tick, name)))
             if k % 10 == 9:
-                print(policy, k + 1, *(f"{n} {d.hexdigest()[:16]}" for n, d in stages.items()))
+                print(
+                    policy,
+                    k + 1,
+                    *(f"{n} {d.hexdigest()[:16]}" for n, d in stages.items()),
+                )
 
 
 if __name__ == "__main__":

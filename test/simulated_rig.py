@@ -19,7 +19,16 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from rig import TOPICS, Rig
-from simulated_ros import Answer, Clock, Logger, Port, Publisher, StubTerminal, Subscription, Timer
+from simulated_ros import (
+    Answer,
+    Clock,
+    Logger,
+    Port,
+    Publisher,
+    StubTerminal,
+    Subscription,
+    Timer,
+)
 
 from slot_bringup.processes import command_line
 from slot_core.clock import SECOND
@@ -29,7 +38,12 @@ from slot_core.dynamixel.emulator import emulated_legs
 from slot_core.servos import registry
 from slot_core.simulation import simulated_servos
 from slot_msgs.srv import InjectFault
-from slot_nodes import dynamixel_driver_node, mpc_controller_node, runtime, sim_robot_node
+from slot_nodes import (
+    dynamixel_driver_node,
+    mpc_controller_node,
+    runtime,
+    sim_robot_node,
+)
 
 START = 1_700_000_000 * SECOND  # ns
 STEP = 0.01  # s, between two checks of a condition
@@ -43,12 +57,16 @@ class SimulatedRig(Rig):
         """As Rig, with the time limits of config/, which hold here as on a robot."""
         self._describe(directory, config or {}, parameters, arguments)
         self._time, self._events, self._count = START, [], itertools.count()
-        self._building = None  # (name, number of its start) of the node that is being made
+        self._building = (
+            None  # (name, number of its start) of the node that is being made
+        )
         self._starts = itertools.count()
         self._nodes, self._contexts, self.exit_codes = {}, {}, {}
         self._busy, self._paused = [], set()
         self._subscriptions = defaultdict(list)  # by topic
-        self.waiting = defaultdict(list)  # subscriptions with messages for a node that is not free
+        self.waiting = defaultdict(
+            list
+        )  # subscriptions with messages for a node that is not free
         self._publishers = []  # (node, publisher)
         self._services = {}  # (node, kind, callback), by name
         self._logs = defaultdict(list)
@@ -72,13 +90,19 @@ class SimulatedRig(Rig):
         def get_publishers_info_by_topic(node, topic):
             return rig.publishers_of(topic)
 
-        def create_subscription(node, _, topic, callback, profile, callback_group=None, **__):
+        def create_subscription(
+            node, _, topic, callback, profile, callback_group=None, **__
+        ):
             profile = rig._profile(profile)
             by = rig._building or rig._busy[-1]
             return rig._subscribe(by, topic, callback, profile, callback_group)
 
         def create_service(node, kind, name, callback, **_):
-            full = f"/{rig._building[0]}/{name[2:]}" if name[:2] == "~/" else f"/{name.lstrip('/')}"
+            full = (
+                f"/{rig._building[0]}/{name[2:]}"
+                if name[:2] == "~/"
+                else f"/{name.lstrip('/')}"
+            )
             rig._services[full] = rig._building, kind, callback
 
         def create_client(node, kind, name):
@@ -91,8 +115,14 @@ class SimulatedRig(Rig):
         def create_timer(node, period, callback, **_):
             return Timer(rig, rig._building or rig._busy[-1], period, callback)
 
-        for replaced in (create_publisher, create_subscription, create_service, create_client,
-                         create_timer, get_publishers_info_by_topic):  # fmt: skip
+        for replaced in (
+            create_publisher,
+            create_subscription,
+            create_service,
+            create_client,
+            create_timer,
+            get_publishers_info_by_topic,
+        ):
             patch(Node, replaced.__name__, replaced)
         patch(Node, "count_publishers", lambda _, topic: len(rig.publishers_of(topic)))
         patch(Node, "destroy_timer", lambda _, timer: timer.cancel())
@@ -170,22 +200,28 @@ class SimulatedRig(Rig):
         """Start nodes, also again; `parameters` for this start only."""
         for name in names:
             values = {**self._parameters.get(name, {}), **(parameters or {})}
-            options = [w for key, value in values.items() for w in ("-p", f"{key}:={value}")]
+            options = [
+                w for key, value in values.items() for w in ("-p", f"{key}:={value}")
+            ]
             context = Context()
             rclpy.init(
-                args=[*command_line(self.specs[name]), *options], context=context,
+                args=[*command_line(self.specs[name]), *options],
+                context=context,
                 signal_handler_options=SignalHandlerOptions.NO,
-            )  # fmt: skip
+            )
             module = importlib.import_module(f"slot_nodes.{name}_node")
             kind = next(
-                value for key, value in vars(module).items()
+                value
+                for key, value in vars(module).items()
                 if key.lower() == f"{name}node".replace("_", "")
-            )  # fmt: skip
+            )
             self._building = name, next(self._starts)
             self.exit_codes.pop(name, None)
             try:
                 with pytest.MonkeyPatch.context() as patch:
-                    patch.setattr("rclpy.node.get_default_context", lambda made=context: made)
+                    patch.setattr(
+                        "rclpy.node.get_default_context", lambda made=context: made
+                    )
                     self._nodes[name] = self._building, kind()
                     self._contexts[name] = context
             finally:
@@ -196,12 +232,16 @@ class SimulatedRig(Rig):
         return name in self._nodes
 
     def is_alive(self, node):
-        return node is None or (node[0] in self._nodes and self._nodes[node[0]][0] == node)
+        return node is None or (
+            node[0] in self._nodes and self._nodes[node[0]][0] == node
+        )
 
     def is_free(self, node):
         """Whether a node can take a message or a timer."""
         return node is None or (
-            self.is_alive(node) and node not in self._busy and node[0] not in self._paused
+            self.is_alive(node)
+            and node not in self._busy
+            and node[0] not in self._paused
         )
 
     def execute(self, node, callback):

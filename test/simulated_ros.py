@@ -51,8 +51,11 @@ class Subscription:
         self._group = group
         self.handle = self
         self._queue = deque(maxlen=profile.depth)
-        needed = [p for p in inspect.signature(callback or print).parameters.values()
-                  if p.kind is p.POSITIONAL_OR_KEYWORD and p.default is p.empty]  # fmt: skip
+        needed = [
+            p
+            for p in inspect.signature(callback or print).parameters.values()
+            if p.kind is p.POSITIONAL_OR_KEYWORD and p.default is p.empty
+        ]
         self._with_info = len(needed) == 2
 
     def receive(self, message, number):
@@ -174,6 +177,10 @@ class Port(MemoryPort):
         super().open()
 
     def writePort(self, packet):  # noqa: N802
-        if self._bus is None or self._bus.unplugged or self._bus is not self._rig.emulated_bus():
+        if (
+            self._bus is None
+            or self._bus.unplugged
+            or self._bus is not self._rig.emulated_bus()
+        ):
             raise PortError("memory: the port has disappeared")
         return super().writePort(packet)

@@ -21,7 +21,9 @@ class StubSupervisor:
         self._rig = rig
         self._states = rig.publisher(RobotState, "robot_state", qos.STATE)
         self._limits = rig.publisher(ServoLimits, "servo_limits", qos.STATE)
-        self._limits.publish(messages.limits_to_msg(rig.supervisor_settings().servo_limits))
+        self._limits.publish(
+            messages.limits_to_msg(rig.supervisor_settings().servo_limits)
+        )
         self._commands = rig.publisher(JointState, "desired_joint_angles", qos.CONTROL)
         self._timer = rig.every(0.02, self._send)
 
@@ -34,7 +36,9 @@ class StubSupervisor:
             state.header.stamp = messages.ns_to_stamp(now)
             self._states.publish(state)
         if (angle := self.angle) is not None:
-            self._commands.publish(messages.command_to_msg(now, np.full(4, angle), np.zeros(4)))
+            self._commands.publish(
+                messages.command_to_msg(now, np.full(4, angle), np.zeros(4))
+            )
 
     def close(self):
         self._timer.cancel()
@@ -57,7 +61,9 @@ class StubSupervisor:
 
     def _arrived(self):
         """Whether the tendons are at the angle, within the servos' droop under load."""
-        return np.allclose(self._rig.last("/joint_states").position, self.angle, atol=0.2)
+        return np.allclose(
+            self._rig.last("/joint_states").position, self.angle, atol=0.2
+        )
 
 
 @pytest.fixture

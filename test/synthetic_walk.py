@@ -65,7 +65,9 @@ def _fill(old: Any, value: Any) -> Any:
         return type(old)(**dict(zip(names, (float(v) for v in value))))
     if isinstance(old, list) and old and hasattr(old[0], "__dataclass_fields__"):
         return [_fill(old[0], row) for row in value]
-    return np.asarray(value, old.dtype).ravel() if isinstance(old, np.ndarray) else value
+    return (
+        np.asarray(value, old.dtype).ravel() if isinstance(old, np.ndarray) else value
+    )
 
 
 def encode(topic: str, built: Any) -> bytes:
@@ -86,7 +88,9 @@ class Walk:
     latencies: tuple[float, ...] = (0.002, 0.001, 0.006, 0.001)  # s per stage
     real_time_factor: float = 1.0
     unanswered: tuple[int, ...] = ()  # ticks without a command
-    lost: tuple[int, ...] = ()  # ticks without odometry, and so without any other message
+    lost: tuple[
+        int, ...
+    ] = ()  # ticks without odometry, and so without any other message
     late: tuple[int, ...] = ()  # ticks whose MPC takes a control period longer
     fallback: tuple[int, ...] = ()  # ticks whose MPC found no solution
     rejected: tuple[int, ...] = ()  # ticks whose odometry the estimator rejected
@@ -98,21 +102,27 @@ class Walk:
     def position(self, t: float) -> Array:
         """(3,) m at time t after the start."""
         turned = self.yaw_rate * t
-        chord = self.speed * t * np.sinc(turned / (2 * np.pi))  # of an arc with that turn
+        chord = (
+            self.speed * t * np.sinc(turned / (2 * np.pi))
+        )  # of an arc with that turn
         direction = self.course + turned / 2
         height = TORSO_HEIGHT + self.bounce * np.sin(2 * np.pi * t / STRIDE)
         return np.array([chord * np.cos(direction), chord * np.sin(direction), height])
 
     def rpy(self, t: float) -> Array:
         """(3,) rad."""
-        return np.array([self.roll * np.sin(2 * np.pi * t / STRIDE), 0.0, self.yaw_rate * t])
+        return np.array(
+            [self.roll * np.sin(2 * np.pi * t / STRIDE), 0.0, self.yaw_rate * t]
+        )
 
     def velocity(self, t: float) -> Array:
         """(3,) m/s in odom."""
         rate = 2 * np.pi / STRIDE
         lift = self.bounce * rate * np.cos(rate * t)
         course = self.course + self.yaw_rate * t
-        return np.array([self.speed * np.cos(course), self.speed * np.sin(course), lift])
+        return np.array(
+            [self.speed * np.cos(course), self.speed * np.sin(course), lift]
+        )
 
 
 def write_walk(path: Path, walk: Walk) -> Path:
@@ -138,15 +148,17 @@ def _ticks(walk: Walk) -> list[tuple[int, str, Any]]:
         if tick in walk.lost:
             continue
         t = tick / RATE
-        latency = np.cumsum(walk.latencies) + (1 / RATE if tick in walk.late else 0.0) * np.array(
-            [0, 0, 1, 1]
-        )
+        latency = np.cumsum(walk.latencies) + (
+            1 / RATE if tick in walk.late else 0.0
+        ) * np.array([0, 0, 1, 1])
         names = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
         for name, delay, built in zip(names, latency, _chain(walk, tick, t)):
             if not (tick in walk.unanswered and name == "/desired_joint_angles"):
                 entries.append((_wall(walk, t, delay), name, built))
         entries.append((_wall(walk, t), "/odom", _odometry(walk, "/odom", t)))
-        entries.append((_wall(walk, t, latency[-1]), "/force_map/status", _status(walk, t)))
+        entries.append(
+            (_wall(walk, t, latency[-1]), "/force_map/status", _status(walk, t))
+        )
         stamp, supply = walk.start + t, [walk.voltage] * 4
         state = message("/robot_state", stamp, action=3)
         health = message("/servo_health", stamp, action=3, voltage=supply)
@@ -199,13 +211,17 @@ def _chain(walk: Walk, tick: int, t: float) -> list[Any]:
             slack_normal_max=6.0 - force[:, 2],
             slack_friction=0.4 * force[:, 2] - 0.5,
         ),
-        message("/desired_joint_angles", stamp, name=list(TENDON_JOINTS), position=angles(t)),
+        message(
+            "/desired_joint_angles", stamp, name=list(TENDON_JOINTS), position=angles(t)
+        ),
     ]
 
 
 def _status(walk: Walk, t: float) -> Any:
     saturated = angles(t) >= np.radians(100.0)
-    return message("/force_map/status", walk.start + t, map="incremental", saturated=saturated)
+    return message(
+        "/force_map/status", walk.start + t, map="incremental", saturated=saturated
+    )
 
 
 def angles(t: float) -> Array:
@@ -225,7 +241,9 @@ def _truth(walk: Walk) -> list[tuple[int, str, Any]]:
     for k in range(round(walk.duration * TRUTH_RATE) + 1):
         t = k / TRUTH_RATE
         wall = _wall(walk, t)
-        entries.append((wall, "/ground_truth/odom", _odometry(walk, "/ground_truth/odom", t)))
+        entries.append(
+            (wall, "/ground_truth/odom", _odometry(walk, "/ground_truth/odom", t))
+        )
         entries.append((wall, "/joint_states", joints(walk.start + t, t)))
         if k % 4 == 0:
             entries.append((wall, "/ground_truth/legs", _legs(walk, t)))
@@ -250,7 +268,9 @@ def leg_nodes(walk: Walk, t: float) -> Array:
     rotation = Rotation.from_euler("xyz", walk.rpy(t))
     clamps = walk.position(t) + rotation.apply(ROBOT.clamps)
     feet = walk.position(t) + ROBOT.clamps + 0.145 * ROBOT.outward
-    feet[:, 2] = 0.018 * np.clip(np.sin(2 * np.pi * t / STRIDE + np.arange(4) * np.pi / 2), 0, 1)
+    feet[:, 2] = 0.018 * np.clip(
+        np.sin(2 * np.pi * t / STRIDE + np.arange(4) * np.pi / 2), 0, 1
+    )
     s = np.linspace(0.0, 1.0, NODES)[None, :, None]
     nodes = clamps[:, None] * (1 - s) + feet[:, None] * s
     nodes[..., 2] += 0.035 * np.sin(np.pi * s[..., 0]) ** 1.5
@@ -258,7 +278,9 @@ def leg_nodes(walk: Walk, t: float) -> Array:
 
 
 def _legs(walk: Walk, t: float) -> Any:
-    force = np.column_stack([0.1 * normal_forces(t), np.zeros(4), 1.05 * normal_forces(t - 0.03)])
+    force = np.column_stack(
+        [0.1 * normal_forces(t), np.zeros(4), 1.05 * normal_forces(t - 0.03)]
+    )
     return message(
         "/ground_truth/legs",
         walk.start + t,
@@ -272,7 +294,9 @@ def _legs(walk: Walk, t: float) -> Any:
 def write_old_legs(path: Path, nodes: Array) -> Path:
     """Write a bag of one leg state, nodes (4, n, 3) m, whose type has no directors yet."""
     topic = "/ground_truth/legs"
-    return write_old(path, topic, message(topic, 1.0, nodes=nodes.shape[1], position=nodes))
+    return write_old(
+        path, topic, message(topic, 1.0, nodes=nodes.shape[1], position=nodes)
+    )
 
 
 def write_old(path: Path, topic: str, now: Any) -> Path:
@@ -280,7 +304,9 @@ def write_old(path: Path, topic: str, now: Any) -> Path:
     kind = TOPICS[topic]
     lines = (MESSAGES / f"{Path(kind).name}.msg").read_text().splitlines(keepends=True)
     *known, last = (name for name, _ in TYPES.fielddefs[kind][1])
-    definition = "".join(lines[: next(i for i, line in enumerate(lines) if f" {last} " in line)])
+    definition = "".join(
+        lines[: next(i for i, line in enumerate(lines) if f" {last} " in line)]
+    )
     types = types_inside(((kind, definition),))
     old = types.types[kind](*(getattr(now, name) for name in known))
     with BagWriter(path, read_record_settings()) as bag:

@@ -138,7 +138,9 @@ def test_core_imports_nothing_of_ros():
 def test_a_package_imports_only_packages_below_it(package):
     files = [path for name, path in modules().items() if room(name)[0] == package]
     assert len(files) > 10
-    ours = {*PACKAGES, "slot_msgs", "benchmarks", "documentation", "examples"} - {package}
+    ours = {*PACKAGES, "slot_msgs", "benchmarks", "documentation", "examples"} - {
+        package
+    }
     for path in files:
         assert tops(path) & ours <= ABOVE[package], path
 
@@ -159,7 +161,10 @@ def test_a_folder_imports_only_what_the_table_allows(package, table):
         if mine == package and name != package:
             seen.add(folder if path.name != "__init__.py" else name.split(".")[1])
             others = {room(n) for n in imports_of(path) & modules().keys()}
-            inside = {other for which, other in others if which == package} - {folder, GROUND}
+            inside = {other for which, other in others if which == package} - {
+                folder,
+                GROUND,
+            }
             inside -= set(BRANDS) if name == REGISTRY else set()
             assert inside <= set(table[folder].split()), path
     assert seen == set(table)
@@ -170,7 +175,8 @@ def test_only_the_registry_imports_a_brand_of_servos():
     users = {
         name
         for name, path in modules().items()
-        if not name.startswith(brands) and any(n.startswith(brands) for n in imports_of(path))
+        if not name.startswith(brands)
+        and any(n.startswith(brands) for n in imports_of(path))
     }
     assert users == {REGISTRY}
 
@@ -187,7 +193,10 @@ def test_a_contract_is_at_most_50_lines():
 
 
 def test_no_module_imports_itself_by_way_of_others():
-    graph = {name: imports_of(path) & modules().keys() - {name} for name, path in modules().items()}
+    graph = {
+        name: imports_of(path) & modules().keys() - {name}
+        for name, path in modules().items()
+    }
     assert len(list(graphlib.TopologicalSorter(graph).static_order())) == len(modules())
 
 
@@ -207,8 +216,11 @@ def tracked() -> list[Path]:
     """Python files of the repository."""
     listed = subprocess.run(
         ["git", "ls-files", "-co", "--exclude-standard", "*.py"],
-        cwd=ROOT, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return [Path(line) for line in listed.stdout.splitlines() if (ROOT / line).exists()]
 
 

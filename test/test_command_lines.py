@@ -36,105 +36,186 @@ LEG_RUN = str(EXAMPLE / "single_leg_run.csv")
 MEASURED = str(config.config_dir() / "parameters" / "paper_single_leg.csv")
 # Arguments and what the line says, by tool; {} stands for an empty directory.
 REFUSED = {
-    "tabulate_leg": (tabulate_leg.main, [
-        (["--out", "{}/nowhere/map.csv"], "/map.csv: not a file in an existing directory"),
-    ]),
-    "tune": (tune_command.main, [
-        (["walk", "fly"], "STAGE: 'fly': expected one of forward, turn, steering, identify"),
-        (["stand"], "gait 'stand' is a posture, not a stride"),
-        (["trot"], "no gait 'trot' (known: "),
-        (["walk", "--friction", "-1"], "friction[0] = -1.0: outside [0.01, 2]"),
-        (["walk", "--seed", "0"], "argument --seed: 0 is below 1"),
-    ]),
-    "constraint_map": (map_command.main, [
-        (["{}"], "holds no metadata.yaml, .mcap or .db3 file"),
-        (["x" * 300], "xxx ... xxx"),
-        (["a\0b"], "embedded null byte"),
-        ([WALK, "--out", "{}/map.foo"], "/map.foo: the name of a plot ends in .png"),
-    ]),
-    "twin": (twin_command.main, [
-        (["{}"], "holds no metadata.yaml, .mcap or .db3 file: not a bag"),
-        ([WALK], "strides of 0.62 s after a run-in of 2, less than 5"),
-        ([WALK, "--fit", "colour"], "--fit colour: expected one of friction"),
-        ([WALK, "--fit", "friction,friction"], "a parameter is named twice"),
-        ([WALK, "--set", "calibrated"], "it stays as it is"),
-        ([WALK, "--set", "../x"], "expected letters, digits, _ and -"),
-        ([WALK, "--scene", "moon"], "no configuration 'scene/moon'"),
-        ([WALK, "--parameters", "moon"], "no configuration 'parameters/moon'"),
-        ([WALK, "--namespace", "fred"], "holds none of /joint_states"),
-    ]),
-    "validate": (validate.main, [
-        ([LEG_RUN, "{}/nothing.csv"], "nothing.csv"),
-        ([LEG_RUN, "{}"], "holds no metadata.yaml, .mcap or .db3 file"),
-        ([LEG_RUN, __file__], "test_command_lines.py"),
-    ]),
-    "calibrate": (calibrate.main, [
-        (["{}/absent.csv"], "absent.csv"),
-        ([MEASURED, "--start", "x"], "no configuration 'parameters/x'"),
-        ([MEASURED, "--free", "leg.colour"], "leg.colour is not a number of the robot"),
-        ([MEASURED, "--starts", "0"], "0 is below 1"),
-        ([MEASURED, "--plot", "{}/fit.txt"], "the name of a plot ends in .png"),
-    ]),
-    "print_markers": (print_command.main, [
-        (["door", "--out", "{}/x.png"], "'door': expected one of wall, film, torso, points"),
-        (["torso", "--out", "{}/x.gif"], "ends in .png or .pdf"),
-        (["torso", "--out", "{}/nowhere/x.png"], "No such file or directory"),
-        (["torso", "--out", "{}/x.png", "--dpi", "9"], "outside [50, 1200]"),
-    ]),
-    "compare": (compare.main, [
-        ([WALK, "{}/nowhere"], "nowhere: does not exist"),
-        ([WALK], "the following arguments are required: BAG"),
-        ([WALK, WALK], "holds 1.4 s, the warm-up leaves out 2.0 s"),
-        ([WALK, WALK, "--warm-up", "nan"], "outside ["),
-        ([WALK, WALK, "--plot", "{}/c.gif"], "the name of a plot ends in .png"),
-        ([WALK, WALK, "--tolerance", "0.1"], "expected FIGURE=N"),
-        ([WALK, WALK, "--tolerance", "height_mean=nan"], "expected FIGURE=N"),
-        ([WALK, WALK, "--tolerance", "height_mean=-1"], "expected FIGURE=N"),
-        ([WALK, WALK, "--warm-up", "0", "--tolerance", "mass=1"], "hold no such figure of dur"),
-        ([WALK, WALK, "--warm-up", "0", "--tolerance", "saturated*=1"], "hold no such figure"),
-    ]),
-    "pictures": (pictures.main, [
-        (["moon.png"], "no picture 'moon.png' (see --list)"),
-        (["leg.png", "--out", "{}/nowhere"], "/nowhere: not a directory"),
-        (["--results", "{}", "--out", "{}"], "locomotion.json: missing; scripts/bench locomotion"),
-        (["locomotion_top.png", "--results", "{}", "--out", "{}"], "courses.npz: missing"),
-    ]),
-    "replay": (replay.main, [
-        (["{}/nothing"], "nothing: does not exist"),
-        ([WALK, "--tolerance", "nan"], "argument --tolerance: nan: outside [0, inf)"),
-        ([WALK, "--tolerance", "-1"], "argument --tolerance: -1: outside [0, inf)"),
-        ([WALK, "--remap", "/odom"], "expected OLD:=NEW, names of topics"),
-        ([WALK, "--remap", ":=/odom"], "expected OLD:=NEW, names of topics"),
-        ([WALK, "--remap", "/odom=/imu"], "expected OLD:=NEW, names of topics"),
-    ]),
-    "replay --live": (lambda arguments: play_command.main(["--live", *arguments]), [
-        (["{}/nowhere"], "nowhere: does not exist"),
-        ([WALK, "--namespace", "a b"], "namespace = 'a b'"),
-        ([WALK, "--remap", "/odom:=/camera"], "holds no /odom"),
-        ([WALK, "--rate", "0"], "outside ["),
-        ([WALK, "--rate", "nan"], "outside ["),
-        ([WALK, "--start", "-1"], "outside ["),
-    ]),
-    "view": (view.main, [
-        (["{}/nowhere"], "nowhere: does not exist"),
-        ([WALK, "--animate", "{}/walk.mp4"], "walk.mp4: expected a name that ends in .gif"),
-        ([WALK, "--animate", "{}/nowhere/walk.gif"], "walk.gif: No such file"),
-        ([WALK, "--html", "{}/walk.htm"], "walk.htm: expected a name that ends in .html"),
-        ([WALK, "--html", "{}/nowhere/walk.html"], "walk.html: No such file"),
-        ([WALK, "{}/nothing", "--html", "{}/walk.html"], "nothing: does not exist"),
-        ([WALK, WALK, WALK, "--html", "{}/walk.html"], "3 bags: expected one, or two"),
-        ([WALK, "--namespace", "a b"], "namespace = 'a b'"),
-        ([WALK, "--html", "{}/x.html", "--animate", "{}/x.gif"], "not allowed with argument"),
-        (["one", "two"], "2 bags: expected one, or two with --html"),
-    ]),
-    "operate": (operate_command.main, [
-        (["zero"], ""),
-        (["reboot", "tail"], ""),
-        (["dance"], ""),
-        (["inject"], ""),
-        (["--namespace", "a b", "state"], "namespace = 'a b': Invalid namespace"),
-    ]),
-}  # fmt: skip
+    "tabulate_leg": (
+        tabulate_leg.main,
+        [
+            (
+                ["--out", "{}/nowhere/map.csv"],
+                "/map.csv: not a file in an existing directory",
+            ),
+        ],
+    ),
+    "tune": (
+        tune_command.main,
+        [
+            (
+                ["walk", "fly"],
+                "STAGE: 'fly': expected one of forward, turn, steering, identify",
+            ),
+            (["stand"], "gait 'stand' is a posture, not a stride"),
+            (["trot"], "no gait 'trot' (known: "),
+            (["walk", "--friction", "-1"], "friction[0] = -1.0: outside [0.01, 2]"),
+            (["walk", "--seed", "0"], "argument --seed: 0 is below 1"),
+        ],
+    ),
+    "constraint_map": (
+        map_command.main,
+        [
+            (["{}"], "holds no metadata.yaml, .mcap or .db3 file"),
+            (["x" * 300], "xxx ... xxx"),
+            (["a\0b"], "embedded null byte"),
+            (
+                [WALK, "--out", "{}/map.foo"],
+                "/map.foo: the name of a plot ends in .png",
+            ),
+        ],
+    ),
+    "twin": (
+        twin_command.main,
+        [
+            (["{}"], "holds no metadata.yaml, .mcap or .db3 file: not a bag"),
+            ([WALK], "strides of 0.62 s after a run-in of 2, less than 5"),
+            ([WALK, "--fit", "colour"], "--fit colour: expected one of friction"),
+            ([WALK, "--fit", "friction,friction"], "a parameter is named twice"),
+            ([WALK, "--set", "calibrated"], "it stays as it is"),
+            ([WALK, "--set", "../x"], "expected letters, digits, _ and -"),
+            ([WALK, "--scene", "moon"], "no configuration 'scene/moon'"),
+            ([WALK, "--parameters", "moon"], "no configuration 'parameters/moon'"),
+            ([WALK, "--namespace", "fred"], "holds none of /joint_states"),
+        ],
+    ),
+    "validate": (
+        validate.main,
+        [
+            ([LEG_RUN, "{}/nothing.csv"], "nothing.csv"),
+            ([LEG_RUN, "{}"], "holds no metadata.yaml, .mcap or .db3 file"),
+            ([LEG_RUN, __file__], "test_command_lines.py"),
+        ],
+    ),
+    "calibrate": (
+        calibrate.main,
+        [
+            (["{}/absent.csv"], "absent.csv"),
+            ([MEASURED, "--start", "x"], "no configuration 'parameters/x'"),
+            (
+                [MEASURED, "--free", "leg.colour"],
+                "leg.colour is not a number of the robot",
+            ),
+            ([MEASURED, "--starts", "0"], "0 is below 1"),
+            ([MEASURED, "--plot", "{}/fit.txt"], "the name of a plot ends in .png"),
+        ],
+    ),
+    "print_markers": (
+        print_command.main,
+        [
+            (
+                ["door", "--out", "{}/x.png"],
+                "'door': expected one of wall, film, torso, points",
+            ),
+            (["torso", "--out", "{}/x.gif"], "ends in .png or .pdf"),
+            (["torso", "--out", "{}/nowhere/x.png"], "No such file or directory"),
+            (["torso", "--out", "{}/x.png", "--dpi", "9"], "outside [50, 1200]"),
+        ],
+    ),
+    "compare": (
+        compare.main,
+        [
+            ([WALK, "{}/nowhere"], "nowhere: does not exist"),
+            ([WALK], "the following arguments are required: BAG"),
+            ([WALK, WALK], "holds 1.4 s, the warm-up leaves out 2.0 s"),
+            ([WALK, WALK, "--warm-up", "nan"], "outside ["),
+            ([WALK, WALK, "--plot", "{}/c.gif"], "the name of a plot ends in .png"),
+            ([WALK, WALK, "--tolerance", "0.1"], "expected FIGURE=N"),
+            ([WALK, WALK, "--tolerance", "height_mean=nan"], "expected FIGURE=N"),
+            ([WALK, WALK, "--tolerance", "height_mean=-1"], "expected FIGURE=N"),
+            (
+                [WALK, WALK, "--warm-up", "0", "--tolerance", "mass=1"],
+                "hold no such figure of dur",
+            ),
+            (
+                [WALK, WALK, "--warm-up", "0", "--tolerance", "saturated*=1"],
+                "hold no such figure",
+            ),
+        ],
+    ),
+    "pictures": (
+        pictures.main,
+        [
+            (["moon.png"], "no picture 'moon.png' (see --list)"),
+            (["leg.png", "--out", "{}/nowhere"], "/nowhere: not a directory"),
+            (
+                ["--results", "{}", "--out", "{}"],
+                "locomotion.json: missing; scripts/bench locomotion",
+            ),
+            (
+                ["locomotion_top.png", "--results", "{}", "--out", "{}"],
+                "courses.npz: missing",
+            ),
+        ],
+    ),
+    "replay": (
+        replay.main,
+        [
+            (["{}/nothing"], "nothing: does not exist"),
+            (
+                [WALK, "--tolerance", "nan"],
+                "argument --tolerance: nan: outside [0, inf)",
+            ),
+            ([WALK, "--tolerance", "-1"], "argument --tolerance: -1: outside [0, inf)"),
+            ([WALK, "--remap", "/odom"], "expected OLD:=NEW, names of topics"),
+            ([WALK, "--remap", ":=/odom"], "expected OLD:=NEW, names of topics"),
+            ([WALK, "--remap", "/odom=/imu"], "expected OLD:=NEW, names of topics"),
+        ],
+    ),
+    "replay --live": (
+        lambda arguments: play_command.main(["--live", *arguments]),
+        [
+            (["{}/nowhere"], "nowhere: does not exist"),
+            ([WALK, "--namespace", "a b"], "namespace = 'a b'"),
+            ([WALK, "--remap", "/odom:=/camera"], "holds no /odom"),
+            ([WALK, "--rate", "0"], "outside ["),
+            ([WALK, "--rate", "nan"], "outside ["),
+            ([WALK, "--start", "-1"], "outside ["),
+        ],
+    ),
+    "view": (
+        view.main,
+        [
+            (["{}/nowhere"], "nowhere: does not exist"),
+            (
+                [WALK, "--animate", "{}/walk.mp4"],
+                "walk.mp4: expected a name that ends in .gif",
+            ),
+            ([WALK, "--animate", "{}/nowhere/walk.gif"], "walk.gif: No such file"),
+            (
+                [WALK, "--html", "{}/walk.htm"],
+                "walk.htm: expected a name that ends in .html",
+            ),
+            ([WALK, "--html", "{}/nowhere/walk.html"], "walk.html: No such file"),
+            ([WALK, "{}/nothing", "--html", "{}/walk.html"], "nothing: does not exist"),
+            (
+                [WALK, WALK, WALK, "--html", "{}/walk.html"],
+                "3 bags: expected one, or two",
+            ),
+            ([WALK, "--namespace", "a b"], "namespace = 'a b'"),
+            (
+                [WALK, "--html", "{}/x.html", "--animate", "{}/x.gif"],
+                "not allowed with argument",
+            ),
+            (["one", "two"], "2 bags: expected one, or two with --html"),
+        ],
+    ),
+    "operate": (
+        operate_command.main,
+        [
+            (["zero"], ""),
+            (["reboot", "tail"], ""),
+            (["dance"], ""),
+            (["inject"], ""),
+            (["--namespace", "a b", "state"], "namespace = 'a b': Invalid namespace"),
+        ],
+    ),
+}
 CASES = [(name, *case) for name, (_, cases) in REFUSED.items() for case in cases]
 
 
@@ -153,7 +234,9 @@ runpy.run_module(module, run_name="__main__", alter_sys=True)
 """
 MODULE = r"^(?:exec python -m |module=)([\w.]+)|module=([\w.]+);"  # that a script runs
 HEAVY = {"cv2", "matplotlib", "numba", "numpy", "PIL", "rclpy", "rosbags", "scipy"}
-OWN_HELPS = [("bench", "benchmarks", name) for name in ("graph", "perturbations", "robot")]
+OWN_HELPS = [
+    ("bench", "benchmarks", name) for name in ("graph", "perturbations", "robot")
+]
 
 
 def programs():
@@ -171,8 +254,11 @@ def test_a_help_imports_nothing_heavy(script, module, word):
     path = os.pathsep.join([str(ROOT / "scripts"), os.environ.get("PYTHONPATH", "")])
     run = subprocess.run(
         [sys.executable, "-c", HELP, module, *filter(None, [word]), "--help"],
-        capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path}, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": path},
+        check=False,
+    )
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith(f"usage: scripts/{script} ")
     loaded = {*run.stderr.split()}
@@ -191,17 +277,26 @@ def fresh_clone(tmp_path_factory):
     return clone, binaries
 
 
-@pytest.mark.parametrize(("command", "text"), [
-    ("run", "walk"), ("servos", "emulate"), ("bench graph", "--endurance"),
-    ("replay --live", "--rate"), ("validate", "explained"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("command", "text"),
+    [
+        ("run", "walk"),
+        ("servos", "emulate"),
+        ("bench graph", "--endurance"),
+        ("replay --live", "--rate"),
+        ("validate", "explained"),
+    ],
+)
 def test_a_help_needs_no_set_up_and_no_environment(fresh_clone, command, text):
     clone, binaries = fresh_clone
     name, *words = command.split()
     run = subprocess.run(
         ["/bin/bash", clone / "scripts" / name, *words, "--help"],
-        capture_output=True, text=True, env={"PATH": f"{binaries}:/usr/bin:/bin"}, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        env={"PATH": f"{binaries}:/usr/bin:/bin"},
+        check=False,
+    )
     assert run.returncode == 0, run.stderr
     assert run.stdout.startswith(f"usage: scripts/{name} ")
     assert text in run.stdout
@@ -220,8 +315,10 @@ def test_a_replay_imports_no_library_that_it_does_not_use():
     """Numba would import SciPy and coverage; the plots' libraries are not needed either."""
     run = subprocess.run(
         [sys.executable, "-c", HELP, "slot_lab.bags.replay_command", WALK],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert run.returncode == 0, run.stderr
     loaded = {*run.stderr.split()}
     assert "numba" in loaded
@@ -229,7 +326,9 @@ def test_a_replay_imports_no_library_that_it_does_not_use():
 
 
 @pytest.mark.parametrize(("tool", "arguments", "reason"), CASES)
-def test_what_a_tool_cannot_do_is_refused_before_the_work(place, refusal, tool, arguments, reason):
+def test_what_a_tool_cannot_do_is_refused_before_the_work(
+    place, refusal, tool, arguments, reason
+):
     main, _ = REFUSED[tool]
     line = refusal(main, *(word.format(place) for word in arguments))
     assert line.startswith(f"scripts/{tool.split()[0]}")
@@ -266,7 +365,18 @@ WORDS = {
         "[1]",
         "/dev/zero",
     ],
-    "NUMBER": ["nan", "inf", "-inf", "1e400", "x", "", "\x1b[2J", "1" * 5000, "-1e9", "0x10"],
+    "NUMBER": [
+        "nan",
+        "inf",
+        "-inf",
+        "1e400",
+        "x",
+        "",
+        "\x1b[2J",
+        "1" * 5000,
+        "-1e9",
+        "0x10",
+    ],
 }
 """Words that cannot be used, by the place that they take in a command line."""
 
@@ -338,20 +448,37 @@ COMMANDS = {
     ),
     "calibrate": (
         calibrate.main,
-        ["PATH", "MEASURED --start NAME", "MEASURED --free NAME", "MEASURED --starts NUMBER"],
+        [
+            "PATH",
+            "MEASURED --start NAME",
+            "MEASURED --free NAME",
+            "MEASURED --starts NUMBER",
+        ],
     ),
     "track": (
         track_command.main,
-        ["PATH --out t.csv", "PATH --out t.csv --camera PATH", "x --out t.csv --rate NUMBER"],
+        [
+            "PATH --out t.csv",
+            "PATH --out t.csv --camera PATH",
+            "x --out t.csv --rate NUMBER",
+        ],
     ),
     "calibrate_camera": (
         calibrate_camera.main,
         ["PATH --out c.yaml", "x --out c.yaml --every NUMBER"],
     ),
-    "print_markers": (print_command.main, ["NAME --out x.png", "torso --out x.png --dpi NUMBER"]),
+    "print_markers": (
+        print_command.main,
+        ["NAME --out x.png", "torso --out x.png --dpi NUMBER"],
+    ),
     "view": (
         view.main,
-        ["PATH --animate x.gif", "WALK --animate NAME", "PATH --html x.html", "WALK --html NAME"],
+        [
+            "PATH --animate x.gif",
+            "WALK --animate NAME",
+            "PATH --html x.html",
+            "WALK --html NAME",
+        ],
     ),
 }
 """Function of every tool that needs no graph, and its command lines with such places."""
@@ -369,7 +496,9 @@ def unusable(place):
 
 
 @pytest.mark.parametrize("tool", COMMANDS)
-def test_a_path_a_name_and_a_number_that_cannot_be_used_are_refused(unusable, refusal, tool):
+def test_a_path_a_name_and_a_number_that_cannot_be_used_are_refused(
+    unusable, refusal, tool
+):
     """Without reading a device, which has no end, or a pipe, to which nobody writes."""
     main, forms = COMMANDS[tool]
     for form in forms:
@@ -379,11 +508,15 @@ def test_a_path_a_name_and_a_number_that_cannot_be_used_are_refused(unusable, re
             line = refusal(main, *(part.replace(place, word) for part in parts))
             require_short(line)
             assert line.startswith(f"scripts/{tool}: "), (form, word)
-            assert word not in NO_FILES or place != "PATH" or "not a regular file" in line
+            assert (
+                word not in NO_FILES or place != "PATH" or "not a regular file" in line
+            )
 
 
 @pytest.mark.parametrize("text", [None, "", "nodes: many\n"])
-def test_a_leg_map_without_its_configuration_is_refused(tmp_path, monkeypatch, refusal, text):
+def test_a_leg_map_without_its_configuration_is_refused(
+    tmp_path, monkeypatch, refusal, text
+):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     if text is not None:
         (tmp_path / "leg_map.yaml").write_text(text)
@@ -411,7 +544,9 @@ def test_a_bag_with_a_name_too_long_is_refused(refusal):
 def test_a_replay_whose_output_cannot_be_written_says_so():
     command = [sys.executable, "-m", "slot_lab.bags.replay_command", WALK]
     with Path("/dev/full").open("w") as full:
-        ended = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        ended = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
     assert ended.returncode == 2
     assert ended.stderr == "scripts/replay: output: No space left on device\n"
 

@@ -65,7 +65,10 @@ def test_values_arrive_with_their_types():
         (changed(count=True), "f.yaml: count = True: expected a whole number"),
         (changed(law="three"), "f.yaml: law = 'three': expected one of one, two"),
         (changed(on="yes"), "f.yaml: on = 'yes': expected true or false"),
-        (changed(extra=1), "f.yaml: extra is not a setting (known: count, law, on, inner, table)"),
+        (
+            changed(extra=1),
+            "f.yaml: extra is not a setting (known: count, law, on, inner, table)",
+        ),
         (changed(inner={"gain": 3}), "f.yaml: inner.axes is missing"),
         (changed(inner=[1]), "f.yaml: inner: expected a mapping of Inner, got [1]"),
         (
@@ -122,14 +125,18 @@ def test_what_is_refused_is_quoted_short_and_printable(value, name):
 @pytest.mark.parametrize("changes", [None, [1], "text"])
 def test_changes_that_are_no_mapping_are_refused(changes):
     outer = config.build(Outer, GOOD, "f.yaml")
-    with pytest.raises(ConfigError, match=r"p\.yaml: expected a mapping of dotted names"):
+    with pytest.raises(
+        ConfigError, match=r"p\.yaml: expected a mapping of dotted names"
+    ):
         config.replace(outer, changes, "p.yaml")
 
 
 def test_a_missing_file_names_the_known_ones(tmp_path, monkeypatch):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     (tmp_path / "known.yaml").write_text("{}")
-    with pytest.raises(ConfigError, match=r"no configuration 'absent' \(known: known\)"):
+    with pytest.raises(
+        ConfigError, match=r"no configuration 'absent' \(known: known\)"
+    ):
         config.read(Outer, "absent")
 
 
@@ -150,13 +157,32 @@ def test_a_missing_file_names_the_known_ones(tmp_path, monkeypatch):
         ("a: ! 1\n", "broken.yaml: line 1: no tag is allowed"),
         ("a: 2001-99-99\n", "broken.yaml: month must be in 1..12"),
         ("? [1, 2]\n: 3\n", "broken.yaml: while constructing a mapping"),
-        ("".join(f"{n}: 1\n" for n in range(80_000)) + "7: 1\n", "broken.yaml: the key 7 is"),
+        (
+            "".join(f"{n}: 1\n" for n in range(80_000)) + "7: 1\n",
+            "broken.yaml: the key 7 is",
+        ),
     ],
-    ids=["broken", "repeated", "repeated inside", "deep", "large", "unprintable", "alias bomb",
-         "in itself", "timestamp", "bool", "object", "bare tag", "no date", "list as a key",
-         "many keys"],
-)  # fmt: skip
-def test_a_file_that_cannot_be_a_configuration_is_one_line(tmp_path, monkeypatch, text, message):
+    ids=[
+        "broken",
+        "repeated",
+        "repeated inside",
+        "deep",
+        "large",
+        "unprintable",
+        "alias bomb",
+        "in itself",
+        "timestamp",
+        "bool",
+        "object",
+        "bare tag",
+        "no date",
+        "list as a key",
+        "many keys",
+    ],
+)
+def test_a_file_that_cannot_be_a_configuration_is_one_line(
+    tmp_path, monkeypatch, text, message
+):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     (tmp_path / "broken.yaml").write_text(text)
     with pytest.raises(ConfigError) as refusal:
@@ -165,7 +191,9 @@ def test_a_file_that_cannot_be_a_configuration_is_one_line(tmp_path, monkeypatch
     assert "\n" not in str(refusal.value)
 
 
-def test_a_pipe_in_the_place_of_a_file_is_refused_without_reading(tmp_path, monkeypatch):
+def test_a_pipe_in_the_place_of_a_file_is_refused_without_reading(
+    tmp_path, monkeypatch
+):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     os.mkfifo(tmp_path / "pipe.yaml")
     with pytest.raises(ConfigError, match=r"pipe\.yaml: not a regular file"):
@@ -173,7 +201,9 @@ def test_a_pipe_in_the_place_of_a_file_is_refused_without_reading(tmp_path, monk
 
 
 @pytest.mark.parametrize("digits", [20, 400, 5000])
-def test_an_integer_beyond_64_bits_is_refused_in_one_line(tmp_path, monkeypatch, digits):
+def test_an_integer_beyond_64_bits_is_refused_in_one_line(
+    tmp_path, monkeypatch, digits
+):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     (tmp_path / "large.yaml").write_text(f"gain: 1{'0' * digits}\naxes: [0, 0]\n")
     with pytest.raises(ConfigError, match=r"^large\.yaml: ") as refusal:

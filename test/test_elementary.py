@@ -10,25 +10,35 @@ from slot_core.elementary import LARGEST, atan2, cos, exp, hypot, log, sin
 
 RNG = np.random.default_rng(0)
 COUNT = 3000
-ANGLES = np.concatenate([
-    RNG.uniform(-1, 1, COUNT),
-    RNG.uniform(-10, 10, COUNT),
-    RNG.uniform(-LARGEST, LARGEST, COUNT),
-    np.pi / 2 * np.arange(-1000, 1000),  # next to zeros
-    np.pi / 2 * RNG.integers(-600_000, 600_000, COUNT),
-    10.0 ** RNG.uniform(-300, 0, COUNT),
-])  # fmt: skip
-POINTS = np.concatenate([
-    RNG.uniform(-1, 1, (COUNT, 2)),
-    10.0 ** RNG.uniform(-150, 150, (COUNT, 2)) * RNG.choice([-1, 1], (COUNT, 2)),
-    np.column_stack([np.arange(1, 1025) / 1024, np.ones(1024)]),  # at the table's grid
-    RNG.uniform(0.9, 1.1, (COUNT, 2)) * [1e-3, -1.0],
-])  # fmt: skip
+ANGLES = np.concatenate(
+    [
+        RNG.uniform(-1, 1, COUNT),
+        RNG.uniform(-10, 10, COUNT),
+        RNG.uniform(-LARGEST, LARGEST, COUNT),
+        np.pi / 2 * np.arange(-1000, 1000),  # next to zeros
+        np.pi / 2 * RNG.integers(-600_000, 600_000, COUNT),
+        10.0 ** RNG.uniform(-300, 0, COUNT),
+    ]
+)
+POINTS = np.concatenate(
+    [
+        RNG.uniform(-1, 1, (COUNT, 2)),
+        10.0 ** RNG.uniform(-150, 150, (COUNT, 2)) * RNG.choice([-1, 1], (COUNT, 2)),
+        np.column_stack(
+            [np.arange(1, 1025) / 1024, np.ones(1024)]
+        ),  # at the table's grid
+        RNG.uniform(0.9, 1.1, (COUNT, 2)) * [1e-3, -1.0],
+    ]
+)
 ONE_ULP = {
     "sin": (sin, mpmath.sin, (ANGLES,)),
     "cos": (cos, mpmath.cos, (ANGLES,)),
     "atan2": (atan2, mpmath.atan2, tuple(POINTS.T)),
-    "exp": (exp, mpmath.exp, (np.append(RNG.uniform(-700, 700, COUNT), ANGLES[:COUNT]),)),
+    "exp": (
+        exp,
+        mpmath.exp,
+        (np.append(RNG.uniform(-700, 700, COUNT), ANGLES[:COUNT]),),
+    ),
     "log": (
         log,
         mpmath.log,
@@ -43,7 +53,9 @@ def test_error_is_at_most_one_unit_in_the_last_place(name):
     with mpmath.workprec(400):
         for found, *numbers in zip(function(*arguments), *arguments):
             wanted = exact(*(mpmath.mpf(float(number)) for number in numbers))
-            assert abs(mpmath.mpf(float(found)) - wanted) <= math.ulp(float(wanted)), numbers
+            assert abs(mpmath.mpf(float(found)) - wanted) <= math.ulp(float(wanted)), (
+                numbers
+            )
 
 
 @pytest.mark.parametrize("y", [0.0, -0.0, 1.0, -1.0, 5e-324, 1e300])
@@ -57,7 +69,9 @@ def test_angles_at_axes_and_limits_are_those_of_the_c_library(y, x):
 def test_what_is_no_angle_is_nan():
     for function in (sin, cos):
         assert np.isnan(function(np.array([np.nan, np.inf, 1.1 * LARGEST]))).all()
-    assert np.isnan(atan2(np.array([np.nan, 1.0, np.inf]), np.array([1.0, np.nan, 1.0]))).all()
+    assert np.isnan(
+        atan2(np.array([np.nan, 1.0, np.inf]), np.array([1.0, np.nan, 1.0]))
+    ).all()
 
 
 def test_numbers_give_floats_and_arrays_their_shape():

@@ -21,7 +21,13 @@ SETTLE = 0.3  # s, enough for the tendons to be taut
 
 
 def planned(kind, leg="FL", time=0.0, duration=0.0, value=0.0):
-    return {"kind": kind, "leg": leg, "time": time, "duration": duration, "value": value}
+    return {
+        "kind": kind,
+        "leg": leg,
+        "time": time,
+        "duration": duration,
+        "value": value,
+    }
 
 
 def make(solver="standard", bus=False, tendons=None, **faults):
@@ -29,7 +35,9 @@ def make(solver="standard", bus=False, tendons=None, **faults):
     changes["solver"] = config.load(f"solver/{solver}")
     scene = config.replace(read_scene("flat"), changes)
     emulate = read_brand().emulate if bus else None
-    return RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0), emulate)
+    return RobotSimulator(
+        read_robot(), scene, read_servo(), np.random.default_rng(0), emulate
+    )
 
 
 def advance(plant, milliseconds):
@@ -68,7 +76,10 @@ def test_tendon_slack_lowers_the_tension_of_its_leg_only(solver):
 
 
 def test_a_fault_adds_to_the_tendon_damage_of_the_scene_and_ends_without_it():
-    tendons = {"tendons.slack": [0.001, 0, 0, 0], "tendons.broken": [False, True, False, False]}
+    tendons = {
+        "tendons.slack": [0.001, 0, 0, 0],
+        "tendons.broken": [False, True, False, False],
+    }
     plant = make(tendons=tendons)
     plant.start(START)
     plant.inject(Fault("tendon_slack", "all", 0, 0.01, 0.002))
@@ -125,11 +136,17 @@ def test_clearing_an_absent_fault_is_refused():
             planned("tendon_slack", value=0.003),
             r"'tendon_slack': legs of the model 'paper' cannot",
         ),
-        ("paper", planned("tendon_broken"), r"'tendon_broken': legs of the model 'paper' cannot"),
+        (
+            "paper",
+            planned("tendon_broken"),
+            r"'tendon_broken': legs of the model 'paper' cannot",
+        ),
         ("map", planned("nan"), r"'nan': legs of the model 'map' cannot have it"),
     ],
 )
-def test_a_fault_that_the_model_does_not_support_is_refused(solver, fault, message, monkeypatch):
+def test_a_fault_that_the_model_does_not_support_is_refused(
+    solver, fault, message, monkeypatch
+):
     if solver == "paper":  # as printed it diverges while it settles
         monkeypatch.setattr(f"{__name__}.SETTLE", 0.0)
     with pytest.raises(ConfigError, match=message):
@@ -142,14 +159,23 @@ def test_a_fault_that_the_model_does_not_support_is_refused(solver, fault, messa
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"kind": "tired"}, r"kind = 'tired': expected one of silent, .*, tendon_broken, nan"),
+        (
+            {"kind": "tired"},
+            r"kind = 'tired': expected one of silent, .*, tendon_broken, nan",
+        ),
         ({"leg": "tail"}, r"leg = 'tail': expected one of all, FL, FR, RL, RR"),
         ({"duration": -1.0}, r"duration = -1\.0: outside \[0\.0, 1000000\.0\] s"),
         ({"value": 0.2}, r"value = 0\.2: outside \[0\.0001, 0\.1\] m"),
         ({"value": 0.0}, r"value = 0\.0: outside \[0\.0001, 0\.1\] m"),
         ({"value": math.nan}, r"value = nan: outside"),
-        ({"kind": "wrong_id", "value": 253}, r"value = 253\.0: outside \[0\.0, 252\.0\] as an id"),
-        ({"kind": "corrupt", "value": 1.1}, r"value = 1\.1: outside \[0\.001, 1\.0\] of the"),
+        (
+            {"kind": "wrong_id", "value": 253},
+            r"value = 253\.0: outside \[0\.0, 252\.0\] as an id",
+        ),
+        (
+            {"kind": "corrupt", "value": 1.1},
+            r"value = 1\.1: outside \[0\.001, 1\.0\] of the",
+        ),
     ],
 )
 def test_an_invalid_fault_is_refused_by_name(change, message):
@@ -177,7 +203,9 @@ def test_a_robot_on_a_bus_supports_the_faults_of_its_legs_too():
     assert not plant.emulated.bus.unplugged
 
 
-def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(tmp_path):
+def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(
+    tmp_path,
+):
     plant = make(lost=planned("nan", "RL", 0.020))
     plant.start(START)
     command = plant.robot.tendon_angle + 0.1
@@ -187,7 +215,9 @@ def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(
     ) as raised:
         advance(plant, 100)
     raised.value.save(tmp_path / "log" / "lost.npz", "flat")
-    state = np.load(tmp_path / "log" / "lost.npz")  # numbers and text: nothing to unpickle
+    state = np.load(
+        tmp_path / "log" / "lost.npz"
+    )  # numbers and text: nothing to unpickle
     assert str(state["scene"]) == "flat"
     assert str(state["message"]) == str(raised.value)
     assert state["time"] == pytest.approx(20 * STEP)
@@ -196,9 +226,20 @@ def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(
     damaged = np.isnan(state["before_nodes"]).any(axis=2)
     assert np.argwhere(damaged).tolist() == [[2, read_scene("flat").solver.nodes - 1]]
     assert np.isnan(state["nodes"]).any()
-    assert state["before_node_velocity"].shape == state["node_velocity"].shape == (4, 22, 3)
+    assert (
+        state["before_node_velocity"].shape
+        == state["node_velocity"].shape
+        == (4, 22, 3)
+    )
     assert state["before_position"][2] == pytest.approx(0.04, abs=0.01)  # it stands
-    names = {"position", "rotation", "velocity", "angular_velocity", "tendon_angle", "tension"}
+    names = {
+        "position",
+        "rotation",
+        "velocity",
+        "angular_velocity",
+        "tendon_angle",
+        "tension",
+    }
     assert names <= set(state)
 
 
@@ -212,4 +253,6 @@ def test_every_model_attaches_its_state_to_the_divergence(solver, monkeypatch):
     with pytest.raises(DivergenceError) as raised:
         advance(plant, 10)
     assert raised.value.state["command"].tolist() == [0.5] * 4
-    assert {"time", "position", "velocity", "nodes", "tendon_angle"} <= set(raised.value.state)
+    assert {"time", "position", "velocity", "nodes", "tendon_angle"} <= set(
+        raised.value.state
+    )

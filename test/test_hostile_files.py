@@ -110,7 +110,10 @@ def reader_of(path):
     return (lambda: folder(path.stem)) if folder else FILES.get(path.stem)
 
 
-PATHS = [path.relative_to(config.config_dir()) for path in config.config_dir().rglob("*.yaml")]
+PATHS = [
+    path.relative_to(config.config_dir())
+    for path in config.config_dir().rglob("*.yaml")
+]
 READ = sorted(path for path in PATHS if reader_of(path))
 
 
@@ -162,7 +165,11 @@ def beyond(value, meta):
     """Numbers next to the bounds of a value, outside."""
     for bound, way in ((meta["low"], -1), (meta["high"], 1)):
         if math.isfinite(bound):
-            yield bound + way if isinstance(value, int) else math.nextafter(bound, way * math.inf)
+            yield (
+                bound + way
+                if isinstance(value, int)
+                else math.nextafter(bound, way * math.inf)
+            )
 
 
 @pytest.mark.parametrize("name", [*FILES, "scene"])
@@ -170,8 +177,15 @@ def test_every_bounded_value_is_refused_beyond_its_bounds_and_if_it_is_no_number
     settings = FILES[name]() if name in FILES else read_scene("flat")
     for setting, value, meta in config.leaves(settings):
         if "low" in meta and value != ():
-            outside = [(number, r".*: outside \[") for number in beyond(first(value), meta)]
-            for wrong, reason in [*outside, *((nonsense, "") for nonsense in NO_NUMBERS)]:
-                with pytest.raises(ConfigError, match=re.escape(setting) + reason) as refused:
+            outside = [
+                (number, r".*: outside \[") for number in beyond(first(value), meta)
+            ]
+            for wrong, reason in [
+                *outside,
+                *((nonsense, "") for nonsense in NO_NUMBERS),
+            ]:
+                with pytest.raises(
+                    ConfigError, match=re.escape(setting) + reason
+                ) as refused:
                     config.replace(settings, {setting: with_first(value, wrong)})
                 require_short(str(refused.value))

@@ -33,7 +33,10 @@ def doubled():
 def test_second_process_loads_what_the_first_has_compiled(folder, capsys):
     assert doubled()(1.5) == 3.0
     (file,) = folder.iterdir()
-    assert f"compiling kernels for this processor (kept in {folder})" in capsys.readouterr().err
+    assert (
+        f"compiling kernels for this processor (kept in {folder})"
+        in capsys.readouterr().err
+    )
     again, before = doubled(), file.read_bytes()
     assert again(1.5) == 3.0
     assert sum(again.stats.cache_hits.values()) == 1

@@ -9,13 +9,17 @@ from slot_core.matrices import interpolated, inverse, norm, product, sparse_prod
 RNG = np.random.default_rng(0)
 
 
-@pytest.mark.parametrize(("left", "right"), [((3, 3), (3, 3)), ((2, 7), (7, 4)), ((7,), (7, 4)),
-                                            ((2, 7), (7,)), ((5,), (5,))])  # fmt: skip
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [((3, 3), (3, 3)), ((2, 7), (7, 4)), ((7,), (7, 4)), ((2, 7), (7,)), ((5,), (5,))],
+)
 def test_products_are_those_of_matrices_and_vectors(left, right):
     a, b = RNG.normal(size=left), RNG.normal(size=right)
     np.testing.assert_allclose(product(a, b), a @ b, rtol=1e-14, atol=1e-14)
     assert np.shape(product(a, b)) == np.shape(a @ b)
-    np.testing.assert_array_equal(product(a.T.copy().T, b), product(a, b))  # whatever its layout
+    np.testing.assert_array_equal(
+        product(a.T.copy().T, b), product(a, b)
+    )  # whatever its layout
 
 
 def test_shapes_that_do_not_fit_are_refused():
@@ -43,7 +47,12 @@ def test_norms_along_the_last_axis():
 
 
 def test_interpolation_is_that_of_numpy_also_on_plateaus_beyond_the_grid_and_at_nan():
-    grid, values = np.array([0.0, 1.0, 1.0, 2.0, 2.0]), np.array([3.0, 1.0, 2.0, 5.0, 6.0])
+    grid, values = (
+        np.array([0.0, 1.0, 1.0, 2.0, 2.0]),
+        np.array([3.0, 1.0, 2.0, 5.0, 6.0]),
+    )
     x = np.array([-1.0, 0.0, 0.3, 1.0, 1.5, 2.0, 3.0, np.nan])
-    np.testing.assert_allclose(interpolated(x, grid, values), np.interp(x, grid, values))
+    np.testing.assert_allclose(
+        interpolated(x, grid, values), np.interp(x, grid, values)
+    )
     assert isinstance(interpolated(0.5, grid, values), float)

@@ -54,11 +54,17 @@ def test_on_a_terminal_the_line_is_rewritten_and_removed(shown):
     assert out.getvalue() == f"\r{first}\r{last:<{len(first)}}\r{blank}\rwrote x\n"
 
 
-@pytest.mark.parametrize(("told", "end"), [
-    ([("predicting", 0.0), ("predicting", 0.25)], "predicting, 25 %, 30 s left"),
-    ([("3 of 9", 0.5), ("4 of 9", 0.75)], "4 of 9, 75 %, 10 s left"),  # other words, the same work
-    ([("predicting", 0.9), ("drawing", 0.0)], "drawing, 20 s"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("told", "end"),
+    [
+        ([("predicting", 0.0), ("predicting", 0.25)], "predicting, 25 %, 30 s left"),
+        (
+            [("3 of 9", 0.5), ("4 of 9", 0.75)],
+            "4 of 9, 75 %, 10 s left",
+        ),  # other words, the same work
+        ([("predicting", 0.9), ("drawing", 0.0)], "drawing, 20 s"),
+    ],
+)
 def test_the_time_left_follows_from_the_share_since_it_was_first_told(shown, told, end):
     progress, out, clock = shown(False)
     clock.now += 10.0

@@ -17,7 +17,12 @@ def test_leg_order_is_front_left_front_right_rear_left_rear_right(robot):
     assert LEGS == ("FL", "FR", "RL", "RR")
     # x forward, y left (REP-103)
     assert np.sign(robot.clamps[:, :2]).tolist() == [[1, 1], [1, -1], [-1, 1], [-1, -1]]
-    assert np.sign(robot.outward[:, :2]).tolist() == [[1, 1], [1, -1], [-1, 1], [-1, -1]]
+    assert np.sign(robot.outward[:, :2]).tolist() == [
+        [1, 1],
+        [1, -1],
+        [-1, 1],
+        [-1, -1],
+    ]
 
 
 def test_mass_is_that_of_the_paper(robot):
@@ -66,8 +71,12 @@ def test_feet_stand_below_the_clamps_on_the_natural_shape(robot):
 
 
 def test_clamp_heights_are_those_of_the_rotated_torso(robot):
-    posture = np.random.default_rng(0).uniform([0.03, -0.3, -0.3], [0.07, 0.3, 0.3], (20, 3))
-    rotated = [Rotation.from_euler("xy", [r, p]).apply(robot.clamps) for _, r, p in posture]
+    posture = np.random.default_rng(0).uniform(
+        [0.03, -0.3, -0.3], [0.07, 0.3, 0.3], (20, 3)
+    )
+    rotated = [
+        Rotation.from_euler("xy", [r, p]).apply(robot.clamps) for _, r, p in posture
+    ]
     expected = np.array(rotated)[..., 2] + posture[:, :1]
     assert robot.clamp_heights(*posture.T) == pytest.approx(expected)
     assert robot.clamp_heights(*posture[0]) == pytest.approx(expected[0])
@@ -81,20 +90,31 @@ def test_another_parameter_set_changes_its_values_and_nothing_else(robot):
 
 def test_robot_uses_the_parameter_set_named_in_its_file(own_config):
     path = own_config / "robot.yaml"
-    path.write_text(path.read_text().replace("parameters: calibrated", "parameters: paper"))
+    path.write_text(
+        path.read_text().replace("parameters: calibrated", "parameters: paper")
+    )
     assert read_robot() == read_robot("paper") != read_robot("calibrated")
 
 
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ("{leg.width: 0.02}", r"^parameters/own\.yaml: leg\.width is set in robot\.yaml too"),
+        (
+            "{leg.width: 0.02}",
+            r"^parameters/own\.yaml: leg\.width is set in robot\.yaml too",
+        ),
         ("{leg.wiidth: 0.02}", r"leg\.wiidth is not a setting"),
         ("{width: 0.02}", r"width is not a setting"),
         ("{leg.width.deep: 1}", r"leg\.width\.deep is not a setting"),
         ("{leg.slack: 1}", r"leg\.slack is not a setting"),
-        ("{leg.young_modulus: 1.0}", r"leg\.young_modulus = 1\.0: outside \[100000\.0, .*\] Pa"),
-        ("{leg.young_modulus: soft}", r"leg\.young_modulus = 'soft': expected a number"),
+        (
+            "{leg.young_modulus: 1.0}",
+            r"leg\.young_modulus = 1\.0: outside \[100000\.0, .*\] Pa",
+        ),
+        (
+            "{leg.young_modulus: soft}",
+            r"leg\.young_modulus = 'soft': expected a number",
+        ),
         ("{leg.young_modulus: 1e7}", r"tendon\.offset is missing"),
         ("[1]", r"^parameters/own\.yaml: values is missing"),
         ("", r"^parameters/own\.yaml: values is missing"),
@@ -116,5 +136,7 @@ def test_an_unknown_parameter_set_names_the_known_ones():
 
 def test_a_robot_without_a_parameter_set_is_refused(own_config):
     (own_config / "robot.yaml").write_text("torso: {}")
-    with pytest.raises(config.ConfigError, match=r"^robot\.yaml: parameters is missing"):
+    with pytest.raises(
+        config.ConfigError, match=r"^robot\.yaml: parameters is missing"
+    ):
         read_robot()

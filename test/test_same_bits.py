@@ -20,13 +20,26 @@ from slot_core.simulation.closed_loop import ClosedLoop
 
 CORE = Path(__file__).resolve().parents[1] / "src" / "slot_core" / "slot_core"
 ROOMS = (
-    "estimation", "gait", "control", "predictive", "mpc", "legs", "safety", "messages", "dynamics",
+    "estimation",
+    "gait",
+    "control",
+    "predictive",
+    "mpc",
+    "legs",
+    "safety",
+    "messages",
+    "dynamics",
     "simulation",
-)  # fmt: skip
+)
 GROUND = (
-    "elementary", "matrices", "geometry", "robot", "arrays", "section",
+    "elementary",
+    "matrices",
+    "geometry",
+    "robot",
+    "arrays",
+    "section",
     "clock",
-)  # fmt: skip
+)
 # Files of these rooms that no node of the graph and no simulation of it runs, or that use OpenCV.
 OUTSIDE = {
     "legs/held_leg.py": "tabulates a leg at the desk",
@@ -36,20 +49,79 @@ OUTSIDE = {
     "control/onnx_policy.py": "runs a network by ONNX Runtime",
 }
 MATH = {
-    "sqrt", "floor", "ceil", "inf", "nan", "pi", "tau", "isfinite", "isnan", "isinf", "radians",
-    "degrees", "copysign", "ldexp",
-}  # fmt: skip
+    "sqrt",
+    "floor",
+    "ceil",
+    "inf",
+    "nan",
+    "pi",
+    "tau",
+    "isfinite",
+    "isnan",
+    "isinf",
+    "radians",
+    "degrees",
+    "copysign",
+    "ldexp",
+}
 # Functions of the C library that differ by processor, as NumPy and kernels call them.
 C_LIBRARY = {
-    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh",
-    "atanh", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "hypot", "cbrt", "fma",
+    "sin",
+    "cos",
+    "tan",
+    "asin",
+    "acos",
+    "atan",
+    "atan2",
+    "sinh",
+    "cosh",
+    "tanh",
+    "asinh",
+    "acosh",
+    "atanh",
+    "exp",
+    "exp2",
+    "expm1",
+    "log",
+    "log2",
+    "log10",
+    "log1p",
+    "pow",
+    "hypot",
+    "cbrt",
+    "fma",
     "sincos",
-}  # fmt: skip
-NUMPY = C_LIBRARY | {  # and those that call BLAS, LAPACK or code of their own by processor
-    "arcsin", "arccos", "arctan", "arctan2", "arcsinh", "arccosh", "arctanh", "power",
-    "float_power", "dot", "vdot", "inner", "matmul", "tensordot", "einsum", "linalg", "interp",
-    "convolve", "correlate", "polyfit", "fft", "cov", "corrcoef", "sinc", "logaddexp",
-}  # fmt: skip
+}
+NUMPY = (
+    C_LIBRARY
+    | {  # and those that call BLAS, LAPACK or code of their own by processor
+        "arcsin",
+        "arccos",
+        "arctan",
+        "arctan2",
+        "arcsinh",
+        "arccosh",
+        "arctanh",
+        "power",
+        "float_power",
+        "dot",
+        "vdot",
+        "inner",
+        "matmul",
+        "tensordot",
+        "einsum",
+        "linalg",
+        "interp",
+        "convolve",
+        "correlate",
+        "polyfit",
+        "fft",
+        "cov",
+        "corrcoef",
+        "sinc",
+        "logaddexp",
+    }
+)
 LIBRARIES = {"scipy", "piqp", "cvxpy", "clarabel", "cv2"}
 # Libraries that a file may import: Clarabel (`mpc/solver.py` says why), and of SciPy the sparse
 # matrices, which are only laid out.
@@ -64,7 +136,12 @@ FREE = {
     "optical": "`@` joins two Transforms",
     "_parts": "constants, of exact fractions",
 }
-DRAWS = {"random", "integers", "uniform", "spawn"}  # of a generator: exact, as `normal` is not
+DRAWS = {
+    "random",
+    "integers",
+    "uniform",
+    "spawn",
+}  # of a generator: exact, as `normal` is not
 
 
 def files():
@@ -79,7 +156,11 @@ def files():
 
 def is_kernel(node):
     """Whether a function is compiled."""
-    names = {part.id for part in getattr(node, "decorator_list", ()) if isinstance(part, ast.Name)}
+    names = {
+        part.id
+        for part in getattr(node, "decorator_list", ())
+        if isinstance(part, ast.Name)
+    }
     return bool(names & {"helper", "kernel", "unlocked_kernel"})
 
 
@@ -108,7 +189,10 @@ class Calls(ast.NodeVisitor):
             if node.value.id == "rng" and node.attr not in DRAWS:
                 self.note(node, f"rng.{node.attr}")
         elif isinstance(node.value, ast.Attribute):
-            if node.value.attr == "random" and node.attr not in {"Generator", "default_rng"}:
+            if node.value.attr == "random" and node.attr not in {
+                "Generator",
+                "default_rng",
+            }:
                 self.note(node, f"np.random.{node.attr}")
             if node.value.attr in {"_rng", "_trouble"} and node.attr not in DRAWS:
                 self.note(node, f"{node.value.attr}.{node.attr}")
@@ -146,7 +230,9 @@ class Calls(ast.NodeVisitor):
 
     def _imported(self, node, names):
         for name in names:
-            if name.split(".")[0] in LIBRARIES and name not in MAY_IMPORT.get(self.name, ()):
+            if name.split(".")[0] in LIBRARIES and name not in MAY_IMPORT.get(
+                self.name, ()
+            ):
                 self.note(node, f"import {name}")
 
 
@@ -184,12 +270,17 @@ def cached_objects():
     for module in pkgutil.walk_packages(slot_core.__path__, "slot_core."):
         for value in vars(importlib.import_module(module.name)).values():
             if isinstance(value, Dispatcher) and isinstance(value._cache, KernelCache):
-                yield from (value._cache.path(types, value.targetctx) for types in value.signatures)
+                yield from (
+                    value._cache.path(types, value.targetctx)
+                    for types in value.signatures
+                )
 
 
 def called(path):
     """Functions in C_LIBRARY that an object file names in its table of symbols."""
-    return {part.decode(errors="ignore") for part in path.read_bytes().split(b"\0")} & C_LIBRARY
+    return {
+        part.decode(errors="ignore") for part in path.read_bytes().split(b"\0")
+    } & C_LIBRARY
 
 
 UMATH = np._core._multiarray_umath
@@ -197,7 +288,9 @@ UMATH = np._core._multiarray_umath
 
 def numpy_features():
     """Features of this processor that NumPy can do without."""
-    return " ".join(name for name in UMATH.__cpu_dispatch__ if UMATH.__cpu_features__[name])
+    return " ".join(
+        name for name in UMATH.__cpu_dispatch__ if UMATH.__cpu_features__[name]
+    )
 
 
 # Variables that let libraries choose other code, as they do on another processor.
@@ -205,15 +298,19 @@ LIBRARIES_OF_OTHERS = {
     "OPENBLAS_CORETYPE": "Prescott",
     "NPY_DISABLE_CPU_FEATURES": numpy_features(),
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4",
-    "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1",
-}  # fmt: skip
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "NUMBA_NUM_THREADS": "1",
+}
 PLAIN = {"NUMBA_CPU_NAME": "generic"}
 PROCESSORS = {
     "BLAS, NumPy and C library of another, one thread": LIBRARIES_OF_OTHERS,
     "a BLAS with AVX2": {"OPENBLAS_CORETYPE": "Haswell"},
     "a plain x86-64 or aarch64": LIBRARIES_OF_OTHERS | PLAIN,
 }
-HERE = {key: os.environ[key] for key in os.environ if key not in LIBRARIES_OF_OTHERS | PLAIN}
+HERE = {
+    key: os.environ[key] for key in os.environ if key not in LIBRARIES_OF_OTHERS | PLAIN
+}
 TICKS = 100
 
 
@@ -222,9 +319,12 @@ def walked(name):
     """Lines of `same_bits.py` on a processor by its name, or on this one as it is."""
     program = Path(__file__).with_name("same_bits.py")
     return subprocess.run(
-        [sys.executable, program, str(TICKS), *POLICIES], env=HERE | PROCESSORS.get(name, {}),
-        capture_output=True, text=True, check=True,
-    ).stdout.splitlines()  # fmt: skip
+        [sys.executable, program, str(TICKS), *POLICIES],
+        env=HERE | PROCESSORS.get(name, {}),
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.splitlines()
 
 
 SLOW = pytest.mark.slow, pytest.mark.timeout(900)  # compiles all kernels anew
@@ -239,15 +339,20 @@ def test_every_processor_gives_the_same_walk_to_the_last_bit(name):
     assert walked(name) == here
 
 
-@pytest.mark.skipif(not UMATH.__cpu_features__.get("FMA3"), reason="a processor without FMA")
+@pytest.mark.skipif(
+    not UMATH.__cpu_features__.get("FMA3"), reason="a processor without FMA"
+)
 def test_the_variables_change_what_the_walk_must_not_depend_on():
     """The C library's sine differs without FMA."""
     program = "import math; print(hash(tuple(math.sin(k / 7) for k in range(100000))))"
     hashes = {
         subprocess.run(
-            [sys.executable, "-c", program], env=HERE | changes,
-            capture_output=True, text=True, check=True,
+            [sys.executable, "-c", program],
+            env=HERE | changes,
+            capture_output=True,
+            text=True,
+            check=True,
         ).stdout
         for changes in ({}, LIBRARIES_OF_OTHERS)
-    }  # fmt: skip
+    }
     assert len(hashes) == 2

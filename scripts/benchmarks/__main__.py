@@ -33,7 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parser.error(f"no benchmark named (known: {', '.join(there) or 'none'})")
         out = options.out or Path("results") / options.name
         chosen = {name: getattr(options, name) for name in own}
-        path = run(options.name, options.benchmarks, options.quick, out, progress, **chosen)
+        path = run(
+            options.name, options.benchmarks, options.quick, out, progress, **chosen
+        )
     except BenchmarkError as error:
         refuse("scripts/bench", error)
         return CANNOT_RUN
@@ -56,7 +58,9 @@ def check_lines(checks: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def _add_options(parser: argparse.ArgumentParser, common: argparse.Namespace) -> list[str]:
+def _add_options(
+    parser: argparse.ArgumentParser, common: argparse.Namespace
+) -> list[str]:
     """Add the options of the named benchmark, if any; returns their names."""
     if common.name is None or common.list:
         return []
@@ -72,7 +76,9 @@ def _parser(add_help: bool = True) -> argparse.ArgumentParser:
         add_help=add_help,
     )
     parser.add_argument("name", nargs="?", metavar="NAME", help="benchmark, see --list")
-    parser.add_argument("--quick", action="store_true", help="fewer repeats, rougher figures")
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer repeats, rougher figures"
+    )
     parser.add_argument("--out", type=Path, metavar="DIR", help="default: results/NAME")
     parser.add_argument("--list", action="store_true", help="list the benchmarks")
     parser.add_argument(

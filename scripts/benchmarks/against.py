@@ -67,7 +67,9 @@ def against_rows(other: Path) -> list[Row]:
             "ratio": statistics.median(ours[k] / theirs[k] for ours, theirs in pairs),
             "cpu_ms": 1e3 / count * statistics.median(ours[k] for ours, _ in pairs),
         }
-        for k, (what, count) in enumerate((("policy, a tick", 150), ("robot, a step", 2000)))
+        for k, (what, count) in enumerate(
+            (("policy, a tick", 150), ("robot, a step", 2000))
+        )
     ]
 
 
@@ -82,7 +84,10 @@ def against_checks(rows: Sequence[Row]) -> list[Check]:
 
 def _times(checkout: Path) -> list[float]:
     """CPU times, s, that the program prints with the packages of a checkout."""
-    places = [*(str(checkout / package) for package in PACKAGES), os.environ["PYTHONPATH"]]
+    places = [
+        *(str(checkout / package) for package in PACKAGES),
+        os.environ["PYTHONPATH"],
+    ]
     chosen = {
         "PYTHONPATH": os.pathsep.join(places),
         "SLOT_CONFIG": str(checkout / "config"),
@@ -90,7 +95,10 @@ def _times(checkout: Path) -> list[float]:
         "OPENBLAS_NUM_THREADS": "1",
     }
     done = subprocess.run(
-        [sys.executable, "-P", "-c", PROGRAM], env={**os.environ, **chosen},
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [sys.executable, "-P", "-c", PROGRAM],
+        env={**os.environ, **chosen},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return [float(word) for word in done.stdout.split()]

@@ -146,12 +146,15 @@ def cpu_ratio(
     Both run at the same speed of the machine, whatever that is.
     """
     return statistics.median(
-        cpu_time(call, 1, clock=clock).median / cpu_time(reference, 1, clock=clock).median
+        cpu_time(call, 1, clock=clock).median
+        / cpu_time(reference, 1, clock=clock).median
         for _ in range(repeats)
     )
 
 
-def mark_front(rows: Sequence[dict[str, Any]], cost: str, error: Callable[[Row], float]) -> None:
+def mark_front(
+    rows: Sequence[dict[str, Any]], cost: str, error: Callable[[Row], float]
+) -> None:
     """Mark the Pareto front: rows for which no other is both cheaper and more exact.
 
     A row without a finite error is not on it.
@@ -169,11 +172,18 @@ def known(directory: Path) -> dict[str, Path]:
 
 def about(benchmark: Path) -> str:
     """Subject of a benchmark: the first line of its docstring; the module is not imported."""
-    return (ast.get_docstring(ast.parse(benchmark.read_text())) or "").partition("\n")[0]
+    return (ast.get_docstring(ast.parse(benchmark.read_text())) or "").partition("\n")[
+        0
+    ]
 
 
 def run(
-    name: str, directory: Path, quick: bool, out: Path, progress: Progress, **chosen: Any
+    name: str,
+    directory: Path,
+    quick: bool,
+    out: Path,
+    progress: Progress,
+    **chosen: Any,
 ) -> Path:
     """Run a benchmark and write `out/NAME.json`; returns its path.
 
@@ -204,13 +214,17 @@ def load(name: str, directory: Path) -> ModuleType:
     """Import the module of a benchmark; raises BenchmarkError."""
     module = _imported(f"slot_benchmark_{name}", _find(name, directory))
     packages = getattr(module, "REQUIRES", ())
-    missing = [package for package in packages if importlib.util.find_spec(package) is None]
+    missing = [
+        package for package in packages if importlib.util.find_spec(package) is None
+    ]
     if missing:  # no peer is left out silently
         raise BenchmarkError(
             f"benchmark {name}: needs {', '.join(missing)}; run scripts/setup --bench"
         )
     if not callable(getattr(module, "run", None)):
-        raise BenchmarkError(f"benchmark {name}: has no function run(quick, out, progress)")
+        raise BenchmarkError(
+            f"benchmark {name}: has no function run(quick, out, progress)"
+        )
     return module
 
 
@@ -276,7 +290,9 @@ def _plain(value: Any) -> Any:
 def _git(root: Path, *arguments: str) -> str | None:
     command = ["git", "-C", str(root), *arguments]
     try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(
+            command, capture_output=True, text=True, check=True
+        ).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
 
@@ -287,5 +303,9 @@ def _cpu_model() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         return platform.processor()
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    models = [
+        line.partition(":")[2].strip()
+        for line in lines
+        if line.startswith("model name")
+    ]
     return models[0] if models else platform.processor()

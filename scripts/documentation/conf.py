@@ -74,8 +74,13 @@ def add_settings(app: Sphinx, what: str, name: str, kind: Any, *rest: Any) -> No
     """Append meaning, unit and bounds of the fields of a settings class to its docstring."""
     _, lines = rest
     if what == "class" and dataclasses.is_dataclass(kind):
-        fields = [field for field in dataclasses.fields(kind) if "doc" in field.metadata]
-        lines += [f":param {field.name}: {escape(meaning(field.metadata))}" for field in fields]
+        fields = [
+            field for field in dataclasses.fields(kind) if "doc" in field.metadata
+        ]
+        lines += [
+            f":param {field.name}: {escape(meaning(field.metadata))}"
+            for field in fields
+        ]
 
 
 def meaning(meta: Mapping[str, Any]) -> str:

@@ -31,11 +31,18 @@ GRAPH = ROOT / "slot_bringup" / "slot_bringup" / "graph.yaml"
 RECORDER = "recorder"  # subscribes to what record.yaml names
 # Parameters with which a node shows all that it has; without an entry, none. sim_robot has the
 # topics of a camera only in a scene with one.
-VARIANTS = {RECORDER: [{"bag": "{directory}/bag"}], "sim_robot": [{}, {"scene": "marker_camera"}]}
+VARIANTS = {
+    RECORDER: [{"bag": "{directory}/bag"}],
+    "sim_robot": [{}, {"scene": "marker_camera"}],
+}
 # Of every node of ROS 2.
 STANDARD_TOPICS = {"/rosout", "/parameter_events"}
 STANDARD_SERVICES = {"rcl_interfaces", "type_description_interfaces", "lifecycle_msgs"}
-STANDARD_PARAMETERS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+STANDARD_PARAMETERS = (
+    "use_sim_time",
+    "start_type_description_service",
+    "qos_overrides.",
+)
 
 
 def main(folder: Path) -> None:
@@ -44,7 +51,11 @@ def main(folder: Path) -> None:
     with tempfile.TemporaryDirectory() as directory:
         for node, given in created_nodes(directory):
             found.add(node, given)
-    texts = {"arguments": arguments(), "topics": found.topics(), "parameters": found.parameters()}
+    texts = {
+        "arguments": arguments(),
+        "topics": found.topics(),
+        "parameters": found.parameters(),
+    }
     for name, text in texts.items():
         page = folder / f"{name}.md"
         page.write_text(page.read_text().partition(MARK)[0] + MARK + text)
@@ -53,9 +64,17 @@ def main(folder: Path) -> None:
 def created_nodes(directory: str) -> Iterator[tuple[Node, Mapping[str, str]]]:
     """Yield each node of slot_nodes with the parameters given to it; the next one ends it."""
     for name, entry in yaml.safe_load(GRAPH.read_text())["nodes"].items():
-        for variant in VARIANTS.get(name, [{}]) if entry["package"] == "slot_nodes" else ():
-            given = {key: value.format(directory=directory) for key, value in variant.items()}
-            options = [text for item in given.items() for text in ("-p", "{}:={}".format(*item))]
+        for variant in (
+            VARIANTS.get(name, [{}]) if entry["package"] == "slot_nodes" else ()
+        ):
+            given = {
+                key: value.format(directory=directory) for key, value in variant.items()
+            }
+            options = [
+                text
+                for item in given.items()
+                for text in ("-p", "{}:={}".format(*item))
+            ]
             rclpy.init(args=["--ros-args", "--log-level", "error", *options])
             node = node_class(name)()
             yield node, given
@@ -68,7 +87,9 @@ def node_class(program: str) -> Any:
     (entry,) = entry_points(group="console_scripts", name=program)
     module = importlib.import_module(entry.module)
     classes = [kind for _, kind in inspect.getmembers(module, inspect.isclass)]
-    (node,) = [k for k in classes if issubclass(k, Node) and k.__module__ == module.__name__]
+    (node,) = [
+        k for k in classes if issubclass(k, Node) and k.__module__ == module.__name__
+    ]
     return node
 
 
@@ -105,7 +126,9 @@ class GraphTables:
         if end.topic_name not in STANDARD_TOPICS:
             kind = _kind(end.msg_type) + _quality(end.qos_profile)
             row = self._topics.setdefault(end.topic_name, [kind, {}, {}])
-            row[0] = kind if column == 1 else row[0]  # a publisher's quality of service prevails
+            row[0] = (
+                kind if column == 1 else row[0]
+            )  # a publisher's quality of service prevails
             row[column][node] = None
 
     def topics(self) -> str:
@@ -139,8 +162,18 @@ def arguments() -> str:
         choices = f"; one of {', '.join(argument.choices)}" if argument.choices else ""
         option = f"`--{argument.name.replace('_', '-')}`"
         kind, default = argument.kind.__name__, code(argument.default)
-        rows.append((option, f"`{argument.name}`", kind, default, plain(argument.help + choices)))
-    return table(("option of scripts/run", "launch argument", "type", "default", "meaning"), rows)
+        rows.append(
+            (
+                option,
+                f"`{argument.name}`",
+                kind,
+                default,
+                plain(argument.help + choices),
+            )
+        )
+    return table(
+        ("option of scripts/run", "launch argument", "type", "default", "meaning"), rows
+    )
 
 
 def _package(kind: type) -> str:

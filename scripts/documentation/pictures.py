@@ -39,7 +39,10 @@ class Picture:
 
     source: str  # what --list says
     draw: Callable[[Path, Path], object]  # directory of the results, file
-    needs: tuple[str, str] = ("", "")  # benchmark, its file without which there is no picture
+    needs: tuple[str, str] = (
+        "",
+        "",
+    )  # benchmark, its file without which there is no picture
 
 
 def of_rows(benchmark: str, draw: str, kind: str | None = "") -> Picture:
@@ -47,9 +50,13 @@ def of_rows(benchmark: str, draw: str, kind: str | None = "") -> Picture:
 
     def make(results: Path, path: Path) -> None:
         rows = read_rows(results, benchmark)
-        named(draw)([row for row in rows if kind == "" or row.get("kind") == kind], path)
+        named(draw)(
+            [row for row in rows if kind == "" or row.get("kind") == kind], path
+        )
 
-    return Picture(f"results of scripts/bench {benchmark}", make, (benchmark, f"{benchmark}.json"))
+    return Picture(
+        f"results of scripts/bench {benchmark}", make, (benchmark, f"{benchmark}.json")
+    )
 
 
 def of_courses(benchmark: str, draw: str) -> Picture:
@@ -69,14 +76,20 @@ def drawn(draw: str, source: str) -> Picture:
     return Picture(source, lambda _, path: named(draw)(path))
 
 
-def ran(commands: Sequence[str], file: str, take: Callable[[Path, Path], object]) -> Picture:
+def ran(
+    commands: Sequence[str], file: str, take: Callable[[Path, Path], object]
+) -> Picture:
     """Made of a file in an empty directory, {}, in which commands have been run."""
 
     def make(_: Path, path: Path) -> None:
         with tempfile.TemporaryDirectory() as place:
             for command in commands:
                 words = [word.replace("{}", place) for word in shlex.split(command)]
-                words[0] = str(ROOT / words[0]) if words[0].startswith("scripts/") else words[0]
+                words[0] = (
+                    str(ROOT / words[0])
+                    if words[0].startswith("scripts/")
+                    else words[0]
+                )
                 if subprocess.run(words, cwd=place, check=False).returncode:
                     raise PictureError(f"{command}: failed")
             take(Path(place, file), path)
@@ -111,25 +124,45 @@ PICTURES = {
     "gaits.png": drawn("benchmarks.locomotion.stills:draw", "simulated"),
     "leg.png": drawn("documentation.leg_plot:write", "simulated"),
     "prediction.png": drawn("benchmarks.locomotion.predicted_stride:draw", "simulated"),
-    "play.png": drawn("documentation.play_panels:write_page", "scripts/play in Chromium"),
-    "play_panels.png": drawn("documentation.play_panels:write_panels", "scripts/play in Chromium"),
-    "view.png": ran([PUSH, "scripts/view {}/push --html {}/x.html"], "x.html", view_image),
+    "play.png": drawn(
+        "documentation.play_panels:write_page", "scripts/play in Chromium"
+    ),
+    "play_panels.png": drawn(
+        "documentation.play_panels:write_panels", "scripts/play in Chromium"
+    ),
+    "view.png": ran(
+        [PUSH, "scripts/view {}/push --html {}/x.html"], "x.html", view_image
+    ),
     "compare.png": ran([WALK, SLOPE, COMPARED], "compare.png", shutil.copyfile),
     "locomotion_table.png": of_rows("locomotion", f"{PLOTS}:draw_table", None),
     "locomotion_velocity.png": of_courses("locomotion", f"{PLOTS}:draw_velocity"),
     "locomotion_top.png": of_courses("locomotion", f"{PLOTS}:draw_top"),
-    "margins.png": of_rows("locomotion", "benchmarks.locomotion.margins:draw", "margin"),
+    "margins.png": of_rows(
+        "locomotion", "benchmarks.locomotion.margins:draw", "margin"
+    ),
     "mpc_solvers.png": of_rows("mpc", "benchmarks.mpc.plots:draw"),
     "robot_cost.png": of_rows("robot", "benchmarks.robot.plots:draw"),
-    "other_engine.png": of_rows("robot", "benchmarks.robot.plots:draw_engines", "replay"),
-    "perturbations.png": of_courses("perturbations", "benchmarks.perturbations.plots:draw_courses"),
-    "walk.png": ran(["scripts/run --duration 20 --bag {}/walk"], "walk/walk.png", shutil.copyfile),
-    "walk.gif": ran([PUSH, "scripts/view {}/push --animate {}/x.gif"], "x.gif", shutil.copyfile),
-    "walk.html": ran([PUSH, "scripts/view {}/push --html {}/x.html"], "x.html", shutil.copyfile),
+    "other_engine.png": of_rows(
+        "robot", "benchmarks.robot.plots:draw_engines", "replay"
+    ),
+    "perturbations.png": of_courses(
+        "perturbations", "benchmarks.perturbations.plots:draw_courses"
+    ),
+    "walk.png": ran(
+        ["scripts/run --duration 20 --bag {}/walk"], "walk/walk.png", shutil.copyfile
+    ),
+    "walk.gif": ran(
+        [PUSH, "scripts/view {}/push --animate {}/x.gif"], "x.gif", shutil.copyfile
+    ),
+    "walk.html": ran(
+        [PUSH, "scripts/view {}/push --html {}/x.html"], "x.html", shutil.copyfile
+    ),
     "vision.png": drawn("benchmarks.estimation.vision_rows:draw_film", "simulated"),
     "twin.png": ran([FIT], "twin.png", shutil.copyfile),
     "learning.png": ran(
-        [f"python {ROOT}/scripts/examples/learn_to_walk.py"], "learning.png", shutil.copyfile
+        [f"python {ROOT}/scripts/examples/learn_to_walk.py"],
+        "learning.png",
+        shutil.copyfile,
     ),
 }
 """Pictures by file of slot_bringup/doc."""
@@ -147,7 +180,9 @@ def read_rows(results: Path, benchmark: str) -> Rows:
     if found is None:
         raise PictureError(_missing(results, benchmark, f"{benchmark}.json"))
     blank = float("nan")
-    return [{k: blank if v is None else v for k, v in row.items()} for row in found.rows]
+    return [
+        {k: blank if v is None else v for k, v in row.items()} for row in found.rows
+    ]
 
 
 def missing(results: Path, picture: Picture) -> str:
@@ -167,9 +202,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = command_parser("pictures", __doc__)
     add = parser.add_argument
     add("names", nargs="*", metavar="NAME", help="of pictures (default: all)")
-    add("--list", action="store_true", help="list the pictures, and where each comes from")
-    add("--results", type=Path, default=ROOT / "results", metavar="DIR", help="default: results")
-    add("--out", type=Path, default=DOC, metavar="DIR", help="default: slot_bringup/doc")
+    add(
+        "--list",
+        action="store_true",
+        help="list the pictures, and where each comes from",
+    )
+    add(
+        "--results",
+        type=Path,
+        default=ROOT / "results",
+        metavar="DIR",
+        help="default: results",
+    )
+    add(
+        "--out", type=Path, default=DOC, metavar="DIR", help="default: slot_bringup/doc"
+    )
     options = parser.parse_args(arguments)
     if options.list:
         for name, picture in PICTURES.items():

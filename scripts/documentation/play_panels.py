@@ -20,7 +20,10 @@ from slot_bringup.playing.play_page import PlayPage
 from slot_lab.play.played_robot import PlayedRobot
 
 PAGE, PANELS = (1200, 560), (1200, 2400)  # px
-FOUR_PLOTS, MORE = 835, 925  # px, of the panel Plots with its tabs, and of the other four
+FOUR_PLOTS, MORE = (
+    835,
+    925,
+)  # px, of the panel Plots with its tabs, and of the other four
 WALKED = 11.0  # s, so that the plots are full
 # Pixels of the robot; without a GPU they take the time.
 FAST, SHARP = "?fixedDpr=0.25", "?fixedDpr=1"
@@ -50,11 +53,14 @@ def write_page(path: Path) -> None:
 def write_panels(path: Path) -> None:
     """Write the panels beside and below each other."""
     with walking(PANELS) as window:
-        shown = {name: panel(window, name) for name in ("Drive", "World", "Push", "Plots")}
+        shown = {
+            name: panel(window, name) for name in ("Drive", "World", "Push", "Plots")
+        }
     plots = shown["Plots"]
     above = beside(np.vstack([shown["Drive"], shown["Push"]]), shown["World"])
     cv2.imwrite(
-        str(path), np.vstack([above, beside(plots[:FOUR_PLOTS], plots[FOUR_PLOTS:][:MORE])])
+        str(path),
+        np.vstack([above, beside(plots[:FOUR_PLOTS], plots[FOUR_PLOTS:][:MORE])]),
     )
 
 
@@ -68,8 +74,10 @@ def panel(window: Any, name: str) -> Pixels:
 def beside(left: Pixels, right: Pixels) -> Pixels:
     """Two images beside each other, white below the shorter."""
     height = max(len(left), len(right))
-    rows = [np.pad(i, ((0, height - len(i)), (0, 0), (0, 0)), constant_values=255)
-            for i in (left, right)]  # fmt: skip
+    rows = [
+        np.pad(i, ((0, height - len(i)), (0, 0), (0, 0)), constant_values=255)
+        for i in (left, right)
+    ]
     return np.hstack(rows)
 
 
@@ -84,8 +92,13 @@ def captured(window: Any, clip: Any) -> Pixels:
 def resize(window: Any, size: tuple[int, int]) -> None:
     """Give a window a size, px."""
     width, height = size
-    window.call("Emulation.setDeviceMetricsOverride", width=width, height=height,
-                deviceScaleFactor=1, mobile=False)  # fmt: skip
+    window.call(
+        "Emulation.setDeviceMetricsOverride",
+        width=width,
+        height=height,
+        deviceScaleFactor=1,
+        mobile=False,
+    )
 
 
 @contextmanager

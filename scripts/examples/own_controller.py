@@ -20,7 +20,8 @@ class HoldsHeight(Policy):
     def step(self, estimate, preview):
         """The plan for an estimated state and the preview of the gait."""
         heights = [
-            ROBOT.clamp_heights(x[5], x[0], x[1]) for x in (preview.reference[0], estimate.state)
+            ROBOT.clamp_heights(x[5], x[0], x[1])
+            for x in (preview.reference[0], estimate.state)
         ]
         angle = preview.tendon_angle + GAIN * (heights[0] - heights[1])
         return TendonPlan(angle, preview.rate, np.zeros((*angle.shape, 3)))
@@ -30,6 +31,8 @@ POLICY = HoldsHeight
 
 if __name__ == "__main__":
     for policy in (__file__, "gait_alone"):
-        loop = ClosedLoop("flat", "stand", None, 1, policy, changes={"scene.payload.mass": 0.3})
+        loop = ClosedLoop(
+            "flat", "stand", None, 1, policy, changes={"scene.payload.mass": 0.3}
+        )
         height = [loop.plant.robot.position[2] for _ in loop.run(150)]
         print(f"{policy}: {1e3 * height[-1]:.1f} mm high, 40 mm commanded")

@@ -19,5 +19,7 @@ for axis, force in ((Y, 0.05), (Z, 0.002), (Z, 0.02), (Z, 0.2)):
     beam = force * LENGTH**3 / (3 * YOUNG * SECOND_MOMENT[axis])
     print(f"{force:5.3f} N {1e3 * rod.tip.position[axis]:7.3f} mm {1e3 * beam:9.3f} mm")
 
-height = rod.run(1e-3, 400, samples=16)[:, Z]  # from the last equilibrium, without the force
+height = rod.run(1e-3, 400, samples=16)[
+    :, Z
+]  # from the last equilibrium, without the force
 print("released, height of the tip every 25 ms, mm:", (1e3 * height).round())

@@ -22,7 +22,9 @@ for cycle in range(61):
     bus.command(GOAL)
     reading = bus.cycle().readings[0]
     if cycle % 10 == 0 and reading is not None:  # None: the servo has not answered
-        print(f"{time[0]:.1f} s: {reading.angle:.3f} rad, {reading.load:.0%} of the stall torque")
+        print(
+            f"{time[0]:.1f} s: {reading.angle:.3f} rad, {reading.load:.0%} of the stall torque"
+        )
     servos.advance(PERIOD, LOAD)
     time[0] += PERIOD
 print("torque off" if bus.torque_off().complete else "torque NOT off")

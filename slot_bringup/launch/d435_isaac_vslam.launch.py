@@ -44,7 +44,10 @@ VISUAL_SLAM = {
     "image_jitter_threshold_ms": 19.0,
     "base_frame": "base_link",
     "imu_frame": "camera_gyro_optical_frame",
-    "camera_optical_frames": ["camera_infra1_optical_frame", "camera_infra2_optical_frame"],
+    "camera_optical_frames": [
+        "camera_infra1_optical_frame",
+        "camera_infra2_optical_frame",
+    ],
     "publish_odom_to_base_tf": False,  # state_estimator publishes it
 }
 TOPICS = {
@@ -54,7 +57,9 @@ TOPICS = {
     "visual_slam/camera_info_1": "/camera/infra2/camera_info",
     "visual_slam/imu": "/camera/imu",
 }
-EMITTER = SetParameter(name="depth_module.emitter_enabled", value=0)  # its dots move along
+EMITTER = SetParameter(
+    name="depth_module.emitter_enabled", value=0
+)  # its dots move along
 SLOT = {
     "hardware": "real",
     "odometry_topic": "/visual_slam/tracking/odometry",
@@ -73,8 +78,13 @@ def generate_launch_description() -> LaunchDescription:
     )
     return LaunchDescription(
         [
-            *(DeclareLaunchArgument(name, default_value=value) for name, value in SLOT.items()),
-            _include(_launch_file("realsense2_camera", "rs_launch.py"), CAMERA, EMITTER),
+            *(
+                DeclareLaunchArgument(name, default_value=value)
+                for name, value in SLOT.items()
+            ),
+            _include(
+                _launch_file("realsense2_camera", "rs_launch.py"), CAMERA, EMITTER
+            ),
             ComposableNodeContainer(
                 name="visual_slam_launch_container",
                 namespace="",
@@ -97,4 +107,6 @@ def _include(source: Any, arguments: dict[str, str], *before: Any) -> GroupActio
     """Include a launch file in a scope of its own: namespace and others are named in several."""
     launch_file = PythonLaunchDescriptionSource(source)
     given = list(arguments.items())
-    return GroupAction([*before, IncludeLaunchDescription(launch_file, launch_arguments=given)])
+    return GroupAction(
+        [*before, IncludeLaunchDescription(launch_file, launch_arguments=given)]
+    )

@@ -40,15 +40,24 @@ RTABMAP = {
     "rtabmap_viz": "false",
 }
 EMITTER = SetParameter(name="depth_module.emitter_enabled", value=1)
-SLOT = {"hardware": "real", "odometry_topic": "/rtabmap/odom", "imu_topic": "/camera/imu"}
+SLOT = {
+    "hardware": "real",
+    "odometry_topic": "/rtabmap/odom",
+    "imu_topic": "/camera/imu",
+}
 
 
 def generate_launch_description() -> LaunchDescription:
     """Start the camera, the odometry and the graph."""
     return LaunchDescription(
         [
-            *(DeclareLaunchArgument(name, default_value=value) for name, value in SLOT.items()),
-            _include(_launch_file("realsense2_camera", "rs_launch.py"), CAMERA, EMITTER),
+            *(
+                DeclareLaunchArgument(name, default_value=value)
+                for name, value in SLOT.items()
+            ),
+            _include(
+                _launch_file("realsense2_camera", "rs_launch.py"), CAMERA, EMITTER
+            ),
             _include(_launch_file("rtabmap_launch", "rtabmap.launch.py"), RTABMAP),
             _include(str(Path(__file__).with_name("slot.launch.py")), {}),
         ]
@@ -64,4 +73,6 @@ def _include(source: Any, arguments: dict[str, str], *before: Any) -> GroupActio
     """Include a launch file in a scope of its own: namespace and others are named in several."""
     launch_file = PythonLaunchDescriptionSource(source)
     given = list(arguments.items())
-    return GroupAction([*before, IncludeLaunchDescription(launch_file, launch_arguments=given)])
+    return GroupAction(
+        [*before, IncludeLaunchDescription(launch_file, launch_arguments=given)]
+    )

@@ -30,7 +30,10 @@ from slot_bringup.stock_recorder import record_command
 from slot_core.config import ConfigError
 
 GRAPH = read_graph()
-STOCK_RECORDER, MODEL = "ros2bag", "robot_state_publisher"  # processes of this file alone
+STOCK_RECORDER, MODEL = (
+    "ros2bag",
+    "robot_state_publisher",
+)  # processes of this file alone
 ADDED = {STOCK_RECORDER: GO_ON, MODEL: RESTART}
 # Arguments of this file alone: default, what it chooses, choices.
 OWN = {
@@ -39,7 +42,11 @@ OWN = {
         "what records the bag: the own node, or ros2 bag record",
         ("slot", "ros2bag"),
     ),
-    "robot_description": ("true", "robot_state_publisher publishes the URDF", ("true", "false")),
+    "robot_description": (
+        "true",
+        "robot_state_publisher publishes the URDF",
+        ("true", "false"),
+    ),
 }
 OF_LAUNCH = ("launch-prefix", "launch-prefix-filter")  # of ros2 launch itself
 
@@ -58,7 +65,9 @@ def generate_launch_description() -> LaunchDescription:
                 for argument in GRAPH.arguments
             ),
             *(
-                DeclareLaunchArgument(name, default_value=text, description=what, choices=choices)
+                DeclareLaunchArgument(
+                    name, default_value=text, description=what, choices=choices
+                )
                 for name, (text, what, choices) in OWN.items()
             ),
             OpaqueFunction(function=_start_nodes),
@@ -70,12 +79,19 @@ def generate_launch_description() -> LaunchDescription:
 def _start_nodes(context: LaunchContext) -> list[Action]:
     _require_known(context.argv)
     given = context.launch_configurations
-    values = {argument.name: argument.parse(given[argument.name]) for argument in GRAPH.arguments}
+    values = {
+        argument.name: argument.parse(given[argument.name])
+        for argument in GRAPH.arguments
+    }
     check(values)
     require_no_other_graph(values["namespace"])
     values["composed"], choice = composition.choose(values)
     said = [LogInfo(msg=choice)] if choice else []
-    stock = [_stock_recorder(values)] if given["recorder"] == "ros2bag" and values["bag"] else []
+    stock = (
+        [_stock_recorder(values)]
+        if given["recorder"] == "ros2bag" and values["bag"]
+        else []
+    )
     if stock:
         values |= {"bag": ""}  # no node that records, and no robot that waits for it
     model = _robot_model(values) if given["robot_description"] == "true" else []
@@ -113,8 +129,12 @@ def _require_known(words: list[str]) -> None:
     known = [*(argument.name for argument in GRAPH.arguments), *OWN, *OF_LAUNCH]
     for name in (word.partition(":=")[0] for word in words):
         if name not in known:
-            near = ", ".join(get_close_matches(name, known, cutoff=0.7)) or "none"  # all: too long
-            raise ConfigError(f"no argument {name!r} (similar: {near}; --show-args lists all)")
+            near = (
+                ", ".join(get_close_matches(name, known, cutoff=0.7)) or "none"
+            )  # all: too long
+            raise ConfigError(
+                f"no argument {name!r} (similar: {near}; --show-args lists all)"
+            )
 
 
 def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
@@ -134,8 +154,12 @@ def _robot_model(values: dict[str, Any]) -> list[Action]:
     try:
         get_package_prefix(MODEL)
     except PackageNotFoundError:
-        return [LogInfo(msg=f"{MODEL} is not installed, so there is no /robot_description")]
-    urdf = Path(get_package_share_directory("slot_bringup"), "urdf", "slot.urdf").read_text()
+        return [
+            LogInfo(msg=f"{MODEL} is not installed, so there is no /robot_description")
+        ]
+    urdf = Path(
+        get_package_share_directory("slot_bringup"), "urdf", "slot.urdf"
+    ).read_text()
     node = Node(
         package=MODEL,
         executable=MODEL,
@@ -143,7 +167,10 @@ def _robot_model(values: dict[str, Any]) -> list[Action]:
         exec_name=MODEL,
         namespace=values["namespace"],
         parameters=[
-            {"robot_description": _typed(urdf), "frame_prefix": _typed(values["frame_prefix"])}
+            {
+                "robot_description": _typed(urdf),
+                "frame_prefix": _typed(values["frame_prefix"]),
+            }
         ],
         prefix=" ".join(TIED),
         output="screen",

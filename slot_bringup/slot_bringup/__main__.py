@@ -15,5 +15,7 @@ except KeyboardInterrupt:
     print("scripts/run: interrupted", file=sys.stderr)
     code = 130
 for number in INTERRUPTS:
-    signal.signal(number, signal.SIG_IGN)  # else one during finalisation would kill the interpreter
+    signal.signal(
+        number, signal.SIG_IGN
+    )  # else one during finalisation would kill the interpreter
 sys.exit(code)

@@ -86,7 +86,13 @@ def graph_arguments() -> tuple[Argument, ...]:
             "forward velocity of the gait, m/s; default: the gait's own",
             unit="M/S",
         ),
-        Argument("vy", float, 0.0, "lateral velocity of the gait, m/s, left positive", unit="M/S"),
+        Argument(
+            "vy",
+            float,
+            0.0,
+            "lateral velocity of the gait, m/s, left positive",
+            unit="M/S",
+        ),
         Argument(
             "yaw_rate",
             float,
@@ -229,10 +235,15 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         elif argument.kind is bool:
             both = argparse.BooleanOptionalAction
             flag |= (
-                {"action": both, "default": True} if argument.default else {"action": "store_true"}
+                {"action": both, "default": True}
+                if argument.default
+                else {"action": "store_true"}
             )
         else:
-            flag |= {name: getattr(argument, name) for name in ("default", "choices", "metavar")}
+            flag |= {
+                name: getattr(argument, name)
+                for name in ("default", "choices", "metavar")
+            }
             flag["type"] = argument.kind
         parser.add_argument(f"--{argument.name.replace('_', '-')}", **flag)
     add, time = parser.add_argument, within(0.5, 86400.0, "s")
@@ -245,5 +256,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     keep = parser.add_mutually_exclusive_group()
     place = "directory for bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)"
     keep.add_argument("--bag", type=Path, metavar="DIR", help=place)
-    keep.add_argument("--no-bag", action="store_true", help="write nothing, only print the summary")
+    keep.add_argument(
+        "--no-bag", action="store_true", help="write nothing, only print the summary"
+    )
     return parser.parse_args(arguments)

@@ -56,7 +56,9 @@ def check(values: Mapping[str, Any]) -> None:
     if values["path"]:
         read_route(Path(values["path"]), values["path_heading"])
         if not velocity[:2].any():
-            raise ConfigError(f"path: gait {values['gait']} with this velocity stays in its place")
+            raise ConfigError(
+                f"path: gait {values['gait']} with this velocity stays in its place"
+            )
     scene = read_scene(values["scene"])
     policy_class(values["policy"]).read_settings(values["policy"])
     hardware = values["hardware"]
@@ -87,7 +89,9 @@ def _check_parameters(values: Mapping[str, Any]) -> None:
     ROS itself ignores names that it does not know.
     """
     file = Path(values["params_file"])
-    nodes = {f"{absolute(values['namespace']).rstrip('/')}/{name}": name for name in SETTINGS}
+    nodes = {
+        f"{absolute(values['namespace']).rstrip('/')}/{name}": name for name in SETTINGS
+    }
     for given in read_parameters(file):
         matched = [nodes[full] for full in nodes if given.match(full)]
         if not matched:
@@ -104,15 +108,21 @@ def _check_parameters(values: Mapping[str, Any]) -> None:
             known |= own
         for name in given.values:
             if name not in known and not name.startswith("qos_overrides."):
-                raise ConfigError(f"params_file {file}: {given.pattern}: {name} is not a setting")
+                raise ConfigError(
+                    f"params_file {file}: {given.pattern}: {name} is not a setting"
+                )
 
 
 def _check_lockstep(values: Mapping[str, Any]) -> None:
     """Raise ConfigError for arguments that lockstep excludes."""
     if not is_simulated(values):
-        raise ConfigError(f"lockstep: servos of hardware {values['hardware']} move in real time")
+        raise ConfigError(
+            f"lockstep: servos of hardware {values['hardware']} move in real time"
+        )
     if values["attended"]:
-        raise ConfigError("lockstep: an operator and the e-stop's source live in real time")
+        raise ConfigError(
+            "lockstep: an operator and the e-stop's source live in real time"
+        )
     if values["port"] is not None:
         raise ConfigError("port: emulated servos have none in lockstep")
 
@@ -122,7 +132,9 @@ def _check_ranges(values: Mapping[str, Any]) -> None:
     if not 0 <= values["seed"] < 2**63:
         raise ConfigError(f"seed = {values['seed']}: outside [0, {2**63 - 1}]")
     if values["realtime"] is not None and not 0 <= values["realtime"] <= PRIORITY_MAX:
-        raise ConfigError(f"realtime = {values['realtime']}: outside [0, {PRIORITY_MAX}]")
+        raise ConfigError(
+            f"realtime = {values['realtime']}: outside [0, {PRIORITY_MAX}]"
+        )
 
 
 def check_place(namespace: str) -> None:
@@ -141,7 +153,9 @@ def _check_keys() -> None:
     """Raise ConfigError where SROS2 does not find its keys."""
     context = Context()
     try:
-        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(
+            args=[], context=context, signal_handler_options=SignalHandlerOptions.NO
+        )
     except RuntimeError as error:  # an RCLError
         store = quoted(os.environ.get("ROS_SECURITY_KEYSTORE", ""))
         reason, _, _ = str(error).partition(", at ")  # a line of rcl
@@ -154,7 +168,11 @@ def _check_keys() -> None:
 
 def _check_port(hardware: str, port: str | None) -> None:
     """Raise ConfigError for a port of emulated servos that is not in a directory."""
-    if hardware == "fake_bus" and port is not None and not os.path.isdir(Path(port).parent):
+    if (
+        hardware == "fake_bus"
+        and port is not None
+        and not os.path.isdir(Path(port).parent)
+    ):
         raise ConfigError(f"port {port}: not in an existing directory")
 
 
@@ -184,7 +202,9 @@ def _check_name(argument: str, name: str, validate: Callable[[str], Any]) -> Non
     try:
         validate(name)
     except NameValidationException as error:
-        raise ConfigError(f"{argument} = {quoted(name)}: {str(error).splitlines()[0]}") from None
+        raise ConfigError(
+            f"{argument} = {quoted(name)}: {str(error).splitlines()[0]}"
+        ) from None
 
 
 def _check_new(bag: Path) -> None:

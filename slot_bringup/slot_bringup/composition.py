@@ -20,7 +20,9 @@ from slot_core.robot import GRAVITY, read_robot
 
 SETTLING, MEASURED = 4, 16  # ticks
 TORSO_HEIGHT = 0.04  # m, of the standing robot
-NODES_OVER_CORE = 2.0  # M, CPU of the four nodes in a walk over that of the core within them
+NODES_OVER_CORE = (
+    2.0  # M, CPU of the four nodes in a walk over that of the core within them
+)
 # M, of a core: at loads of 0.58 and 0.73 the 99th percentile from odometry to command is 5 and 8 ms
 # in one process, 9 and 10 ms in four; at 0.97 and 1.16 it is 15 and 23 ms in one, 11 ms in four.
 LOAD_MAX = 0.8
@@ -39,7 +41,10 @@ def choose(values: Mapping[str, Any]) -> tuple[bool, str]:
         return True, ""  # only one node works at a time
     cores = available_cores()
     if cores < 2.0:
-        return True, f"controller in one process: {cores:.2g} cores for the graph, less than 2"
+        return (
+            True,
+            f"controller in one process: {cores:.2g} cores for the graph, less than 2",
+        )
     try:
         load = NODES_OVER_CORE * core_load(values["policy"], values["gait"])
     except ConfigError:
@@ -62,7 +67,9 @@ def available_cores(groups: Path = CONTROL_GROUPS) -> float:
     cores = float(len(os.sched_getaffinity(0)))
     for names in (["cpu.max"], ["cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us"]):
         try:
-            quota, period = " ".join((groups / name).read_text() for name in names).split()
+            quota, period = " ".join(
+                (groups / name).read_text() for name in names
+            ).split()
         except (OSError, ValueError):  # no such control group
             continue
         if quota not in ("max", "-1"):
@@ -77,12 +84,16 @@ def core_load(policy: str, gait: str) -> float:
     MEASURED ticks. Raises ConfigError as `make_policy`.
     """
     robot, sensors = read_robot(), read_scene("flat").sensors
-    controller = Controller(robot, make_policy(policy, robot), gait, None, gaits=read_gaits())
+    controller = Controller(
+        robot, make_policy(policy, robot), gait, None, gaits=read_gaits()
+    )
     step, imu = to_ns(sensors.odometry.period), to_ns(sensors.imu.period)
     place, level = np.array([0.0, 0.0, TORSO_HEIGHT]), np.array([0.0, 0.0, 0.0, 1.0])
     still, upward = np.zeros(3), np.array([0.0, 0.0, GRAVITY])
     busy: list[float] = []
-    for stamp in range(LOCKSTEP_START, LOCKSTEP_START + (SETTLING + MEASURED) * step, step):
+    for stamp in range(
+        LOCKSTEP_START, LOCKSTEP_START + (SETTLING + MEASURED) * step, step
+    ):
         begin = time.thread_time()
         for at in range(stamp - step + imu, stamp + 1, imu):
             controller.estimator.add_imu(at, still, upward)

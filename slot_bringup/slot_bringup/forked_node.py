@@ -73,12 +73,18 @@ def _entry(package: str, name: str) -> EntryPoint | None:
 
 
 def _become(
-    spec: NodeSpec, command: list[str], log: Path, directory: Path, environment: dict[str, str]
+    spec: NodeSpec,
+    command: list[str],
+    log: Path,
+    directory: Path,
+    environment: dict[str, str],
 ) -> None:
     """Turn this process into the process of a node, and run it to its end."""
     os.setsid()  # Ctrl-C reaches only the launcher, which ends the nodes
     end_with_parent()
-    setproctitle(" ".join(command))  # before the environment, next to whose memory it is
+    setproctitle(
+        " ".join(command)
+    )  # before the environment, next to whose memory it is
     setthreadtitle(spec.name)
     program = command[0].encode()  # of which rcl makes the name of its log file
     ctypes.c_char_p.in_dll(C_LIBRARY, "program_invocation_name").value = program

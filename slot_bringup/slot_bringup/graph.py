@@ -18,7 +18,11 @@ from slot_core.dynamics.scene import read_scene
 
 CONTROLLER = "controller"  # executable of the nodes in one process
 ALWAYS, LOCKSTEP = "always", "lockstep"  # when a node can share that process
-END, GO_ON, RESTART = "end", "go_on", "restart"  # what the graph does when a process ends
+END, GO_ON, RESTART = (
+    "end",
+    "go_on",
+    "restart",
+)  # what the graph does when a process ends
 RESTARTS = 3  # of a process
 REFUSED = 2  # exit code of a node whose configuration is refused
 CORES = 2  # least number for a real-time priority that nobody has asked for
@@ -39,7 +43,9 @@ class NodeSpec:
     remappings: Mapping[str, str] = field(default_factory=dict)
     nodes: tuple[str, ...] = ()  # of a process with several
     params_file: str = ""  # of parameters; those of `parameters` prevail
-    environment: Mapping[str, str] = field(default_factory=dict)  # beside that of its parent
+    environment: Mapping[str, str] = field(
+        default_factory=dict
+    )  # beside that of its parent
     if_it_ends: str = END
 
     @property
@@ -62,7 +68,11 @@ class Graph:
 
         `composed` is that of `composition.choose`; None stands for false.
         """
-        values = {**values, **_ports(values["hardware"], values["port"]), **_start_up(values)}
+        values = {
+            **values,
+            **_ports(values["hardware"], values["port"]),
+            **_start_up(values),
+        }
         values |= _camera(values) | {"about": self.about(values)}
         remappings = self.remappings(values)
         first = _priority(values)
@@ -92,7 +102,9 @@ class Graph:
 
     def remappings(self, values: Mapping[str, Any]) -> dict[str, str]:
         """Names of topics that are replaced, as the nodes have them, by other ones."""
-        given = {name: _value(target, values) for name, target in self._remappings.items()}
+        given = {
+            name: _value(target, values) for name, target in self._remappings.items()
+        }
         return {name: target for name, target in given.items() if name != target}
 
     def about(self, values: Mapping[str, Any]) -> str:
@@ -110,13 +122,21 @@ class Graph:
 
         Their parameters become those of the process: a parameter of one name has one value.
         """
-        inside = [spec for spec in specs if self._nodes[spec.name].get("composable") in when]
-        parameters = {name: value for spec in inside for name, value in spec.parameters.items()}
+        inside = [
+            spec for spec in specs if self._nodes[spec.name].get("composable") in when
+        ]
+        parameters = {
+            name: value for spec in inside for name, value in spec.parameters.items()
+        }
         names = tuple(spec.name for spec in inside)
-        process = replace(inside[0], name=CONTROLLER, parameters=parameters, nodes=names)
+        process = replace(
+            inside[0], name=CONTROLLER, parameters=parameters, nodes=names
+        )
         return [*(spec for spec in specs if spec not in inside), process]
 
-    def _parameters(self, entry: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    def _parameters(
+        self, entry: Mapping[str, Any], values: Mapping[str, Any]
+    ) -> dict[str, Any]:
         parameters = {**self._common, **entry.get("parameters", {})}
         for argument, extra in entry.get("parameters_with", {}).items():
             parameters |= extra if values[argument] else {}
@@ -126,7 +146,9 @@ class Graph:
 
 def _value(value: Any, values: Mapping[str, Any]) -> Any:
     """A value of `graph.yaml`; $name stands for the value of an argument."""
-    return values[value[1:]] if isinstance(value, str) and value.startswith("$") else value
+    return (
+        values[value[1:]] if isinstance(value, str) and value.startswith("$") else value
+    )
 
 
 def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -146,7 +168,11 @@ def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
 def _priority(values: Mapping[str, Any]) -> dict[str, str]:
     """Environment with the real-time priority of nodes. Empty text: the default, if permitted."""
     wanted = values["realtime"]
-    if wanted is None and not values["lockstep"] and len(os.sched_getaffinity(0)) >= CORES:
+    if (
+        wanted is None
+        and not values["lockstep"]
+        and len(os.sched_getaffinity(0)) >= CORES
+    ):
         return {"SLOT_PRIORITY": ""}
     return {"SLOT_PRIORITY": str(wanted)} if wanted else {}
 

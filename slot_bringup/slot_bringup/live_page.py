@@ -35,9 +35,18 @@ def live_page(namespace: str, wait: float) -> Iterator[None]:
     """
     from slot_bringup.graph import TIED  # noqa: PLC0415 - heavy
 
-    command = [*TIED, sys.executable, "-P", "-m", "slot_bringup.playing.main_page", "--graph"]
+    command = [
+        *TIED,
+        sys.executable,
+        "-P",
+        "-m",
+        "slot_bringup.playing.main_page",
+        "--graph",
+    ]
     command += ["--namespace", namespace, "--wait", str(wait), "--open"]
-    process = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, start_new_session=True
+    )
     try:
         yield
     finally:

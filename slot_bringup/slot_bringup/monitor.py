@@ -37,7 +37,9 @@ SPIN = 0.1  # s, longest wait for a message before an interrupt is raised
 POLL = 0.02  # s between two looks at the messages: to wake up for each takes time from the graph
 NEWEST = QoSProfile(depth=1)  # of a topic that is looked at less often than it comes
 PACE_WINDOW = 1.0  # s
-PACE_LIMIT = 0.9  # least share of real time; an odometry more or less in the window is 3 %
+PACE_LIMIT = (
+    0.9  # least share of real time; an odometry more or less in the window is 3 %
+)
 SKIPPED_LIMIT = 3.0  # states a second, of 30
 PACE_REPORT = 5.0  # s between two lines on the pace
 REFRESH_TERMINAL, REFRESH_LOG = 0.2, 5.0  # s between progress lines
@@ -57,7 +59,9 @@ class Progress:
     def __init__(self, supervised: bool) -> None:
         """The run begins at the first action PASS if supervised, else at the first torso state."""
         self.stamp = 0.0  # s, graph time of the last torso state
-        self.elapsed = 0.0  # s, graph time since the begin; a clock that is set does not count
+        self.elapsed = (
+            0.0  # s, graph time since the begin; a clock that is set does not count
+        )
         self.state: Array | None = None  # (12,), as MpcState, SI
         self.robot: State | None = None
         self.reason = ""  # of the supervisor's last transition
@@ -130,7 +134,9 @@ class Progress:
         if not np.isfinite(self.state).all():
             return f"t {self.elapsed:6.1f}{whole} s   the state is not finite"
         x, y = self.state[3:5] - self._start[3:5]
-        tilt = math.degrees(math.acos(math.cos(self.state[0]) * math.cos(self.state[1])))
+        tilt = math.degrees(
+            math.acos(math.cos(self.state[0]) * math.cos(self.state[1]))
+        )
         return (
             f"t {self.elapsed:6.1f}{whole} s   x {x:+.3f} m   y {y:+.3f} m   "
             f"z {1e3 * self.state[5]:3.0f} mm   tilt {tilt:4.1f} deg"
@@ -253,11 +259,15 @@ def _check(progress: Progress, processes: Processes, attended: bool) -> None:
     failure = processes.failed()
     if failure is not None:
         name, code = failure
-        raise RunError(f"{name} ended with exit code {code}: {processes.last_line(name)}")
+        raise RunError(
+            f"{name} ended with exit code {code}: {processes.last_line(name)}"
+        )
     if progress.robot in RELEASED and not attended:
         raise RunError(f"the robot is in {progress.robot.name}: {progress.reason}")
     if attended and progress.state is None:
         return  # nothing moves before the operator's first request
     limit = START_TIMEOUT if progress.state is None else SILENCE_TIMEOUT
     if progress.silence > limit:
-        raise SilenceError(f"no /mpc_state for {progress.silence:.0f} s (limit {limit:g} s)")
+        raise SilenceError(
+            f"no /mpc_state for {progress.silence:.0f} s (limit {limit:g} s)"
+        )

@@ -65,7 +65,9 @@ class Service:
 def service(options: argparse.Namespace) -> Service:
     """Service call of an action of the command line."""
     if options.action in REQUESTS:
-        return Service("supervisor", f"supervisor/{options.action}", Trigger, Trigger.Request())
+        return Service(
+            "supervisor", f"supervisor/{options.action}", Trigger, Trigger.Request()
+        )
     if options.action == "forget":
         source = ForgetSource.Request(source=options.source)
         return Service("supervisor", "supervisor/forget", ForgetSource, source)
@@ -104,7 +106,9 @@ def receive_state(namespace: str) -> RobotState:
 
 def no_answer(node: Node, server: str, limit: float) -> str:
     """Why a graph is not found: nothing answers within a limit, s."""
-    place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
+    place = (
+        f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
+    )
     return f"no {server} answers in {place} within {limit:g} s: does scripts/run run?"
 
 
@@ -113,10 +117,14 @@ class Operator:
 
     def __init__(self, node: Node) -> None:
         self.view = operator_screen.OperatorView()
-        self._estop = EmergencyStop(source=f"{socket.gethostname()}-{uuid.uuid4().hex[:4]}")
+        self._estop = EmergencyStop(
+            source=f"{socket.gethostname()}-{uuid.uuid4().hex[:4]}"
+        )
         self._estop_topic = node.create_publisher(EmergencyStop, "estop", qos.SENSOR)
         named = {name: f"supervisor/{name}" for name in REQUESTS}
-        self._clients = {name: node.create_client(Trigger, n) for name, n in named.items()}
+        self._clients = {
+            name: node.create_client(Trigger, n) for name, n in named.items()
+        }
         node.create_subscription(RobotState, "robot_state", self._on_state, qos.STATE)
         for kind, topic, name, check in (
             (JointState, "joint_states", "joints", decode.joint_loads),
@@ -126,7 +134,9 @@ class Operator:
             show: Any = partial(self._show, name, check)
             node.create_subscription(kind, topic, show, NEWEST)
         node.create_subscription(MpcState, "mpc_state", self._on_motion, NEWEST)
-        node.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, 10)
+        node.create_subscription(
+            DiagnosticArray, "diagnostics", self._on_diagnostics, 10
+        )
         self._steering = steering.SteeringKeys(node)
         runtime.wall_timer(node, ESTOP_PERIOD, self._repeat)
 
@@ -151,7 +161,9 @@ class Operator:
             return True
         if ACTION_NUMBERS[state.action] is Action.OFF:
             return True
-        self.view.answer = f"{State(state.state).name}: relax first (x), or stop with Ctrl-C"
+        self.view.answer = (
+            f"{State(state.state).name}: relax first (x), or stop with Ctrl-C"
+        )
         return False
 
     def _leave(self) -> bool:
@@ -196,7 +208,9 @@ class Operator:
         except ValueError as error:
             self.view.answer = f"motion refused: {error}"
             return
-        self.view.motion.add(time.monotonic(), to_seconds(estimate.stamp), estimate.state)
+        self.view.motion.add(
+            time.monotonic(), to_seconds(estimate.stamp), estimate.state
+        )
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         self.view.diagnostics |= {status.name: status for status in message.status}
@@ -245,7 +259,9 @@ def _serve(executor: ListenerExecutor, operator: Operator, keyboard: int) -> boo
         executor.spin_once(timeout_sec=0.05)
         if select.select([keyboard], [], [], 0.0)[0]:
             keys = os.read(keyboard, 64).decode(errors="replace")
-            return bool(keys) and all([operator.press(key) for key in KEY.findall(keys)])
+            return bool(keys) and all(
+                [operator.press(key) for key in KEY.findall(keys)]
+            )
     return True
 
 
@@ -263,7 +279,9 @@ def act(options: argparse.Namespace, program: str) -> int:
     """Carry out the command line; returns the exit code. Raises OperateError."""
     if options.action is None:
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
-            raise OperateError("the live display needs a terminal, scripts/operate state none")
+            raise OperateError(
+                "the live display needs a terminal, scripts/operate state none"
+            )
         live(options.namespace)
     elif options.action == "state":
         lines = operator_screen.state_lines(receive_state(options.namespace))

@@ -50,7 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("operate", __doc__)
     parser.add_argument(
-        "--namespace", metavar="NAME", default="", help="of the graph, as given to scripts/run"
+        "--namespace",
+        metavar="NAME",
+        default="",
+        help="of the graph, as given to scripts/run",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION")
     for name in (*REQUESTS, "state"):
@@ -63,9 +66,15 @@ def _parser() -> argparse.ArgumentParser:
     inject = actions.add_parser("inject")
     inject.add_argument("kind", help="kind of fault, as in config/scene")
     inject.add_argument("leg", choices=(*LEGS, "all"), nargs="?", default="all")
-    inject.add_argument("--value", type=float, default=0.0, help="in the unit of the kind")
-    inject.add_argument("--duration", type=float, default=0.0, help="s; 0 (default): until cleared")
-    inject.add_argument("--clear", action="store_true", help="clear this kind at this leg")
+    inject.add_argument(
+        "--value", type=float, default=0.0, help="in the unit of the kind"
+    )
+    inject.add_argument(
+        "--duration", type=float, default=0.0, help="s; 0 (default): until cleared"
+    )
+    inject.add_argument(
+        "--clear", action="store_true", help="clear this kind at this leg"
+    )
     return parser
 
 

@@ -85,7 +85,11 @@ class OperatorView:
 
     def alarming(self, now: float) -> bool:
         """Whether the first line is shown in red: no present state, or RELAX, ESTOP or FAULT."""
-        return self.state is None or self.silent(now) or State(self.state.state) in RELEASED
+        return (
+            self.state is None
+            or self.silent(now)
+            or State(self.state.state) in RELEASED
+        )
 
 
 def state_lines(message: RobotState) -> list[str]:
@@ -126,7 +130,11 @@ def _velocity(velocity: Array) -> str:
 
 def _number(value: float, width: int, digits: int, sign: str = "") -> str:
     """A number right-aligned, "-" where it is not known."""
-    return f"{value:{sign}{width}.{digits}f}" if math.isfinite(value) else f"{'-':>{width}}"
+    return (
+        f"{value:{sign}{width}.{digits}f}"
+        if math.isfinite(value)
+        else f"{'-':>{width}}"
+    )
 
 
 def _robot(view: OperatorView, now: float) -> list[str]:
@@ -166,8 +174,14 @@ def _driver(view: OperatorView) -> list[str]:
     if view.health is None:
         return ["no report of the servos yet"]
     action = decode.ACTION_NUMBERS[view.health.action].name
-    status = [s for name, s in view.diagnostics.items() if name != "supervisor"]  # is shown above
-    bus = [f"{v.key} {v.value}" for s in status for v in s.values if s.name == "servo bus"]
-    problems = [f"  ! {s.name}: {s.message}" for s in status if s.level != DiagnosticStatus.OK]
+    status = [
+        s for name, s in view.diagnostics.items() if name != "supervisor"
+    ]  # is shown above
+    bus = [
+        f"{v.key} {v.value}" for s in status for v in s.values if s.name == "servo bus"
+    ]
+    problems = [
+        f"  ! {s.name}: {s.message}" for s in status if s.level != DiagnosticStatus.OK
+    ]
     first = f"servos: {action} {view.health.reason}".rstrip()
     return [first, *(["  " + ", ".join(bus)] if bus else []), *problems]

@@ -26,13 +26,23 @@ from slot_lab.bags.topics import LEG_STATES
 from slot_nodes import messages, qos
 
 CLOCK = "/clock"
-PLAYED = ("/odom", "/imu", "/joint_states", "/servo_health", "/cmd_vel", "/ground_truth/odom",
-          "/ground_truth/legs")  # fmt: skip
+PLAYED = (
+    "/odom",
+    "/imu",
+    "/joint_states",
+    "/servo_health",
+    "/cmd_vel",
+    "/ground_truth/odom",
+    "/ground_truth/legs",
+)
 """Topics from outside of the controller: those of the robot, and the user's velocity."""
 NEEDED = "/odom"
 NEWER: dict[str, tuple[str, Any]] = {
     LEG_STATES: ("director", lambda types: np.zeros(0, np.float32)),
-    "/servo_health": ("supervised", lambda types: types.types["builtin_interfaces/msg/Time"](0, 0)),
+    "/servo_health": (
+        "supervised",
+        lambda types: types.types["builtin_interfaces/msg/Time"](0, 0),
+    ),
 }
 """Last field of a message, which those in old bags lack, and its value for them."""
 RECORDERS = ("recorder", "rosbag2_recorder")  # nodes
@@ -60,7 +70,9 @@ def entries(bag: Bag, start: float) -> Iterator[Entry]:
     """
     topics = [topic for topic in PLAYED if bag.counts.get(topic)]
     types, clock, first = message_types(), None, None
-    for topic, published, data in bag.raw(*topics, *([CLOCK] if bag.counts.get(CLOCK) else [])):
+    for topic, published, data in bag.raw(
+        *topics, *([CLOCK] if bag.counts.get(CLOCK) else [])
+    ):
         if topic == CLOCK:
             clock = decode.time(bag.decode(topic, data).clock)
             continue
@@ -92,7 +104,9 @@ class Player:
         self._node = node
         self._clock = node.create_publisher(Clock, CLOCK[1:], qos.CLOCK)
         self._publishers = {
-            topic: node.create_publisher(message_class(bag.topics[topic]), topic[1:], qos.SENSOR)
+            topic: node.create_publisher(
+                message_class(bag.topics[topic]), topic[1:], qos.SENSOR
+            )
             for topic in PLAYED
             if topic in bag.counts
         }

@@ -33,7 +33,9 @@ class Processes:
         self._specs: dict[str, NodeSpec] = {}
         self._restarts: Counter[str] = Counter()
         self.remarks: list[str] = []
-        self.missing: set[str] = set()  # processes that have ended, without which the graph goes on
+        self.missing: set[str] = (
+            set()
+        )  # processes that have ended, without which the graph goes on
         self._nodes: set[str] = set()
         log_dir.mkdir(parents=True, exist_ok=True)
 
@@ -117,11 +119,18 @@ class Processes:
                 child.join(max(0.0, deadline - time.monotonic()))
                 code = child.exitcode
                 if code is None:
-                    print_error(f"{name} did not end within {STOP_TIMEOUT:g} s of SIGINT: killed")
+                    print_error(
+                        f"{name} did not end within {STOP_TIMEOUT:g} s of SIGINT: killed"
+                    )
                     self._signal([name], signal.SIGKILL)
                     child.join()
-                elif code not in (0, -signal.SIGINT):  # SIGINT: ended while Python started
-                    print_error(f"{name} ended with exit code {code}: {self.last_line(name)}")
+                elif code not in (
+                    0,
+                    -signal.SIGINT,
+                ):  # SIGINT: ended while Python started
+                    print_error(
+                        f"{name} ended with exit code {code}: {self.last_line(name)}"
+                    )
         return {name: child.exitcode or 0 for name, child in self._children.items()}
 
     def _is_running(self, name: str) -> bool:
@@ -133,7 +142,9 @@ class Processes:
                 continue
             try:
                 os.killpg(self.pid(name), number)
-            except ProcessLookupError:  # it has ended meanwhile, or has no session of its own yet
+            except (
+                ProcessLookupError
+            ):  # it has ended meanwhile, or has no session of its own yet
                 with suppress(ProcessLookupError):
                     os.kill(self.pid(name), number)
 
@@ -167,4 +178,6 @@ def _yaml(value: Any) -> str:
         return "[" + ", ".join(map(_yaml, value)) + "]"
     if isinstance(value, bool):
         return str(value).lower()
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
+    return (
+        json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
+    )

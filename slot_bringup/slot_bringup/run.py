@@ -43,7 +43,9 @@ def check_options(options: argparse.Namespace) -> None:
         raise SystemExit(2) from None
 
 
-def run(options: argparse.Namespace, graph: Graph, directory: Path, remarks: list[str]) -> bool:
+def run(
+    options: argparse.Namespace, graph: Graph, directory: Path, remarks: list[str]
+) -> bool:
     """Run the graph for `options.duration`; bag and logs go to `directory`, which must be writable.
 
     Returns whether no process is missing at the end. `remarks` gets a line for each that has ended
@@ -54,10 +56,18 @@ def run(options: argparse.Namespace, graph: Graph, directory: Path, remarks: lis
     if choice:
         progress(f"{PROGRAM}: {choice}")
     values = vars(options) | {"bag": str(directory), "composed": composed}
-    shown = live_page(options.namespace, START_TIMEOUT) if options.view else nullcontext()
-    with shown, started(graph, values, directory / "log") as processes:  # the robot stops first
+    shown = (
+        live_page(options.namespace, START_TIMEOUT) if options.view else nullcontext()
+    )
+    with (
+        shown,
+        started(graph, values, directory / "log") as processes,
+    ):  # the robot stops first
         played, attended = options.hardware == "none", is_attended(values)
-        watched, remedy = (options.duration, attended, options.namespace), _remedy(values)
+        watched, remedy = (
+            (options.duration, attended, options.namespace),
+            _remedy(values),
+        )
         try:
             watch(processes, *watched, played=played, remedy=remedy)
         finally:
@@ -93,7 +103,9 @@ def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Pro
                     shutil.copytree(scratch, logs, dirs_exist_ok=True)
 
 
-def report(directory: Path, keep: bool, namespace: str = "", remarks: Sequence[str] = ()) -> bool:
+def report(
+    directory: Path, keep: bool, namespace: str = "", remarks: Sequence[str] = ()
+) -> bool:
     """Print the summary of the bag and remarks; with `keep` also write them, and the plots.
 
     Returns False if it cannot be printed.
@@ -125,8 +137,13 @@ def run_and_report(options: argparse.Namespace) -> int:
     check_options(options)
     graph = read_graph()
     name = f"{options.gait}_{datetime.now():%Y%m%d_%H%M%S}"
-    with on_interrupt(signal.default_int_handler), tempfile.TemporaryDirectory() as scratch:
-        directory = Path(scratch, name) if options.no_bag else options.bag or Path("bags", name)
+    with (
+        on_interrupt(signal.default_int_handler),
+        tempfile.TemporaryDirectory() as scratch,
+    ):
+        directory = (
+            Path(scratch, name) if options.no_bag else options.bag or Path("bags", name)
+        )
         code, remarks = 0, list[str]()
         try:
             code = 0 if run(options, graph, directory, remarks) else 1

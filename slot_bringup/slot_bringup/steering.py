@@ -27,15 +27,23 @@ STOP = "0"
 Step = tuple[float, float, float]
 # steps of v_x, v_y, yaw rate; None: zero
 VELOCITY_KEYS: dict[str, Step | None] = {
-    "\x1b[A": (SPEED, 0.0, 0.0), "\x1b[B": (-SPEED, 0.0, 0.0), ",": (0.0, SPEED, 0.0),
-    ".": (0.0, -SPEED, 0.0), "\x1b[D": (0.0, 0.0, YAW_RATE), "\x1b[C": (0.0, 0.0, -YAW_RATE),
+    "\x1b[A": (SPEED, 0.0, 0.0),
+    "\x1b[B": (-SPEED, 0.0, 0.0),
+    ",": (0.0, SPEED, 0.0),
+    ".": (0.0, -SPEED, 0.0),
+    "\x1b[D": (0.0, 0.0, YAW_RATE),
+    "\x1b[C": (0.0, 0.0, -YAW_RATE),
     STOP: None,
-}  # fmt: skip
+}
 # steps of height, roll, pitch
 POSE_KEYS: dict[str, Step] = {
-    "+": (HEIGHT, 0.0, 0.0), "-": (-HEIGHT, 0.0, 0.0), "l": (0.0, TILT, 0.0),
-    "j": (0.0, -TILT, 0.0), "i": (0.0, 0.0, TILT), "k": (0.0, 0.0, -TILT),
-}  # fmt: skip
+    "+": (HEIGHT, 0.0, 0.0),
+    "-": (-HEIGHT, 0.0, 0.0),
+    "l": (0.0, TILT, 0.0),
+    "j": (0.0, -TILT, 0.0),
+    "i": (0.0, 0.0, TILT),
+    "k": (0.0, 0.0, -TILT),
+}
 HELP = f"arrows ahead, back, turn   , . aside   {STOP} stop   + - height   j l roll   i k pitch"
 
 
@@ -80,7 +88,11 @@ class SteeringPublisher:
             message.header, twist = messages.header(stamp, BASE_FRAME), message.twist
         twist.linear.x, twist.linear.y, twist.angular.z = map(float, self._velocity)
         self._topic.publish(message)
-        if commanded is not None and not self._velocity.any() and not np.any(commanded.velocity):
+        if (
+            commanded is not None
+            and not self._velocity.any()
+            and not np.any(commanded.velocity)
+        ):
             self._velocity = None
 
 
@@ -101,14 +113,21 @@ class SteeringKeys(SteeringPublisher):
             return str(error)
 
     def _steer(self, commanded: GaitPreview, step: Step | None) -> str:
-        before = np.array(commanded.velocity) if self._velocity is None else self._velocity
+        before = (
+            np.array(commanded.velocity) if self._velocity is None else self._velocity
+        )
         remark = self.steer(commanded, np.zeros(3) if step is None else before + step)
         assert self._velocity is not None
         v_x, v_y, yaw_rate = self._velocity
-        return remark or f"velocity {v_x:+.3f} {v_y:+.3f} m/s, {math.degrees(yaw_rate):+.1f} deg/s"
+        return (
+            remark
+            or f"velocity {v_x:+.3f} {v_y:+.3f} m/s, {math.degrees(yaw_rate):+.1f} deg/s"
+        )
 
     def _lean(self, commanded: GaitPreview, step: Step) -> str:
         pose = (np.array(commanded.pose) if self._pose is None else self._pose) + step
         self.lean(commanded, pose)
         roll, pitch = np.degrees(pose[1:])
-        return f"height {1e3 * pose[0]:.0f} mm, roll {roll:+.0f}, pitch {pitch:+.0f} deg"
+        return (
+            f"height {1e3 * pose[0]:.0f} mm, roll {roll:+.0f}, pitch {pitch:+.0f} deg"
+        )

@@ -10,7 +10,11 @@ import yaml
 
 from slot_core.recording.bag_writer import MEGABYTE
 from slot_core.recording.origin import origin_here
-from slot_core.recording.record_settings import RecordSettings, read_record_settings, root_of
+from slot_core.recording.record_settings import (
+    RecordSettings,
+    read_record_settings,
+    root_of,
+)
 from slot_nodes.recorder_node import SENSORS
 
 
@@ -28,21 +32,35 @@ def record_command(
     configuration.
     """
     settings = read_record_settings(namespace)
-    renamed = {_resolved(a, namespace): _resolved(b, namespace) for a, b in remappings.items()}
+    renamed = {
+        _resolved(a, namespace): _resolved(b, namespace) for a, b in remappings.items()
+    }
     names = {topic: renamed.get(topic, topic) for topic in settings.topics}
     origin = origin_here(json.loads(about)).about
     size = round(settings.split * MEGABYTE)
     return [
-        "ros2", "bag", "record", "--output", bag,
-        "--storage", "mcap", "--storage-preset-profile", "zstd_fast",
-        "--qos-profile-overrides-path", _profiles(settings, names, best_effort_sensors),
+        "ros2",
+        "bag",
+        "record",
+        "--output",
+        bag,
+        "--storage",
+        "mcap",
+        "--storage-preset-profile",
+        "zstd_fast",
+        "--qos-profile-overrides-path",
+        _profiles(settings, names, best_effort_sensors),
         *(["--max-bag-size", str(size)] if size else []),
-        "--custom-data", *(f"{name}={value}" for name, value in origin.items()),
-        "--topics", *names.values(),
-    ]  # fmt: skip
+        "--custom-data",
+        *(f"{name}={value}" for name, value in origin.items()),
+        "--topics",
+        *names.values(),
+    ]
 
 
-def _profiles(settings: RecordSettings, names: Mapping[str, str], best_effort: bool) -> str:
+def _profiles(
+    settings: RecordSettings, names: Mapping[str, str], best_effort: bool
+) -> str:
     """A new file with the quality of service of the own recorder.
 
     With rosbag2's queue of 10 messages a busy machine loses IMU readings, 50 ms of which fill it.
@@ -58,7 +76,9 @@ def _profiles(settings: RecordSettings, names: Mapping[str, str], best_effort: b
         }
         for name, topic in settings.topics.items()
     }
-    with NamedTemporaryFile("w", prefix="slot_qos_", suffix=".yaml", delete=False) as file:
+    with NamedTemporaryFile(
+        "w", prefix="slot_qos_", suffix=".yaml", delete=False
+    ) as file:
         yaml.safe_dump(profiles, file)
     return file.name
 

@@ -40,7 +40,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     out.add_argument("--html", type=Path, metavar="FILE", help=page)
     moving = "only write two strides as a GIF, PNG or WebP that moves"
     out.add_argument("--animate", type=Path, metavar="FILE", help=moving)
-    out.add_argument("--no-browser", action="store_true", help="write the page, open nothing")
+    out.add_argument(
+        "--no-browser", action="store_true", help="write the page, open nothing"
+    )
     options = parser.parse_args(arguments)
     if len(options.bags) > (2 if options.html else 1):
         parser.error(f"{len(options.bags)} bags: expected one, or two with --html")
@@ -81,7 +83,9 @@ def newest_bag(directory: Path) -> Path:
 
     files = [path for suffix in STORAGES for path in directory.glob(f"*/*{suffix}")]
     if not files:
-        raise ViewError(f"no bag in {directory.absolute()}: name one, or make one by scripts/run")
+        raise ViewError(
+            f"no bag in {directory.absolute()}: name one, or make one by scripts/run"
+        )
     return max(files, key=lambda path: path.stat().st_mtime).parent
 
 

@@ -69,7 +69,9 @@ class Case:
 CASES = {
     "walk": Case(1.45, keeps=("/ground_truth/legs", "/tf")),
     "turn": Case(  # with a stride that is whole, after the blend
-        2.5, velocity=(0.0, 0.11), lacks=("/ground_truth/odom", "/joint_states", "/servo_health")
+        2.5,
+        velocity=(0.0, 0.11),
+        lacks=("/ground_truth/odom", "/joint_states", "/servo_health"),
     ),
     "path": Case(1.82, ("--path", str(BAGS / "path.csv"))),
     "fault": Case(2.08, scene=BROKEN),
@@ -80,7 +82,14 @@ CASES = {
 def record(name: str, case: Case, scratch: Path) -> Path:
     """Run the graph for a case and return its bag, thinned; a fault may end the run early."""
     config = changed_config(scratch, {})
-    options = ["--lockstep", "--seed", "1", "--duration", str(case.duration), *case.options]
+    options = [
+        "--lockstep",
+        "--seed",
+        "1",
+        "--duration",
+        str(case.duration),
+        *case.options,
+    ]
     if case.scene:
         (config / "scene" / f"{name}.yaml").write_text(case.scene)
         options += ["--scene", name]
@@ -107,7 +116,9 @@ def commanded(velocity: tuple[float, float] | None) -> Iterator[None]:
             topic = node.create_publisher(TwistStamped, "cmd_vel", qos.SENSOR)
             message = TwistStamped()  # its stamp, zero, means now
             message.twist.linear.x, message.twist.angular.z = velocity
-            node.create_subscription(MpcState, "mpc_state", lambda _: topic.publish(message), 50)
+            node.create_subscription(
+                MpcState, "mpc_state", lambda _: topic.publish(message), 50
+            )
             while not ended.is_set():
                 executor.spin_once(timeout_sec=0.1)
 
@@ -122,10 +133,14 @@ def commanded(velocity: tuple[float, float] | None) -> Iterator[None]:
 
 def thinned(bag: Bag, path: Path, case: Case) -> Path:
     """Copy of a bag up to its duration, without LEFT_OUT and the configuration's files."""
-    odometry = [(time, decode.stamp(message)) for time, message in bag.messages("/odom")]
+    odometry = [
+        (time, decode.stamp(message)) for time, message in bag.messages("/odom")
+    ]
     end = odometry[0][1] + case.duration * SECOND
     after = min((time for time, stamp in odometry if stamp > end), default=math.inf)
-    files = {name: data for name, data in bag.origin.files.items() if name != CONFIGURATION}
+    files = {
+        name: data for name, data in bag.origin.files.items() if name != CONFIGURATION
+    }
     settings = dataclasses.replace(read_record_settings(), split=0.0)
     left_out = {*LEFT_OUT, *case.lacks} - {*case.keeps}
     with BagWriter(path, settings, Origin(bag.origin.about, files)) as out:
@@ -183,7 +198,10 @@ def main() -> int:
             bag = record(name, CASES[name], Path(scratch))
             print("\n".join(compare(name, BAGS / name, bag)))
             if size(bag) >= SIZE_MAX:
-                print(f"{name}: {size(bag)} bytes, limit {SIZE_MAX}: not kept", file=sys.stderr)
+                print(
+                    f"{name}: {size(bag)} bytes, limit {SIZE_MAX}: not kept",
+                    file=sys.stderr,
+                )
                 code = 1
                 continue
             shutil.rmtree(BAGS / name, ignore_errors=True)

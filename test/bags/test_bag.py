@@ -14,7 +14,16 @@ from mcap_ros2.decoder import DecoderFactory
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
 from sensor_msgs.msg import JointState
-from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_old_legs, write_walk
+from synthetic_walk import (
+    TOPICS,
+    TYPES,
+    WALL,
+    Walk,
+    encode,
+    message,
+    write_old_legs,
+    write_walk,
+)
 
 from slot_core.messages import decode
 from slot_core.recording.bag_writer import BagWriter
@@ -57,13 +66,19 @@ def plain(value):
     if isinstance(value, (list, tuple, np.ndarray)):
         return [plain(item) for item in value]
     names = getattr(value, "__slots__", None) or list(vars(value))
-    fields = [n for n in names if not n.startswith("_") and not n.isupper()]  # without constants
+    fields = [
+        n for n in names if not n.startswith("_") and not n.isupper()
+    ]  # without constants
     return {n: plain(getattr(value, n)) for n in fields}
 
 
 def test_bytes_and_times_are_read_as_they_were_written(tmp_path):
     written = [
-        ("/odom", WALL + k, encode("/odom", message("/odom", k, pose__pose__position=(k, 0.1, -k))))
+        (
+            "/odom",
+            WALL + k,
+            encode("/odom", message("/odom", k, pose__pose__position=(k, 0.1, -k))),
+        )
         for k in range(50)
     ]
     path = write(tmp_path / "bag", *written)
@@ -86,17 +101,24 @@ def test_messages_that_rclpy_has_serialized_are_read(tmp_path, effort):
 
 
 def test_every_field_reads_the_same_with_an_independent_library(walk_bag):
-    ours = [(topic, time, plain(built)) for topic, time, built in Bag(walk_bag).merged()]
-    theirs = [
-        (topic, time, plain(built)) for topic, time, _, built in independent_messages(walk_bag)
+    ours = [
+        (topic, time, plain(built)) for topic, time, built in Bag(walk_bag).merged()
     ]
-    assert {topic for topic, _, _ in ours} >= {t for t, name in TOPICS.items() if "slot_" in name}
+    theirs = [
+        (topic, time, plain(built))
+        for topic, time, _, built in independent_messages(walk_bag)
+    ]
+    assert {topic for topic, _, _ in ours} >= {
+        t for t, name in TOPICS.items() if "slot_" in name
+    }
     key = lambda entry: (entry[1], entry[0])  # noqa: E731
     assert sorted(ours, key=key) == sorted(theirs, key=key)
 
 
 def test_type_hashes_are_those_of_the_ros_installation(walk_bag):
-    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)]
+    prefixes = [
+        Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    ]
     checked = set()
     for name in set(TOPICS.values()):
         package, _, stem = name.split("/")
@@ -140,14 +162,20 @@ def test_series_are_arrays_in_the_order_of_the_fields(walk_bag):
     assert np.allclose(series["slack_friction"], 0.4 * force[..., 2] - 0.5)
     assert np.allclose(np.diff(series.stamp), 1e9 / 30, atol=1)  # stamps are whole ns
     assert np.array_equal(series.time - series.time[0], series.stamp - series.stamp[0])
-    quaternion = Bag(walk_bag).series("/odom", "pose.pose.orientation")["pose.pose.orientation"]
+    quaternion = Bag(walk_bag).series("/odom", "pose.pose.orientation")[
+        "pose.pose.orientation"
+    ]
     assert np.allclose(quaternion, [0, 0, 0, 1])  # x y z w
 
 
 def test_writer_refuses_a_second_type_on_a_topic_and_an_unknown_type(tmp_path):
     with BagWriter(tmp_path / "bag", SETTINGS) as bag:
-        bag.write("/odom", TOPICS["/odom"], WALL, encode("/odom", message("/odom", 0.0)))
-        with pytest.raises(BagError, match="/odom: is recorded as nav_msgs/msg/Odometry"):
+        bag.write(
+            "/odom", TOPICS["/odom"], WALL, encode("/odom", message("/odom", 0.0))
+        )
+        with pytest.raises(
+            BagError, match="/odom: is recorded as nav_msgs/msg/Odometry"
+        ):
             bag.write("/odom", TOPICS["/imu"], WALL, b"")
         with pytest.raises(BagError, match="no definition of other_msgs/msg/Thing"):
             bag.write("/thing", "other_msgs/msg/Thing", WALL, b"")
@@ -177,7 +205,9 @@ def test_missing_empty_and_foreign_bags_have_errors_of_their_own(tmp_path):
     with pytest.raises(BagError, match="nowhere: does not exist"):
         Bag(tmp_path / "nowhere")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(BagError, match=r"empty: holds no metadata\.yaml, \.mcap or \.db3 file"):
+    with pytest.raises(
+        BagError, match=r"empty: holds no metadata\.yaml, \.mcap or \.db3 file"
+    ):
         Bag(tmp_path / "empty")
     (tmp_path / "foreign.mcap").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     with pytest.raises(BagError, match="magic is invalid"):
@@ -220,7 +250,10 @@ def test_a_bag_split_by_size_reads_as_one(walk_bag, tmp_path):
     assert files[:4] == ["walk.mcap", "walk_1.mcap", "walk_2.mcap", "walk_3.mcap"]
     split = Bag(tmp_path / "walk")
     assert list(split.raw()) == entries
-    assert (split.counts, split.duration_ns) == (Bag(walk_bag).counts, Bag(walk_bag).duration_ns)
+    assert (split.counts, split.duration_ns) == (
+        Bag(walk_bag).counts,
+        Bag(walk_bag).duration_ns,
+    )
     with Reader(tmp_path / "walk") as reader:  # as the library reads the directory
         assert reader.message_count == len(entries) == sum(1 for _ in reader.messages())
     for file in files:  # and each file by itself
@@ -233,7 +266,9 @@ def test_remapped_topics_are_read_by_their_new_names(walk_bag):
     assert bag.counts["/odom"] == Bag(walk_bag).counts["/ground_truth/odom"]
     times = [time for time, _ in bag.messages("/odom")]
     assert times == [time for time, _ in Bag(walk_bag).messages("/ground_truth/odom")]
-    with pytest.raises(BagError, match=r"no topic /camera/odom \(topics: /desired_joint_angles"):
+    with pytest.raises(
+        BagError, match=r"no topic /camera/odom \(topics: /desired_joint_angles"
+    ):
         Bag(walk_bag, remap={"/camera/odom": "/odom"})
 
 
@@ -247,7 +282,9 @@ def test_error_names_the_missing_topic_or_field(walk_bag):
 
 def test_legs_recorded_before_they_had_directors_are_read_without_them(tmp_path):
     recorded = np.arange(24.0).reshape(4, 2, 3)
-    ((_, received),) = Bag(write_old_legs(tmp_path / "bag", recorded)).messages(LEG_STATES)
+    ((_, received),) = Bag(write_old_legs(tmp_path / "bag", recorded)).messages(
+        LEG_STATES
+    )
     assert not hasattr(received, "director")
     _, _, _, nodes, directors = decode.legs(received)
     assert np.array_equal(nodes, recorded)

@@ -110,7 +110,9 @@ def hostile_like(value):
 
 CHANGES = {
     topic: [
-        (name, new) for name, old in fields(BAG.decode(topic, data)) for new in hostile_like(old)
+        (name, new)
+        for name, old in fields(BAG.decode(topic, data))
+        for new in hostile_like(old)
     ]
     for topic, _, data in PART
 }
@@ -136,7 +138,10 @@ def write_part(path, topic="", changes=(), *, late=0, text=None, origin=None):
             if name == topic:
                 message = BAG.decode(name, data)
                 if text is not None:
-                    kind, message = "std_msgs/msg/String", TYPES.types["std_msgs/msg/String"](text)
+                    kind, message = (
+                        "std_msgs/msg/String",
+                        TYPES.types["std_msgs/msg/String"](text),
+                    )
                 for field, value in changes:
                     change(message, field, value)
                 data = bytes(TYPES.serialize_cdr(message, kind))  # noqa: PLW2901
@@ -146,7 +151,8 @@ def write_part(path, topic="", changes=(), *, late=0, text=None, origin=None):
 @given(
     st.sampled_from(sorted(CHANGES)).flatmap(
         lambda topic: st.tuples(
-            st.just(topic), st.lists(st.sampled_from(CHANGES[topic]), min_size=1, max_size=4)
+            st.just(topic),
+            st.lists(st.sampled_from(CHANGES[topic]), min_size=1, max_size=4),
         )
     )
 )
@@ -180,14 +186,21 @@ ARCHIVES = {
     "cut": archive(begin=40),
 }
 ABOUT = {"revision": ESCAPE, "gait": "x" * 100_000, "policy": "gait_alone"}
-PLAN, PREVIEW, STATE, TRUTH = "/tendon_plan", "/gait_preview", "/mpc_state", "/ground_truth/odom"
+PLAN, PREVIEW, STATE, TRUTH = (
+    "/tendon_plan",
+    "/gait_preview",
+    "/mpc_state",
+    "/ground_truth/odom",
+)
 SLACKS = ["normal_min", "friction", "angle", "rate", "normal_max", "total", "balance"]
 BAGS = {
     **{
         f"archive: {name}": {"origin": Origin(ABOUT, {CONFIGURATION: data})}
         for name, data in ARCHIVES.items()
     },
-    "path of noise": {"origin": Origin({"path": "path.csv"}, {"path.csv": b"\xff\x00\x1b[2J"})},
+    "path of noise": {
+        "origin": Origin({"path": "path.csv"}, {"path.csv": b"\xff\x00\x1b[2J"})
+    },
     "policy that is none": {"origin": Origin({"policy": ESCAPE}, {})},
     "late": {"late": 2**63},
     **{
@@ -207,7 +220,10 @@ BAGS = {
         "topic": PLAN,
         "changes": [("force", math.nan), ("slack_friction", math.nan)],
     },
-    "slacks of NaN": {"topic": PLAN, "changes": [(f"slack_{name}", math.nan) for name in SLACKS]},
+    "slacks of NaN": {
+        "topic": PLAN,
+        "changes": [(f"slack_{name}", math.nan) for name in SLACKS],
+    },
     "slacks of 1e308": {
         "topic": PLAN,
         "changes": [("slack_friction", -1e308), ("slack_angle", 1e308)],
@@ -217,11 +233,20 @@ BAGS = {
     "no validity": {"topic": STATE, "changes": [("validity", 99)]},
     "lead of years": {"topic": STATE, "changes": [("lead.sec", 2**31 - 1)]},
     "stages of none": {"topic": PREVIEW, "changes": [("stages", 0)]},
-    "gait that is none": {"topic": PREVIEW, "changes": [("requested", ESCAPE + "x" * 1000)]},
-    "preview of NaN": {"topic": PREVIEW, "changes": [("dt", math.nan), ("tendon_angle", math.nan)]},
+    "gait that is none": {
+        "topic": PREVIEW,
+        "changes": [("requested", ESCAPE + "x" * 1000)],
+    },
+    "preview of NaN": {
+        "topic": PREVIEW,
+        "changes": [("dt", math.nan), ("tendon_angle", math.nan)],
+    },
     "dt of zero": {"topic": PREVIEW, "changes": [("dt", 0.0)]},
     "no quaternion": {"topic": TRUTH, "changes": [("pose.pose.orientation.w", 9.0)]},
-    "odometry of NaN": {"topic": "/odom", "changes": [("pose.pose.position.x", math.nan)]},
+    "odometry of NaN": {
+        "topic": "/odom",
+        "changes": [("pose.pose.position.x", math.nan)],
+    },
     "joints of NaN": {"topic": "/joint_states", "changes": [("position", math.nan)]},
     "no joints": {"topic": "/joint_states", "changes": [("position", EMPTY)]},
     "other joints": {"topic": "/joint_states", "changes": [("name", [ESCAPE] * 4)]},

@@ -47,10 +47,16 @@ def test_equal_messages_of_one_stamp_count_once(bag):
     ("entries", "message"),
     [
         ([(1.0, np.nan), (2.0, 0.0)], "message 0 holds a value that is not finite"),
-        ([(1.0, 0.0), (3.0, 0.1), (2.5, 0.2)], "time goes back by 0.5 s after message 1"),
+        (
+            [(1.0, 0.0), (3.0, 0.1), (2.5, 0.2)],
+            "time goes back by 0.5 s after message 1",
+        ),
         ([(1.0, 0.0), (1.0, 0.1)], "messages 0 and the next have one stamp"),
         ([(1.0, 0.0), (1.0, 0.0)], "1 samples, less than 2"),
-        ([(1.0, 0.0), (2.0, 0.0, (0, 0, 0, 0.5))], "quaternion of sample 1 has the length 0.5"),
+        (
+            [(1.0, 0.0), (2.0, 0.0, (0, 0, 0, 0.5))],
+            "quaternion of sample 1 has the length 0.5",
+        ),
         ([(1.0, 0.0), (2.0, 0.0, (0, 0, 0, 0))], "1 samples, less than 2"),
     ],
 )
@@ -62,7 +68,9 @@ def test_an_odometry_that_is_not_sound_is_refused(bag, entries, message):
 
 def test_readings_that_say_that_they_are_lost_are_left_out_and_counted(bag):
     lost = (0.0, 0.0, 0.0, 0.0)
-    moved = measured_motion(bag(odometry(1.0), odometry(2.0, 0.0, lost), odometry(3.0, 0.5)))
+    moved = measured_motion(
+        bag(odometry(1.0), odometry(2.0, 0.0, lost), odometry(3.0, 0.5))
+    )
     assert moved.t.tolist() == [1.0, 3.0]
     assert moved.left_out == 1
 
@@ -70,7 +78,11 @@ def test_readings_that_say_that_they_are_lost_are_left_out_and_counted(bag):
 def test_of_two_states_of_one_time_the_second_counts(bag):
     states = [
         ("/mpc_state", message("/mpc_state", stamp, position__x=x, lead__nanosec=lead))
-        for stamp, lead, x in ((1.0, 30_000_000, 0.1), (1.01, 20_000_000, 0.2), (1.1, 0, 0.3))
+        for stamp, lead, x in (
+            (1.0, 30_000_000, 0.1),
+            (1.01, 20_000_000, 0.2),
+            (1.1, 0, 0.3),
+        )
     ]
     moved = measured_motion(bag(*states), "/mpc_state")
     assert moved.t == pytest.approx([1.03, 1.1])
@@ -78,7 +90,9 @@ def test_of_two_states_of_one_time_the_second_counts(bag):
 
 
 def test_a_bag_without_tendon_angles_is_refused(bag):
-    with pytest.raises(BagError, match="holds none of /joint_states, /desired_joint_angles"):
+    with pytest.raises(
+        BagError, match="holds none of /joint_states, /desired_joint_angles"
+    ):
         tendon_angles(bag(odometry(1.0), odometry(2.0)))
 
 

@@ -7,7 +7,13 @@ import signal
 import sqlite3
 
 import pytest
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import (
+    CompressionFormat,
+    CompressionMode,
+    Reader,
+    StoragePlugin,
+    Writer,
+)
 from synthetic_walk import TOPICS, TYPES, WALL, Walk, encode, message, write_walk
 
 from slot_core.recording.bag_writer import BagWriter
@@ -19,7 +25,9 @@ from slot_lab.bags.bag import Bag, BagError
 
 SETTINGS = read_record_settings()
 ODOM = TOPICS["/odom"]
-ORIGIN = Origin({"revision": "1234567890", "scene": "slope5"}, {"path.csv": b"x,y\n0,0\n1,0\n"})
+ORIGIN = Origin(
+    {"revision": "1234567890", "scene": "slope5"}, {"path.csv": b"x,y\n0,0\n1,0\n"}
+)
 
 
 def odometry(n):
@@ -105,7 +113,9 @@ def test_a_full_disk_is_an_error_of_one_line_and_what_was_flushed_is_left(tmp_pa
 
 
 @pytest.mark.parametrize("kept", [0.6, 0.999])
-def test_a_bag_that_is_cut_off_is_read_up_to_its_last_whole_chunk(whole, tmp_path, kept):
+def test_a_bag_that_is_cut_off_is_read_up_to_its_last_whole_chunk(
+    whole, tmp_path, kept
+):
     size = int(kept * (whole / "walk.mcap").stat().st_size)
     left = Bag(cut(whole, tmp_path / "walk", size))
     entries, all_entries = list(left.merged()), list(Bag(whole).raw())
@@ -147,11 +157,15 @@ def test_a_mended_bag_is_whole_to_another_reader(whole, tmp_path):
     assert replay_command.main([str(left), "--mend", str(tmp_path / "new")]) == 0
     with Reader(tmp_path / "new") as reader:
         entries = [(c.topic, time, data) for c, time, data in reader.messages()]
-        assert all(c.ext.offered_qos_profiles and c.msgdef.data for c in reader.connections)
+        assert all(
+            c.ext.offered_qos_profiles and c.msgdef.data for c in reader.connections
+        )
     assert entries == list(Bag(left).raw())
     assert Bag(tmp_path / "new").finished
     assert Bag(tmp_path / "new").origin == ORIGIN
-    assert replay_command.main([str(left), "--mend", str(tmp_path / "new")]) == 2  # it exists
+    assert (
+        replay_command.main([str(left), "--mend", str(tmp_path / "new")]) == 2
+    )  # it exists
 
 
 def copied(whole, path, plugin, mode):
@@ -180,7 +194,9 @@ def copied(whole, path, plugin, mode):
         (StoragePlugin.MCAP, CompressionMode.NONE),
     ],
 )
-def test_every_storage_and_compression_of_rosbag2_reads_the_same(whole, tmp_path, plugin, mode):
+def test_every_storage_and_compression_of_rosbag2_reads_the_same(
+    whole, tmp_path, plugin, mode
+):
     bag = Bag(copied(whole, tmp_path / "copy", plugin, mode))
     assert bag.finished
     assert list(bag.raw()) == list(Bag(whole).raw())
@@ -188,7 +204,9 @@ def test_every_storage_and_compression_of_rosbag2_reads_the_same(whole, tmp_path
     assert state.position.z == pytest.approx(0.06)
 
 
-def test_a_database_without_definitions_is_read_with_the_installed_ones(whole, tmp_path):
+def test_a_database_without_definitions_is_read_with_the_installed_ones(
+    whole, tmp_path
+):
     """As written by a ROS before Iron."""
     path = copied(whole, tmp_path / "copy", StoragePlugin.SQLITE3, CompressionMode.NONE)
     with sqlite3.connect(path / "copy.db3") as database:

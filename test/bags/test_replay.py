@@ -28,7 +28,9 @@ TOPICS = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"
 
 
 def first_differences(path=WALK):
-    return {c.topic: c.first for c in replay.check_bag(Bag(path), replay_command.TOLERANCE)}
+    return {
+        c.topic: c.first for c in replay.check_bag(Bag(path), replay_command.TOLERANCE)
+    }
 
 
 @pytest.mark.parametrize("name", BAGS)
@@ -57,7 +59,9 @@ def test_a_change_shows_only_at_its_own_stage(own_config, file, name, value, top
     assert set(differences.values()) == {None}
 
 
-@pytest.mark.parametrize(("node", "changes"), [("mpc_controller", True), ("force_mapper", False)])
+@pytest.mark.parametrize(
+    ("node", "changes"), [("mpc_controller", True), ("force_mapper", False)]
+)
 def test_the_parameter_file_of_a_run_is_that_of_its_replay(tmp_path, node, changes):
     """A bag that says of a walk with the shipped settings that one was changed."""
     source = Bag(WALK).origin
@@ -103,7 +107,9 @@ def test_stages_that_a_bag_does_not_hold_are_left_out_by_name(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[2] for line in lines[:2]] == ["compared,"] * 2
     assert lines[2].endswith("left out: the bag holds no /tendon_plan")
-    assert lines[3].endswith("left out: the bag holds no /desired_joint_angles, /tendon_plan")
+    assert lines[3].endswith(
+        "left out: the bag holds no /desired_joint_angles, /tendon_plan"
+    )
 
 
 def test_readings_that_the_node_refuses_are_left_out(tmp_path):
@@ -128,7 +134,9 @@ def test_readings_that_the_node_refuses_are_left_out(tmp_path):
 
 
 @pytest.mark.parametrize("delay", [-12_000_000, 12_000_000])
-def test_the_order_in_which_odometry_and_imu_were_recorded_changes_nothing(tmp_path, delay):
+def test_the_order_in_which_odometry_and_imu_were_recorded_changes_nothing(
+    tmp_path, delay
+):
     """The recorder receives odometry 12 ms before or after the estimator did."""
     path = partly(tmp_path / "bag", STATES, late={"/odom": delay})
     (states, *_) = replay.check_bag(Bag(path), replay_command.TOLERANCE)
@@ -146,7 +154,9 @@ def test_odometry_before_the_estimator_listened_changes_nothing(tmp_path):
             if at < 10**9:  # the walk's first stamp is 1 s
                 stamp.sec, stamp.nanosec = divmod(at, 10**9)
                 kind = source.topics[topic]
-                bag.write(topic, kind, time - early, bytes(TYPES.serialize_cdr(message, kind)))
+                bag.write(
+                    topic, kind, time - early, bytes(TYPES.serialize_cdr(message, kind))
+                )
         for topic, time, data in source.raw("/odom", "/imu", "/mpc_state"):
             bag.write(topic, source.topics[topic], time, data)
     (states, *_) = replay.check_bag(Bag(path), replay_command.TOLERANCE)
@@ -166,7 +176,9 @@ def cut(path, share, name="walk", topics=()):
     return path
 
 
-@pytest.mark.parametrize(("name", "share"), [("walk", 0.2), ("walk", 0.5), ("turn", 0.5)])
+@pytest.mark.parametrize(
+    ("name", "share"), [("walk", 0.2), ("walk", 0.5), ("turn", 0.5)]
+)
 def test_a_bag_that_begins_mid_run_says_so_and_compares_the_stage_without_memory(
     tmp_path, capsys, name, share
 ):
@@ -175,7 +187,9 @@ def test_a_bag_that_begins_mid_run_says_so_and_compares_the_stage_without_memory
     *left_out, last = capsys.readouterr().out.splitlines()[-4:]
     assert [line.split()[0] for line in left_out] == TOPICS[:3]
     assert all("left out: the bag begins mid-run" in line for line in left_out)
-    assert re.match(r"/desired_joint_angles +\d\d compared, largest difference 0.0e\+00", last)
+    assert re.match(
+        r"/desired_joint_angles +\d\d compared, largest difference 0.0e\+00", last
+    )
 
 
 def test_a_bag_that_begins_mid_run_without_the_force_map_is_refused(tmp_path, refusal):
@@ -185,12 +199,17 @@ def test_a_bag_that_begins_mid_run_without_the_force_map_is_refused(tmp_path, re
 
 
 def test_what_a_bag_says_of_itself_cannot_command_the_terminal(tmp_path, capsys):
-    about, files = {"revision": "\x1b]0;x\x07", "gait": "\x9b2J"}, {"config.zip": b"no zip"}
+    about, files = (
+        {"revision": "\x1b]0;x\x07", "gait": "\x9b2J"},
+        {"config.zip": b"no zip"},
+    )
     path = partly(tmp_path / "bag", STATES, origin=Origin(about, files))
     assert replay_command.main([str(path)]) == 0
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert first == r"recorded by  revision \x1b]0;x\x07, gait \x9b2J"
-    assert "its configuration cannot be read: config.zip: File is not a zip file" in second
+    assert (
+        "its configuration cannot be read: config.zip: File is not a zip file" in second
+    )
 
 
 def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):
@@ -201,7 +220,9 @@ def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):
 def test_topics_of_other_names_are_replayed_by_their_new_ones(tmp_path, capsys):
     names = {"/odom": "/visual_slam/odometry", "/imu": "/camera/imu"}
     path = partly(tmp_path / "bag", STATES, names=names)
-    remaps = [word for new, old in names.items() for word in ("--remap", f"{old}:={new}")]
+    remaps = [
+        word for new, old in names.items() for word in ("--remap", f"{old}:={new}")
+    ]
     assert replay_command.main([str(path), *remaps]) == 0
     assert re.match(r"/mpc_state +4\d compared", capsys.readouterr().out)
 
@@ -232,7 +253,9 @@ def test_the_policy_that_the_bag_names_is_replayed(tmp_path):
 
 def test_a_path_that_the_bag_lacks_leaves_out_the_gait_by_name(tmp_path, capsys):
     """As in a bag of `ros2 bag record`, which has the path's name without its file."""
-    path = partly(tmp_path / "bag", [*STATES, "/gait_preview"], origin=Origin({"path": "way.csv"}))
+    path = partly(
+        tmp_path / "bag", [*STATES, "/gait_preview"], origin=Origin({"path": "way.csv"})
+    )
     assert replay_command.main([str(path)]) == 0
     assert "left out: the bag holds no way.csv" in capsys.readouterr().out
 
@@ -254,7 +277,9 @@ def test_the_bags_hold_what_they_are_named_after():
     assert turn["reference"][-1, 2] > 0.05  # rad, yaw of the reference at the end
     assert "path.csv" in Bag(HERE / "path").origin.files
     validity = Bag(HERE / "lost_odometry").series("/mpc_state", "validity")["validity"]
-    assert np.count_nonzero(validity == Validity.ODOMETRY_REJECTED) > 15  # marked as lost
+    assert (
+        np.count_nonzero(validity == Validity.ODOMETRY_REJECTED) > 15
+    )  # marked as lost
     torque = Bag(HERE / "fault").series("/joint_states", "effort")["effort"]
     assert not torque[-20:, 0].any()  # FL's tendon
     assert torque[-20:, 1:].all()

@@ -74,16 +74,22 @@ class Recording:
             self.estimator.add_imu(*decode.imu(message))
         while (estimate := self.estimator.poll()) is not None:
             self.stamp = estimate.stamp
-            self._write(now, "/mpc_state", "slot_msgs/msg/MpcState", state_message(estimate))
+            self._write(
+                now, "/mpc_state", "slot_msgs/msg/MpcState", state_message(estimate)
+            )
             due = state and self.number % EVERY == 0
             self._record(now + 1, capture(self.estimator) if due else "")
 
     def _record(self, now, state):
         topics, stamps = zip(*self.taken) if self.taken else ((), ())
         record = NEW.types[RECORD](
-            header(self.stamp), "state_estimator", self.number,
-            np.array(topics, np.uint8), np.array(stamps, np.int64), state,
-        )  # fmt: skip
+            header(self.stamp),
+            "state_estimator",
+            self.number,
+            np.array(topics, np.uint8),
+            np.array(stamps, np.int64),
+            state,
+        )
         self.number, self.taken = self.number + 1, []
         self._write(now, "/stage_record", RECORD, record)
 
@@ -120,7 +126,9 @@ def test_the_order_in_which_the_estimator_took_its_readings_is_replayed(tmp_path
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.6])
-def test_a_bag_begun_in_mid_run_is_compared_from_its_first_key_frame_on(tmp_path, share):
+def test_a_bag_begun_in_mid_run_is_compared_from_its_first_key_frame_on(
+    tmp_path, share
+):
     recording = Recording(1).run(state=True)
     times = [entry[0] for entry in recording.entries]
     begin = np.quantile([t for t in times if t], share)
@@ -145,23 +153,33 @@ def test_after_a_lost_message_the_replay_goes_on_at_the_next_key_frame(tmp_path,
     assert 0 < found.gaps <= 2 * EVERY
     assert found.compared + found.gaps == Bag(path).counts["/mpc_state"]
     if topic == "/imu":
-        assert re.search(r"; \d+ are not: /imu at \d+\.\d+ s is not in the bag", str(found))
+        assert re.search(
+            r"; \d+ are not: /imu at \d+\.\d+ s is not in the bag", str(found)
+        )
 
 
 def named(path, node):
     """The bag of a walk whose states were published by a node of that name."""
     recording = Recording(3).run(state=False)
-    recording._write(1, "/recorded_nodes", STRING,
-                     NEW.types[STRING](json.dumps({"/mpc_state": [node]})))  # fmt: skip
+    recording._write(
+        1,
+        "/recorded_nodes",
+        STRING,
+        NEW.types[STRING](json.dumps({"/mpc_state": [node]})),
+    )
     source = Bag(WALK)
     for topic in ("/gait_preview",):
         for time, message in source.messages(topic):
             kind = source.topics[topic]
-            recording.entries.append((time, topic, kind, TYPES.serialize_cdr(message, kind)))
+            recording.entries.append(
+                (time, topic, kind, TYPES.serialize_cdr(message, kind))
+            )
     return recording.bag(path)
 
 
-def test_the_output_of_a_node_of_a_users_own_is_left_out_and_its_node_named(tmp_path, capsys):
+def test_the_output_of_a_node_of_a_users_own_is_left_out_and_its_node_named(
+    tmp_path, capsys
+):
     path = named(tmp_path / "bag", "/fred/my_filter")
     with pytest.raises(replay.BagError, match="no stage can be compared"):
         replay.check_bag(Bag(path), 0.0)

@@ -51,14 +51,22 @@ def bench(places, *arguments):
     return main([*arguments, "--benchmarks", str(directory), "--out", str(out)])
 
 
-def test_result_holds_rows_checks_revision_machine_and_whether_it_was_quick(places, capsys):
+def test_result_holds_rows_checks_revision_machine_and_whether_it_was_quick(
+    places, capsys
+):
     assert bench(places, "tiny") == 0
     result = json.loads((places[1] / "tiny.json").read_text())
     assert [row["n"] for row in result["rows"]] == [0, 1, 2, 3]
     assert result["rows"][2]["root"] == pytest.approx(2**0.5)
     assert result["checks"] == [
         {"name": "rows", "value": 4, "unit": "", "goal": "<= 3", "holds": False},
-        {"name": "nothing", "value": None, "unit": "ms", "goal": ">= 1", "holds": False},
+        {
+            "name": "nothing",
+            "value": None,
+            "unit": "ms",
+            "goal": ">= 1",
+            "holds": False,
+        },
     ]
     assert set(result["revision"]) == {"commit", "describe", "dirty"}
     assert result["machine"]["python"] == platform.python_version()
@@ -86,7 +94,9 @@ def test_result_holds_rows_checks_revision_machine_and_whether_it_was_quick(plac
         ),
     ],
 )
-def test_a_benchmark_that_cannot_run_is_refused_in_one_line(places, capsys, name, source, reason):
+def test_a_benchmark_that_cannot_run_is_refused_in_one_line(
+    places, capsys, name, source, reason
+):
     if source is not None:
         write_benchmark(places[0], name, source)
     assert bench(places, name) == 2
@@ -107,11 +117,15 @@ def run(quick, out, progress, *, count):
 
 
 @pytest.mark.parametrize(("given", "count"), [((), 3), (("--count", "5"), 5)])
-def test_a_benchmark_gets_the_options_that_it_declares_and_no_others(places, given, count):
+def test_a_benchmark_gets_the_options_that_it_declares_and_no_others(
+    places, given, count
+):
     write_benchmark(places[0], "own", OWN)
     (places[0] / "own" / "options.py").write_text(OPTIONS)
     assert bench(places, "own", *given) == 0
-    assert json.loads((places[1] / "own.json").read_text())["rows"] == [{"count": count}]
+    assert json.loads((places[1] / "own.json").read_text())["rows"] == [
+        {"count": count}
+    ]
     with pytest.raises(SystemExit):
         bench(places, "own", "--other", "5")
 
@@ -132,7 +146,9 @@ def test_a_measurement_that_fails_is_a_row_and_a_missed_check_and_the_others_go_
 
     assert attempts.run("first", fail, 1) is None
     assert attempts.run("second", abs, -2) == 2
-    assert attempts.rows == [{"kind": "failed", "what": "first", "reason": "the graph failed: 1"}]
+    assert attempts.rows == [
+        {"kind": "failed", "what": "first", "reason": "the graph failed: 1"}
+    ]
     [check] = attempts.checks
     assert (check.name, check.holds) == ("first", False)
 
@@ -145,20 +161,35 @@ def test_every_benchmark_can_be_imported_with_its_options(name):
         wanted = inspect.signature(harness.load(name, directory).run).parameters
     except BenchmarkError as error:
         pytest.skip(str(error))  # needs scripts/setup --bench
-    assert set(vars(parser.parse_args([]))) == set(wanted) - {"quick", "out", "progress"}
+    assert set(vars(parser.parse_args([]))) == set(wanted) - {
+        "quick",
+        "out",
+        "progress",
+    }
 
 
 def test_cpu_time_is_the_median_per_call_after_a_warm_up():
-    ticks = iter([0.0, 6.0, 10.0, 12.0, 20.0, 60.0])  # repeats of 6, 2 and 40 s, two calls each
+    ticks = iter(
+        [0.0, 6.0, 10.0, 12.0, 20.0, 60.0]
+    )  # repeats of 6, 2 and 40 s, two calls each
     calls = []
-    figure = cpu_time(lambda: calls.append(None), repeats=3, calls=2, clock=lambda: next(ticks))
-    assert (figure.median, figure.least, figure.largest, figure.repeats) == (3.0, 1.0, 20.0, 3)
+    figure = cpu_time(
+        lambda: calls.append(None), repeats=3, calls=2, clock=lambda: next(ticks)
+    )
+    assert (figure.median, figure.least, figure.largest, figure.repeats) == (
+        3.0,
+        1.0,
+        20.0,
+        3,
+    )
     assert len(calls) == 1 + 3 * 2
 
 
 def git(directory, *arguments):
     identity = ["-c", "user.name=n", "-c", "user.email=n@example.com"]
-    subprocess.run(["git", "-C", directory, *identity, *arguments], check=True, capture_output=True)
+    subprocess.run(
+        ["git", "-C", directory, *identity, *arguments], check=True, capture_output=True
+    )
 
 
 def test_revision_distinguishes_a_changed_work_tree_from_a_clean_one(tmp_path):
@@ -175,7 +206,11 @@ def test_revision_distinguishes_a_changed_work_tree_from_a_clean_one(tmp_path):
 
 def test_revision_outside_git_is_unknown(tmp_path, monkeypatch):
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-    assert harness.revision(tmp_path) == {"commit": None, "describe": None, "dirty": None}
+    assert harness.revision(tmp_path) == {
+        "commit": None,
+        "describe": None,
+        "dirty": None,
+    }
 
 
 @pytest.mark.parametrize("needs", [False, True])
@@ -184,18 +219,25 @@ def test_script_sets_up_sources_the_environment_and_passes_its_arguments_and_exi
 ):
     scripts = tmp_path / "scripts"
     (scripts / "benchmarks/graph").mkdir(parents=True)
-    (scripts / "benchmarks/graph/benchmark.py").write_text('REQUIRES = ("peer",)\n' * needs)
+    (scripts / "benchmarks/graph/benchmark.py").write_text(
+        'REQUIRES = ("peer",)\n' * needs
+    )
     for name in ("bench", "help"):
         shutil.copy(ROOT / "scripts" / name, scripts)
     # The installation of the packages fails; the benchmark reports that, not the setup.
     setup = f"#!/bin/sh\necho setup $* >> {tmp_path}/order\n[ $# = 0 ]\n"
     (scripts / "setup").write_text(setup)
     python = 'python() { echo "python $*" >> "$root/order"; exit 7; }\n'
-    (scripts / "env").write_text(f'echo env >> "$root/order"\nexec() {{ "$@"; }}\n{python}')
+    (scripts / "env").write_text(
+        f'echo env >> "$root/order"\nexec() {{ "$@"; }}\n{python}'
+    )
     for name in ("bench", "setup"):
         (scripts / name).chmod(0o755)
     ended = subprocess.run(
-        [scripts / "bench", "graph", "--quick"], cwd="/", check=False, env=dict(os.environ)
+        [scripts / "bench", "graph", "--quick"],
+        cwd="/",
+        check=False,
+        env=dict(os.environ),
     )
     assert ended.returncode == 7
     order = (tmp_path / "order").read_text().splitlines()

@@ -13,7 +13,9 @@ def still(case, column, seed):
     """Motion of a robot that stands level at 40 mm, whatever is commanded."""
     time = np.arange(0.0, case.duration, 0.033)
     position = np.tile([0.0, 0.0, 0.04], (len(time), 1))
-    return WalkMotion(time, position, np.zeros((len(time), 3)), *np.zeros((2, len(time))), False)
+    return WalkMotion(
+        time, position, np.zeros((len(time), 3)), *np.zeros((2, len(time))), False
+    )
 
 
 def checks_of(wanted, move):

@@ -93,7 +93,9 @@ def test_chain_bent_to_a_circular_arc_has_the_sideways_compliance_of_the_unit_lo
     """The compliance of the chain is the sum of (arm of a joint)^2 / stiffness over its joints."""
     turn, (rod, model) = math.radians(turn_deg), fine_chain()
     step, data = np.diff(rod.arc), mujoco.MjData(model)
-    bent = -turn / LENGTH * (np.append(0.0, step[:-1]) + step) / 2  # between middles of segments
+    bent = (
+        -turn / LENGTH * (np.append(0.0, step[:-1]) + step) / 2
+    )  # between middles of segments
     for name, angle in zip(joints("turn", len(step)), bent - rod.rest_angle):
         data.joint(name).qpos[0] = angle
     mujoco.mj_forward(model, data)
@@ -101,7 +103,11 @@ def test_chain_bent_to_a_circular_arc_has_the_sideways_compliance_of_the_unit_lo
     end = tip.xpos + tip.xmat.reshape(3, 3) @ [rod.rest_length[-1], 0.0, 0.0]
     mujoco.mj_jac(model, data, rows, None, end, tip.id)
     aside = np.array([-ROBOT.outward[0, 1], ROBOT.outward[0, 0], 0.0]) @ rows
-    own = [model.joint(name) for kind in ("side", "twist") for name in joints(kind, len(step))]
+    own = [
+        model.joint(name)
+        for kind in ("side", "twist")
+        for name in joints(kind, len(step))
+    ]
     found = sum(aside[joint.dofadr[0]] ** 2 / joint.stiffness[0] for joint in own)
     assert found == pytest.approx(arc_compliance(turn), rel=0.01)
 
@@ -121,9 +127,13 @@ def test_tendon_is_slack_until_the_spool_has_taken_up_its_slack(stretch):
     line = mujoco_robot.cable(build_model(ROBOT, ABOVE, read_servo()), stretch)
     assert line.slack == pytest.approx(ROBOT.tendon.slack, rel=1e-9)
     for extra in (-1e-4, 1e-4):
-        data.ctrl[:] = -extra  # m, natural length of the tendon less what the spool has left
+        data.ctrl[
+            :
+        ] = -extra  # m, natural length of the tendon less what the spool has left
         mujoco.mj_forward(model, data)
-        np.testing.assert_allclose(robot.tension, max(0.0, extra * line.stiffness), rtol=1e-9)
+        np.testing.assert_allclose(
+            robot.tension, max(0.0, extra * line.stiffness), rtol=1e-9
+        )
 
 
 def test_compliance_of_links_that_do_not_stretch_is_the_tendons():
@@ -131,7 +141,9 @@ def test_compliance_of_links_that_do_not_stretch_is_the_tendons():
     model = build_model(ROBOT, ABOVE, read_servo())
     end = ROBOT.tendon.end_fraction * LENGTH
     area = quad(lambda s: 1 / (LEG.width * LEG.thickness(s / LENGTH)), 0.0, end)[0]
-    stiff, soft = (1 / mujoco_robot.cable(model, stretch).stiffness for stretch in (True, False))
+    stiff, soft = (
+        1 / mujoco_robot.cable(model, stretch).stiffness for stretch in (True, False)
+    )
     assert soft - stiff == pytest.approx(area / LEG.young_modulus, rel=1e-3)
 
 
@@ -144,10 +156,16 @@ def test_servo_and_friction_of_the_guide_are_the_projects():
     law, h = build_model(ROBOT, ABOVE, read_servo()).servo, 1e-3
     assert law.friction > 1.0
     cases = [(0.0, 0.01, 0.0), (2.0, 1.0, 0.7), (-1.0, -0.02, 0.5), (0.0, 0.044, 0.9)]
-    for speed, error, torque in cases:  # the last one stands still between the two loads
+    for (
+        speed,
+        error,
+        torque,
+    ) in cases:  # the last one stands still between the two loads
         drive = np.array([0.0, speed, 0.0])
         expected = own_rate(law, drive, error, torque, h)
-        found = mujoco_robot.motor_speed(law, np.array(speed), np.array(error), torque, h)
+        found = mujoco_robot.motor_speed(
+            law, np.array(speed), np.array(error), torque, h
+        )
         assert float(found) == pytest.approx(expected, rel=1e-12)
     assert expected == 0.0
 
@@ -163,7 +181,8 @@ def test_servo_that_is_not_modelled_is_refused(change):
 def test_standing_feet_carry_the_weight_without_chatter():
     """Over 50 ms no force changes by more than 1 %; with stiffer contacts they did by a quarter."""
     scene = config.replace(
-        read_scene("flat"), {"solver.legs": "spatial", "solver.nodes": 10, "start.settle": 2.0}
+        read_scene("flat"),
+        {"solver.legs": "spatial", "solver.nodes": 10, "start.settle": 2.0},
     )
     robot = mujoco_robot.MujocoRobot(ROBOT, scene, read_servo())
     found = []
@@ -181,7 +200,13 @@ def stiffness_rows(own, other, loaded=1.0):
 
 
 def replay_row(own, other):
-    row = {"kind": "replay", "gait": "walk", "friction": 0.4, "own_v_x": own, "other_v_x": other}
+    row = {
+        "kind": "replay",
+        "gait": "walk",
+        "friction": 0.4,
+        "own_v_x": own,
+        "other_v_x": other,
+    }
     return row | other_engine.judged(row)
 
 

@@ -16,7 +16,9 @@ ROBOT = read_robot()
 def series(cost, height=0.04, tilt=0.0):
     time = np.arange(len(cost), dtype=float)
     still = np.ones(len(cost))
-    return cases.PerturbedRun(time, np.array(cost), height * still, tilt * still, infeasible=2)
+    return cases.PerturbedRun(
+        time, np.array(cost), height * still, tilt * still, infeasible=2
+    )
 
 
 def test_a_cost_settles_after_its_last_rise_if_it_is_small_at_the_end():
@@ -29,7 +31,9 @@ def test_a_cost_settles_after_its_last_rise_if_it_is_small_at_the_end():
     assert math.isnan(cases.metrics(series([0.0, 0.0, 0.02]))["settling_cost_s"])
 
 
-@pytest.mark.parametrize(("height", "tilt"), [(0.0421, 0.0), (0.0379, 0.0), (0.04, 0.0101)])
+@pytest.mark.parametrize(
+    ("height", "tilt"), [(0.0421, 0.0), (0.0379, 0.0), (0.04, 0.0101)]
+)
 def test_a_torso_off_its_height_or_tilted_has_not_settled(height, tilt):
     assert math.isnan(cases.metrics(series([0.0], height, tilt))["settling_s"])
     assert cases.metrics(series([0.0], 0.0419, 0.0099))["settling_s"] == 0.0
@@ -37,7 +41,9 @@ def test_a_torso_off_its_height_or_tilted_has_not_settled(height, tilt):
 
 def published_run(change, duration=5.3, **others):
     """A run of the published problem; its peak is over after 5 s."""
-    return published.run_published(ROBOT, read_paper_mpc("paper_code"), change, duration, **others)
+    return published.run_published(
+        ROBOT, read_paper_mpc("paper_code"), change, duration, **others
+    )
 
 
 @pytest.mark.parametrize("name", ["Baseline", "Combined"])
@@ -50,7 +56,9 @@ def test_the_published_problem_reaches_the_papers_maximum_costs(name):
 
 def test_the_perturbation_pitch_is_decided_by_the_raised_forces():
     """With them the maximum cost rises and falls with the angle, without them it does not move."""
-    flat, small, paper = (published_run({1: angle}).cost.max() for angle in (0.0, 0.05, 0.1))
+    flat, small, paper = (
+        published_run({1: angle}).cost.max() for angle in (0.0, 0.05, 0.1)
+    )
     assert small > 1.05 * flat
     assert small > 1.02 * paper
     calm = [published_run({1: angle}, raised=0.0).cost.max() for angle in (0.0, 0.1)]

@@ -34,12 +34,20 @@ def result(name, rows=(), checks=(), **others):
         "quick": True,
         "options": {},
         "revision": {"commit": "1234", "describe": "v1-g1234", "dirty": True},
-        "machine": {"cpu": "Z80", "architecture": "z80", "cores": 1, "system": "CP/M",
-                    "python": "3", "numpy": "2"},
+        "machine": {
+            "cpu": "Z80",
+            "architecture": "z80",
+            "cores": 1,
+            "system": "CP/M",
+            "python": "3",
+            "numpy": "2",
+        },
         "rows": list(rows),
-        "checks": [dict(zip(("name", "value", "unit", "goal", "holds"), c)) for c in checks],
+        "checks": [
+            dict(zip(("name", "value", "unit", "goal", "holds"), c)) for c in checks
+        ],
         **others,
-    }  # fmt: skip
+    }
 
 
 def write(directory, found):
@@ -51,13 +59,18 @@ def write(directory, found):
 
 def write_results(directory):
     """Results of three benchmarks and a comparison, with a hostile name and without values."""
-    checks = [(HOSTILE, 0.125, "N", "<= 0.5", True), ("slow", None, "ms", "<= 2", False)]
+    checks = [
+        (HOSTILE, 0.125, "N", "<= 0.5", True),
+        ("slow", None, "ms", "<= 2", False),
+    ]
     folder = write(directory, result("rod", checks=checks))
     (folder / "rod.png").touch()
     (folder / "more.png").touch()
     write(directory, result("perturbations", options={"seed": 7, "scheduler": ""}))
     write(directory, result("locomotion", LOCOMOTION))
-    (directory / "mpc.json").write_text(json.dumps(result("mpc")))  # not in a folder of its own
+    (directory / "mpc.json").write_text(
+        json.dumps(result("mpc"))
+    )  # not in a folder of its own
     (directory / "mpc.png").touch()
     (directory / "others.png").touch()
     (directory / "walk").mkdir()
@@ -91,7 +104,13 @@ def page(made):
 def test_a_page_links_to_the_pictures_of_its_results_and_to_nothing_else(made):
     directory, page = made
     found = re.findall(r"!\[.*\]\((.*)\)", page)
-    there = ["rod/rod.png", "rod/more.png", "mpc.png", "walk/walk.png", "single_leg/leg.png"]
+    there = [
+        "rod/rod.png",
+        "rod/more.png",
+        "mpc.png",
+        "walk/walk.png",
+        "single_leg/leg.png",
+    ]
     linked = [(directory / "deep" / link).resolve() for link in found]
     assert linked == [directory.resolve() / file for file in there]
     outside = re.sub(r"```.*?```", "", page, flags=re.DOTALL)
@@ -113,14 +132,26 @@ def test_a_result_stands_with_its_command_revision_and_machine(page):
 
 def test_what_is_missing_is_named_with_the_command_that_makes_it(made):
     missing = made[1].rpartition("What is missing")[2]
-    for name in known(BENCHMARKS).keys() - {"rod", "perturbations", "locomotion", "mpc"}:
+    for name in known(BENCHMARKS).keys() - {
+        "rod",
+        "perturbations",
+        "locomotion",
+        "mpc",
+    }:
         assert f"scripts/bench {name} --out {made[0] / name}" in missing
     assert f"scripts/run --lockstep --gait crawl --bag {made[0] / 'crawl'}" in missing
 
 
-def test_without_results_the_papers_figures_stand_alone_with_what_would_be_beside_them(tmp_path):
+def test_without_results_the_papers_figures_stand_alone_with_what_would_be_beside_them(
+    tmp_path,
+):
     (tmp_path / "empty").mkdir()
-    arguments = ["--results", str(tmp_path / "empty"), "--out", str(tmp_path / "page.md")]
+    arguments = [
+        "--results",
+        str(tmp_path / "empty"),
+        "--out",
+        str(tmp_path / "page.md"),
+    ]
     assert main(arguments) == 0
     tables = (tmp_path / "page.md").read_text().partition("The paper beside ours")[2]
     assert "| here: " not in tables
@@ -129,7 +160,9 @@ def test_without_results_the_papers_figures_stand_alone_with_what_would_be_besid
 
 def test_a_command_repeats_the_options_of_its_result():
     options = {"a_b": True, "c": False, "d": "e f", "g": 0.0, "h": None, "i": ""}
-    assert bench_command("x", False, options) == "scripts/bench x --a-b --d 'e f' --g 0.0"
+    assert (
+        bench_command("x", False, options) == "scripts/bench x --a-b --d 'e f' --g 0.0"
+    )
 
 
 @pytest.mark.parametrize(
@@ -153,9 +186,12 @@ def test_a_figure_is_judged_by_its_number(judged, paper, ours, verdict):
 
 def test_figures_are_looked_up_under_names_that_the_benchmarks_use():
     wanted = [
-        ours for table in paper_figures.comparisons() for line in table.lines
-        for ours in line.ours if ours is not None
-    ]  # fmt: skip
+        ours
+        for table in paper_figures.comparisons()
+        for line in table.lines
+        for ours in line.ours
+        if ours is not None
+    ]
     runs = {run.folder for run in paper_figures.RUNS}
     assert {ours.result for ours in wanted} <= known(BENCHMARKS).keys() | runs
     found = {ours.match["row"] for ours in wanted if ours.result == "locomotion"}
@@ -165,10 +201,21 @@ def test_figures_are_looked_up_under_names_that_the_benchmarks_use():
 
 @pytest.mark.parametrize(
     "about",
-    ["1.4 cm", "22.374 and 61.875 s", "crawl's centre of mass", "real time", "below 2 mm",
-     "less than 5 mm", "1.5 N m; servos of 1.4 N m", "out-of-plane", "gyroscopic term",
-     "Velocity settles in 10.098 s", "0.08 m/s at a height of 0.04 m", "4.792 of Pitch"],
-)  # fmt: skip
+    [
+        "1.4 cm",
+        "22.374 and 61.875 s",
+        "crawl's centre of mass",
+        "real time",
+        "below 2 mm",
+        "less than 5 mm",
+        "1.5 N m; servos of 1.4 N m",
+        "out-of-plane",
+        "gyroscopic term",
+        "Velocity settles in 10.098 s",
+        "0.08 m/s at a height of 0.04 m",
+        "4.792 of Pitch",
+    ],
+)
 def test_a_claim_of_the_paper_has_one_verdict_and_a_reason(page, about):
     (claim,) = [claim for claim in claims.CLAIMS if about in claim.text]
     assert claim.verdict in claims.VERDICTS
@@ -176,7 +223,9 @@ def test_a_claim_of_the_paper_has_one_verdict_and_a_reason(page, about):
 
 
 def test_every_claim_is_counted_once_under_its_verdict(page):
-    count = [sum(c.verdict == verdict for c in claims.CLAIMS) for verdict in claims.VERDICTS]
+    count = [
+        sum(c.verdict == verdict for c in claims.CLAIMS) for verdict in claims.VERDICTS
+    ]
     assert sum(count) == len(claims.CLAIMS) > 40
     for number, verdict in zip(count, claims.VERDICTS):
         assert f"{number} {verdict}" in page
@@ -237,5 +286,7 @@ def test_a_damaged_file_beside_a_result_is_refused_in_one_line(
         ("", "rod/rod.json/page.md", "File exists"),
     ],
 )
-def test_a_place_that_does_not_do_is_refused_in_one_line(results, refusal, folder, out, said):
+def test_a_place_that_does_not_do_is_refused_in_one_line(
+    results, refusal, folder, out, said
+):
     assert said in refusal(main, "--results", results / folder, "--out", results / out)

@@ -46,7 +46,9 @@ def test_follower_force_by_elliptic_integrals_agrees_with_integration_from_the_t
 
     angle, _, x, y = integrated(slope, [0, 0, 0, 0])
     c, s = math.cos(angle), math.sin(angle)
-    np.testing.assert_allclose(exact.follower(p), [-c * x - s * y, s * x - c * y], atol=1e-9)
+    np.testing.assert_allclose(
+        exact.follower(p), [-c * x - s * y, s * x - c * y], atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("w", [1.0, 10.0, 50.0])
@@ -65,7 +67,9 @@ def test_heavy_elastica_by_collocation_agrees_with_shooting_from_the_tip(w):
 
 
 def test_greenhills_and_prandtls_loads_are_the_first_zeros_of_bessel_functions():
-    column, lateral = (brentq(lambda x, n=n: jv(-1 / n, x), 1.0, 3.0, xtol=1e-14) for n in (3, 4))
+    column, lateral = (
+        brentq(lambda x, n=n: jv(-1 / n, x), 1.0, 3.0, xtol=1e-14) for n in (3, 4)
+    )
     assert math.isclose(exact.GREENHILL, 9 / 4 * column**2, rel_tol=1e-12)
     assert math.isclose(exact.LATERAL, 2 * lateral, rel_tol=1e-5)
 
@@ -80,11 +84,13 @@ def shot(material, geometry, force, steps=4000):
     at = np.linspace(0.0, 1.0, 2 * steps + 1)
     curvature = geometry.curvature_at(at * length)
     area = material.young_modulus * section.area(at)
-    stiffness = np.array([
-        material.shear_modulus * section.torsion_constant(at),
-        material.young_modulus * section.second_moment(at),
-        material.young_modulus * section.lateral_moment(at),
-    ]).T  # fmt: skip
+    stiffness = np.array(
+        [
+            material.shear_modulus * section.torsion_constant(at),
+            material.young_modulus * section.second_moment(at),
+            material.young_modulus * section.lateral_moment(at),
+        ]
+    ).T
 
     def rate(i, r, frame, moment):
         tangent = frame[:, 0] * (1 + frame[:, 0] @ force / area[i])
@@ -99,11 +105,16 @@ def shot(material, geometry, force, steps=4000):
             b = rate(2 * k + 1, *(u + ds / 2 * v for u, v in zip(y, a)))
             c = rate(2 * k + 1, *(u + ds / 2 * v for u, v in zip(y, b)))
             d = rate(2 * k + 2, *(u + ds * v for u, v in zip(y, c)))
-            y = [u + ds / 6 * (p + 2 * q + 2 * r + s) for u, p, q, r, s in zip(y, a, b, c, d)]
+            y = [
+                u + ds / 6 * (p + 2 * q + 2 * r + s)
+                for u, p, q, r, s in zip(y, a, b, c, d)
+            ]
         return y
 
     straight = np.cross([length, 0.0, 0.0], force)
-    moment = root(lambda m: tip(m)[2], 0.9 * straight, tol=1e-11 * np.linalg.norm(straight)).x
+    moment = root(
+        lambda m: tip(m)[2], 0.9 * straight, tol=1e-11 * np.linalg.norm(straight)
+    ).x
     return tip(moment)[0]
 
 
@@ -131,10 +142,12 @@ def test_leg_under_a_small_force_has_bernoullis_flexibility_in_both_planes():
         (tip[2], leg.section.second_moment),
     ):
         wanted = quad(
-            lambda s, moment=moment: (leg.length - s) ** 2
-            / (tpu.young_modulus * moment(s / leg.length)),
-            0, leg.length,
-        )[0]  # fmt: skip
+            lambda s, moment=moment: (
+                (leg.length - s) ** 2 / (tpu.young_modulus * moment(s / leg.length))
+            ),
+            0,
+            leg.length,
+        )[0]
         assert found / p == pytest.approx(wanted, rel=1e-6)
 
 
@@ -144,7 +157,9 @@ def test_ritzs_method_gives_the_known_frequencies_of_uniform_rods():
     found = exact.sideways(material, geometry, 3) * turn
     np.testing.assert_allclose(found, exact.FREQUENCIES["uniform"], rtol=1e-9)
     wanted = (np.arange(3) + 0.5) * math.pi * math.sqrt(0.75 / 1.5)
-    np.testing.assert_allclose(exact.twisting(material, geometry, 3) * turn, wanted, rtol=1e-9)
+    np.testing.assert_allclose(
+        exact.twisting(material, geometry, 3) * turn, wanted, rtol=1e-9
+    )
 
 
 def row(percent, cost, simulator="peer"):
@@ -154,10 +169,26 @@ def row(percent, cost, simulator="peer"):
 @pytest.mark.parametrize(
     ("own", "rivals", "ratio"),
     [
-        (row(0.1, 1.0), [row(0.1, 8.0), row(0.05, 20.0), row(0.6, 2.0)], 8.0),  # equal error
-        (row(0.1, 1.0), [row(0.2, 4.0), row(0.05, 16.0), row(0.1, 20.0)], 8.0),  # between two
-        (row(0.1, 2.0), [row(3.0, 8.0), row(2.0, 12.0), row(math.nan, math.nan)], 6.0),  # nearest
-        (row(4.0, 1.0), [row(3.0, 8.0), row(2.0, 12.0)], 8.0),  # all of them are more exact
+        (
+            row(0.1, 1.0),
+            [row(0.1, 8.0), row(0.05, 20.0), row(0.6, 2.0)],
+            8.0,
+        ),  # equal error
+        (
+            row(0.1, 1.0),
+            [row(0.2, 4.0), row(0.05, 16.0), row(0.1, 20.0)],
+            8.0,
+        ),  # between two
+        (
+            row(0.1, 2.0),
+            [row(3.0, 8.0), row(2.0, 12.0), row(math.nan, math.nan)],
+            6.0,
+        ),  # nearest
+        (
+            row(4.0, 1.0),
+            [row(3.0, 8.0), row(2.0, 12.0)],
+            8.0,
+        ),  # all of them are more exact
         (row(0.1, 1.0), [], math.nan),
     ],
 )
@@ -172,7 +203,14 @@ def test_front_holds_the_rows_that_none_of_the_same_simulator_and_physics_domina
     rows.append({**row(9.0, 9.0), "physics": "other"})
     rows.append(row(8.0, 8.0, simulator="another"))
     release.mark_fronts(rows)
-    assert [bool(each["front"]) for each in rows] == [True, True, False, False, True, True]
+    assert [bool(each["front"]) for each in rows] == [
+        True,
+        True,
+        False,
+        False,
+        True,
+        True,
+    ]
 
 
 def test_mujocos_links_weigh_as_much_as_the_leg():

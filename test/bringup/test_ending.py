@@ -17,16 +17,22 @@ def start(tmp_path, monkeypatch):
     """A function that starts a shell script as a node."""
 
     def start(name, script, if_it_ends=END):
-        monkeypatch.setattr(processes, "command_line", lambda _: ["/bin/bash", "-c", script])
+        monkeypatch.setattr(
+            processes, "command_line", lambda _: ["/bin/bash", "-c", script]
+        )
         started = Processes(tmp_path)
-        started.start([NodeSpec(name, "of_no_python_package", {}, if_it_ends=if_it_ends)])
+        started.start(
+            [NodeSpec(name, "of_no_python_package", {}, if_it_ends=if_it_ends)]
+        )
         return started
 
     return start
 
 
 @pytest.mark.parametrize("case", [KILLED, FAILED])
-def test_a_node_that_is_killed_or_fails_at_its_end_is_named(start, monkeypatch, capsys, case):
+def test_a_node_that_is_killed_or_fails_at_its_end_is_named(
+    start, monkeypatch, capsys, case
+):
     trap, code, line = case
     if case is KILLED:
         monkeypatch.setattr(processes, "STOP_TIMEOUT", 0.2)
@@ -50,14 +56,18 @@ def ended(start):
     return end
 
 
-@pytest.mark.parametrize(("if_it_ends", "code"), [(END, 3), (GO_ON, REFUSED), (RESTART, REFUSED)])
+@pytest.mark.parametrize(
+    ("if_it_ends", "code"), [(END, 3), (GO_ON, REFUSED), (RESTART, REFUSED)]
+)
 def test_a_process_that_is_needed_or_refuses_its_configuration_ends_the_graph(
     ended, if_it_ends, code
 ):
     assert ended(if_it_ends, code).failed() == ("viewer", code)
 
 
-@pytest.mark.parametrize(("if_it_ends", "restarts"), [(GO_ON, 0), (RESTART, processes.RESTARTS)])
+@pytest.mark.parametrize(
+    ("if_it_ends", "restarts"), [(GO_ON, 0), (RESTART, processes.RESTARTS)]
+)
 def test_a_process_that_is_not_needed_is_restarted_a_few_times_then_missed(
     ended, if_it_ends, restarts
 ):

@@ -44,7 +44,10 @@ def test_acceleration_and_progress_are_those_of_the_robot():
 
 def test_frames_are_those_of_the_graph_and_there_is_no_map():
     found = {
-        (key, value) for node in NODES.values() for key, value in node.items() if "frame" in key
+        (key, value)
+        for node in NODES.values()
+        for key, value in node.items()
+        if "frame" in key
     }
     assert {value for key, value in found if key == "robot_base_frame"} == {BASE_FRAME}
     assert {value for key, value in found if key != "robot_base_frame"} == {ODOM_FRAME}
@@ -60,4 +63,6 @@ def test_the_footprint_holds_the_feet_of_straight_legs(costmap):
 
 def test_the_managed_nodes_are_those_with_parameters():
     managed = NODES["lifecycle_manager"]["node_names"]
-    assert {*managed, "lifecycle_manager", "local_costmap", "global_costmap"} == set(NODES)
+    assert {*managed, "lifecycle_manager", "local_costmap", "global_costmap"} == set(
+        NODES
+    )

@@ -32,9 +32,12 @@ def state(which=State.WALKING, **fields):
 
 def health(**fields):
     sound = {
-        "action": RobotState.ACTION_PASS, "torque": [True] * 4, "silence": [0.01] * 4,
-        "temperature": [31.0, 32.0, 33.0, 34.0], "voltage": [11.9] * 4,
-    }  # fmt: skip
+        "action": RobotState.ACTION_PASS,
+        "torque": [True] * 4,
+        "silence": [0.01] * 4,
+        "temperature": [31.0, 32.0, 33.0, 34.0],
+        "voltage": [11.9] * 4,
+    }
     return ServoHealth(**sound | fields)
 
 
@@ -87,7 +90,9 @@ def test_every_request_of_the_supervisor_has_a_key_and_a_command():
 def test_a_key_calls_its_service_if_it_has_one_and_no_other(key):
     node = FakeNode()
     assert operate.Operator(node).press(key)
-    wanted = [f"supervisor/{operator_keys.KEYS[key]}"] if key in operator_keys.KEYS else []
+    wanted = (
+        [f"supervisor/{operator_keys.KEYS[key]}"] if key in operator_keys.KEYS else []
+    )
     assert node.called() == wanted
     assert wanted or not node.published
 
@@ -101,7 +106,9 @@ def test_the_e_stop_is_published_at_once_and_until_the_supervisor_is_in_estop():
     operator._publish_estop()
     operator._on_state(state(State.ESTOP))
     operator._publish_estop()
-    assert node.published == [(pressed, False) for pressed in (False, True, True, False)]
+    assert node.published == [
+        (pressed, False) for pressed in (False, True, True, False)
+    ]
 
 
 def test_each_terminal_is_a_source_of_its_own():
@@ -131,7 +138,12 @@ def test_a_request_without_a_supervisor_is_refused_at_once():
     ("name", "check", "foreign", "reason"),
     [
         ("joints", decode.joint_loads, JointState(name=["a", "b"]), "joints refused: "),
-        ("joints", decode.joint_loads, JointState(name=TENDON_JOINTS), "joints refused: "),
+        (
+            "joints",
+            decode.joint_loads,
+            JointState(name=TENDON_JOINTS),
+            "joints refused: ",
+        ),
         ("health", decode.servo_health, ServoHealth(action=9), "health refused: "),
     ],
 )
@@ -155,31 +167,43 @@ def test_quitting_is_refused_under_torque():
     idle.action = RobotState.ACTION_OFF
     operator._on_state(idle)
     assert not operator.press(operator_keys.QUIT)
-    assert not operate.Operator(FakeNode()).press(operator_keys.QUIT)  # without a supervisor
+    assert not operate.Operator(FakeNode()).press(
+        operator_keys.QUIT
+    )  # without a supervisor
 
 
 def test_the_screen_shows_state_warnings_and_what_is_wrong_with_a_servo():
-    message = state(reason="walk requested", warnings=["node mpc_controller silent for 1 s"])
+    message = state(
+        reason="walk requested", warnings=["node mpc_controller silent for 1 s"]
+    )
     broken = health(hardware_error=[0, 0, 0x20, 0], torque=[True, True, False, True])
     angles = JointState(name=TENDON_JOINTS, position=[0.5] * 4, effort=[0.1] * 4)
     shown = screen(state=message, health=broken, joints=angles)
     assert shown[:2] == [
-        "WALKING for 2.5 s: walk requested", "  ! node mpc_controller silent for 1 s"
-    ]  # fmt: skip
+        "WALKING for 2.5 s: walk requested",
+        "  ! node mpc_controller silent for 1 s",
+    ]
     assert {line[:2]: line.split()[-2:] for line in shown if line[:2] in LEGS} == {
-        "FL": ["on", "none"], "FR": ["on", "none"], "RL": ["off", "overload"],
+        "FL": ["on", "none"],
+        "FR": ["on", "none"],
+        "RL": ["off", "overload"],
         "RR": ["on", "none"],
-    }  # fmt: skip
+    }
 
 
 def test_problems_of_every_reporter_stay_on_the_screen():
     operator = operate.Operator(FakeNode())
     for name in ("controller", "servo bus", "supervisor"):
-        status = DiagnosticStatus(name=name, level=DiagnosticStatus.WARN, message="late")
+        status = DiagnosticStatus(
+            name=name, level=DiagnosticStatus.WARN, message="late"
+        )
         operator._on_diagnostics(DiagnosticArray(status=[status]))
     shown = screen(health=health(), diagnostics=operator.view.diagnostics)
     problems = [line for line in shown if "late" in line]
-    assert problems == ["  ! controller: late", "  ! servo bus: late"]  # that of the state is above
+    assert problems == [
+        "  ! controller: late",
+        "  ! servo bus: late",
+    ]  # that of the state is above
 
 
 def test_gait_velocity_asked_and_reached_place_and_pace_are_shown():
@@ -188,11 +212,16 @@ def test_gait_velocity_asked_and_reached_place_and_pace_are_shown():
         torso = np.zeros(12)
         torso[[3, 5]] = 0.03 * 0.05 * k, 0.0612
         motion.add(NOW + 0.1 * k, 0.05 * k, torso)  # at half of real time
-    preview = GaitPreview(gait="walk", velocity=[0.04, 0.0, -0.1], pose=[0.06, 0.0, 0.1])
-    shown = lines(OperatorView(state(), NOW + 5.9, preview=preview, motion=motion), NOW + 5.9)
+    preview = GaitPreview(
+        gait="walk", velocity=[0.04, 0.0, -0.1], pose=[0.06, 0.0, 0.1]
+    )
+    shown = lines(
+        OperatorView(state(), NOW + 5.9, preview=preview, motion=motion), NOW + 5.9
+    )
     gait, reached, place = shown[2:5]
     assert (
-        gait == "walk     +0.040 +0.000 m/s  -5.7 deg/s   height 60 mm   roll +0.0   pitch +5.7 deg"
+        gait
+        == "walk     +0.040 +0.000 m/s  -5.7 deg/s   height 60 mm   roll +0.0   pitch +5.7 deg"
     )
     assert reached == "reached  +0.030 +0.000 m/s  +0.0 deg/s   real-time factor 0.50"
     assert place.startswith("x +0.088   y +0.000 m   z 61 mm")
@@ -207,7 +236,9 @@ def test_what_is_not_known_is_a_dash():
 
 def test_the_load_of_a_servo_is_a_share_of_its_stall_torque():
     stall = float(read_servo().tendon_stall(11.1))
-    joints = JointState(name=TENDON_JOINTS, position=[0.5] * 4, effort=[0.5 * stall] * 4)
+    joints = JointState(
+        name=TENDON_JOINTS, position=[0.5] * 4, effort=[0.5 * stall] * 4
+    )
     shown = screen(joints=joints, health=health(voltage=[11.1] * 4))
     assert {line.split()[3] for line in shown if line[:2] in LEGS} == {"50"}
 
@@ -219,7 +250,9 @@ def test_an_outdated_state_is_not_shown():
 
 
 @pytest.mark.parametrize("which", State)
-def test_the_first_line_is_red_in_relax_estop_and_fault_and_without_a_present_state(which):
+def test_the_first_line_is_red_in_relax_estop_and_fault_and_without_a_present_state(
+    which,
+):
     alarming = which in (State.RELAX, State.ESTOP, State.FAULT)
     assert OperatorView(state=state(which), state_time=NOW).alarming(NOW) == alarming
     assert OperatorView(state=state(which), state_time=NOW - 1.0).alarming(NOW)
@@ -241,13 +274,24 @@ def test_an_action_calls_the_service_of_its_node(arguments, name):
 
 
 def test_inject_passes_every_field_of_the_fault():
-    arguments = ["inject", "late", "RR", "--value", "0.02", "--duration", "3", "--clear"]
+    arguments = [
+        "inject",
+        "late",
+        "RR",
+        "--value",
+        "0.02",
+        "--duration",
+        "3",
+        "--clear",
+    ]
     request = operate.service(operate_command._parser().parse_args(arguments)).request
     fields = (request.kind, request.leg, request.value, request.duration, request.clear)
     assert fields == ("late", "RR", 0.02, 3.0, True)
 
 
-def test_the_live_display_without_a_terminal_is_refused_in_one_line(capsys, monkeypatch):
+def test_the_live_display_without_a_terminal_is_refused_in_one_line(
+    capsys, monkeypatch
+):
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
     assert operate_command.main([]) == 1
     message = "the live display needs a terminal, scripts/operate state none"
@@ -262,7 +306,9 @@ def test_the_live_display_without_a_terminal_is_refused_in_one_line(capsys, monk
         (["inject", "silent"], "simulated robot"),
     ],
 )
-def test_without_a_graph_one_line_names_the_missing_node(arguments, who, capsys, monkeypatch):
+def test_without_a_graph_one_line_names_the_missing_node(
+    arguments, who, capsys, monkeypatch
+):
     monkeypatch.setattr(operate, "SEARCH_TIME", 0.2)
     assert operate_command.main(arguments) == 1
     place = f"ROS domain {os.environ['ROS_DOMAIN_ID']}, namespace /"

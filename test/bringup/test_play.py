@@ -35,14 +35,19 @@ def received():
         for topic in play.PLAYED:
             if topic in bag.topics:
                 kind = play.message_class(bag.topics[topic])
-                node.create_subscription(kind, topic, arrived[topic].append, KEEP, raw=True)
+                node.create_subscription(
+                    kind, topic, arrived[topic].append, KEEP, raw=True
+                )
         node.create_subscription(Clock, "/clock", arrived["/clock"].append, qos.CLOCK)
         with listener("player") as (other, _):
             player = play.Player(other, bag)
             player.wait_for_nodes()
             count, span = player.play(play.entries(bag, 0.0), rate=100.0)
             wait(
-                executor, lambda: sum(len(m) for t, m in arrived.items() if t != "/clock") >= count
+                executor,
+                lambda: (
+                    sum(len(m) for t, m in arrived.items() if t != "/clock") >= count
+                ),
             )
     return arrived, count, span
 
@@ -66,14 +71,22 @@ def test_every_sensor_message_arrives_as_it_was_recorded(received):
     assert span == pytest.approx((clock[-1] - clock[0]) * 1e-9, abs=0.1)
 
 
-def test_leg_states_recorded_without_directors_arrive_in_a_form_that_nodes_can_read(tmp_path):
+def test_leg_states_recorded_without_directors_arrive_in_a_form_that_nodes_can_read(
+    tmp_path,
+):
     bag = Bag(write_old_legs(tmp_path / "bag", np.arange(24.0).reshape(4, 2, 3)))
     (entry,) = play.entries(bag, 0.0)
     legs = deserialize_message(entry.data, LegStates)
-    assert (legs.nodes, list(legs.position), list(legs.director)) == (2, list(range(24)), [])
+    assert (legs.nodes, list(legs.position), list(legs.director)) == (
+        2,
+        list(range(24)),
+        [],
+    )
 
 
-def test_a_health_report_of_before_it_named_the_first_supervisor_arrives_as_of_none(tmp_path):
+def test_a_health_report_of_before_it_named_the_first_supervisor_arrives_as_of_none(
+    tmp_path,
+):
     now = message("/servo_health", 1.0, reason="why", supervised__sec=7)
     (entry,) = play.entries(Bag(write_old(tmp_path / "bag", "/servo_health", now)), 0.0)
     health = decode.servo_health(deserialize_message(entry.data, ServoHealth))[1]
@@ -95,14 +108,17 @@ def real_time_bag(tmp_path_factory):
 
 def test_without_a_recorded_clock_the_time_of_the_bag_is_the_clock(real_time_bag):
     played = list(play.entries(real_time_bag, 0.0))
-    recorded = [(t, topic) for topic, t, _ in real_time_bag.raw() if topic in play.PLAYED]
+    recorded = [
+        (t, topic) for topic, t, _ in real_time_bag.raw() if topic in play.PLAYED
+    ]
     assert [(entry.time, entry.topic) for entry in played] == recorded
 
 
 def test_a_clock_topic_without_messages_is_no_clock():
     """`ros2 bag record` lists the /clock of a robot in real time, which publishes none."""
     bag = SimpleNamespace(
-        counts={"/odom": 2, "/clock": 0}, raw=lambda *topics: [("/odom", t, b"") for t in (5, 9)]
+        counts={"/odom": 2, "/clock": 0},
+        raw=lambda *topics: [("/odom", t, b"") for t in (5, 9)],
     )
     assert [entry.time for entry in play.entries(bag, 0.0)] == [5, 9]
 
@@ -114,11 +130,15 @@ def test_a_start_offset_leaves_out_the_beginning(real_time_bag):
     assert late[-1].time == list(play.entries(real_time_bag, 0.0))[-1].time
 
 
-def test_a_bag_is_not_played_where_nothing_listens_or_a_robot_runs(real_time_bag, monkeypatch):
+def test_a_bag_is_not_played_where_nothing_listens_or_a_robot_runs(
+    real_time_bag, monkeypatch
+):
     monkeypatch.setattr(play, "SEARCH_TIME", 0.2)
     with listener("player") as (node, executor):
         player = play.Player(node, real_time_bag)
-        with pytest.raises(play.PlayError, match=r"no node subscribes to /odom within 0\.2 s"):
+        with pytest.raises(
+            play.PlayError, match=r"no node subscribes to /odom within 0\.2 s"
+        ):
             player.wait_for_nodes()
         kind = play.message_class(real_time_bag.topics["/odom"])
         node.create_subscription(kind, "/odom", print, qos.SENSOR)
@@ -164,7 +184,9 @@ def test_a_run_ends_with_the_bag_that_is_played_into_it(played, monkeypatch, cap
     with listener("state_estimator", "alone") as (node, _):
         node.create_publisher(MpcState, "mpc_state", qos.CONTROL).publish(MpcState())
         expected = (
-            nullcontext() if played else pytest.raises(monitor.RunError, match="no /mpc_state")
+            nullcontext()
+            if played
+            else pytest.raises(monitor.RunError, match="no /mpc_state")
         )
         with expected:
             monitor.watch(NoProcesses(), 60.0, namespace="alone", played=played)

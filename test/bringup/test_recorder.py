@@ -22,7 +22,10 @@ LEAST = 50  # messages on disk before the recorder is ended
 def record(path, number):
     """Record odometry in a process, end it by a signal; return its exit code and what was sent."""
     graph = read_graph()
-    values = {a.name: a.default for a in graph.arguments} | {"bag": str(path), "scene": "slope5"}
+    values = {a.name: a.default for a in graph.arguments} | {
+        "bag": str(path),
+        "scene": "slope5",
+    }
     recorder = next(spec for spec in graph.nodes(values) if spec.name == "recorder")
     process = subprocess.Popen(command_line(replace(recorder, namespace="recorded")))
     with listener("robot", "recorded") as (node, _):

@@ -42,24 +42,44 @@ def refused(refusal):
         ("--bag x --no-bag", "not allowed with argument"),
         ("--bag .", "bag .: exists already"),
         ("--seed -1", "seed = -1: outside [0, 9223372036854775807]"),
-        ("--lockstep --attended", "lockstep: an operator and the e-stop's source live in real"),
-        ("--lockstep --hardware real", "lockstep: servos of hardware real move in real time"),
-        ("--lockstep --hardware fake_bus --port /tmp/x", "port: emulated servos have none in lock"),
+        (
+            "--lockstep --attended",
+            "lockstep: an operator and the e-stop's source live in real",
+        ),
+        (
+            "--lockstep --hardware real",
+            "lockstep: servos of hardware real move in real time",
+        ),
+        (
+            "--lockstep --hardware fake_bus --port /tmp/x",
+            "port: emulated servos have none in lock",
+        ),
         (f"--gait sit --path {PATH}", "path: gait sit with this velocity stays in its"),
         ("--namespace a$b", "namespace = 'a$b': Invalid namespace: "),
-        ("--frame-prefix /a/", "frame_prefix = '/a/': tf2 knows no frames that begin with"),
+        (
+            "--frame-prefix /a/",
+            "frame_prefix = '/a/': tf2 knows no frames that begin with",
+        ),
         (
             "--frame-prefix fred",
             "frame_prefix = 'fred': expected one that ends with a slash, fred/",
         ),
-        ("--hardware fake_bus --port /nowhere/x", "port /nowhere/x: not in an existing directory"),
-        ("--path /dev/zero", "/dev/zero: no path with columns x, y: not a regular file"),
+        (
+            "--hardware fake_bus --port /nowhere/x",
+            "port /nowhere/x: not in an existing directory",
+        ),
+        (
+            "--path /dev/zero",
+            "/dev/zero: no path with columns x, y: not a regular file",
+        ),
         ("--calibration /dev/zero", "calibration /dev/zero: not a regular file"),
         ("--policy /dev/zero.py", "policy /dev/zero.py: FileNotFoundError"),
         ("--view", "viser is missing; run scripts/setup --play"),
     ],
 )
-def test_a_wrong_value_is_refused_with_one_line(refused, monkeypatch, arguments, message):
+def test_a_wrong_value_is_refused_with_one_line(
+    refused, monkeypatch, arguments, message
+):
     monkeypatch.setattr(live_page.importlib.util, "find_spec", {}.get)  # without viser
     assert message in refused(*arguments.split())
 
@@ -73,22 +93,33 @@ def test_an_invalid_ros_domain_is_refused(refused, monkeypatch, domain):
 
 def test_keys_of_sros2_that_are_not_there_are_refused(refused, monkeypatch, tmp_path):
     """ROS itself ends in a traceback; scripts/env keeps these variables with SLOT_NETWORK=1."""
-    for name, value in {"ENABLE": "true", "STRATEGY": "Enforce", "KEYSTORE": tmp_path}.items():
+    for name, value in {
+        "ENABLE": "true",
+        "STRATEGY": "Enforce",
+        "KEYSTORE": tmp_path,
+    }.items():
         monkeypatch.setenv(f"ROS_SECURITY_{name}", str(value))
     assert f"ROS_SECURITY_KEYSTORE = '{tmp_path}'" in refused()
 
 
 def test_a_scene_with_a_servo_fault_is_refused_without_a_servo_bus(own_config, refused):
     fault = "{kind: silent, leg: FL, time: 1, duration: 0, value: 0}"
-    (own_config / "scene" / "mute.yaml").write_text(f"like: flat\nfaults: {{fl: {fault}}}\n")
+    (own_config / "scene" / "mute.yaml").write_text(
+        f"like: flat\nfaults: {{fl: {fault}}}\n"
+    )
     message = "fault 'silent': only the servos of hardware fake_bus can have it"
     assert refused("--scene", "mute") == f"scripts/run: {message}"
-    assert run.check_options(parse(["--scene", "mute", "--hardware", "fake_bus"])) is None
+    assert (
+        run.check_options(parse(["--scene", "mute", "--hardware", "fake_bus"])) is None
+    )
 
 
 def test_a_run_whose_summary_cannot_be_printed_fails(monkeypatch, capsys):
     """A full disk behind the output: the run itself went well."""
-    made = lambda options, graph, directory, remarks: write_walk(directory, Walk(truth=False))  # noqa: E731
+
+    def made(options, graph, directory, remarks):
+        return write_walk(directory, Walk(truth=False))
+
     monkeypatch.setattr(run, "run", made)
     assert run.main(["--no-bag"]) == 0
     capsys.readouterr()
@@ -112,11 +143,15 @@ def test_a_run_that_ended_without_its_recorder_fails_and_says_so(
     monkeypatch.setattr(run, "started", started)
     monkeypatch.setattr(run, "watch", lambda *_, **__: None)
     assert run.main(["--no-bag"]) == code
-    assert [line for line in capsys.readouterr().out.splitlines() if "ended;" in line] == said
+    assert [
+        line for line in capsys.readouterr().out.splitlines() if "ended;" in line
+    ] == said
 
 
 @pytest.mark.parametrize("began", [True, False])
-def test_a_run_that_never_stood_or_never_began_says_just_that(monkeypatch, capsys, began):
+def test_a_run_that_never_stood_or_never_began_says_just_that(
+    monkeypatch, capsys, began
+):
     """An operator who has asked for nothing; another graph in the domain."""
 
     def made(options, graph, directory, remarks):
@@ -172,7 +207,11 @@ def passed(monkeypatch):
     def walk(seconds, share=1.0, skipped=0.0):
         nonlocal stamp, count
         for _ in range(round(seconds / PERIOD)):
-            now[0], stamp, count = now[0] + PERIOD, stamp + share * PERIOD, count + skipped * PERIOD
+            now[0], stamp, count = (
+                now[0] + PERIOD,
+                stamp + share * PERIOD,
+                count + skipped * PERIOD,
+            )
             message = Odometry(header=header(round(stamp * 1e9)))
             progress.update_truth(message)
             progress.update_plan(TendonPlan(skipped=int(count)))
@@ -186,7 +225,10 @@ def passed(monkeypatch):
     [
         ({}, ""),
         ({"share": 0.6}, "slower than real time: the simulation went at 60 % of it"),
-        ({"skipped": 9.1}, "slower than real time: mpc_controller skipped 9 states a second"),
+        (
+            {"skipped": 9.1},
+            "slower than real time: mpc_controller skipped 9 states a second",
+        ),
     ],
 )
 def test_a_graph_slower_than_real_time_says_so_with_its_share(passed, pace, found):
@@ -194,7 +236,9 @@ def test_a_graph_slower_than_real_time_says_so_with_its_share(passed, pace, foun
     assert passed(1.5, **pace).slowness() == found
 
 
-def test_the_pace_is_said_with_the_remedy_before_the_supervisors_own_line(passed, capsys):
+def test_the_pace_is_said_with_the_remedy_before_the_supervisors_own_line(
+    passed, capsys
+):
     report = monitor.PaceReport(passed(1.5, share=0.5), "use --lockstep")
     line = "scripts/run: slower than real time: the simulation went at 50 % of it; use --lockstep\n"
     report.print(urgent=False)
@@ -229,11 +273,16 @@ def test_a_run_hears_its_pace_and_says_it_before_it_fails(monkeypatch, capsys):
     def hear(kind, topic, callback, profile):
         heard[topic] = callback
 
-    made = SimpleNamespace(create_subscription=hear), SimpleNamespace(spin_once=spin_once)
+    made = (
+        SimpleNamespace(create_subscription=hear),
+        SimpleNamespace(spin_once=spin_once),
+    )
     monkeypatch.setattr(monitor, "listener", lambda *_: nullcontext(made))
     clock = SimpleNamespace(monotonic=lambda: now[0], sleep=sleep)
     monkeypatch.setattr(monitor, "time", clock)
-    with pytest.raises(monitor.RunError, match="mpc_controller ended with exit code 1: its last"):
+    with pytest.raises(
+        monitor.RunError, match="mpc_controller ended with exit code 1: its last"
+    ):
         monitor.watch(Ending(), 60.0, remedy="use --lockstep")
     said = "slower than real time: the simulation went at 50 % of it; use --lockstep"
     assert capsys.readouterr().err == f"scripts/run: {said}\n"

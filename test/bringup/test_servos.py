@@ -77,7 +77,11 @@ def test_prepare_writes_what_differs(servos, legs, capsys):
         "servo RL (id 2): shutdown 52 -> 53",
         "servo RL (id 2): operating_mode 16 -> 3",
     ]
-    assert (memory["shutdown"], memory["operating_mode"], memory["torque_enable"]) == (53, 3, 0)
+    assert (memory["shutdown"], memory["operating_mode"], memory["torque_enable"]) == (
+        53,
+        3,
+        0,
+    )
     assert servos("info") == 0
 
 
@@ -91,13 +95,20 @@ def test_assign_refuses_unless_one_servo_is_on_the_line(servos, legs, capsys):
     assert (memory["id"], memory["baud_rate"]) == (9, 4)
 
 
-def test_zero_measures_the_present_angle_and_writes_it(servos, legs, dynamixel_yaml, capsys):
+def test_zero_measures_the_present_angle_and_writes_it(
+    servos, legs, dynamixel_yaml, capsys
+):
     comments = dynamixel_yaml.read_text().count("#")
     assert servos("zero", "FL") == 0
     assert read_settings().joints.zero_deg[0] == 130.0
     assert servos("zero", "FL", "--write") == 0
     # 0.1 rad of the tendon = 5.91 deg of the servo; the encoder rounds down to 0.088 deg.
-    assert read_settings().joints.zero_deg == (pytest.approx(135.91, abs=0.09), 130, 130, 130)
+    assert read_settings().joints.zero_deg == (
+        pytest.approx(135.91, abs=0.09),
+        130,
+        130,
+        130,
+    )
     assert dynamixel_yaml.read_text().count("#") == comments
     assert servos("info") == 1  # the position limits depend on the zero
     assert servos("prepare") == 0
@@ -118,7 +129,14 @@ def test_a_zero_out_of_bounds_is_not_written(dynamixel_yaml):
 
 def test_emulate_answers_at_its_link_until_interrupted(tmp_path, dynamixel_yaml):
     link = tmp_path / "servos"
-    command = [sys.executable, "-m", "slot_bringup.servos", "emulate", "--link", str(link)]
+    command = [
+        sys.executable,
+        "-m",
+        "slot_bringup.servos",
+        "emulate",
+        "--link",
+        str(link),
+    ]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout.readline().strip() == str(link)

@@ -81,7 +81,9 @@ def test_what_the_gait_does_not_reach_is_clipped_and_said(node, keys):
     assert said.startswith("velocity clipped to the reach of gait walk")
     keys.press(DOWN, commanded())
     keys.repeat(STAMP, commanded())
-    assert decode.velocity(node.published[0])[1][0] < 0.1  # not 0.19: the presses do not wind up
+    assert (
+        decode.velocity(node.published[0])[1][0] < 0.1
+    )  # not 0.19: the presses do not wind up
 
 
 def test_zero_is_repeated_until_it_is_commanded_then_another_may_steer(node, keys):
@@ -135,5 +137,11 @@ def test_other_keys_and_those_of_requests_do_not_steer(keys):
 
 def test_keys_are_told_apart_in_what_a_terminal_sends():
     assert operator_keys.KEY.findall(f"w{UP}{LEFT}q\x1b[5~\x1bOA ") == [
-        "w", UP, LEFT, "q", "\x1b[5~", "\x1bOA", " "
-    ]  # fmt: skip
+        "w",
+        UP,
+        LEFT,
+        "q",
+        "\x1b[5~",
+        "\x1bOA",
+        " ",
+    ]

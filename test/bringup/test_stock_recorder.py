@@ -9,7 +9,9 @@ from slot_bringup.stock_recorder import record_command
 from slot_core.recording.record_settings import read_record_settings
 
 
-@pytest.mark.parametrize(("best_effort", "sensors"), [(False, "reliable"), (True, "best_effort")])
+@pytest.mark.parametrize(
+    ("best_effort", "sensors"), [(False, "reliable"), (True, "best_effort")]
+)
 def test_every_topic_has_the_profile_of_the_own_recorder(
     monkeypatch, tmp_path, best_effort, sensors
 ):

@@ -38,7 +38,8 @@ def joint(name):
 def test_links_form_one_tree_rooted_in_the_base_frame():
     links = [element.get("name") for element in URDF.iter("link")]
     parents = {
-        j.find("child").get("link"): j.find("parent").get("link") for j in URDF.findall("joint")
+        j.find("child").get("link"): j.find("parent").get("link")
+        for j in URDF.findall("joint")
     }
     assert len(links) == len(set(links)) == 2 + 2 * len(LEGS)
     assert set(links) - set(parents) == {BASE_FRAME}
@@ -59,9 +60,13 @@ def test_torso_has_the_size_mass_and_inertia_of_the_robot():
         size = numbers(torso, f"{kind}/geometry/box", "size")
         np.testing.assert_allclose(size, ROBOT.torso.size, **WRITTEN)
         assert torso.find(f"{kind}/origin") is None  # centred
-    np.testing.assert_allclose(numbers(torso, "inertial/mass", "value"), ROBOT.torso.mass)
+    np.testing.assert_allclose(
+        numbers(torso, "inertial/mass", "value"), ROBOT.torso.mass
+    )
     inertia = torso.find("inertial/inertia").attrib
-    found = [[float(inertia["i" + "".join(sorted(a + b))]) for b in "xyz"] for a in "xyz"]
+    found = [
+        [float(inertia["i" + "".join(sorted(a + b))]) for b in "xyz"] for a in "xyz"
+    ]
     np.testing.assert_allclose(found, ROBOT.torso.inertia, **WRITTEN)
 
 
@@ -71,9 +76,15 @@ def test_leg_frames_are_at_the_clamps_and_point_along_the_azimuths(index):
     assert clamp.get("type") == "fixed"
     assert clamp.find("parent").get("link") == BASE_FRAME
     assert clamp.find("child").get("link") == f"leg_{LEGS[index]}_link"
-    np.testing.assert_allclose(numbers(clamp, "origin", "xyz"), ROBOT.clamps[index], **WRITTEN)
-    attitude = Rotation.from_euler("xyz", numbers(clamp, "origin", "rpy"))  # URDF: fixed axes
-    np.testing.assert_allclose(attitude.apply([1, 0, 0]), ROBOT.outward[index], atol=1e-5)
+    np.testing.assert_allclose(
+        numbers(clamp, "origin", "xyz"), ROBOT.clamps[index], **WRITTEN
+    )
+    attitude = Rotation.from_euler(
+        "xyz", numbers(clamp, "origin", "rpy")
+    )  # URDF: fixed axes
+    np.testing.assert_allclose(
+        attitude.apply([1, 0, 0]), ROBOT.outward[index], atol=1e-5
+    )
     np.testing.assert_allclose(attitude.apply([0, 0, 1]), [0, 0, 1], atol=1e-12)
 
 
@@ -83,19 +94,27 @@ def test_boxes_of_a_leg_join_along_its_natural_shape(leg):
     for visual in link(f"leg_{leg}_link").findall("visual"):
         length, width, thickness = numbers(visual, "geometry/box", "size")
         centre = numbers(visual, "origin", "xyz")
-        along = Rotation.from_euler("xyz", numbers(visual, "origin", "rpy")).apply([length, 0, 0])
-        np.testing.assert_allclose(centre - along / 2, start, atol=1e-6)  # m, six digits
+        along = Rotation.from_euler("xyz", numbers(visual, "origin", "rpy")).apply(
+            [length, 0, 0]
+        )
+        np.testing.assert_allclose(
+            centre - along / 2, start, atol=1e-6
+        )  # m, six digits
         start = centre + along / 2
         drop = ROBOT.leg.shape(start[0]) - ROBOT.leg.shape(0.0)
         np.testing.assert_allclose(start, [start[0], 0.0, drop], atol=1e-6)
         taper = [ROBOT.leg.thickness_clamp, ROBOT.leg.thickness_tip]
         expected = np.interp(centre[0], [0, ROBOT.leg.reach], taper)
-        np.testing.assert_allclose([width, thickness], [ROBOT.leg.width, expected], **WRITTEN)
+        np.testing.assert_allclose(
+            [width, thickness], [ROBOT.leg.width, expected], **WRITTEN
+        )
     np.testing.assert_allclose(start[0], ROBOT.leg.reach, atol=1e-6)  # up to the tip
 
 
 def test_tendon_joints_are_spools_with_the_limits_of_tendon_and_servo():
-    revolute = [j.get("name") for j in URDF.findall("joint") if j.get("type") == "revolute"]
+    revolute = [
+        j.get("name") for j in URDF.findall("joint") if j.get("type") == "revolute"
+    ]
     assert tuple(revolute) == TENDON_JOINTS
     servo = read_servo()
     expected = [0.0, ROBOT.tendon.angle_max]
@@ -111,9 +130,13 @@ def test_tendon_joints_are_spools_with_the_limits_of_tendon_and_servo():
         cylinder = spool.find("visual/geometry/cylinder").attrib
         assert float(cylinder["radius"]) == ROBOT.tendon.spool_radius
         assert float(cylinder["length"]) == ROBOT.leg.width
-        turned = Rotation.from_euler("xyz", numbers(spool, "visual/origin", "rpy")).apply([0, 0, 1])
+        turned = Rotation.from_euler(
+            "xyz", numbers(spool, "visual/origin", "rpy")
+        ).apply([0, 0, 1])
         axis = numbers(joint(name), "axis", "xyz")
-        np.testing.assert_allclose(np.abs(turned @ axis), 1.0, atol=1e-9)  # the drum's axis
+        np.testing.assert_allclose(
+            np.abs(turned @ axis), 1.0, atol=1e-9
+        )  # the drum's axis
 
 
 def message_fields(name):
@@ -121,7 +144,9 @@ def message_fields(name):
     text = (ROOT / f"slot_msgs/msg/{name}.msg").read_text()
     rows = re.findall(r"^[\w/]+?(\[\d*\])? +(\w+)\s*(?:#.*)?$", text, re.MULTILINE)
     sizes = {"": 0, "[]": math.inf}
-    return {field: sizes[size] if size in sizes else int(size[1:-1]) for size, field in rows}
+    return {
+        field: sizes[size] if size in sizes else int(size[1:-1]) for size, field in rows
+    }
 
 
 MESSAGES = {"mpc_state": "MpcState", "tendon_plan": "TendonPlan"}
@@ -145,4 +170,8 @@ def test_viewers_start_in_the_world_frame_on_the_topics_of_the_graph():
     drawn = LAYOUT["configById"]["3D!slot"]
     assert drawn["followTf"] == RVIZ["Global Options"]["Fixed Frame"] == ODOM_FRAME
     shown = {d.get("Topic", {}).get("Value") for d in RVIZ["Displays"]} - {None, ""}
-    assert {"/visualization", "/odom", "/ground_truth/odom"} == set(drawn["topics"]) <= shown
+    assert (
+        {"/visualization", "/odom", "/ground_truth/odom"}
+        == set(drawn["topics"])
+        <= shown
+    )

@@ -52,7 +52,9 @@ def test_the_newest_bag_is_shown_by_default(tmp_path):
     assert view.newest_bag(tmp_path) == tmp_path / "walk_1"
 
 
-def test_the_live_page_of_a_run_waits_for_its_graph_and_ends_with_it(monkeypatch, tmp_path):
+def test_the_live_page_of_a_run_waits_for_its_graph_and_ends_with_it(
+    monkeypatch, tmp_path
+):
     program, words, done = tmp_path / "python", tmp_path / "words", tmp_path / "done"
     program.write_text(
         f"#!/bin/sh\ntrap 'touch {done}; exit' TERM\necho $@ >{words}.new\nmv {words}.new {words}\n"

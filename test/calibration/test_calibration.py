@@ -27,7 +27,9 @@ DEFLECTION = "deflection,0,1,,,1,0.05,0.001"
 
 
 def datum(kind, value=0.0, sigma=1.0, **conditions):
-    places = dict.fromkeys(("theta_deg", "load_N", "height_m", "friction", "place"), NAN)
+    places = dict.fromkeys(
+        ("theta_deg", "load_N", "height_m", "friction", "place"), NAN
+    )
     return Datum(kind, **{**places, **conditions}, value=value, sigma=sigma, line=0)
 
 
@@ -55,22 +57,30 @@ def test_measurements_are_read_with_conditions_and_validity(tmp_path):
     assert (force.value, force.sigma, force.line, deflection.line) == (2.5, 0.2, 4, 5)
     assert deflection.conditions() == {"theta_deg": 0.0, "load_N": 1.0, "place": 1.0}
     assert data.validity() == {
-        "theta_deg": [0.0, 90.0], "load_N": [1.0, 1.0], "height_m": [0.1, 0.1],
+        "theta_deg": [0.0, 90.0],
+        "load_N": [1.0, 1.0],
+        "height_m": [0.1, 0.1],
         "friction": [0.3, 0.3],
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        ("torsion,0,1,,,1,0,1", "line 5, kind: 'torsion' is unknown (known: marker_range, "),
+        (
+            "torsion,0,1,,,1,0,1",
+            "line 5, kind: 'torsion' is unknown (known: marker_range, ",
+        ),
         ("deflection,x,1,,,1,0,1", "line 5, theta_deg: 'x' is not a finite number"),
         ("deflection,0,,,,1,0,1", "line 5, load_N: '' is not a finite number"),
         ("deflection,0,1,,,1,,1", "line 5, value: '' is not a finite number"),
         ("deflection,0,1,,,1,nan,1", "line 5, value: 'nan' is not a finite number"),
         ("deflection,0,1,,,1,0,0", "line 5, sigma: 0 is outside [1e-12, 1e+06]"),
         ("deflection,0,1,,,1.5,0,1", "line 5, place: 1.5 is outside [0, 1]"),
-        ("deflection,0,1,0.1,,1,0,1", "line 5, height_m: '0.1', but deflection has none"),
+        (
+            "deflection,0,1,0.1,,1,0,1",
+            "line 5, height_m: '0.1', but deflection has none",
+        ),
         ("deflection,0,1,,1,0,1", "line 5: 7 cells, 8 columns"),
     ],
 )
@@ -106,8 +116,11 @@ def test_a_small_deflection_matches_beam_theory(place):
     stiff = config.replace(ROBOT, {"leg.young_modulus": 1e9, "leg.density": 1.0})
     leg, force, fine = stiff.leg, 0.05, dataclasses.replace(SETTINGS, nodes=201)
     slope, length = leg.shape.deriv(), leg.arc_length()
-    at = np.interp(place, [leg.arc_length(x) / length for x in np.linspace(0, leg.reach, 400)],
-                   np.linspace(0, leg.reach, 400))  # fmt: skip
+    at = np.interp(
+        place,
+        [leg.arc_length(x) / length for x in np.linspace(0, leg.reach, 400)],
+        np.linspace(0, leg.reach, 400),
+    )
 
     def density(x):
         ds = np.hypot(1.0, slope(x))
@@ -141,7 +154,10 @@ def test_a_prediction_is_independent_of_the_other_measurements():
 def test_marker_ranges_decrease_toward_the_tip_and_with_the_load():
     def ranges(load):
         shared = {"theta_deg": 116.0, "load_N": load, "friction": 0.3}
-        rows = [datum("marker_range", place=place, **shared) for place in (0.0, 1 / 3, 2 / 3, 1.0)]
+        rows = [
+            datum("marker_range", place=place, **shared)
+            for place in (0.0, 1 / 3, 2 / 3, 1.0)
+        ]
         return experiments.predict(ROBOT, rows, SETTINGS)
 
     light, heavy = ranges(4.0), ranges(6.0)
@@ -161,16 +177,22 @@ def test_a_tendon_angle_above_the_robots_largest_is_refused():
 def test_known_parameters_are_recovered_within_their_intervals():
     """Measurements of all kinds from legs of 31 nodes with noise, fitted with legs of 22."""
     truth = {
-        "leg.young_modulus": 2.1e7, "tendon.offset": 0.0079, "tendon.cable_stiffness": 9e4,
+        "leg.young_modulus": 2.1e7,
+        "tendon.offset": 0.0079,
+        "tendon.cable_stiffness": 9e4,
         "tendon.slack": 0.0022,
-    }  # fmt: skip
+    }
     lift = {"theta_deg": 116.0, "load_N": 6.0, "friction": 0.3}
-    rows = [datum("marker_range", sigma=1e-3, place=p, **lift) for p in (0.0, 1 / 3, 2 / 3)]
+    rows = [
+        datum("marker_range", sigma=1e-3, place=p, **lift) for p in (0.0, 1 / 3, 2 / 3)
+    ]
     rows += [
         datum("force_angle", sigma=0.03, theta_deg=t, height_m=0.08, friction=0.2)
         for t in (60.0, 70.0, 80.0, 90.0, 100.0, 110.0)
     ]
-    rows += [deflection(w, t, sigma=2e-4) for t in (0.0, 90.0) for w in (0.2, 0.5, 1.0, 2.0)]
+    rows += [
+        deflection(w, t, sigma=2e-4) for t in (0.0, 90.0) for w in (0.2, 0.5, 1.0, 2.0)
+    ]
     quick = dataclasses.replace(SETTINGS, pull_rate_deg=60.0)
     fine = dataclasses.replace(quick, nodes=31)
     exact = experiments.predict(config.replace(ROBOT, truth), rows, fine)
@@ -225,13 +247,18 @@ def test_intervals_and_correlation_of_a_linear_model_match_regression():
     expected = np.column_stack([middle - half, middle + half])
     np.testing.assert_allclose(found.interval, expected, rtol=1e-5)
     # Closed form for a line: -mean(x) / sqrt(mean(x^2)).
-    assert found.correlation[0, 1] == pytest.approx(-x.mean() / np.sqrt(np.mean(x**2)), abs=1e-5)
+    assert found.correlation[0, 1] == pytest.approx(
+        -x.mean() / np.sqrt(np.mean(x**2)), abs=1e-5
+    )
 
 
 def test_parameters_without_effect_on_the_data_are_undetermined():
     """With a slack tendon, deflections determine the modulus and no parameter of the tendon."""
     robot = config.replace(ROBOT, {"leg.young_modulus": 2.5e7})
-    rows = tuple(deflection(load, value=v, sigma=1e-3) for load, v in ((0.2, 0.0106), (1.0, 0.044)))
+    rows = tuple(
+        deflection(load, value=v, sigma=1e-3)
+        for load, v in ((0.2, 0.0106), (1.0, 0.044))
+    )
     problem = build_problem(robot, FREE, Data("", "", rows), SETTINGS)
     found = estimate(problem, [2.5e7, 8e-3, 1e5, 2e-3])
     assert is_determined(found).tolist() == [True, False, False, False]
@@ -244,16 +271,24 @@ def test_parameters_without_effect_on_the_data_are_undetermined():
 def test_as_many_parameters_as_measurements_leave_no_interval():
     rows = (deflection(0.2, value=0.0106), deflection(1.0, 90.0, value=0.004))
     names = ("leg.young_modulus", "tendon.offset")
-    found = estimate(build_problem(ROBOT, names, Data("", "", rows), SETTINGS), [2.6e7, 8.5e-3])
+    found = estimate(
+        build_problem(ROBOT, names, Data("", "", rows), SETTINGS), [2.6e7, 8.5e-3]
+    )
     assert found.freedom == 0
     assert np.isnan(found.interval).all()
 
 
 def test_two_parameters_with_the_same_effect_are_undetermined():
-    rows = tuple(deflection(load, value=0.04 * load, sigma=1e-3) for load in (0.2, 0.5, 1.0, 2.0))
+    rows = tuple(
+        deflection(load, value=0.04 * load, sigma=1e-3) for load in (0.2, 0.5, 1.0, 2.0)
+    )
     names = ("leg.young_modulus", "leg.width")
-    light = config.replace(ROBOT, {"leg.density": 1.0})  # the leg's weight would separate them
-    found = estimate(build_problem(light, names, Data("", "", rows), SETTINGS), [2.6e7, 0.02])
+    light = config.replace(
+        ROBOT, {"leg.density": 1.0}
+    )  # the leg's weight would separate them
+    found = estimate(
+        build_problem(light, names, Data("", "", rows), SETTINGS), [2.6e7, 0.02]
+    )
     assert not is_determined(found).any()
 
 
@@ -298,14 +333,21 @@ def test_a_fit_that_runs_out_of_trials_reports_it_and_keeps_its_best_point(monke
     assert lines[1].startswith("not well: the best start was stopped")
 
 
-@pytest.mark.parametrize(("converged", "verdict"), [
-    ([True, False], ["well: the best start converged"]),
-    ([False, True], ["not well: the best start was stopped"]),
-    ([True, True], []),
-])  # fmt: skip
-def test_a_fit_says_whether_a_start_that_was_stopped_matters(monkeypatch, converged, verdict):
+@pytest.mark.parametrize(
+    ("converged", "verdict"),
+    [
+        ([True, False], ["well: the best start converged"]),
+        ([False, True], ["not well: the best start was stopped"]),
+        ([True, True], []),
+    ],
+)
+def test_a_fit_says_whether_a_start_that_was_stopped_matters(
+    monkeypatch, converged, verdict
+):
     """The first start is the better one."""
-    results = [fit.FitResult(np.ones(2), 1.0 + k, end) for k, end in enumerate(converged)]
+    results = [
+        fit.FitResult(np.ones(2), 1.0 + k, end) for k, end in enumerate(converged)
+    ]
     monkeypatch.setattr(fit, "_fit_from", lambda *_: results.pop(0))
     lines = []
     fit.fit(beam_problem(np.random.default_rng(1))[0], starts=2, say=lines.append)
@@ -320,20 +362,33 @@ def test_line_matches_linear_regression():
     rng = np.random.default_rng(5)
     theta = np.linspace(60.0, 116.0, 9)
     force = 0.107 * theta - 6.91 + 0.2 * rng.standard_normal(9)
-    line, expected = fit_line(theta, force, np.full(9, 0.2)), stats.linregress(theta, force)
+    line, expected = (
+        fit_line(theta, force, np.full(9, 0.2)),
+        stats.linregress(theta, force),
+    )
     factor = stats.t.ppf(0.975, 7)
-    assert (line.b, -line.a) == pytest.approx((expected.slope, expected.intercept), rel=1e-9)
+    assert (line.b, -line.a) == pytest.approx(
+        (expected.slope, expected.intercept), rel=1e-9
+    )
     assert line.b_half_width == pytest.approx(factor * expected.stderr, rel=1e-9)
-    assert line.a_half_width == pytest.approx(factor * expected.intercept_stderr, rel=1e-9)
-    assert line.residuals == pytest.approx(expected.slope * theta + expected.intercept - force)
+    assert line.a_half_width == pytest.approx(
+        factor * expected.intercept_stderr, rel=1e-9
+    )
+    assert line.residuals == pytest.approx(
+        expected.slope * theta + expected.intercept - force
+    )
 
 
 def test_a_line_weights_its_samples():
     # A sample with half the sigma has the weight of four.
     theta, force = np.array([60.0, 80.0, 110.0]), np.array([0.1, 1.0, 5.0])
     line = fit_line(theta, force, np.array([1.0, 0.5, 1.0]))
-    expected = stats.linregress(np.repeat(theta, [1, 4, 1]), np.repeat(force, [1, 4, 1]))
-    assert (line.b, -line.a) == pytest.approx((expected.slope, expected.intercept), rel=1e-9)
+    expected = stats.linregress(
+        np.repeat(theta, [1, 4, 1]), np.repeat(force, [1, 4, 1])
+    )
+    assert (line.b, -line.a) == pytest.approx(
+        (expected.slope, expected.intercept), rel=1e-9
+    )
 
 
 def test_two_samples_give_a_line_without_an_interval():
@@ -350,31 +405,59 @@ def test_a_shipped_set_matches_its_evaluation(name, tmp_path, capsys):
     shipped = yaml.safe_load((SHIPPED / f"{name}.yaml").read_text())
     out, data = tmp_path / "again.yaml", SHIPPED / shipped["data"]["file"]
     # Four parameters for six figures: chi-square 373 and 14 on two degrees of freedom.
-    assert main([str(data), "--start", name, "--evaluate", "--out", str(out)]) == NOT_EXPLAINED
-    assert "verdict: not explained: chi-square" in capsys.readouterr().out.splitlines()[-1]
+    assert (
+        main([str(data), "--start", name, "--evaluate", "--out", str(out)])
+        == NOT_EXPLAINED
+    )
+    assert (
+        "verdict: not explained: chi-square" in capsys.readouterr().out.splitlines()[-1]
+    )
     again = yaml.safe_load(out.read_text())
     for key in ("values", "data", "validity", "from"):
         assert again[key] == shipped[key]
     for old, new in zip(shipped["residuals"], again["residuals"], strict=True):
         # Rounding differs between processors; with sliding friction the difference does not grow.
-        assert new["predicted"] == pytest.approx(old["predicted"], abs=0.02 * old["sigma"])
+        assert new["predicted"] == pytest.approx(
+            old["predicted"], abs=0.02 * old["sigma"]
+        )
     assert set(again["confidence"]) == set(shipped["values"])
 
 
 def test_the_verdict_of_the_command_names_what_is_at_its_bound(monkeypatch, capsys):
-    monkeypatch.setattr(fit.ParameterEstimate, "at_bound", lambda _, names: list(names[:1]))
+    monkeypatch.setattr(
+        fit.ParameterEstimate, "at_bound", lambda _, names: list(names[:1])
+    )
     data = SHIPPED / "paper_single_leg.csv"
     assert main([str(data), "--start", "calibrated", "--evaluate"]) == NOT_EXPLAINED
-    assert capsys.readouterr().out.splitlines()[-1].endswith("at its bound: leg.young_modulus")
+    assert (
+        capsys.readouterr()
+        .out.splitlines()[-1]
+        .endswith("at its bound: leg.young_modulus")
+    )
 
 
 def test_the_command_fits_and_writes_file_and_figure(tmp_path, capsys):
-    rows = ["deflection,0,0.2,,,1,0.0106,0.001", "deflection,0,1,,,1,0.044,0.001",
-            "deflection,0,1,,,0.5,0.0092,0.001"]  # fmt: skip
+    rows = [
+        "deflection,0,0.2,,,1,0.0106,0.001",
+        "deflection,0,1,,,1,0.044,0.001",
+        "deflection,0,1,,,0.5,0.0092,0.001",
+    ]
     path = write(tmp_path / "leg.csv", *rows)
     out, png = tmp_path / "deep" / "own.yaml", tmp_path / "deep" / "own.png"
-    code = main([str(path), "--free", "leg.young_modulus", "tendon.slack", "--out", str(out),
-                 "--plot", str(png), "--note", "by hand"])  # fmt: skip
+    code = main(
+        [
+            str(path),
+            "--free",
+            "leg.young_modulus",
+            "tendon.slack",
+            "--out",
+            str(out),
+            "--plot",
+            str(png),
+            "--note",
+            "by hand",
+        ]
+    )
     printed = capsys.readouterr()
     assert code == EXPLAINED
     assert printed.out.splitlines()[-1].startswith("verdict: explained: chi-square")

@@ -34,7 +34,15 @@ class Walk:
     """
 
     def __init__(
-        self, tilt=0.22, frequency=1 / 0.7, sway=0.01, speed=0.05, *, yaw=0.3, turn=0.0, incline=0.0
+        self,
+        tilt=0.22,
+        frequency=1 / 0.7,
+        sway=0.01,
+        speed=0.05,
+        *,
+        yaw=0.3,
+        turn=0.0,
+        incline=0.0,
     ):
         self.amplitude = np.array([tilt, tilt, 0.05, sway, sway, sway])
         self.omega = 2 * np.pi * frequency * np.array([1.0, 1.0, 0.5, 1.0, 1.0, 2.0])
@@ -95,7 +103,9 @@ def odometry_messages(motion, duration, rate=30, rng=None, noise=SETTINGS.odomet
         state, attitude, w, _ = motion.at(stamp / SECOND)
         p, v = state[3:6], attitude.inv().apply(state[9:])
         if rng is not None:
-            attitude = Rotation.from_rotvec(rng.normal(0, noise.angle_noise, 3)) * attitude
+            attitude = (
+                Rotation.from_rotvec(rng.normal(0, noise.angle_noise, 3)) * attitude
+            )
             p = p + rng.normal(0, noise.position_noise, 3)
             v = v + rng.normal(0, noise.velocity_noise, 3)
             w = w + rng.normal(0, noise.rate_noise, 3)
@@ -144,7 +154,9 @@ def without_odometry(messages, keep=1):
     for kind, stamp, values in messages:
         count += kind == "odometry"
         damage = kind == "odometry" and count > keep
-        result.append((kind, stamp, (np.full(3, np.nan), *values[1:]) if damage else values))
+        result.append(
+            (kind, stamp, (np.full(3, np.nan), *values[1:]) if damage else values)
+        )
     return result
 
 
@@ -164,9 +176,9 @@ def validities(estimates):
 
 
 def same(a, b):
-    return [(e.stamp, e.state.tobytes(), e.covariance.tobytes(), e.validity) for e in a] == [
-        (e.stamp, e.state.tobytes(), e.covariance.tobytes(), e.validity) for e in b
-    ]
+    return [
+        (e.stamp, e.state.tobytes(), e.covariance.tobytes(), e.validity) for e in a
+    ] == [(e.stamp, e.state.tobytes(), e.covariance.tobytes(), e.validity) for e in b]
 
 
 def arriving(messages, delay):

@@ -52,4 +52,6 @@ class Ideal:
 
 def stands(preview):
     """Whether the legs are loaded, corrected and at rest over the horizon."""
-    return preview.corrected and bool(np.ptp(preview.tendon_angle, axis=0).max() < 1e-12)
+    return preview.corrected and bool(
+        np.ptp(preview.tendon_angle, axis=0).max() < 1e-12
+    )

@@ -41,14 +41,21 @@ def test_a_delay_of_the_odometry_with_jitter_costs_only_what_the_imu_drifts():
     """80 ms +- 20 ms: the state at the newest sample, beside that without any delay."""
     motion, rng = Walk(), np.random.default_rng(1)
     messages = noisy(motion, 10.0, 1, GYRO_BIAS)
-    late = arriving(messages, lambda kind: rng.uniform(0.06, 0.1) if kind == "odometry" else 0.0)
+    late = arriving(
+        messages, lambda kind: rng.uniform(0.06, 0.1) if kind == "odometry" else 0.0
+    )
     prompt, delayed = run(messages, MATCHED)[0][30:], run(late, MATCHED)[0][30:]
-    leads = np.array([e.lead for e in delayed[:-4]]) / SECOND  # the IMU ends with the odometry
+    leads = (
+        np.array([e.lead for e in delayed[:-4]]) / SECOND
+    )  # the IMU ends with the odometry
     assert leads.min() > 0.055
     assert leads.max() < 0.105
     # of velocity: 0.3 m/s^2 sqrt(5 ms) sqrt(80 ms) = 6 mm/s more, in quadrature
     rms, without = rms_at_use(delayed, motion), rms_at_use(prompt, motion)
-    assert np.all(rms < np.hypot(without, [2e-3, 5e-4, 0.0, 6e-3]) * 1.1), (rms, without)
+    assert np.all(rms < np.hypot(without, [2e-3, 5e-4, 0.0, 6e-3]) * 1.1), (
+        rms,
+        without,
+    )
 
 
 def test_lost_odometry_is_flagged_in_time_and_the_imu_carries_on_for_a_second():
@@ -62,7 +69,9 @@ def test_lost_odometry_is_flagged_in_time_and_the_imu_carries_on_for_a_second():
     flagged = [e for e in estimates if e.validity == Validity.ODOMETRY_LOST]
     assert 5.0 + timing.odometry_wait < flagged[0].time / SECOND
     assert flagged[0].time / SECOND < 5.0 + period + timing.odometry_wait + 2 * 0.005
-    np.testing.assert_allclose(np.diff([e.stamp for e in flagged]) / SECOND, period, atol=1e-8)
+    np.testing.assert_allclose(
+        np.diff([e.stamp for e in flagged]) / SECOND, period, atol=1e-8
+    )
     worst = np.abs([error(e, motion) for e in flagged]).max(axis=0)
     # four standard deviations after 1 s: 0.3 m/s^2 sqrt(5 ms) = 0.021 m/s, its integral 0.012 m
     assert worst[3:6].max() < 0.05
@@ -81,7 +90,9 @@ def test_without_odometry_for_longer_the_estimates_end():
 def test_the_stamps_of_the_estimates_increase_whatever_arrives():
     motion, rng = Walk(), np.random.default_rng(2)
     kept = [m for m in noisy(motion, 20.0, 3) if m[0] == "imu" or rng.random() < 0.3]
-    late = arriving(kept, lambda kind: rng.uniform(0.0, 0.3) if kind == "odometry" else 0.0)
+    late = arriving(
+        kept, lambda kind: rng.uniform(0.0, 0.3) if kind == "odometry" else 0.0
+    )
     estimates, _ = run(late)
     assert min(np.diff([e.stamp for e in estimates])) > 0
     assert min(np.diff([e.time for e in estimates])) >= 0
@@ -91,7 +102,10 @@ def test_the_stamps_of_the_estimates_increase_whatever_arrives():
 def test_the_state_is_predicted_beyond_the_newest_sample_by_the_delay_of_the_command():
     motion = Walk()
     settings = config.replace(SETTINGS, {"timing.command_delay": 0.01})
-    ahead, now = run(clean(motion, 2.0), settings)[0][20:], run(clean(motion, 2.0))[0][20:]
+    ahead, now = (
+        run(clean(motion, 2.0), settings)[0][20:],
+        run(clean(motion, 2.0))[0][20:],
+    )
     assert {a.time - b.time for a, b in zip(ahead, now)} == {10_000_000}
     # angle, position, rate, velocity: third derivatives by the square of 10 ms
     assert np.all(rms_at_use(ahead, motion) < [2e-3, 1e-4, 0.2, 5e-3])
@@ -131,10 +145,16 @@ def test_an_imu_mounted_elsewhere_gives_the_same_estimates():
 def test_the_state_after_a_gap_of_the_imu_is_as_uncertain_as_it_is_wrong():
     """60 ms without IMU and odometry, then the IMU again: a part of a swing is missed."""
     motion = Walk()
-    kept = [m for m in noisy(motion, 1.1, 3) if m[1] <= SECOND or (m[0] == "imu" and m[1] > 1.06e9)]
+    kept = [
+        m
+        for m in noisy(motion, 1.1, 3)
+        if m[1] <= SECOND or (m[0] == "imu" and m[1] > 1.06e9)
+    ]
     _, estimator = run(kept, MATCHED)
     present = estimator.present()
-    assert np.all(np.abs(error(present, motion)) < 5 * np.sqrt(np.diag(present.covariance)))
+    assert np.all(
+        np.abs(error(present, motion)) < 5 * np.sqrt(np.diag(present.covariance))
+    )
 
 
 # --- noise of a reading ---
@@ -144,7 +164,11 @@ def with_variance(messages, variance, index):
     """The messages with the variance (12,) of one odometry reading."""
     place = [i for i, m in enumerate(messages) if m[0] == "odometry"][index]
     kind, stamp, values = messages[place]
-    return [*messages[:place], (kind, stamp, (*values, variance)), *messages[place + 1 :]]
+    return [
+        *messages[:place],
+        (kind, stamp, (*values, variance)),
+        *messages[place + 1 :],
+    ]
 
 
 @pytest.mark.parametrize("unknown", [0.0, -1.0, np.nan])
@@ -185,9 +209,11 @@ def test_a_rejection_while_initialising_restarts_the_count():
 def test_a_single_jump_is_rejected_and_does_not_affect_the_position():
     motion, shift = Walk(), np.array([0.1, 0.0, 0.0])
     estimates, _ = run(with_jump(clean(motion, 1.0), 15, shift, 16))
-    assert [i for i, v in enumerate(validities(estimates)) if v == Validity.ODOMETRY_REJECTED] == [
-        15
-    ]
+    assert [
+        i
+        for i, v in enumerate(validities(estimates))
+        if v == Validity.ODOMETRY_REJECTED
+    ] == [15]
     assert np.abs(error(estimates[15], motion)[3:6]).max() < 2e-4  # one IMU-only step
     assert estimates[15].covariance[3, 3] > estimates[14].covariance[3, 3]
 
@@ -240,7 +266,9 @@ def test_a_bad_reading_is_rejected_and_replaced_by_the_prediction(damage):
     kind, stamp, values = messages[index]
     messages[index] = (kind, stamp, damage(*values))
     estimates, _ = run(messages)
-    expected = [Validity.ODOMETRY_REJECTED if i == 20 else Validity.VALID for i in range(15, 30)]
+    expected = [
+        Validity.ODOMETRY_REJECTED if i == 20 else Validity.VALID for i in range(15, 30)
+    ]
     assert validities(estimates[15:]) == expected
     # one step with the IMU only, then as before
     assert max(np.abs(error(e, motion)[3:6]).max() for e in estimates) < 2e-4
@@ -262,7 +290,11 @@ def test_bad_imu_samples_have_no_effect():
 
 def test_missing_imu_is_flagged_and_estimates_continue_from_the_odometry():
     motion = Walk()
-    dead = [m for m in noisy(motion, 2.0, 6) if m[0] == "odometry" or not 0.7 < m[1] / SECOND < 1.4]
+    dead = [
+        m
+        for m in noisy(motion, 2.0, 6)
+        if m[0] == "odometry" or not 0.7 < m[1] / SECOND < 1.4
+    ]
     estimates, _ = run(dead, MATCHED)
     for e in estimates[15:]:
         t = e.stamp / SECOND
@@ -287,7 +319,10 @@ def test_after_a_long_gap_in_the_odometry_the_filter_restarts_and_keeps_the_bias
     estimates, estimator = run(messages, MATCHED)
     after = [e for e in estimates if e.stamp / SECOND > 10]
     n = SETTINGS.gate.initial_readings
-    assert validities(after)[: n + 1] == [Validity.INITIALISING] * (n - 1) + [Validity.VALID] * 2
+    assert (
+        validities(after)[: n + 1]
+        == [Validity.INITIALISING] * (n - 1) + [Validity.VALID] * 2
+    )
     np.testing.assert_allclose(estimator.gyro_bias, GYRO_BIAS, atol=1.2e-3)
 
 
@@ -296,13 +331,18 @@ def test_a_restart_after_rejected_readings_forgets_the_bias():
     first, shift = 300, np.array([0.3, -0.2, 0.1])
     messages = with_jump(noisy(Walk(), 12.0, 7, GYRO_BIAS), first, shift)
     stamps = [stamp for kind, stamp, _ in messages if kind == "odometry"]
-    for reading, bias in ((first, GYRO_BIAS), (first + SETTINGS.gate.max_rejections - 1, 0.0)):
+    for reading, bias in (
+        (first, GYRO_BIAS),
+        (first + SETTINGS.gate.max_rejections - 1, 0.0),
+    ):
         until = [m for m in messages if m[1] < stamps[reading] + SECOND / 60]
         np.testing.assert_allclose(run(until, MATCHED)[1].gyro_bias, bias, atol=1.2e-3)
 
 
 @pytest.mark.parametrize("false", [6.0, -6.0])
-def test_a_filter_that_a_false_force_has_led_astray_is_valid_again_within_a_second(false):
+def test_a_filter_that_a_false_force_has_led_astray_is_valid_again_within_a_second(
+    false,
+):
     """As of a robot that is stopped in mid-bounce: it reports an acceleration and no motion."""
     motion = Walk()
     messages = []
@@ -317,7 +357,9 @@ def test_a_filter_that_a_false_force_has_led_astray_is_valid_again_within_a_seco
 def test_estimates_stay_valid_in_a_turn_on_an_incline():
     """The tilt of odom is constant in odom; seen from base_link it turns."""
     motion = Walk(speed=0.0, turn=0.1, incline=np.radians(10.0))
-    after = [e for e in run(noisy(motion, 30.0, 4), SETTINGS)[0] if e.stamp > 3.0 * SECOND]
+    after = [
+        e for e in run(noisy(motion, 30.0, 4), SETTINGS)[0] if e.stamp > 3.0 * SECOND
+    ]
     assert set(validities(after)) == {Validity.VALID}
 
 
@@ -330,7 +372,9 @@ def test_a_clock_set_back_gives_the_estimates_of_a_new_estimator():
 
 def test_repeated_and_older_stamps_are_ignored():
     messages = noisy(Walk(), 1.0, 10)
-    double = [m for i, m in enumerate(messages) for m in (m, messages[max(i - 9, 0)], m)]
+    double = [
+        m for i, m in enumerate(messages) for m in (m, messages[max(i - 9, 0)], m)
+    ]
     assert same(run(double)[0], run(messages)[0])
 
 
@@ -339,8 +383,12 @@ def test_arbitrary_data_never_raises_and_never_gives_nan():
     odd = [np.nan, np.inf, -np.inf, 0.0, 1.0, -1.0, 1e-300, 1e300, 30.0, 9.81]
     estimator, stamp, count = StateEstimator(SETTINGS), 0, 0
     for _ in range(4000):
-        stamp += int(rng.choice([0, 1, 5_000_000, 33_000_000, 10**9, -(10**7), -(10**10)]))
-        w, f, p, v = (rng.choice(odd[3 if rng.random() < 0.9 else 0 :], 3) for _ in range(4))
+        stamp += int(
+            rng.choice([0, 1, 5_000_000, 33_000_000, 10**9, -(10**7), -(10**10)])
+        )
+        w, f, p, v = (
+            rng.choice(odd[3 if rng.random() < 0.9 else 0 :], 3) for _ in range(4)
+        )
         estimator.add_imu(stamp, w, f)
         estimator.add_odometry(stamp - int(rng.integers(2)), p, [0.6, 0, 0, 0.8], v, w)
         while (estimate := estimator.poll()) is not None:
@@ -356,6 +404,8 @@ def test_unpolled_and_unmatched_data_stay_within_the_buffers():
     reading = odometry_messages(Walk(), 0.1)[0][2]
     for k in range(1000):
         estimator.add_imu(k, [0, 0, 0], [0, 0, GRAVITY])
-    for k in range(1000, 2000):  # 1 ns apart: no wait is over, only the full queue decides
+    for k in range(
+        1000, 2000
+    ):  # 1 ns apart: no wait is over, only the full queue decides
         estimator.add_odometry(k, *reading)
     assert [e.stamp for e in iter(estimator.poll, None)] == list(range(1992, 1997))

@@ -52,7 +52,9 @@ def make():
 
 def test_planned_angles_and_rates_are_passed_on_to_the_last_bit(make):
     angle, rate = np.array([[0.3, 1.1, 2.0, 0.0], [0.4, 1.2, 2.0, 0.1]]), np.arange(4.0)
-    command = make().step(TendonPlan(angle, rate, np.ones((2, 4, 3))), preview(), state())
+    command = make().step(
+        TendonPlan(angle, rate, np.ones((2, 4, 3))), preview(), state()
+    )
     assert command.map == "planned"
     np.testing.assert_array_equal(command.angle, angle[0])
     np.testing.assert_array_equal(command.rate, rate)
@@ -78,12 +80,16 @@ def test_a_deviation_from_the_force_of_the_gait_is_divided_by_the_slope(make):
     plan = of_forces("incremental", 5.3, 5.8, 4.8, 6.3)
     command = make().step(plan, preview(), state())
     assert command.slope == pytest.approx(9.0)
-    assert command.angle - np.radians(60) == pytest.approx(np.array([0, 0.5, -0.5, 1.0]) / 9.0)
+    assert command.angle - np.radians(60) == pytest.approx(
+        np.array([0, 0.5, -0.5, 1.0]) / 9.0
+    )
 
 
 def test_the_incremental_slope_is_that_at_the_clamp_height_of_a_tilted_torso(make):
     rpy = (0.05, -0.08, 0.7)
-    command = make().step(of_forces("incremental", *[5.3] * 4), preview(), state(HEIGHT, rpy))
+    command = make().step(
+        of_forces("incremental", *[5.3] * 4), preview(), state(HEIGHT, rpy)
+    )
     rotation = Rotation.from_euler("ZYX", rpy[::-1]).as_matrix()
     heights = HEIGHT + (ROBOT.clamps @ rotation.T)[:, 2]
     assert command.slope == pytest.approx(9.0 + (heights - 0.06) / 0.04)
@@ -100,7 +106,10 @@ def test_angles_stay_within_their_limits_for_any_force(make, name):
     rng = np.random.default_rng(1)
     force_map, limit = make(correction_max_deg=120.0), ROBOT.tendon.angle_max
     for _ in range(200):
-        demand, plan = preview(rng.uniform(0, 116)), of_forces(name, *rng.normal(5, 20, 4))
+        demand, plan = (
+            preview(rng.uniform(0, 116)),
+            of_forces(name, *rng.normal(5, 20, 4)),
+        )
         command = force_map.step(plan, demand, state(rng.uniform(0, 0.2)))
         assert command.angle.min() >= 0.0
         assert command.angle.max() <= limit
@@ -109,15 +118,22 @@ def test_angles_stay_within_their_limits_for_any_force(make, name):
 
 def test_a_planned_angle_beyond_the_limit_is_clipped_and_reported(make):
     angle = np.array([[-0.1, 0.5, 3.0, 1.0]])
-    command = make().step(TendonPlan(angle, np.zeros(4), np.ones((1, 4, 3))), preview(), state())
+    command = make().step(
+        TendonPlan(angle, np.zeros(4), np.ones((1, 4, 3))), preview(), state()
+    )
     assert command.angle.tolist() == [0.0, 0.5, ROBOT.tendon.angle_max, 1.0]
     assert command.saturated.tolist() == [True, False, True, False]
 
 
 @pytest.mark.parametrize("name", MAPS)
 def test_a_plan_that_has_stopped_holds_the_last_angles(make, name):
-    force_map, stopped = make(), of_forces(name, 1.0, 2.0, 3.0, 4.0, status=Status.STOPPED)
-    assert np.degrees(force_map.step(stopped, preview(70.0), state()).angle) == pytest.approx(70.0)
+    force_map, stopped = (
+        make(),
+        of_forces(name, 1.0, 2.0, 3.0, 4.0, status=Status.STOPPED),
+    )
+    assert np.degrees(
+        force_map.step(stopped, preview(70.0), state()).angle
+    ) == pytest.approx(70.0)
     last = force_map.step(of_forces(name, 5.0, 5.3, 5.1, 4.9), preview(), state())
     held = force_map.step(stopped, preview(70.0), state())
     assert held.map == "hold"
@@ -126,7 +142,9 @@ def test_a_plan_that_has_stopped_holds_the_last_angles(make, name):
 
 
 def test_an_unknown_map_is_refused(make):
-    with pytest.raises(ValueError, match="map 'cubic': expected one of incremental, paper"):
+    with pytest.raises(
+        ValueError, match="map 'cubic': expected one of incremental, paper"
+    ):
         make().step(of_forces("cubic", *[5.3] * 4), preview(), state())
 
 

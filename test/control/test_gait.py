@@ -37,7 +37,11 @@ def harmonics(rows, phase):
     p = 2 * np.pi * phase
     return np.column_stack(
         [
-            m + c1 * np.cos(p) + s1 * np.sin(p) + c2 * np.cos(2 * p) + s2 * np.sin(2 * p)
+            m
+            + c1 * np.cos(p)
+            + s1 * np.sin(p)
+            + c2 * np.cos(2 * p)
+            + s2 * np.sin(2 * p)
             for m, c1, s1, c2, s2 in rows
         ]
     )
@@ -48,13 +52,20 @@ def filled(seed=1, size=0.2):
     rng = np.random.default_rng(seed)
 
     def table(pattern):
-        motion = {name: tuple(1e-3 * rng.normal(size=5)) for name in ("roll", "pitch", "height")}
+        motion = {
+            name: tuple(1e-3 * rng.normal(size=5))
+            for name in ("roll", "pitch", "height")
+        }
         speed = {name: tuple(1e-2 * rng.normal(size=5)) for name in ("v_x", "v_y")}
         load = tuple(map(tuple, 0.1 * rng.normal(size=(4, 5))))
         angle = tuple(map(tuple, size * np.array(pattern.angle_deg)))
-        return dataclasses.replace(pattern, angle_deg=angle, normal_force=load, **motion, **speed)
+        return dataclasses.replace(
+            pattern, angle_deg=angle, normal_force=load, **motion, **speed
+        )
 
-    patterns = {name: table(getattr(WALK, name)) for name in ("forward", "lateral", "turn")}
+    patterns = {
+        name: table(getattr(WALK, name)) for name in ("forward", "lateral", "turn")
+    }
     return dataclasses.replace(WALK, centre_deg=(60.0,) * 4, **patterns)
 
 
@@ -62,7 +73,9 @@ def filled(seed=1, size=0.2):
     ("name", "velocity"),
     [("forward", [1, 0, 0]), ("lateral", [0, 1, 0]), ("turn", [0, 0, 1])],
 )
-def test_at_the_speed_of_a_pattern_the_angles_are_its_harmonics_about_the_centre(name, velocity):
+def test_at_the_speed_of_a_pattern_the_angles_are_its_harmonics_about_the_centre(
+    name, velocity
+):
     pattern = getattr(WALK, name)
     angle = np.degrees(stride_table(pattern.speed * np.array(velocity))[:, :4])
     expected = np.array(WALK.centre_deg) + harmonics(pattern.angle_deg, PHASES)
@@ -84,16 +97,23 @@ def test_amplitudes_are_bounded_by_an_ellipsoid():
     stride = dataclasses.replace(filled(), amplitude_max=(1.0, 0.5, 1.0))
     ahead, aside = stride.forward.speed, stride.lateral.speed
     fast, share = stride_table([ahead, aside / 2, 0], stride=stride), 1 / math.sqrt(2)
-    assert fast == pytest.approx(stride_table([share * ahead, share * aside / 2, 0], stride=stride))
+    assert fast == pytest.approx(
+        stride_table([share * ahead, share * aside / 2, 0], stride=stride)
+    )
     sideways = stride_table([0, 0.2, 0], stride=stride)
     assert sideways == pytest.approx(stride_table([0, aside / 2, 0], stride=stride))
 
 
 def test_offsets_shift_the_angles_within_the_range():
     offset = np.radians([5.0, -5.0, 90.0, -90.0])
-    plain, shifted = stride_table([0.05, 0, 0]), stride_table([0.05, 0, 0], offset=offset)
+    plain, shifted = (
+        stride_table([0.05, 0, 0]),
+        stride_table([0.05, 0, 0], offset=offset),
+    )
     low, high = np.radians(WALK.range_deg)
-    assert shifted[:, :2] == pytest.approx(np.clip(plain[:, :2] + offset[:2], low, high), abs=0.15)
+    assert shifted[:, :2] == pytest.approx(
+        np.clip(plain[:, :2] + offset[:2], low, high), abs=0.15
+    )
     # 90 deg more or less leave little of the range.
     assert shifted[:, 2].min() > plain[:, 2].min() + np.radians(30.0)
     assert shifted[:, 3].max() < plain[:, 3].max() - np.radians(30.0)
@@ -109,7 +129,9 @@ def test_normal_forces_are_never_negative():
 def test_rates_of_the_torso_are_the_derivatives_of_its_sway():
     stride, h = filled(), 1e-6
     for velocity in ([0.05, 0, 0], [0.03, -0.03, 0.0], [0, 0, 0.1]):
-        before, now, after = (stride_table(velocity, PHASES + d, stride)[:, 8:] for d in (-h, 0, h))
+        before, now, after = (
+            stride_table(velocity, PHASES + d, stride)[:, 8:] for d in (-h, 0, h)
+        )
         slope = (after - before) / (2 * h * stride.period)
         assert now[:, [6, 7, 11]] == pytest.approx(slope[:, [0, 1, 5]], abs=1e-7)
 
@@ -141,7 +163,9 @@ def motion(velocity, phase, duration=2.8, stride=WALK):
     for k in range(round(duration / step)):
         at = np.array([(phase + k * step / stride.period) % 1.0])
         sim.advance(30, stride_table(velocity, at, stride)[0, :4])
-        states.append(np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity]))
+        states.append(
+            np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity])
+        )
     return np.array(states)
 
 
@@ -169,7 +193,9 @@ def test_the_mean_posture_is_the_mean_of_the_course_over_a_stride():
 @pytest.mark.parametrize("sign", [1, -1])
 def test_steering_alters_the_angles_in_proportion_to_the_yaw_rate(sign):
     plain = stride_table([0.05, 0, 0], stride=filled())
-    one, two = (stride_table([0.05, 0, sign * w], stride=filled()) for w in (0.01, 0.02))
+    one, two = (
+        stride_table([0.05, 0, sign * w], stride=filled()) for w in (0.01, 0.02)
+    )
     assert two - plain == pytest.approx(2 * (one - plain), abs=1e-12)
     assert np.abs(one[:, :4] - plain[:, :4]).max() > 1e-3
 
@@ -179,15 +205,21 @@ def test_places_ahead_move_with_the_velocity_in_the_direction_of_the_heading(hea
     velocity = np.tile([0.08, 0.02, 0.0], (16, 1))
     places = places_ahead(np.array([1.0, 2.0, heading]), velocity, 0.033)
     way = Rotation.from_euler("z", heading).apply([0.08, 0.02, 0.0])[:2]
-    assert places[:, :2] == pytest.approx([1.0, 2.0] + 0.033 * np.arange(16)[:, None] * way)
+    assert places[:, :2] == pytest.approx(
+        [1.0, 2.0] + 0.033 * np.arange(16)[:, None] * way
+    )
     turning = np.tile([0.1, 0.0, 0.5], (200, 1))  # a circle of 0.2 m
     x, y, yaw = places_ahead(np.array([0.0, 0.0, heading]), turning, 0.001)[-1]
     assert yaw == pytest.approx(heading + 0.5 * 0.199)
-    expected = 0.2 * np.array([np.sin(yaw) - np.sin(heading), np.cos(heading) - np.cos(yaw)])
+    expected = 0.2 * np.array(
+        [np.sin(yaw) - np.sin(heading), np.cos(heading) - np.cos(yaw)]
+    )
     assert [x, y] == pytest.approx(expected, abs=1e-5)
 
 
-@pytest.mark.parametrize(("heading", "yaw"), [(3.1, -3.1), (-3.1, 3.1), (9.0, 2.6), (0.2, 0.3)])
+@pytest.mark.parametrize(
+    ("heading", "yaw"), [(3.1, -3.1), (-3.1, 3.1), (9.0, 2.6), (0.2, 0.3)]
+)
 def test_the_reference_is_within_half_a_turn_of_the_state(heading, yaw):
     state, still = LEVEL.copy(), np.zeros((1, 3))
     state[2] = yaw
@@ -216,9 +248,13 @@ def test_sway_rotates_with_the_heading():
 
 @pytest.mark.parametrize(
     ("place", "expected"),
-    [([0.1, 0.0, 0.0], [0.03, 0.0, 0.0]), ([0.01, 0.02, 0.1], [0.01, 0.02, 0.1]),
-     ([0.0, -0.3, 3.0], [0.0, -0.03, 0.2]), ([0.0, 0.0, -6.2], [0.0, 0.0, 2 * np.pi - 6.2])],
-)  # fmt: skip
+    [
+        ([0.1, 0.0, 0.0], [0.03, 0.0, 0.0]),
+        ([0.01, 0.02, 0.1], [0.01, 0.02, 0.1]),
+        ([0.0, -0.3, 3.0], [0.0, -0.03, 0.2]),
+        ([0.0, 0.0, -6.2], [0.0, 0.0, 2 * np.pi - 6.2]),
+    ],
+)
 def test_a_reference_place_stays_near_the_robot(place, expected):
     robot = np.array([1.0, 2.0, 3.0])
     found = limited(robot + place, robot, 0.03, 0.2)
@@ -243,8 +279,16 @@ def test_the_sway_is_the_integral_of_the_velocity_about_its_mean():
         ("walk", [0, -0.2, 0], r"v_y = -0\.2: gait walk reaches"),
         ("walk", [0, 0, float("inf")], r"yaw rate = inf: gait walk reaches"),
         ("stand", [0.01, 0, 0], r"v_x = 0\.01: gait stand reaches \[0, 0\]"),
-        ("walk", [0.05, 0, 0.1], r"yaw rate = 0\.1: with the other velocities gait walk reaches"),
-        ("walk", [0.06, 0.06, 0], r"v_x = 0\.06: with the other velocities gait walk reaches 0\.0"),
+        (
+            "walk",
+            [0.05, 0, 0.1],
+            r"yaw rate = 0\.1: with the other velocities gait walk reaches",
+        ),
+        (
+            "walk",
+            [0.06, 0.06, 0],
+            r"v_x = 0\.06: with the other velocities gait walk reaches 0\.0",
+        ),
         ("walk", [0.05], r"velocity: 1 values, not v_x, v_y, yaw rate"),
     ],
 )
@@ -276,7 +320,9 @@ def test_velocities_beyond_the_reached_ones_change_nothing(gait):
     rng, phase = np.random.default_rng(0), np.linspace(0.0, 1.0, 20)
     for _ in range(50):
         asked = rng.uniform(-1.5, 1.5, 3) * stride.speeds
-        asked[:2] *= np.hypot(*asked[:2]) > stride.walking_speed  # walking, or turning in place
+        asked[:2] *= (
+            np.hypot(*asked[:2]) > stride.walking_speed
+        )  # walking, or turning in place
         given = stride.reached(asked)
         angles = [stride.stride_table(phase, v)[:, :4] for v in (asked, given)]
         if asked[:2].any() or abs(asked[2]) <= stride.turn.speed:
@@ -288,7 +334,9 @@ def test_velocities_beyond_the_reached_ones_change_nothing(gait):
 @pytest.mark.parametrize("kind", [None, "trot", "[1]"])
 def test_a_gait_of_an_unknown_kind_is_refused(own_config, kind):
     (own_config / "gait" / "own.yaml").write_text(yaml.safe_dump({"kind": kind}))
-    with pytest.raises(ConfigError, match=r"gait/own\.yaml: kind = .*expected one of posture"):
+    with pytest.raises(
+        ConfigError, match=r"gait/own\.yaml: kind = .*expected one of posture"
+    ):
         read_gaits()
 
 
@@ -297,7 +345,11 @@ def test_the_shipped_gaits_are_within_the_robots_limits():
     assert {"stand", "walk", "sit", "lie"} <= set(GAITS.gaits)
     for stride in GAITS.strides.values():
         assert np.radians(stride.range_deg).max() <= limit
-        for velocity in (np.zeros(3), *np.diag(stride.speeds), *-np.diag(stride.speeds)):
+        for velocity in (
+            np.zeros(3),
+            *np.diag(stride.speeds),
+            *-np.diag(stride.speeds),
+        ):
             rows = stride_table(velocity, stride=stride)
             assert rows[:, :4].min() >= 0.0
             assert rows[:, :4].max() <= limit

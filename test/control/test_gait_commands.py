@@ -27,7 +27,9 @@ def test_a_velocity_command_expires_and_the_robot_stops_but_a_requested_velocity
 
 
 @pytest.mark.parametrize("late", [-1.0, 0.52, 10_000.0])
-def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refused(late):
+def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refused(
+    late,
+):
     """A stamp from the future might never expire, and an old command may be a late stop."""
     robot = Ideal("walk", AHEAD, seconds=3.0)
     with pytest.raises(
@@ -35,7 +37,9 @@ def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refus
     ) as refusal:
         robot.scheduler.set_velocity(robot.now + round(late * SECOND), AHEAD)
     assert "\n" not in str(refusal.value)
-    after = robot.run(0.1)  # in which a stamp just too far ahead would come within the limit
+    after = robot.run(
+        0.1
+    )  # in which a stamp just too far ahead would come within the limit
     assert not np.any([preview.command.velocity for preview in after])
 
 
@@ -44,11 +48,23 @@ def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refus
     [
         (lambda s: s.request("trot", NOTHING), "no gait 'trot'"),
         (lambda s: s.request("walk", [np.nan, 0, 0]), r"v_x = nan: gait walk reaches"),
-        (lambda s: s.request("walk", [0, 0, -9.0]), r"yaw rate = -9: gait walk reaches"),
-        (lambda s: s.set_velocity(SECOND, [0, np.inf, 0]), r"velocity \[ 0. inf 0.\]: expected"),
-        (lambda s: s.set_velocity(SECOND, [0, 0]), r"velocity \[0. 0.\]: expected three finite"),
+        (
+            lambda s: s.request("walk", [0, 0, -9.0]),
+            r"yaw rate = -9: gait walk reaches",
+        ),
+        (
+            lambda s: s.set_velocity(SECOND, [0, np.inf, 0]),
+            r"velocity \[ 0. inf 0.\]: expected",
+        ),
+        (
+            lambda s: s.set_velocity(SECOND, [0, 0]),
+            r"velocity \[0. 0.\]: expected three finite",
+        ),
         (lambda s: s.set_pose([np.nan, 0, 0]), r"height = nan: gait walk reaches"),
-        (lambda s: s.set_pose([0.06, 0, 1.0]), r"pitch = 1: gait walk reaches \[-0\.09, 0\.09\]"),
+        (
+            lambda s: s.set_pose([0.06, 0, 1.0]),
+            r"pitch = 1: gait walk reaches \[-0\.09, 0\.09\]",
+        ),
     ],
 )
 def test_a_refused_command_changes_nothing_and_names_value_and_limit(call, message):
@@ -66,7 +82,10 @@ def test_a_refused_command_changes_nothing_and_names_value_and_limit(call, messa
 @pytest.mark.parametrize("gait", GAITS.strides)
 def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(gait):
     rng = np.random.default_rng(0)
-    axes, random = np.vstack([np.eye(3), -np.eye(3)]), rng.normal(size=(200, 3)) * [0.1, 0.1, 0.5]
+    axes, random = (
+        np.vstack([np.eye(3), -np.eye(3)]),
+        rng.normal(size=(200, 3)) * [0.1, 0.1, 0.5],
+    )
     for wanted in np.vstack([10.0 * axes, random, 1e6 * random[:3], [[0.5, 0.0, 1.0]]]):
         given, remark = clipped(GAITS, gait, wanted)
         GAITS.require_velocity(gait, given)
@@ -123,7 +142,9 @@ def test_a_jump_of_the_clock_neither_moves_the_commands_nor_delays_later_changes
 def test_a_path_is_followed_instead_of_the_velocity():
     points = np.array([[0.0, 0.0], [0.2, 0.0], [0.2, 0.2]])
     robot = Ideal("walk", AHEAD, Route(points, "kept"), seconds=15.0)
-    assert robot.state[3] == pytest.approx(0.2, abs=2 * LEAD)  # this robot knows no feedback
+    assert robot.state[3] == pytest.approx(
+        0.2, abs=2 * LEAD
+    )  # this robot knows no feedback
     assert robot.state[4] == pytest.approx(0.2, abs=3 * ARRIVED)
     assert robot.state[2] == pytest.approx(0.0, abs=1e-9)
     assert stands(robot.previews[-1])  # it stands at the end
@@ -139,7 +160,9 @@ def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
     robot.run(strides)
     assert robot.state[3] - before == pytest.approx(AHEAD[0] * strides, rel=0.05)
     robot.scheduler.request("walk", NOTHING)
-    assert stands(robot.run(3.0)[-1])  # without velocity it stands, wherever the path leads
+    assert stands(
+        robot.run(3.0)[-1]
+    )  # without velocity it stands, wherever the path leads
 
 
 def test_while_the_servos_do_not_follow_the_phase_waits_and_nothing_is_corrected():
@@ -187,7 +210,9 @@ def test_the_reference_stays_near_the_robot_and_begins_anew_after_a_jump(place):
 def test_the_preview_moves_its_reference_as_the_velocity_says():
     robot = Ideal("walk", np.array([0.04, 0.02, 0.03]), seconds=5.0)
     last = robot.previews[-1]
-    assert last.velocity_ahead == pytest.approx(np.tile([0.04, 0.02, 0.03], (GAITS.stages, 1)))
+    assert last.velocity_ahead == pytest.approx(
+        np.tile([0.04, 0.02, 0.03], (GAITS.stages, 1))
+    )
     row = GAITS.strides["walk"].stride_table(last.phases, last.velocity_ahead)[:, 8:]
     place = last.reference[:, 3:5] - rotate(row[:, 3:5], last.reference[:, 2])
     yaw, dt = last.reference[:, 2], last.dt

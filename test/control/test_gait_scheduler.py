@@ -23,7 +23,8 @@ def largest_step():
 
 
 @pytest.mark.parametrize(
-    ("first", "second"), list(itertools.permutations(["lie", "sit", "stand", "walk"], 2))
+    ("first", "second"),
+    list(itertools.permutations(["lie", "sit", "stand", "walk"], 2)),
 )
 def test_the_angles_are_continuous_between_any_two_gaits(first, second):
     robot = Ideal(first, AHEAD if first == "walk" else NOTHING, seconds=4.0)
@@ -102,7 +103,10 @@ def test_velocity_and_yaw_rate_change_at_limited_rates():
     torso_motion = 0.02  # m/s, of the torso over a stride
     v_x = rows[:, 9] * np.cos(yaw) + rows[:, 10] * np.sin(yaw)
     assert rows[-1, 8] == pytest.approx(0.04)
-    assert np.abs(np.diff(rows[:, 8])).max() <= GAITS.turn_acceleration * TICK * 1e-9 + 1e-12
+    assert (
+        np.abs(np.diff(rows[:, 8])).max()
+        <= GAITS.turn_acceleration * TICK * 1e-9 + 1e-12
+    )
     # 0.05 m/s at 0.1 m/s^2 take 0.5 s, 15 ticks
     assert v_x[7] < 0.05 / 2 + torso_motion
     assert v_x[20:].mean() == pytest.approx(0.05, abs=torso_motion)
@@ -153,7 +157,9 @@ def test_stage_k_of_the_preview_is_stage_0_of_the_tick_k_later():
     robot = Ideal("walk", AHEAD, seconds=4.0)
     early, later = robot.run(3 * 0.033), robot.run(0.033)[0]
     assert early[0].tendon_angle[3:] == pytest.approx(later.tendon_angle[:-3], abs=1e-9)
-    assert early[0].reference[3:, :2] == pytest.approx(later.reference[:-3, :2], abs=1e-9)
+    assert early[0].reference[3:, :2] == pytest.approx(
+        later.reference[:-3, :2], abs=1e-9
+    )
     assert (early[0].contact[3:] == later.contact[:-3]).all()
 
 
@@ -172,10 +178,14 @@ def test_the_preview_of_a_blend_is_that_of_the_next_ticks(first, second):
 
 def test_a_stride_tilts_its_reference_as_the_body_is_commanded():
     robot = Ideal("walk", AHEAD, seconds=3.0)
-    level = np.mean([preview.reference[0] for preview in robot.run(WALK.period)], axis=0)
+    level = np.mean(
+        [preview.reference[0] for preview in robot.run(WALK.period)], axis=0
+    )
     robot.scheduler.set_pose(np.array([0.065, 0.08, 0.05]))
     robot.run(3.0)
-    tilted = np.mean([preview.reference[0] for preview in robot.run(WALK.period)], axis=0)
+    tilted = np.mean(
+        [preview.reference[0] for preview in robot.run(WALK.period)], axis=0
+    )
     assert tilted[[0, 1]] - level[[0, 1]] == pytest.approx([0.08, 0.05], abs=5e-3)
     assert tilted[5] - level[5] == pytest.approx(0.065 - WALK.height, abs=1e-3)
 

@@ -16,10 +16,22 @@ DOWN = np.array([0.0, 0.0, -GRAVITY])
 DT = 0.005  # s
 NOISE = SETTINGS.odometry
 VARIANCE = (
-    np.repeat([NOISE.angle_noise, NOISE.position_noise, NOISE.velocity_noise, NOISE.rate_noise], 3)
+    np.repeat(
+        [
+            NOISE.angle_noise,
+            NOISE.position_noise,
+            NOISE.velocity_noise,
+            NOISE.rate_noise,
+        ],
+        3,
+    )
     ** 2
 )
-VARIANCE[6:9] *= [0.25, 1.0, 4.0]  # a visual SLAM may know one direction better than another
+VARIANCE[6:9] *= [
+    0.25,
+    1.0,
+    4.0,
+]  # a visual SLAM may know one direction better than another
 
 
 def cross(a):
@@ -90,7 +102,11 @@ class PlainFilter:
         self.cov = np.linalg.inv(np.linalg.inv(self.cov) + h.T @ weight @ h)
         error = self.cov @ h.T @ weight @ residual
         self.attitude = Rotation.from_rotvec(error[:3]) * self.attitude
-        self.p, self.v, self.bias = self.p + error[3:6], self.v + error[6:9], self.bias + error[9:]
+        self.p, self.v, self.bias = (
+            self.p + error[3:6],
+            self.v + error[6:9],
+            self.bias + error[9:],
+        )
         self.rate = self.rate - self.share * error[9:12]
         other = SETTINGS.odometry.rate_noise**2
         self.rate = (self.rate / self.variance + motion.rate / other) / (
@@ -149,7 +165,9 @@ def test_a_walk_agrees_with_the_plain_filter():
                 each.correct(motion)
             state, cov = compiled.output()
             np.testing.assert_allclose(state, plain.state(), rtol=0, atol=3e-11)
-            np.testing.assert_allclose(cov[3:6, 3:6], plain.cov[3:6, 3:6], rtol=1e-8, atol=1e-14)
+            np.testing.assert_allclose(
+                cov[3:6, 3:6], plain.cov[3:6, 3:6], rtol=1e-8, atol=1e-14
+            )
             scale = np.sqrt(np.diag(plain.cov))
             difference = (compiled.state.cov - plain.cov) / np.outer(scale, scale)
             assert np.abs(difference).max() < 1e-9
@@ -157,7 +175,9 @@ def test_a_walk_agrees_with_the_plain_filter():
 
 def perturbed(state, error):
     """The nominal state with an error (15,) added."""
-    attitude = (Rotation.from_rotvec(error[:3]) * Rotation.from_quat(state.attitude)).as_quat()
+    attitude = (
+        Rotation.from_rotvec(error[:3]) * Rotation.from_quat(state.attitude)
+    ).as_quat()
     return state._replace(
         attitude=attitude,
         position=state.position + error[3:6],
@@ -169,7 +189,11 @@ def perturbed(state, error):
 def error_between(a, b):
     """Error (15,) of b from a."""
     turn = Rotation.from_quat(b.attitude) * Rotation.from_quat(a.attitude).inv()
-    parts = [b.position - a.position, b.velocity - a.velocity, (b.bias - a.bias).ravel()]
+    parts = [
+        b.position - a.position,
+        b.velocity - a.velocity,
+        (b.bias - a.bias).ravel(),
+    ]
     return np.concatenate([turn.as_rotvec(), *parts])
 
 
@@ -204,12 +228,16 @@ LARGEST = SETTINGS.imu.acceleration_bias_max
         (STEEP, STEEP + DOWN),
     ],
 )
-def test_a_bias_up_to_the_data_sheets_and_any_tilt_of_odom_are_learned_and_no_more(shown, bias):
+def test_a_bias_up_to_the_data_sheets_and_any_tilt_of_odom_are_learned_and_no_more(
+    shown, bias
+):
     resting = OdometryMotion(0, np.array([0, 0, 0, 1.0]), *np.zeros((3, 3)), VARIANCE)
     learning = InertialFilter(SETTINGS)
     learning.restart(resting)
     for number in range(200):
-        learning.propagate(held(np.concatenate([np.zeros(3), shown])), 0, round(DT * SECOND))
+        learning.propagate(
+            held(np.concatenate([np.zeros(3), shown])), 0, round(DT * SECOND)
+        )
         if number % 7 == 6:
             learning.correct(resting)
     np.testing.assert_allclose(learning.state.bias[1], bias, atol=0.05)
@@ -217,7 +245,9 @@ def test_a_bias_up_to_the_data_sheets_and_any_tilt_of_odom_are_learned_and_no_mo
 
 @pytest.mark.parametrize("bias", [0.05, LARGEST], ids=["sensor", "tilt of odom"])
 def test_the_transition_is_the_derivative_of_the_propagation(noiseless, bias):
-    noiseless.restore(noiseless.state._replace(bias=np.array([np.full(3, 0.05), np.full(3, bias)])))
+    noiseless.restore(
+        noiseless.state._replace(bias=np.array([np.full(3, 0.05), np.full(3, bias)]))
+    )
     before, sample = noiseless.state, np.array([0.9, -1.2, 0.5, 1.0, -2.0, 11.0])
 
     def after(error):
@@ -243,4 +273,6 @@ def test_the_covariance_of_the_output_is_by_its_derivative(noiseless):
     jacobian = derivative(state, 1e-5)
     state(np.zeros(15))
     _, cov = noiseless.output()
-    np.testing.assert_allclose(cov, jacobian @ before.cov @ jacobian.T, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(
+        cov, jacobian @ before.cov @ jacobian.T, rtol=0, atol=1e-6
+    )

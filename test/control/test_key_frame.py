@@ -24,10 +24,17 @@ def shuffled(seed):
     """A walk whose odometry comes up to 60 ms late, in part lost, amid the IMU's samples."""
     rng = np.random.default_rng(seed)
     motion = Walk()
-    odometry = [m for m in odometry_messages(motion, 3.0, rng=rng) if not 1.2e9 < m[1] < 1.5e9]
+    odometry = [
+        m for m in odometry_messages(motion, 3.0, rng=rng) if not 1.2e9 < m[1] < 1.5e9
+    ]
     late = [(m[1] + int(rng.integers(0, 60_000_000)), m) for m in odometry]
-    return [m for _, m in sorted([*late, *((m[1], m) for m in imu_messages(motion, 3.0, rng=rng))],
-                                 key=lambda entry: entry[0])]  # fmt: skip
+    return [
+        m
+        for _, m in sorted(
+            [*late, *((m[1], m) for m in imu_messages(motion, 3.0, rng=rng))],
+            key=lambda entry: entry[0],
+        )
+    ]
 
 
 def feed(estimator, messages):
@@ -64,15 +71,27 @@ def equal(a, b):
 def test_scheduler_policy_and_map_go_on_from_key_frames_in_a_walk(policy):
     ticks = list(ClosedLoop("flat", "walk", VELOCITY, 1, policy).run(50))
     route = lambda: Route(np.array([[0.0, 0.0], [0.02, 0.0], [0.2, 0.1]]), "along")  # noqa: E731
-    parts = [Controller(read_robot(), make_policy(policy, read_robot(), lambda: 0.0), "walk",
-                        VELOCITY, route()) for _ in range(2)]  # fmt: skip
+    parts = [
+        Controller(
+            read_robot(),
+            make_policy(policy, read_robot(), lambda: 0.0),
+            "walk",
+            VELOCITY,
+            route(),
+        )
+        for _ in range(2)
+    ]
     first, second = parts
 
     def step(controller, tick):
         controller.policy.prepare()
         preview = controller.scheduler.step(tick.estimate.time, tick.estimate.state)
         plan = controller.policy.step(tick.estimate, preview)
-        return preview, plan, controller.force_map.step(plan, preview, tick.estimate.state)
+        return (
+            preview,
+            plan,
+            controller.force_map.step(plan, preview, tick.estimate.state),
+        )
 
     for tick in ticks[:32]:
         step(first, tick)

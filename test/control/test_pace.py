@@ -14,8 +14,12 @@ def test_a_cycle_longer_than_its_period_is_an_overrun():
     assert pace.overruns == 2
 
 
-@pytest.mark.parametrize(("numbers", "skipped"), [((7, 8, 12, 13), 3), ((100, 1, 2, 5), 2)])
-def test_inputs_between_two_processed_ones_are_skipped_also_after_a_restart(numbers, skipped):
+@pytest.mark.parametrize(
+    ("numbers", "skipped"), [((7, 8, 12, 13), 3), ((100, 1, 2, 5), 2)]
+)
+def test_inputs_between_two_processed_ones_are_skipped_also_after_a_restart(
+    numbers, skipped
+):
     pace = Pace()
     for number in numbers:
         pace.add(number, 0.0, 1.0)

@@ -46,7 +46,9 @@ def test_the_reference_waits_for_a_robot_that_does_not_come():
 
 
 @pytest.mark.parametrize("place", [(0.2, 0.0), (0.0, 0.2), (-0.01, -0.3)])
-def test_the_reference_does_not_wait_for_a_robot_that_is_ahead_of_it_or_beside_it(place):
+def test_the_reference_does_not_wait_for_a_robot_that_is_ahead_of_it_or_beside_it(
+    place,
+):
     """It would stay where it is, and the robot would go on along the first side for ever."""
     path = Route(L_SHAPE, "kept")
     places = np.array([path.place(state(*place), DT, SPEED) for _ in range(100)])
@@ -57,11 +59,14 @@ def test_a_robot_that_lags_slows_down_before_the_end_and_stops_at_it():
     path = Route(L_SHAPE, "kept")
     follow(path, 20.0)
     speeds = [
-        path.velocity(state(0.3, 0.2 - left), SPEED)[1] for left in (0.1, LEAD, LEAD / 2, 0.006)
+        path.velocity(state(0.3, 0.2 - left), SPEED)[1]
+        for left in (0.1, LEAD, LEAD / 2, 0.006)
     ]
     assert speeds == pytest.approx([SPEED, SPEED, SPEED / 2, CREEP * SPEED])
     assert not path.velocity(state(0.29, 0.2 - ARRIVED / 2), SPEED).any()
-    assert not path.velocity(state(0.29, 0.18), SPEED).any()  # noise does not start it again
+    assert not path.velocity(
+        state(0.29, 0.18), SPEED
+    ).any()  # noise does not start it again
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0, -2.5])
@@ -130,7 +135,10 @@ def test_a_file_gives_its_points(tmp_path):
         (b"x,y\n0,0\n1e308,1\n", r"a value not within \+-1e\+06 m"),
         (b"x,y\n0,0\n", r"path: needs at least two different points"),
         (b"x,y\n1,2\n1,2\n1,2\n", r"path: needs at least two different points"),
-        (b'x,y\n0,"' + 200_000 * b"9" + b'"\n', r"no path with columns x, y: field larger"),
+        (
+            b'x,y\n0,"' + 200_000 * b"9" + b'"\n',
+            r"no path with columns x, y: field larger",
+        ),
     ],
 )
 def test_a_file_that_is_no_path_is_refused_in_one_line(tmp_path, content, message):
@@ -143,5 +151,7 @@ def test_a_file_that_is_no_path_is_refused_in_one_line(tmp_path, content, messag
 
 
 def test_an_unknown_heading_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match=r"path_heading = 'sideways': expected one of kept"):
+    with pytest.raises(
+        ConfigError, match=r"path_heading = 'sideways': expected one of kept"
+    ):
         read_route(tmp_path / "path.csv", "sideways")

@@ -19,7 +19,9 @@ POLICY = Own
 
 
 def ticks(policy, count=40, **changes):
-    return list(ClosedLoop("flat", "stand", None, 0, policy, changes=changes).run(count))
+    return list(
+        ClosedLoop("flat", "stand", None, 0, policy, changes=changes).run(count)
+    )
 
 
 @pytest.mark.parametrize("name", POLICIES)
@@ -43,7 +45,9 @@ def test_a_policy_that_was_reset_plans_as_a_new_one():
             used.step(tick.estimate, tick.preview)
         used.reset()
         for tick in recorded:
-            plans = [policy.step(tick.estimate, tick.preview) for policy in (used, fresh)]
+            plans = [
+                policy.step(tick.estimate, tick.preview) for policy in (used, fresh)
+            ]
             np.testing.assert_array_equal(plans[0].angle, plans[1].angle)
             np.testing.assert_array_equal(plans[0].force, plans[1].force)
 
@@ -58,7 +62,9 @@ def test_a_policy_of_ones_own_is_named_by_its_file(tmp_path):
     file = tmp_path / "own.py"
     file.write_text(OWN.replace("[])", "__import__('numpy').zeros((15, 4, 3)))"))
     for tick in ticks(str(file)):
-        np.testing.assert_array_equal(tick.command.angle, tick.preview.tendon_angle[0] + 0.01)
+        np.testing.assert_array_equal(
+            tick.command.angle, tick.preview.tendon_angle[0] + 0.01
+        )
 
 
 @pytest.mark.parametrize(
@@ -66,11 +72,17 @@ def test_a_policy_of_ones_own_is_named_by_its_file(tmp_path):
     [
         ("magic", None, "policy 'magic': expected one of predictive, place, .* a file"),
         ("missing.py", None, "missing.py: FileNotFoundError"),
-        ("broken.py", "import nothing_of_this_name", "broken.py: ModuleNotFoundError: No module"),
+        (
+            "broken.py",
+            "import nothing_of_this_name",
+            "broken.py: ModuleNotFoundError: No module",
+        ),
         ("empty.py", "", "empty.py: AttributeError: .*POLICY"),
     ],
 )
-def test_a_policy_that_is_not_there_is_refused_in_one_line(tmp_path, name, text, reason):
+def test_a_policy_that_is_not_there_is_refused_in_one_line(
+    tmp_path, name, text, reason
+):
     if text is not None:
         (tmp_path / name).write_text(text)
     with pytest.raises(ConfigError, match=reason) as refused:

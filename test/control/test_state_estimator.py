@@ -35,13 +35,17 @@ def test_dead_reckoning_error_falls_with_the_square_of_the_imu_interval():
     """One reading, then only the IMU for 0.4 s: the midpoint rule is of second order."""
     motion, errors = Spin(), []
     for rate in (200, 400, 800):
-        messages = arrivals(imu_messages(motion, 0.4, rate), odometry_messages(motion, 0.4, 25))
+        messages = arrivals(
+            imu_messages(motion, 0.4, rate), odometry_messages(motion, 0.4, 25)
+        )
         estimates, _ = run(without_odometry(messages), EXACT)
         assert len(estimates) == 10
         errors.append(np.abs(error(estimates[-1], motion)[3:6]).max())
     order = np.log2(np.divide(errors[:-1], errors[1:]))
     assert np.all(np.abs(order - 2) < 0.1)  # the next order's share at 200 Hz
-    assert errors[0] < 1e-4  # h^2/12 |f''| t^2/2 with |f''| = omega^2 f_0 + |w|^2 g = 100 m/s^4
+    assert (
+        errors[0] < 1e-4
+    )  # h^2/12 |f''| t^2/2 with |f''| = omega^2 f_0 + |w|^2 g = 100 m/s^4
 
 
 def test_constant_rate_and_acceleration_are_integrated_exactly():
@@ -57,7 +61,9 @@ def test_constant_rate_and_acceleration_are_integrated_exactly():
 def test_without_noise_the_error_is_the_discretisation_error():
     motion = Walk()
     estimates, _ = run(clean(motion, 3.0))
-    errors = np.array([error(e, motion) for e in estimates if e.validity == Validity.VALID])
+    errors = np.array(
+        [error(e, motion) for e in estimates if e.validity == Validity.VALID]
+    )
     rms = np.sqrt(np.mean(errors**2, axis=0)).reshape(4, 3).max(axis=1)
     # angle, p and v: far below the odometry's noise; omega: third derivative of the tilt times
     # the square of the interval, 0.22 rad (2 pi / 0.7 s)^3 (5 ms)^2 = 4e-3 rad/s
@@ -94,7 +100,9 @@ def test_rates_are_consistent_with_their_covariance(walks, first, last):
     for seed in range(walks):
         bias = np.random.default_rng(seed).normal(0, MATCHED.imu.gyro_bias, 3)
         motion = Walk(yaw=0.3 * seed)
-        for estimate in run(noisy(motion, last / 30, 100 + seed, bias), MATCHED)[0][first:last]:
+        for estimate in run(noisy(motion, last / 30, 100 + seed, bias), MATCHED)[0][
+            first:last
+        ]:
             e = error(estimate, motion)[6:9]
             nees.append(e @ np.linalg.solve(estimate.covariance[6:9, 6:9], e))
     low, high = stats.chi2.ppf([0.0005, 0.9995], 3 * len(nees))
@@ -103,7 +111,9 @@ def test_rates_are_consistent_with_their_covariance(walks, first, last):
 
 
 @pytest.mark.parametrize("readings", [1, 4])
-def test_large_errors_propagate_through_the_states_consistently_with_the_covariance(readings):
+def test_large_errors_propagate_through_the_states_consistently_with_the_covariance(
+    readings,
+):
     """NEES after 0.4 s from an attitude error of 2 deg: one reading or four, then only the IMU.
 
     At 2 m/s and an angle error of 0.03 rad, every coupling of the linear model outweighs the noise:
@@ -154,10 +164,16 @@ def test_angles_and_twist_follow_the_conventions():
         p, v, w = rng.normal(size=(3, 3))
         estimator = StateEstimator(SETTINGS)
         estimator.add_imu(0, w, [0.0, 0.0, GRAVITY])
-        estimator.add_odometry(0, p, -attitude.as_quat(), v, w)  # -q is the same attitude
+        estimator.add_odometry(
+            0, p, -attitude.as_quat(), v, w
+        )  # -q is the same attitude
         state = estimator.poll().state
-        expected = np.concatenate([[roll, pitch, yaw], p, attitude.apply(w), attitude.apply(v)])
-        np.testing.assert_allclose(state, expected, atol=1e-12)  # rounding, cos(pitch) > 0.07
+        expected = np.concatenate(
+            [[roll, pitch, yaw], p, attitude.apply(w), attitude.apply(v)]
+        )
+        np.testing.assert_allclose(
+            state, expected, atol=1e-12
+        )  # rounding, cos(pitch) > 0.07
 
 
 def test_covariance_stays_positive_at_a_pitch_of_90_deg():
@@ -168,7 +184,9 @@ def test_covariance_stays_positive_at_a_pitch_of_90_deg():
         assert np.all(np.isfinite(estimate.state))
         scale = np.sqrt(np.diag(estimate.covariance))
         correlation = estimate.covariance / np.outer(scale, scale)
-        assert np.linalg.eigvalsh(correlation)[0] > -1e-9  # rounding of a 12 x 12 product
+        assert (
+            np.linalg.eigvalsh(correlation)[0] > -1e-9
+        )  # rounding of a 12 x 12 product
 
 
 # --- order of arrival ---

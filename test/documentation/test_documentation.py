@@ -33,7 +33,9 @@ def anchors(page):
     return {heading.replace(" ", "-") for heading in plain}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+@pytest.mark.parametrize(
+    "page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix()
+)
 def test_every_link_leads_to_a_file_and_to_a_heading_in_it(page):
     text = re.sub(r"`[^`\n]*`", "", FENCE.sub("", page.read_text()))
     for link in LINK.findall(text):
@@ -47,18 +49,26 @@ def test_every_link_leads_to_a_file_and_to_a_heading_in_it(page):
 
 def test_every_page_is_in_the_table_of_contents():
     listed = re.findall(r"^([\w/]+)$", (DOC / "index.md").read_text(), re.MULTILINE)
-    found = {page.relative_to(DOC).with_suffix("").as_posix() for page in DOC.rglob("*.md")}
+    found = {
+        page.relative_to(DOC).with_suffix("").as_posix() for page in DOC.rglob("*.md")
+    }
     assert found - set(listed) == {"index"}
 
 
 def test_scripts_pictures_draws_every_picture():
-    files = {path.name for path in DOC.iterdir() if path.suffix in (".png", ".gif", ".html")}
+    files = {
+        path.name for path in DOC.iterdir() if path.suffix in (".png", ".gif", ".html")
+    }
     assert files == set(pictures.PICTURES)
 
 
 def test_every_picture_is_shown_on_a_page():
-    shown = {Path(link).name for page in PAGES for link in LINK.findall(page.read_text())}
-    assert {*pictures.PICTURES} - shown == {"walk.html"}  # which the site shows for walk.gif
+    shown = {
+        Path(link).name for page in PAGES for link in LINK.findall(page.read_text())
+    }
+    assert {*pictures.PICTURES} - shown == {
+        "walk.html"
+    }  # which the site shows for walk.gif
 
 
 MEASURED = """
@@ -94,19 +104,28 @@ def test_pictures_of_a_benchmark_are_drawn_from_what_its_run_has_left(tmp_path):
     harness.run("locomotion", tmp_path, True, results / "locomotion", print)
     mine = [name for name, p in pictures.PICTURES.items() if p.needs[0] == "locomotion"]
     assert len(mine) == 4
-    assert pictures.main([*mine, "--results", str(results), "--out", str(tmp_path)]) == 0
+    assert (
+        pictures.main([*mine, "--results", str(results), "--out", str(tmp_path)]) == 0
+    )
     for name in mine:
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
 
 
 def test_the_tables_of_arguments_topics_and_parameters_are_those_of_today(tmp_path):
-    pages = [DOC / "reference" / f"{name}.md" for name in ("arguments", "topics", "parameters")]
+    pages = [
+        DOC / "reference" / f"{name}.md"
+        for name in ("arguments", "topics", "parameters")
+    ]
     for page in pages:
         shutil.copy(page, tmp_path)
     command = [sys.executable, "-m", "documentation.graph_tables", str(tmp_path)]
     path = os.pathsep.join([str(ROOT / "scripts"), os.environ.get("PYTHONPATH", "")])
     subprocess.run(command, env=os.environ | {"PYTHONPATH": path}, check=True)
-    old = [page.name for page in pages if (tmp_path / page.name).read_text() != page.read_text()]
+    old = [
+        page.name
+        for page in pages
+        if (tmp_path / page.name).read_text() != page.read_text()
+    ]
     assert old == [], "scripts/docs --tables writes them again"
 
 
@@ -123,8 +142,14 @@ def settings_in(path, package):
     module = ".".join(path.relative_to(package.parent).with_suffix("").parts)
     for kind in ast.walk(ast.parse(path.read_text())):
         if isinstance(kind, ast.ClassDef):
-            values = [line.value for line in kind.body if isinstance(line, ast.AnnAssign)]
-            calls = [ast.unparse(value.func) for value in values if isinstance(value, ast.Call)]
+            values = [
+                line.value for line in kind.body if isinstance(line, ast.AnnAssign)
+            ]
+            calls = [
+                ast.unparse(value.func)
+                for value in values
+                if isinstance(value, ast.Call)
+            ]
             if {call.removeprefix("config.") for call in calls} & FIELDS:
                 yield f"{module}.{kind.name}"
 
@@ -141,7 +166,10 @@ def test_the_reference_has_every_settings_class_and_file_of_the_configuration():
     text = (DOC / "reference" / "configuration.md").read_text()
     listed = set(re.findall(r"^\.\. autoclass:: (.*)$", text, re.MULTILINE))
     # read from a message, see decode.servo_limits; named on the command line
-    others = {"slot_core.safety.settings.ServoLimits", "slot_core.control.onnx_policy.OnnxSettings"}
+    others = {
+        "slot_core.safety.settings.ServoLimits",
+        "slot_core.control.onnx_policy.OnnxSettings",
+    }
     assert described - listed == others
     for path in (ROOT / "config").glob("*.yaml"):
         assert f"```{{literalinclude}} ../../../config/{path.name}\n" in text
@@ -150,7 +178,10 @@ def test_the_reference_has_every_settings_class_and_file_of_the_configuration():
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["--output", "x"], "unknown arguments: --output x; expected --out DIR or --tables"),
+        (
+            ["--output", "x"],
+            "unknown arguments: --output x; expected --out DIR or --tables",
+        ),
         (["--out", "/dev/null"], "--out /dev/null: not a directory that can be made"),
     ],
 )
@@ -165,8 +196,12 @@ def test_version_and_licence_are_the_same_everywhere():
     packages = [ElementTree.parse(folder / "package.xml") for folder in manifests]
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     assert len(packages) == 5
-    assert {package.findtext("version") for package in packages} == {citation["version"]}
-    assert {package.findtext("license") for package in packages} == {citation["license"]}
+    assert {package.findtext("version") for package in packages} == {
+        citation["version"]
+    }
+    assert {package.findtext("license") for package in packages} == {
+        citation["license"]
+    }
     assert f"## {citation['version']}" in (DOC / "changelog.md").read_text()
     assert "Apache License" in (ROOT / "LICENSE").read_text().splitlines()[1]
 

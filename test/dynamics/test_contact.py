@@ -21,7 +21,10 @@ from slot_core.legs.level_leg import at_nodes
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
-ROD, WIDTH = discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction), ROBOT.leg.contact_width
+ROD, WIDTH = (
+    discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction),
+    ROBOT.leg.contact_width,
+)
 MU, STIFFNESS, DAMPING = 0.4, 2e4, 5.0
 
 
@@ -36,13 +39,21 @@ def law(floor, friction, gap, v):
     """Normal force and viscous drag of a point."""
     normal = normal_force(STIFFNESS, DAMPING, gap, v[2])
     tangential = (v[0], v[1], 0.0)
-    hold = friction_force(floor, friction * normal, 0.0, STIFFNESS, DAMPING, tangential, tangential)
+    hold = friction_force(
+        floor, friction * normal, 0.0, STIFFNESS, DAMPING, tangential, tangential
+    )
     return normal, hold.drag
 
 
 def test_the_floor_only_pushes():
-    assert law(floor(), MU, 1e-6, np.array([0.0, 0.0, -1.0])) == (0.0, 0.0)  # above, falling
-    assert law(floor(), MU, -1e-6, np.array([0.1, 0.0, 1.0])) == (0.0, 0.0)  # below, leaving fast
+    assert law(floor(), MU, 1e-6, np.array([0.0, 0.0, -1.0])) == (
+        0.0,
+        0.0,
+    )  # above, falling
+    assert law(floor(), MU, -1e-6, np.array([0.1, 0.0, 1.0])) == (
+        0.0,
+        0.0,
+    )  # below, leaving fast
     normal, _ = law(floor(), MU, -1e-3, np.zeros(3))
     assert normal == pytest.approx(20.0, rel=1e-12)
 
@@ -86,7 +97,9 @@ def test_a_robot_on_a_frictionless_incline_accelerates_freely():
     sim.advance(300, sim.tendon_angle)
     gained = sim.momentum()[0][0] - before
     # Exact up to the iteration: only gravity acts along the floor.
-    assert gained == pytest.approx(sim.parameters.mass * scene.gravity[0] * 0.3, rel=1e-9)
+    assert gained == pytest.approx(
+        sim.parameters.mass * scene.gravity[0] * 0.3, rel=1e-9
+    )
 
 
 @njit
@@ -104,7 +117,11 @@ def drag_along(floor, path, limit, slope, h):
 def force_at(floor, limit, tau, bristle, v):
     hold = friction_force(floor, limit, tau, STIFFNESS, DAMPING, bristle, v)
     return np.array(
-        [hold.drag * v[0] + hold.x, hold.drag * v[1] + hold.y, hold.drag * v[2] + hold.z]
+        [
+            hold.drag * v[0] + hold.x,
+            hold.drag * v[1] + hold.y,
+            hold.drag * v[2] + hold.z,
+        ]
     )
 
 
@@ -113,7 +130,11 @@ FLAT = np.zeros(2)
 
 def test_a_bristle_on_a_line_is_a_spring_in_series_with_a_coulomb_slider():
     """Prandtl's element: each increment of the spring's force stops at the yield force."""
-    law, h, rng = floor(friction_law="bristle", bristle=0.7), 1e-3, np.random.default_rng(3)
+    law, h, rng = (
+        floor(friction_law="bristle", bristle=0.7),
+        1e-3,
+        np.random.default_rng(3),
+    )
     speed = np.repeat(rng.normal(0.0, 0.1, 40), 25)
     normal = np.repeat(rng.uniform(1.0, 20.0, 20), 50)
     path = np.outer(speed, [0.6, 0.8, 0.0])
@@ -137,9 +158,13 @@ def test_a_bristle_aligns_with_the_slip_and_its_force_stays_within_mu_n():
     held = drag_along(law, path, limit, FLAT, 1e-3)
     force = STIFFNESS * np.linalg.norm(held, axis=1)
     assert (force <= limit * (1 + 1e-12)).all()
-    np.testing.assert_allclose(STIFFNESS * held[-1], MU * np.array([6.0, -8.0, 0.0]), rtol=1e-9)
+    np.testing.assert_allclose(
+        STIFFNESS * held[-1], MU * np.array([6.0, -8.0, 0.0]), rtol=1e-9
+    )
     for bristle, v, most in zip(held, path, limit):
-        now = force_at(law, most, 5.5e-4, bristle, v)  # including its growth within the step
+        now = force_at(
+            law, most, 5.5e-4, bristle, v
+        )  # including its growth within the step
         assert np.linalg.norm(now) <= most * (1 + 1e-12)
 
 
@@ -147,7 +172,9 @@ def test_a_sticking_bristle_is_a_spring_and_a_damper():
     law = floor(friction_law="bristle", bristle=0.5)
     bristle, v, tau = np.array([1e-4, -2e-4, 0.0]), np.array([0.01, 0.02, 0.0]), 5e-4
     expected = 0.5 * (STIFFNESS * (bristle + tau * v) + DAMPING * v)
-    np.testing.assert_allclose(force_at(law, 1e3, tau, bristle, v), expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        force_at(law, 1e3, tau, bristle, v), expected, rtol=1e-12
+    )
 
 
 def test_a_bristle_lies_in_the_plane_of_the_floor():
@@ -156,7 +183,9 @@ def test_a_bristle_lies_in_the_plane_of_the_floor():
     up = np.array([-0.3, 0.2, 1.0]) / np.sqrt(1.13)
     along = np.cross(up, [0.0, 1.0, 0.0])
     path = np.tile(0.02 * along - 0.5 * up, (100, 1))
-    held = drag_along(floor(friction_law="bristle"), path, np.full(100, 1e6), slope, 1e-3)
+    held = drag_along(
+        floor(friction_law="bristle"), path, np.full(100, 1e6), slope, 1e-3
+    )
     np.testing.assert_allclose(held[-1], 0.1 * 0.02 * along, atol=1e-15)
 
 
@@ -171,7 +200,9 @@ def test_friction_by_direction_blends_between_inward_and_outward_slip():
     assert factor(law, 0.6, 0.1, 0.0, -fast, fast**2) == pytest.approx(0.6, rel=1e-6)
     assert factor(law, 0.6, 0.1, 0.0, fast, fast**2) == pytest.approx(0.1, rel=1e-6)
     assert factor(law, 0.6, 0.1, 0.0, 0.0, 0.0) == pytest.approx(0.35, rel=1e-12)
-    assert factor(law, 0.6, 0.1, 0.0, 0.0, fast**2) == pytest.approx(0.35, rel=1e-12)  # sideways
+    assert factor(law, 0.6, 0.1, 0.0, 0.0, fast**2) == pytest.approx(
+        0.35, rel=1e-12
+    )  # sideways
     # At the slip speed eps the blend has reached 1 / sqrt(2).
     middle = 0.35 - 0.25 / np.sqrt(2)
     assert factor(law, 0.6, 0.1, 0.0, eps, eps**2) == pytest.approx(middle, rel=1e-12)
@@ -209,9 +240,13 @@ def test_bristles_slide_above_the_friction_angle_by_coulombs_law():
     sim.advance(1000, sim.tendon_angle)
     gained = sim.momentum()[0] - before
     weight = sim.parameters.weight
-    normal = weight * np.cos(np.radians(25.0)) + gained[2]  # N s, impulse of the floor in 1 s
+    normal = (
+        weight * np.cos(np.radians(25.0)) + gained[2]
+    )  # N s, impulse of the floor in 1 s
     expected = -weight * np.sin(np.radians(25.0)) + 0.4 * normal
-    assert gained[0] == pytest.approx(expected, rel=1e-4)  # the feet splay a little meanwhile
+    assert gained[0] == pytest.approx(
+        expected, rel=1e-4
+    )  # the feet splay a little meanwhile
     # The normal impulse is that of the weight, except for the settling of the legs.
     slope = np.radians(25.0)
     free = -GRAVITY * (np.sin(slope) - 0.4 * np.cos(slope))
@@ -244,9 +279,13 @@ def test_the_total_contact_stiffness_is_the_same_at_any_number_of_nodes(nodes):
     rod = discretise(ROBOT.leg, nodes, ROBOT.tendon.end_fraction)
     law = build_floor(read_scene("flat").floor, rod, WIDTH)
     step = np.diff(rod.arc)
-    length = rod.arc[-1] - (step[0] + step[-1]) / 2  # without the half cells of clamp and tip
+    length = (
+        rod.arc[-1] - (step[0] + step[-1]) / 2
+    )  # without the half cells of clamp and tip
     assert law.stiffness.sum() == pytest.approx(2e4 + 2.2e6 * length, rel=1e-12)
-    np.testing.assert_allclose(law.damping[2:] / law.stiffness[2:], 5.0 / 2e4, rtol=1e-12)
+    np.testing.assert_allclose(
+        law.damping[2:] / law.stiffness[2:], 5.0 / 2e4, rtol=1e-12
+    )
 
 
 def test_ground_force_is_the_sum_of_springs_dampers_and_friction_of_all_nodes():

@@ -15,7 +15,9 @@ from slot_core.simulation.plant import make_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 HELD = 1e9  # kg, a torso that no leg moves
-FIELD = np.array([-2.0, 4.0, -1.0])  # m/s^2: the legs bend in both planes, twist and stretch
+FIELD = np.array(
+    [-2.0, 4.0, -1.0]
+)  # m/s^2: the legs bend in both planes, twist and stretch
 SHARE, TIME, DAMPING = (0.7, 0.4), (0.05, 0.6), 0.01
 RELAXING = config.replace(
     read_robot(),
@@ -45,7 +47,9 @@ def creep(times):
         held = np.dot(SHARE, e - a)
         return [(1.0 - e - held) / DAMPING, *((e - a) / TIME)]
 
-    return solve_ivp(rate, (0.0, times[-1]), np.zeros(3), t_eval=times, rtol=1e-9, atol=1e-12).y[0]
+    return solve_ivp(
+        rate, (0.0, times[-1]), np.zeros(3), t_eval=times, rtol=1e-9, atol=1e-12
+    ).y[0]
 
 
 def test_a_loaded_leg_creeps_as_its_material():
@@ -66,7 +70,9 @@ def test_a_loaded_leg_creeps_as_its_material():
 def test_only_spatial_legs_relax():
     for legs in ("map", "paper"):
         scene = config.replace(read_scene("flat"), {"solver.legs": legs})
-        with pytest.raises(ConfigError, match=f"leg.relaxation_share = .* model '{legs}' cannot"):
+        with pytest.raises(
+            ConfigError, match=f"leg.relaxation_share = .* model '{legs}' cannot"
+        ):
             make_robot(RELAXING, scene, read_servo())
 
 

@@ -56,7 +56,9 @@ class WeightlessLeg:
         """Segments with the strains at nodes (N, 2), m, and their rates, at a clamp's rate, rad/s."""
         place = np.insert(node, 1, 0.0, axis=1)
         along = np.diff(place, axis=0)
-        spin = along @ rate / np.linalg.norm(along, axis=1)  # of segments that turn with the clamp
+        spin = (
+            along @ rate / np.linalg.norm(along, axis=1)
+        )  # of segments that turn with the clamp
         strain(self.leg.segments, self.rod, place, velocity, spin, tuple(rate))
         return self.leg.segments
 
@@ -64,7 +66,10 @@ class WeightlessLeg:
 def straight(nodes, thickness=(5e-3, 5e-3)):
     """A straight rod of given thickness at clamp and tip, and the EI of the clamp's section."""
     leg = dataclasses.replace(
-        ROBOT.leg, young_modulus=1e7, thickness_clamp=thickness[0], thickness_tip=thickness[1]
+        ROBOT.leg,
+        young_modulus=1e7,
+        thickness_clamp=thickness[0],
+        thickness_tip=thickness[1],
     )
     node = np.column_stack([np.linspace(0.0, LENGTH, nodes), np.zeros(nodes)])
     return build(
@@ -114,7 +119,9 @@ def elastica(load_parameter, give=0.0):
     def slope(s, y):
         stretched = 1.0 + give * load_parameter * np.sin(y[0])
         turned = -load_parameter * stretched * np.cos(y[0])
-        return np.array([y[1], turned, stretched * np.cos(y[0]), stretched * np.sin(y[0])])
+        return np.array(
+            [y[1], turned, stretched * np.cos(y[0]), stretched * np.sin(y[0])]
+        )
 
     def ends(a, b):
         return np.array([a[0], b[1], a[2], a[3]])
@@ -135,7 +142,9 @@ def test_forces_are_the_gradient_of_the_energy():
     for index in np.ndindex(node.shape):
         shift = np.zeros_like(node)
         shift[index] = step
-        up, down = (leg_energy(leg.model, node + s * shift, angle, HIGH) for s in (1.0, -1.0))
+        up, down = (
+            leg_energy(leg.model, node + s * shift, angle, HIGH) for s in (1.0, -1.0)
+        )
         numeric[index] = (up - down) / (2 * step)
     found = leg.gradient(node, angle)
     assert leg.leg.pull[0] > 30.0
@@ -151,7 +160,10 @@ def test_the_natural_shape_has_no_internal_force():
 
 def test_rigid_motion_dissipates_nothing():
     """Kelvin-Voigt damping depends on strain rates only; the clamp turns with the rod."""
-    leg, rate = WeightlessLeg(discretise(ROBOT.leg, 12, ANCHOR)), np.array([1.0, -3.0, 2.0])
+    leg, rate = (
+        WeightlessLeg(discretise(ROBOT.leg, 12, ANCHOR)),
+        np.array([1.0, -3.0, 2.0]),
+    )
     node = np.insert(leg.rod.node, 1, 0.0, axis=1)
     s = leg.strains(leg.rod.node, np.cross(rate, node), rate)
     assert np.abs(s.extension_rate).max() < 1e-15
@@ -192,7 +204,9 @@ def rolled(nodes):
 def test_an_end_moment_bends_every_hinge_and_stretches_nothing(nodes):
     rod, moment, node = rolled(nodes)
     s = WeightlessLeg(rod).strains(node, np.zeros((nodes, 3)), np.zeros(3))
-    np.testing.assert_allclose(rod.bending * (s.turn - rod.rest_angle), moment, rtol=1e-9)
+    np.testing.assert_allclose(
+        rod.bending * (s.turn - rod.rest_angle), moment, rtol=1e-9
+    )
     assert np.abs([s.twist, s.side]).max() == 0.0
     # Axial force from rounding: EA/l0 of 3e5 N/m times 1e-17 m.
     assert np.abs(rod.axial * s.extension).max() < 1e-9
@@ -215,16 +229,22 @@ def lowest_frequencies(rod, count):
 def test_uniform_beam_vibrates_at_euler_bernoulli_frequencies():
     rod, stiffness = straight(41)
     per_length = rod.mass.sum() / LENGTH
-    beta = np.array([1.8751040687, 4.6940911330, 7.8547574382]) / LENGTH  # clamped, free
+    beta = (
+        np.array([1.8751040687, 4.6940911330, 7.8547574382]) / LENGTH
+    )  # clamped, free
     exact = beta**2 * np.sqrt(stiffness / per_length) / (2 * np.pi)
     # Fourth order in 1/40, growing with the mode; differences of forces limit the lowest one.
-    np.testing.assert_array_less(np.abs(lowest_frequencies(rod, 3) / exact - 1), [2e-5, 1e-5, 5e-5])
+    np.testing.assert_array_less(
+        np.abs(lowest_frequencies(rod, 3) / exact - 1), [2e-5, 1e-5, 5e-5]
+    )
 
 
 def test_tapered_leg_vibrates_at_the_frequencies_of_a_tapered_bernoulli_beam():
     taper = (ROBOT.leg.thickness_clamp, ROBOT.leg.thickness_tip)
     exact = np.array([6.5209720302, 25.5124367433, 61.3511026964])
-    coarse, fine = (lowest_frequencies(straight(n, taper)[0], 3) / exact - 1 for n in (22, 43))
+    coarse, fine = (
+        lowest_frequencies(straight(n, taper)[0], 3) / exact - 1 for n in (22, 43)
+    )
     np.testing.assert_array_less(np.abs(coarse), [1e-4, 4e-4, 1e-3])
     np.testing.assert_array_less(np.abs(fine), [1e-5, 3e-5, 1e-4])
 

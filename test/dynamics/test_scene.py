@@ -28,7 +28,9 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
     scenes("ice", "like: flat\nfloor.torso_friction: 0.05\n")
     flat, ice = read_scene("flat"), read_scene("ice")
     assert ice.floor.torso_friction == 0.05
-    assert config.replace(ice, {"floor.torso_friction": flat.floor.torso_friction}) == flat
+    assert (
+        config.replace(ice, {"floor.torso_friction": flat.floor.torso_friction}) == flat
+    )
 
 
 @pytest.mark.parametrize(
@@ -36,19 +38,40 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
     [
         ("like: moon\n", r"no configuration 'scene/moon' \(known: bad, flat\)"),
         ("like: bad\n", r"scene/bad\.yaml: like is not a setting"),
-        ("like: flat\nfloor.colour: 1\n", r"scene/bad\.yaml: floor\.colour is not a setting"),
-        ("like: flat\nsolver.step: 1.0\n", r"scene/bad\.yaml: solver\.step = 1\.0: outside"),
-        ("like: flat\nsolver: magic\n", r"no configuration 'solver/magic' \(known: standard\)"),
+        (
+            "like: flat\nfloor.colour: 1\n",
+            r"scene/bad\.yaml: floor\.colour is not a setting",
+        ),
+        (
+            "like: flat\nsolver.step: 1.0\n",
+            r"scene/bad\.yaml: solver\.step = 1\.0: outside",
+        ),
+        (
+            "like: flat\nsolver: magic\n",
+            r"no configuration 'solver/magic' \(known: standard\)",
+        ),
         ("", r"scene/bad\.yaml: expected a mapping of Scene, got None"),
         (
             "like: flat\ntendons.broken: [0, 0, 0, 0]\n",
             r"tendons\.broken\[0\] = 0: expected true or false",
         ),
-        ("like: flat\nfloor.friction_law: dry\n", r"friction_law = 'dry': .* viscous, bristle"),
-        ("like: flat\nfloor.contact: heel\n", r"contact = 'heel': expected one of all, tip"),
-        ("like: flat\nfloor.friction_varies: 1\n", r"friction_varies = 1: expected text"),
+        (
+            "like: flat\nfloor.friction_law: dry\n",
+            r"friction_law = 'dry': .* viscous, bristle",
+        ),
+        (
+            "like: flat\nfloor.contact: heel\n",
+            r"contact = 'heel': expected one of all, tip",
+        ),
+        (
+            "like: flat\nfloor.friction_varies: 1\n",
+            r"friction_varies = 1: expected text",
+        ),
         (f"like: flat\n{PUSH % -1}\n", r"pushes\.left\.time = -1\.0: outside"),
-        ("like: flat\npushes: {left: {time: 1}}\n", r"pushes\.left\.duration is missing"),
+        (
+            "like: flat\npushes: {left: {time: 1}}\n",
+            r"pushes\.left\.duration is missing",
+        ),
         (
             "like: flat\nsensors.imu.period: 0.0005\n",
             r"bad\.yaml: sensors\.imu\.period = 0\.0005: shorter than solver\.step = 0\.001 s",
@@ -80,7 +103,9 @@ def test_the_shipped_scenes_can_be_read():
 
 
 def test_a_scenes_voltage_is_bounded_by_those_for_which_the_servos_maker_has_figures():
-    bounds = {name: meta for name, _, meta in config.leaves(read_scene("flat"))}["supply_voltage"]
+    bounds = {name: meta for name, _, meta in config.leaves(read_scene("flat"))}[
+        "supply_voltage"
+    ]
     voltage = read_servo().voltage
     assert (bounds["low"], bounds["high"]) == (voltage[0], voltage[-1])
 

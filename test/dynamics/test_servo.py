@@ -17,7 +17,8 @@ from slot_core.dynamics.servo import read_servo, servo, spool_rate, turning_rate
 from slot_core.robot import read_robot
 
 SETTINGS = config.replace(
-    read_servo(), {"model": "torque_speed", "proportional": 4.6, "integral": 0.0, "derivative": 0.0}
+    read_servo(),
+    {"model": "torque_speed", "proportional": 4.6, "integral": 0.0, "derivative": 0.0},
 )
 # ROBOTIS' e-manual of the XL430-W250: V, N m at stall, rev/min without load.
 FIGURES = [(9.0, 1.0, 47.0), (11.1, 1.4, 57.0), (12.0, 1.5, 61.0)]
@@ -32,7 +33,9 @@ def rate(law, command, angle, torque):
     return turning_rate(law, command, angle, torque)
 
 
-@pytest.mark.parametrize(("load", "share"), [(0.0, 1.0), (0.5, 0.5), (1.0, 0.0), (1.5, -0.5)])
+@pytest.mark.parametrize(
+    ("load", "share"), [(0.0, 1.0), (0.5, 0.5), (1.0, 0.0), (1.5, -0.5)]
+)
 def test_pulling_speed_follows_the_torque_speed_line(load, share):
     # XL430-W250 at 11.1 V: 57 rpm without load, 1.4 N m at rest; a higher load pulls it back.
     found = rate(servo(SETTINGS, NOMINAL), 2.0, 0.0, load * STALL)
@@ -49,7 +52,9 @@ def test_power_is_that_of_a_motor():
     """Torque times speed is at most a quarter of stall torque times no-load speed."""
     torque = np.linspace(0.0, STALL, 101)
     power = max(t * rate(servo(SETTINGS, NOMINAL), 2.0, 0.0, t) for t in torque)
-    assert power == pytest.approx(STALL * NO_LOAD / 4, rel=1e-3)  # resolution of the torques
+    assert power == pytest.approx(
+        STALL * NO_LOAD / 4, rel=1e-3
+    )  # resolution of the torques
     assert power < 2.1  # W
 
 
@@ -68,7 +73,9 @@ def test_ideal_servo_ignores_the_load():
         assert rate(law, 0.0, 2.0, torque) == pytest.approx(-40.0 / 57.0 * NO_LOAD)
 
 
-BETWEEN = [tuple(np.average(pair, axis=0, weights=(1, 3))) for pair in pairwise(FIGURES)]
+BETWEEN = [
+    tuple(np.average(pair, axis=0, weights=(1, 3))) for pair in pairwise(FIGURES)
+]
 
 
 @pytest.mark.parametrize(("voltage", "stall", "rpm"), [*FIGURES, *BETWEEN])
@@ -80,7 +87,9 @@ def test_stall_torque_and_speed_are_the_makers_at_its_voltages_and_linear_betwee
 
 
 def test_measured_voltages_beyond_the_makers_have_the_figures_of_the_nearest():
-    measured = np.array([8.0, 12.6, math.nan, 11.1])  # NaN: not measured, so the nominal one
+    measured = np.array(
+        [8.0, 12.6, math.nan, 11.1]
+    )  # NaN: not measured, so the nominal one
     assert SETTINGS.stall(measured) == pytest.approx([1.0, 1.5, 1.4, 1.4], rel=1e-12)
 
 
@@ -94,10 +103,19 @@ def test_a_servo_is_not_simulated_at_a_voltage_without_figures(voltage):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"voltage": [9.0, 12.0, 11.1]}, r"voltage = \[9\.0, 12\.0, 11\.1\]: expected rising"),
+        (
+            {"voltage": [9.0, 12.0, 11.1]},
+            r"voltage = \[9\.0, 12\.0, 11\.1\]: expected rising",
+        ),
         ({"voltage": []}, r"voltage = \[\]: expected rising values"),
-        ({"stall_torque": [1.0, 1.4]}, r"stall_torque = \[1\.0, 1\.4\]: expected 3 values"),
-        ({"no_load_rpm": [47.0, 57.0, 0.0]}, r"no_load_rpm\[2\] = 0\.0: outside \[1\.0, 1000\.0\]"),
+        (
+            {"stall_torque": [1.0, 1.4]},
+            r"stall_torque = \[1\.0, 1\.4\]: expected 3 values",
+        ),
+        (
+            {"no_load_rpm": [47.0, 57.0, 0.0]},
+            r"no_load_rpm\[2\] = 0\.0: outside \[1\.0, 1000\.0\]",
+        ),
     ],
 )
 def test_figures_that_are_no_table_are_refused_by_name(changes, message):
@@ -108,7 +126,10 @@ def test_figures_that_are_no_table_are_refused_by_name(changes, message):
 @pytest.mark.parametrize(("voltage", "stall", "rpm"), FIGURES)
 def test_the_robot_has_the_servos_of_its_scenes_voltage(voltage, stall, rpm):
     scene = config.replace(read_scene("flat"), {"supply_voltage": voltage})
-    found, ratio = build_model(read_robot(), scene, SETTINGS).servo, SETTINGS.servo_per_tendon
+    found, ratio = (
+        build_model(read_robot(), scene, SETTINGS).servo,
+        SETTINGS.servo_per_tendon,
+    )
     assert found.speed == pytest.approx(rpm * RPM / ratio, rel=1e-12)
     assert found.speed_loss == pytest.approx(1.0 / (stall * ratio), rel=1e-12)
 
@@ -123,7 +144,9 @@ def run(law, drive, angle, command, torque, h):  # noqa: PLR0917
     return out
 
 
-PID = dataclasses.replace(SETTINGS, model="pid", integral=12.0, derivative=0.05, motor_time=0.02)
+PID = dataclasses.replace(
+    SETTINGS, model="pid", integral=12.0, derivative=0.05, motor_time=0.02
+)
 
 
 def respond(settings, command, torque, seconds, h):
@@ -133,11 +156,15 @@ def respond(settings, command, torque, seconds, h):
 
 
 @pytest.mark.parametrize(("voltage", "stall", "rpm"), FIGURES)
-def test_at_full_duty_a_spool_stands_still_at_stall_and_turns_at_no_load_speed(voltage, stall, rpm):
+def test_at_full_duty_a_spool_stands_still_at_stall_and_turns_at_no_load_speed(
+    voltage, stall, rpm
+):
     law, ratio, steps, h = servo(PID, voltage), PID.servo_per_tendon, 1000, 1e-3
     full_duty = np.full(steps, 100.0)  # rad, beyond what the spool reaches
     held = run(law, np.zeros(3), 0.0, full_duty, np.full(steps, stall * ratio), h)
-    assert held == pytest.approx(np.zeros(steps), abs=1e-12)  # rounding of torque times 1 / torque
+    assert held == pytest.approx(
+        np.zeros(steps), abs=1e-12
+    )  # rounding of torque times 1 / torque
     free = run(law, np.zeros(3), 0.0, full_duty, np.zeros(steps), h)
     # after 1 s the motor, of 20 ms, lacks (1 + h / 20 ms)^-1000 = 7e-22 of its speed
     assert (free[-1] - free[-2]) / h * ratio / RPM == pytest.approx(rpm, rel=1e-9)
@@ -164,7 +191,9 @@ def exact_response(settings, command, torque, seconds):
 @pytest.mark.parametrize("seconds", [0.05, 0.15, 0.4])
 def test_pid_follows_its_differential_equation_to_first_order(command, torque, seconds):
     exact = exact_response(PID, command, torque, seconds)
-    errors = [abs(respond(PID, command, torque, seconds, h)[-1] - exact) for h in (2e-4, 1e-4)]
+    errors = [
+        abs(respond(PID, command, torque, seconds, h)[-1] - exact) for h in (2e-4, 1e-4)
+    ]
     # Euler's method: the error is below the motion of one step, at up to 6 rad/s, and halves too.
     assert errors[0] < 6.0 * 2e-4
     assert errors[1] < 0.6 * errors[0] + 1e-7
@@ -174,8 +203,12 @@ def test_a_load_displaces_the_pid_without_integral_and_not_with_it():
     torque, command = 0.7, 0.5
     soft = dataclasses.replace(PID, integral=0.0)
     sag = torque / STALL / soft.proportional  # the duty that holds the load
-    assert respond(soft, command, torque, 5.0, 1e-3)[-1] == pytest.approx(command - sag, abs=1e-9)
-    assert respond(PID, command, torque, 5.0, 1e-3)[-1] == pytest.approx(command, abs=1e-6)
+    assert respond(soft, command, torque, 5.0, 1e-3)[-1] == pytest.approx(
+        command - sag, abs=1e-9
+    )
+    assert respond(PID, command, torque, 5.0, 1e-3)[-1] == pytest.approx(
+        command, abs=1e-6
+    )
 
 
 def test_the_integral_is_held_while_the_duty_is_saturated():
@@ -185,7 +218,9 @@ def test_the_integral_is_held_while_the_duty_is_saturated():
     run(law, drive, 0.0, np.full(2000, 1.5), np.full(2000, 2 * STALL), h)
     assert 0.0 <= drive[2] <= 1.0  # without anti-windup: 12 / (rad s) x 1.5 rad x 2 s
     path = run(law, drive, 1.4, np.full(1000, 1.5), np.zeros(1000), h)
-    assert path.max() < 1.5 + 0.1  # a wound-up integral would run on at full speed for 1 s
+    assert (
+        path.max() < 1.5 + 0.1
+    )  # a wound-up integral would run on at full speed for 1 s
 
 
 def test_the_guide_resists_the_spool_in_both_directions_and_holds_it_in_between():
@@ -194,19 +229,31 @@ def test_the_guide_resists_the_spool_in_both_directions_and_holds_it_in_between(
     frictionless, h = servo(SETTINGS, NOMINAL), 1e-3
     load = 0.5 * STALL
     for command, seen in ((2.0, 1.2 * load), (0.0, load / 1.2)):
-        moved = run(law, np.zeros(3), 1.0, np.array([command]), np.array([load]), h)[0] - 1.0
-        assert moved == pytest.approx(h * rate(frictionless, command, 1.0, seen), rel=1e-12)
+        moved = (
+            run(law, np.zeros(3), 1.0, np.array([command]), np.array([load]), h)[0]
+            - 1.0
+        )
+        assert moved == pytest.approx(
+            h * rate(frictionless, command, 1.0, seen), rel=1e-12
+        )
     # Winding it would be pulled back, releasing it would wind: it stands still.
-    assert run(law, np.zeros(3), 1.0, np.array([2.0]), np.array([0.9 * STALL]), h)[0] == 1.0
+    assert (
+        run(law, np.zeros(3), 1.0, np.array([2.0]), np.array([0.9 * STALL]), h)[0]
+        == 1.0
+    )
 
 
 @pytest.mark.parametrize("model", ["torque_speed", "pid"])
 def test_a_servo_that_stalls_in_winding_holds_with_the_friction_of_its_guide(model):
     """Between stall / f and f stall the spool neither winds nor runs back."""
-    law = servo(config.replace(SETTINGS, {"model": model, "proportional": 20.0}), NOMINAL)
+    law = servo(
+        config.replace(SETTINGS, {"model": model, "proportional": 20.0}), NOMINAL
+    )
     law = law._replace(friction=1.2)
     for share, end in ((1.1, 1.0), (1.25, 0.0), (0.8, 2.0)):
-        path = run(law, np.zeros(3), 1.0, np.full(200, 2.0), np.full(200, share * STALL), 1e-3)
+        path = run(
+            law, np.zeros(3), 1.0, np.full(200, 2.0), np.full(200, share * STALL), 1e-3
+        )
         assert np.sign(path[-1] - 1.0) == np.sign(end - 1.0)
 
 

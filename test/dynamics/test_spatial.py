@@ -32,11 +32,15 @@ def kicked(robot=ROBOT, **changes):
     sim = simulator(robot=robot, **floating | changes)
     sim.set_motion(np.array([0.3, 0.2, 0.1]), np.array([3.0, 4.0, 5.0]))
     state, part = sim.state, sim.model.rod.arc / sim.model.rod.arc[-1]
-    state.node_velocity[:, :, 1] += 1.5 * part**2 * np.array([[1.0], [-1.0], [0.5], [0.7]])
+    state.node_velocity[:, :, 1] += (
+        1.5 * part**2 * np.array([[1.0], [-1.0], [0.5], [0.7]])
+    )
     state.node_velocity[:, :, 2] += 0.5 * part**2
     along = np.diff(state.node, axis=1)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
-    rate = np.einsum("lki,lki->lk", along, np.cross(along, np.diff(state.node_velocity, axis=1)))
+    rate = np.einsum(
+        "lki,lki->lk", along, np.cross(along, np.diff(state.node_velocity, axis=1))
+    )
     state.swirl[:] = (rate + 20.0 * part[1:])[..., None] * along
     return sim
 
@@ -46,7 +50,10 @@ class Chain:
 
     def __init__(self, sim, leg):
         model, self.rod, self.tendon = sim.model, sim.model.rod, sim.model.tendon
-        self.cable = model.tendon.spool_radius * sim.state.tendon_angle[leg] - model.tendon.relaxed
+        self.cable = (
+            model.tendon.spool_radius * sim.state.tendon_angle[leg]
+            - model.tendon.relaxed
+        )
         axes = model.axes[leg].T
         self.turn = sim.rotation @ axes  # leg axes to odom
         self.node = sim.nodes[leg]
@@ -54,7 +61,10 @@ class Chain:
 
     def energy(self, node, twist):
         """J, at nodes (N, 3) in odom, segments turned about themselves by twist (N-1,), rad."""
-        rod, before = self.rod, Rotation.from_matrix(self.turn @ np.diag([1.0, -1.0, -1.0]))
+        rod, before = (
+            self.rod,
+            Rotation.from_matrix(self.turn @ np.diag([1.0, -1.0, -1.0])),
+        )
         old, total, pulled = directions(self.node), 0.0, self.cable
         for k, t in enumerate(directions(node)):
             axis = np.cross(old[k], t)
@@ -104,10 +114,15 @@ def test_a_step_solves_the_equations_of_motion_of_an_independent_energy():
         up, down = (chain.energy(chain.node + s * shift, still) for s in (1.0, -1.0))
         forces[i, axis] = -(up - down) / (2 * tiny)
     for k in range(5):
-        up, down = (chain.energy(chain.node, s * tiny * np.eye(5)[k]) for s in (1.0, -1.0))
+        up, down = (
+            chain.energy(chain.node, s * tiny * np.eye(5)[k]) for s in (1.0, -1.0)
+        )
         moments[k] = -(up - down) / (2 * tiny)
     couple = rod.spin[:, None] * spin / h
-    across = np.cross(couple, t) / np.linalg.norm(np.diff(chain.node, axis=0), axis=1)[:, None]
+    across = (
+        np.cross(couple, t)
+        / np.linalg.norm(np.diff(chain.node, axis=0), axis=1)[:, None]
+    )
     change[:-1] -= across  # the gyroscopic couple of the spins acts through the nodes
     change[1:] += across
     assert np.ptp(chain.node @ sim.rotation[:, 1]) > 1e-3
@@ -139,7 +154,9 @@ def test_angular_momentum_is_conserved_to_second_order():
         sim = kicked(solver__step=step, solver__theta=0.5, solver__iterations=6)
         before = sim.momentum()[1]
         sim.advance(round(0.4 / step), np.full(4, 1.5))
-        errors.append(np.linalg.norm(sim.momentum()[1] - before) / np.linalg.norm(before))
+        errors.append(
+            np.linalg.norm(sim.momentum()[1] - before) / np.linalg.norm(before)
+        )
     assert errors[0] < 1e-6
     assert np.log2(errors[0] / errors[1]) > 1.9
 
@@ -147,12 +164,16 @@ def test_angular_momentum_is_conserved_to_second_order():
 def test_energy_of_undamped_legs_is_conserved_in_flight():
     errors = []
     for step in (1e-3, 5e-4):
-        sim = kicked(UNDAMPED, solver__step=step, solver__theta=0.5, solver__iterations=6)
+        sim = kicked(
+            UNDAMPED, solver__step=step, solver__theta=0.5, solver__iterations=6
+        )
         before = sim.energy()
         sim.advance(round(0.2 / step), np.zeros(4))
         errors.append(abs(sim.energy() / before - 1))
     assert errors[0] < 1e-4
-    assert np.log2(errors[0] / errors[1]) > 1.5  # 2 in the limit; the stiff modes converge last
+    assert (
+        np.log2(errors[0] / errors[1]) > 1.5
+    )  # 2 in the limit; the stiff modes converge last
 
 
 def test_a_motion_in_the_planes_of_the_legs_stays_in_them():
@@ -164,10 +185,15 @@ def test_a_motion_in_the_planes_of_the_legs_stays_in_them():
 
 
 @pytest.mark.parametrize(
-    ("width", "thickness", "factor"), [(1.0, 1.0, 0.1406), (2.0, 1.0, 0.229), (10.0, 1.0, 0.312)]
+    ("width", "thickness", "factor"),
+    [(1.0, 1.0, 0.1406), (2.0, 1.0, 0.229), (10.0, 1.0, 0.312)],
 )
-def test_torsion_constants_of_rectangles_are_the_tabulated_ones(width, thickness, factor):
+def test_torsion_constants_of_rectangles_are_the_tabulated_ones(
+    width, thickness, factor
+):
     """J = factor a b^3, Timoshenko and Goodier, Theory of Elasticity, art. 109, three digits."""
     found = torsion_constant(width, thickness) / (width * thickness**3)
     assert found == pytest.approx(factor, abs=6e-4)
-    assert torsion_constant(thickness, width) == pytest.approx(torsion_constant(width, thickness))
+    assert torsion_constant(thickness, width) == pytest.approx(
+        torsion_constant(width, thickness)
+    )

@@ -24,7 +24,9 @@ def tension(angle, rate):
 def straight(nodes):
     length = ROBOT.leg.arc_length()
     node = np.column_stack([np.linspace(0.0, length, nodes), np.zeros(nodes)])
-    return build(ROBOT.leg, node, node[:, 0], round((nodes - 1) * ROBOT.tendon.end_fraction))
+    return build(
+        ROBOT.leg, node, node[:, 0], round((nodes - 1) * ROBOT.tendon.end_fraction)
+    )
 
 
 @pytest.mark.parametrize("nodes", [10, 22, 31])
@@ -36,7 +38,9 @@ def test_length_is_that_of_the_curve_at_the_offset(nodes):
     turn = curvature * bending / rod.bending  # bending of each hinge
     length = tendon.along @ rod.rest_length + tendon.around @ turn
     reach = settings.end_fraction * ROBOT.leg.arc_length()
-    assert length == pytest.approx(reach * (1.0 + curvature * settings.offset), rel=1e-12)
+    assert length == pytest.approx(
+        reach * (1.0 + curvature * settings.offset), rel=1e-12
+    )
 
 
 def section(rod):
@@ -49,7 +53,9 @@ def section(rod):
 @pytest.mark.parametrize("nodes", [8, 23, 40])
 def test_a_node_is_at_the_anchor_for_any_number_of_nodes(nodes):
     rod = discretise(ROBOT.leg, nodes, ROBOT.tendon.end_fraction)
-    assert rod.arc[rod.anchor] / rod.arc[-1] == pytest.approx(ROBOT.tendon.end_fraction, rel=1e-12)
+    assert rod.arc[rod.anchor] / rod.arc[-1] == pytest.approx(
+        ROBOT.tendon.end_fraction, rel=1e-12
+    )
     assert np.diff(rod.arc).max() / np.diff(rod.arc).min() < 1.5
 
 
@@ -59,13 +65,17 @@ def test_a_slack_tendon_has_no_tension():
         assert tension(angle, 0.0)[0] == 0.0
     pulled, tendon = tension(slack_ends + 0.01, 0.0)
     # 0.1 mm of stretch in the natural shape.
-    assert pulled == pytest.approx(tendon.stiffness * 0.01 * ROBOT.tendon.spool_radius, rel=1e-9)
+    assert pulled == pytest.approx(
+        tendon.stiffness * 0.01 * ROBOT.tendon.spool_radius, rel=1e-9
+    )
 
 
 def test_damping_acts_on_the_rate_of_the_cable():
     taut = 0.4  # rad
     expected = ROBOT.tendon.cable_damping * 2.0 * ROBOT.tendon.spool_radius
-    assert tension(taut, 2.0)[0] - tension(taut, 0.0)[0] == pytest.approx(expected, rel=1e-9)
+    assert tension(taut, 2.0)[0] - tension(taut, 0.0)[0] == pytest.approx(
+        expected, rel=1e-9
+    )
 
 
 def pulled_leg(force):
@@ -73,23 +83,39 @@ def pulled_leg(force):
 
     Between clamp and anchor the section carries the moment -T d and the axial force -T.
     """
-    leg, end, d = ROBOT.leg, ROBOT.tendon.end_fraction * ROBOT.leg.arc_length(), ROBOT.tendon.offset
+    leg, end, d = (
+        ROBOT.leg,
+        ROBOT.tendon.end_fraction * ROBOT.leg.arc_length(),
+        ROBOT.tendon.offset,
+    )
     length, slope = leg.arc_length(), leg.shape.deriv()
     curve = slope.deriv()
 
     def derivative(s, y, pulled):
         x = y[4]
         run = np.hypot(1.0, slope(x))
-        thick = leg.thickness_clamp + (leg.thickness_tip - leg.thickness_clamp) * s / length
+        thick = (
+            leg.thickness_clamp + (leg.thickness_tip - leg.thickness_clamp) * s / length
+        )
         bending = leg.young_modulus * leg.width * thick**3 / 12
         strain = -pulled / (leg.young_modulus * leg.width * thick)
         turning = curve(x) / run**3 - pulled * d / bending
         stretched = 1.0 + strain
-        return [turning, stretched * np.cos(y[0]), stretched * np.sin(y[0]), stretched, 1.0 / run]
+        return [
+            turning,
+            stretched * np.cos(y[0]),
+            stretched * np.sin(y[0]),
+            stretched,
+            1.0 / run,
+        ]
 
     options = {"rtol": 1e-10, "atol": 1e-12}
-    first = solve_ivp(derivative, (0, end), np.zeros(5), args=(force,), **options).y[:, -1]
-    natural = solve_ivp(derivative, (0, end), np.zeros(5), args=(0.0,), **options).y[:, -1]
+    first = solve_ivp(derivative, (0, end), np.zeros(5), args=(force,), **options).y[
+        :, -1
+    ]
+    natural = solve_ivp(derivative, (0, end), np.zeros(5), args=(0.0,), **options).y[
+        :, -1
+    ]
     tip = solve_ivp(derivative, (end, length), first, args=(0.0,), **options).y[1:3, -1]
     return tip, first[3] + d * first[0] - natural[3] - d * natural[0]
 
@@ -98,7 +124,9 @@ def test_a_pulled_leg_converges_to_the_continuous_one_to_second_order():
     """Tension and shape of a free, weightless leg at a given tendon angle."""
     angle, settings = np.radians(80.0), ROBOT.tendon
     reeled = settings.spool_radius * angle - settings.slack
-    force = brentq(lambda f: settings.cable_stiffness * (pulled_leg(f)[1] + reeled) - f, 1.0, 200.0)
+    force = brentq(
+        lambda f: settings.cable_stiffness * (pulled_leg(f)[1] + reeled) - f, 1.0, 200.0
+    )
     exact, errors = pulled_leg(force)[0], []
     for nodes in (13, 22, 43):
         leg = StaticLeg(ROBOT, nodes)
@@ -106,7 +134,9 @@ def test_a_pulled_leg_converges_to_the_continuous_one_to_second_order():
         for part in np.linspace(0.1, 1.0, 10):
             here = leg.solve(part * angle, 1.0)
         errors.append(np.hypot(*(here.node[-1] - exact)))
-    assert here.tension == pytest.approx(force, rel=2e-3)  # N = 43, second order in 1/42
+    assert here.tension == pytest.approx(
+        force, rel=2e-3
+    )  # N = 43, second order in 1/42
     order = np.log(errors[0] / errors[2]) / np.log(42 / 12)
     assert order > 1.8
     assert errors[1] < 4e-4  # m at N = 22; without the anchor's own cell 5.7 mm
@@ -131,7 +161,10 @@ def test_slack_is_equivalent_to_an_angle_of_the_spool():
     """A tendon longer by s has at theta + s / r the tension of an intact one at theta."""
     slack = 2e-3
     angle = slack / ROBOT.tendon.spool_radius
-    whole, slackened = simulator(**FLOATING), simulator(**FLOATING, tendons__slack=[slack] * 4)
+    whole, slackened = (
+        simulator(**FLOATING),
+        simulator(**FLOATING, tendons__slack=[slack] * 4),
+    )
     whole.state.tendon_angle[:] = 1.0
     slackened.state.tendon_angle[:] = 1.0 + angle
     whole.advance(300, np.full(4, 1.0))

@@ -26,7 +26,9 @@ def ground_at(terrain, x, y):
 
 
 def test_heights_match_scipy():
-    for x, y in np.random.default_rng(6).uniform([X[0], Y[0]], [X[-1], Y[-1]], (300, 2)):
+    for x, y in np.random.default_rng(6).uniform(
+        [X[0], Y[0]], [X[-1], Y[-1]], (300, 2)
+    ):
         assert ground_at(Terrain(HEIGHT, SPACING), x, y)[0] == pytest.approx(
             EXACT((y, x)), abs=1e-15
         )
@@ -34,14 +36,21 @@ def test_heights_match_scipy():
 
 def test_slopes_are_the_derivatives_of_the_heights():
     step = 1e-6
-    inner = np.random.default_rng(7).uniform(0.02, 0.98, (300, 2)) + np.random.default_rng(
-        8
-    ).integers(0, [9, 6], (300, 2))
-    for x, y in inner * SPACING + [X[0], Y[0]]:  # the central differences stay within a cell
+    inner = np.random.default_rng(7).uniform(
+        0.02, 0.98, (300, 2)
+    ) + np.random.default_rng(8).integers(0, [9, 6], (300, 2))
+    for x, y in inner * SPACING + [
+        X[0],
+        Y[0],
+    ]:  # the central differences stay within a cell
         _, a, b = ground_at(Terrain(HEIGHT, SPACING), x, y)
         # Bilinear: differences along the axes are exact up to rounding, 1e-17 / 1e-6.
-        assert a == pytest.approx((EXACT((y, x + step)) - EXACT((y, x - step))) / 2e-6, abs=1e-9)
-        assert b == pytest.approx((EXACT((y + step, x)) - EXACT((y - step, x))) / 2e-6, abs=1e-9)
+        assert a == pytest.approx(
+            (EXACT((y, x + step)) - EXACT((y, x - step))) / 2e-6, abs=1e-9
+        )
+        assert b == pytest.approx(
+            (EXACT((y + step, x)) - EXACT((y - step, x))) / 2e-6, abs=1e-9
+        )
 
 
 def test_beyond_its_edge_the_floor_continues_at_the_height_of_the_edge():
@@ -58,7 +67,9 @@ def test_an_empty_name_is_the_plane():
 
 
 SLOPE = np.radians(10.0)
-PLANE = np.tan(SLOPE) * np.tile((np.arange(5) - 2.0) * 0.5, (4, 1))  # 2 m x 1.5 m, rising along x
+PLANE = np.tan(SLOPE) * np.tile(
+    (np.arange(5) - 2.0) * 0.5, (4, 1)
+)  # 2 m x 1.5 m, rising along x
 TURN = Rotation.from_rotvec([0.0, -SLOPE, 0.0]).as_matrix()  # the plane's axes to odom
 
 
@@ -81,7 +92,9 @@ def maps(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("law", ["viscous", "bristle"])
 @pytest.mark.parametrize(("friction", "pulled"), [(0.4, 1.1), (0.1, 1.1), (0.3, 0.0)])
-def test_an_inclined_height_map_is_a_plane_under_tilted_gravity(maps, law, friction, pulled):
+def test_an_inclined_height_map_is_a_plane_under_tilted_gravity(
+    maps, law, friction, pulled
+):
     """For 0.5 s after a fall from 20 mm: standing, sliding, or lying on the torso's corners."""
     common = {
         "start__settle": 0.0,
@@ -101,7 +114,9 @@ def test_an_inclined_height_map_is_a_plane_under_tilted_gravity(maps, law, frict
     np.testing.assert_allclose(tilted.position, TURN @ flat.position, atol=1e-8)
     np.testing.assert_allclose(tilted.rotation, TURN @ flat.rotation, atol=1e-7)
     np.testing.assert_allclose(tilted.nodes, flat.nodes @ TURN.T, atol=1e-7)
-    np.testing.assert_allclose(tilted.ground_force, flat.ground_force @ TURN.T, atol=1e-3)
+    np.testing.assert_allclose(
+        tilted.ground_force, flat.ground_force @ TURN.T, atol=1e-3
+    )
     assert tilted.energy() == pytest.approx(flat.energy(), abs=1e-6)
     if pulled == 0.0:
         corners = flat.position + flat.model.torso.corners @ flat.rotation.T

@@ -43,7 +43,9 @@ def corners(H, g, torso, floor, pose):
 def test_rotation_matches_scipy(size):
     vector, out = size * np.array([2.0, -3.0, 6.0]) / 7.0, np.zeros((3, 3))
     rotate(out, vector)
-    np.testing.assert_allclose(out, Rotation.from_rotvec(vector).as_matrix(), atol=3e-16)
+    np.testing.assert_allclose(
+        out, Rotation.from_rotvec(vector).as_matrix(), atol=3e-16
+    )
 
 
 def test_solve_matches_numpy_and_detects_an_indefinite_matrix():
@@ -57,10 +59,16 @@ def test_solve_matches_numpy_and_detects_an_indefinite_matrix():
 
 def test_corner_forces_act_at_the_corners():
     """Force, moment and stiffness of a box with one edge below the floor, computed by hand."""
-    torso, floor = box(ROBOT.torso), FLOOR._replace(corner_damping=0.0, corner_friction=0.0)
+    torso, floor = (
+        box(ROBOT.torso),
+        FLOOR._replace(corner_damping=0.0, corner_friction=0.0),
+    )
     H, g = np.zeros((6, 6)), np.zeros(6)
     pitch = 0.02
-    up, half = np.array([np.sin(-pitch), 0.0, np.cos(pitch)]), np.array(ROBOT.torso.size) / 2
+    up, half = (
+        np.array([np.sin(-pitch), 0.0, np.cos(pitch)]),
+        np.array(ROBOT.torso.size) / 2,
+    )
     height = half[2]
     axes = np.array([np.cross([0.0, 1.0, 0.0], up), [0.0, 1.0, 0.0], up])
     corners(H, g, torso, floor, (np.array([0.0, 0.0, height]), axes))
@@ -101,7 +109,8 @@ def spinning(step, theta, angular_velocity, seconds, payload):
     centre = np.einsum("n,lni->i", sim.model.rod.mass, nodes) + payload[0] * load
     total = ROBOT.torso.mass + 4 * sim.model.rod.mass.sum() + payload[0]
     inertia += (
-        ROBOT.torso.inertia - (centre @ centre * np.eye(3) - np.outer(centre, centre)) / total
+        ROBOT.torso.inertia
+        - (centre @ centre * np.eye(3) - np.outer(centre, centre)) / total
     )
     sim.advance(round(seconds / step), np.zeros(4))
     return sim, inertia
@@ -113,9 +122,14 @@ def euler(inertia, start, seconds):
     def derivative(_, y):
         spin = y[9:]
         turn = y[:9].reshape(3, 3) @ np.cross(np.eye(3), spin)
-        return [*turn.ravel(), *np.linalg.solve(inertia, np.cross(inertia @ spin, spin))]
+        return [
+            *turn.ravel(),
+            *np.linalg.solve(inertia, np.cross(inertia @ spin, spin)),
+        ]
 
-    y = solve_ivp(derivative, (0, seconds), [*np.eye(3).ravel(), *start], rtol=1e-11, atol=1e-12)
+    y = solve_ivp(
+        derivative, (0, seconds), [*np.eye(3).ravel(), *start], rtol=1e-11, atol=1e-12
+    )
     return y.y[:9, -1].reshape(3, 3), y.y[9:, -1]
 
 
@@ -149,7 +163,9 @@ def test_momentum_with_a_payload_is_conserved_while_the_tendons_pull():
         sim.advance(round(0.4 / step), np.full(4, 1.5))
         after = sim.momentum()
         # For a payload off the centre the rotation within a step is not exact.
-        errors.append([np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(after, before)])
+        errors.append(
+            [np.linalg.norm(a - b) / np.linalg.norm(b) for a, b in zip(after, before)]
+        )
     assert np.max(errors[0]) < 1e-4
     assert (np.log2(np.array(errors[0]) / errors[1]) > 1.9).all()  # second order
 
@@ -180,7 +196,9 @@ def test_a_push_changes_angular_momentum_by_its_angular_impulse():
             expected += step * (np.cross((start + sim.position) / 2, force) + moment)
         errors.append(np.linalg.norm(sim.momentum()[1] - before - expected))
     assert errors[0] < 1e-5 * np.linalg.norm(expected)
-    assert np.log2(errors[0] / errors[1]) > 1.9  # second order, with the middle of each step
+    assert (
+        np.log2(errors[0] / errors[1]) > 1.9
+    )  # second order, with the middle of each step
 
 
 def test_the_forces_of_the_feet_balance_an_eccentric_payload():
@@ -194,15 +212,21 @@ def test_the_forces_of_the_feet_balance_an_eccentric_payload():
         "start.settle": 4.0,
         "start.tendon_angle_deg": 90.0,
     }
-    narrow = config.replace(ROBOT, {"leg.contact_width": 1e-4})  # m, a tip is nearly one point
+    narrow = config.replace(
+        ROBOT, {"leg.contact_width": 1e-4}
+    )  # m, a tip is nearly one point
     sim = RodRobot(narrow, config.replace(read_scene("flat"), changes), read_servo())
     sim.advance(6000, sim.tendon_angle)
     masses, nodes = sim.model.rod.mass, sim.nodes
-    centre = ROBOT.torso.mass * sim.position + mass * (sim.position + sim.rotation @ place)
+    centre = ROBOT.torso.mass * sim.position + mass * (
+        sim.position + sim.rotation @ place
+    )
     centre += np.einsum("n,lni->i", masses, nodes)
     centre /= ROBOT.torso.mass + mass + 4 * masses.sum()
     force = sim.ground_force
     moment = np.cross(nodes[:, -1] - centre, force).sum(0)
     scale = 0.1 * force[:, 2].sum()  # N m, the weight on an arm of 0.1 m
     np.testing.assert_allclose(moment, 0.0, atol=1e-4 * scale)
-    assert np.abs(force[:, 2] - force[:, 2].mean()).max() > 0.3  # the payload has an effect
+    assert (
+        np.abs(force[:, 2] - force[:, 2].mean()).max() > 0.3
+    )  # the payload has an effect

@@ -56,7 +56,9 @@ class SerialLine:
         self.now = max(self.now, min(self._coming[0][0] if self._coming else end, end))
 
     def read(self, length):
-        return bytes(self._coming.popleft()[1] for _ in range(min(length, self.in_waiting)))
+        return bytes(
+            self._coming.popleft()[1] for _ in range(min(length, self.in_waiting))
+        )
 
     def reset_input_buffer(self):
         self.read(self.in_waiting)
@@ -123,7 +125,9 @@ class DriverRig:
         return [servo.memory["torque_enable"] for servo in self.bus.servos]
 
     def faults(self):
-        return [line for servo in self.driver.health for line in servo.faults(armed=True)]
+        return [
+            line for servo in self.driver.health for line in servo.faults(armed=True)
+        ]
 
     def close(self):
         self.driver.close()
@@ -138,7 +142,9 @@ class TerminalRig(DriverRig):
 
     def port(self):
         self.terminal = PseudoTerminal(self.bus, self._link)
-        return SerialPort(self.terminal.name, self.settings.bus.baud, self.settings.bus.timeout)
+        return SerialPort(
+            self.terminal.name, self.settings.bus.baud, self.settings.bus.timeout
+        )
 
     def close(self):
         super().close()

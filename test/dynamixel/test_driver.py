@@ -27,11 +27,19 @@ def rig():
     ("register", "value", "reason"),
     [
         ("operating_mode", 16, "servo RL (id 2): operating_mode is 16, expected 3"),
-        ("max_position_limit", 4095, "servo RL (id 2): max_position_limit is 4095, expected"),
+        (
+            "max_position_limit",
+            4095,
+            "servo RL (id 2): max_position_limit is 4095, expected",
+        ),
         ("shutdown", 52, "servo RL (id 2): shutdown is 52, expected 53"),
         ("drive_mode", 8, "servo RL (id 2): drive_mode is 8, expected 0"),
         ("firmware_version", 37, "servo RL (id 2): firmware 37, expected 38 or newer"),
-        ("return_delay_time", 250, "servo RL (id 2): return_delay_time is 250, expected 0"),
+        (
+            "return_delay_time",
+            250,
+            "servo RL (id 2): return_delay_time is 250, expected 0",
+        ),
     ],
 )
 def test_a_servo_with_a_wrong_register_is_refused_by_name(rig, register, value, reason):
@@ -76,7 +84,9 @@ def test_activation_far_from_the_last_goal_is_without_motion(control):
 def test_activation_outside_the_limits_is_refused():
     rig = DriverRig(angles=(0.1, 0.2, -0.5, 0.4))
     rig.driver.configure()
-    with pytest.raises(RefusedError, match=r"servo RL \(id 2\): stands at .* outside its limits"):
+    with pytest.raises(
+        RefusedError, match=r"servo RL \(id 2\): stands at .* outside its limits"
+    ):
         rig.driver.activate()
     assert rig.torque() == [0] * 4
 
@@ -84,7 +94,9 @@ def test_activation_outside_the_limits_is_refused():
 def test_activation_with_a_hardware_error_is_refused_until_a_reboot(rig):
     rig.driver.configure()
     rig.fault("overload", "FR")
-    with pytest.raises(RefusedError, match=r"servo FR \(id 4\): hardware error: overload"):
+    with pytest.raises(
+        RefusedError, match=r"servo FR \(id 4\): hardware error: overload"
+    ):
         rig.driver.activate()
     assert rig.torque() == [0] * 4
     rig.driver.reboot("FR")
@@ -135,14 +147,20 @@ def test_gains_and_watchdog_are_those_of_the_configuration(rig):
 @pytest.mark.parametrize("direction", [(1, 1, 1, 1), (1, -1, 1, -1)])
 def test_the_tendons_reach_their_goals(control, direction):
     rig = DriverRig(
-        {"control": control, "joints.direction": direction, "joints.zero_deg": [180] * 4}
+        {
+            "control": control,
+            "joints.direction": direction,
+            "joints.zero_deg": [180] * 4,
+        }
     )
     rig.start()
     goals = (0.5, 1.0, 1.5, 1.9) if direction[1] == 1 else (0.3, 0.4, 0.5, 0.6)
     rig.run(1.5, goals)
     last = rig.driver.cycle()  # no time has passed since the run
     assert rig.legs.angles() == pytest.approx(goals, abs=3 * RAD_PER_COUNT)
-    assert [r.angle for r in last.readings] == pytest.approx(rig.legs.angles(), abs=ONE_COUNT)
+    assert [r.angle for r in last.readings] == pytest.approx(
+        rig.legs.angles(), abs=ONE_COUNT
+    )
 
 
 def test_the_host_pid_has_no_droop_under_load_but_the_servos_p_gain_has():
@@ -160,7 +178,14 @@ def test_the_host_pid_has_no_droop_under_load_but_the_servos_p_gain_has():
 
 
 @pytest.mark.parametrize(
-    "goals", [(1, 1, 1), (1, 1, math.nan, 1), (1, 1, 1, 2.1), (-0.1, 1, 1, 1), (math.inf, 1, 1, 1)]
+    "goals",
+    [
+        (1, 1, 1),
+        (1, 1, math.nan, 1),
+        (1, 1, 1, 2.1),
+        (-0.1, 1, 1, 1),
+        (math.inf, 1, 1, 1),
+    ],
 )
 def test_a_command_with_a_bad_angle_is_rejected_as_a_whole(rig, goals):
     rig.start()
@@ -186,7 +211,12 @@ def test_only_a_silent_servo_has_no_reading(rig):
     rig.fault("silent", "FL")
     cycles = rig.run(0.05, (0.5,) * 4)
     for cycle in cycles:
-        assert [reading is None for reading in cycle.readings] == [True, False, False, False]
+        assert [reading is None for reading in cycle.readings] == [
+            True,
+            False,
+            False,
+            False,
+        ]
     silence = [servo.silence(rig.time) for servo in rig.driver.health]
     assert silence[0] >= 0.05
     assert max(silence[1:]) < 0.02
@@ -207,7 +237,9 @@ def test_a_silent_servo_is_retried_in_its_first_cycle_only(rig):
 
 
 def test_damaged_answers_give_no_reading():
-    rig = DriverRig({"bus.timeout": 0.02}).start()  # a damaged length makes the driver wait
+    rig = DriverRig(
+        {"bus.timeout": 0.02}
+    ).start()  # a damaged length makes the driver wait
     rig.fault("corrupt", "all", 0.3)
     for _ in range(40):
         cycle = rig.driver.cycle()
@@ -224,8 +256,15 @@ def test_a_late_answer_is_not_mistaken_for_that_of_another_servo():
     rig.fault("late", "RR", 0.04)
     cycles = rig.run(0.05)
     for cycle in cycles:
-        assert [reading is None for reading in cycle.readings] == [False, False, False, True]
-        assert [r.angle for r in cycle.readings[:3]] == pytest.approx(STANDING[:3], abs=ONE_COUNT)
+        assert [reading is None for reading in cycle.readings] == [
+            False,
+            False,
+            False,
+            True,
+        ]
+        assert [r.angle for r in cycle.readings[:3]] == pytest.approx(
+            STANDING[:3], abs=ONE_COUNT
+        )
 
 
 def test_a_new_driver_clears_tripped_watchdogs_and_starts_without_motion(rig):
@@ -288,7 +327,9 @@ def test_an_error_answer_is_not_read_as_data(rig):
     with pytest.raises(InstructionError, match="exceeds the limit"):
         bus.write(5, "goal_position", 4095)
     rig.fault("silent", "FL")
-    with pytest.raises(CommunicationError, match=r"servo FL.*reading led.*no status packet"):
+    with pytest.raises(
+        CommunicationError, match=r"servo FL.*reading led.*no status packet"
+    ):
         bus.read(5, "led")
 
 
@@ -306,5 +347,7 @@ def test_a_zero_whose_limits_leave_the_turn_is_refused_and_changes_nothing(rig):
 
 
 def test_a_rate_that_the_servos_do_not_have_is_refused_with_those_that_they_have():
-    with pytest.raises(ConfigError, match=r"bus\.baud = 500000: expected one of 9600, 57600"):
+    with pytest.raises(
+        ConfigError, match=r"bus\.baud = 500000: expected one of 9600, 57600"
+    ):
         config.replace(read_settings(), {"bus.baud": 500000})

@@ -24,7 +24,9 @@ SDK = PacketHandler(2.0)
 BAUD = 1_000_000
 REACTION = 0.01  # s, in which a servo moves if it takes a damaged packet
 IDS = read_settings().joints.ids
-RANGES = [r for r in REGISTERS if r.writable and r.name != "bus_watchdog" and r.address < 168]
+RANGES = [
+    r for r in REGISTERS if r.writable and r.name != "bus_watchdog" and r.address < 168
+]
 
 
 def written(name, value):
@@ -36,7 +38,9 @@ def written_to_all(name, value):
     """Parameters that write a register of every servo."""
     entries = b"".join(bytes([i]) + TABLE[name].encode(value) for i in IDS)
     size = len(TABLE[name].encode(value))
-    return TABLE[name].address.to_bytes(2, "little") + size.to_bytes(2, "little") + entries
+    return (
+        TABLE[name].address.to_bytes(2, "little") + size.to_bytes(2, "little") + entries
+    )
 
 
 ADDRESS, SIZE = span(*FAST)
@@ -58,13 +62,16 @@ PACKETS = [  # the driver's, and those with the worst effects: torque off, reboo
 def valid(data):
     """Parts of `data` that are packets with a CRC valid by the SDK: at times by chance."""
     starts = [n for n in range(len(data)) if data.startswith(HEADER, n)]
-    frames = [data[n : n + int.from_bytes(data[n + 5 : n + 7], "little") + 7] for n in starts]
+    frames = [
+        data[n : n + int.from_bytes(data[n + 5 : n + 7], "little") + 7] for n in starts
+    ]
     return [
         frame
         for frame in frames
         if len(frame) >= 10
         and len(frame) == int.from_bytes(frame[5:7], "little") + 7
-        and SDK.updateCRC(0, list(frame), len(frame) - 2) == int.from_bytes(frame[-2:], "little")
+        and SDK.updateCRC(0, list(frame), len(frame) - 2)
+        == int.from_bytes(frame[-2:], "little")
     ]
 
 
@@ -88,7 +95,9 @@ def obey(packet):
     OBEYING.receive(packet, BAUD)
     OBEYING.advance(0.001)
     for servo, image in zip(OBEYING.servos, KEPT):
-        assert [r.name for r in RANGES if not r.low <= servo.memory[r.name] <= r.high] == []
+        assert [
+            r.name for r in RANGES if not r.low <= servo.memory[r.name] <= r.high
+        ] == []
         servo.load_image(image)
 
 
@@ -121,15 +130,21 @@ def test_no_damaged_packet_changes_or_moves_a_servo(data):
     ),
 )
 @examples(1000)
-def test_no_instruction_leaves_a_register_beyond_its_range(identity, instruction, parameters):
+def test_no_instruction_leaves_a_register_beyond_its_range(
+    identity, instruction, parameters
+):
     obey(build(identity, instruction, parameters))
 
 
-LINE = SimpleNamespace(unplugged=False, receive=lambda data, baud: [Reply(LINE.answer, 0.0)])
+LINE = SimpleNamespace(
+    unplugged=False, receive=lambda data, baud: [Reply(LINE.answer, 0.0)]
+)
 ONCE = config.replace(read_settings().bus, {"retries": 0})
 DRIVEN = Bus(MemoryPort(LINE, BAUD, time.monotonic), ONCE)
 HELD = ("present_load", "present_velocity", "present_position")
-STUFFED = st.lists(st.sampled_from([0, 1, 0xFD, 0xFF]), min_size=SIZE, max_size=SIZE).map(bytes)
+STUFFED = st.lists(
+    st.sampled_from([0, 1, 0xFD, 0xFF]), min_size=SIZE, max_size=SIZE
+).map(bytes)
 
 
 def read(answer, fast):
@@ -137,17 +152,26 @@ def read(answer, fast):
     LINE.answer = answer
     DRIVEN.clear_silent()
     found = DRIVEN.sync_read(IDS, *FAST, fast)
-    return {i: b"".join(TABLE[n].encode(a.values[n]) for n in HELD) for i, a in found.items()}
+    return {
+        i: b"".join(TABLE[n].encode(a.values[n]) for n in HELD)
+        for i, a in found.items()
+    }
 
 
 @given(st.data(), st.booleans(), st.tuples(*[STUFFED] * len(IDS)))
 @examples(1000)
 def test_no_damaged_reply_becomes_a_reading(data, fast, readings):
     replies = [(identity, 0, held) for identity, held in zip(IDS, readings)]
-    sent = [packet.fast_status(replies)] if fast else [packet.status(*reply) for reply in replies]
+    sent = (
+        [packet.fast_status(replies)]
+        if fast
+        else [packet.status(*reply) for reply in replies]
+    )
     truth = dict(zip(IDS, readings))
     found = read(b"".join(sent), fast)
-    lost = not fast and any(HEADER[:3] in held for held in readings)  # the SDK unstuffs in place
+    lost = not fast and any(
+        HEADER[:3] in held for held in readings
+    )  # the SDK unstuffs in place
     assert found == truth or (lost and found.items() <= truth.items())
     which = data.draw(st.integers(0, len(sent) - 1))
     damaged = [data.draw(spliced(d)) if n == which else d for n, d in enumerate(sent)]

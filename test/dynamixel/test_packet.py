@@ -55,13 +55,22 @@ EXAMPLES = [
     (status(2, 0, b"\x06\x04\x26"), "FFFFFD00 02 0700 55 00 060426 6F6D"),
     (build(1, Instruction.READ, b"\x84\0\4\0"), "FFFFFD00 01 0700 02 84000400 1D15"),
     (status(1, 0, b"\xa6\0\0\0"), "FFFFFD00 01 0800 55 00 A6000000 8CC0"),
-    (build(1, Instruction.WRITE, b"\x74\0\0\2\0\0"), "FFFFFD00 01 0900 03 740000020000 CA89"),
+    (
+        build(1, Instruction.WRITE, b"\x74\0\0\2\0\0"),
+        "FFFFFD00 01 0900 03 740000020000 CA89",
+    ),
     (status(1, 0), "FFFFFD00 01 0400 55 00 A10C"),
-    (build(1, Instruction.REG_WRITE, b"\x68\0\xc8\0\0\0"), "FFFFFD00 01 0900 04 6800C8000000 AE8E"),
+    (
+        build(1, Instruction.REG_WRITE, b"\x68\0\xc8\0\0\0"),
+        "FFFFFD00 01 0900 04 6800C8000000 AE8E",
+    ),
     (build(1, Instruction.ACTION), "FFFFFD00 01 0300 05 02CE"),
     (build(1, Instruction.FACTORY_RESET, b"\1"), "FFFFFD00 01 0400 06 01 A1E6"),
     (build(1, Instruction.REBOOT), "FFFFFD00 01 0300 08 2F4E"),
-    (build(1, Instruction.CLEAR, b"\x01\x44\x58\x4c\x22"), "FFFFFD00 01 0800 10 0144584C22 B1DC"),
+    (
+        build(1, Instruction.CLEAR, b"\x01\x44\x58\x4c\x22"),
+        "FFFFFD00 01 0800 10 0144584C22 B1DC",
+    ),
     (
         build(BROADCAST, Instruction.SYNC_READ, b"\x84\0\4\0\1\2"),
         "FFFFFD00 FE 0900 82 840004000102 CEFA",
@@ -125,7 +134,12 @@ def test_sdk_reads_a_stuffed_answer():
 
 
 def test_sdk_reads_the_answer_to_a_fast_sync_read():
-    values = {5: 2000, 4: 1, 2: 4095, 3: 0x00FDFFFF}  # a fast answer has no byte stuffing
+    values = {
+        5: 2000,
+        4: 1,
+        2: 4095,
+        3: 0x00FDFFFF,
+    }  # a fast answer has no byte stuffing
     replies = [(i, 0, v.to_bytes(4, "little")) for i, v in values.items()]
     wire = Wire(fast_status(replies))
     group = GroupSyncRead(wire, SDK, 132, 4)
@@ -137,8 +151,14 @@ def test_sdk_reads_the_answer_to_a_fast_sync_read():
 
 def test_parser_finds_packets_in_noise_fed_in_pieces_of_any_size():
     rng = np.random.default_rng(3)
-    packets = [build(int(rng.integers(253)), 3, rng.bytes(rng.integers(1, 30))) for _ in range(200)]
-    noise = [bytes(rng.integers(0, 0xF0, rng.integers(0, 20), dtype=np.uint8)) for _ in packets]
+    packets = [
+        build(int(rng.integers(253)), 3, rng.bytes(rng.integers(1, 30)))
+        for _ in range(200)
+    ]
+    noise = [
+        bytes(rng.integers(0, 0xF0, rng.integers(0, 20), dtype=np.uint8))
+        for _ in packets
+    ]
     stream = b"".join(n + p for n, p in zip(noise, packets))
     parser, found, at = Parser(), [], 0
     while at < len(stream):

@@ -37,7 +37,9 @@ def test_a_slow_latency_timer_is_refused_with_the_udev_rule_against_it(tmp_path)
     timer = tmp_path / "ttyUSB7" / "device" / "latency_timer"
     timer.parent.mkdir(parents=True)
     timer.write_text("16\n")
-    with pytest.raises(PortError, match=r"16 ms, limit 1 ms.*ATTR\{latency_timer\}=\"1\""):
+    with pytest.raises(
+        PortError, match=r"16 ms, limit 1 ms.*ATTR\{latency_timer\}=\"1\""
+    ):
         check_latency("/dev/ttyUSB7", 1, tmp_path)
     timer.write_text("1\n")
     assert check_latency("/dev/ttyUSB7", 1, tmp_path) == 1

@@ -47,7 +47,11 @@ def test_negative_values_are_twos_complement():
 def test_decode_span_leaves_out_partly_covered_registers():
     address, size = span("present_load", "present_position")
     assert (address, size) == (126, 10)
-    data = b"\xff\xff" + (-3).to_bytes(4, "little", signed=True) + (253).to_bytes(4, "little")
+    data = (
+        b"\xff\xff"
+        + (-3).to_bytes(4, "little", signed=True)
+        + (253).to_bytes(4, "little")
+    )
     assert decode_span(126, data) == {
         "present_load": -1,
         "present_velocity": -3,

@@ -75,7 +75,12 @@ def run(bus, time, loads=(0.0,) * 4, step=0.001):
 
 def test_ping_returns_model_and_firmware(bus):
     assert send(bus, 5, Instruction.PING) == [(5, 0, b"\x24\x04\x2d")]  # 1060, 45
-    assert [answer[0] for answer in send(bus, BROADCAST, Instruction.PING)] == [2, 3, 4, 5]
+    assert [answer[0] for answer in send(bus, BROADCAST, Instruction.PING)] == [
+        2,
+        3,
+        4,
+        5,
+    ]
     assert send(bus, 9, Instruction.PING) == []
 
 
@@ -99,7 +104,9 @@ def test_servos_at_another_baud_rate_do_not_answer(bus):
         ("model_number", 1, Error.ACCESS),
     ],
 )
-def test_a_write_is_rejected_with_the_error_number_of_the_manual(bus, name, value, error):
+def test_a_write_is_rejected_with_the_error_number_of_the_manual(
+    bus, name, value, error
+):
     before = read(bus, name)
     assert write(bus, name, value) == error
     assert read(bus, name) == (before if error else value)
@@ -160,7 +167,9 @@ def test_a_registered_write_is_executed_by_action(bus):
 def test_sync_and_bulk_instructions_address_the_named_servos(bus):
     sync = region("goal_position") + b"\5\xe8\3\0\0\4\xd0\7\0\0"
     assert send(bus, BROADCAST, Instruction.SYNC_WRITE, sync) == []
-    answers = send(bus, BROADCAST, Instruction.SYNC_READ, region("goal_position") + b"\4\5")
+    answers = send(
+        bus, BROADCAST, Instruction.SYNC_READ, region("goal_position") + b"\4\5"
+    )
     assert answers == [(4, 0, b"\xd0\7\0\0"), (5, 0, b"\xe8\3\0\0")]
     bulk = b"\5\x41\0\1\0\1" + b"\4\x64\0\2\0\x0a\0"
     assert send(bus, BROADCAST, Instruction.BULK_WRITE, bulk) == []
@@ -170,14 +179,18 @@ def test_sync_and_bulk_instructions_address_the_named_servos(bus):
 
 
 def test_fast_sync_read_is_answered_in_one_packet(bus):
-    request = build(BROADCAST, Instruction.FAST_SYNC_READ, region("present_position") + b"\5\3")
+    request = build(
+        BROADCAST, Instruction.FAST_SYNC_READ, region("present_position") + b"\5\3"
+    )
     (reply,) = bus.receive(request, BAUD)
     assert reply.data == fast_status([(5, 0, b"\0\x08\0\0"), (3, 0, b"\0\x08\0\0")])
 
 
 def test_a_fast_read_longer_than_a_packet_is_not_answered(bus):
     request = b"\x84\0\xff\xff\5\4"
-    assert bus.receive(build(BROADCAST, Instruction.FAST_SYNC_READ, request), BAUD) == []
+    assert (
+        bus.receive(build(BROADCAST, Instruction.FAST_SYNC_READ, request), BAUD) == []
+    )
 
 
 def test_servos_after_a_silent_one_in_a_sync_read_do_not_answer(bus):
@@ -187,7 +200,9 @@ def test_servos_after_a_silent_one_in_a_sync_read_do_not_answer(bus):
     assert [answer[0] for answer in answers] == [5]
     answers = send(bus, BROADCAST, Instruction.SYNC_READ, read_led + b"\5\2\3\4")
     assert [answer[0] for answer in answers] == [5, 2, 3]
-    (reply,) = bus.receive(build(BROADCAST, Instruction.FAST_SYNC_READ, read_led + b"\5\4"), BAUD)
+    (reply,) = bus.receive(
+        build(BROADCAST, Instruction.FAST_SYNC_READ, read_led + b"\5\4"), BAUD
+    )
     assert len(reply.data) < 8 + 2 * 5  # shorter than its length field says
     assert not list(Parser().feed(reply.data))
 
@@ -195,7 +210,9 @@ def test_servos_after_a_silent_one_in_a_sync_read_do_not_answer(bus):
 def test_indirect_data_is_an_alias_of_the_indirect_address(bus):
     for k in range(4):
         address = TABLE[f"indirect_address_{k + 1}"].address.to_bytes(2, "little")
-        assert send(bus, 5, Instruction.WRITE, address + bytes([116 + k, 0])) == [(5, 0, b"")]
+        assert send(bus, 5, Instruction.WRITE, address + bytes([116 + k, 0])) == [
+            (5, 0, b"")
+        ]
     data = TABLE["indirect_data_1"].address.to_bytes(2, "little")
     assert send(bus, 5, Instruction.WRITE, data + b"\0\4\0\0") == [(5, 0, b"")]
     assert read(bus, "goal_position") == 1024
@@ -226,7 +243,9 @@ def test_factory_reset_keeps_the_id_if_asked_and_rejects_a_full_broadcast(bus):
 def test_watchdog_stops_the_servo_and_rejects_goals_until_cleared(bus, mode):
     write(bus, "operating_mode", mode)
     write(bus, "torque_enable", 1)
-    goal, value = ("goal_position", 4000) if mode is Mode.POSITION else ("goal_pwm", 885)
+    goal, value = (
+        ("goal_position", 4000) if mode is Mode.POSITION else ("goal_pwm", 885)
+    )
     write(bus, goal, value)
     write(bus, "bus_watchdog", 5)  # 100 ms
     run(bus, 0.099)
@@ -268,7 +287,10 @@ def test_hardware_errors_switch_torque_off_until_reboot(bus, kind):
     assert read(bus, "hardware_error_status") == bit
     send(bus, 5, Instruction.REBOOT)
     run(bus, 0.5)
-    assert (read(bus, "hardware_error_status"), write(bus, "torque_enable", 1)) == (0, 0)
+    assert (read(bus, "hardware_error_status"), write(bus, "torque_enable", 1)) == (
+        0,
+        0,
+    )
 
 
 def test_a_stalled_servo_switches_torque_off_by_overload(bus):
@@ -293,13 +315,21 @@ def kernel_rate(law, drive, command, angle, h):
 
 def test_position_loop_follows_the_simulators_servo():
     """Same motor and P gain as the simulator's `pid`, which has no encoder steps."""
-    gains = {"proportional": 800 / 128 / 885 / RAD_PER_COUNT, "integral": 0.0, "derivative": 0.0}
+    gains = {
+        "proportional": 800 / 128 / 885 / RAD_PER_COUNT,
+        "integral": 0.0,
+        "derivative": 0.0,
+    }
     settings = config.replace(read_servo(), {"model": "pid"} | gains)
     model = read_emulator().servo
     law = servo(settings, model.voltage)
     motor = Motor(model.voltage, law.speed, 1 / law.speed_loss, law.motor_time)
     one = EmulatedServo(5, model, motor, HALF)
-    for name, value in (("position_p_gain", 800), ("position_d_gain", 0), ("torque_enable", 1)):
+    for name, value in (
+        ("position_p_gain", 800),
+        ("position_d_gain", 0),
+        ("torque_enable", 1),
+    ):
         one.memory[name] = value
     goal = COUNTS // 2 + 800
     one.memory["goal_position"] = goal
@@ -309,7 +339,9 @@ def test_position_loop_follows_the_simulators_servo():
         command = goal * RAD_PER_COUNT
         angle += 1e-3 * kernel_rate(law, drive, command, angle, 1e-3)
         worst = max(worst, abs(one.shaft.angle - angle))
-    assert worst < 2 * RAD_PER_COUNT  # the encoder rounds down: one count, and the response to it
+    assert (
+        worst < 2 * RAD_PER_COUNT
+    )  # the encoder rounds down: one count, and the response to it
     droop = 0.5 * law.speed_loss / settings.proportional  # of a P controller under load
     assert command - angle == pytest.approx(droop, rel=1e-6)
 
@@ -319,7 +351,9 @@ def test_position_loop_follows_the_simulators_servo():
     ("voltage", "stall", "rpm", "current"),
     [(9.0, 1.0, 47.0, 1.0), (11.1, 1.4, 57.0, 1.3), (12.0, 1.5, 61.0, 1.4)],
 )
-def test_speed_stall_torque_and_heat_are_those_of_the_supply_voltage(voltage, stall, rpm, current):
+def test_speed_stall_torque_and_heat_are_those_of_the_supply_voltage(
+    voltage, stall, rpm, current
+):
     supplied = config.replace(read_emulator(), {"servo.voltage": voltage})
     bus = EmulatedBus(supplied, (5, 4, 2, 3), (HALF,) * 4)
     write(bus, "operating_mode", Mode.PWM)
@@ -347,7 +381,9 @@ def test_speed_stall_torque_and_heat_are_those_of_the_supply_voltage(voltage, st
 
 def test_a_bus_is_not_emulated_at_a_voltage_without_figures_of_the_motor():
     supplied = config.replace(read_emulator(), {"servo.voltage": 8.0})
-    with pytest.raises(ConfigError, match=r"supply_voltage = 8\.0: outside \[9\.0, 12\.0\] V"):
+    with pytest.raises(
+        ConfigError, match=r"supply_voltage = 8\.0: outside \[9\.0, 12\.0\] V"
+    ):
         EmulatedBus(supplied, (5, 4, 2, 3), (HALF,) * 4)
 
 
@@ -375,7 +411,9 @@ def test_emulated_legs_convert_to_tendon_angles_and_torques():
     assert legs.angles() == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=1e-12)
     for _ in range(500):
         before = legs.angles()
-        legs.advance(0.001, [0.5] * 4)  # torque off: the tendons unwind, for both directions
+        legs.advance(
+            0.001, [0.5] * 4
+        )  # torque off: the tendons unwind, for both directions
     assert np.all(legs.angles() < [0.0, 0.1, 0.2, 0.3])
     assert np.all(legs.angles() < before)  # they still do
 
@@ -384,10 +422,14 @@ def test_joint_conversions_are_inverse_to_each_other():
     settings = dataclasses.replace(read_settings().joints, direction=(1, -1, 1, -1))
     for joint in joints(settings):
         for angle in (0.0, 1.0, 2.029):
-            assert joint.tendon(joint.counts(angle)) == pytest.approx(angle, abs=RAD_PER_COUNT)
+            assert joint.tendon(joint.counts(angle)) == pytest.approx(
+                angle, abs=RAD_PER_COUNT
+            )
         assert joint.tendon_torque(joint.servo_torque(0.3)) == pytest.approx(0.3)
         assert joint.counts(0.0) == round(130 / 360 * 4096)
     with pytest.raises(ValueError, match="two servos with one id"):
         joints(dataclasses.replace(settings, ids=(1, 1, 2, 3)))
     with pytest.raises(ValueError, match="not within one turn"):
-        joints(dataclasses.replace(settings, zero_deg=(300.0,) * 4, direction=(1, 1, 1, 1)))
+        joints(
+            dataclasses.replace(settings, zero_deg=(300.0,) * 4, direction=(1, 1, 1, 1))
+        )

@@ -5,9 +5,18 @@ from pathlib import Path
 import pytest
 
 MODULES = (
-    "argparse", "json", "multiprocessing", "numpy", "os", "random", "re", "rclpy", "signal",
-    "slot_core", "yaml",
-)  # fmt: skip
+    "argparse",
+    "json",
+    "multiprocessing",
+    "numpy",
+    "os",
+    "random",
+    "re",
+    "rclpy",
+    "signal",
+    "slot_core",
+    "yaml",
+)
 
 
 class Caller:
@@ -19,11 +28,16 @@ class Caller:
             line = f"open({str(self._ran)!r}, 'a').write('{name} ')\nprint('my own script')\n"
             (folder / f"{name}.py").write_text(line)
         self.python = {
-            "MPLBACKEND": "module://own", "PYTHONDEVMODE": "1", "PYTHONHASHSEED": "own",
-            "PYTHONHOME": "/nowhere", "PYTHONINSPECT": "1", "PYTHONOPTIMIZE": "2",
-            "PYTHONPATH": f"{folder}:", "PYTHONSTARTUP": str(folder / "random.py"),
+            "MPLBACKEND": "module://own",
+            "PYTHONDEVMODE": "1",
+            "PYTHONHASHSEED": "own",
+            "PYTHONHOME": "/nowhere",
+            "PYTHONINSPECT": "1",
+            "PYTHONOPTIMIZE": "2",
+            "PYTHONPATH": f"{folder}:",
+            "PYTHONSTARTUP": str(folder / "random.py"),
             "PYTHONWARNINGS": "error",
-        }  # fmt: skip
+        }
 
     @property
     def ran(self) -> str:

@@ -13,7 +13,9 @@ PERIOD = 0.02  # s between two questions
 def ask() -> None:
     node = rclpy.create_node("ask")
     answers: list[str] = []
-    node.create_subscription(String, "answer", lambda message: answers.append(message.data), 10)
+    node.create_subscription(
+        String, "answer", lambda message: answers.append(message.data), 10
+    )
     questions = node.create_publisher(String, "question", 10)
     node.create_timer(PERIOD, lambda: questions.publish(String(data="are you there?")))
     while not answers:
@@ -24,7 +26,9 @@ def ask() -> None:
 def answer() -> None:
     node = rclpy.create_node("answer")
     answers = node.create_publisher(String, "answer", 10)
-    node.create_subscription(String, "question", lambda _: answers.publish(String(data="yes")), 10)
+    node.create_subscription(
+        String, "question", lambda _: answers.publish(String(data="yes")), 10
+    )
     rclpy.spin(node)
 
 

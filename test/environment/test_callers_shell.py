@@ -19,8 +19,12 @@ def environment(mode, given):
     """Environment after sourcing scripts/env in a mode; "": as in a shell of the caller."""
     shell = subprocess.run(
         ["bash", "-c", f". scripts/env {mode} && env -0"],
-        cwd=ROOT, env={"PATH": os.defpath} | given, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        cwd=ROOT,
+        env={"PATH": os.defpath} | given,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return dict(entry.split("=", 1) for entry in shell.stdout.split("\0") if entry)
 
 
@@ -50,27 +54,45 @@ def test_a_shell_of_the_callers_own_keeps_its_python(caller):
     after = environment("", caller.python)
     assert "PYTHONSAFEPATH" not in after
     assert str(caller.folder) in after["PYTHONPATH"].split(":")
-    assert caller.python.items() - after.items() == {("PYTHONPATH", caller.python["PYTHONPATH"])}
+    assert caller.python.items() - after.items() == {
+        ("PYTHONPATH", caller.python["PYTHONPATH"])
+    }
 
 
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda path: path.name)
 def test_every_program_is_isolated(program):
     lines = [line.strip() for line in program.read_text().splitlines()]
-    sourced = [line for line in lines if line.startswith(". ") and "/scripts/help" not in line]
-    assert all(line.endswith(("scripts/env --underlay", 'env" --isolated', "env --isolated"))
-               for line in sourced)  # fmt: skip
+    sourced = [
+        line for line in lines if line.startswith(". ") and "/scripts/help" not in line
+    ]
+    assert all(
+        line.endswith(("scripts/env --underlay", 'env" --isolated', "env --isolated"))
+        for line in sourced
+    )
 
 
 def test_a_graph_walks_in_a_folder_with_modules_of_the_callers_own(caller):
     """Its processes are the runner and the nodes; the bag's name has quotes and spaces."""
     name = 'it\'s a "bag" of ü: 1'
     program = os.path.relpath(ROOT / "scripts/run", caller.folder)
-    given = {"PATH": os.environ["PATH"], "ROS_DOMAIN_ID": process_domain(), "CDPATH": "/"}
+    given = {
+        "PATH": os.environ["PATH"],
+        "ROS_DOMAIN_ID": process_domain(),
+        "CDPATH": "/",
+    }
     done = subprocess.run(
-        ["bash", "-c", f"{program} --lockstep --duration 0.5 --bag {shlex.quote(name)}"],
-        cwd=caller.folder, env=given | caller.python | {"ROS_SECURITY_ENABLE": "true"},
-        stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            "bash",
+            "-c",
+            f"{program} --lockstep --duration 0.5 --bag {shlex.quote(name)}",
+        ],
+        cwd=caller.folder,
+        env=given | caller.python | {"ROS_SECURITY_ENABLE": "true"},
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert not caller.ran
     assert "my own script" not in done.stdout + done.stderr

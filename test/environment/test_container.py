@@ -19,11 +19,15 @@ LAUNCH = {"robot": "slot.launch.py", "camera": "d435_rtabmap.launch.py"}
 
 def launched(service, record):
     """Words of the command that the container runs; compose replaces ${NAME:-default} and $$."""
-    text = re.sub(r"(?<!\\$)\$\{\w+:-(.*?)\}", r"\1", ROBOTS[service]["command"]).replace("$$", "$")
+    text = re.sub(
+        r"(?<!\\$)\$\{\w+:-(.*?)\}", r"\1", ROBOTS[service]["command"]
+    ).replace("$$", "$")
     bash, option, script = shlex.split(text)
     echoed = script.replace("exec ros2", "echo ros2")
     environment = {"PATH": "/usr/bin:/bin", "SLOT_RECORD": record}
-    return subprocess.check_output([bash, option, echoed], text=True, env=environment).split()
+    return subprocess.check_output(
+        [bash, option, echoed], text=True, env=environment
+    ).split()
 
 
 @pytest.mark.parametrize(("record", "bags"), [("1", 1), ("", 0)])
@@ -40,7 +44,9 @@ def test_the_container_of_the_robot_records_to_the_host(service, record, bags):
 
 
 def test_every_service_is_built_from_a_stage_of_the_dockerfile():
-    stages = re.findall(r"^FROM \S+ AS (\w+)$", (ROOT / "docker/Dockerfile").read_text(), re.M)
+    stages = re.findall(
+        r"^FROM \S+ AS (\w+)$", (ROOT / "docker/Dockerfile").read_text(), re.M
+    )
     targets = {service["build"]["target"] for service in COMPOSE["services"].values()}
     assert targets == {"slot", "camera"} <= set(stages)
     assert stages[-1] == "slot"  # what a build without a target makes
@@ -48,7 +54,9 @@ def test_every_service_is_built_from_a_stage_of_the_dockerfile():
 
 def test_an_image_without_git_names_its_commit(monkeypatch, tmp_path):
     assert "SLOT_REVISION" in COMPOSE["x-slot"]["build"]["args"]
-    assert "ENV SLOT_REVISION=$SLOT_REVISION" in (ROOT / "docker/Dockerfile").read_text()
+    assert (
+        "ENV SLOT_REVISION=$SLOT_REVISION" in (ROOT / "docker/Dockerfile").read_text()
+    )
     monkeypatch.setattr(origin, "__file__", str(tmp_path / "origin.py"))
     monkeypatch.setenv("SLOT_REVISION", "1234abc-dirty")
     assert origin.revision() == "1234abc-dirty"

@@ -30,13 +30,22 @@ HOSTILE = {
 
 # strace -yy prints the socket in angle brackets, with the address that it is bound to.
 SENT = re.compile(r"^(?:sendto|sendmsg|sendmmsg|connect)\(.*")
-RECEIVED = re.compile(r"^(?:recvfrom|recvmsg|recvmmsg|accept4?)\(\d+<(?:UDP|TCP)[^:]*:\[(\S+):\d+")
+RECEIVED = re.compile(
+    r"^(?:recvfrom|recvmsg|recvmmsg|accept4?)\(\d+<(?:UDP|TCP)[^:]*:\[(\S+):\d+"
+)
 BOUND = re.compile(r"^bind\(.*")
 SHARED = re.compile(r'^openat\(.*"/dev/shm/([\w.]*fast\w*)"')  # of Fast DDS
-BUFFER = re.compile(r"^setsockopt\(\d+<UDP\S+, SOL_SOCKET, SO_RCVBUF, \[(\d+)\]")  # bytes
+BUFFER = re.compile(
+    r"^setsockopt\(\d+<UDP\S+, SOL_SOCKET, SO_RCVBUF, \[(\d+)\]"
+)  # bytes
 ADDRESS = re.compile(r'inet_addr\("([^"]+)"\)|inet_pton\(AF_INET6, "([^"]+)"')
 FAMILY = re.compile(r"sa_family=(\w+)")
-FAMILIES = {"AF_INET", "AF_INET6", "AF_UNIX", "AF_NETLINK"}  # the last two stay on the machine
+FAMILIES = {
+    "AF_INET",
+    "AF_INET6",
+    "AF_UNIX",
+    "AF_NETLINK",
+}  # the last two stay on the machine
 
 
 def environment(**given: str) -> dict[str, str]:
@@ -85,7 +94,15 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> str:
     assert python
 
     def start(role: str) -> subprocess.Popen[str]:
-        tracer = [strace, "-ff", "-yy", "-e", "trace=network,openat", "-o", str(folder / role)]
+        tracer = [
+            strace,
+            "-ff",
+            "-yy",
+            "-e",
+            "trace=network,openat",
+            "-o",
+            str(folder / role),
+        ]
         return subprocess.Popen(
             [*tracer, python, str(PEER), role],
             env=variables,
@@ -119,10 +136,14 @@ def stop(process: subprocess.Popen[str]) -> None:
 def test_two_communicating_processes_send_receive_and_bind_on_the_loopback_only(trace):
     sent, bound = (list(named_in(calls, trace)) for calls in (SENT, BOUND))
     received = [m[1].strip("[]") for m in map(RECEIVED.match, trace.splitlines()) if m]
-    assert any(address.startswith("127.") for address in sent)  # they did use the network
+    assert any(
+        address.startswith("127.") for address in sent
+    )  # they did use the network
     assert bound
     assert received
-    assert not [address for address in sent + bound + received if not is_loopback(address)]
+    assert not [
+        address for address in sent + bound + received if not is_loopback(address)
+    ]
 
 
 def test_two_communicating_processes_open_no_segment_of_shared_memory(trace):
@@ -134,7 +155,9 @@ def test_two_communicating_processes_open_no_segment_of_shared_memory(trace):
 
 def test_the_sockets_hold_what_arrives_while_a_process_waits_for_a_processor(trace):
     # The default of 200 kB lost messages within 40 ms, on a topic with a history of one for good.
-    sizes = [int(match.group(1)) for match in map(BUFFER.match, trace.splitlines()) if match]
+    sizes = [
+        int(match.group(1)) for match in map(BUFFER.match, trace.splitlines()) if match
+    ]
     assert max(sizes) >= 4 << 20  # the kernel grants net.core.rmem_max
 
 
@@ -151,7 +174,11 @@ def test_the_environment_keeps_dds_on_the_loopback_whatever_the_caller_has_set()
     assert Path(variables["FASTRTPS_DEFAULT_PROFILES_FILE"]) == profile
     assert profile.exists()
     unset = HOSTILE.keys() - environment().keys()
-    assert unset >= {"ROS_STATIC_PEERS", "ROS_DISCOVERY_SERVER", "FASTDDS_BUILTIN_TRANSPORTS"}
+    assert unset >= {
+        "ROS_STATIC_PEERS",
+        "ROS_DISCOVERY_SERVER",
+        "FASTDDS_BUILTIN_TRANSPORTS",
+    }
     assert unset >= {
         "ROS_SECURITY_ENABLE",
         "ROS_SECURITY_KEYSTORE",
@@ -171,4 +198,7 @@ def test_slot_network_unsets_the_loopback_settings_of_an_earlier_sourcing():
 
 
 def test_an_unknown_value_of_slot_network_keeps_dds_on_the_loopback():
-    assert environment(SLOT_NETWORK="yes")["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
+    assert (
+        environment(SLOT_NETWORK="yes")["ROS_AUTOMATIC_DISCOVERY_RANGE"]
+        == "SYSTEM_DEFAULT"
+    )

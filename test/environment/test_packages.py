@@ -15,23 +15,44 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = {
     name: ROOT / path
     for name, path in {
-        "slot_core": "src/slot_core", "slot_lab": "src/slot_lab", "slot_nodes": "src/slot_nodes",
+        "slot_core": "src/slot_core",
+        "slot_lab": "src/slot_lab",
+        "slot_nodes": "src/slot_nodes",
         "slot_bringup": "slot_bringup",
     }.items()
-}  # fmt: skip
+}
 # Keys of rosdep by what is imported; other names are those of ROS packages.
 KEYS = {
-    "clarabel": "python3-clarabel-pip", "cv2": "python3-opencv", "llvmlite": "python3-numba",
-    "matplotlib": "python3-matplotlib", "mcap": "python3-mcap-pip", "numba": "python3-numba",
-    "numpy": "python3-numpy", "PIL": "python3-pil", "setproctitle": "python3-setproctitle",
-    "rosbags": "python3-rosbags-pip", "scipy": "python3-scipy", "serial": "python3-serial",
+    "clarabel": "python3-clarabel-pip",
+    "cv2": "python3-opencv",
+    "llvmlite": "python3-numba",
+    "matplotlib": "python3-matplotlib",
+    "mcap": "python3-mcap-pip",
+    "numba": "python3-numba",
+    "numpy": "python3-numpy",
+    "PIL": "python3-pil",
+    "setproctitle": "python3-setproctitle",
+    "rosbags": "python3-rosbags-pip",
+    "scipy": "python3-scipy",
+    "serial": "python3-serial",
     "yaml": "python3-yaml",
-}  # fmt: skip
+}
 OPTIONAL = {  # of the extras --bench, --play and --learn of scripts/setup
-    "cma", "distributed", "gymnasium", "onnx", "onnxruntime", "viser", "websockets",
-}  # fmt: skip
+    "cma",
+    "distributed",
+    "gymnasium",
+    "onnx",
+    "onnxruntime",
+    "viser",
+    "websockets",
+}
 STARTED = {  # by the launch files, or part of the build
-    "slot_bringup": {"robot_state_publisher", "ros2bag", "ros2launch", "rosbag2_storage_mcap"},
+    "slot_bringup": {
+        "robot_state_publisher",
+        "ros2bag",
+        "ros2launch",
+        "rosbag2_storage_mcap",
+    },
 }
 CONFIG = ROOT / "config"
 OWN_KEYS = ROOT / "scripts/rosdep.yaml"
@@ -47,15 +68,25 @@ def test_colcon_test_runs_every_test_in_one_package_with_the_same_settings():
     expected, found = ini(ROOT / "test/pytest.ini"), []
     for folder in PACKAGES.values():
         settings = ini(folder / "pytest.ini")
-        found += [(folder / name).resolve() for name in settings.pop("testpaths").split()]
+        found += [
+            (folder / name).resolve() for name in settings.pop("testpaths").split()
+        ]
         assert (folder / settings.pop("pythonpath")).resolve() == ROOT / "scripts"
         assert settings.pop("addopts") == f'{expected["addopts"]} -m "not real_time"'
         assert settings == {name: expected[name] for name in settings}
-        assert 'extras_require={"test": ["pytest"]}' in (folder / "setup.py").read_text()
+        assert (
+            'extras_require={"test": ["pytest"]}' in (folder / "setup.py").read_text()
+        )
     assert len(found) == len(set(found))
-    files = {Path(folder, name) for folder, _, names in os.walk(ROOT / "test") for name in names}
+    files = {
+        Path(folder, name)
+        for folder, _, names in os.walk(ROOT / "test")
+        for name in names
+    }
     tests = {f for f in files if f.match("test_*.py") and f.parent.name != "real_time"}
-    assert tests == {f for f in tests if not found or any(f.is_relative_to(p) for p in found)}
+    assert tests == {
+        f for f in tests if not found or any(f.is_relative_to(p) for p in found)
+    }
     assert all(path.exists() for path in found)
 
 
@@ -94,7 +125,14 @@ def test_keys_that_rosdep_lacks_stand_in_a_list_of_our_own():
 
 def test_the_configuration_is_installed_as_files_of_its_package(tmp_path):
     """In the sources it is a link that leads out of the package."""
-    command = [sys.executable, "setup.py", "-q", "build_py", "--build-lib", str(tmp_path)]
+    command = [
+        sys.executable,
+        "setup.py",
+        "-q",
+        "build_py",
+        "--build-lib",
+        str(tmp_path),
+    ]
     subprocess.run(command, cwd=PACKAGES["slot_core"], check=True)
     installed = tmp_path / "slot_core" / "defaults"
     found = {p.relative_to(installed) for p in installed.rglob("*") if p.is_file()}

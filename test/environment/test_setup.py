@@ -83,7 +83,9 @@ class Copy:
         bin_ = self.stubs / "bin"
         bin_.mkdir(parents=True)
         (self.stubs / "setup.bash").write_text('export PYTHONPATH="$STUBS"\n')
-        (self.root / "src/slot_core/slot_core/simulation/warm_up.py").write_text(WARM_UP)
+        (self.root / "src/slot_core/slot_core/simulation/warm_up.py").write_text(
+            WARM_UP
+        )
         executable(bin_ / "colcon", COLCON)
         for tool in ("cmake", "g++", "git", "make", "strace", "chromium"):
             (bin_ / tool).symlink_to("/bin/true")
@@ -180,7 +182,9 @@ def test_an_interrupted_setup_continues_with_the_interrupted_phase(copy):
     hold.unlink()
     assert copy.setup()[0] == 0
     assert copy.calls == ["build", "build"]  # the interrupted phase is repeated,
-    assert (copy.home / "venv/.stamp").stat().st_mtime_ns == venv  # the finished one is not
+    assert (
+        copy.home / "venv/.stamp"
+    ).stat().st_mtime_ns == venv  # the finished one is not
     assert copy.setup() == (0, "")
 
 
@@ -217,7 +221,9 @@ def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup
         ("config/scene/new.yaml", False),
     ],
 )
-def test_the_workspace_is_rebuilt_only_for_files_that_are_not_linked(ready, path, rebuilt):
+def test_the_workspace_is_rebuilt_only_for_files_that_are_not_linked(
+    ready, path, rebuilt
+):
     assert ready.setup()[0] == 0
     builds = len(ready.calls)
     with (ready.root / path).open("a") as file:
@@ -235,7 +241,9 @@ def test_two_concurrent_setups_build_once(ready):
 
 
 @pytest.mark.parametrize("extra", ["test", "bench", "docs", "play", "learn"])
-def test_extra_packages_are_installed_once_and_again_when_their_pins_change(ready, extra):
+def test_extra_packages_are_installed_once_and_again_when_their_pins_change(
+    ready, extra
+):
     output = f"setup: installing the packages for --{extra} (about 10 s)\n"
     assert ready.setup(f"--{extra}") == (0, output)
     assert ready.setup(f"--{extra}") == (0, "")
@@ -263,8 +271,9 @@ def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_comman
     status, output = copy.setup()
     assert status == 0, output
     assert copy.calls[:2] == [
-        "apt-get -q update", "apt-get -q -y install --no-install-recommends cmake"
-    ]  # fmt: skip
+        "apt-get -q update",
+        "apt-get -q -y install --no-install-recommends cmake",
+    ]
 
 
 def test_modules_in_the_callers_folder_name_no_packages(copy, caller):
@@ -281,7 +290,9 @@ def test_only_names_of_debian_packages_reach_apt_get(copy):
     copy.restrict_tools()
     (copy.stubs / "sudoer").touch()
     talking = copy.stubs / "talking"  # a Python that says more than it is asked
-    executable(talking, "#!/bin/bash\necho 'my own; script'\n[[ $* = *version_info* ]]\n")
+    executable(
+        talking, "#!/bin/bash\necho 'my own; script'\n[[ $* = *version_info* ]]\n"
+    )
     (copy.stubs / "bin/python3").unlink()
     executable(copy.stubs / "bin/python3", f"#!/bin/bash\necho {talking}\n")
     refusal = "setup: 'my own; script' is no name of a Debian package\n"
@@ -306,13 +317,17 @@ case $* in --version) echo uv ;; *) echo "uv $UV_DEFAULT_INDEX $SSL_CERT_FILE $H
 def with_uv(copy: Copy) -> None:
     """Another clone of the user has fetched uv."""
     del copy.variables["SLOT_PIP"]
-    digest = hashlib.sha256((copy.root / "scripts/requirements/uv.txt").read_bytes()).hexdigest()
+    digest = hashlib.sha256(
+        (copy.root / "scripts/requirements/uv.txt").read_bytes()
+    ).hexdigest()
     folder = Path(copy.variables["XDG_CACHE_HOME"]) / "slot" / f"uv-{digest[:16]}"
     folder.mkdir(parents=True)
     executable(folder / "uv", UV)
 
 
-def test_uv_of_another_clone_installs_with_hashes_over_the_network_that_pip_would_use(copy):
+def test_uv_of_another_clone_installs_with_hashes_over_the_network_that_pip_would_use(
+    copy,
+):
     with_uv(copy)
     settings = copy.root / "pip.conf"
     settings.write_text(
@@ -360,7 +375,9 @@ def full_disk_is_named(copy: Copy, lines: int) -> None:
 
 @pytest.mark.parametrize("reason", ["No space left on device", "Disk quota exceeded"])
 def test_full_disk_is_named_in_one_line(copy, reason):
-    executable(copy.stubs / "bin/colcon", f"#!/bin/bash\necho 'write: {reason}'\nexit 1\n")
+    executable(
+        copy.stubs / "bin/colcon", f"#!/bin/bash\necho 'write: {reason}'\nexit 1\n"
+    )
     status, output = copy.setup()
     assert status == 1
     assert output.splitlines()[-1].startswith(f"setup: no space left in {copy.home}")
@@ -396,7 +413,9 @@ def test_full_disk_is_named_where_a_phase_cannot_be_marked_as_done(copy):
     """The last write of a phase had a line of the shell's own."""
     colcon = copy.stubs / "bin/colcon"
     stamp = copy.home / "install/.stamp"
-    executable(colcon, f"#!/bin/bash\nmkdir -p {stamp.parent}/lib\nln -s /dev/full {stamp}\n")
+    executable(
+        colcon, f"#!/bin/bash\nmkdir -p {stamp.parent}/lib\nln -s /dev/full {stamp}\n"
+    )
     full_disk_is_named(copy, lines=3)
     stamp.unlink()
     executable(colcon, COLCON)
@@ -430,9 +449,7 @@ def test_progress_on_a_terminal_is_one_line_with_a_bar(copy):
     text = shown(terminal)
     assert process.wait() == 0
     assert "\n" not in text
-    python = (
-        r"setup: \[#* *\] installing the Python packages for Python 3\.\d+\.\d+, about \d+ s left"
-    )
+    python = r"setup: \[#* *\] installing the Python packages for Python 3\.\d+\.\d+, about \d+ s left"
     assert re.search(python, text)
     build = r"setup: \[#+ *\] building the messages and compiling the kernels, about \d+ s left"
     assert re.search(build, text)
@@ -496,12 +513,16 @@ def test_what_versions_before_have_left_is_removed(ready):
 def test_cache_of_a_user_without_a_writable_home_is_below_the_repository(ready):
     shell = ". scripts/env; echo $XDG_CACHE_HOME"
     variables = {"HOME": "/proc/nowhere"}
-    path = subprocess.check_output(["bash", "-c", shell], cwd=ready.root, env=variables, text=True)
+    path = subprocess.check_output(
+        ["bash", "-c", shell], cwd=ready.root, env=variables, text=True
+    )
     assert path == f"{ready.home}/cache\n"
 
 
 @pytest.mark.parametrize("name", ["sl\u00f6t", "\u4e8c", "a b", "a:b"])
-def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(tmp_path, name):
+def test_a_path_that_cmake_cannot_bear_is_refused_before_anything_is_built(
+    tmp_path, name
+):
     (tmp_path / name).mkdir()
     copy = Copy(tmp_path / name)
     status, output = copy.setup()
@@ -525,9 +546,13 @@ def test_every_package_is_pinned_to_one_version_with_hashes(name):
         assert PINNED.match(line) or HASH.match(line), line  # and no index or URL
         if PINNED.match(line):
             assert HASH.match(following), line
-    required = re.findall(r"^([A-Za-z][\w.-]*)", (REQUIREMENTS / f"{name}.in").read_text(), re.M)
+    required = re.findall(
+        r"^([A-Za-z][\w.-]*)", (REQUIREMENTS / f"{name}.in").read_text(), re.M
+    )
     assert required
-    assert {package.lower() for package in required} <= {package.lower() for package in pins(name)}
+    assert {package.lower() for package in required} <= {
+        package.lower() for package in pins(name)
+    }
 
 
 def test_all_requirement_files_agree_on_versions():
@@ -546,10 +571,14 @@ def test_logs_and_caches_go_below_the_repository(ready):
     assert all(Path(path).is_relative_to(ready.home) for path in paths)
 
 
-def test_with_a_ros_installation_python_outside_of_the_venv_keeps_its_own_packages(ready):
+def test_with_a_ros_installation_python_outside_of_the_venv_keeps_its_own_packages(
+    ready,
+):
     """The nodes get those of the venv by its Python, which is the first on the path."""
     shell = ". scripts/env; echo $PYTHONPATH; command -v python3"
-    environment = {name: ready.variables[name] for name in ("STUBS", "SLOT_ROS", "PATH")}
+    environment = {
+        name: ready.variables[name] for name in ("STUBS", "SLOT_ROS", "PATH")
+    }
     given = {"cwd": ready.root, "env": environment, "text": True}
     path, python = subprocess.check_output(["bash", "-c", shell], **given).splitlines()
     assert str(ready.stubs) in path.split(":")

@@ -46,7 +46,9 @@ def test_the_five_lines_of_the_readme(tmp_path):
     (code,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
     (tmp_path / "five.py").write_text(code)
     command = [sys.executable, "five.py"]
-    run = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=True)
+    run = subprocess.run(
+        command, capture_output=True, text=True, cwd=tmp_path, check=True
+    )
     assert run.stderr == ""
     assert len(run.stdout.splitlines()) == 300
 
@@ -80,8 +82,12 @@ def test_rod_bends(output):
         assert float(rod) == pytest.approx(float(beam), rel=1e-3)
     for rod, beam in large:
         assert float(rod) < 0.96 * float(beam)
-    strip = math.sqrt(1e7 * 4e-3**2 / 12 / 1200) / 0.2**2  # 1/s, sqrt(E I / (rho A)) / L^2
-    assert numbers(r"rest, Hz: \[([\d.]+)", text) == [pytest.approx(0.5596 * strip, rel=0.01)]
+    strip = (
+        math.sqrt(1e7 * 4e-3**2 / 12 / 1200) / 0.2**2
+    )  # 1/s, sqrt(E I / (rho A)) / L^2
+    assert numbers(r"rest, Hz: \[([\d.]+)", text) == [
+        pytest.approx(0.5596 * strip, rel=0.01)
+    ]
 
 
 def test_read_a_bag(tmp_path, output):
@@ -97,5 +103,7 @@ def test_the_graph_walks_with_a_controller_of_ones_own_and_its_bag_replays(tmp_p
     compared = {c.topic: c for c in check_bag(recorded, 0.0, OWN)}
     assert compared["/tendon_plan"].compared > 50
     assert [c.largest for c in compared.values()] == [0.0] * 4
-    with pytest.raises(BagError, match=r"its policy is a file, own_controller\.py: add --policy"):
+    with pytest.raises(
+        BagError, match=r"its policy is a file, own_controller\.py: add --policy"
+    ):
         check_bag(recorded, 0.0)

@@ -23,10 +23,13 @@ runtime.run(composed if "composed" in sys.argv else lambda: Node("alone"), serve
 
 
 @pytest.mark.parametrize(
-    ("how", "names"), [("alone", ["alone"]), ("composed", ["gait_scheduler", "force_mapper"])]
+    ("how", "names"),
+    [("alone", ["alone"]), ("composed", ["gait_scheduler", "force_mapper"])],
 )
 def test_the_clock_of_a_node_that_runs_cannot_be_changed(how, names):
     """By `ros2 param set`; rclpy itself would follow."""
     command = [sys.executable, "-c", FIXED_CLOCK, how]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ended.stdout.splitlines() == [f"{name} False False" for name in names], ended.stderr
+    assert ended.stdout.splitlines() == [f"{name} False False" for name in names], (
+        ended.stderr
+    )

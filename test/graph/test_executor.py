@@ -36,7 +36,9 @@ def spin_until(node, condition):
 def test_messages_are_served_in_their_order(node):
     received = []
     publisher = node.create_publisher(Int32, "numbers", qos.CONTROL)
-    node.create_subscription(Int32, "numbers", lambda m: received.append(m.data), qos.CONTROL)
+    node.create_subscription(
+        Int32, "numbers", lambda m: received.append(m.data), qos.CONTROL
+    )
     for number in range(20):
         publisher.publish(Int32(data=number))
     spin_until(node, lambda: len(received) == 20)
@@ -64,7 +66,9 @@ def test_polled_messages_wake_the_node_only_while_they_are_awaited(node):
     """Else it waits its whole time beside a message; rclpy's executor may take it with others."""
     received = []
     polled = inputs.PassiveSubscriptions(node)
-    polled.subscribe(Int32, "polled", lambda message: received.append(message.data), qos.CONTROL)
+    polled.subscribe(
+        Int32, "polled", lambda message: received.append(message.data), qos.CONTROL
+    )
     publisher = node.create_publisher(Int32, "polled", qos.CONTROL)
 
     def sleeps(number):
@@ -156,7 +160,9 @@ def test_a_signal_ends_the_wait_even_if_the_context_ends_later(node):
     assert node.context.ok()
 
 
-def test_a_signal_ends_the_wait_even_if_rclpy_takes_it_while_it_serves(node, monkeypatch):
+def test_a_signal_ends_the_wait_even_if_rclpy_takes_it_while_it_serves(
+    node, monkeypatch
+):
     """Else a node that is served a request then waits for a message that never comes."""
     executor, times = node.executor, []
 

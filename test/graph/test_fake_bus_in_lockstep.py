@@ -43,7 +43,11 @@ def test_joint_states_are_those_of_the_encoders_every_bus_cycle(walk):
     assert len(rows) > 200
     joints = read_settings().joints
     for _, message in rows:
-        angle = np.array(message.position) * joints.servo_per_tendon * np.sign(joints.direction)
+        angle = (
+            np.array(message.position)
+            * joints.servo_per_tendon
+            * np.sign(joints.direction)
+        )
         counts = (angle + np.radians(joints.zero_deg)) / RAD_PER_COUNT
         assert counts == pytest.approx(np.round(counts), abs=1e-6)
 

@@ -27,10 +27,21 @@ from slot_nodes import qos
 from slot_nodes.supervisor_node import NODES_PERIOD
 
 GRAPH = read_graph()
-VALUES = {argument.name: argument.default for argument in GRAPH.arguments} | {"bag": "bag"}
+VALUES = {argument.name: argument.default for argument in GRAPH.arguments} | {
+    "bag": "bag"
+}
 NODES = {spec.name: spec for spec in GRAPH.nodes(VALUES)}
 # A run that does not end by itself.
-RUN = [sys.executable, "-m", "slot_bringup", "--lockstep", "--duration", "600", "--bag", "bag"]
+RUN = [
+    sys.executable,
+    "-m",
+    "slot_bringup",
+    "--lockstep",
+    "--duration",
+    "600",
+    "--bag",
+    "bag",
+]
 ADOPTS = 36  # PR_SET_CHILD_SUBREAPER of prctl(2)
 
 
@@ -43,7 +54,8 @@ def wait_until(condition):
 def start(cwd, composed=False):
     """Start a run of the graph; return its process and those of its nodes by name."""
     expected = {
-        spec.name for spec in GRAPH.nodes(VALUES | {"lockstep": True, "composed": composed})
+        spec.name
+        for spec in GRAPH.nodes(VALUES | {"lockstep": True, "composed": composed})
     }
     run = subprocess.Popen(
         [*RUN, "--composed" if composed else "--separate"],
@@ -66,26 +78,35 @@ def start(cwd, composed=False):
 
 
 def all_ended(nodes):
-    return not any(psutil.pid_exists(node.pid) and node.is_running() for node in nodes.values())
+    return not any(
+        psutil.pid_exists(node.pid) and node.is_running() for node in nodes.values()
+    )
 
 
 def wait_for_commands(run, count=30, seconds=0.0):
     """Wait until the graph has published commands, `count` or more, for a time: the robot walks."""
     received, end = [], time.monotonic() + seconds
     with listener("listener") as (node, executor):
-        node.create_subscription(JointState, "desired_joint_angles", received.append, qos.CONTROL)
+        node.create_subscription(
+            JointState, "desired_joint_angles", received.append, qos.CONTROL
+        )
         while len(received) < count or time.monotonic() < end:
             executor.spin_once(timeout_sec=0.1)
             assert run.poll() is None, run.communicate()
 
 
-def test_an_interrupt_stops_every_process_without_a_fault_and_keeps_the_bag(tmp_path, monkeypatch):
+def test_an_interrupt_stops_every_process_without_a_fault_and_keeps_the_bag(
+    tmp_path, monkeypatch
+):
     """Meanwhile a second graph in the domain is refused."""
     run, nodes = start(tmp_path)
     wait_for_commands(run)
-    monkeypatch.setattr(monitor, "DISCOVERY_TIME", 60.0)  # it ends with the first message
+    monkeypatch.setattr(
+        monitor, "DISCOVERY_TIME", 60.0
+    )  # it ends with the first message
     with pytest.raises(
-        monitor.RunError, match=r"another graph runs in ROS domain \d+, namespace /: set another"
+        monitor.RunError,
+        match=r"another graph runs in ROS domain \d+, namespace /: set another",
     ):
         monitor.require_no_other_graph()
     assert_interrupted(run, nodes, tmp_path, signal.SIGINT)
@@ -123,7 +144,9 @@ def test_every_node_ends_without_a_fault_by_sigterm_when_its_run_is_killed(tmp_p
     wait_for_commands(run)
     run.kill()
     run.communicate()
-    assert {name: node.wait() for name, node in nodes.items()} == dict.fromkeys(nodes, 0)
+    assert {name: node.wait() for name, node in nodes.items()} == dict.fromkeys(
+        nodes, 0
+    )
 
 
 def test_a_second_publisher_of_the_commands_ends_the_run_and_is_named(tmp_path):
@@ -142,13 +165,16 @@ FULL = "node recorder has ended; the robot goes on without it"
 
 
 @pytest.mark.parametrize(
-    ("fault", "code", "needed"), [("killed", -9, "sim_robot"), ("full disk", 1, "mpc_controller")]
+    ("fault", "code", "needed"),
+    [("killed", -9, "sim_robot"), ("full disk", 1, "mpc_controller")],
 )
 def test_the_robot_walks_on_without_its_recorder_but_not_without_another_node_and_both_are_named(
     tmp_path, fault, code, needed
 ):
     run, nodes = start(tmp_path)
-    wait_for_commands(run, seconds=2 * NODES_PERIOD)  # the supervisor has seen the recorder
+    wait_for_commands(
+        run, seconds=2 * NODES_PERIOD
+    )  # the supervisor has seen the recorder
     if fault == "killed":
         nodes["recorder"].kill()
     else:
@@ -181,19 +207,32 @@ def wait_for_warning(run, wanted):
 
 
 @pytest.mark.parametrize("best_effort", [False, True])
-def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(tmp_path, best_effort):
+def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(
+    tmp_path, best_effort
+):
     """Cameras' drivers publish best effort, which a reliable subscription does not receive."""
-    spec = replace(NODES["state_estimator"], parameters={"best_effort_sensors": best_effort})
+    spec = replace(
+        NODES["state_estimator"], parameters={"best_effort_sensors": best_effort}
+    )
     child = subprocess.Popen(
-        command_line(spec), cwd=tmp_path, stderr=subprocess.DEVNULL, start_new_session=True
+        command_line(spec),
+        cwd=tmp_path,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
     )
     received, refused = [], []  # refused: reliable subscriptions that were discovered
     try:
         with listener("camera") as (node, executor):
-            odometry = node.create_publisher(Odometry, "odom", qos.best_effort(qos.SENSOR))
+            odometry = node.create_publisher(
+                Odometry, "odom", qos.best_effort(qos.SENSOR)
+            )
             events = PublisherEventCallbacks(incompatible_qos=refused.append)
-            node.create_publisher(Imu, "imu", qos.best_effort(qos.SENSOR), event_callbacks=events)
-            node.create_subscription(MpcState, "mpc_state", received.append, qos.CONTROL)
+            node.create_publisher(
+                Imu, "imu", qos.best_effort(qos.SENSOR), event_callbacks=events
+            )
+            node.create_subscription(
+                MpcState, "mpc_state", received.append, qos.CONTROL
+            )
             message = Odometry(child_frame_id="base_link")
 
             def answered():
@@ -217,14 +256,20 @@ def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(tmp_pa
         ("mpc_controller", "policy:=cubic", "policy 'cubic': expected one of"),
         ("force_mapper", "slope_min:=-1.0", "slope_min"),
         ("supervisor", "gait:=trot", "no gait 'trot' (known: "),
-        ("gait_scheduler", "path:=nowhere.csv", "nowhere.csv: no path with columns x, y"),
+        (
+            "gait_scheduler",
+            "path:=nowhere.csv",
+            "nowhere.csv: no path with columns x, y",
+        ),
         ("sim_robot", "scene:=moon", "scene/moon"),
         ("sim_robot", "scene.solver.step:=1.0", "scene.solver.step"),
     ],
 )
 def test_invalid_parameter_is_refused_in_one_line(tmp_path, name, parameter, message):
     command = [*command_line(NODES[name]), "-p", parameter]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2, done.stderr
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr

@@ -27,7 +27,9 @@ def test_a_supervisor_alone_is_a_second_graph_in_the_domain(tmp_path, monkeypatc
     processes = Processes(tmp_path)
     nodes = graph.nodes({a.name: a.default for a in graph.arguments})
     processes.start([spec for spec in nodes if spec.name == "supervisor"])
-    monkeypatch.setattr(monitor, "DISCOVERY_TIME", 60.0)  # it ends with the first message
+    monkeypatch.setattr(
+        monitor, "DISCOVERY_TIME", 60.0
+    )  # it ends with the first message
     try:
         with pytest.raises(monitor.RunError, match="another graph runs in ROS domain "):
             monitor.require_no_other_graph()
@@ -37,9 +39,13 @@ def test_a_supervisor_alone_is_a_second_graph_in_the_domain(tmp_path, monkeypatc
 
 def run(directory, *arguments, **environment):
     return subprocess.run(
-        [*RUN, *arguments], cwd=directory, env=os.environ | environment, capture_output=True,
-        text=True, check=False,
-    )  # fmt: skip
+        [*RUN, *arguments],
+        cwd=directory,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 @pytest.fixture
@@ -54,19 +60,26 @@ def test_bag_that_cannot_be_written_ends_the_run_in_one_line(tmp_path):
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert (
-        "scripts/run: recorder ended with exit code 2: file/bag: cannot be written" in done.stderr
+        "scripts/run: recorder ended with exit code 2: file/bag: cannot be written"
+        in done.stderr
     )
 
 
 @pytest.mark.usefixtures("own_domain")
-@pytest.mark.parametrize("numbers", [[signal.SIGINT] * 3, [signal.SIGTERM] * 2, [signal.SIGHUP]])
+@pytest.mark.parametrize(
+    "numbers", [[signal.SIGINT] * 3, [signal.SIGTERM] * 2, [signal.SIGHUP]]
+)
 def test_repeated_signals_end_the_run_cleanly(tmp_path, numbers):
     """The signals arrive while the nodes are still starting."""
-    child = subprocess.Popen([*RUN, "bag"], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    child = subprocess.Popen(
+        [*RUN, "bag"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
     ours = psutil.Process(child.pid)
     while not (
         nodes := [
-            c for c in ours.children(recursive=True) if "slot_nodes/" in " ".join(c.cmdline())
+            c
+            for c in ours.children(recursive=True)
+            if "slot_nodes/" in " ".join(c.cmdline())
         ]
     ):
         assert child.poll() is None
@@ -82,7 +95,9 @@ def test_repeated_signals_end_the_run_cleanly(tmp_path, numbers):
     assert Path(tmp_path, "bag", "log").is_dir()
 
 
-TIPPED = "pushes: {tip: {time: 0.6, duration: 0.3, force: [0, 0, 0], moment: [4, 0, 0]}}"
+TIPPED = (
+    "pushes: {tip: {time: 0.6, duration: 0.3, force: [0, 0, 0], moment: [4, 0, 0]}}"
+)
 # The run looks at the state now and then; RELAX may have ended meanwhile.
 SLACK = "the robot is in (RELAX|FAULT: slack after): "
 FAULT = "faults: {{one: {{kind: {}, leg: RL, time: 1.0, duration: 0.0, value: 0.0}}}}"
@@ -93,23 +108,39 @@ FAULT = "faults: {{one: {{kind: {}, leg: RL, time: 1.0, duration: 0.0, value: 0.
     ("hardware", "event", "line"),
     [
         ("sim", TIPPED, SLACK + r"roll \+0\.535 rad, limit 0\.5 rad\n"),
-        ("fake_bus", FAULT.format("overload"),
-         SLACK + "servo RL: overload error, register 70 = 0x20, limit 0\n"),
+        (
+            "fake_bus",
+            FAULT.format("overload"),
+            SLACK + "servo RL: overload error, register 70 = 0x20, limit 0\n",
+        ),
         ("sim", FAULT.format("nan"), "controller ended with exit code 1: "),
     ],
     ids=["tipped", "overload", "diverged"],
-)  # fmt: skip
-def test_a_run_ends_with_one_line_that_names_the_robots_fault(tmp_path, hardware, event, line):
+)
+def test_a_run_ends_with_one_line_that_names_the_robots_fault(
+    tmp_path, hardware, event, line
+):
     """In lockstep, at the limits of config/: with the same figures on every machine."""
     config = changed_config(tmp_path, {})
     (config / "scene/faulty.yaml").write_text(f"like: flat\n{event}\n")
     done = run(
-        tmp_path, "bag", "--scene", "faulty", "--hardware", hardware, "--duration", "60",
+        tmp_path,
+        "bag",
+        "--scene",
+        "faulty",
+        "--hardware",
+        hardware,
+        "--duration",
+        "60",
         SLOT_CONFIG=str(config),
-    )  # fmt: skip
+    )
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stderr
-    said = next(text for text in done.stderr.splitlines(keepends=True) if "scripts/run: " in text)
+    said = next(
+        text
+        for text in done.stderr.splitlines(keepends=True)
+        if "scripts/run: " in text
+    )
     assert re.match(f"scripts/run: {line}", said), done.stderr
     for file in (tmp_path / "bag").glob("lost_*.npz"):
         assert "simulation diverged in step" in said

@@ -20,9 +20,22 @@ from slot_core.messages import decode
 from slot_lab.bags import check_bag as replay
 from slot_lab.bags.bag import Bag
 
-CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles")
-OTHERS = ("/clock", "/imu", "/joint_states", "/tf", "/force_map/status", "/ground_truth/odom",
-          "/ground_truth/legs")  # fmt: skip
+CHAIN = (
+    "/odom",
+    "/mpc_state",
+    "/gait_preview",
+    "/tendon_plan",
+    "/desired_joint_angles",
+)
+OTHERS = (
+    "/clock",
+    "/imu",
+    "/joint_states",
+    "/tf",
+    "/force_map/status",
+    "/ground_truth/odom",
+    "/ground_truth/legs",
+)
 PERIOD = round(read_scene("flat").sensors.odometry.period * SECOND)  # ns
 DURATION = 5.0  # s of the robot's time
 BESIDE = 2.5  # s, of the graph in the namespace
@@ -96,7 +109,9 @@ def test_no_output_precedes_its_input(messages):
     for before, after in pairwise(times):
         for stamp, time in after.items():
             assert stamp == last or before[stamp] < time
-    clock = np.array([m.clock.sec * 10**9 + m.clock.nanosec for _, m in messages["/clock"]])
+    clock = np.array(
+        [m.clock.sec * 10**9 + m.clock.nanosec for _, m in messages["/clock"]]
+    )
     assert (np.diff(clock) > 0).all()
     assert clock.max() >= max(stamps(messages["/odom"]))
 
@@ -109,7 +124,9 @@ def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
     for stamp, command in commands.items():
         assert np.array_equal(recorded[stamp], command), stamp
     other = commands_of_core(seed=4, seconds=2.5)  # the first stride needs no feedback
-    assert any(not np.array_equal(recorded[stamp], sent) for stamp, sent in other.items())
+    assert any(
+        not np.array_equal(recorded[stamp], sent) for stamp, sent in other.items()
+    )
 
 
 def test_replay_of_the_bag_gives_bit_equal_results(walk):
@@ -150,7 +167,11 @@ def content(bag, topic, prefix):
 def test_a_walk_in_a_namespace_and_one_process_is_that_of_processes_but_for_names(bags):
     """Equal seeds give equal bits."""
     alone, spaced = Bag(bags[""]), Bag(bags[SPACE], SPACE)
-    assert set(alone.topics) == set(spaced.topics) > {"/clock", "/odom", "/tf", "/mpc_state"}
+    assert (
+        set(alone.topics)
+        == set(spaced.topics)
+        > {"/clock", "/odom", "/tf", "/mpc_state"}
+    )
     for topic in set(alone.topics) - OF_THE_MACHINE:
         here, there = content(alone, topic, ""), content(spaced, topic, PREFIX)
         shared = here.keys() & there.keys()

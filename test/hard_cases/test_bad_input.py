@@ -19,7 +19,12 @@ SETTINGS = {"robot": read_robot(), "scene": read_scene("flat"), "servo": read_se
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [(None, "uneven"), ("1.0\n", "2 x 2"), ("0,nan\n0,0\n", "finite"), ("0,a\n0,0\n", "bad.csv")],
+    [
+        (None, "uneven"),
+        ("1.0\n", "2 x 2"),
+        ("0,nan\n0,0\n", "finite"),
+        ("0,a\n0,0\n", "bad.csv"),
+    ],
 )
 def test_an_invalid_height_map_is_refused_by_name(tmp_path, monkeypatch, text, message):
     (tmp_path / "scene").mkdir()
@@ -48,7 +53,9 @@ OUTSIDE = [[0.5, -1e-6, 0.5, 0.5], [0.5, 0.5, 0.5, 2.03]]
 @pytest.mark.parametrize("command", INVALID + OUTSIDE)
 def test_an_invalid_command_is_refused_and_leaves_the_state_unchanged(sim, command):
     before = sim.state.buffer.copy()
-    with pytest.raises(ValueError, match=r"inside \[0, 2\.02" if command in OUTSIDE else r".+"):
+    with pytest.raises(
+        ValueError, match=r"inside \[0, 2\.02" if command in OUTSIDE else r".+"
+    ):
         sim.advance(1, command)
     np.testing.assert_array_equal(sim.state.buffer, before)
     assert sim.steps == 0
@@ -79,7 +86,9 @@ def test_a_start_beyond_the_tendons_is_refused_by_name(solver):
     robot = config.replace(read_robot(), {"tendon.angle_max_deg": 58.14})
     scene = read_scene("map" if solver == "map" else "flat")
     kind = TabulatedRobot if solver == "map" else RodRobot
-    with pytest.raises(ConfigError, match=r"start.tendon_angle_deg = 63: above .* 58\.14 deg"):
+    with pytest.raises(
+        ConfigError, match=r"start.tendon_angle_deg = 63: above .* 58\.14 deg"
+    ):
         kind(robot, scene, SETTINGS["servo"])
 
 
@@ -91,25 +100,39 @@ def test_a_start_beyond_the_tendons_is_refused_by_name(solver):
         ("rotation", (0, 2), "torso"),
         ("velocity", 0, "torso"),
         ("rate", 2, "torso"),
-        ("node", (2, 9, 1), "torso"),  # NaN spreads in one step; the torso is checked first
+        (
+            "node",
+            (2, 9, 1),
+            "torso",
+        ),  # NaN spreads in one step; the torso is checked first
         ("node_velocity", (1, 21, 2), "torso"),
-        ("tendon_angle", 3, "leg RR node 0"),  # its tendon goes slack, so no node would show it
+        (
+            "tendon_angle",
+            3,
+            "leg RR node 0",
+        ),  # its tendon goes slack, so no node would show it
     ],
 )
-def test_a_nan_in_the_state_raises_divergence_with_its_place(halvings, part, index, place):
+def test_a_nan_in_the_state_raises_divergence_with_its_place(
+    halvings, part, index, place
+):
     changes = {"start.settle": 0.0, "solver.halvings": halvings}
     scene = config.replace(SETTINGS["scene"], changes)
     sim = RodRobot(SETTINGS["robot"], scene, SETTINGS["servo"])
     sim.advance(3, np.full(4, 1.0))
     getattr(sim.state, part)[index] = math.nan
-    with pytest.raises(DivergenceError, match=rf"in step 4 at 0\.0030 s: {place} .* not a number"):
+    with pytest.raises(
+        DivergenceError, match=rf"in step 4 at 0\.0030 s: {place} .* not a number"
+    ):
         sim.advance(5, np.full(4, 1.0))
     assert sim.steps == 3
 
 
 def test_a_node_beyond_the_speed_limit_raises_divergence_with_its_place():
     changes = {"start.settle": 0.0, "start.height": 0.5, "solver.speed_limit": 5.0}
-    sim = RodRobot(SETTINGS["robot"], config.replace(SETTINGS["scene"], changes), SETTINGS["servo"])
+    sim = RodRobot(
+        SETTINGS["robot"], config.replace(SETTINGS["scene"], changes), SETTINGS["servo"]
+    )
     sim.state.node_velocity[2, 21] = [0.0, 0.0, 40.0]
     with pytest.raises(
         DivergenceError, match=r"in step 1 at 0\.0000 s: leg RL node (19|20|21) .* 5\.0"

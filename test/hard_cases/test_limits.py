@@ -13,7 +13,9 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
-HELD = config.replace(read_servo(), {"model": "torque_speed"})  # holds its angle under load
+HELD = config.replace(
+    read_servo(), {"model": "torque_speed"}
+)  # holds its angle under load
 CONVERGED = {**PULLS, **PARAMETERS, **STEPS}  # in every step
 CASES = {**IMPACTS, **FOLDS, **CONVERGED}
 
@@ -46,7 +48,9 @@ def test_the_correction_limit_must_scale_with_the_contact_stiffness():
 def test_every_step_with_a_pivot_that_is_not_positive_is_halved():
     """Also with an unlimited correction; halving at such pivots alone would not save the case."""
     case = PARAMETERS["EA x 100"]
-    scene = config.replace(read_scene("flat"), {**case.scene, "solver.correction_limit": 1e6})
+    scene = config.replace(
+        read_scene("flat"), {**case.scene, "solver.correction_limit": 1e6}
+    )
     sim = RodRobot(read_robot(), scene, read_servo())
     case.start(sim)
     seen = []
@@ -71,7 +75,9 @@ def stand(scene, seconds, **changes):
 
 
 @pytest.mark.parametrize("step", [1e-3, 5e-4])
-def test_a_minute_of_standing_on_bristles_creeps_less_than_a_tenth_of_a_millimetre(step):
+def test_a_minute_of_standing_on_bristles_creeps_less_than_a_tenth_of_a_millimetre(
+    step,
+):
     # It has settled for 1 s; the remaining oscillation has decayed after ten more.
     moved, late = stand("stick", 60.0, solver__step=step)
     assert moved < 0.1

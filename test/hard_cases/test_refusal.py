@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from slot_core.files import read_bytes
-from slot_core.refusal import LINE_MAX, VALUE_MAX, InputError, one_line, printable, quoted
+from slot_core.refusal import (
+    LINE_MAX,
+    VALUE_MAX,
+    InputError,
+    one_line,
+    printable,
+    quoted,
+)
 
 
 @pytest.mark.parametrize(

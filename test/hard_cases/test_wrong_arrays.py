@@ -68,10 +68,14 @@ def _legs():
         "LegSprings.angle": Case(springs.angle, (np.ones(4), heights)),
         "LegSprings": Case(lambda *parts: LegSprings(LegTable(*parts), 1.0), grid),
         "LegTable": Case(LegTable, grid, fine=("a million",)),  # of columns
-        "StaticLeg.node": Case(lambda node: setattr(still, "node", node), (still.node,)),
+        "StaticLeg.node": Case(
+            lambda node: setattr(still, "node", node), (still.node,)
+        ),
         "StaticLeg.solve": Case(still.solve, (0.1, 0.1)),
         "HeldLeg.pull": Case(HeldLeg(robot, NODES, 0.3, 0.1).pull, (0.01, 1.0)),
-        "StickingLeg.stiffness": Case(StickingLeg(robot, NODES).stiffness, (still.node, 0.1, 0.1)),
+        "StickingLeg.stiffness": Case(
+            StickingLeg(robot, NODES).stiffness, (still.node, 0.1, 0.1)
+        ),
     }
 
 
@@ -81,15 +85,21 @@ def _robots():
     flat = config.replace(read_scene("map"), {"start.settle": 0.0})
     tabulated = TabulatedRobot(robot, flat, servo)
     leg, vector = PaperLeg(robot, read_paper()), np.zeros(3)
-    paper = PaperRobot(robot, config.replace(read_scene("paper"), {"start.settle": 0.0}), servo)
+    paper = PaperRobot(
+        robot, config.replace(read_scene("paper"), {"start.settle": 0.0}), servo
+    )
     cases = {
         "PaperLeg.advance": Case(leg.advance, (1, 0.0)),
-        "PaperRobot.advance": Case(paper.advance, (0, np.full(4, 0.5))),  # 1 may diverge
+        "PaperRobot.advance": Case(
+            paper.advance, (0, np.full(4, 0.5))
+        ),  # 1 may diverge
     }
     for name, sim in (("RodRobot", rods), ("TabulatedRobot", tabulated)):
         cases[f"{name}.advance"] = Case(sim.advance, (1, np.full(4, 0.5)))
         many = ManyRobots([sim, sim])
-        cases[f"ManyRobots of {name}"] = Case(many.advance, (np.full((2, 1, 4), 0.5), 1))
+        cases[f"ManyRobots of {name}"] = Case(
+            many.advance, (np.full((2, 1, 4), 0.5), 1)
+        )
         cases[f"{name}.push"] = Case(sim.push, (vector, vector))
         cases[f"{name}.set_motion"] = Case(sim.set_motion, (vector, vector))
         cases[f"{name}.damage_tendon"] = Case(sim.damage_tendon, (0, 0.001))
@@ -97,7 +107,11 @@ def _robots():
 
 
 def _rods():
-    material, vector, still = Material(1e7, 3e6, 1200.0, 5e-4), (0.0, 0.1, 0.0), (0.0,) * 3
+    material, vector, still = (
+        Material(1e7, 3e6, 1200.0, 5e-4),
+        (0.0, 0.1, 0.0),
+        (0.0,) * 3,
+    )
     rod = CosseratRod(material, Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3))), NODES)
     names = tuple(vars(rod.state))
 
@@ -139,15 +153,21 @@ def _policies():
         "NominalRobot.set_wrench": Case(model.set_wrench, (np.zeros(3), 0.0)),
         "NominalRobot.at_rest": Case(model.at_rest, (state, np.full(4, 1.0))),
         "NominalRobot.measured": Case(
-            lambda buffer, side, state: model.measured(type(start)(buffer, side), state),
+            lambda buffer, side, state: model.measured(
+                type(start)(buffer, side), state
+            ),
             (*start, state),
             finite=False,
         ),
         "NominalRobot.place": Case(
-            lambda buffer: model.place(start._replace(buffer=buffer)), (start.buffer,), finite=False
+            lambda buffer: model.place(start._replace(buffer=buffer)),
+            (start.buffer,),
+            finite=False,
         ),
         "NominalRobot.roll_out": Case(
-            lambda buffer, side, plans: model.roll_out(type(start)(buffer, side), plans),
+            lambda buffer, side, plans: model.roll_out(
+                type(start)(buffer, side), plans
+            ),
             (*start, angle[None]),
             finite=False,
             fine=ANY_NUMBER,
@@ -241,7 +261,9 @@ def wrong(array, finite):
     if finite and array.dtype.kind == "f":
         last = np.zeros(shape, bool)
         last[(-1,) * array.ndim] = True
-        found += [(str(bad), np.where(last, bad, array)[()]) for bad in (np.nan, np.inf)]
+        found += [
+            (str(bad), np.where(last, bad, array)[()]) for bad in (np.nan, np.inf)
+        ]
     return found
 
 

@@ -64,8 +64,12 @@ def test_both_networks_of_a_pair_walk_in_one_scene_about_the_same_centre():
 
 def test_the_first_network_does_nothing_and_its_return_is_that_of_the_gait_alone():
     shape = shape_of(TASK)
-    first = next(learn(TASK, SMALL, lambda walks: np.zeros(len(walks.seeds)))).best[None]
-    assert (shape.actions(first, np.ones((1, observation_size("amplitudes")))) == 0.0).all()
+    first = next(learn(TASK, SMALL, lambda walks: np.zeros(len(walks.seeds)))).best[
+        None
+    ]
+    assert (
+        shape.actions(first, np.ones((1, observation_size("amplitudes")))) == 0.0
+    ).all()
     seeds = np.array([1, 2, 1])
     found = returns(Walks(TASK, SMALL, np.tile(first, (3, 1)), seeds))
     assert found[0] == found[2] != found[1]
@@ -73,7 +77,9 @@ def test_the_first_network_does_nothing_and_its_return_is_that_of_the_gait_alone
 
 def test_parts_on_workers_return_what_one_process_does():
     rng = np.random.default_rng(1)
-    walks = Walks(TASK, SMALL, rng.standard_normal((5, shape_of(TASK).size)), np.arange(5))
+    walks = Walks(
+        TASK, SMALL, rng.standard_normal((5, shape_of(TASK).size)), np.arange(5)
+    )
     assert spread(Client(), 2)(walks) == pytest.approx(returns(walks), abs=1e-12)
 
 
@@ -82,7 +88,10 @@ def test_parts_on_workers_return_what_one_process_does():
 def test_a_network_acts_on_the_mirror_image_by_the_mirror_image(actions, servos):
     task, rng = make_task(actions=actions, servos=servos), np.random.default_rng(4)
     shape, mirror = shape_of(task), mirror_of(task)
-    parameters, seen = rng.standard_normal((5, shape.size)), rng.standard_normal((5, task.observed))
+    parameters, seen = (
+        rng.standard_normal((5, shape.size)),
+        rng.standard_normal((5, task.observed)),
+    )
     action = shape.actions(parameters, seen)
     assert np.abs(action - action @ mirror.action).max() > 0.1
     there = shape.actions(parameters, seen @ mirror.seen)
@@ -92,11 +101,15 @@ def test_a_network_acts_on_the_mirror_image_by_the_mirror_image(actions, servos)
 def test_the_gait_half_a_stride_later_is_its_mirror_image():
     stride, phase = TASK.stride, np.linspace(0.0, 0.4, 5)
     velocity = np.array([0.05, 0.01, 0.02])
-    now, later = (stride.stride_table(phase + s, f * velocity)
-                  for s, f in ((0.0, np.ones(3)), (0.5, spaces.MIRRORED_VELOCITY)))  # fmt: skip
+    now, later = (
+        stride.stride_table(phase + s, f * velocity)
+        for s, f in ((0.0, np.ones(3)), (0.5, spaces.MIRRORED_VELOCITY))
+    )
     assert later[:, LEFT_RIGHT] == pytest.approx(now[:, :4], abs=1e-9)
     assert later[:, 8:] == pytest.approx(spaces.MIRRORED_STATE * now[:, 8:], abs=1e-9)
-    later, now = ([np.sin(2 * np.pi * p), np.cos(2 * np.pi * p)] for p in (phase + 0.5, phase))
+    later, now = (
+        [np.sin(2 * np.pi * p), np.cos(2 * np.pi * p)] for p in (phase + 0.5, phase)
+    )
     assert np.transpose(later) == pytest.approx(spaces.HALF_STRIDE * np.transpose(now))
 
 
@@ -104,4 +117,6 @@ def test_networks_act_one_by_one_as_matrices_do():
     shape, rng = NetworkShape(4, 3), np.random.default_rng(2)
     parameters, seen = rng.standard_normal((5, shape.size)), rng.standard_normal((5, 4))
     for p, x, action in zip(parameters, seen, shape.actions(parameters, seen)):
-        assert action == pytest.approx(np.tanh(x @ p[:12].reshape(4, 3) + p[12:]), abs=1e-14)
+        assert action == pytest.approx(
+            np.tanh(x @ p[:12].reshape(4, 3) + p[12:]), abs=1e-14
+        )

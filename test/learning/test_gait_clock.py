@@ -20,7 +20,8 @@ def walked():
     task = make_task()
     dt, rng = task.gaits.dt, np.random.default_rng(0)
     schedulers = [
-        GaitScheduler(task.gaits, task.robot, read_springs(), task.gait, v) for v in VELOCITY
+        GaitScheduler(task.gaits, task.robot, read_springs(), task.gait, v)
+        for v in VELOCITY
     ]
     clock, state, rows = GaitClock(task, 2), np.zeros((2, 12)), []
     state[:, 5] = 0.04
@@ -30,9 +31,12 @@ def walked():
         else:
             clock.step(state)
         previews = [
-            scheduler.step(round(1e9 * dt * tick), s) for scheduler, s in zip(schedulers, state)
+            scheduler.step(round(1e9 * dt * tick), s)
+            for scheduler, s in zip(schedulers, state)
         ]
-        rows.append((previews, clock.angles, clock.reference, clock.phase, clock.velocity))
+        rows.append(
+            (previews, clock.angles, clock.reference, clock.phase, clock.velocity)
+        )
         state = state.copy()
         state[:, 3:5] += dt * np.array([[0.04, 0.005], [0.01, 0.0]])
         state[:, 2] += dt * np.array([0.01, -0.02])

@@ -68,9 +68,13 @@ def test_tendon_actions_are_added_to_the_angles_of_every_stage(tmp_path, tick):
 
 
 @pytest.mark.parametrize("changes", [{"gait": "stand"}, {"corrected": False}])
-def test_outside_its_gait_and_while_servos_do_not_follow_it_plans_the_gait(tmp_path, tick, changes):
+def test_outside_its_gait_and_while_servos_do_not_follow_it_plans_the_gait(
+    tmp_path, tick, changes
+):
     policy = make_policy(f"onnx:{network(tmp_path)[0]}", read_robot())
-    assert (policy.step(tick.estimate, tick.preview).angle != tick.preview.tendon_angle).any()
+    assert (
+        policy.step(tick.estimate, tick.preview).angle != tick.preview.tendon_angle
+    ).any()
     preview = replace(tick.preview, **changes)
     assert (policy.step(tick.estimate, preview).angle == preview.tendon_angle).all()
 
@@ -80,8 +84,10 @@ def test_an_estimate_that_is_not_finite_gets_the_gait(tmp_path, tick):
     lost = replace(tick.estimate, state=np.full(12, np.nan))
     plans = [policy.step(e, tick.preview) for e in (lost, lost, tick.estimate)]
     assert [(p.status.name, p.fallback_cycles) for p in plans] == [
-        ("REJECTED", 1), ("REJECTED", 2), ("SOLVED", 0),
-    ]  # fmt: skip
+        ("REJECTED", 1),
+        ("REJECTED", 2),
+        ("SOLVED", 0),
+    ]
     assert plans[0].message.startswith("state[0] = nan: outside")
     assert (plans[1].angle == tick.preview.tendon_angle).all()
     assert (plans[2].angle != tick.preview.tendon_angle).any()
@@ -104,20 +110,26 @@ def test_an_action_that_is_not_finite_gets_the_gait_and_says_so(tmp_path, tick):
         (NetworkShape(20, 4), WALK, "maps 20 values to 4, expected 20 to 3"),
     ],
 )
-def test_a_network_for_something_else_is_refused_in_one_line(tmp_path, shape, about, named):
+def test_a_network_for_something_else_is_refused_in_one_line(
+    tmp_path, shape, about, named
+):
     file, _ = network(tmp_path, shape, about)
     with pytest.raises(ConfigError, match=named) as refused:
         policy_class(f"onnx:{file}").read_settings(f"onnx:{file}")
     assert len(str(refused.value).splitlines()) == 1
 
 
-def test_a_network_that_takes_five_observations_at_once_is_refused_in_one_line(tmp_path):
+def test_a_network_that_takes_five_observations_at_once_is_refused_in_one_line(
+    tmp_path,
+):
     file, _ = network(tmp_path)
     model = onnx.load(file)
     for port in (model.graph.input[0], model.graph.output[0]):
         port.type.tensor_type.shape.dim[0].dim_value = 5
     onnx.save(model, file)
-    with pytest.raises(ConfigError, match=r"net\.onnx: \w+: .*[Ee]xpected: 5") as refused:
+    with pytest.raises(
+        ConfigError, match=r"net\.onnx: \w+: .*[Ee]xpected: 5"
+    ) as refused:
         OnnxPolicy.read_settings(f"onnx:{file}")
     assert len(str(refused.value).splitlines()) == 1
 
@@ -134,7 +146,9 @@ def test_a_file_that_is_no_network_is_refused_in_one_line(tmp_path, content):
 
 def test_without_onnxruntime_it_says_how_to_install_it(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(ConfigError, match="onnxruntime is missing; run scripts/setup --learn"):
+    with pytest.raises(
+        ConfigError, match="onnxruntime is missing; run scripts/setup --learn"
+    ):
         OnnxPolicy.read_settings(f"onnx:{tmp_path}/net.onnx")
 
 
@@ -155,5 +169,7 @@ def test_the_graph_walks_with_a_network_and_its_bag_replays(tmp_path):
     compared = {c.topic: c for c in check_bag(recorded, 0.0, policy)}
     assert compared["/tendon_plan"].compared > 100
     assert [c.largest for c in compared.values()] == [0.0] * 4
-    with pytest.raises(BagError, match=r"its policy is a file, net\.onnx: add --policy"):
+    with pytest.raises(
+        BagError, match=r"its policy is a file, net\.onnx: add --policy"
+    ):
         check_bag(recorded, 0.0)

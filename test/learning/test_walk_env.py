@@ -25,7 +25,9 @@ def walked(env, count, seed=3, action=None):
     found = [env.reset(seed=seed)[0]]
     still = np.zeros(env.action_space.shape) if action is None else action
     steps = [env.step(still)[:2] for _ in range(count)]
-    return np.array(found + [seen for seen, _ in steps]), np.array([r for _, r in steps])
+    return np.array(found + [seen for seen, _ in steps]), np.array(
+        [r for _, r in steps]
+    )
 
 
 @pytest.mark.parametrize("actions", ["amplitudes", "tendons"])
@@ -36,7 +38,9 @@ def test_gymnasium_finds_no_fault(actions, observations):
 
 
 def test_gymnasium_makes_the_vector_environment_by_the_same_name():
-    env = gymnasium.make_vec(NAME, num_envs=2, vectorization_mode="vector_entry_point", **SHORT)
+    env = gymnasium.make_vec(
+        NAME, num_envs=2, vectorization_mode="vector_entry_point", **SHORT
+    )
     assert isinstance(env.unwrapped, WalkVectorEnv)
     assert env.observation_space.contains(env.reset(seed=1)[0])
     assert env.observation_space.contains(env.step(env.action_space.sample())[0])
@@ -55,7 +59,9 @@ def test_without_actions_it_is_the_closed_loop_with_the_gait_alone(level):
     assert env._loop.plant.robot.position.tolist() == position.tolist()
 
 
-@pytest.mark.parametrize("kind", [WalkEnv, lambda **a: WalkVectorEnv(3, **a)], ids=["one", "many"])
+@pytest.mark.parametrize(
+    "kind", [WalkEnv, lambda **a: WalkVectorEnv(3, **a)], ids=["one", "many"]
+)
 def test_equal_seeds_give_equal_episodes_and_others_do_not(kind):
     env = kind(**SHORT)
     first, again, other = (walked(env, 5, seed)[0] for seed in (3, 3, 4))
@@ -89,7 +95,12 @@ def test_an_episode_ends_after_its_time_and_the_next_step_begins_another():
     env = WalkVectorEnv(2, level="map", **SHORT)
     env.reset(seed=1)
     ends = [env.step(np.zeros((2, 3)))[2:4] for _ in range(14)]
-    assert [bool(truncated.all()) for _, truncated in ends] == [*[False] * 11, True, False, False]
+    assert [bool(truncated.all()) for _, truncated in ends] == [
+        *[False] * 11,
+        True,
+        False,
+        False,
+    ]
     assert not any(terminated.any() for terminated, _ in ends)
     assert env._ticks.tolist() == [1, 1]
 
@@ -106,13 +117,19 @@ def test_a_robot_that_falls_ends_its_episode_without_a_reward():
 
 @pytest.mark.parametrize("scene", ["push", "tendon_breaks"])
 def test_what_comes_at_a_time_of_its_own_is_not_for_many_robots(scene):
-    with pytest.raises(ConfigError, match="its pushes and faults come at times of their own"):
+    with pytest.raises(
+        ConfigError, match="its pushes and faults come at times of their own"
+    ):
         WalkVectorEnv(1, scene=scene)
 
 
 def test_actions_change_the_walk():
     still, faster = (
-        walked(WalkVectorEnv(1, level="map", observations="true"), 60, action=np.full((1, 3), a))[0]
+        walked(
+            WalkVectorEnv(1, level="map", observations="true"),
+            60,
+            action=np.full((1, 3), a),
+        )[0]
         for a in (0.0, 0.3)
     )
     assert not np.allclose(still, faster, atol=0.1)
@@ -145,7 +162,10 @@ def test_what_is_drawn_is_set_for_all_values_or_for_each():
         ({"gait": "stand"}, "gait = 'stand': expected one of "),
         ({"duration": 0.0}, r"duration = 0: outside \[0.033, 3600\] s"),
         ({"velocity": (0.5, 0, 0)}, r"v_x = 0.5: gait walk reaches"),
-        ({"drawn": {"robot.leg.width": (1, 2)}}, "drawn robot.leg.width: expected velocity or"),
+        (
+            {"drawn": {"robot.leg.width": (1, 2)}},
+            "drawn robot.leg.width: expected velocity or",
+        ),
         ({"drawn": {"scene.floor.mu": (0.1, 0.2)}}, "scene: floor.mu is not a setting"),
         ({"drawn": {"scene.floor.friction": (-2.0, -1.0)}}, r"friction\[0\] = -"),
     ],
@@ -166,7 +186,13 @@ def test_a_wrong_task_is_refused_with_name_value_and_limit(arguments, named):
 )
 def test_speed_place_and_heading_off_the_course_cost(strayed, term, value):
     values = [np.array([value]) for value in strayed]
-    rest = np.zeros((1, 12)), *values, np.zeros((1, 2)), np.zeros((1, 4)), np.zeros((1, 3))
+    rest = (
+        np.zeros((1, 12)),
+        *values,
+        np.zeros((1, 2)),
+        np.zeros((1, 4)),
+        np.zeros((1, 3)),
+    )
     terms = rewards.reward_terms(rewards.Transition(*rest))
     expected = dict.fromkeys(rewards.WEIGHTS, 0.0) | {"walking": 1.0, term: value}
     assert terms == pytest.approx(expected, abs=1e-9)

@@ -11,7 +11,9 @@ from slot_core.legs.level_leg import NoEquilibriumError, at_nodes
 from slot_core.robot import read_robot
 
 # Without damping, a slowly moving leg has the forces of a leg at rest.
-ROBOT = config.replace(read_robot(), {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0})
+ROBOT = config.replace(
+    read_robot(), {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0}
+)
 HEIGHT, RATE = 0.09, np.radians(20.0)
 
 
@@ -22,7 +24,9 @@ def energy(x, model, angle):
 
 def gradient(x, *rest):
     step = 1e-7 * np.eye(x.size)
-    return np.array([(energy(x + d, *rest) - energy(x - d, *rest)) / 2e-7 for d in step])
+    return np.array(
+        [(energy(x + d, *rest) - energy(x - d, *rest)) / 2e-7 for d in step]
+    )
 
 
 @pytest.mark.parametrize("angle_deg", [70.0, 90.0, 110.0])
@@ -41,11 +45,15 @@ def test_force_balance_leaves_the_coulomb_friction_of_the_sliding_foot(friction)
     before = leg.pull(angle - 0.01, RATE), leg.node
     force, node = leg.pull(angle, RATE), leg.node
     slip = (node - before[1])[1:, 0]
-    normal = at_nodes(leg.model.floor.stiffness)[1:] * np.maximum(0.0, -HEIGHT - node[1:, 1])
+    normal = at_nodes(leg.model.floor.stiffness)[1:] * np.maximum(
+        0.0, -HEIGHT - node[1:, 1]
+    )
     residual = gradient(node[1:].ravel(), leg.model, angle).reshape(-1, 2)
     touching = normal > 0.0
     assert touching.any()
-    assert force == pytest.approx(normal.sum(), rel=0.01)  # the difference is the contact damping
+    assert force == pytest.approx(
+        normal.sum(), rel=0.01
+    )  # the difference is the contact damping
     # The foot slides at about 10 mm/s; the regularisation at 1 mm/s lowers mu N by 0.5 %.
     expected = -friction * normal * np.sign(slip)
     assert residual[touching, 0] == pytest.approx(expected[touching], rel=0.02)
@@ -57,5 +65,7 @@ def test_force_balance_leaves_the_coulomb_friction_of_the_sliding_foot(friction)
 def test_a_diverged_step_is_an_error_with_angle_and_height():
     leg = HeldLeg(ROBOT, 8, 0.3, HEIGHT)
     leg.model.rod.mass[:] = np.nan
-    with pytest.raises(NoEquilibriumError, match=r"0\.0900 m: last correction of a node nan m"):
+    with pytest.raises(
+        NoEquilibriumError, match=r"0\.0900 m: last correction of a node nan m"
+    ):
         leg.pull(0.1, RATE)

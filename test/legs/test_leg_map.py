@@ -36,7 +36,11 @@ def test_equilibrium_is_a_minimum_of_the_energy():
     angle, height = np.radians(70.0), 0.05
     leg, here = pulled(7, angle, height)
     found = minimize(
-        energy, 1.02 * here.node[1:].ravel(), (leg.model, angle, height), tol=1e-14, method="BFGS"
+        energy,
+        1.02 * here.node[1:].ravel(),
+        (leg.model, angle, height),
+        tol=1e-14,
+        method="BFGS",
     )
     # BFGS with difference gradients stops at 1e-8 of the gradient, about 1e-5 m from the minimum.
     np.testing.assert_allclose(found.x.reshape(-1, 2), here.node[1:], atol=3e-5)
@@ -52,9 +56,15 @@ def test_a_leg_loaded_in_its_plane_stays_in_it_to_the_last_bit():
 def test_slope_and_stiffness_are_the_difference_quotients_of_the_force(angle_deg):
     angle, height, step = np.radians(angle_deg), 0.05, 1e-6
     leg, here = pulled(22, angle, height)
-    up, down = leg.solve(angle + step, height).force, leg.solve(angle - step, height).force
+    up, down = (
+        leg.solve(angle + step, height).force,
+        leg.solve(angle - step, height).force,
+    )
     assert here.slope == pytest.approx((up - down) / (2 * step), rel=1e-4)
-    up, down = leg.solve(angle, height + step).force, leg.solve(angle, height - step).force
+    up, down = (
+        leg.solve(angle, height + step).force,
+        leg.solve(angle, height - step).force,
+    )
     # The force has kinks where a node touches; none within a micrometre of these points.
     assert here.stiffness == pytest.approx((up - down) / (2 * step), rel=1e-4)
 
@@ -63,16 +73,22 @@ def test_material_and_contact_shift_alike_on_the_tip():
     angle, height, step = np.radians(95.0), 0.1, 1e-6
     leg, here = pulled(22, angle, height)
     up, down = leg.solve(angle + step, height), leg.solve(angle - step, height)
-    assert here.foot_slope == pytest.approx((up.contact_x - down.contact_x) / (2 * step), rel=1e-4)
+    assert here.foot_slope == pytest.approx(
+        (up.contact_x - down.contact_x) / (2 * step), rel=1e-4
+    )
     up, down = leg.solve(angle, height + step), leg.solve(angle, height - step)
-    assert here.foot_rise == pytest.approx((up.contact_x - down.contact_x) / (2 * step), rel=1e-4)
+    assert here.foot_rise == pytest.approx(
+        (up.contact_x - down.contact_x) / (2 * step), rel=1e-4
+    )
 
 
 def test_material_and_contact_shift_oppositely_where_the_leg_rolls():
     angle, step = np.radians(63.0), 1e-3
     leg, here = pulled(61, angle, 0.03)
     up, down = leg.solve(angle, 0.03 + step), leg.solve(angle, 0.03 - step)
-    assert (up.contact_x - down.contact_x) / (2 * step) > 0.2  # the contact moves outward
+    assert (up.contact_x - down.contact_x) / (
+        2 * step
+    ) > 0.2  # the contact moves outward
     assert here.foot_rise < -0.1  # the material on the floor moves inward
 
 
@@ -105,4 +121,9 @@ def test_no_equilibrium_is_an_error_with_angle_and_height():
 
 def test_a_leg_above_the_floor_has_no_force():
     _, here = pulled(22, 0.0, 0.12)
-    assert (here.force, here.slope, here.stiffness, here.tension) == (0.0, 0.0, 0.0, 0.0)
+    assert (here.force, here.slope, here.stiffness, here.tension) == (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )

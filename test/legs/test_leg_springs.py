@@ -25,18 +25,27 @@ def table():
 
 def interpolated(table, angle, height):
     """Columns (n, 4) by scipy, with angle and height moved to the table's edges."""
-    inside = [np.clip(v, g[0], g[-1]) for v, g in ((angle, table.angle), (height, table.height))]
+    inside = [
+        np.clip(v, g[0], g[-1])
+        for v, g in ((angle, table.angle), (height, table.height))
+    ]
     grid = table.angle, table.height
     return RegularGridInterpolator(grid, table.table)(np.column_stack(inside))
 
 
-def test_force_slope_stiffness_and_contact_are_those_of_a_bilinear_interpolation(springs, table):
+def test_force_slope_stiffness_and_contact_are_those_of_a_bilinear_interpolation(
+    springs, table
+):
     rng = np.random.default_rng(0)
     angle, height = rng.uniform(-0.2, 2.4, 2000), rng.uniform(-0.01, 0.15, 2000)
     found, expected = springs.at(angle, height), interpolated(table, angle, height).T
     np.testing.assert_allclose(found.force, expected[0], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found.slope, np.maximum(expected[1], SLOPE_MIN), atol=1e-12)
-    np.testing.assert_allclose(found.stiffness, np.minimum(expected[2], 0.0), atol=1e-10)
+    np.testing.assert_allclose(
+        found.slope, np.maximum(expected[1], SLOPE_MIN), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        found.stiffness, np.minimum(expected[2], 0.0), atol=1e-10
+    )
     np.testing.assert_allclose(found.contact, expected[3], rtol=0, atol=1e-14)
 
 
@@ -60,7 +69,9 @@ def test_the_angle_of_a_force_gives_that_force(springs):
     height = rng.uniform(0.03, 0.075, 500)
     force = rng.uniform(2.0, ROBOT.weight / 4 * 1.05, 500)
     angle = springs.angle(force, height)
-    np.testing.assert_allclose(springs.at(angle, height).force, force, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        springs.at(angle, height).force, force, rtol=0, atol=1e-9
+    )
 
 
 def test_the_angle_of_a_force_is_the_least_one(springs):
@@ -79,7 +90,9 @@ def test_a_force_beyond_the_table_gives_its_largest_or_smallest_angle(springs, t
 def test_a_table_of_two_by_two_is_enough():
     corners = np.zeros((2, 2, 4))
     corners[..., 0] = [[0.0, -1.0], [10.0, 9.0]]
-    small = LegSprings(LegTable(np.array([0.0, 1.0]), np.array([0.0, 0.1]), corners), 1.0)
+    small = LegSprings(
+        LegTable(np.array([0.0, 1.0]), np.array([0.0, 0.1]), corners), 1.0
+    )
     assert small.at(np.array(0.5), np.array(0.05)).force == pytest.approx(4.5)
     assert small.angle(np.array([4.5]), np.array([0.05])) == pytest.approx([0.5])
 

@@ -34,13 +34,17 @@ class Standing:
         self.weight, self.height = -model.gravity[2] * model.rod.mass, height
         self.node = np.column_stack([node[:, 0], np.zeros(len(node)), node[:, 1]])
         self.cable = model.tendon.spool_radius * angle - model.tendon.relaxed
-        self.corner = self.corners(self.node, np.tile([0.0, -1.0, 0.0], (len(node) - 1, 1)))
+        self.corner = self.corners(
+            self.node, np.tile([0.0, -1.0, 0.0], (len(node) - 1, 1))
+        )
         self.touching = height + self.corner[:, 2] < 0.0
 
     def corners(self, node, director):
         """(P, 3) m, contact points, in the order of the floor's stiffness."""
         side = self.floor.half_width * director[:, None, None] * [[-1.0], [1.0]]
-        return (np.stack([node[:-1], node[1:]], axis=1)[:, :, None] + side).reshape(-1, 3)
+        return (np.stack([node[:-1], node[1:]], axis=1)[:, :, None] + side).reshape(
+            -1, 3
+        )
 
     def energy(self, move):
         """J; move: shift and turn of the clamp, shifts of the nodes behind, turns of segments."""
@@ -49,13 +53,17 @@ class Standing:
         node, before = self.node + shift, Rotation.from_rotvec(move[3:6])
         before *= Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
         rod, stored, cable, directors = self.rod, 0.0, self.cable, []
-        for k, (begin, chord) in enumerate(zip(np.diff(self.node, axis=0), np.diff(node, axis=0))):
+        for k, (begin, chord) in enumerate(
+            zip(np.diff(self.node, axis=0), np.diff(node, axis=0))
+        ):
             length = np.linalg.norm(chord)
             old, t = begin / np.linalg.norm(begin), chord / length
             axis = np.cross(old, t)
             small = np.linalg.norm(axis)
             axis *= np.arctan2(small, old @ t) / small if small else 0.0
-            turn = Rotation.from_rotvec(move[6 + 3 * n + k] * t) * Rotation.from_rotvec(axis)
+            turn = Rotation.from_rotvec(move[6 + 3 * n + k] * t) * Rotation.from_rotvec(
+                axis
+            )
             d = turn.apply([0.0, -1.0, 0.0])
             own = Rotation.from_matrix(np.column_stack([t, d, np.cross(t, d)]))
             x, y, z = (before.inv() * own).as_rotvec() - [0.0, rod.rest_angle[k], 0.0]
@@ -68,7 +76,9 @@ class Standing:
             directors.append(d)
         corner = self.corners(node, np.array(directors))
         gone = corner - self.corner
-        springs = (self.height + corner[:, 2]) ** 2 + self.floor.bristle * (gone[:, :2] ** 2).sum(1)
+        springs = (self.height + corner[:, 2]) ** 2 + self.floor.bristle * (
+            gone[:, :2] ** 2
+        ).sum(1)
         stored += (self.floor.stiffness * springs)[self.touching].sum()
         stored += self.tendon.stiffness * max(0.0, cable) ** 2
         return stored / 2 + self.weight @ node[:, 2]
@@ -80,7 +90,9 @@ def hessian(function, size, step):
     for i in range(size):
         for j in range(i + 1):
             both, apart = move[i] + move[j], move[i] - move[j]
-            value = function(both) + function(-both) - function(apart) - function(-apart)
+            value = (
+                function(both) + function(-both) - function(apart) - function(-apart)
+            )
             found[i, j] = found[j, i] = value / (4 * step * step)
     return found
 
@@ -117,11 +129,13 @@ def unit_loads(leg, shape, nodes=4001):
     bend = [(m * across).sum(1) for m in moments]
     return np.array(
         [
-            [simpson(a * c / section.torsion + b * d / section.lateral, x=arc)
-             for c, d in zip(twist, bend)]
+            [
+                simpson(a * c / section.torsion + b * d / section.lateral, x=arc)
+                for c, d in zip(twist, bend)
+            ]
             for a, b in zip(twist, bend)
         ]
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -138,7 +152,11 @@ def test_stiffness_sideways_of_an_unloaded_leg_is_that_of_unit_loads(shape):
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_on_its_centre_line_the_compliance_of_the_foot_is_that_of_a_unit_force(shape):
-    changes = {"leg.natural_shape": shape, "leg.density": 1.0, "leg.contact_width": 1e-4}
+    changes = {
+        "leg.natural_shape": shape,
+        "leg.density": 1.0,
+        "leg.contact_width": 1e-4,
+    }
     robot = config.replace(ROBOT, changes)
     leg, force_alone = chains(robot)[0], unit_loads(robot.leg, robot.leg.shape)[0, 0]
     assert sideways(leg) == pytest.approx(held_on_edges(robot, leg), rel=1e-4)
@@ -163,14 +181,18 @@ def sideways(leg):
 
 
 @pytest.mark.parametrize("angle_deg", [85.0, 95.0])
-def test_without_the_longitudinal_force_it_is_the_stiffness_on_a_floor_without_friction(angle_deg):
+def test_without_the_longitudinal_force_it_is_the_stiffness_on_a_floor_without_friction(
+    angle_deg,
+):
     """Where one node touches, the stuck foot let go along the leg is the foot of the static leg."""
     angle, height = np.radians(angle_deg), 0.1
     here = standing(61, angle, height)
     held = StickingLeg(ROBOT, 61).stiffness(here.node, angle, height)
     assert np.count_nonzero(height + here.node[:, 1] < 0.0) == 1
     # The static leg's last pseudo time step, 1000 s, leaves 8e-6 of damping.
-    assert held[2, 2] - held[0, 2] ** 2 / held[0, 0] == pytest.approx(-here.stiffness, rel=3e-5)
+    assert held[2, 2] - held[0, 2] ** 2 / held[0, 0] == pytest.approx(
+        -here.stiffness, rel=3e-5
+    )
     assert held[0, 2] / held[0, 0] == pytest.approx(here.foot_rise, rel=3e-5)
 
 

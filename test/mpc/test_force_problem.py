@@ -47,7 +47,9 @@ def continuous(yaw, height):
     for leg, axis in np.ndindex(4, 3):
         arm = rotation @ ROBOT.feet[leg]
         arm[2] = -height
-        b[6:9, 3 * leg + axis] = np.linalg.solve(inertia, np.cross(arm, np.eye(3)[axis]))
+        b[6:9, 3 * leg + axis] = np.linalg.solve(
+            inertia, np.cross(arm, np.eye(3)[axis])
+        )
         b[9 + axis, 3 * leg + axis] = 1 / ROBOT.mass
     return a, b, g
 
@@ -78,7 +80,9 @@ def optimum(x0, ahead):
     error = (x[1:] - ahead.reference[1 : H + 1]) @ np.diag(q)
     cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r))
     problem = cvxpy.Problem(cvxpy.Minimize(cost), all_constraints)
-    problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11)
+    problem.solve(
+        solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11
+    )
     assert problem.status == cvxpy.OPTIMAL
     return u.value, problem.value
 
@@ -97,20 +101,27 @@ def test_prediction_is_the_exact_zero_order_hold(yaw, height, dt):
 def test_first_forces_and_cost_are_the_optimum_of_the_documented_problem():
     # One controller for all cases: data left over from an earlier update would be detected.
     mpc, rng = new_mpc(), np.random.default_rng(4)
-    cases = [*(CASES[name] for name in NEAR), *(random_case(rng, H + 1) for _ in range(30))]
+    cases = [
+        *(CASES[name] for name in NEAR),
+        *(random_case(rng, H + 1) for _ in range(30)),
+    ]
     for known, ahead in cases:
         plan, (u, cost) = mpc.step(known, ahead), optimum(known.state, ahead)
         assert plan.status == Status.SOLVED
         # where a limit is weakly active, an interior-point solution at a gap of 1e-10 is off by
         # up to 1.3e-4 N in 414 such cases
         np.testing.assert_allclose(plan.force[0].ravel(), u[0], rtol=0, atol=3e-4)
-        assert plan.report.cost == pytest.approx(cost, rel=1e-6, abs=1e-6)  # flat at the optimum
+        assert plan.report.cost == pytest.approx(
+            cost, rel=1e-6, abs=1e-6
+        )  # flat at the optimum
 
 
 def test_at_the_standing_reference_each_leg_carries_a_quarter_of_the_weight():
     plan = new_mpc().step(torso(), preview())
     expected = np.tile([0, 0, ROBOT.mass * GRAVITY / 4], (4, 1))
-    np.testing.assert_allclose(plan.force[0], expected, atol=1e-6)  # solver tolerance 1e-8
+    np.testing.assert_allclose(
+        plan.force[0], expected, atol=1e-6
+    )  # solver tolerance 1e-8
     assert plan.report.cost == pytest.approx(0, abs=1e-9)
 
 
@@ -142,7 +153,9 @@ def test_the_forces_of_every_stage_are_within_their_limits(name):
 
 def test_full_turns_of_the_reference_do_not_matter():
     known = torso(rpy=(0, 0, 3.1))
-    near, far = (np.tile(state(rpy=(0, 0, 3.2 - 2 * np.pi * n)), (H + 1, 1)) for n in (0, 1))
+    near, far = (
+        np.tile(state(rpy=(0, 0, 3.2 - 2 * np.pi * n)), (H + 1, 1)) for n in (0, 1)
+    )
     mpc = new_mpc()
     a, b = (mpc.step(known, preview(reference=ref)).force[0] for ref in (near, far))
     np.testing.assert_allclose(a, b, atol=1e-6)  # solver tolerance
@@ -156,7 +169,8 @@ def test_a_preview_as_long_as_the_horizon_repeats_its_last_reference():
     mpc = new_mpc()
     whole = mpc.step(torso(), preview(reference=reference)).force
     short = mpc.step(
-        torso(), standing(H, normal_force=np.full((H, 4), HOVER), reference=reference[:H])
+        torso(),
+        standing(H, normal_force=np.full((H, 4), HOVER), reference=reference[:H]),
     ).force
     np.testing.assert_allclose(whole, short, atol=1e-9)  # roundoff
 
@@ -187,7 +201,9 @@ def test_slacks_are_those_of_the_first_stage():
     ],
 )
 def test_weights_that_make_the_problem_ill_conditioned_are_rejected(changes):
-    with pytest.raises(config.ConfigError, match=r"weights.force.*condition number .* exceeds 1"):
+    with pytest.raises(
+        config.ConfigError, match=r"weights.force.*condition number .* exceeds 1"
+    ):
         new_mpc(**changes)
 
 
@@ -205,9 +221,16 @@ def test_condition_number_is_that_of_the_condensed_hessian():
 def test_force_max_is_the_force_of_a_fully_pulled_leg_at_the_height_of_the_walk():
     """The paper's line gives 5.532 N at any height; the walk's normal forces reach 11 N."""
     with (config.config_dir() / "leg_map.csv").open() as file:
-        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
-    pulled = [row for row in rows if row["theta_deg"] == max(r["theta_deg"] for r in rows)]
-    force = np.interp(0.064, *zip(*((row["height_m"], row["force_N"]) for row in pulled)))
+        rows = [
+            {name: float(value) for name, value in row.items()}
+            for row in csv.DictReader(file)
+        ]
+    pulled = [
+        row for row in rows if row["theta_deg"] == max(r["theta_deg"] for r in rows)
+    ]
+    force = np.interp(
+        0.064, *zip(*((row["height_m"], row["force_N"]) for row in pulled))
+    )
     assert SETTINGS.force_max == pytest.approx(force, abs=0.05)  # one decimal
 
 

@@ -54,10 +54,16 @@ REJECTED = {
     "preview.friction[3, 2] = -0.1": (torso(), damaged("friction", (3, 2), -0.1)),
     "preview.friction[0, 0] = nan": (torso(), damaged("friction", (0, 0), np.nan)),
     "preview.contact[1, 1] = 2": (torso(), damaged("contact", (1, 1), 2)),
-    "preview.normal_force[2, 0] = -inf": (torso(), damaged("normal_force", (2, 0), -np.inf)),
+    "preview.normal_force[2, 0] = -inf": (
+        torso(),
+        damaged("normal_force", (2, 0), -np.inf),
+    ),
     "preview.reference[15, 5] = nan": (torso(), damaged("reference", (15, 5), np.nan)),
     "preview.reference[0, 3] = inf": (torso(), damaged("reference", (0, 3), np.inf)),
-    "preview.tendon_angle[1, 3] = nan": (torso(), damaged("tendon_angle", (1, 3), np.nan)),
+    "preview.tendon_angle[1, 3] = nan": (
+        torso(),
+        damaged("tendon_angle", (1, 3), np.nan),
+    ),
     f"preview.contact: shape ({H - 1}, 4)": (torso(), preview(stages=H - 1)),
     "preview.friction: shape (16, 3)": (torso(), preview(friction=np.ones((H + 1, 3)))),
     "preview.normal_force: shape (64,)": (torso(), preview(normal_force=np.ones(64))),
@@ -80,7 +86,9 @@ def test_bad_input_is_rejected_before_the_solver_and_named(fault):
     np.testing.assert_allclose(result.force[0, :, 2], expected)
     again = mpc.step(torso(), preview())  # the bad input has no later effect
     assert again.status == Status.SOLVED
-    np.testing.assert_allclose(again.force[0, :, 2], HOVER, atol=1e-6)  # solver tolerance
+    np.testing.assert_allclose(
+        again.force[0, :, 2], HOVER, atol=1e-6
+    )  # solver tolerance
 
 
 class LateFrom:
@@ -113,7 +121,11 @@ def violation():
     # standing is well within all limits; an interior point does not satisfy a friction of zero
     mpc = new_mpc(acceptance__violation_max=0.0)
     slipping = torso(rpy=(0.5, -0.5, 0), v=(0.1, 0, 0))
-    return mpc, slipping, preview(normal_force=GAIT_FORCE, friction=np.zeros((H + 1, 4)))
+    return (
+        mpc,
+        slipping,
+        preview(normal_force=GAIT_FORCE, friction=np.zeros((H + 1, 4))),
+    )
 
 
 def bad_input():
@@ -154,7 +166,10 @@ def test_fallback_decays_to_the_normal_forces_of_the_gait_and_stops_after_the_co
 
 
 def test_a_nan_solution_reported_as_solved_is_not_accepted(monkeypatch):
-    solutions = [np.full(24 * H, HOVER), np.full(24 * H, np.nan)]  # a feasible input, then not
+    solutions = [
+        np.full(24 * H, HOVER),
+        np.full(24 * H, np.nan),
+    ]  # a feasible input, then not
     solutions[0].reshape(H, 8, 3)[..., :2] = 0.0
 
     class FaultySolver:
@@ -188,7 +203,10 @@ def test_fallback_puts_no_force_on_a_lifted_leg():
     assert mpc.step(*good).status == Status.SOLVED
     contact = np.ones((H + 1, 4), dtype=bool)
     contact[0, 2] = False
-    for x0, status in ((torso(), Status.LATE), (known(np.full(12, np.nan)), Status.REJECTED)):
+    for x0, status in (
+        (torso(), Status.LATE),
+        (known(np.full(12, np.nan)), Status.REJECTED),
+    ):
         result = mpc.step(x0, preview(contact=contact))
         assert result.status == status
         assert not result.force[0, 2].any()

@@ -47,7 +47,10 @@ def exact(mpc):
 def test_oracle_and_cvxpy_reference_have_the_same_forces():
     mpc, rng = controller(), np.random.default_rng(2)
     reference = CvxpyReference(ROBOT, SETTINGS)
-    for case in [*(random_case(rng, H + 1) for _ in range(5)), hard_cases(H + 1)["a leg swings"]]:
+    for case in [
+        *(random_case(rng, H + 1) for _ in range(5)),
+        hard_cases(H + 1)["a leg swings"],
+    ]:
         mpc.step(*case)
         force = reference.solve(case[0].state, case[1])
         # Clarabel's gap of 1e-11 has a root of 3e-6
@@ -71,7 +74,9 @@ def test_first_forces_are_the_optimum_of_random_problems(count, factor, changes)
     for _ in range(count):
         result = mpc.step(*random_case(rng, changes.get("horizon", H) + 1))
         assert result.status == Status.SOLVED
-        np.testing.assert_allclose(result.force[0], exact(mpc), rtol=0, atol=factor * TOLERANCE)
+        np.testing.assert_allclose(
+            result.force[0], exact(mpc), rtol=0, atol=factor * TOLERANCE
+        )
 
 
 @pytest.mark.parametrize("case", hard_cases(H + 1))
@@ -85,7 +90,10 @@ def test_hard_cases_give_the_optimum(case):
 
 def test_forces_without_contact_friction_or_a_force_limit_are_zero():
     mpc, cases = controller(), hard_cases(H + 1)
-    excluded = [mpc.step(*cases["flight"]).force, mpc.step(*cases["no friction"]).force[..., :2]]
+    excluded = [
+        mpc.step(*cases["flight"]).force,
+        mpc.step(*cases["no friction"]).force[..., :2],
+    ]
     result = controller(force_max=0.0).step(torso(), standing(H + 1))
     assert result.status == Status.SOLVED
     for force in (*excluded, result.force):
@@ -104,7 +112,11 @@ def test_after_many_updates_the_solution_is_that_of_a_new_solver():
 def test_a_failed_case_does_not_affect_the_next():
     mpc, limit = controller(), SETTINGS.acceptance.input_max
     good = random_case(np.random.default_rng(10), H + 1)
-    for x in (torso(p=(0, 0, -1e3)), torso(p=(0, 0, limit)), torso(rpy=(limit, -limit, 0))):
+    for x in (
+        torso(p=(0, 0, -1e3)),
+        torso(p=(0, 0, limit)),
+        torso(rpy=(limit, -limit, 0)),
+    ):
         mpc.step(x, standing(H + 1))
         result = mpc.step(*good)
         assert result.status == Status.SOLVED
@@ -144,7 +156,13 @@ class Balanced:
         rows = np.zeros((H, qp.P.shape[0]))
         for k in range(H):
             rows[k, 24 * k + 2 : 24 * k + 12 : 3] = 1.0
-        self.horizon, self.P, self.c, self.G, self.h = qp.horizon, qp.P, qp.c, qp.G, qp.h
+        self.horizon, self.P, self.c, self.G, self.h = (
+            qp.horizon,
+            qp.P,
+            qp.c,
+            qp.G,
+            qp.h,
+        )
         self.A = sparse.vstack([qp.A, rows], format="csc")
         self.b = np.concatenate([qp.b.ravel(), np.full(H, force)])
         self.lower, self.upper = qp.lower, qp.upper

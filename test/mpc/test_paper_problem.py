@@ -16,8 +16,17 @@ from slot_core.robot import read_robot
 
 H, DT, G, MASS = 15, 0.033, 9.81, 2.16
 SIZE = np.array([0.1255, 0.0855, 0.034])  # m, of the torso
-BOX = MASS / 12 * np.diag([SIZE[1] ** 2 + SIZE[2] ** 2, SIZE[0] ** 2 + SIZE[2] ** 2,
-                           SIZE[0] ** 2 + SIZE[1] ** 2])  # fmt: skip
+BOX = (
+    MASS
+    / 12
+    * np.diag(
+        [
+            SIZE[1] ** 2 + SIZE[2] ** 2,
+            SIZE[0] ** 2 + SIZE[2] ** 2,
+            SIZE[0] ** 2 + SIZE[1] ** 2,
+        ]
+    )
+)
 CORNERS = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])  # FL FR RL RR
 WEIGHTS = np.array([0.1, 0.1, 0.1, 0, 0, 100, 0.01, 0.01, 0.01, 20, 0.1, 0, 0]) / 1000
 ROOT = np.sqrt(0.5)
@@ -33,16 +42,20 @@ PHASES = {0: 0.2, 1: 0.7}  # of the gait, by the pulled front leg
 STATES = {
     "at rest, low": {"p": (0, 0, 0.01)},
     "moving, tilted, turned": {
-        "rpy": (0.05, -0.03, 0.4), "p": (0.1, 0.02, 0.05), "omega": (0.2, -0.1, 0.05),
+        "rpy": (0.05, -0.03, 0.4),
+        "p": (0.1, 0.02, 0.05),
+        "omega": (0.2, -0.1, 0.05),
         "v": (0.03, 0.01, -0.02),
     },
-}  # fmt: skip
+}
 
 
 def policy(name, **changes):
     names = {key.replace("__", "."): value for key, value in changes.items()}
     # no time budget: the tests must not depend on the load of the machine
-    settings = config.replace(read_mpc(name), {"acceptance.time_budget": np.inf} | names)
+    settings = config.replace(
+        read_mpc(name), {"acceptance.time_budget": np.inf} | names
+    )
     return Mpc(read_robot(), settings, lambda: 0.0)
 
 
@@ -50,12 +63,16 @@ def walking(phase, stages=H + 1):
     """Preview of a walk at 0.08 m/s and a height of 0.04 m, with references that change."""
     reference = np.tile(state(v=(0.08, 0, 0)), (stages, 1))
     reference[:, 5] += np.linspace(0.0, 0.01, stages)
-    ahead = standing(stages, reference=reference, velocity_ahead=np.tile([0.08, 0, 0], (stages, 1)))
+    ahead = standing(
+        stages, reference=reference, velocity_ahead=np.tile([0.08, 0, 0], (stages, 1))
+    )
     return dataclasses.replace(ahead, phase=phase)
 
 
 def turn(yaw):
-    return np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    return np.array(
+        [[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]]
+    )
 
 
 def dynamics(name, yaw):
@@ -71,7 +88,9 @@ def dynamics(name, yaw):
     inertia = rotation @ BOX @ rotation.T
     for leg, axis in np.ndindex(4, 3):
         unit = np.eye(3)[axis]
-        b[6:9, 3 * leg + axis] = np.linalg.solve(inertia, np.cross(rotation @ levers[leg], unit))
+        b[6:9, 3 * leg + axis] = np.linalg.solve(
+            inertia, np.cross(rotation @ levers[leg], unit)
+        )
         b[9:12, 3 * leg + axis] = unit / MASS
     return a, b
 
@@ -92,7 +111,11 @@ def published(u, mu):
         f = LEG_FRAMES[leg].T @ u[3 * leg : 3 * leg + 3]
         out += [f[2] >= 0, f[2] <= 6.0]
         if leg == pulled:
-            out += [f[0] >= 0.2, f[0] <= mu[leg] * f[2], cvxpy.abs(f[1]) <= mu[leg] * f[2]]
+            out += [
+                f[0] >= 0.2,
+                f[0] <= mu[leg] * f[2],
+                cvxpy.abs(f[1]) <= mu[leg] * f[2],
+            ]
             cost += 0.01 * cvxpy.square(f[0] - 0.6)
         elif leg < 2:
             out += [f[2] >= 4.0, cvxpy.abs(f[0]) <= mu[leg] * f[2]]
@@ -108,7 +131,10 @@ def optimum(name, x0, ahead, pulled):
     """Forces (H, 12) and cost by CVXPY and Clarabel."""
     a, b = dynamics(name, x0[2])
     mu = [0.6 if leg == pulled else 0.2 if leg < 2 else 0.1 for leg in range(4)]
-    q = np.diag(WEIGHTS * np.where(np.arange(13) == 5, 1000.0 if name == "paper_code" else 1.0, 1))
+    q = np.diag(
+        WEIGHTS
+        * np.where(np.arange(13) == 5, 1000.0 if name == "paper_code" else 1.0, 1)
+    )
     x, u = cvxpy.Variable((13, H + 1)), cvxpy.Variable((12, H))
     cost, constraints = 1e-8 * cvxpy.sum_squares(u), [x[:, 0] == np.append(x0, -G)]
     for k in range(H):
@@ -117,7 +143,9 @@ def optimum(name, x0, ahead, pulled):
         limits, more = (printed if name == "paper_text" else published)(u[:, k], mu)
         constraints, cost = constraints + limits, cost + more
     problem = cvxpy.Problem(cvxpy.Minimize(SCALE * cost), constraints)
-    problem.solve(solver=cvxpy.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
+    problem.solve(
+        solver=cvxpy.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10
+    )
     assert problem.status == cvxpy.OPTIMAL
     return u.value.T, problem.value / SCALE
 
@@ -136,7 +164,12 @@ def test_a_cycle_is_the_optimum_of_the_papers_problem(name, pulled):
 
 
 def test_the_front_legs_take_turns_while_the_robot_is_to_move():
-    assert [pulled_leg(walking(phase)) for phase in (0.0, 0.49, 0.5, 0.99)] == [0, 0, 1, 1]
+    assert [pulled_leg(walking(phase)) for phase in (0.0, 0.49, 0.5, 0.99)] == [
+        0,
+        0,
+        1,
+        1,
+    ]
     assert pulled_leg(standing(H + 1)) is None
 
 
@@ -147,19 +180,26 @@ def test_the_first_stage_keeps_the_limits_of_the_papers_problem(name):
     assert abs(force[:, 2].sum() - MASS * G) < 0.01 * (name == "paper_code") + 1e-6
     assert force[:, 2].max() < 6.0 + 1e-6
     assert report.slack_balance > -1e-6
-    assert np.concatenate([report.slack_normal_min, report.slack_friction]).min() > -1e-6
+    assert (
+        np.concatenate([report.slack_normal_min, report.slack_friction]).min() > -1e-6
+    )
     assert force[0, :2] @ force[0, :2] > 0.0
     if name == "paper_code":
         along = (LEG_FRAMES[1].T @ force[1])[0]
         assert along >= 0.2 - 1e-6
-        assert report.slack_normal_min[[0, 2, 3]] == pytest.approx(force[[0, 2, 3], 2] - 4.0)
+        assert report.slack_normal_min[[0, 2, 3]] == pytest.approx(
+            force[[0, 2, 3], 2] - 4.0
+        )
         sides = 0.1 * force[2:, 2] - np.hypot(*force[2:, :2].T)
         assert report.slack_friction[2:] == pytest.approx(sides)
 
 
 def test_an_infeasible_cycle_repeats_the_last_feasible_forces_as_printed():
     """Three legs of 6 N cannot carry 21 N; four of 5.2 N cannot either."""
-    assert policy("paper_text", force_max=5.2).step(torso(), walking(0.2)).status == Status.STOPPED
+    assert (
+        policy("paper_text", force_max=5.2).step(torso(), walking(0.2)).status
+        == Status.STOPPED
+    )
     mpc = policy("paper_text")
     good = mpc.step(torso(p=(0, 0, 0.03)), walking(0.2))
     late = mpc.step(torso(p=(0, 0, np.nan)), walking(0.2))
@@ -171,7 +211,9 @@ def test_forces_of_another_phase_are_clipped_to_the_limits_of_this_one():
     mpc = policy("paper_code", fallback__decay=1.0)
     mpc.step(torso(), walking(PHASES[0]))
     clipped = mpc.step(torso(p=(0, 0, np.nan)), walking(PHASES[1])).report
-    assert np.concatenate([clipped.slack_friction, clipped.slack_normal_min]).min() > -1e-9
+    assert (
+        np.concatenate([clipped.slack_friction, clipped.slack_normal_min]).min() > -1e-9
+    )
 
 
 def test_a_policy_of_the_paper_changes_only_the_values_it_names():

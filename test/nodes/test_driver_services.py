@@ -31,7 +31,11 @@ def switch(rig, on):
     ("parameter", "value", "reason"),
     [
         ("joints.ids", "[5, 4, 2, 9]", "servo RR (id 9): ping: "),
-        ("servo.firmware_min", 46, "servo FL (id 5): firmware 45, expected 46 or newer"),
+        (
+            "servo.firmware_min",
+            46,
+            "servo FL (id 5): firmware 45, expected 46 or newer",
+        ),
     ],
 )
 def test_unexpected_servos_are_refused_in_one_line(rig, parameter, value, reason):
@@ -72,7 +76,9 @@ def test_a_measured_zero_applies_at_once_and_after_a_restart(rig):
     rig.wait_for(lambda: rig.since("/joint_states", begin))
     assert abs(rig.last("/joint_states").position[0]) < 1.5 * RAD_PER_COUNT
     zero = float(answer.message.split(" at ")[1].split(" deg")[0])
-    assert f"zero_deg: [{zero:.2f}, 130.0, " in (rig.config / "dynamixel.yaml").read_text()
+    assert (
+        f"zero_deg: [{zero:.2f}, 130.0, " in (rig.config / "dynamixel.yaml").read_text()
+    )
     rig.stop(DRIVER)
     start_driver(rig)
     assert abs(rig.last("/joint_states").position[0]) < 1.5 * RAD_PER_COUNT

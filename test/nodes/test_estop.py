@@ -47,7 +47,9 @@ def sources(walking):
     walking.run(PERIOD)
 
 
-def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(walking, sources):
+def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(
+    walking, sources
+):
     button, _ = sources
     begin = walking.now()
     button.send(pressed=True)
@@ -57,17 +59,24 @@ def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(walk
     assert walking.last("/robot_state").action == RobotState.ACTION_OFF
     for _ in range(20):  # between messages of both sources
         walking.run(PERIOD / 7)
-        assert walking.request("reset") == "RESET refused in ESTOP: e-stop pressed at button"
+        assert (
+            walking.request("reset")
+            == "RESET refused in ESTOP: e-stop pressed at button"
+        )
     button.send(pressed=False)
     walking.run(2 * PERIOD)  # the supervisor has received it
     assert walking.state is State.ESTOP
     assert walking.request("ready") == "READY refused in ESTOP: reset first"
     assert walking.request("reset") == ""
     walking.wait_for(lambda: walking.state is State.IDLE)
-    walking.wait_for(lambda: max(walking.last("/joint_states").position) < 0.05)  # slack
+    walking.wait_for(
+        lambda: max(walking.last("/joint_states").position) < 0.05
+    )  # slack
 
 
-def test_a_source_that_was_pressed_and_lost_is_released_only_by_forget(walking, sources):
+def test_a_source_that_was_pressed_and_lost_is_released_only_by_forget(
+    walking, sources
+):
     button, _ = sources
     button.send(pressed=True)
     walking.run(PERIOD)

@@ -21,7 +21,9 @@ def rig(simulate):
 def newest(rig, begin):
     """Newest status of each name since a time, with its values by key."""
     found = [status for m in rig.since("/diagnostics", begin) for status in m.status]
-    return {s.name: (s.level, s.message, {v.key: v.value for v in s.values}) for s in found}
+    return {
+        s.name: (s.level, s.message, {v.key: v.value for v in s.values}) for s in found
+    }
 
 
 def test_a_walking_robot_is_reported_once_a_second(walking):
@@ -29,7 +31,9 @@ def test_a_walking_robot_is_reported_once_a_second(walking):
     begin = walking.now()
     walking.run(5.0)
     reports = walking.since("/diagnostics", begin)
-    assert len(reports) == pytest.approx(2 * 5, abs=2)  # of supervisor and state estimator
+    assert len(reports) == pytest.approx(
+        2 * 5, abs=2
+    )  # of supervisor and state estimator
     found = newest(walking, begin)
     assert set(found) == {"supervisor", "controller", "disturbances", "state estimator"}
     assert {level for level, *_ in found.values()} == {OK}
@@ -57,12 +61,19 @@ def test_a_lost_estimate_and_a_fault_are_reported_at_once(walking):
         ({}, (0, 0), OK, "SOLVED"),
         ({}, (2, 1), WARN, "2 cycles too long, 1 states skipped"),
         ({"status": TendonPlan.LATE, "message": "30 ms"}, (0, 0), WARN, "LATE 30 ms"),
-        ({"status": TendonPlan.STOPPED, "message": "used up"}, (9, 0), ERROR, "STOPPED used up"),
+        (
+            {"status": TendonPlan.STOPPED, "message": "used up"},
+            (9, 0),
+            ERROR,
+            "STOPPED used up",
+        ),
         ({"status": TendonPlan.MODEL_FAR}, (0, 0), WARN, "MODEL_FAR"),
         ({"status": 9}, (0, 0), WARN, "status 9"),
     ],
 )
-def test_overruns_and_fallbacks_of_the_controller_are_reported(changes, passed, level, message):
+def test_overruns_and_fallbacks_of_the_controller_are_reported(
+    changes, passed, level, message
+):
     status = graph_diagnostics.of_controller(TendonPlan(**changes), passed)
     assert (status.level, status.message) == (level, message)
 
@@ -79,7 +90,11 @@ def test_disturbances_are_in_plain_units_and_empty_where_they_are_unknown():
 
 @pytest.mark.parametrize(
     ("validity", "level"),
-    [(Validity.VALID, OK), (Validity.IMU_MISSING, WARN), (Validity.ODOMETRY_LOST, ERROR)],
+    [
+        (Validity.VALID, OK),
+        (Validity.IMU_MISSING, WARN),
+        (Validity.ODOMETRY_LOST, ERROR),
+    ],
 )
 def test_the_incline_is_reported_where_it_is_known(validity, level):
     known = graph_diagnostics.of_estimator(validity, (0.1, 0.01))

@@ -58,7 +58,9 @@ def test_a_topic_that_no_node_of_the_process_publishes_is_left_to_dds(mailbox, e
     assert intra_process.publisher(alone) is alone
 
 
-def test_a_slow_reader_of_the_newest_skips_the_others_and_sees_their_number(mailbox, events):
+def test_a_slow_reader_of_the_newest_skips_the_others_and_sees_their_number(
+    mailbox, events
+):
     with mailbox.in_use():
         numbers = intra_process.publisher(Recorded(events))
         intra_process.subscribe("/numbers", reader(events, "every"), EVERY)
@@ -74,7 +76,9 @@ def test_an_answer_to_a_message_is_delivered_in_the_same_round(mailbox, events):
     """The command of a tick is there before the messages that led to it are published."""
     with mailbox.in_use():
         numbers = intra_process.publisher(Recorded(events))
-        answers = intra_process.publisher(type("", (Recorded,), {"topic_name": "/answers"})(events))
+        answers = intra_process.publisher(
+            type("", (Recorded,), {"topic_name": "/answers"})(events)
+        )
         intra_process.subscribe("/numbers", lambda m, _: answers.publish(-m), NEWEST)
         intra_process.subscribe("/answers", reader(events, "answer"), EVERY)
     numbers.publish(7)
@@ -82,7 +86,9 @@ def test_an_answer_to_a_message_is_delivered_in_the_same_round(mailbox, events):
     assert events == [("answer", -7, 1), ("topic", 7), ("topic", -7)]
 
 
-def test_what_is_put_off_waits_for_the_answers_and_is_done_at_once_by_a_lone_node(mailbox, events):
+def test_what_is_put_off_waits_for_the_answers_and_is_done_at_once_by_a_lone_node(
+    mailbox, events
+):
     with mailbox.in_use():
         numbers = intra_process.publisher(Recorded(events))
         intra_process.subscribe("/numbers", reader(events, "a"), NEWEST)
@@ -95,12 +101,17 @@ def test_what_is_put_off_waits_for_the_answers_and_is_done_at_once_by_a_lone_nod
     assert events == []
 
 
-def test_a_reader_made_before_the_publisher_leaves_its_subscription_by_dds(mailbox, events):
+def test_a_reader_made_before_the_publisher_leaves_its_subscription_by_dds(
+    mailbox, events
+):
     """Robot and controller read each other's topics, so one of them is made first."""
     with mailbox.in_use():
         assert not intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
         intra_process.subscribe_later(
-            "/numbers", reader(events, "a"), EVERY, lambda: events.append("unsubscribed")
+            "/numbers",
+            reader(events, "a"),
+            EVERY,
+            lambda: events.append("unsubscribed"),
         )
         assert events == []
         numbers = intra_process.publisher(Recorded(events))

@@ -33,7 +33,8 @@ class Graph:
     def __init__(self, rig):
         self.rig = rig
         self.publishers = {  # those of the nodes: a second one of a command stops the robot
-            topic: next(iter(rig.publishers_of(topic)), None) or rig.publisher(kind, topic, profile)
+            topic: next(iter(rig.publishers_of(topic)), None)
+            or rig.publisher(kind, topic, profile)
             for topic, (kind, profile) in TOPICS.items()
         }
         for topic, (kind, profile) in TOPICS.items():
@@ -49,7 +50,9 @@ class Graph:
         """Wait for TICKS commands newer than now; check the range of all commands."""
         begin = self.rig.now()
         commands = self.rig.messages["/desired_joint_angles"]
-        self.rig.wait_for(lambda: sum(decode.stamp(m) > begin for m in commands) >= TICKS)
+        self.rig.wait_for(
+            lambda: sum(decode.stamp(m) > begin for m in commands) >= TICKS
+        )
         assert self.rig.exit_codes == {}
         assert self.rig.state in {State.WALKING, State.HOLD}
         limit = read_robot().tendon.angle_max
@@ -134,15 +137,29 @@ def test_invalid_message_with_a_present_stamp_is_refused_and_the_robot_walks_on(
 @pytest.mark.parametrize(
     ("topic", "change", "name", "line"),
     [
-        ("tendon_plan", sets(angle=[NAN] * 88), "force_mapper",
-         "tendon_plan refused: angle[0, 0] = nan: expected a finite number"),
-        ("mpc_state", sets(position__x=NAN), "gait_scheduler",
-         "mpc_state refused: state[3] = nan: expected a finite number"),
-        ("desired_joint_angles", sets(position=[-0.1] * 4), "sim_robot",
-         "desired_joint_angles refused: command FL = -0.1 rad is not inside [0, 2.029]"),
+        (
+            "tendon_plan",
+            sets(angle=[NAN] * 88),
+            "force_mapper",
+            "tendon_plan refused: angle[0, 0] = nan: expected a finite number",
+        ),
+        (
+            "mpc_state",
+            sets(position__x=NAN),
+            "gait_scheduler",
+            "mpc_state refused: state[3] = nan: expected a finite number",
+        ),
+        (
+            "desired_joint_angles",
+            sets(position=[-0.1] * 4),
+            "sim_robot",
+            "desired_joint_angles refused: command FL = -0.1 rad is not inside [0, 2.029]",
+        ),
     ],
-)  # fmt: skip
-def test_refused_message_is_logged_with_value_and_limit(graph, topic, change, name, line):
+)
+def test_refused_message_is_logged_with_value_and_limit(
+    graph, topic, change, name, line
+):
     graph.send(topic, change)
     graph.rig.run(0.01)
     assert line in graph.rig.log(name)
@@ -154,7 +171,9 @@ def test_a_body_pose_is_followed_unless_it_is_invalid_or_out_of_range(graph):
         pose.pose.position.z, pose.pose.orientation.w = height, w
         graph.publishers["body_pose"].publish(pose)
 
-    assert graph.rig.call(SetGait, "/set_gait", gait="walk", velocity=Vector3(x=0.05)).success
+    assert graph.rig.call(
+        SetGait, "/set_gait", gait="walk", velocity=Vector3(x=0.05)
+    ).success
     command(0.065)
     graph.rig.wait_for(lambda: graph.last("gait_preview").pose[0] == 0.065)
     for height, w in ((NAN, 1.0), (INF, 1.0), (0.5, 1.0), (0.06, 0.0), (0.06, NAN)):

@@ -60,16 +60,23 @@ def test_a_killed_supervisor_ends_in_hold_then_relax_and_the_robot_walks_again_w
 ):
     begin = walking.kill("supervisor")
     walking.wait_for(lambda: is_slack(walking))
-    for action, limit in ((Action.HOLD, "command_hold"), (Action.RELAX, "command_lost")):
+    for action, limit in (
+        (Action.HOLD, "command_hold"),
+        (Action.RELAX, "command_lost"),
+    ):
         number = decode.ACTION_NUMBERS.index(action)
-        report = next(m for m in walking.since("/servo_health", begin) if m.action == number)
+        report = next(
+            m for m in walking.since("/servo_health", begin) if m.action == number
+        )
         assert report.reason.startswith("no message of the supervisor")
         assert (decode.stamp(report) - begin) * 1e-9 < walking.limit(limit) + STEP
     walking.start("supervisor")
     walking.wait_for(lambda: walking.state is not State.WALKING)
     walking.walk()
     moving = walking.now()
-    walking.wait_for(lambda: angles(walking, moving).size and np.ptp(angles(walking, moving)) > 0.5)
+    walking.wait_for(
+        lambda: angles(walking, moving).size and np.ptp(angles(walking, moving)) > 0.5
+    )
 
 
 def test_a_supervisor_that_is_restarted_after_an_estop_waits_for_an_operator(walking):

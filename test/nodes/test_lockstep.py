@@ -31,7 +31,9 @@ def test_states_equal_those_of_the_core_to_the_last_bit(rig):
     for stamp, report in reports:
         assert states[stamp].state == report.state
         assert states[stamp].reason == report.reason
-        assert list(states[stamp].slack) == pytest.approx(report.slack, abs=0.0, nan_ok=True)
+        assert list(states[stamp].slack) == pytest.approx(
+            report.slack, abs=0.0, nan_ok=True
+        )
 
 
 def test_an_estop_is_released_by_the_source_that_has_pressed_it_alone(rig):

@@ -29,7 +29,9 @@ def through_dds(message):
 
 def test_odometry():
     q = Rotation.random(rng=RNG).as_quat()
-    sent = OdometryReading(STAMP, RNG.normal(size=3), q, RNG.normal(size=3), RNG.normal(size=3))
+    sent = OdometryReading(
+        STAMP, RNG.normal(size=3), q, RNG.normal(size=3), RNG.normal(size=3)
+    )
     message = through_dds(messages.odometry_to_msg(sent))
     assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
     stamp, position, quaternion, velocity, rate, variance = decode.odometry(message)
@@ -47,7 +49,10 @@ def test_odometry():
 def test_a_prefix_is_put_before_every_frame_of_a_message():
     message = Odometry(header=messages.header(0), child_frame_id="base_link")
     messages.prefix_frames(message, "fred/")
-    assert (message.header.frame_id, message.child_frame_id) == ("fred/odom", "fred/base_link")
+    assert (message.header.frame_id, message.child_frame_id) == (
+        "fred/odom",
+        "fred/base_link",
+    )
     transforms = TFMessage(transforms=[TransformStamped(header=messages.header(0))])
     messages.prefix_frames(transforms, "fred/")
     assert transforms.transforms[0].header.frame_id == "fred/odom"
@@ -68,14 +73,19 @@ def test_imu_marks_its_orientation_as_missing():
 
 def test_state_and_its_transform():
     state = np.concatenate([[0.1, -0.2, 2.0], RNG.normal(size=9)])
-    estimate = Estimate(STAMP, state, RNG.normal(size=(12, 12)), Validity.IMU_MISSING, LEAD)
+    estimate = Estimate(
+        STAMP, state, RNG.normal(size=(12, 12)), Validity.IMU_MISSING, LEAD
+    )
     message = through_dds(messages.state_to_msg(estimate))
     got = decode.estimate(message)
     assert (got.stamp, got.validity, got.lead) == (STAMP, 3, LEAD)
     assert (got.state == state).all()
     assert (got.covariance == estimate.covariance).all()
     transform, footprint = through_dds(messages.state_to_tf(estimate)).transforms
-    assert (transform.header.frame_id, transform.child_frame_id) == ("odom", "base_link")
+    assert (transform.header.frame_id, transform.child_frame_id) == (
+        "odom",
+        "base_link",
+    )
     q = transform.transform.rotation
     yaw_pitch_roll = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_euler("ZYX")
     assert yaw_pitch_roll == pytest.approx([2.0, -0.2, 0.1])
@@ -84,12 +94,17 @@ def test_state_and_its_transform():
     place = base @ below  # in odom: on the floor, level, with the torso's yaw
     assert place.position == pytest.approx([*state[3:5], 0.0])
     assert place.rotation == pytest.approx(Rotation.from_euler("z", 2.0).as_matrix())
-    assert (footprint.header.frame_id, footprint.child_frame_id) == ("base_link", "base_footprint")
+    assert (footprint.header.frame_id, footprint.child_frame_id) == (
+        "base_link",
+        "base_footprint",
+    )
 
 
 def as_transform(message):
     q = message.rotation
-    return Transform.of_quaternion(decode.vector(message.translation), [q.x, q.y, q.z, q.w])
+    return Transform.of_quaternion(
+        decode.vector(message.translation), [q.x, q.y, q.z, q.w]
+    )
 
 
 def test_an_estimate_as_odometry_has_twist_and_covariances_in_their_frames():
@@ -182,7 +197,9 @@ def test_a_command_without_velocities_stays():
 def test_legs_with_and_without_directors(segments):
     odometry = OdometryReading(STAMP, *RNG.normal(size=(4, 3)))
     shape = RNG.normal(size=(4, 7, 3)), RNG.normal(size=(4, segments, 3))
-    sent = TrueState(STAMP, odometry, RNG.normal(size=4), RNG.normal(size=(4, 3)), *shape)
+    sent = TrueState(
+        STAMP, odometry, RNG.normal(size=4), RNG.normal(size=(4, 3)), *shape
+    )
     message = through_dds(messages.legs_to_msg(sent))
     assert message.header.frame_id == "odom"
     stamp, tension, force, nodes, directors = decode.legs(message)

@@ -36,7 +36,9 @@ def intruder(walking):
     def publish(topic, message):
         kind, profile, _ = TOPICS[topic]
         out, message = walking.publisher(kind, topic, profile), copy.deepcopy(message)
-        made.append((out, walking.every(FORGED, lambda: out.publish(present(walking, message)))))
+        made.append(
+            (out, walking.every(FORGED, lambda: out.publish(present(walking, message))))
+        )
 
     yield publish
     for out, timer in made:
@@ -48,7 +50,9 @@ def intruder(walking):
 def present(rig, message):
     """The message with the present stamp, if it has one."""
     if hasattr(message, "header"):
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(rig.now(), 10**9)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(
+            rig.now(), 10**9
+        )
     return message
 
 
@@ -56,7 +60,9 @@ def first_relax(rig, begin):
     """First report of the servos in RELAX since a time; forged states hide the true ones."""
     relaxes = decode.ACTION_NUMBERS.index(Action.RELAX)
     return rig.wait_for(
-        lambda: next((m for m in rig.since("/servo_health", begin) if m.action == relaxes), None)
+        lambda: next(
+            (m for m in rig.since("/servo_health", begin) if m.action == relaxes), None
+        )
     )
 
 
@@ -115,7 +121,9 @@ def test_an_estop_switches_torque_off_beside_a_second_publisher(walking, intrude
 
 
 @pytest.mark.parametrize("topic", TOPICS)
-def test_beside_a_second_publisher_the_robot_does_not_stand_up(walking, intruder, topic):
+def test_beside_a_second_publisher_the_robot_does_not_stand_up(
+    walking, intruder, topic
+):
     begin = walking.now()
     intruder(topic, walking.last(f"/{topic}"))
     walking.wait_for_torque_off(begin)

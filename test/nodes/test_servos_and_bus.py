@@ -27,7 +27,9 @@ def rig(graph):
     graph.restore()
 
 
-LATE = 0.05  # s, from a limit to the reaction: two steps of the supervisor and a bus cycle
+LATE = (
+    0.05  # s, from a limit to the reaction: two steps of the supervisor and a bus cycle
+)
 
 
 def seconds(begin, end):
@@ -53,10 +55,18 @@ def test_a_silent_servo_ends_in_relax_without_joint_states(rig):
     assert seconds(begin, relaxed) >= limit - 0.1  # its last answer, a cycle before
     assert seconds(silent, relaxed) <= limit + LATE
     # supervisor and driver have the same limit; which of them is first depends on the bus cycle
-    assert reason.startswith(("servo RL silent", "servos: servo RL (id 2): no answer for 0.5"))
+    assert reason.startswith(
+        ("servo RL silent", "servos: servo RL (id 2): no answer for 0.5")
+    )
     assert not rig.since("/joint_states", silent + 10_000_000)
-    rig.wait_for(lambda: any(line.startswith("servo RL (id 2): ") for line in errors(rig, silent)))
-    while_silent = [m for m in rig.since("/servo_health", silent) if decode.stamp(m) < relaxed]
+    rig.wait_for(
+        lambda: any(
+            line.startswith("servo RL (id 2): ") for line in errors(rig, silent)
+        )
+    )
+    while_silent = [
+        m for m in rig.since("/servo_health", silent) if decode.stamp(m) < relaxed
+    ]
     # the others answer in every cycle
     assert max(m.silence[k] for m in while_silent for k in (0, 1, 3)) < LATE
     rig.inject("silent", "RL", clear=True)
@@ -109,7 +119,9 @@ def check_restart(rig, begin):
     rig.wait_for_torque_off(restarted)  # by the driver's start
     rig.wait_for(lambda: not rig.request("reset"))
     before, ready = rig.wait_for_rest(), rig.now()
-    rig.wait_for(lambda: not rig.request("ready"))  # once the supervisor has a health report
+    rig.wait_for(
+        lambda: not rig.request("ready")
+    )  # once the supervisor has a health report
     rig.wait_for(lambda: all(rig.last("/servo_health").torque))
     rig.wait_for(lambda: len(rig.since("/joint_states", ready)) > 60)
     sag, pull = rig.moved(before, ready)
@@ -142,8 +154,12 @@ def test_diagnostics_have_a_status_for_the_bus_and_every_servo(rig):
     begin = rig.now()
     bus, *servos = rig.wait_for(lambda: rig.since("/diagnostics", begin))[-1].status
     assert [status.name for status in (bus, *servos)] == [
-        "servo bus", "servo FL (id 5)", "servo FR (id 4)", "servo RL (id 2)", "servo RR (id 3)",
-    ]  # fmt: skip
+        "servo bus",
+        "servo FL (id 5)",
+        "servo FR (id 4)",
+        "servo RL (id 2)",
+        "servo RR (id 3)",
+    ]
     assert {"pass"} == {v.value for v in bus.values if v.key == "action"}
     for status in servos:
         values = {v.key: v.value for v in status.values}

@@ -30,9 +30,13 @@ def test_a_gait_is_requested_once_its_service_is_discovered(rig):
     assert rig.last("/gait_preview").gait == "walk"
 
 
-def test_a_subscriber_that_is_never_matched_does_not_keep_the_robot_from_starting(rig, monkeypatch):
+def test_a_subscriber_that_is_never_matched_does_not_keep_the_robot_from_starting(
+    rig, monkeypatch
+):
     """One that asks for another quality of service, for example."""
-    monkeypatch.setattr(SimRobotNode, "get_subscriptions_info_by_topic", lambda *_: [None] * 9)
+    monkeypatch.setattr(
+        SimRobotNode, "get_subscriptions_info_by_topic", lambda *_: [None] * 9
+    )
     begin = rig.now()
     rig.wait_for(lambda: rig.messages["/odom"])
     assert 5.0 < (rig.now() - begin) * 1e-9 < 6.0
@@ -65,10 +69,14 @@ def test_a_robot_that_is_still_frozen_obeys_off(rig):
     assert max(rig.last("/joint_states").position) < 0.05
 
 
-def test_filtered_odometry_comes_with_every_imu_sample_once_somebody_listens(rig, monkeypatch):
+def test_filtered_odometry_comes_with_every_imu_sample_once_somebody_listens(
+    rig, monkeypatch
+):
     made = []
     convert = messages.estimate_to_odometry
-    monkeypatch.setattr(messages, "estimate_to_odometry", lambda e: made.append(e) or convert(e))
+    monkeypatch.setattr(
+        messages, "estimate_to_odometry", lambda e: made.append(e) or convert(e)
+    )
     rig.wait_for(lambda: rig.state is State.STANDING)
     assert made == []  # it would cost more than the filter
     rig.subscribe("/imu", Imu, qos.SENSOR)

@@ -13,7 +13,11 @@ from slot_lab.bags.replay_command import TOLERANCE
 from slot_msgs.msg import EmergencyStop, GaitPreview, MpcState, TendonPlan
 from slot_nodes import qos
 
-KINDS = {"/mpc_state": MpcState, "/gait_preview": GaitPreview, "/tendon_plan": TendonPlan}
+KINDS = {
+    "/mpc_state": MpcState,
+    "/gait_preview": GaitPreview,
+    "/tendon_plan": TendonPlan,
+}
 WEIGHT = Parameter("cost.height", value=0.003)
 
 
@@ -41,7 +45,11 @@ def set_parameters(rig, *wanted):
     ("name", "value", "reason"),
     [
         ("cost.height", 1e3, "cost.height out of range Min: 1e-05, Max: 10.0"),
-        ("stages", 90, "stages: no plan yet; preview.contact: shape (24, 4), needs (92, 4)"),
+        (
+            "stages",
+            90,
+            "stages: no plan yet; preview.contact: shape (24, 4), needs (92, 4)",
+        ),
         ("knots", [0, 3, 2], "knots = (0, 3, 2): expected 0, then rising"),
         ("observer.drift_max", [1.0], "drift_max = [1.0]: expected 3 values, got 1"),
         ("policy", "forces", "read-only"),
@@ -57,7 +65,9 @@ def test_a_setting_that_does_not_fit_is_refused_with_a_reason(rig, name, value, 
 
 def test_a_weight_set_while_standing_acts_and_the_bag_replays_it(rig, tmp_path):
     rig.run(0.5)
-    assert set_parameters(rig, WEIGHT, Parameter("use_sim_time", value=False)).successful
+    assert set_parameters(
+        rig, WEIGHT, Parameter("use_sim_time", value=False)
+    ).successful
     rig.run(0.5)
     assert rig.last("/tendon_plan").settings == '{"cost.height": 0.003}'
     assert rig.last("/tendon_plan").status == TendonPlan.SOLVED

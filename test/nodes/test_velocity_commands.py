@@ -37,7 +37,9 @@ def drive(rig, v_x, turn, seconds):
     return rig.messages["/gait_preview"][-10:]
 
 
-def test_the_speed_of_a_keyboard_walks_the_robot_as_fast_as_it_can_on_that_curve(walking):
+def test_the_speed_of_a_keyboard_walks_the_robot_as_fast_as_it_can_on_that_curve(
+    walking,
+):
     begin = walking.now()
     for preview in drive(walking, **TELEOP, seconds=2.0):
         v_x, v_y, turn = preview.velocity
@@ -45,7 +47,9 @@ def test_the_speed_of_a_keyboard_walks_the_robot_as_fast_as_it_can_on_that_curve
         assert v_x == clipped(read_gaits(), "walk", [0.5, 0.0, 1.0])[0][0] > 0.01
     said = {line for m in walking.since("/robot_state", begin) for line in m.warnings}
     assert len(said) == 1
-    assert said.pop().startswith("velocity clipped to the reach of gait walk: v_x 0.5 to ")
+    assert said.pop().startswith(
+        "velocity clipped to the reach of gait walk: v_x 0.5 to "
+    )
     assert walking.log("gait_scheduler") == ""  # nothing is refused
     walking.run(1.0)
     assert list(walking.last("/robot_state").warnings) == []
@@ -53,7 +57,9 @@ def test_the_speed_of_a_keyboard_walks_the_robot_as_fast_as_it_can_on_that_curve
 
 def test_a_publisher_of_the_other_type_is_named(walking, monkeypatch):
     wrong = KINDS[not walking.stamped].__name__
-    found = [SimpleNamespace(node_name="teleop", topic_type=f"geometry_msgs/msg/{wrong}")]
+    found = [
+        SimpleNamespace(node_name="teleop", topic_type=f"geometry_msgs/msg/{wrong}")
+    ]
     monkeypatch.setattr(Node, "get_publishers_info_by_topic", lambda *_: found)
     walking.run(1.2)
     change = "false" if walking.stamped else "true"

@@ -35,7 +35,10 @@ def test_bent_legs_are_four_solids_in_their_colours_and_place():
         halves = np.stack([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]], axis=1)
         assert np.allclose(points_of(marker), halves.reshape(-1, 3))
         assert np.allclose([marker.color.r, marker.color.g, marker.color.b], colour)
-        assert (marker.color.a, marker.pose.orientation.w) == (1.0, 1.0)  # else nothing is shown
+        assert (marker.color.a, marker.pose.orientation.w) == (
+            1.0,
+            1.0,
+        )  # else nothing is shown
         assert (marker.scale.x, marker.scale.y, marker.scale.z) == (1.0, 1.0, 1.0)
         assert (marker.header.frame_id, marker.header.stamp.nanosec) == ("odom", 1)
 
@@ -53,7 +56,9 @@ def test_forces_replace_all_those_of_before():
 
 def test_the_torso_is_a_box_in_its_pose():
     turned = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
-    (marker,) = shapes_to_msg(0, {"torso": shapes.torso_box(PLACE, turned, ROBOT)}).markers
+    (marker,) = shapes_to_msg(
+        0, {"torso": shapes.torso_box(PLACE, turned, ROBOT)}
+    ).markers
     assert marker.type == Marker.CUBE
     assert [marker.scale.x, marker.scale.y, marker.scale.z] == list(ROBOT.torso.size)
     assert marker.pose.position.y == pytest.approx(0.2)
@@ -74,7 +79,9 @@ def test_the_node_publishes_what_has_changed_once(node):
     node._markers = SimpleNamespace(publish=published.append)
     node._publish()
     assert not published
-    legs = LegStates(nodes=10, position=NODES.astype(np.float32).ravel(), tension=[1.0] * 4)
+    legs = LegStates(
+        nodes=10, position=NODES.astype(np.float32).ravel(), tension=[1.0] * 4
+    )
     legs.header = messages.header(3_000_000_000)
     node._on_message("ground_truth/legs", legs)
     node._publish()

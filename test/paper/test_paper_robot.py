@@ -31,7 +31,9 @@ def leg(**changes):
 
 
 def simulator(scene="flat", start=None, **changes):
-    scene = config.replace(read_scene(scene), {f"start.{k}": v for k, v in (start or {}).items()})
+    scene = config.replace(
+        read_scene(scene), {f"start.{k}": v for k, v in (start or {}).items()}
+    )
     return PaperRobot(ROBOT, scene, read_servo(), config.replace(PRINTED, changes))
 
 
@@ -66,11 +68,17 @@ def largest_frequency(model):
         length = np.hypot(*chord)
         along = np.outer(chord, chord) / length**2
         force = model.axial[i] * (length / model.spacing - 1)
-        block = model.axial[i] / model.spacing * along + force / length * (np.eye(2) - along)
-        stiffness[2 * i : 2 * i + 4, 2 * i : 2 * i + 4] += np.kron([[1, -1], [-1, 1]], block)
+        block = model.axial[i] / model.spacing * along + force / length * (
+            np.eye(2) - along
+        )
+        stiffness[2 * i : 2 * i + 4, 2 * i : 2 * i + 4] += np.kron(
+            [[1, -1], [-1, 1]], block
+        )
     root = np.sqrt(np.repeat(model.mass, 2))
     free = np.arange(1, 2 * count)  # x of the base is held
-    return math.sqrt(np.linalg.eigvalsh((stiffness / np.outer(root, root))[np.ix_(free, free)])[-1])
+    return math.sqrt(
+        np.linalg.eigvalsh((stiffness / np.outer(root, root))[np.ix_(free, free)])[-1]
+    )
 
 
 def is_stable(step, **changes):
@@ -163,7 +171,9 @@ def test_the_floor_carries_no_load_of_a_pulled_leg():
     assert springs == pytest.approx(load, rel=1e-6)
     assert pulled.nodes[:, 1].min() > 0.0
     stretch = np.hypot(*np.diff(pulled.nodes, axis=0).T) / model.spacing - 1
-    assert stretch.max() == pytest.approx(0.72, abs=0.01)  # of a "homogeneous, elastic" material
+    assert stretch.max() == pytest.approx(
+        0.72, abs=0.01
+    )  # of a "homogeneous, elastic" material
 
 
 class Transcription:
@@ -175,7 +185,10 @@ class Transcription:
         self.dx = 0.190 / (n - 1)
         thickness = 0.0135 - 0.010 * np.linspace(0, 1, n)
         area = 0.02 * thickness
-        self.EA, self.EI = s.young_modulus * area, s.young_modulus * 0.02 * thickness**3 / 12
+        self.EA, self.EI = (
+            s.young_modulus * area,
+            s.young_modulus * 0.02 * thickness**3 / 12,
+        )
         self.I = 0.5 * 1200 * area * self.dx**2
         self.m = 1200 * self.dx * area / 2
         self.m[1:-1] = 1200 * self.dx * (area[:-2] + area[1:-1]) / 2
@@ -183,7 +196,10 @@ class Transcription:
         self.z0 = 6.356 * self.x0**3 - 1.810 * self.x0**2 + 0.02175
         dx, dz = np.gradient(self.x0), np.gradient(self.z0)
         pulled = np.arange(n) < 2 * n // 3
-        self.nx, self.nz = pulled * -dz / np.hypot(dx, dz), pulled * dx / np.hypot(dx, dz)
+        self.nx, self.nz = (
+            pulled * -dz / np.hypot(dx, dz),
+            pulled * dx / np.hypot(dx, dz),
+        )
         self.arm = thickness / 2
         self.x, self.z, self.theta = self.x0.copy(), self.z0.copy(), np.zeros(n)
         self.vx, self.vz, self.omega = np.zeros((3, n))
@@ -235,8 +251,12 @@ def test_the_kernel_integrates_the_printed_equations_of_a_leg():
         plain.step(tension, kernel.settings.step)
         touched += plain.z.min() < 0.0
     assert touched > 10
-    np.testing.assert_allclose(kernel.nodes, np.column_stack([plain.x, plain.z]), atol=1e-11)
-    np.testing.assert_allclose(kernel.angles, plain.theta, rtol=1e-6)  # they grow by 1e20 or more
+    np.testing.assert_allclose(
+        kernel.nodes, np.column_stack([plain.x, plain.z]), atol=1e-11
+    )
+    np.testing.assert_allclose(
+        kernel.angles, plain.theta, rtol=1e-6
+    )  # they grow by 1e20 or more
 
 
 def test_the_kernel_integrates_the_printed_equations_of_the_robot():
@@ -244,10 +264,19 @@ def test_the_kernel_integrates_the_printed_equations_of_the_robot():
     command = np.radians([20.0, 5.0, 10.0, 15.0])
     sim.advance(20, command)
     plain = [Transcription(sim.settings, True, 2.0 * GRAVITY / 4) for _ in range(4)]
-    p, v, w, r = np.array([0.0, 0.0, 0.0218]), np.zeros(3), np.zeros(3), Rotation.identity()
+    p, v, w, r = (
+        np.array([0.0, 0.0, 0.0218]),
+        np.zeros(3),
+        np.zeros(3),
+        Rotation.identity(),
+    )
     a, b, c = ROBOT.torso.size
     inertia = 2.0 / 12 * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
-    corner = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]) * [a / 2, b / 2, 0]
+    corner = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]) * [
+        a / 2,
+        b / 2,
+        0,
+    ]
     outward = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) / math.sqrt(2)
     h, touched, earlier = 4e-5, 0, v
     for k in range(20 * 25):
@@ -255,7 +284,9 @@ def test_the_kernel_integrates_the_printed_equations_of_the_robot():
         touched += min(each.z[-1] for each in plain) < 0.0
         for each, angle in zip(plain, command):
             each.step(angle / math.radians(270) * 1.5 / 0.010, h)
-        force = np.array([[*(each.force[0] * o), each.force[1]] for each, o in zip(plain, outward)])
+        force = np.array(
+            [[*(each.force[0] * o), each.force[1]] for each, o in zip(plain, outward)]
+        )
         total = r.apply(force.sum(axis=0)) - [0.1 * v[0], 0.1 * v[1], 200 * v[2]]
         total[2] -= 1500 * (p[2] - 0.0218) + 2.0 * GRAVITY
         v = v + h * total / 2.0
@@ -263,7 +294,9 @@ def test_the_kernel_integrates_the_printed_equations_of_the_robot():
         w = w + h * np.cross(corner, force).sum(axis=0) / inertia
         r = r * Rotation.from_rotvec(h * w)
     assert touched > 10
-    np.testing.assert_allclose(sim.nodes[..., 2], [each.z for each in plain], atol=1e-11)
+    np.testing.assert_allclose(
+        sim.nodes[..., 2], [each.z for each in plain], atol=1e-11
+    )
     np.testing.assert_allclose(sim.position, p, atol=1e-11)
     np.testing.assert_allclose(sim.rotation, r.as_matrix(), atol=1e-10)
     np.testing.assert_allclose(sim.velocity, v, atol=1e-9)
@@ -277,9 +310,16 @@ def test_the_ground_force_is_that_of_the_tips_below_the_floor():
     sim.legs.node[:2, -1, 1] = -1e-5
     sim.legs.node[2:, -1, 1] = 1e-5
     sim.legs.velocity[:, -1] = [-0.2, -0.3]
-    friction = PRINTED.friction * (ROBOT.leg.mass + ROBOT.mass / 4) * GRAVITY / math.sqrt(2)
+    friction = (
+        PRINTED.friction * (ROBOT.leg.mass + ROBOT.mass / 4) * GRAVITY / math.sqrt(2)
+    )
     normal = 1e5 * 1e-5 + 10.0 * 0.3
-    expected = [[friction, friction, normal], [friction, -friction, normal], [0, 0, 0], [0, 0, 0]]
+    expected = [
+        [friction, friction, normal],
+        [friction, -friction, normal],
+        [0, 0, 0],
+        [0, 0, 0],
+    ]
     np.testing.assert_allclose(sim.ground_force, expected, atol=1e-12)
 
 
@@ -294,7 +334,11 @@ def test_the_torsos_spring_carries_the_robot_at_one_height_for_every_command(the
     np.testing.assert_array_equal(sim.ground_force, 0.0)
     model, heights = sim.model, sim.nodes[..., 2]
     springs = model.restoring * (heights - model.initial[:, 1]).sum(axis=1)
-    load = sim.tension * model.pull[:, 1].sum() - model.mass.sum() * GRAVITY - model.base_load
+    load = (
+        sim.tension * model.pull[:, 1].sum()
+        - model.mass.sum() * GRAVITY
+        - model.base_load
+    )
     assert springs == pytest.approx(load, rel=1e-6)
 
 
@@ -329,7 +373,9 @@ def test_a_plant_runs_the_papers_robot(monkeypatch):
     kinds = {type(reading) for reading in others}
     assert kinds == {plant.ImuReading, plant.JointReading, plant.TrueState}
     np.testing.assert_array_equal(robot.robot.tendon_angle, 1.0)
-    assert robot.robot.servo_torque == pytest.approx(np.full(4, 1.0 / math.radians(270) * 1.5))
+    assert robot.robot.servo_torque == pytest.approx(
+        np.full(4, 1.0 / math.radians(270) * 1.5)
+    )
 
 
 def test_unsupported_scenes_and_steps_are_refused_by_name():

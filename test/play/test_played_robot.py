@@ -74,8 +74,14 @@ def test_it_takes_a_pose_and_says_which_it_does_not(standing):
 
 
 CHANGES = {
-    "payload": ({"scene.payload.mass": 0.4}, lambda a, b: b.position[2] < a.position[2] - 0.001),
-    "stiffness": ({"robot.leg.young_modulus": 2.2e7}, lambda a, b: b.position[2] < a.position[2]),
+    "payload": (
+        {"scene.payload.mass": 0.4},
+        lambda a, b: b.position[2] < a.position[2] - 0.001,
+    ),
+    "stiffness": (
+        {"robot.leg.young_modulus": 2.2e7},
+        lambda a, b: b.position[2] < a.position[2],
+    ),
     "place": (
         {"scene.payload.mass": 0.3, "scene.payload.place": [-0.05, 0.0, 0.03]},
         lambda a, b: b.quaternion[1] < a.quaternion[1] - 0.002,
@@ -111,9 +117,14 @@ def test_a_lower_voltage_slows_the_servos():
 
 @pytest.mark.parametrize(
     "change",
-    [{"scene.payload.mass": -1.0}, {"scene.solver.nodes": 5}, {"gait.transition": 1.0},
-     {"scene.floor.friction_law": "bristle"}, {"scene.none": 1}],
-)  # fmt: skip
+    [
+        {"scene.payload.mass": -1.0},
+        {"scene.solver.nodes": 5},
+        {"gait.transition": 1.0},
+        {"scene.floor.friction_law": "bristle"},
+        {"scene.none": 1},
+    ],
+)
 def test_what_cannot_change_is_refused_and_nothing_changes(robot, change):
     model = robot.loop.plant.robot.model
     with pytest.raises(ConfigError):
@@ -151,7 +162,14 @@ def test_a_change_keeps_a_broken_tendon_and_a_pull(standing):
     run(standing, 0.1)
     standing.change({"scene.payload.mass": 0.1})
     assert standing.loop.plant.robot.model.fault[1].tolist() == [0.0, 1.0, 1.0, 1.0]
-    assert standing.loop.plant.robot.model.push.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert standing.loop.plant.robot.model.push.tolist() == [
+        1.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    ]
 
 
 def test_a_push_ends_and_a_pull_is_held(standing):

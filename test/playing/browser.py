@@ -14,10 +14,17 @@ from websockets.sync.client import connect
 NAMES = "chromium", "google-chrome", "chromium-browser"
 PROGRAM = next(filter(None, map(shutil.which, NAMES)), "")
 OPTIONS = (
-    "--headless=new", "--no-sandbox", "--remote-debugging-port=0", "--window-size=1200,700",
-    "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--no-proxy-server",
-)  # fmt: skip
+    "--headless=new",
+    "--no-sandbox",
+    "--remote-debugging-port=0",
+    "--window-size=1200,700",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--no-proxy-server",
+)
 DEADLINE = 60.0  # s
 
 
@@ -29,7 +36,9 @@ class Browser:
         self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         port = wait_for(lambda: _port(directory))
         targets = f"http://127.0.0.1:{port}/json"
-        page = wait_for(lambda: next((t for t in _json(targets) if t["type"] == "page"), None))
+        page = wait_for(
+            lambda: next((t for t in _json(targets) if t["type"] == "page"), None)
+        )
         self._socket = connect(page["webSocketDebuggerUrl"], max_size=None, proxy=None)
         self._number = itertools.count(1)
         self.call("Page.enable")
@@ -46,7 +55,9 @@ class Browser:
     def call(self, method, **parameters):
         """Result of a command of the protocol."""
         number = next(self._number)
-        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        self._socket.send(
+            json.dumps({"id": number, "method": method, "params": parameters})
+        )
         while True:
             answer = json.loads(self._socket.recv(DEADLINE))
             if answer.get("id") == number:
@@ -71,9 +82,18 @@ class Browser:
 
     def mouse(self, kind, x, y, held=True):
         """An event of the left button, or of the mouse with no button held."""
-        button, buttons = ("left", int(kind != "mouseReleased")) if held else ("none", 0)
-        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=buttons,
-                  clickCount=int(held))  # fmt: skip
+        button, buttons = (
+            ("left", int(kind != "mouseReleased")) if held else ("none", 0)
+        )
+        self.call(
+            "Input.dispatchMouseEvent",
+            type=kind,
+            x=x,
+            y=y,
+            button=button,
+            buttons=buttons,
+            clickCount=int(held),
+        )
 
     def drag(self, begin, end, steps=8):
         """Drag from one point to another, without letting go."""

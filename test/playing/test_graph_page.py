@@ -1,5 +1,6 @@
 """The page of a running graph: what its controls send, and what it says of the messages."""
 
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -34,10 +35,14 @@ class Graph:
             answer = SimpleNamespace(result=lambda: result)
             return SimpleNamespace(add_done_callback=lambda done: done(answer))
 
-        return SimpleNamespace(service_is_ready=lambda: not self.silent, call_async=call_async)
+        return SimpleNamespace(
+            service_is_ready=lambda: not self.silent, call_async=call_async
+        )
 
     def create_publisher(self, kind, topic, _):
-        return SimpleNamespace(publish=lambda message: self.published.append((topic, message)))
+        return SimpleNamespace(
+            publish=lambda message: self.published.append((topic, message))
+        )
 
     def create_subscription(self, kind, topic, take, _):
         self.inputs[topic] = take
@@ -50,9 +55,17 @@ class Graph:
 
     def preview(self):
         ones, three = [1.0] * 4, [0.0] * 3
-        message = GaitPreview(requested="walk", stages=1, reference=[0.0] * 12, contact=[True] * 4,
-                              velocity_ahead=three, friction=ones, normal_force=ones,
-                              tendon_angle=ones, pose=[0.06, 0.0, 0.0])  # fmt: skip
+        message = GaitPreview(
+            requested="walk",
+            stages=1,
+            reference=[0.0] * 12,
+            contact=[True] * 4,
+            velocity_ahead=three,
+            friction=ones,
+            normal_force=ones,
+            tendon_angle=ones,
+            pose=[0.06, 0.0, 0.0],
+        )
         self.inputs["gait_preview"](message)
 
     @property
@@ -77,9 +90,13 @@ def pass_through(graph, robot, *states):
             robot.frame()
 
 
-def test_a_gait_is_set_and_the_supervisor_asked_once_in_every_state_on_the_way(graph, robot):
+def test_a_gait_is_set_and_the_supervisor_asked_once_in_every_state_on_the_way(
+    graph, robot
+):
     robot.set_gait("walk")
-    pass_through(graph, robot, State.READY, State.STANDING, State.WALKING, State.STANDING)
+    pass_through(
+        graph, robot, State.READY, State.STANDING, State.WALKING, State.STANDING
+    )
     assert graph.names == ["set_gait", "supervisor/stand", "supervisor/walk"]
     assert graph.called[0][1].gait == "walk"
 
@@ -96,7 +113,9 @@ def test_to_walk_does_not_raise_a_robot_that_lies_and_to_stand_up_does(graph, ro
 @pytest.mark.parametrize("state", LATCHED)
 def test_in_an_emergency_stop_and_a_fault_standing_up_is_refused(graph, robot, state):
     pass_through(graph, robot, state)
-    with pytest.raises(ConfigError, match=f"STAND refused in {state.name}: reset first"):
+    with pytest.raises(
+        ConfigError, match=f"STAND refused in {state.name}: reset first"
+    ):
         robot.stand_up()
     pass_through(graph, robot, state, State.IDLE, State.READY)
     assert not graph.names
@@ -170,7 +189,9 @@ def test_the_present_gait_is_that_of_the_graph(graph, robot):
     assert robot.gait == "walk"
 
 
-def test_a_graph_that_does_not_run_is_refused_before_a_page_is_offered(refusal, monkeypatch):
+def test_a_graph_that_does_not_run_is_refused_before_a_page_is_offered(
+    refusal, monkeypatch
+):
     monkeypatch.setattr(main_page, "start_server", None)
     assert "does scripts/run run?" in refusal(main, "--graph", "--port", "0")
 
@@ -189,8 +210,11 @@ def control(page, label):
 
 def run(page, seconds=0.2):
     now = [0.0]
-    page.run(lambda: now[0] > seconds, lambda wait: now.__setitem__(0, now[0] + wait + 1e-3),
-             lambda: now[0])  # fmt: skip
+    page.run(
+        lambda: now[0] > seconds,
+        lambda wait: now.__setitem__(0, now[0] + wait + 1e-3),
+        lambda: now[0],
+    )
 
 
 def test_the_controls_of_the_page_reach_the_graph(graph, page):
@@ -211,10 +235,17 @@ def test_the_controls_of_the_page_reach_the_graph(graph, page):
     run(page)
     name, fault = graph.called[-1]
     assert name == "sim_robot/inject"
-    assert (fault.kind, fault.leg, fault.value, fault.clear) == ("tendon_slack", "RR", 0.002, False)
+    assert (fault.kind, fault.leg, fault.value, fault.clear) == (
+        "tendon_slack",
+        "RR",
+        0.002,
+        False,
+    )
 
 
-def test_after_an_emergency_stop_only_the_reset_resets_and_standing_up_does_not_walk(graph, page):
+def test_after_an_emergency_stop_only_the_reset_resets_and_standing_up_does_not_walk(
+    graph, page
+):
     def press(act, *states):
         before = len(graph.called)
         act()
@@ -233,9 +264,10 @@ def test_after_an_emergency_stop_only_the_reset_resets_and_standing_up_does_not_
     run(page)
     assert press(operate("e-stop"), State.ESTOP) == ["estop"]
     for label in ("v_x (m/s)", "height (mm)"):
-        press(lambda: setattr(control(page, label), "value", control(page, label).min), State.ESTOP)  # noqa: B023
+        slider = control(page, label)
+        press(partial(setattr, slider, "value", slider.min), State.ESTOP)
     for gait in ("crawl", "walk"):
-        press(lambda: setattr(control(page, "gait"), "value", gait), State.ESTOP)  # noqa: B023
+        press(partial(setattr, control(page, "gait"), "value", gait), State.ESTOP)
     press(operate("stand up"), State.ESTOP)
     assert "STAND refused in ESTOP: reset first" in page._text.content
     press(operate("relax"), State.ESTOP)
@@ -244,14 +276,21 @@ def test_after_an_emergency_stop_only_the_reset_resets_and_standing_up_does_not_
     assert press(lambda: setattr(*reset), State.ESTOP, State.IDLE) == ["reset"]
     control(page, "gait").value = "walk"
     rise = State.IDLE, State.READY, State.STANDING, State.STANDING
-    assert press(operate("stand up"), *rise) == ["set_gait", "set_gait", "ready", "stand"]
+    assert press(operate("stand up"), *rise) == [
+        "set_gait",
+        "set_gait",
+        "ready",
+        "stand",
+    ]
     assert control(page, "gait").value == "stand"
-    assert press(lambda: setattr(control(page, "gait"), "value", "walk"), State.STANDING) == [
-        "set_gait", "walk"
-    ]  # fmt: skip
+    assert press(
+        lambda: setattr(control(page, "gait"), "value", "walk"), State.STANDING
+    ) == ["set_gait", "walk"]
 
 
-def test_the_page_says_what_the_supervisor_says_and_which_message_is_refused(graph, page):
+def test_the_page_says_what_the_supervisor_says_and_which_message_is_refused(
+    graph, page
+):
     graph.report(State.HOLD, "slack or broken <tendon> FL")
     run(page)
     assert "<b>HOLD</b> slack or broken &lt;tendon&gt; FL" in page._text.content
@@ -260,12 +299,16 @@ def test_the_page_says_what_the_supervisor_says_and_which_message_is_refused(gra
     assert "a message is refused: " in page._text.content
 
 
-def test_a_graph_that_is_silent_is_named_and_its_last_state_is_not_said_any_more(graph, page):
+def test_a_graph_that_is_silent_is_named_and_its_last_state_is_not_said_any_more(
+    graph, page
+):
     graph.report(State.WALKING, "as asked")
     run(page, 1.0)
     assert "WALKING" in page._text.content
     run(page, 4.0)
-    assert "<b>no state for 4 s: the graph has ended, or hangs</b>" in page._text.content
+    assert (
+        "<b>no state for 4 s: the graph has ended, or hangs</b>" in page._text.content
+    )
     assert "WALKING" not in page._text.content
     graph.report(State.STANDING)
     run(page, 1.0)
@@ -274,8 +317,14 @@ def test_a_graph_that_is_silent_is_named_and_its_last_state_is_not_said_any_more
 
 
 @pytest.mark.parametrize(
-    "arguments", [["--graph", "--scene", "flat"], ["--graph", "--policy", "forces"],
-                  ["--namespace", "a"]]
-)  # fmt: skip
-def test_options_of_a_graph_and_of_a_robot_of_its_own_do_not_go_together(refusal, arguments):
+    "arguments",
+    [
+        ["--graph", "--scene", "flat"],
+        ["--graph", "--policy", "forces"],
+        ["--namespace", "a"],
+    ],
+)
+def test_options_of_a_graph_and_of_a_robot_of_its_own_do_not_go_together(
+    refusal, arguments
+):
     assert "--graph" in refusal(main, *arguments)

@@ -43,16 +43,24 @@ def test_other_names_and_other_pages_are_refused(host, origin, refusal):
         ("/", f"{COOKIE}=\u00e9", False),
     ],
 )
-def test_other_machines_need_the_token_in_the_address_or_the_cookie(path, cookie, allowed):
+def test_other_machines_need_the_token_in_the_address_or_the_cookie(
+    path, cookie, allowed
+):
     refusal = Access("abc").refusal(path, "robot:8080", None, cookie)
     assert (refusal == "") == allowed
 
 
 @pytest.mark.parametrize(
     ("host", "here"),
-    [("127.0.0.1", True), ("localhost", True), ("::1", True), ("0.0.0.0", False),
-     ("10.0.0.2", False), ("robot", False)],
-)  # fmt: skip
+    [
+        ("127.0.0.1", True),
+        ("localhost", True),
+        ("::1", True),
+        ("0.0.0.0", False),
+        ("10.0.0.2", False),
+        ("robot", False),
+    ],
+)
 def test_only_the_loopback_needs_no_token(host, here):
     assert is_this_machine(host) == here
 
@@ -74,8 +82,12 @@ def test_the_server_checks_pages_and_websockets_and_remembers_the_token(server):
     known = {"Cookie": cookie.partition(";")[0]}
     for origin, headers in ((f"http://{place}", {}), ("http://elsewhere.org", known)):
         with pytest.raises(InvalidStatus, match="403"):
-            connect(f"ws://{place}", origin=origin, additional_headers=headers, proxy=None)
-    connect(f"ws://{place}", origin=f"http://{place}", additional_headers=known, proxy=None).close()
+            connect(
+                f"ws://{place}", origin=origin, additional_headers=headers, proxy=None
+            )
+    connect(
+        f"ws://{place}", origin=f"http://{place}", additional_headers=known, proxy=None
+    ).close()
 
 
 def test_only_the_server_that_is_started_in_the_block_is_guarded(server):

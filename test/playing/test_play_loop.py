@@ -115,11 +115,17 @@ def on_page(position, look_at, aspect):
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     way = np.array([*feet, [0.0, 0.0, 0.08]]) - position
-    half = np.tan(np.radians(75.0) / 2) * (way @ ahead)  # of the height, in viser's own view
-    return (way @ right) / half / aspect, (1.0 - (way @ np.cross(right, ahead)) / half) / 2
+    half = np.tan(np.radians(75.0) / 2) * (
+        way @ ahead
+    )  # of the height, in viser's own view
+    return (way @ right) / half / aspect, (
+        1.0 - (way @ np.cross(right, ahead)) / half
+    ) / 2
 
 
-def test_legs_that_are_pale_until_their_shape_is_known_then_get_it_with_their_colours(played):
+def test_legs_that_are_pale_until_their_shape_is_known_then_get_it_with_their_colours(
+    played,
+):
     view = played.page.display.view
     for sections, colour in ((20, 128), (5, 255)):
         corners, colours = np.zeros((1, sections, 4, 3)), np.full((1, 3), colour / 255)
@@ -128,7 +134,9 @@ def test_legs_that_are_pale_until_their_shape_is_known_then_get_it_with_their_co
         assert view.handle("legs").faces.max() == 4 * sections - 1
 
 
-def test_the_floor_is_below_the_robot_wherever_it_goes_and_its_lines_stay_in_place(played):
+def test_the_floor_is_below_the_robot_wherever_it_goes_and_its_lines_stay_in_place(
+    played,
+):
     view = played.page.display.view
     view.centre(np.array([7.34, -5.01, 0.06]))
     np.testing.assert_allclose(view._floor.position, [7.3, -5.0, 0.0])
@@ -142,7 +150,9 @@ def test_plots_count_from_the_first_moment_and_name_their_curves(played):
     plots.show()
     np.testing.assert_allclose(plots._plots["height"]._handle.data[0], [0.0, 1.0, 2.0])
     said = legend(traces.PLOTS["force"])
-    assert all(f"> {leg} {which}<" in said for leg in LEGS for which in ("ground", "demanded"))
+    assert all(
+        f"> {leg} {which}<" in said for leg in LEGS for which in ("ground", "demanded")
+    )
 
 
 def test_a_refusal_is_shown_and_the_next_act_takes_it_away(played):
@@ -154,7 +164,9 @@ def test_a_refusal_is_shown_and_the_next_act_takes_it_away(played):
     assert "outside" not in played.text
 
 
-def test_what_happened_is_saved_and_a_second_bag_of_a_second_is_refused(played, tmp_path):
+def test_what_happened_is_saved_and_a_second_bag_of_a_second_is_refused(
+    played, tmp_path
+):
     played.run(1.0)
     played.page._on_time("save")
     played.run(0.2)
@@ -182,8 +194,13 @@ def test_what_the_player_is_told_is_no_markup(played):
 
 @pytest.mark.parametrize(
     ("arguments", "reason"),
-    [(["--scene", "none"], "none"), (["--policy", "none"], "none"), (["--scene", "paper"], "rods"),
-     (["--port", "70000"], "outside"), (["--host", "no.such.host.invalid"], "no.such.host")],
-)  # fmt: skip
+    [
+        (["--scene", "none"], "none"),
+        (["--policy", "none"], "none"),
+        (["--scene", "paper"], "rods"),
+        (["--port", "70000"], "outside"),
+        (["--host", "no.such.host.invalid"], "no.such.host"),
+    ],
+)
 def test_what_cannot_be_played_is_refused_in_one_line(refusal, arguments, reason):
     assert reason in refusal(main, *arguments)

@@ -28,7 +28,9 @@ ROW += ".closest('div').parentElement"
 TAB = "[...document.querySelectorAll('[role=tab]')].find(t => t.innerText == {!r})"
 BUTTON = "[...{row}.querySelectorAll('button')].find(b => b.innerText == {text!r})"
 COARSE = "?fixedDpr=0.25"  # fewer pixels of the robot, which take most of the time without a GPU
-OPTION = "[...document.querySelectorAll('[role=option]')].find(o => o.innerText == {!r})"
+OPTION = (
+    "[...document.querySelectorAll('[role=option]')].find(o => o.innerText == {!r})"
+)
 
 
 class Hand:
@@ -57,7 +59,9 @@ class Hand:
 
     def slide(self, label, value):
         field = f"{ROW.format(label=label)}.querySelector('input[inputmode]')"
-        wait_for(lambda: self.browser.run(f"!!{field.replace('.closest', '?.closest')}"))
+        wait_for(
+            lambda: self.browser.run(f"!!{field.replace('.closest', '?.closest')}")
+        )
 
         def typed():  # the page may take a value back while it draws another
             self.browser.run(f"{field}.focus(); {field}.select()")
@@ -72,7 +76,9 @@ class Hand:
         self.browser.click(OPTION.format(option))
 
     def tick(self, label):
-        self.browser.click(f"{ROW.format(label=label)}.querySelector('input[type=checkbox]')")
+        self.browser.click(
+            f"{ROW.format(label=label)}.querySelector('input[type=checkbox]')"
+        )
 
     def press(self, label, text):
         self.browser.click(BUTTON.format(row=ROW.format(label=label), text=text))
@@ -121,7 +127,9 @@ def hand(shared):
     shared.page.do(begin)
     shared.page.do(lambda _: done.set())
     assert done.wait(60.0)
-    shared.see(lambda h: h.robot.loop.report and h.robot.loop.report.state is State.STANDING)
+    shared.see(
+        lambda h: h.robot.loop.report and h.robot.loop.report.state is State.STANDING
+    )
     return shared
 
 
@@ -140,7 +148,13 @@ def test_it_walks_turns_and_stops_by_sliders_and_keys(hand):
     hand.see(lambda h: h.robot.truth.odometry.position[1] > 0.01)
     hand.browser.key("M")
     hand.see(lambda h: not preview(h).command.velocity.any())
-    for key, axis, sign in (("I", 0, 1), ("J", 2, 1), ("U", 1, 1), ("O", 1, -1), ("L", 2, -1)):
+    for key, axis, sign in (
+        ("I", 0, 1),
+        ("J", 2, 1),
+        ("U", 1, 1),
+        ("O", 1, -1),
+        ("L", 2, -1),
+    ):
         before = hand.robot.wishes.velocity[axis]
         hand.browser.key(key)
         hand.see(lambda h: sign * (h.robot.wishes.velocity[axis] - before) > 0)  # noqa: B023
@@ -178,11 +192,18 @@ def test_it_takes_a_pose_and_gives_it_up_again(hand):
     hand.see(lambda h: h.robot.truth.odometry.position[2] > 0.047)
     hand.slide("roll (deg)", 4)
     hand.slide("pitch (deg)", -3)
-    hand.see(lambda h: np.allclose(preview(h).command.pose, [0.05, *np.radians([4, -3])]))
+    hand.see(
+        lambda h: np.allclose(preview(h).command.pose, [0.05, *np.radians([4, -3])])
+    )
     hand.see(lambda h: h.robot.truth.odometry.quaternion[0] > np.sin(np.radians(3) / 2))
     for key, index, sign in (
-        ("I", 2, 1), ("K", 2, -1), ("U", 0, 1), ("O", 0, -1), ("L", 1, 1), ("J", 1, -1)
-    ):  # fmt: skip
+        ("I", 2, 1),
+        ("K", 2, -1),
+        ("U", 0, 1),
+        ("O", 0, -1),
+        ("L", 1, 1),
+        ("J", 1, -1),
+    ):
         before = hand.robot.wishes.pose[index]
         hand.browser.key(key, shift=True)
         hand.see(lambda h: sign * (h.robot.wishes.pose[index] - before) > 0)  # noqa: B023
@@ -197,8 +218,10 @@ def test_policy_and_operator(hand):
     hand.browser.key("Y")  # after the last the first
     hand.see(lambda h: h.robot.policy == "predictive")
     for button, state in (
-        ("relax", State.IDLE), ("stand up", State.STANDING), ("e-stop", State.ESTOP)
-    ):  # fmt: skip
+        ("relax", State.IDLE),
+        ("stand up", State.STANDING),
+        ("e-stop", State.ESTOP),
+    ):
         hand.press("operator", button)
         hand.see(lambda h: h.robot.loop.report.state is state)  # noqa: B023
     hand.see(lambda h: "ESTOP" in h.browser.text())
@@ -234,8 +257,11 @@ def test_a_push_by_the_button_moves_the_torso(hand):
     hand.open("Push")
     hand.slide("push (N)", 12)
     for button, axis, sign in (
-        ("left", 1, 1), ("right", 1, -1), ("front", 0, 1), ("back", 0, -1)
-    ):  # fmt: skip
+        ("left", 1, 1),
+        ("right", 1, -1),
+        ("front", 0, 1),
+        ("back", 0, -1),
+    ):
         hand.press("push to", button)
         hand.see(lambda h: sign * h.robot.truth.odometry.velocity[axis] > 0.01)  # noqa: B023
 
@@ -257,7 +283,9 @@ def placed(hand, place):
     x, y, top = hand.model.payload[1:]
     hand.browser.drag(hand.pixel([x, y, top]), goal := hand.pixel([*place, top]))
     hand.browser.mouse("mouseReleased", *goal)
-    time.sleep(0.5)  # until the page has acted; the robot sinks under the load meanwhile
+    time.sleep(
+        0.5
+    )  # until the page has acted; the robot sinks under the load meanwhile
     return np.allclose(hand.model.payload[1:3], place, atol=0.02)
 
 
@@ -281,11 +309,17 @@ def test_it_pauses_steps_slows_down_resets_and_saves(hand):
 
 def test_plots_and_disturbances_are_drawn(hand):
     hand.open("Plots")
-    hand.see(lambda h: h.browser.run("document.querySelectorAll('.uplot canvas').length") >= 8)
+    hand.see(
+        lambda h: (
+            h.browser.run("document.querySelectorAll('.uplot canvas').length") >= 8
+        )
+    )
     hand.see(lambda h: "disturbances: payload" in h.browser.text())
 
 
-PANEL = TAB.format("Drive") + ".closest('[style*=\"width: 20em\"]')"  # of viser on a phone
+PANEL = (
+    TAB.format("Drive") + ".closest('[style*=\"width: 20em\"]')"
+)  # of viser on a phone
 
 
 def test_on_a_phone_the_panel_is_as_wide_as_the_page_below_the_robot(hand):
@@ -293,7 +327,9 @@ def test_on_a_phone_the_panel_is_as_wide_as_the_page_below_the_robot(hand):
     hand.browser.call(resize, width=390, height=844, deviceScaleFactor=1, mobile=True)
     (client,) = hand.server.get_clients().values()
     try:
-        hand.see(lambda h: h.browser.run(f"{PANEL}?.getBoundingClientRect().width") == 390)
+        hand.see(
+            lambda h: h.browser.run(f"{PANEL}?.getBoundingClientRect().width") == 390
+        )
         hand.see(lambda h: client.camera.look_at[2] == pytest.approx(TALL[1][2]))
     finally:
         hand.browser.call("Emulation.clearDeviceMetricsOverride")
@@ -304,4 +340,6 @@ def test_the_page_requests_nothing_from_elsewhere(hand):
     asked = "performance.getEntriesByType('resource').map(e => e.name)"
     found = hand.browser.run(f"[location.href, ...{asked}]")
     origin = hand.browser.run("location.origin")
-    assert [each for each in found if not each.startswith((origin, "blob:", "data:"))] == []
+    assert [
+        each for each in found if not each.startswith((origin, "blob:", "data:"))
+    ] == []

@@ -8,7 +8,9 @@ from slot_lab.bags.check_bag import check_bag
 from slot_lab.play.played_robot import PlayedRobot
 
 
-def test_a_saved_bag_replays_equal_to_the_last_bit_though_the_world_has_changed(tmp_path):
+def test_a_saved_bag_replays_equal_to_the_last_bit_though_the_world_has_changed(
+    tmp_path,
+):
     robot = PlayedRobot()
     robot.wishes.gait, robot.wishes.velocity = "walk", np.array([0.05, 0.0, 0.0])
     for _ in range(100):

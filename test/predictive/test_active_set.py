@@ -18,10 +18,13 @@ def by_clarabel(inverse, gradient, rows, low, high):
     settings.verbose, settings.max_iter = False, 200
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
     found = clarabel.DefaultSolver(
-        sparse.csc_matrix(np.triu(np.linalg.inv(inverse))), gradient,
-        sparse.csc_matrix(np.vstack([rows, -rows])), np.concatenate([high, -low]),
-        [clarabel.NonnegativeConeT(2 * len(rows))], settings,
-    ).solve()  # fmt: skip
+        sparse.csc_matrix(np.triu(np.linalg.inv(inverse))),
+        gradient,
+        sparse.csc_matrix(np.vstack([rows, -rows])),
+        np.concatenate([high, -low]),
+        [clarabel.NonnegativeConeT(2 * len(rows))],
+        settings,
+    ).solve()
     return np.array(found.x) if found.status == clarabel.SolverStatus.Solved else None
 
 

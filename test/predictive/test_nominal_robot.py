@@ -40,21 +40,31 @@ def test_a_rollout_is_the_motion_of_the_simulated_robot(model):
         for c in range(SETTINGS.cycles):
             share = c / SETTINGS.cycles
             robot.advance(SETTINGS.steps, plan[k] + share * (plan[k + 1] - plan[k]))
-        np.testing.assert_allclose(found.force[0, k], robot.ground_force, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(
+            found.force[0, k], robot.ground_force, rtol=0, atol=1e-9
+        )
         pose = np.concatenate([robot.rpy, robot.position])
-        np.testing.assert_allclose(found.pose[0, k], pose, rtol=0, atol=1e-11)  # rounding
+        np.testing.assert_allclose(
+            found.pose[0, k], pose, rtol=0, atol=1e-11
+        )  # rounding
 
 
 def test_plans_of_one_call_do_not_affect_one_another(model):
     several, start = plans(5), model.at_rest(STANDING, np.full(4, 1.3))
     together = model.roll_out(start, several)
     for k, plan in enumerate(several):
-        np.testing.assert_array_equal(model.roll_out(start, plan[None]).pose[0], together.pose[k])
+        np.testing.assert_array_equal(
+            model.roll_out(start, plan[None]).pose[0], together.pose[k]
+        )
 
 
-def test_a_measured_state_has_the_torso_of_the_estimate_and_the_legs_of_the_model(model):
+def test_a_measured_state_has_the_torso_of_the_estimate_and_the_legs_of_the_model(
+    model,
+):
     start = model.at_rest(STANDING, np.full(4, 1.3))
-    moved = np.array([0.1, -0.2, 3.0, 1.0, 2.0, 0.05, 0.3, 0.2, -0.1, 0.04, 0.03, -0.02])
+    moved = np.array(
+        [0.1, -0.2, 3.0, 1.0, 2.0, 0.05, 0.3, 0.2, -0.1, 0.04, 0.03, -0.02]
+    )
     found = model.measured(start, moved)
     torso = model.robot.state
     torso.buffer[:] = found.buffer
@@ -74,7 +84,10 @@ def test_a_rollout_that_diverges_is_nan_and_spoils_no_other(model):
 
 
 def test_a_wrench_moves_the_robot_and_none_brings_it_back(model):
-    start, plan = model.at_rest(STANDING, np.full(4, 1.3)), np.full((1, STAGES + 1, 4), 1.3)
+    start, plan = (
+        model.at_rest(STANDING, np.full(4, 1.3)),
+        np.full((1, STAGES + 1, 4), 1.3),
+    )
     free = model.roll_out(start, plan).pose[0, -1]
     model.set_wrench(np.array([-3.0, 0.1, 0.0]), 0.0)
     loaded = model.roll_out(start, plan).pose[0, -1]

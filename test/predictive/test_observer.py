@@ -37,7 +37,9 @@ class Watch:
             seen = self.state + np.eye(12)[2] * yaw
             start = self.model.measured(self.real, self.state)
             self.observer.observe(self.time, start, seen, self.command[0])
-            self.real = self.plant.after(self.plant.measured(self.real, self.state), self.command)
+            self.real = self.plant.after(
+                self.plant.measured(self.real, self.state), self.command
+            )
             self.state = torso_of(self.plant, self.real)
             self.state[[3, 4, 2]] += self.step * self.drift
             self.time += round(1e9 * self.step)
@@ -63,7 +65,9 @@ def test_a_wrench_is_found():
 @pytest.mark.parametrize("share", [1.0, 0.8, 1.3])
 def test_a_drift_is_found_in_the_heading_frame(share):
     drift = (0.01, -0.005, 0.02)
-    assert watched(120, drift=drift, share=share).drift == pytest.approx(drift, abs=1e-3)
+    assert watched(120, drift=drift, share=share).drift == pytest.approx(
+        drift, abs=1e-3
+    )
 
 
 def test_a_steady_drift_is_no_misfit_but_a_robot_that_moves_otherwise_is():
@@ -90,8 +94,12 @@ def test_a_forgotten_motion_leaves_the_estimates():
 @pytest.mark.parametrize("mass", [0.2, 0.4])
 def test_a_payload_of_the_walking_robot_is_weighed(mass):
     changes = {"scene.payload.mass": mass}
-    last = list(ClosedLoop("flat", "walk", WALK, 1, "predictive", changes=changes).run(200))[-60:]
+    last = list(
+        ClosedLoop("flat", "walk", WALK, 1, "predictive", changes=changes).run(200)
+    )[-60:]
     weight = np.mean([-tick.plan.report.wrench[0] for tick in last])
     empty = list(ClosedLoop("flat", "walk", WALK, 1, "predictive").run(200))[-60:]
-    weight += np.mean([tick.plan.report.wrench[0] for tick in empty])  # of the model's own error
+    weight += np.mean(
+        [tick.plan.report.wrench[0] for tick in empty]
+    )  # of the model's own error
     assert weight / GRAVITY == pytest.approx(mass, rel=0.3)

@@ -29,13 +29,17 @@ def with_state(tick, index, value):
     """The tick with another element of its state."""
     state = tick.estimate.state.copy()
     state[index] = value
-    return dataclasses.replace(tick, estimate=dataclasses.replace(tick.estimate, state=state))
+    return dataclasses.replace(
+        tick, estimate=dataclasses.replace(tick.estimate, state=state)
+    )
 
 
 def later(tick, seconds):
     estimate = tick.estimate
     stamp = estimate.stamp + round(seconds * 1e9)
-    return dataclasses.replace(tick, estimate=dataclasses.replace(estimate, stamp=stamp))
+    return dataclasses.replace(
+        tick, estimate=dataclasses.replace(estimate, stamp=stamp)
+    )
 
 
 def test_a_step_prepares_itself_if_nobody_has(policy, walking):
@@ -47,12 +51,17 @@ def test_a_step_prepares_itself_if_nobody_has(policy, walking):
 
 def test_plans_stay_within_their_limits_and_differ_from_the_gait(policy, walking):
     for tick, plan in zip(walking, follow(policy, walking)):
-        nominal, carried = tick.preview.tendon_angle[: SETTINGS.stages], 0.15  # rad, by the wrench
+        nominal, carried = (
+            tick.preview.tendon_angle[: SETTINGS.stages],
+            0.15,
+        )  # rad, by the wrench
         assert plan.status == Status.SOLVED
         assert plan.angle.min() >= min(LIMITS.angle_min, nominal.min()) - carried
         assert plan.angle.max() <= ROBOT.tendon.angle_max
         assert np.abs(plan.angle - nominal).max() < LIMITS.deviation + carried
-        assert plan.rate == pytest.approx((plan.angle[1] - plan.angle[0]) / tick.preview.dt)
+        assert plan.rate == pytest.approx(
+            (plan.angle[1] - plan.angle[0]) / tick.preview.dt
+        )
     assert np.abs(plan.angle - nominal).max() > 0.05
 
 
@@ -67,7 +76,9 @@ def test_an_estimate_between_two_stages_gets_the_plan_between_them(policy, walki
 
 
 @pytest.mark.parametrize(("share", "is_new"), [(0.7, False), (0.9, True)])
-def test_the_estimate_nearest_to_the_next_stage_gets_a_new_plan(policy, walking, share, is_new):
+def test_the_estimate_nearest_to_the_next_stage_gets_a_new_plan(
+    policy, walking, share, is_new
+):
     follow(policy, walking[:20])
     policy.step(*_parts(later(walking[19], share * walking[0].preview.dt)))
     assert (policy._plan.time > walking[19].estimate.time) == is_new
@@ -76,13 +87,20 @@ def test_the_estimate_nearest_to_the_next_stage_gets_a_new_plan(policy, walking,
 @pytest.mark.parametrize("period", [0.01, 0.02, 0.05])
 def test_the_robot_walks_uphill_with_odometry_of_another_rate(period):
     """Where every estimate was taken for one a tick later it walked at 13 mm/s at 100 Hz."""
-    uphill, changes = np.array([0.04, 0.0, 0.0]), {"scene.sensors.odometry.period": period}
+    uphill, changes = (
+        np.array([0.04, 0.0, 0.0]),
+        {"scene.sensors.odometry.period": period},
+    )
     loop = ClosedLoop("slope5", "walk", uphill, 1, "predictive", changes=changes)
     place = [loop.plant.robot.position[0] for _ in loop.run(round(12.0 / period))]
-    assert (place[-1] - place[round(4.0 / period)]) / 8.0 == pytest.approx(0.04, abs=0.008)
+    assert (place[-1] - place[round(4.0 / period)]) / 8.0 == pytest.approx(
+        0.04, abs=0.008
+    )
 
 
-def test_the_time_of_the_preparation_changes_nothing_in_a_plan_between_two_stages(policy, walking):
+def test_the_time_of_the_preparation_changes_nothing_in_a_plan_between_two_stages(
+    policy, walking
+):
     """It depends on the load of the machine; a replay prepares at another time."""
     *before, last = walking
     follow(policy, before)
@@ -113,7 +131,9 @@ def test_a_missed_estimate_moves_the_plan_on(walking):
 
 
 @pytest.mark.parametrize(("index", "value"), [(3, 5.0), (2, 2.0)])
-def test_a_jump_of_the_place_begins_the_plan_anew_and_moves_no_leg_by_much(walking, index, value):
+def test_a_jump_of_the_place_begins_the_plan_anew_and_moves_no_leg_by_much(
+    walking, index, value
+):
     policy, tick = _after(walking[:40]), walking[40]
     expected = policy.step(*_parts(tick)).angle[0]
     policy = _after(walking[:40])
@@ -149,18 +169,24 @@ def test_rejected_states_move_the_last_plan_on_towards_the_gait_and_then_stop(wa
     ]
     assert off[-1] < 0.25 * off[0] + 0.01  # rad: the wrench is still carried
     assert {plan.status for plan in missed[LIMITS.cycles :]} == {Status.STOPPED}
-    assert missed[-1].message.startswith(f"fallback used up after {LIMITS.cycles} cycles; state")
+    assert missed[-1].message.startswith(
+        f"fallback used up after {LIMITS.cycles} cycles; state"
+    )
     assert not len(missed[-1].angle)
     again = policy.step(*_parts(walking[45]))
     assert (again.status, again.fallback_cycles) == (Status.SOLVED, 0)
 
 
-def test_a_preview_that_is_too_short_is_rejected_and_stops_a_policy_without_a_plan(policy, walking):
+def test_a_preview_that_is_too_short_is_rejected_and_stops_a_policy_without_a_plan(
+    policy, walking
+):
     preview = walking[0].preview
     short = dataclasses.replace(preview, tendon_angle=preview.tendon_angle[:5])
     plan = policy.step(walking[0].estimate, short)
     assert plan.status == Status.STOPPED
-    assert plan.message == "no plan yet; preview.tendon_angle: shape (5, 4), needs (24, 4)"
+    assert (
+        plan.message == "no plan yet; preview.tendon_angle: shape (5, 4), needs (24, 4)"
+    )
 
 
 def test_a_late_plan_a_rollout_that_diverges_and_an_unsolved_problem_are_faults(
@@ -168,7 +194,9 @@ def test_a_late_plan_a_rollout_that_diverges_and_an_unsolved_problem_are_faults(
 ):
     clock = iter(np.arange(0.0, 100.0, LIMITS.time_budget * 1.1))
     late = Predictive(ROBOT, SETTINGS, lambda: next(clock))
-    assert late.step(*_parts(walking[0])).status == Status.STOPPED  # no plan to fall back on
+    assert (
+        late.step(*_parts(walking[0])).status == Status.STOPPED
+    )  # no plan to fall back on
     policy = _after(walking[:30])
     over = with_state(walking[30], 1, 1.3)  # rad, beyond what its legs can carry
     plan = policy.step(*_parts(over))
@@ -184,17 +212,27 @@ def test_a_late_plan_a_rollout_that_diverges_and_an_unsolved_problem_are_faults(
 
 def place_errors(policy, path):
     """Distances (n,) from the second leg of a path with one corner, mm."""
-    loop = ClosedLoop("flat", "walk", WALK, 1, policy, path=Route(np.array(path), "kept"))
+    loop = ClosedLoop(
+        "flat", "walk", WALK, 1, policy, path=Route(np.array(path), "kept")
+    )
     robot, found = loop.plant.robot, []
     for _ in loop.run(300):
         x, y, _ = 1e3 * robot.position
-        found.append(min(math.hypot(x - np.clip(x, 0, 200), y), math.hypot(x - 200, y - max(y, 0))))
+        found.append(
+            min(
+                math.hypot(x - np.clip(x, 0, 200), y),
+                math.hypot(x - 200, y - max(y, 0)),
+            )
+        )
     return np.array(found[90:])
 
 
 def test_a_corner_is_followed_closer_than_by_the_gait_alone():
     path = [(0.0, 0.0), (0.2, 0.0), (0.2, 0.3)]
-    alone, predictive = place_errors("gait_alone", path), place_errors("predictive", path)
+    alone, predictive = (
+        place_errors("gait_alone", path),
+        place_errors("predictive", path),
+    )
     assert np.sqrt((predictive**2).mean()) < 0.4 * np.sqrt((alone**2).mean())
 
 
@@ -203,11 +241,16 @@ def test_a_payload_does_not_lower_a_standing_robot():
     for policy in ("gait_alone", "predictive"):
         changes = {"scene.payload.mass": 0.4}
         loop = ClosedLoop("flat", "stand", None, 1, policy, changes=changes)
-        rows = [tick.estimate.state[5] - tick.preview.reference[0, 5] for tick in loop.run(240)]
+        rows = [
+            tick.estimate.state[5] - tick.preview.reference[0, 5]
+            for tick in loop.run(240)
+        ]
         heights[policy] = 1e3 * np.mean(rows[-60:])
     assert heights["gait_alone"] < -6.0  # mm
     assert abs(heights["predictive"]) < 2.5
-    assert loop.controller.policy.observer.wrench[0] == pytest.approx(-0.4 * GRAVITY, rel=0.3)
+    assert loop.controller.policy.observer.wrench[0] == pytest.approx(
+        -0.4 * GRAVITY, rel=0.3
+    )
 
 
 def test_a_torso_that_the_legs_cannot_carry_sinks_and_walks_on(policy, walking):
@@ -220,7 +263,9 @@ def test_a_torso_that_the_legs_cannot_carry_sinks_and_walks_on(policy, walking):
     assert (nominal == ROBOT.tendon.angle_max).any()
     assert 1e-3 < sag < 8.0 / SETTINGS.observer.stiffness[0]
     soft = {"robot.leg.young_modulus": 0.8 * ROBOT.leg.young_modulus}
-    last = list(ClosedLoop("flat", "walk", WALK, 3, "predictive", changes=soft).run(300))[-1]
+    last = list(
+        ClosedLoop("flat", "walk", WALK, 3, "predictive", changes=soft).run(300)
+    )[-1]
     assert last.estimate.state[3] > 0.6 * WALK[0] * 300 * 0.033
 
 
@@ -245,7 +290,9 @@ def test_on_legs_that_the_model_does_not_know_the_gait_takes_over():
         way, last = soft_walk(seed, SETTINGS.observer.misfit_max)
         ways.append(way)
         assert last.plan.status is Status.MODEL_FAR
-        own = np.abs(last.plan.angle - last.preview.tendon_angle[: SETTINGS.stages]).max()
+        own = np.abs(
+            last.plan.angle - last.preview.tendon_angle[: SETTINGS.stages]
+        ).max()
         assert own < 0.02
         assert last.plan.fallback_cycles == 0
     assert np.median(ways) > 1.5 * believed

@@ -23,7 +23,12 @@ def case(seed, size):
     nominal = np.clip(1.3 + np.cumsum(rng.normal(0, 0.2, (K + 1, 4)), axis=0), 0.2, 1.9)
     deviation = np.clip(np.cumsum(rng.normal(0, 0.05, (K + 1, 4)), axis=0), -0.4, 0.4)
     deviation = np.clip(nominal + deviation, 0.2, 2.0) - nominal
-    return size * rng.normal(size=6 * K), rng.normal(size=(20, 6 * K)), deviation, nominal
+    return (
+        size * rng.normal(size=6 * K),
+        rng.normal(size=(20, 6 * K)),
+        deviation,
+        nominal,
+    )
 
 
 def change_of(problem, error, slopes, deviation, nominal):
@@ -35,18 +40,28 @@ def reference_change(problem, error, slopes, deviation, nominal):
     """The step from its statement in `problem.py`, by another solver."""
     limits, cost = SETTINGS.limits, SETTINGS.cost
     delta = cp.Variable(len(slopes))
-    change = cp.reshape(delta @ problem.basis.reshape(len(slopes), -1), (K + 1, 4), order="C")
+    change = cp.reshape(
+        delta @ problem.basis.reshape(len(slopes), -1), (K + 1, 4), order="C"
+    )
     b = deviation + change
     mean = cp.sum(b, axis=0, keepdims=True) / (K + 1)
     swing = b - np.ones((K + 1, 1)) @ mean
-    objective = cp.sum_squares(error + delta @ slopes) + cp.sum_squares(delta) / cost.change**2
+    objective = (
+        cp.sum_squares(error + delta @ slopes) + cp.sum_squares(delta) / cost.change**2
+    )
     objective += (K + 1) * cp.sum_squares(mean) / (K * cost.deviation**2)
     objective += cp.sum_squares(swing) / (K * cost.swing**2)
     low = min(limits.angle_min, nominal.min())
     rate = cp.abs(cp.diff(nominal + b, axis=0))
-    within = [cp.abs(b) <= limits.deviation, nominal + b >= low, nominal + b <= ANGLE_MAX]
+    within = [
+        cp.abs(b) <= limits.deviation,
+        nominal + b >= low,
+        nominal + b <= ANGLE_MAX,
+    ]
     most = np.maximum(DT * limits.rate, np.abs(np.diff(nominal + deviation, axis=0)))
-    cp.Problem(cp.Minimize(objective), [*within, rate <= most]).solve("CLARABEL", tol_gap_rel=1e-10)
+    cp.Problem(cp.Minimize(objective), [*within, rate <= most]).solve(
+        "CLARABEL", tol_gap_rel=1e-10
+    )
     return change.value
 
 
@@ -55,7 +70,9 @@ def reference_change(problem, error, slopes, deviation, nominal):
 def test_the_step_is_the_minimum_within_its_limits(problem, seed, size):
     args = case(seed, size)
     found = change_of(problem, *args)
-    np.testing.assert_allclose(found, reference_change(problem, *args), rtol=0, atol=2e-5)  # rad
+    np.testing.assert_allclose(
+        found, reference_change(problem, *args), rtol=0, atol=2e-5
+    )  # rad
     after = args[3] + args[2] + found
     assert after.min() >= min(SETTINGS.limits.angle_min, args[3].min()) - 1e-6
     assert after.max() <= ANGLE_MAX + 1e-6
@@ -75,7 +92,11 @@ def test_limits_are_active_in_the_large_cases(problem):
 def test_the_errors_are_scaled_and_turned_into_the_heading(problem):
     pose, reference = np.zeros((1, K, 6)), np.zeros((K, 6))
     cost = SETTINGS.cost
-    pose[0, -1, [0, 2, 4]] = cost.tilt, 2 * np.pi + cost.yaw, cost.place  # y, heading to the left
+    pose[0, -1, [0, 2, 4]] = (
+        cost.tilt,
+        2 * np.pi + cost.yaw,
+        cost.place,
+    )  # y, heading to the left
     error = problem.errors(pose, reference, np.pi / 2)[0].reshape(K, 6)
     assert error[-1] == pytest.approx(
         np.sqrt(1 / K) * np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0]), abs=1e-9

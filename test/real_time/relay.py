@@ -21,7 +21,9 @@ def main(topic):
     rclpy.init()
     node = rclpy.create_node(f"{topic}_driver")
     publisher = node.create_publisher(KINDS[topic], topic, qos.best_effort(qos.SENSOR))
-    node.create_subscription(KINDS[topic], f"simulated/{topic}", publisher.publish, qos.SENSOR)
+    node.create_subscription(
+        KINDS[topic], f"simulated/{topic}", publisher.publish, qos.SENSOR
+    )
     with contextlib.suppress(ExternalShutdownException, KeyboardInterrupt):
         rclpy.spin(node)
 

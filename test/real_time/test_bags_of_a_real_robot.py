@@ -37,7 +37,11 @@ class Robot:
         renamed = {topic: f"simulated/{topic}" for topic in SENSORS}
         graph = read_graph()
         values = {a.name: a.default for a in graph.arguments}
-        values |= {"hardware": "real", "port": str(rig.bus), "bag": str(rig.directory / "bag")}
+        values |= {
+            "hardware": "real",
+            "port": str(rig.bus),
+            "bag": str(rig.directory / "bag"),
+        }
         self.rig, self.bag = rig, Path(values["bag"])
         rig.specs = {spec.name: spec for spec in graph.nodes(values)}
         self.graph = [*rig.specs]
@@ -56,17 +60,22 @@ class Robot:
         """Start a second recorder, in mid-run; returns its bag."""
         spec, bag = self.rig.specs["recorder"], self.rig.directory / name
         spec = dataclasses.replace(spec, parameters=spec.parameters | {"bag": str(bag)})
-        command = [word.replace("__node:=recorder", f"__node:={name}") for word in
-                   command_line(spec)]  # fmt: skip
+        command = [
+            word.replace("__node:=recorder", f"__node:={name}")
+            for word in command_line(spec)
+        ]
         self._start(name, command)
         return bag
 
     def _start(self, name, command):
         with (self.rig.directory / f"{name}.log").open("ab") as log:
             self.rig.children[name] = subprocess.Popen(
-                [*TIED, *command], stdout=log, stderr=log, start_new_session=True,
+                [*TIED, *command],
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
                 env=os.environ | {"SLOT_CONFIG": str(self.rig.config)},
-            )  # fmt: skip
+            )
 
     def walk(self):
         self.rig.walk_steadily()
@@ -75,12 +84,17 @@ class Robot:
     def wait_for_commands(self):
         """Wait for three seconds of commands; key frames come every second at first."""
         begin = self.rig.now()
-        self.rig.wait_for(lambda: len(self.rig.since("/desired_joint_angles", begin)) >= WAITED)
+        self.rig.wait_for(
+            lambda: len(self.rig.since("/desired_joint_angles", begin)) >= WAITED
+        )
 
     def wait_for_odometry(self, subscribers):
         """Wait until the only odometry has as many subscribers as there are to be."""
         node, wanted = self.rig.node, (1, subscribers)
-        count = lambda: (node.count_publishers("/odom"), node.count_subscribers("/odom"))  # noqa: E731
+
+        def count():
+            return node.count_publishers("/odom"), node.count_subscribers("/odom")
+
         self.rig.wait_for(lambda: count() == wanted)
 
     def close(self):

@@ -16,7 +16,9 @@ from slot_core.safety.commands import Action
 pytestmark = pytest.mark.real_time
 
 PULLED = 1.5  # rad
-DRIVER_PROGRAM = "from slot_nodes import dynamixel_driver_node; dynamixel_driver_node.main()"
+DRIVER_PROGRAM = (
+    "from slot_nodes import dynamixel_driver_node; dynamixel_driver_node.main()"
+)
 # Raises ZeroDivisionError in its first diagnostics under torque.
 BROKEN_DRIVER = """
 from slot_nodes import diagnostics, dynamixel_driver_node
@@ -42,14 +44,18 @@ def rig(bench):
         bench.stop(DRIVER)
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, "exception"])
+@pytest.mark.parametrize(
+    "end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, "exception"]
+)
 def test_the_driver_reads_torque_off_back_before_it_ends(rig, stub, end):
     """SIGHUP comes when the connection to a terminal with `ros2 launch` is lost."""
     before = len(rig.log_lines(DRIVER))
     broken = end == "exception"
     code = BROKEN_DRIVER if broken else DRIVER_PROGRAM
     # a signal that the caller of the tests ignores (nohup) would be ignored here too
-    start_driver(rig, program=["env", "--default-signal=HUP", sys.executable, "-c", code])
+    start_driver(
+        rig, program=["env", "--default-signal=HUP", sys.executable, "-c", code]
+    )
     if broken:
         stub.permission = Action.HOLD
     else:
@@ -99,4 +105,6 @@ def test_the_driver_follows_lifecycle_transitions_by_service(rig, stub, change):
     powered(rig, again)
     assert change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert rig.registers("torque_enable") == [0] * 4
-    assert not change(Transition.TRANSITION_CONFIGURE)  # it is finalized, and still answers
+    assert not change(
+        Transition.TRANSITION_CONFIGURE
+    )  # it is finalized, and still answers

@@ -25,14 +25,19 @@ KEPT_UP = [
     load(others=[0.2] * 10),
     load(others=[0.5, *[0.0] * 9]),
     load(own=1.0, others=[0.0] * 10),  # the graph under test may use all there is
-    load(own=0.0, others=[-0.01, 0.0]),  # the counts of kernel and processes differ by a step
+    load(
+        own=0.0, others=[-0.01, 0.0]
+    ),  # the counts of kernel and processes differ by a step
 ]
 OVERLOADED = [
     (
         load(late=[0.001] * 97 + [0.08, 0.3, 0.06]),
         "3 % of the wake-ups more than 50 ms late, at most 300 ms",
     ),
-    (load(others=[0.3] * 10), "other programs took 30 % of the CPU, at most 30 % in a second"),
+    (
+        load(others=[0.3] * 10),
+        "other programs took 30 % of the CPU, at most 30 % in a second",
+    ),
     (
         load(others=[0.7, *[0.0] * 9]),
         "other programs took 7 % of the CPU, at most 70 % in a second",
@@ -41,7 +46,9 @@ OVERLOADED = [
 
 
 def report(failed=True):
-    return SimpleNamespace(failed=failed, outcome="failed" if failed else "passed", longrepr="")
+    return SimpleNamespace(
+        failed=failed, outcome="failed" if failed else "passed", longrepr=""
+    )
 
 
 @pytest.mark.parametrize("kept_up", KEPT_UP)
@@ -52,7 +59,9 @@ def test_on_a_machine_that_kept_up_a_failure_stays_a_failure(kept_up):
 
 
 @pytest.mark.parametrize(("overloaded", "reason"), OVERLOADED)
-def test_on_an_overloaded_machine_a_failure_is_skipped_with_the_figures(overloaded, reason):
+def test_on_an_overloaded_machine_a_failure_is_skipped_with_the_figures(
+    overloaded, reason
+):
     failed, passed = report(), report(failed=False)
     for each in (failed, passed):
         Judge().judge(each, ("file", 1), AssertionError(), overloaded)
@@ -67,7 +76,11 @@ def test_a_fixture_that_failed_on_an_overloaded_machine_is_excused_in_every_test
     judge.judge(first, ("file", 1), error, load(others=[0.9]))
     judge.judge(second, ("file", 2), error, load())
     judge.judge(other, ("file", 3), RuntimeError("the run failed"), load())
-    assert [each.outcome for each in (first, second, other)] == ["skipped", "skipped", "failed"]
+    assert [each.outcome for each in (first, second, other)] == [
+        "skipped",
+        "skipped",
+        "failed",
+    ]
 
 
 def test_the_cpu_of_this_process_is_its_own():

@@ -28,7 +28,10 @@ CTRL_C = "\x03"
 @pytest.fixture(scope="module")
 def graph(environment, tmp_path_factory):
     """Graph of a simulated robot that moves only on requests."""
-    processes, described = Processes(tmp_path_factory.mktemp("log"), environment), read_graph()
+    processes, described = (
+        Processes(tmp_path_factory.mktemp("log"), environment),
+        read_graph(),
+    )
     values = {argument.name: argument.default for argument in described.arguments}
     processes.start(described.nodes(values | {"attended": True}))
     try:
@@ -44,9 +47,13 @@ class Terminal:
     def __init__(self, environment):
         self.end, theirs = pty.openpty()
         self.process = subprocess.Popen(
-            ["setsid", "--ctty", *OPERATE], env=environment | {"COLUMNS": "160", "LINES": "40"},
-            stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            ["setsid", "--ctty", *OPERATE],
+            env=environment | {"COLUMNS": "160", "LINES": "40"},
+            stdin=theirs,
+            stdout=theirs,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         os.close(theirs)
         self.output_bytes = bytearray()
         self._is_open = True
@@ -125,7 +132,11 @@ def terminal(environment):
 def operate(environment, *arguments):
     """Exit code, output and errors of scripts/operate with arguments."""
     done = subprocess.run(
-        [*OPERATE, *arguments], env=environment, capture_output=True, text=True, check=False
+        [*OPERATE, *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return done.returncode, done.stdout, done.stderr
 
@@ -137,7 +148,9 @@ def test_keys_start_a_walk_and_the_command_line_ends_it(environment):
             live.press_until(key, state)
         code, output, _ = operate(environment, "state")
         assert code == 0
-        assert re.match(r"WALKING for \d+\.\d s: walk requested by the operator\n", output)
+        assert re.match(
+            r"WALKING for \d+\.\d s: walk requested by the operator\n", output
+        )
         assert operate(environment, "relax") == (0, "relax: granted\n", "")
         assert "relax requested by the operator" in live.wait_for("IDLE")[0]
 
@@ -177,8 +190,12 @@ def state_after(environment, end):
 @pytest.mark.parametrize("end", ["closed", "interrupted", "suspended"])
 def test_end_of_the_terminal_stops_the_robot_until_a_reset_at_another(environment, end):
     output, refusal = state_after(environment, end)
-    assert re.match(r"ESTOP for .*: e-stop source \S+ silent for .* s, limit 2 s", output)
-    assert re.match("scripts/operate: RESET refused in ESTOP: e-stop source .* silent", refusal)
+    assert re.match(
+        r"ESTOP for .*: e-stop source \S+ silent for .* s, limit 2 s", output
+    )
+    assert re.match(
+        "scripts/operate: RESET refused in ESTOP: e-stop source .* silent", refusal
+    )
     with terminal(environment) as another:
         another.wait_for("IDLE")
 

@@ -33,7 +33,9 @@ def run(*arguments, **options):
 
 def test_run_in_real_time_keeps_its_pace_and_prints_a_summary(tmp_path):
     output = run("--duration", "4", "--no-bag", cwd=tmp_path)
-    figures = dict(line.split(maxsplit=1) for line in output.splitlines() if line.strip())
+    figures = dict(
+        line.split(maxsplit=1) for line in output.splitlines() if line.strip()
+    )
     assert float(figures["real-time"].split()[-1]) == pytest.approx(1.0, abs=0.1)
     assert list(tmp_path.iterdir()) == []
 
@@ -45,7 +47,10 @@ def test_robot_walks_with_the_real_driver_which_leaves_no_torque(environment, tm
     place = Bag(bag).series("/ground_truth/odom", "pose.pose.position")
     walked = place["pose.pose.position"][:, 0]
     assert (walked[-1] - walked[0]) / (place.stamp[-1] - place.stamp[0]) * 1e9 > 0.02
-    assert "torque off, confirmed by every servo" in (bag / "log/dynamixel_driver.log").read_text()
+    assert (
+        "torque off, confirmed by every servo"
+        in (bag / "log/dynamixel_driver.log").read_text()
+    )
     assert "servos left under torque: none" in (bag / "log/sim_robot.log").read_text()
 
 
@@ -60,7 +65,9 @@ def join_and_leave():
         heard = set()
         for topic in HEARD:
             kind, profile = TOPICS[topic]
-            node.create_subscription(kind, topic, lambda _, t=topic: heard.add(t), profile)
+            node.create_subscription(
+                kind, topic, lambda _, t=topic: heard.add(t), profile
+            )
         while heard != HEARD:
             executor.spin_once()
     finally:

@@ -30,11 +30,15 @@ def test_the_file_moves_in_a_loop_at_half_the_speed(bag, tmp_path, monkeypatch):
     with Image.open(tmp_path / "walk.gif") as plot:
         assert plot.n_frames == 3
         assert plot.info["loop"] == 0
-        assert plot.info["duration"] == pytest.approx(1e3 * 2 / RATE, abs=10)  # GIF: in 10 ms
+        assert plot.info["duration"] == pytest.approx(
+            1e3 * 2 / RATE, abs=10
+        )  # GIF: in 10 ms
 
 
 def test_another_kind_of_file_and_a_bag_without_leg_shapes_are_refused(bag, tmp_path):
-    with pytest.raises(AnimationError, match=r"walk\.mp4: expected a name that ends in \.gif"):
+    with pytest.raises(
+        AnimationError, match=r"walk\.mp4: expected a name that ends in \.gif"
+    ):
         animate(bag, tmp_path / "walk.mp4")
     blind = Bag(write_walk(tmp_path / "blind", Walk(duration=0.2, truth=False)))
     with pytest.raises(BagError, match="no topic /ground_truth/legs"):

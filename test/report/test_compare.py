@@ -30,11 +30,15 @@ SEEN = ["--warm-up", "0"]  # the bags of the repository are shorter than the war
 def walks(tmp_path_factory):
     """The bags of FLAT and FASTER."""
     place = tmp_path_factory.mktemp("bags")
-    return [Bag(write_walk(place / f"walk_{walk.speed}", walk)) for walk in (FLAT, FASTER)]
+    return [
+        Bag(write_walk(place / f"walk_{walk.speed}", walk)) for walk in (FLAT, FASTER)
+    ]
 
 
 def pairs_of(bags):
-    return compare_figures(*(figures(walk_metrics(bag, 0.0, read_servo())) for bag in bags))
+    return compare_figures(
+        *(figures(walk_metrics(bag, 0.0, read_servo())) for bag in bags)
+    )
 
 
 def test_every_number_of_the_metrics_is_a_figure_with_a_unit():
@@ -56,7 +60,10 @@ def test_differences_of_two_synthetic_walks_are_those_of_their_speeds(walks):
     [
         ((), []),
         ((Tolerance("mean_v_?", 0.0101),), []),
-        ((Tolerance("mean_v_x", 0.0099),), ["mean_v_x +0.01 m/s, more than 0.0099 m/s"]),
+        (
+            (Tolerance("mean_v_x", 0.0099),),
+            ["mean_v_x +0.01 m/s, more than 0.0099 m/s"],
+        ),
         ((Tolerance("*", 0.0), Tolerance("*", 0.1)), []),  # the last one counts
         ((Tolerance("height*", 0.0),), []),
     ],
@@ -70,7 +77,9 @@ def test_a_figure_of_one_bag_only_exceeds_every_tolerance(walks, tmp_path):
     """The other has no ground truth, and so no torques."""
     blind = Bag(write_walk(tmp_path / "blind", dataclasses.replace(FLAT, truth=False)))
     pairs = pairs_of([walks[0], blind])
-    assert math.isinf(next(p for p in pairs if p.first.name == "servo_load.FL").difference)
+    assert math.isinf(
+        next(p for p in pairs if p.first.name == "servo_load.FL").difference
+    )
     line = exceeded(pairs, [Tolerance("servo_load.FL", 100.0)])
     assert line == ["beyond the tolerance: servo_load.FL is in one bag only"]
 
@@ -81,7 +90,9 @@ def test_a_bag_compared_with_itself_and_with_another_ends_with_0_and_1(capsys):
     assert compare.main([walk, fault, *SEEN, "--tolerance", "tilt*=1"]) == 1
     lines = capsys.readouterr().out.splitlines()
     assert "scene                   flat -> fault" in lines
-    assert any(re.match(r"beyond the tolerance: tilt_max [+-]\d", line) for line in lines)
+    assert any(
+        re.match(r"beyond the tolerance: tilt_max [+-]\d", line) for line in lines
+    )
 
 
 def changed(bag, path, origin):
@@ -100,7 +111,9 @@ def test_what_differs_between_the_origins_is_named(walks, tmp_path, own_config):
     set_values(own_config, {"gait/walk": {"forward.speed": 0.03}})
     (own_config / "leg_map.csv").unlink()
     now = origin_here({"gait": "walk", "seed": 2, "path": str(route)})
-    second = changed(walks[1], tmp_path / "b", Origin({**now.about, "revision": "new"}, now.files))
+    second = changed(
+        walks[1], tmp_path / "b", Origin({**now.about, "revision": "new"}, now.files)
+    )
     lines = origin_lines(first, second)
     assert re.fullmatch(r"revision +\S+ -> new", lines[0])
     assert [" ".join(line.split()) for line in lines[1:]] == [
@@ -129,6 +142,11 @@ def test_the_plot_has_both_walks_and_their_difference(walks):
 
 
 def test_a_plot_is_written(walks, tmp_path):
-    arguments = [*(str(bag.path) for bag in walks), *SEEN, "--plot", str(tmp_path / "new/c.svg")]
+    arguments = [
+        *(str(bag.path) for bag in walks),
+        *SEEN,
+        "--plot",
+        str(tmp_path / "new/c.svg"),
+    ]
     assert compare.main(arguments) == 0
     assert (tmp_path / "new/c.svg").read_text().startswith("<?xml")

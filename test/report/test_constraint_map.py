@@ -113,8 +113,12 @@ def test_a_bag_without_forces_is_refused(tmp_path):
         read_map(Bag(tmp_path / "bag"))
 
 
-def test_the_command_draws_a_bag_and_its_exit_code_reports_violations(tmp_path, slipping, capsys):
-    clean = write_cycles(tmp_path / "clean", [cycle(status=int(k == 5)) for k in range(30)])
+def test_the_command_draws_a_bag_and_its_exit_code_reports_violations(
+    tmp_path, slipping, capsys
+):
+    clean = write_cycles(
+        tmp_path / "clean", [cycle(status=int(k == 5)) for k in range(30)]
+    )
     assert main([str(clean), "--out", str(tmp_path / "map.png")]) == 0
     assert "NOT_SOLVED 1" in capsys.readouterr().out
     assert (tmp_path / "map.png").exists()

@@ -30,22 +30,37 @@ def preview(stamp=1.0, speed=0.05, height=0.06):
     each = np.zeros((STAGES, 4))
     arrays = dict.fromkeys(("friction", "normal_force", "tendon_angle"), each)
     return message(
-        "/gait_preview", stamp, gait="walk", stages=STAGES, contact=each.astype(bool),
-        reference=reference, velocity_ahead=np.zeros((STAGES, 3)), **arrays,
-    )  # fmt: skip
+        "/gait_preview",
+        stamp,
+        gait="walk",
+        stages=STAGES,
+        contact=each.astype(bool),
+        reference=reference,
+        velocity_ahead=np.zeros((STAGES, 3)),
+        **arrays,
+    )
 
 
 def legs(nodes, stamp=1.0, director=()):
     return message(
-        "/ground_truth/legs", stamp, tension=np.array([0.0, 70.0, 140.0, 9.0]),
-        ground_force=np.tile([0.0, 0.0, 5.0], (4, 1)), nodes=nodes.shape[1], position=nodes,
+        "/ground_truth/legs",
+        stamp,
+        tension=np.array([0.0, 70.0, 140.0, 9.0]),
+        ground_force=np.tile([0.0, 0.0, 5.0], (4, 1)),
+        nodes=nodes.shape[1],
+        position=nodes,
         director=director,
-    )  # fmt: skip
+    )
 
 
 def joints(torque):
-    return message("/joint_states", 1.0, name=list(TENDON_JOINTS), position=np.zeros(4),
-                   effort=torque)  # fmt: skip
+    return message(
+        "/joint_states",
+        1.0,
+        name=list(TENDON_JOINTS),
+        position=np.zeros(4),
+        effort=torque,
+    )
 
 
 def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
@@ -54,7 +69,14 @@ def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
         *set(Drawing.TOPICS) & set(bag.topics) - {"/gait_preview"}
     ):
         seen |= drawing.receive(topic, received)
-    assert set(seen) == {"torso", "path", "legs", "tendons", "ground_forces", "demanded_forces"}
+    assert set(seen) == {
+        "torso",
+        "path",
+        "legs",
+        "tendons",
+        "ground_forces",
+        "demanded_forces",
+    }
     end = WALK.duration
     assert np.allclose(seen["torso"].centre, WALK.position(end))
     middles = seen["legs"].corners.mean(axis=2)
@@ -76,8 +98,12 @@ def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_
     natural = shapes.natural_legs(np.array([0.2, 0.1, 0.07]), quaternion, ROBOT, 20)
     assert np.allclose(seen["legs"].corners, shapes.leg_bars(natural, ROBOT).corners)
     assert np.array_equal(seen["legs"].colours, np.tile(shapes.SLACK, (4, 1)))
-    loaded = drawing.receive("/joint_states", joints(TORQUE * np.array([0.0, 0.5, 1.0, 2.0])))
-    assert np.allclose(loaded["tendons"].colours[[0, 2, 3]], [shapes.SLACK, *2 * [shapes.LOADED]])
+    loaded = drawing.receive(
+        "/joint_states", joints(TORQUE * np.array([0.0, 0.5, 1.0, 2.0]))
+    )
+    assert np.allclose(
+        loaded["tendons"].colours[[0, 2, 3]], [shapes.SLACK, *2 * [shapes.LOADED]]
+    )
 
 
 def test_the_exact_pose_replaces_the_estimate_once_there_is_one():
@@ -105,18 +131,26 @@ def test_a_plan_shows_the_predicted_way_of_torso_and_feet():
     drawing.receive("/mpc_state", message("/mpc_state", 1.0))
     seen = drawing.receive("/tendon_plan", plan)
     assert np.array_equal(seen["predicted_path"].points, pose[None, :, 3:])
-    assert np.array_equal(seen["predicted_feet"].points[1], [[3.0, 4.0, 5.0], [15.0, 16.0, 17.0]])
+    assert np.array_equal(
+        seen["predicted_feet"].points[1], [[3.0, 4.0, 5.0], [15.0, 16.0, 17.0]]
+    )
     plan.foot = foot[:-1]
     with pytest.raises(ValueError, match="foot has 23 values"):
         drawing.receive("/tendon_plan", plan)
 
 
 def test_disturbances_are_curves_in_a_users_units():
-    fields = {"wrench": np.array([-0.981, 0.0, 0.0]), "drift": np.array([0.02, -0.01, np.pi / 180])}
+    fields = {
+        "wrench": np.array([-0.981, 0.0, 0.0]),
+        "drift": np.array([0.02, -0.01, np.pi / 180]),
+    }
     seen = traces.values(
-        "/tendon_plan", message("/tendon_plan", 1.0, stages=1, force=np.ones(12), **fields)
+        "/tendon_plan",
+        message("/tendon_plan", 1.0, stages=1, force=np.ones(12), **fields),
     )
-    assert seen["disturbance/mpc"] == pytest.approx([1.0, 2.0, -1.0, 1.0])  # 100 g, cm/s, deg/s
+    assert seen["disturbance/mpc"] == pytest.approx(
+        [1.0, 2.0, -1.0, 1.0]
+    )  # 100 g, cm/s, deg/s
 
 
 @pytest.mark.parametrize(
@@ -165,7 +199,9 @@ def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(bag)
         ("/joint_states", "angle/measured", 120, 0.97, 0.04),
         ("/desired_joint_angles", "angle/commanded", 30, 1.0, 0.0),
     ):
-        seen = [traces.values(topic, received)[curve] for _, received in bag.messages(topic)]
+        seen = [
+            traces.values(topic, received)[curve] for _, received in bag.messages(topic)
+        ]
         k = round(STRIDE * rate)
         assert np.allclose(seen[k], gain * np.degrees(angles(k / rate - late)))
     truth = traces.values("/ground_truth/legs", legs(leg_nodes(WALK, 0.0)))
@@ -176,7 +212,9 @@ def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(bag)
 def test_states_are_named_and_every_topic_has_curves_of_its_plots():
     assert traces.values("/imu", object()) == traces.states("/imu", object()) == {}
     walking = message("/robot_state", 1.0, state=3)
-    late = message("/tendon_plan", 1.0, stages=1, force=np.zeros(12), status=2, solve_time=0.004)
+    late = message(
+        "/tendon_plan", 1.0, stages=1, force=np.zeros(12), status=2, solve_time=0.004
+    )
     assert traces.states("/robot_state", walking) == {"supervisor": "WALKING"}
     assert traces.states("/tendon_plan", late) == {"mpc": "LATE"}
     assert traces.values("/tendon_plan", late)["solve_time/mpc"] == pytest.approx([4.0])
@@ -191,9 +229,15 @@ def test_states_are_named_and_every_topic_has_curves_of_its_plots():
         "/joint_states": joints(np.zeros(4)),
         "/desired_joint_angles": joints(np.zeros(4)),
     }
-    values = {k: v for topic, m in received.items() for k, v in traces.values(topic, m).items()}
+    values = {
+        k: v
+        for topic, m in received.items()
+        for k, v in traces.values(topic, m).items()
+    }
     curves = {
-        f"{p}/{c}": curve for p, plot in traces.PLOTS.items() for c, curve in plot.curves.items()
+        f"{p}/{c}": curve
+        for p, plot in traces.PLOTS.items()
+        for c, curve in plot.curves.items()
     }
     assert {name: len(v) for name, v in values.items()} == {
         n: len(c.names) for n, c in curves.items()

@@ -18,7 +18,9 @@ TIMING = replace(WALK, truth=False)  # a smaller bag, for tests of the ticks alo
 LAST = round(TIMING.duration * RATE)  # tick
 WARM_UP = 1.0  # leaves four whole strides
 SAMPLES = round(WALK.duration * 120) - round(WARM_UP * 120) + 1
-OVER = round(WALK.duration * 120) - 2 * 120 + 1  # of which the third leg's torque is high
+OVER = (
+    round(WALK.duration * 120) - 2 * 120 + 1
+)  # of which the third leg's torque is high
 SERVO = read_servo()
 ROUNDING = 1e-9  # positions and speeds are doubles of order one
 
@@ -36,14 +38,20 @@ def metrics_of(tmp_path_factory):
     return compute
 
 
-def test_straight_walk_with_a_course_error_gives_its_speed_distance_and_drift(metrics_of):
+def test_straight_walk_with_a_course_error_gives_its_speed_distance_and_drift(
+    metrics_of,
+):
     m = metrics_of(WALK)
-    duration = 4 * STRIDE  # 2.88 s: not a whole number of odometries, but of ground truth samples
+    duration = (
+        4 * STRIDE
+    )  # 2.88 s: not a whole number of odometries, but of ground truth samples
     assert m.duration == pytest.approx(math.floor(duration * 120) / 120, abs=1 / 120)
     assert m.distance == pytest.approx(0.05 * m.duration, abs=ROUNDING)
     assert m.mean_v_x == pytest.approx(0.05 * math.cos(COURSE), abs=ROUNDING)
     assert m.mean_v_y == pytest.approx(0.05 * math.sin(COURSE), abs=ROUNDING)
-    assert m.lateral_drift_end == pytest.approx(0.05 * m.duration * math.sin(COURSE), abs=ROUNDING)
+    assert m.lateral_drift_end == pytest.approx(
+        0.05 * m.duration * math.sin(COURSE), abs=ROUNDING
+    )
     assert m.lateral_drift_max == pytest.approx(abs(m.lateral_drift_end), abs=ROUNDING)
     assert m.yaw_drift == pytest.approx(0.0, abs=ROUNDING)
 
@@ -62,11 +70,15 @@ def test_sinusoidal_roll_gives_its_amplitude_and_rms_as_tilt(metrics_of):
 def test_tilt_is_the_angle_between_the_z_axes_whatever_the_yaw(angle):
     yaw, direction = 2.0, 0.7
     half = np.sin(angle / 2)
-    tilt = np.array([half * np.cos(direction), half * np.sin(direction), 0.0, np.cos(angle / 2)])
+    tilt = np.array(
+        [half * np.cos(direction), half * np.sin(direction), 0.0, np.cos(angle / 2)]
+    )
     z, w = np.sin(yaw / 2), np.cos(yaw / 2)
     x, y, _, v = tilt
     yawed = [w * x - z * y, w * y + z * x, z * v, w * v]  # Hamilton product yaw * tilt
-    motion = TorsoTrack("", np.zeros(1), np.zeros((1, 3)), np.array([yawed]), np.zeros((1, 3)))
+    motion = TorsoTrack(
+        "", np.zeros(1), np.zeros((1, 3)), np.array([yawed]), np.zeros((1, 3))
+    )
     assert motion.tilt[0] == pytest.approx(angle, rel=1e-12)
 
 
@@ -76,7 +88,9 @@ def test_circular_walk_has_its_speed_along_the_momentary_heading(metrics_of):
     assert m.mean_v_x == pytest.approx(0.05 * math.cos(0.2), rel=1e-6)
     assert m.mean_v_y == pytest.approx(0.05 * math.sin(0.2), rel=1e-6)
     assert m.yaw_drift == pytest.approx(0.4 * 4.0, abs=ROUNDING)
-    assert m.distance == pytest.approx(2 * 0.05 / 0.4 * math.sin(0.4 * 3.0 / 2), abs=ROUNDING)
+    assert m.distance == pytest.approx(
+        2 * 0.05 / 0.4 * math.sin(0.4 * 3.0 / 2), abs=ROUNDING
+    )
 
 
 def test_injected_latencies_come_out_per_stage(metrics_of):
@@ -84,9 +98,16 @@ def test_injected_latencies_come_out_per_stage(metrics_of):
     m = metrics_of(replace(TIMING, latencies=injected))
     for stage, expected in zip(m.stages.values(), injected):
         for figure in (stage.p50, stage.p99, stage.max):
-            assert figure == pytest.approx(expected, abs=1e-6)  # doubles of wall time in s
+            assert figure == pytest.approx(
+                expected, abs=1e-6
+            )  # doubles of wall time in s
     assert m.end_to_end.p50 == pytest.approx(sum(injected), abs=1e-6)
-    assert list(m.stages) == ["state_estimator", "gait_scheduler", "mpc_controller", "force_mapper"]
+    assert list(m.stages) == [
+        "state_estimator",
+        "gait_scheduler",
+        "mpc_controller",
+        "force_mapper",
+    ]
 
 
 def test_percentiles_interpolate_and_ignore_ticks_without_a_message():
@@ -109,7 +130,10 @@ def test_late_and_missing_commands_are_misses(metrics_of):
 
 @pytest.mark.parametrize(
     ("change", "missed", "fewer"),
-    [({"unanswered": (LAST,)}, 0, 1), ({"lost": (50, 80, 81)}, 3, 3)],  # gaps in the odometry
+    [
+        ({"unanswered": (LAST,)}, 0, 1),
+        ({"lost": (50, 80, 81)}, 3, 3),
+    ],  # gaps in the odometry
 )
 def test_a_command_cut_off_by_the_end_and_gaps_are_no_deadline_misses(
     metrics_of, change, missed, fewer
@@ -119,7 +143,9 @@ def test_a_command_cut_off_by_the_end_and_gaps_are_no_deadline_misses(
     assert m.ticks == metrics_of(TIMING).ticks - fewer
 
 
-@pytest.mark.parametrize(("warm_up", "counted"), [(WARM_UP, (0, 0, 0, 0)), (0.0, (2, 1, 1, 1))])
+@pytest.mark.parametrize(
+    ("warm_up", "counted"), [(WARM_UP, (0, 0, 0, 0)), (0.0, (2, 1, 1, 1))]
+)
 def test_events_in_the_warm_up_are_left_out(metrics_of, warm_up, counted):
     walk = replace(TIMING, unanswered=(3,), late=(5,), fallback=(6,), rejected=(7,))
     m = metrics_of(walk, warm_up)
@@ -135,7 +161,9 @@ def test_real_time_factor_is_graph_time_over_wall_time(metrics_of, factor):
 
 def test_late_machine_is_said_as_the_simulated_time_behind_real_time(metrics_of):
     assert metrics_of(WALK).behind.max == pytest.approx(0.0, abs=ROUNDING)
-    late = metrics_of(replace(WALK, real_time_factor=0.5)).behind  # at time t it is t behind
+    late = metrics_of(
+        replace(WALK, real_time_factor=0.5)
+    ).behind  # at time t it is t behind
     assert late.max == pytest.approx(round(WALK.duration * 120) / 120, abs=ROUNDING)
     assert late.p50 == pytest.approx((WARM_UP + WALK.duration) / 2, abs=1 / 120)
 
@@ -163,7 +191,12 @@ def test_saturation_is_counted_per_leg(metrics_of):
 
 @pytest.mark.parametrize(
     ("voltage", "stall"),
-    [(11.1, 1.4), (9.6, 1.0 + 0.4 * 0.6 / 2.1), (12.6, 1.5), (math.nan, 1.4)],  # NaN: nominal
+    [
+        (11.1, 1.4),
+        (9.6, 1.0 + 0.4 * 0.6 / 2.1),
+        (12.6, 1.5),
+        (math.nan, 1.4),
+    ],  # NaN: nominal
 )
 def test_load_is_the_mean_torque_over_the_stall_torque_at_the_supply_voltage(
     metrics_of, voltage, stall
@@ -182,8 +215,12 @@ def test_without_ground_truth_the_state_estimate_is_the_stated_source(metrics_of
     m = metrics_of(replace(WALK, truth=False))
     assert (truth.source, m.source) == ("/ground_truth/odom", "/mpc_state")
     assert m.mean_v_x == pytest.approx(0.05 * math.cos(COURSE), abs=ROUNDING)
-    assert m.tilt_max == pytest.approx(0.1, rel=2e-2)  # 30 Hz samples miss the peak by 1 % at most
-    assert all(math.isnan(f) for f in (*m.servo_saturated, *m.servo_load))  # no joint states either
+    assert m.tilt_max == pytest.approx(
+        0.1, rel=2e-2
+    )  # 30 Hz samples miss the peak by 1 % at most
+    assert all(
+        math.isnan(f) for f in (*m.servo_saturated, *m.servo_load)
+    )  # no joint states either
 
 
 def test_bag_shorter_than_the_warm_up_is_refused(metrics_of):

@@ -6,7 +6,15 @@ import matplotlib.image
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from synthetic_walk import ROBOT, STRIDE, Walk, angles, leg_nodes, normal_forces, write_walk
+from synthetic_walk import (
+    ROBOT,
+    STRIDE,
+    Walk,
+    angles,
+    leg_nodes,
+    normal_forces,
+    write_walk,
+)
 
 from slot_core.drawing.shapes import bent_legs
 from slot_core.dynamics.servo import read_servo
@@ -50,7 +58,9 @@ def test_the_panels_of_the_torso_show_its_motion_in_their_units(axes):
     t, z = axes["height"].lines[0].get_data()  # mm
     assert np.allclose(z, 60 + 4 * np.sin(2 * np.pi * t / STRIDE), atol=ROUNDING * 1e3)
     t, roll = line(axes["tilt"], "roll")  # deg
-    assert np.allclose(roll, np.degrees(0.1) * np.sin(2 * np.pi * t / STRIDE), atol=1e-4)
+    assert np.allclose(
+        roll, np.degrees(0.1) * np.sin(2 * np.pi * t / STRIDE), atol=1e-4
+    )
     _, momentary = line(axes["speed"], "momentary")
     assert np.allclose(momentary, 0.05 * np.cos(0.02), atol=ROUNDING)
 
@@ -61,11 +71,15 @@ def test_leg_panels_show_desired_and_true_of_their_leg(axes, i):
     t, desired = line(ax, "desired")
     assert np.allclose(desired, [np.degrees(angles(s))[i] for s in t], atol=1e-4)
     t, true = line(ax, "measured")
-    assert np.allclose(true, [0.97 * np.degrees(angles(s - 0.04))[i] for s in t], atol=1e-4)
+    assert np.allclose(
+        true, [0.97 * np.degrees(angles(s - 0.04))[i] for s in t], atol=1e-4
+    )
     t, commanded = line(axes[f"force {LEGS[i]}"], "planned")
     assert np.allclose(commanded, [normal_forces(s)[i] for s in t], atol=ROUNDING * 10)
     t, true = line(axes[f"force {LEGS[i]}"], "true")
-    assert np.allclose(true, [1.05 * normal_forces(s - 0.03)[i] for s in t], atol=ROUNDING * 10)
+    assert np.allclose(
+        true, [1.05 * normal_forces(s - 0.03)[i] for s in t], atol=ROUNDING * 10
+    )
 
 
 def test_states_of_the_supervisor_are_named_where_there_is_room():
@@ -92,7 +106,9 @@ def test_slack_map_has_a_row_per_constraint_and_zero_in_the_middle_of_its_colour
 def test_walk_without_ground_truth_is_plotted_from_the_estimate(tmp_path):
     bag = Bag(write_walk(tmp_path / "walk", Walk(duration=2.0, truth=False)))
     figure = plots.dashboard_figure(bag, walk_metrics(bag, 0.5, read_servo()))
-    (path,) = [ax for sub in figure.subfigs for ax in sub.axes if ax.get_label() == "path"]
+    (path,) = [
+        ax for sub in figure.subfigs for ax in sub.axes if ax.get_label() == "path"
+    ]
     assert path.get_title(loc="left") == "path, top view (/mpc_state)"
     assert line(path, "torso")[0][-1] == pytest.approx(0.1, abs=ROUNDING)
 
@@ -124,7 +140,9 @@ def test_poses_are_the_recorded_shapes(bag):
     (pose,) = plots.read_poses(bag, np.array([WALK.start + 2.0]), ROBOT)
     assert pose.t == pytest.approx(2.0)
     assert np.allclose(pose.position, WALK.position(2.0))
-    assert np.allclose(pose.legs.nodes, leg_nodes(WALK, 2.0), atol=1e-7)  # recorded as float32
+    assert np.allclose(
+        pose.legs.nodes, leg_nodes(WALK, 2.0), atol=1e-7
+    )  # recorded as float32
     assert pose.force.shape == (4, 3)
 
 

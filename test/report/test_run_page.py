@@ -57,7 +57,9 @@ class Elements(HTMLParser):
 
 def unpacked(text, count, width):
     """Integers (count, width) as the page decodes them, but for those along the legs."""
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(4, -1)
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(
+        4, -1
+    )
     signed = np.ascontiguousarray(planes.T).view("<u4")[:, 0].reshape(width, count).T
     change = (signed >> 1).astype(np.int64) ^ -(signed & 1).astype(np.int64)
     return change.cumsum(axis=0).astype(np.int32)
@@ -83,7 +85,9 @@ def test_frames_are_the_recorded_states_of_the_legs(frames):
     place = np.array([WALK.position(time) for time in t])
     assert frames.columns["position"] == pytest.approx(place, abs=1e-9)
     nodes = frames.columns["nodes"].reshape(-1, 4, NODES, 3) + place[:, None, None]
-    assert nodes[7] == pytest.approx(leg_nodes(WALK, t[7]), abs=1e-6)  # single precision
+    assert nodes[7] == pytest.approx(
+        leg_nodes(WALK, t[7]), abs=1e-6
+    )  # single precision
     force = frames.columns["force"].reshape(-1, 4, 3)[:, :, 2]
     assert force[9] == pytest.approx(1.05 * normal_forces(t[9] - 0.03))
     assert frames.columns["height/true"][:, 0] == pytest.approx(1e3 * place[:, 2])
@@ -103,11 +107,17 @@ def test_a_page_holds_every_column_to_half_a_step(frames):
 def test_a_value_that_is_not_finite_or_too_large_is_no_value(value):
     integers = run_frames._integers(np.array([[1.0], [value], [-2.0]]), 1.0)
     assert integers[:, 0].tolist() == [1, NO_VALUE, -2]
-    assert unpacked(run_frames._packed(integers), 3, 1)[:, 0].tolist() == [1, NO_VALUE, -2]
+    assert unpacked(run_frames._packed(integers), 3, 1)[:, 0].tolist() == [
+        1,
+        NO_VALUE,
+        -2,
+    ]
 
 
 def test_quaternions_do_not_change_sides():
-    q = np.array([[0.0, 0.0, 0.6, 0.8], [0.0, 0.0, -0.61, -0.79], [0.0, 0.0, 0.62, 0.78]])
+    q = np.array(
+        [[0.0, 0.0, 0.6, 0.8], [0.0, 0.0, -0.61, -0.79], [0.0, 0.0, 0.62, 0.78]]
+    )
     assert (run_frames._continuous(q)[:, 3] > 0).all()
 
 
@@ -120,7 +130,9 @@ def test_a_long_run_is_thinned_and_that_is_said(bag, tmp_path, monkeypatch):
 def test_curves_that_cannot_be_read_are_left_out_and_that_is_said(bag, tmp_path):
     """The previews of the synthetic walk have no stages."""
     _, line = write_page([bag], tmp_path / "walk.html")
-    assert line.startswith(f"left out: {bag.path}: /gait_preview cannot be used: reference has 0 ")
+    assert line.startswith(
+        f"left out: {bag.path}: /gait_preview cannot be used: reference has 0 "
+    )
 
 
 def test_legs_of_unknown_shape_are_those_without_stress(tmp_path):
@@ -134,13 +146,19 @@ def test_legs_of_unknown_shape_are_those_without_stress(tmp_path):
 def test_a_page_loads_nothing_from_anywhere(frames):
     text = page(content([frames, frames], ROBOT))
     elements = Elements(text)
-    assert not re.search(r"https?:|//[\w-]+\.\w|url\(|@import|fetch\(|XMLHttp|WebSocket", text)
+    assert not re.search(
+        r"https?:|//[\w-]+\.\w|url\(|@import|fetch\(|XMLHttp|WebSocket", text
+    )
     attributes = {name for _, attrs in elements.tags for name in attrs}
     assert not attributes & {"src", "href", "srcset", "data", "action", "poster"}
-    policy = next(attrs["content"] for tag, attrs in elements.tags if "http-equiv" in attrs)
+    policy = next(
+        attrs["content"] for tag, attrs in elements.tags if "http-equiv" in attrs
+    )
     assert policy.split("; ") == [
-        "default-src 'none'", "script-src 'unsafe-inline' blob:", "style-src 'unsafe-inline'",
-    ]  # fmt: skip
+        "default-src 'none'",
+        "script-src 'unsafe-inline' blob:",
+        "style-src 'unsafe-inline'",
+    ]
     three = [elements.inside[name] for name in ("three-core", "three-module")]
     code = b"".join(zlib.decompress(base64.b64decode(part)) for part in three)
     assert set(re.findall(rb"https?://[\w./-]*", code)) == {XHTML}
@@ -173,18 +191,30 @@ def test_the_walk_of_the_documentation_is_a_page_of_today():
 def browsed(path, place, tmp_path):
     """The page's elements after its script has run, in a browser without a network."""
     command = [
-        CHROMIUM, "--headless=new", "--no-sandbox", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--host-resolver-rules=MAP * ~NOTFOUND",
-        "--virtual-time-budget=3000", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom",
+        CHROMIUM,
+        "--headless=new",
+        "--no-sandbox",
+        "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--host-resolver-rules=MAP * ~NOTFOUND",
+        "--virtual-time-budget=3000",
+        f"--user-data-dir={tmp_path / 'profile'}",
+        "--dump-dom",
         f"file://{path}#{place}",
-    ]  # fmt: skip
-    run = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    ]
+    run = subprocess.run(
+        command, capture_output=True, text=True, timeout=300, check=True
+    )
     return run.stdout
 
 
 @pytest.mark.skipif(not CHROMIUM, reason="Chromium is missing: no page was opened")
-@pytest.mark.skipif("/snap/" in CHROMIUM, reason="Chromium is a snap, which cannot read /tmp")
-def test_a_browser_shows_the_values_of_both_runs_and_how_far_they_are_apart(bag, tmp_path):
+@pytest.mark.skipif(
+    "/snap/" in CHROMIUM, reason="Chromium is a snap, which cannot read /tmp"
+)
+def test_a_browser_shows_the_values_of_both_runs_and_how_far_they_are_apart(
+    bag, tmp_path
+):
     other = Walk(duration=0.8, roll=0.1, bounce=0.004, speed=0.23)
     second = Bag(write_walk(tmp_path / "second", other))
     write_page([bag, second], tmp_path / "both.html")
@@ -195,7 +225,12 @@ def test_a_browser_shows_the_values_of_both_runs_and_how_far_they_are_apart(bag,
     assert "0.75 of 1.00 s" in words
     assert "first: MPC SOLVED" in words
     # between two frames the values are interpolated: in 33 ms the sine of 0.72 s turns by 0.29 rad
-    assert [float(x) for x in re.findall(r"true ([\d.]+) \| ([\d.]+)", words)[0]] == [0.2, 0.23]
-    apart, feet = re.search(r"torsos ([\d.]+) mm apart, feet at most ([\d.]+) mm", words).groups()
+    assert [float(x) for x in re.findall(r"true ([\d.]+) \| ([\d.]+)", words)[0]] == [
+        0.2,
+        0.23,
+    ]
+    apart, feet = re.search(
+        r"torsos ([\d.]+) mm apart, feet at most ([\d.]+) mm", words
+    ).groups()
     assert float(apart) == pytest.approx(1e3 * 0.03 * 0.75, abs=0.1)
     assert float(feet) == pytest.approx(1e3 * 0.03 * 0.75, abs=0.2)

@@ -37,7 +37,9 @@ def test_edges_of_a_box_are_its_twelve_and_turn_with_it():
     (points,) = TURN.inv().apply(drawn.points[0] - PLACE)[None]
     assert np.allclose(np.abs(points), size / 2)
     steps = np.diff(points, axis=0)
-    assert np.all((np.abs(steps) > 1e-9).sum(axis=1) == 1)  # along an edge, never across a face
+    assert np.all(
+        (np.abs(steps) > 1e-9).sum(axis=1) == 1
+    )  # along an edge, never across a face
     middles = (points[1:] + points[:-1]) / 2
     assert len(np.unique(middles.round(9), axis=0)) == 12
 
@@ -64,8 +66,12 @@ def test_a_straight_leg_turned_about_itself_by_90_deg_is_wide_upward_and_thick_s
         assert np.allclose(corners[..., 0], np.linspace(0.0, 0.2, 5)[:, None])
         # 13.5 mm thick at the clamp, 3.5 mm at the tip
         half = np.array([6.75, 5.5, 4.25, 3.0, 1.75])[:, None] * 1e-3
-        assert np.allclose(corners[..., 1], half * [-1, -1, 1, 1])  # its lower side faces left
-        assert np.allclose(corners[..., 2], 0.01 * np.array([1, -1, -1, 1]))  # 20 mm wide
+        assert np.allclose(
+            corners[..., 1], half * [-1, -1, 1, 1]
+        )  # its lower side faces left
+        assert np.allclose(
+            corners[..., 2], 0.01 * np.array([1, -1, -1, 1])
+        )  # 20 mm wide
 
 
 def test_a_twisted_leg_turns_its_width_from_node_to_node():
@@ -81,7 +87,9 @@ def test_without_directors_a_leg_is_wide_across_the_plane_of_its_azimuth():
     legs = shapes.natural_legs(PLACE, TURN.as_quat(), ROBOT, NODES)
     right = np.cross(ROBOT.outward, [0.0, 0.0, 1.0])
     assert np.allclose(TURN.inv().apply(legs.directors[:, 7]), right)
-    corners = TURN.inv().apply((shapes.leg_bars(legs, ROBOT).corners - PLACE).reshape(-1, 3))
+    corners = TURN.inv().apply(
+        (shapes.leg_bars(legs, ROBOT).corners - PLACE).reshape(-1, 3)
+    )
     corners = corners.reshape(4, -1, 3) - ROBOT.clamps[:, None]
     across = np.einsum("lni,li->ln", corners, right)
     assert np.allclose(np.abs(across), 0.01)  # in front of and behind the plane
@@ -92,7 +100,9 @@ def test_a_tendon_runs_below_its_leg_at_the_offset_up_to_the_anchor():
     drawn = shapes.tendon_strips(legs, np.zeros(4), ROBOT, 1.0).points
     apart = TURN.inv().apply((drawn - legs.nodes[:, : drawn.shape[1]]).reshape(-1, 3))
     assert np.allclose(np.linalg.norm(apart, axis=1), ROBOT.tendon.offset)
-    assert np.all(apart[:, 2] < -0.8 * ROBOT.tendon.offset)  # below in the torso's frame
+    assert np.all(
+        apart[:, 2] < -0.8 * ROBOT.tendon.offset
+    )  # below in the torso's frame
     along = np.linalg.norm(np.diff(drawn, axis=1), axis=2).sum(axis=1)
     share = along / ROBOT.leg.arc_length()
     # to one node; a line below a leg that bends downwards is shorter than the leg

@@ -52,12 +52,20 @@ def test_cantilever_follows_the_elastica_to_third_order(p):
     assert np.log(errors[0] / errors[2]) / np.log(30 / 8) > 2.9
 
 
-FORCES = [(0.0, 0.0, 3.0), (0.5, 2.0, 2.0), (-1.0, 1.0, 3.0), (0.3, -2.5, 0.7), (0.0, 2.0, 0.0)]
+FORCES = [
+    (0.0, 0.0, 3.0),
+    (0.5, 2.0, 2.0),
+    (-1.0, 1.0, 3.0),
+    (0.3, -2.5, 0.7),
+    (0.0, 2.0, 0.0),
+]
 
 
 @pytest.mark.parametrize("force", FORCES)
 @pytest.mark.parametrize("curvature", [0.0, 1.0])
-def test_tip_force_in_any_direction_bends_and_twists_as_in_cosserats_equations(force, curvature):
+def test_tip_force_in_any_direction_bends_and_twists_as_in_cosserats_equations(
+    force, curvature
+):
     geometry, loads = Geometry(1.0, OBLONG.section, curvature), Loads(force=force)
     tip, errors = exact.tip(UNIT, geometry, loads), []
     for nodes in (16, 31, 61):
@@ -65,7 +73,9 @@ def test_tip_force_in_any_direction_bends_and_twists_as_in_cosserats_equations(f
         rod.solve_static(loads)
         errors.append(error(rod, tip))
     assert errors[2] < 1e-6
-    assert errors[0] / errors[2] > 30  # third order gives 64; some errors are small throughout
+    assert (
+        errors[0] / errors[2] > 30
+    )  # third order gives 64; some errors are small throughout
 
 
 def test_without_the_correction_bending_with_twist_is_of_second_order():
@@ -86,10 +96,14 @@ def test_without_the_correction_bending_with_twist_is_of_second_order():
         Loads(gravity=(30.0, 40.0, -60.0)),
         Loads(follower=(-0.5, 0.6, 1.0)),
         Loads(force=(0.0, 0.2, 0.5), moment=(0.03, 0.03, -0.05)),
-        Loads(force=(0.5, 0.1, 0.0), moment=(0.0, 0.02, 0.05), follower=(-0.5, 0.1, 0.3),
-              gravity=(0.0, 0.0, 9.81)),
+        Loads(
+            force=(0.5, 0.1, 0.0),
+            moment=(0.0, 0.02, 0.05),
+            follower=(-0.5, 0.1, 0.3),
+            gravity=(0.0, 0.0, 9.81),
+        ),
     ],
-)  # fmt: skip
+)
 def test_curved_tapered_leg_bends_as_in_cosserats_equations(loads):
     geometry = Geometry(LEG.length, LEG.section, curvature=3.0)
     wanted, errors, turns = exact.collocation(TPU, geometry, loads), [], []
@@ -98,7 +112,9 @@ def test_curved_tapered_leg_bends_as_in_cosserats_equations(loads):
         rod.solve_static(loads)
         errors.append(error(rod, wanted[:3]))
         turns.append(np.abs(rod.state.ends[1] - exact.axes(wanted[3:7])).max())
-    assert errors[1] < 1e-5  # 7e-6 under its weight; the leg is four times as thick at its base
+    assert (
+        errors[1] < 1e-5
+    )  # 7e-6 under its weight; the leg is four times as thick at its base
     assert turns[1] < 2e-4
     # Third order gives 8; weights at nodes beside the curve leave a small term of second order.
     assert errors[0] / errors[1] > (3.5 if any(loads.gravity) else 6)
@@ -106,7 +122,9 @@ def test_curved_tapered_leg_bends_as_in_cosserats_equations(loads):
 
 @pytest.mark.parametrize("torque", [0.5, -7.0])
 def test_torque_twists_a_straight_rod_evenly(torque):
-    rod = CosseratRod(UNIT, OBLONG, 16, tip=Support((False, True, True), (False, True, True)))
+    rod = CosseratRod(
+        UNIT, OBLONG, 16, tip=Support((False, True, True), (False, True, True))
+    )
     rod.solve_static(Loads(moment=(torque, 0.0, 0.0)))
     angle = torque / 0.8  # T L / (G J)
     c, s = math.cos(angle), math.sin(angle)
@@ -130,11 +148,15 @@ def test_princeton_beam_has_its_published_displacements(degrees):
     rod = CosseratRod(exact.PRINCETON_MATERIAL, exact.PRINCETON)
     force = exact.PRINCETON_FORCE * np.array([0.0, math.cos(angle), math.sin(angle)])
     rod.solve_static(Loads(force=tuple(force)))
-    np.testing.assert_allclose(place(rod)[1:], exact.PRINCETON_TIPS[degrees], rtol=0.01, atol=1e-9)
+    np.testing.assert_allclose(
+        place(rod)[1:], exact.PRINCETON_TIPS[degrees], rtol=0.01, atol=1e-9
+    )
 
 
 def test_narrow_cantilever_buckles_sideways_at_prandtls_load():
-    section = Uniform(1e6, 1e4, 1.0, 0.8)  # so stiff in the plane that it hardly bends before
+    section = Uniform(
+        1e6, 1e4, 1.0, 0.8
+    )  # so stiff in the plane that it hardly bends before
     load = exact.LATERAL * math.sqrt(0.8)
     rod = CosseratRod(UNIT, Geometry(1.0, section))
     found = rod.solve_static(Loads(force=(0.0, 0.0, 1.2 * load)))
@@ -159,7 +181,8 @@ def test_short_cantilever_has_the_unit_load_deflection():
 
 
 @pytest.mark.parametrize(
-    ("base", "tip", "load"), [(CLAMPED, FREE, math.pi**2 / 4), (PINNED, ROLLER, math.pi**2)]
+    ("base", "tip", "load"),
+    [(CLAMPED, FREE, math.pi**2 / 4), (PINNED, ROLLER, math.pi**2)],
 )
 def test_column_becomes_unstable_at_eulers_load(base, tip, load):
     rod = slender(base=base, tip=tip)
@@ -189,7 +212,10 @@ def test_buckled_column_has_the_shape_of_the_elastica(side):
 
 
 def test_snap_through_is_an_error_with_the_last_load_factor():
-    thickness, curvature = 0.03, 0.28  # rise 35 mm: it snaps before any unsymmetric buckling
+    thickness, curvature = (
+        0.03,
+        0.28,
+    )  # rise 35 mm: it snaps before any unsymmetric buckling
     material = Material(12 / thickness**3, 4 / thickness**3, 1 / thickness, 0.0)
     geometry = Geometry(1.0, Rectangle(1.0, (thickness, thickness)), -curvature)
     pose = Pose(rotation=(0.0, -curvature / 2, 0.0))
@@ -225,8 +251,9 @@ def test_tangent_is_the_derivative_of_the_equilibrium_with_respect_to_the_loads(
     tip = [np.flatnonzero(free == 4 * rod.nodes + c)[0] for c in range(3)]
     for c, force in enumerate(np.array(loads.force) + small * np.eye(3)):
         rod.solve_static(Loads(force=tuple(force)))
-        np.testing.assert_allclose(place(rod) - start, small * inverse[tip, tip[c]], rtol=2e-4,
-                                   atol=1e-9)  # fmt: skip
+        np.testing.assert_allclose(
+            place(rod) - start, small * inverse[tip, tip[c]], rtol=2e-4, atol=1e-9
+        )
 
 
 def test_state_that_is_refused_changes_nothing():
@@ -236,7 +263,9 @@ def test_state_that_is_refused_changes_nothing():
     spoiled[-1, 0] = math.nan
     moved = before.position + 1.0
     with pytest.raises(RodError, match="swirl: a value is not finite"):
-        rod.state = RodState(moved, before.director, before.velocity, spoiled, before.ends)
+        rod.state = RodState(
+            moved, before.director, before.velocity, spoiled, before.ends
+        )
     np.testing.assert_array_equal(rod.state.position, before.position)
 
 
@@ -251,14 +280,23 @@ def test_state_that_is_refused_changes_nothing():
         (lambda: Geometry(0.0, LEG.section), "length 0.0 must be above 0"),
         (lambda: Geometry(math.inf, LEG.section), "finite"),
         (lambda: slender(1), "nodes 1 must be at least 2"),
-        (lambda: slender(pose=Pose(rotation=(0.0, math.nan, 0.0))), "a value is not finite"),
+        (
+            lambda: slender(pose=Pose(rotation=(0.0, math.nan, 0.0))),
+            "a value is not finite",
+        ),
         (lambda: Scheme(theta=0.4), "theta 0.4 must be within"),
         (lambda: Scheme(tolerance=-1.0), "tolerance -1.0"),
         (lambda: slender().step(math.nan), "step nan"),
         (lambda: slender().run(1e-3, -5), "samples 0 must divide steps -5"),
-        (lambda: slender().step(1e-3, base=Pose((math.nan, 0.0, 0.0))), "a value is not finite"),
+        (
+            lambda: slender().step(1e-3, base=Pose((math.nan, 0.0, 0.0))),
+            "a value is not finite",
+        ),
         (lambda: Loads(moment=(math.inf, 0.0, 0.0)), "a value is not finite"),
-        (lambda: slender().natural_frequencies(1, Loads(follower=(1.0, 0.0, 0.0))), "follower"),
+        (
+            lambda: slender().natural_frequencies(1, Loads(follower=(1.0, 0.0, 0.0))),
+            "follower",
+        ),
         (lambda: StaticSettings(side=0), "side 0"),
         (lambda: StaticSettings(tolerance=-1.0), "tolerances -1.0"),
         (

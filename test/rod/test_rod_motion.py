@@ -48,10 +48,20 @@ class Independent:
     def __init__(self, material, geometry, nodes):
         self.n, length, section = nodes, geometry.length, geometry.section
         h, f = length / (nodes - 1), np.linspace(0, 1, nodes)
-        young, shear, rho = material.young_modulus, material.shear_modulus, material.density
-        w = {5: np.array([3 / 8, 7 / 6, 11 / 12, 7 / 6]), 4: np.array([3 / 8, 9 / 8, 9 / 8])}[nodes]
+        young, shear, rho = (
+            material.young_modulus,
+            material.shear_modulus,
+            material.density,
+        )
+        w = {
+            5: np.array([3 / 8, 7 / 6, 11 / 12, 7 / 6]),
+            4: np.array([3 / 8, 9 / 8, 9 / 8]),
+        }[nodes]
         m, w = (f[1:] + f[:-1]) / 2, w * h
-        inner, outer = young * section.second_moment(f), young * section.lateral_moment(f)
+        inner, outer = (
+            young * section.second_moment(f),
+            young * section.lateral_moment(f),
+        )
         twist = shear * section.torsion_constant(f)
         hinge = np.column_stack([twist[:-1] / w, inner[:-1] / w, outer[:-1] / w])
         self.stiffness = np.concatenate([young * section.area(m) / h, hinge.ravel()])
@@ -85,7 +95,9 @@ class Independent:
         if abs(square) < 1e-12:
             return axial * (1 + square / 6)
         sine = np.sqrt(square)
-        angle = np.log(np.trace(m) / 2 - 0.5 + 1j * sine) / 1j  # complex-step: not arctan2
+        angle = (
+            np.log(np.trace(m) / 2 - 0.5 + 1j * sine) / 1j
+        )  # complex-step: not arctan2
         return axial * angle / sine
 
     def moved(self, r, d, x):
@@ -101,7 +113,9 @@ class Independent:
         columns = []
         for e in np.eye(4 * (self.n - 1)):
             plus = self.strains(*self.moved(r, d, 1e-6 * e)).real
-            columns.append((plus - self.strains(*self.moved(r, d, -1e-6 * e)).real) / 2e-6)
+            columns.append(
+                (plus - self.strains(*self.moved(r, d, -1e-6 * e)).real) / 2e-6
+            )
         return np.array(columns).T
 
     def slope(self, y, load):
@@ -112,9 +126,14 @@ class Independent:
         u = np.diff(r, axis=0)
         length = np.linalg.norm(u, axis=1)[:, None]
         t = u / length
-        rate = np.cross(t, np.diff(np.vstack([np.zeros(3), v.reshape(n, 3)]), axis=0)) / length
+        rate = (
+            np.cross(t, np.diff(np.vstack([np.zeros(3), v.reshape(n, 3)]), axis=0))
+            / length
+        )
         b = self.jacobian(r, d)
-        stress = self.stiffness * (self.strains(r, d).real + self.beta * b @ np.append(v, spin))
+        stress = self.stiffness * (
+            self.strains(r, d).real + self.beta * b @ np.append(v, spin)
+        )
         force = -b.T @ stress
         force[3 * (n - 1) : 3 * n] += load
         # The spin's angular momentum turns with the segment: a moment on it, carried by its nodes.
@@ -122,10 +141,14 @@ class Independent:
         couple = np.cross(moment, t) / length
         nodes = force[: 3 * n].reshape(n, 3) - couple
         nodes[:-1] += couple[1:]
-        return np.concatenate([
-            v, np.cross(rate + spin[:, None] * t, d).ravel(),
-            np.linalg.solve(self.mass, nodes).ravel(), force[3 * n :] / self.spin,
-        ])  # fmt: skip
+        return np.concatenate(
+            [
+                v,
+                np.cross(rate + spin[:, None] * t, d).ravel(),
+                np.linalg.solve(self.mass, nodes).ravel(),
+                force[3 * n :] / self.spin,
+            ]
+        )
 
 
 def test_motion_converges_to_an_independent_integration_with_second_order():
@@ -133,17 +156,31 @@ def test_motion_converges_to_an_independent_integration_with_second_order():
     own, rod = Independent(TPU, LEG, nodes), CosseratRod(TPU, LEG, nodes, refined=False)
     state = rod.state
     spin = np.array([0.0, 60.0, -90.0])  # twists the leg
-    start = [state.position[1:].ravel(), state.director.ravel(), np.zeros(3 * (nodes - 1)), spin]
-    exact = solve_ivp(lambda t, y: own.slope(y, force), (0, end), np.concatenate(start),
-                      method="Radau", rtol=1e-7, atol=1e-9)  # fmt: skip
+    start = [
+        state.position[1:].ravel(),
+        state.director.ravel(),
+        np.zeros(3 * (nodes - 1)),
+        spin,
+    ]
+    exact = solve_ivp(
+        lambda t, y: own.slope(y, force),
+        (0, end),
+        np.concatenate(start),
+        method="Radau",
+        rtol=1e-7,
+        atol=1e-9,
+    )
     tip = exact.y[3 * (nodes - 2) : 3 * (nodes - 1), -1]
     director = exact.y[3 * (nodes - 1) : 6 * (nodes - 1), -1].reshape(-1, 3)
     errors, turns = [], []
     for steps in (20, 40, 80):
         rod.state = RodState(
-            state.position, state.director, state.velocity, spin[:, None] * [1.0, 0.0, 0.0],
+            state.position,
+            state.director,
+            state.velocity,
+            spin[:, None] * [1.0, 0.0, 0.0],
             state.ends,
-        )  # fmt: skip
+        )
         rod.run(end / steps, steps, Loads(force=tuple(force)))
         errors.append(math.dist(rod.state.position[-1], tip))
         turns.append(np.abs(rod.state.director - director).max())
@@ -177,9 +214,11 @@ def test_turned_clamp_turns_the_rod():
         rod.step(2e-3, base=Pose(rotation=tuple(axis * (math.pi / 2) * n / steps)))
     rod.run(2e-3, 1500)
     turned = CosseratRod(
-        material, Geometry(LEG.length, LEG.section, 3.0), 9,
+        material,
+        Geometry(LEG.length, LEG.section, 3.0),
+        9,
         pose=Pose(rotation=tuple(axis * math.pi / 2)),
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(rod.state.position, turned.state.position, atol=1e-8)
     np.testing.assert_allclose(rod.state.ends, turned.state.ends, atol=1e-7)
 
@@ -189,9 +228,12 @@ def test_pinned_rod_swings_as_a_pendulum():
     tilt = 1e-3
     pose = Pose(rotation=(0.0, math.pi / 2 - tilt, 0.0))
     rod = CosseratRod(
-        Material(1e12, 4e11, 1e3, 0.0), Geometry(0.3, Circle((0.01, 0.01))), 5,
-        base=Support((True, True, True), (True, False, True)), pose=pose,
-    )  # fmt: skip
+        Material(1e12, 4e11, 1e3, 0.0),
+        Geometry(0.3, Circle((0.01, 0.01))),
+        5,
+        base=Support((True, True, True), (True, False, True)),
+        pose=pose,
+    )
     period = 2 * math.pi / math.sqrt(1.5 * 9.81 / 0.3)
     rod.run(period / 400, 400, Loads(gravity=(0.0, 0.0, -9.81)))
     assert rod.state.position[-1, 0] / 0.3 == pytest.approx(tilt, rel=1e-4)
@@ -221,7 +263,9 @@ def test_rod_twisted_beyond_a_turn_stays_sound_when_kicked_sideways(turns):
     state = rod.state
     velocity = state.velocity.copy()
     velocity[7:14, 1] += 2.0
-    rod.state = RodState(state.position, state.director, velocity, state.swirl, state.ends)
+    rod.state = RodState(
+        state.position, state.director, velocity, state.swirl, state.ends
+    )
     rod.run(1e-3, 50)
     assert np.abs(rod.state.position[:, 1]).max() > 1e-4
     rod.run(1e-3, 2000)
@@ -237,11 +281,17 @@ def test_twisted_beyond_greenhills_torque_the_rod_writhes():
     """A clamped rod turned by four turns coils out of its axis and stays finite."""
     slide = Support((False, True, True), (True, True, True))
     rod = CosseratRod(
-        Material(1e7, 1e7 / 3, 1200.0, 2e-3), Geometry(0.3, Circle((0.005, 0.005))), 41, tip=slide
+        Material(1e7, 1e7 / 3, 1200.0, 2e-3),
+        Geometry(0.3, Circle((0.005, 0.005))),
+        41,
+        tip=slide,
     )
     for n in range(1, 801):
-        rod.step(1e-3, Loads(gravity=(0.0, 0.0, -0.1)),
-                 tip=Pose((0.3, 0.0, 0.0), (8 * math.pi * n / 800, 0.0, 0.0)))  # fmt: skip
+        rod.step(
+            1e-3,
+            Loads(gravity=(0.0, 0.0, -0.1)),
+            tip=Pose((0.3, 0.0, 0.0), (8 * math.pi * n / 800, 0.0, 0.0)),
+        )
     rod.run(1e-3, 1000)
     assert np.abs(rod.state.position[:, 1:]).max() > 0.01
     assert np.all(np.isfinite(rod.state.position))
@@ -256,7 +306,9 @@ def test_stepping_allocates_no_memory():
         before = rtsys.get_allocation_stats().alloc
         rod._run(1e-3, steps, loads, record)
         counts.append(rtsys.get_allocation_stats().alloc - before)
-    assert counts[1] == counts[2]  # allocations per call, for its arguments, not per step
+    assert (
+        counts[1] == counts[2]
+    )  # allocations per call, for its arguments, not per step
 
 
 def test_run_equals_repeated_step():
@@ -270,12 +322,18 @@ def test_run_equals_repeated_step():
 
 
 def test_divergence_is_an_error_with_time_step_and_node():
-    rod = CosseratRod(Material(1e9, 3e8, 1200.0, 0.0), LEG, 31, scheme=Scheme(iterations=1))
+    rod = CosseratRod(
+        Material(1e9, 3e8, 1200.0, 0.0), LEG, 31, scheme=Scheme(iterations=1)
+    )
     state = rod.state
     velocity = np.zeros((31, 3))
     velocity[1:, 1] = 1e200
-    rod.state = RodState(state.position, state.director, velocity, state.swirl, state.ends)
-    with pytest.raises(DivergenceError, match=r"after t = 0 s in step 1 of 50 .* node \d+"):
+    rod.state = RodState(
+        state.position, state.director, velocity, state.swirl, state.ends
+    )
+    with pytest.raises(
+        DivergenceError, match=r"after t = 0 s in step 1 of 50 .* node \d+"
+    ):
         rod.run(1e-2, 50)
 
 
@@ -288,7 +346,9 @@ def test_one_newton_iteration_per_step_follows_the_converged_damped_motion(nodes
         rod.solve_static(Loads(force=(0.0, 0.6, -0.8)))
         start = np.linalg.norm(rod.state.position[-1, 1:])
         paths.append(rod.run(1e-3, 1000, samples=100))
-    assert np.abs(paths[0] - paths[1]).max() < 2e-3 * start  # below the error of the time step
+    assert (
+        np.abs(paths[0] - paths[1]).max() < 2e-3 * start
+    )  # below the error of the time step
 
 
 @pytest.mark.parametrize(("iterations", "unconverged"), [(1, 50), (20, 0)])

@@ -33,7 +33,9 @@ def test_uniform_cantilever_twists_at_odd_quarter_waves():
     spin = 1e-6 * 3.0  # density times polar moment
     wanted = (np.arange(3) + 0.5) * math.pi * math.sqrt(0.8 / spin) / (2 * math.pi)
     found = nearest(rod, wanted, count=90)
-    np.testing.assert_array_less(found, [2e-4, 2e-3, 5e-3])  # lumped spins: second order
+    np.testing.assert_array_less(
+        found, [2e-4, 2e-3, 5e-3]
+    )  # lumped spins: second order
 
 
 def test_tapered_cantilever_has_its_known_frequencies():
@@ -74,5 +76,7 @@ def test_column_under_a_follower_force_flutters_beyond_becks_load(load, flutters
     rod.solve_static(loads)
     free = np.ix_(rod.free_unknowns(), rod.free_unknowns())
     flexibility = eig(rod.mass_matrix()[free], rod.tangent(loads)[free], right=False)
-    lowest = flexibility[np.argsort(-np.abs(flexibility))[:2]]  # 1 / omega^2; 0 without mass
+    lowest = flexibility[
+        np.argsort(-np.abs(flexibility))[:2]
+    ]  # 1 / omega^2; 0 without mass
     assert (np.abs(lowest.imag).max() > 1e-3 * np.abs(lowest).max()) == flutters

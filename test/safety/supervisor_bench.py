@@ -24,7 +24,9 @@ ROBOT = read_robot()
 TICK = 10_000_000  # ns
 START = 1_000_000_000  # ns
 STEP = TICK * 1e-9  # s
-CYCLE = 3 * STEP  # s, between two estimates, commands and statuses of the MPC on the bench
+CYCLE = (
+    3 * STEP
+)  # s, between two estimates, commands and statuses of the MPC on the bench
 HEIGHT = 0.04  # m, of the standing robot
 LOAD = TendonLoad(read_leg_table(("tension_N",)), ROBOT.tendon.spool_radius)
 
@@ -47,7 +49,9 @@ def load(angle):
 
 def health(**changes):
     """Health of servos that follow commands, without faults but those of `changes`."""
-    return ServoHealth(Action.PASS, "", np.ones(4, dtype=bool), np.full(4, 1.1), **changes)
+    return ServoHealth(
+        Action.PASS, "", np.ones(4, dtype=bool), np.full(4, 1.1), **changes
+    )
 
 
 class SupervisorBench:
@@ -63,10 +67,14 @@ class SupervisorBench:
         self.state = state()
         self.validity = Validity.VALID
         self.status, self.fallback_cycles = Status.SOLVED, 0
-        self.sources = {"button": False}  # of the e-stop, by name: whether it is pressed
+        self.sources = {
+            "button": False
+        }  # of the e-stop, by name: whether it is pressed
         self.torque = None  # N m; None: that of the tabulated leg
         self.watchdog = Watchdog(0.0, ROBOT.tendon.angle_max)
-        self.watchdog.set_limits(config.replace(read_supervisor(), changes).servo_limits)
+        self.watchdog.set_limits(
+            config.replace(read_supervisor(), changes).servo_limits
+        )
         self.goals = unchanged(Action.OFF, np.zeros(4), False)  # of the servos
         self.health = {}  # differences from servos without faults
         self.reports, self.torque_on = [], []
@@ -95,7 +103,9 @@ class SupervisorBench:
 
     def step_servos(self, now, report):
         """Let the servos take the supervisor's report at `now`."""
-        self.watchdog.permit(Permission(now, report.action, report.followed, report.reason))
+        self.watchdog.permit(
+            Permission(now, report.action, report.followed, report.reason)
+        )
         if report.action is Action.HOLD and not self.goals.torque:
             self.watchdog.engage(self.angle)  # torque comes on
         self.goals = self.watchdog.step(now)
@@ -106,7 +116,9 @@ class SupervisorBench:
     def servo_health(self, **changes):
         """Health report of servos without faults but those of `health` and `changes`."""
         goals, on = self.goals, np.full(4, self.goals.torque)
-        sound = ServoHealth(goals.action, self.watchdog.reason, on, goals.angle, goals.slewed)
+        sound = ServoHealth(
+            goals.action, self.watchdog.reason, on, goals.angle, goals.slewed
+        )
         return dataclasses.replace(sound, **self.health, **changes)
 
     def _send_cycle(self, now):
@@ -156,7 +168,9 @@ class SupervisorBench:
         self.request(Request.WALK)
         self.run(1.0)
         if wanted is State.HOLD:
-            self.supervisor.receive_command(self.now + 1, self.now + 1, np.full(4, math.nan))
+            self.supervisor.receive_command(
+                self.now + 1, self.now + 1, np.full(4, math.nan)
+            )
             self.silent.add("command")
             self.tick()
         elif wanted is State.RELAX:

@@ -59,7 +59,9 @@ def test_every_source_that_has_pressed_it_has_to_release_it():
 def test_a_pressed_source_that_is_lost_stays_pressed_until_an_operator_says_that_it_is_gone():
     bench = press_then_lose()
     refusal = bench.supervisor.request(bench.now, Request.RESET)
-    assert refusal.startswith("RESET refused in ESTOP: e-stop pressed at button (silent for 1.")
+    assert refusal.startswith(
+        "RESET refused in ESTOP: e-stop pressed at button (silent for 1."
+    )
     assert bench.supervisor.forget_estop(bench.now, "button") == ""
     bench.request(Request.RESET)
     bench.run(2 * LIMIT)
@@ -104,7 +106,9 @@ def test_the_loss_of_all_sources_is_accepted_by_no_reset():
     bench = bench_in(State.READY)
     bench.sources.clear()
     bench.run(2 * LIMIT)
-    assert bench.supervisor.request(bench.now, Request.RESET).startswith("RESET refused in ESTOP")
+    assert bench.supervisor.request(bench.now, Request.RESET).startswith(
+        "RESET refused in ESTOP"
+    )
 
 
 def test_a_source_that_leaves_is_not_missed_unless_it_is_pressed():
@@ -116,6 +120,8 @@ def test_a_source_that_leaves_is_not_missed_unless_it_is_pressed():
     assert stop.pressed(later) == "e-stop pressed at button (silent for 60 s)"
 
 
-@pytest.mark.parametrize(("required", "reason"), [(True, "no source of the e-stop"), (False, "")])
+@pytest.mark.parametrize(
+    ("required", "reason"), [(True, "no source of the e-stop"), (False, "")]
+)
 def test_without_any_source_motion_is_refused_only_if_one_is_required(required, reason):
     assert EmergencyStop(LIMIT, required).lost(SECOND) == reason

@@ -21,8 +21,14 @@ OFF = (State.IDLE, State.ESTOP, State.FAULT)
 def random_input(rng, bench: SupervisorBench, supervisor: Supervisor, steady: int):
     """One random input, valid or not; returns the request to make, or None."""
     now = bench.now
-    wrong = rng.choice([0.0, 1.0, math.nan, math.inf, -1e9], p=[0.9, 0.04, 0.03, 0.02, 0.01])
-    stamp = now - int(rng.integers(0, 40_000_000)) + int(rng.choice([0, 10**12], p=[0.99, 0.01]))
+    wrong = rng.choice(
+        [0.0, 1.0, math.nan, math.inf, -1e9], p=[0.9, 0.04, 0.03, 0.02, 0.01]
+    )
+    stamp = (
+        now
+        - int(rng.integers(0, 40_000_000))
+        + int(rng.choice([0, 10**12], p=[0.99, 0.01]))
+    )
     kind = rng.integers(9)
     if kind <= 1:
         near = np.clip(bench.angle + rng.normal(0, 0.02, 4), 0, 2.0)
@@ -32,7 +38,9 @@ def random_input(rng, bench: SupervisorBench, supervisor: Supervisor, steady: in
     elif kind == 2:
         tilt = state(*rng.normal(0, 0.13, 2))
         valid = rng.choice(list(Validity), p=[0.85, 0.03, 0.08, 0.02, 0.02])
-        supervisor.receive_estimate(now, Estimate(stamp, tilt + wrong, np.eye(12), Validity(valid)))
+        supervisor.receive_estimate(
+            now, Estimate(stamp, tilt + wrong, np.eye(12), Validity(valid))
+        )
     elif kind == 3:
         angle = np.clip(bench.angle + rng.normal(0, 0.01, 4), 0, 2.0)
         torque = load(angle)
@@ -48,7 +56,9 @@ def random_input(rng, bench: SupervisorBench, supervisor: Supervisor, steady: in
         for node in SETTINGS.nodes:
             supervisor.receive_heartbeat(now, node)
     elif kind == 7:
-        return Request(rng.choice([*Request, *[Request.READY, Request.STAND, Request.WALK] * 6]))
+        return Request(
+            rng.choice([*Request, *[Request.READY, Request.STAND, Request.WALK] * 6])
+        )
     return None
 
 
@@ -79,7 +89,9 @@ def test_no_sequence_of_events_violates_the_safety_rules():
             if old in {State.ESTOP, State.FAULT} and new not in {old, State.ESTOP}:
                 assert (granted, request, new) == (True, Request.RESET, State.IDLE)
         # 4: RELAX ends
-        relaxing = relaxing + tick * 1e-9 if State.RELAX is before is report.state else 0.0
+        relaxing = (
+            relaxing + tick * 1e-9 if State.RELAX is before is report.state else 0.0
+        )
         assert relaxing <= RELAX_TIME + TIMING.torque_change + 0.02
         assert report.reason
         if report.state is State.READY and before is not State.READY:

@@ -50,8 +50,14 @@ def test_a_vector_with_a_bad_value_is_rejected_as_a_whole(angle):
 
 
 def test_a_rejection_names_leg_value_and_limit():
-    assert gate().offer(0, [1.0, 1.0, 2.5, 1.0]) == "command RL = 2.5 rad is not inside [0, 2.029]"
-    assert gate().offer(0, MIDDLE, [0.0, math.nan, 0.0, 0.0]) == "rate FR = nan rad/s is not finite"
+    assert (
+        gate().offer(0, [1.0, 1.0, 2.5, 1.0])
+        == "command RL = 2.5 rad is not inside [0, 2.029]"
+    )
+    assert (
+        gate().offer(0, MIDDLE, [0.0, math.nan, 0.0, 0.0])
+        == "rate FR = nan rad/s is not finite"
+    )
     assert gate().offer(0, MIDDLE, [0.0]) == "rate has the shape (1,), limit (4,)"
 
 
@@ -63,7 +69,9 @@ def test_goals_go_on_at_the_rate_of_the_command_within_the_range_until_it_is_hel
     _, results = run(built, Action.PASS, 0.1, time, fast=True)
     assert results[2].angle == pytest.approx(MIDDLE + 0.02 * rate)
     assert results[10].angle == pytest.approx([1.1, 0.8, 1.0, LIMIT])
-    _, later = run(built, Action.PASS, 0.5, time + 11 * TICK, fast=True)  # no command comes
+    _, later = run(
+        built, Action.PASS, 0.5, time + 11 * TICK, fast=True
+    )  # no command comes
     assert later[-1].angle == pytest.approx(results[10].angle)
     built.offer(time + 70 * TICK, MIDDLE, rate)
     _, held = run(built, Action.HOLD, 0.1, time + 70 * TICK)
@@ -98,11 +106,15 @@ def test_goals_between_commands_follow_the_gait_at_its_rate():
 
 def test_a_step_larger_than_the_rate_limit_is_slewed_and_reported():
     built = gate(np.zeros(4))
-    time, _ = run(built, Action.PASS, 1.0, fast=True)  # the rate has grown to its largest
+    time, _ = run(
+        built, Action.PASS, 1.0, fast=True
+    )  # the rate has grown to its largest
     assert built.offer(time, [LIMIT, 0.5, 0.0, 0.0]) == ""
     first = built.step(time + TICK, Action.PASS, fast=True)
     assert first.slewed.tolist() == [True, False, False, False]
-    assert first.angle == pytest.approx([SETTINGS.rate_max * SETTINGS.burst, 0.5, 0.0, 0.0])
+    assert first.angle == pytest.approx(
+        [SETTINGS.rate_max * SETTINGS.burst, 0.5, 0.0, 0.0]
+    )
     _, results = run(built, Action.PASS, 0.1, time + 2 * TICK, fast=True)
     assert results[-1].angle[0] == LIMIT
     assert not results[-1].slewed.any()
@@ -154,7 +166,9 @@ def test_off_switches_torque_off_at_once():
 
 
 def test_a_ramp_longer_than_relax_time_is_refused():
-    with pytest.raises(config.ConfigError, match=r"relax_time = 0\.5: the ramp .* takes 1\.015 s"):
+    with pytest.raises(
+        config.ConfigError, match=r"relax_time = 0\.5: the ramp .* takes 1\.015 s"
+    ):
         gate(relax_time=0.5)
 
 
@@ -166,7 +180,9 @@ def test_no_sequence_of_commands_and_actions_exceeds_range_or_rate():
         time += int(rng.choice([0, 1, 1_000_000, 10_000_000, 33_000_000, 400_000_000]))
         kind = rng.integers(4)
         if kind == 0:
-            built.offer(time, rng.uniform(0, LIMIT, 4), rng.normal(0, 10, 4) * rng.integers(2))
+            built.offer(
+                time, rng.uniform(0, LIMIT, 4), rng.normal(0, 10, 4) * rng.integers(2)
+            )
         elif kind == 1:
             spoilt = rng.normal(0, 1e6, 4) * rng.choice([1.0, math.nan, math.inf])
             built.offer(time, *((spoilt,) if rng.integers(2) else (MIDDLE, spoilt)))

@@ -27,12 +27,18 @@ def run(bench, start_up, seconds):
 def test_start_up_reaches_the_state_of_its_last_request(steps, goal):
     bench = SupervisorBench()
     assert run(bench, StartUp(*steps), 2.0) is goal
-    assert all("by the start-up" in r.reason for r in bench.reports if r.state is goal and steps)
+    assert all(
+        "by the start-up" in r.reason
+        for r in bench.reports
+        if r.state is goal and steps
+    )
 
 
 def test_start_up_repeats_a_refused_request_and_returns_the_reason():
     bench, start_up = SupervisorBench(), StartUp(Request.READY)
-    assert "no report of the servos" in start_up.request_next(bench.supervisor, bench.now)
+    assert "no report of the servos" in start_up.request_next(
+        bench.supervisor, bench.now
+    )
     bench.run(0.1)
     bench.silent.add("servos")
     bench.run(0.6)
@@ -80,20 +86,28 @@ def test_stand_in_a_hold_of_the_start_up_is_not_overridden():
 
 
 @pytest.mark.parametrize(
-    ("supervised", "goal"), [(0, State.WALKING), (START + TICK, State.WALKING), (1, State.IDLE)]
+    ("supervised", "goal"),
+    [(0, State.WALKING), (START + TICK, State.WALKING), (1, State.IDLE)],
 )
-def test_start_up_begins_only_where_the_servos_have_obeyed_no_earlier_supervisor(supervised, goal):
+def test_start_up_begins_only_where_the_servos_have_obeyed_no_earlier_supervisor(
+    supervised, goal
+):
     bench, start_up = SupervisorBench(), StartUp(*ALL)
     bench.health["supervised"] = supervised
     assert run(bench, start_up, 3.0) is goal
     waits = goal is State.IDLE
-    assert ("earlier supervisor" in start_up.request_next(bench.supervisor, bench.now)) == waits
+    assert (
+        "earlier supervisor" in start_up.request_next(bench.supervisor, bench.now)
+    ) == waits
     bench.health["supervised"] = 0  # the servos' node has been restarted too
     assert run(bench, start_up, 1.0) is goal
 
 
 def test_start_up_makes_no_request_after_a_fault():
-    bench, start_up = SupervisorBench(), StartUp(Request.READY, Request.STAND, Request.WALK)
+    bench, start_up = (
+        SupervisorBench(),
+        StartUp(Request.READY, Request.STAND, Request.WALK),
+    )
     bench.silent.add("command")  # STAND is refused without commands
     assert run(bench, start_up, 1.0) is State.READY
     bench.state = state(roll=1.0)

@@ -33,9 +33,15 @@ def test_the_table_covers_every_state_and_condition():
 
 @pytest.mark.parametrize("latched", [State.ESTOP, State.FAULT])
 def test_only_a_reset_leads_out_of_estop_and_fault(latched):
-    exits = {c: next_state(latched, c) for c in Condition if next_state(latched, c) is not latched}
+    exits = {
+        c: next_state(latched, c)
+        for c in Condition
+        if next_state(latched, c) is not latched
+    }
     assert exits.pop(Condition.RESET_REQUESTED) is State.IDLE
-    assert set(exits.values()) <= {State.ESTOP}  # the e-stop has precedence over a fault
+    assert set(exits.values()) <= {
+        State.ESTOP
+    }  # the e-stop has precedence over a fault
 
 
 def test_dangerous_conditions_precede_requests():
@@ -53,7 +59,9 @@ def test_relax_leads_only_to_states_without_torque():
 def test_commands_pass_only_in_standing_and_walking():
     passing = {s for s, action in table.ACTIONS.items() if action is Action.PASS}
     assert passing == {State.STANDING, State.WALKING}
-    assert {s for s, action in table.ACTIONS.items() if action is Action.OFF} == set(OFF)
+    assert {s for s, action in table.ACTIONS.items() if action is Action.OFF} == set(
+        OFF
+    )
 
 
 def test_the_diagram_shows_the_table():
@@ -133,9 +141,18 @@ def test_a_request_that_the_state_does_not_allow_is_refused(wanted, request_, te
     [
         (lambda b: b.sources.clear(), "no source of the e-stop"),
         (lambda b: b.silent.add("servos"), "servo FL silent"),
-        (lambda b: setattr(b, "state", state(pitch=-0.6)), "pitch -0.600 rad, limit 0.5 rad"),
-        (lambda b: setattr(b, "angle", np.array([1, 1, -0.3, 1])), "servo RL at -0.3 rad, limits"),
-        (lambda b: setattr(b.supervisor, "receive_joints", lambda *_: None), "servo FL has not"),
+        (
+            lambda b: setattr(b, "state", state(pitch=-0.6)),
+            "pitch -0.600 rad, limit 0.5 rad",
+        ),
+        (
+            lambda b: setattr(b, "angle", np.array([1, 1, -0.3, 1])),
+            "servo RL at -0.3 rad, limits",
+        ),
+        (
+            lambda b: setattr(b.supervisor, "receive_joints", lambda *_: None),
+            "servo FL has not",
+        ),
     ],
     ids=["estop", "servos", "tilt", "zero", "unknown"],
 )
@@ -149,13 +166,17 @@ def test_ready_is_refused_during_a_fault(cause, text):
     assert bench.tick().state is State.IDLE
 
 
-@pytest.mark.parametrize("missing", ["command", "estimate", "solution", *SETTINGS.nodes])
+@pytest.mark.parametrize(
+    "missing", ["command", "estimate", "solution", *SETTINGS.nodes]
+)
 def test_stand_is_refused_while_an_input_is_missing(missing):
     bench = bench_in(State.READY)
     bench.silent.add(missing)
     bench.status = Status.STOPPED if missing == "solution" else Status.SOLVED
     bench.run(0.6)
-    assert bench.supervisor.request(bench.now, Request.STAND).startswith("STAND refused in READY")
+    assert bench.supervisor.request(bench.now, Request.STAND).startswith(
+        "STAND refused in READY"
+    )
     assert bench.tick().state is State.READY
 
 
@@ -163,7 +184,9 @@ def test_walk_is_refused_far_from_the_command():
     bench = bench_in(State.STANDING)
     bench.command = np.full(4, 1.9)
     bench.run(0.05)
-    assert "from their command, limit 0.1 rad" in bench.supervisor.request(bench.now, Request.WALK)
+    assert "from their command, limit 0.1 rad" in bench.supervisor.request(
+        bench.now, Request.WALK
+    )
 
 
 def test_the_commands_are_followed_from_when_the_legs_have_reached_them():

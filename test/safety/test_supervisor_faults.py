@@ -4,7 +4,16 @@ import math
 
 import numpy as np
 import pytest
-from supervisor_bench import CYCLE, HEIGHT, STEP, SupervisorBench, bench_in, health, load, state
+from supervisor_bench import (
+    CYCLE,
+    HEIGHT,
+    STEP,
+    SupervisorBench,
+    bench_in,
+    health,
+    load,
+    state,
+)
 
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
@@ -58,7 +67,9 @@ def test_a_robot_held_while_it_stands_resumes_standing():
     assert bench.reports[-1].resumed
 
 
-@pytest.mark.parametrize("bad", [Validity.ODOMETRY_REJECTED, Validity.INITIALISING, "NaN"])
+@pytest.mark.parametrize(
+    "bad", [Validity.ODOMETRY_REJECTED, Validity.INITIALISING, "NaN"]
+)
 def test_the_fourth_unusable_estimate_in_a_row_ends_in_hold(walking, bad):
     if bad == "NaN":
         walking.state = np.full(12, math.nan)
@@ -91,13 +102,17 @@ def swing(bench, seconds, sway):
     for _ in range(round(seconds / CYCLE)):
         phase = 2 * np.pi * bench.now * 1e-9 / 0.6
         bench.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
-        bench.state[3:6] += sway * np.random.default_rng(bench.now).choice([-0.5, 0.5], 3)
+        bench.state[3:6] += sway * np.random.default_rng(bench.now).choice(
+            [-0.5, 0.5], 3
+        )
         bench.run(CYCLE)
         bench.state[3:6] = [0.0, 0.0, HEIGHT]
 
 
 @pytest.mark.parametrize(("sway", "ends"), [(0.001, State.HOLD), (0.02, State.WALKING)])
-def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(walking, sway, ends):
+def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(
+    walking, sway, ends
+):
     swing(walking, SETTINGS.motion.window - 1.0, sway)  # it walks for 1 s already
     assert walking.reports[-1].state is State.WALKING
     swing(walking, 1.0, sway)
@@ -106,7 +121,10 @@ def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(wal
         assert walking.reports[-1].reason.startswith("no motion seen: torso ")
         refused = walking.supervisor.request(walking.now, Request.WALK)
         assert refused.startswith("WALK refused in HOLD: it ends")
-        assert walking.time_until(State.RELAX, TIMING.hold_max + 1.0) > TIMING.hold_max - 1.1
+        assert (
+            walking.time_until(State.RELAX, TIMING.hold_max + 1.0)
+            > TIMING.hold_max - 1.1
+        )
 
 
 def test_missing_estimates_end_in_hold(walking):
@@ -116,16 +134,25 @@ def test_missing_estimates_end_in_hold(walking):
 
 
 def test_the_robot_walks_on_while_the_mpc_falls_back(walking):
-    walking.status, walking.fallback_cycles = Status.NOT_SOLVED, read_mpc().fallback.cycles
+    walking.status, walking.fallback_cycles = (
+        Status.NOT_SOLVED,
+        read_mpc().fallback.cycles,
+    )
     assert walking.run(1.0).state is State.WALKING
 
 
 def test_the_end_of_a_recorder_is_said_while_the_robot_walks_on(walking):
-    needed, gone = {"mpc_controller"}, "node recorder has ended; the robot goes on without it"
+    needed, gone = (
+        {"mpc_controller"},
+        "node recorder has ended; the robot goes on without it",
+    )
     for names, said in (
-        (needed, ()), (needed | {"recorder"}, ()), (needed, (gone,)), (set(), (gone,)),
+        (needed, ()),
+        (needed | {"recorder"}, ()),
+        (needed, (gone,)),
+        (set(), (gone,)),
         ({"recorder"}, ()),
-    ):  # fmt: skip
+    ):
         walking.supervisor.receive_nodes(names)
         report = walking.tick()
         assert report.state is State.WALKING
@@ -152,7 +179,9 @@ def test_a_servo_whose_readings_are_not_finite_counts_as_silent(walking):
 
 
 @pytest.mark.parametrize("silence", [math.nan, math.inf, -3.0])
-def test_a_servo_whose_silence_is_invalid_counts_as_silent_since_the_start(walking, silence):
+def test_a_servo_whose_silence_is_invalid_counts_as_silent_since_the_start(
+    walking, silence
+):
     walking.health = dict(silence=np.array([0.0, silence, 0.0, 0.0]))
     assert walking.time_until(State.RELAX, 1.0) <= 2 * STEP
     assert "servo FR silent since the start" in walking.reports[-1].reason
@@ -168,15 +197,21 @@ def test_a_relax_begun_by_the_servos_ends_in_fault_with_their_reason(walking, ac
 
 def test_a_driver_that_does_not_switch_torque_on_ends_in_relax():
     bench = SupervisorBench()
-    bench.health = dict(action=Action.OFF, reason="stopped", torque=np.zeros(4, dtype=bool))
+    bench.health = dict(
+        action=Action.OFF, reason="stopped", torque=np.zeros(4, dtype=bool)
+    )
     bench.bring_to(State.READY)
     refused = bench.supervisor.request(bench.now, Request.STAND)
     assert refused == "STAND refused in READY: servo FL without torque"
-    assert bench.time_until(State.RELAX, 2.0) == pytest.approx(TIMING.torque_change, abs=3 * STEP)
+    assert bench.time_until(State.RELAX, 2.0) == pytest.approx(
+        TIMING.torque_change, abs=3 * STEP
+    )
     assert bench.reports[-1].reason == "servos: stopped"
 
 
-@pytest.mark.parametrize(("roll", "pitch"), [(0.51, 0.0), (-0.51, 0.0), (0.0, 0.51), (0.0, -0.51)])
+@pytest.mark.parametrize(
+    ("roll", "pitch"), [(0.51, 0.0), (-0.51, 0.0), (0.0, 0.51), (0.0, -0.51)]
+)
 def test_a_tilt_beyond_half_a_radian_ends_in_relax(walking, roll, pitch):
     walking.state = state(roll, pitch)
     assert walking.time_until(State.RELAX, 1.0) <= CYCLE + STEP
@@ -206,7 +241,9 @@ def test_inputs_stamped_by_another_clock_are_rejected(walking, source):
     if source == "command":
         assert "limit 0.5 s" in s.receive_command(now, wall, np.full(4, 1.9))
     elif source == "estimate":
-        s.receive_estimate(now, Estimate(wall, state(roll=1.0), np.eye(12), Validity.VALID))
+        s.receive_estimate(
+            now, Estimate(wall, state(roll=1.0), np.eye(12), Validity.VALID)
+        )
     else:
         s.receive_joints(now, wall, walking.angle, load(walking.angle))
         s.receive_health(now, wall, health(hardware_error=np.full(4, 32)))
@@ -216,7 +253,9 @@ def test_inputs_stamped_by_another_clock_are_rejected(walking, source):
     assert any(source in w and "limit 0.5 s" in w for w in report.warnings)
     assert walking.time_until(State.WALKING, 0.6) < 1.0
     walking.run(0.6)
-    assert walking.supervisor.state is not State.WALKING  # rejected inputs count as missing
+    assert (
+        walking.supervisor.state is not State.WALKING
+    )  # rejected inputs count as missing
 
 
 def test_a_fault_of_a_stamp_is_reported_once_also_if_the_next_stamp_is_right(walking):
@@ -229,7 +268,9 @@ def test_a_fault_of_a_stamp_is_reported_once_also_if_the_next_stamp_is_right(wal
 
 def test_a_command_older_than_the_last_is_rejected(walking):
     first = walking.now - 50_000_000
-    assert "not newer" in walking.supervisor.receive_command(walking.now, first, np.full(4, 1.9))
+    assert "not newer" in walking.supervisor.receive_command(
+        walking.now, first, np.full(4, 1.9)
+    )
     walking.tick()
     assert (walking.goals.angle == 1.1).all()
 

@@ -138,14 +138,20 @@ def test_readings_of_a_stride_with_late_data_raise_no_alarm():
     watched, stamp = watch(), 0
     for _ in range(20):
         stamp, _ = feed(watched, 0.1, [0.003] * 4, start=stamp)
-        late = watched.observe(stamp + 1, *np.ones((3, 4)), STRIDE, age=1.01 * LIMITS.age_max)
+        late = watched.observe(
+            stamp + 1, *np.ones((3, 4)), STRIDE, age=1.01 * LIMITS.age_max
+        )
         assert np.isnan(late.slack).all()
     assert not late.damaged.any()
     _, state = feed(watched, 2.0, [0.003] * 4, start=stamp)
     assert state.damaged.all()
 
 
-PATIENT = {"timing.command_hold": 0.5, "estimate.coast_cycles": 30, "estimate.silence": 1.0}
+PATIENT = {
+    "timing.command_hold": 0.5,
+    "estimate.coast_cycles": 30,
+    "estimate.silence": 1.0,
+}
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -153,7 +159,12 @@ def test_a_walk_with_late_commands_raises_no_alarm(seed, tmp_path, monkeypatch):
     """Three of ten ticks of the controller are late, by up to 0.2 s; none overtakes another."""
     config = changed_config(tmp_path, {"supervisor": PATIENT})
     monkeypatch.setenv("SLOT_CONFIG", str(config))
-    loop, rng, last, delays = FaultyLoop(seed=seed), np.random.default_rng(seed), 0.0, []
+    loop, rng, last, delays = (
+        FaultyLoop(seed=seed),
+        np.random.default_rng(seed),
+        0.0,
+        [],
+    )
     list(loop.run(BEGIN))
 
     def delay():
@@ -170,7 +181,9 @@ def test_a_walk_with_late_commands_raises_no_alarm(seed, tmp_path, monkeypatch):
     assert max(delays) > 2 * LIMITS.age_max
 
 
-@pytest.mark.parametrize("scene", ["flat", "slippery", "split", "uneven", "payload", "push"])
+@pytest.mark.parametrize(
+    "scene", ["flat", "slippery", "split", "uneven", "payload", "push"]
+)
 def test_commands_of_an_undamaged_walk_pass_unchanged_without_an_alarm(scene):
     """The push is at 5 s. Largest slack inferred in 22 s: 0.57 mm, and 0.66 mm at 20 deg."""
     loop = FaultyLoop(scene=scene)
@@ -207,7 +220,9 @@ def test_a_walk_up_a_slope_or_with_a_payload_raises_no_alarm(scene, changes):
         ("RL", "tendon_broken", 0.0, 0.4),
     ],
 )
-def test_a_tendon_damaged_while_walking_stops_the_gait_within_two_strides(leg, kind, value, limit):
+def test_a_tendon_damaged_while_walking_stops_the_gait_within_two_strides(
+    leg, kind, value, limit
+):
     """Measured: 0.72 to 0.80 s for 3 mm of slack, 0.18 s for a broken tendon."""
     loop = FaultyLoop()
     loop.react(lambda loop: loop.inject(kind, value, leg), "HOLD", limit, begin=3.0)
@@ -215,7 +230,9 @@ def test_a_tendon_damaged_while_walking_stops_the_gait_within_two_strides(leg, k
     assert loop.reasons["HOLD"].startswith(f"slack or broken tendon {leg} (")
 
 
-def test_a_robot_that_is_told_of_its_broken_tendon_walks_on_three_legs(tmp_path, monkeypatch):
+def test_a_robot_that_is_told_of_its_broken_tendon_walks_on_three_legs(
+    tmp_path, monkeypatch
+):
     """Untold, it holds after .58 s."""
     broken = [True, False, False, False]
     changes = {

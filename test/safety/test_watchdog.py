@@ -46,7 +46,9 @@ def bench():
     ("missing", "reason"),
     [("permission", "no message of the supervisor yet"), ("command", "no command yet")],
 )
-def test_without_a_permission_or_a_command_nothing_moves_and_torque_stays(bench, missing, reason):
+def test_without_a_permission_or_a_command_nothing_moves_and_torque_stays(
+    bench, missing, reason
+):
     assert bench.run(10.0, **{missing: None}) is Action.HOLD
     assert bench.watchdog.reason == reason
     assert (bench.goals.angle == START).all()
@@ -54,11 +56,15 @@ def test_without_a_permission_or_a_command_nothing_moves_and_torque_stays(bench,
 
 
 @pytest.mark.parametrize("missing", [{"permission": None}, {"command": None}])
-def test_a_missing_message_holds_and_then_relaxes_until_the_permission_has_been_off(bench, missing):
+def test_a_missing_message_holds_and_then_relaxes_until_the_permission_has_been_off(
+    bench, missing
+):
     assert bench.run(1.0) is Action.PASS
     assert bench.run(TIMING.command_hold, **missing) is Action.PASS
     assert bench.run(2 * TICK * 1e-9, **missing) is Action.HOLD
-    assert bench.run(TIMING.command_lost - TIMING.command_hold, **missing) is Action.RELAX
+    assert (
+        bench.run(TIMING.command_lost - TIMING.command_hold, **missing) is Action.RELAX
+    )
     assert bench.run(3.0) is Action.RELAX
     assert not bench.goals.torque
     assert bench.run(0.1, Action.OFF) is Action.OFF
@@ -76,7 +82,10 @@ def test_a_hold_does_not_interrupt_a_relax(bench):
     bench.run(0.5)
     bench.watchdog.relax("servo FL: overload")
     bench.run(0.1, Action.HOLD)
-    assert (bench.watchdog.action, bench.watchdog.reason) == (Action.RELAX, "servo FL: overload")
+    assert (bench.watchdog.action, bench.watchdog.reason) == (
+        Action.RELAX,
+        "servo FL: overload",
+    )
 
 
 def test_relax_continues_when_the_supervisor_stops(bench):
@@ -98,14 +107,18 @@ def test_goals_move_slowly_while_standing_and_gain_speed_while_walking(bench):
     assert (bench.goals.angle - START - moved < 0.2 * gate.rate_max * 0.02).all()
     bench.run(gate.resume_time, command=far)
     assert bench.goals.angle == pytest.approx(far)
-    bench.run(0.02, command=START)  # a budget of burst and two ticks covers the whole step
+    bench.run(
+        0.02, command=START
+    )  # a budget of burst and two ticks covers the whole step
     assert bench.goals.angle == pytest.approx(START)
 
 
 def test_new_limits_apply_from_the_next_step_without_moving_a_goal(bench):
     bench.run(0.5)
     goal = bench.goals.angle
-    slower = config.replace(SETTINGS, {"gate.approach_rate": 0.5, "timing.command_hold": 0.05})
+    slower = config.replace(
+        SETTINGS, {"gate.approach_rate": 0.5, "timing.command_hold": 0.05}
+    )
     bench.watchdog.set_limits(slower.servo_limits)
     assert bench.run(TICK * 1e-9, Action.HOLD) is Action.HOLD
     assert (bench.goals.angle == goal).all()
@@ -114,7 +127,9 @@ def test_new_limits_apply_from_the_next_step_without_moving_a_goal(bench):
     assert moved.max() <= 0.5 * (0.1 + SETTINGS.gate.burst) + 1e-9
     assert bench.run(0.06 + TICK * 1e-9, command=None) is Action.HOLD
     with pytest.raises(config.ConfigError, match=r"gate\.relax_time = 0\.1"):
-        bench.watchdog.set_limits(config.replace(SETTINGS, {"gate.relax_time": 0.1}).servo_limits)
+        bench.watchdog.set_limits(
+            config.replace(SETTINGS, {"gate.relax_time": 0.1}).servo_limits
+        )
     assert bench.watchdog.limits == slower.servo_limits
 
 
@@ -131,7 +146,9 @@ def test_slack_is_the_lower_end_of_the_range():
 
 
 @pytest.mark.parametrize("action", [Action.PASS, Action.HOLD, Action.RELAX])
-def test_missing_commands_stay_overdue_until_one_comes_whatever_is_permitted(bench, action):
+def test_missing_commands_stay_overdue_until_one_comes_whatever_is_permitted(
+    bench, action
+):
     bench.run(0.5)
     assert not bench.watchdog.overdue
     bench.run(TIMING.command_hold + 2 * TICK * 1e-9, action, command=None)

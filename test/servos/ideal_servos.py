@@ -11,7 +11,13 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.robot import LEGS, read_robot
 from slot_core.servos.brand import Brand
 from slot_core.servos.servo_errors import PortError, RefusedError
-from slot_core.servos.servo_state import BusFacts, Cycle, ServoReading, ServoStatus, TorqueOff
+from slot_core.servos.servo_state import (
+    BusFacts,
+    Cycle,
+    ServoReading,
+    ServoStatus,
+    TorqueOff,
+)
 
 LAG = 0.02  # s
 
@@ -36,7 +42,10 @@ class IdealServos:
     def __init__(self, angles=(0.0,) * 4, voltage=11.1):
         self.angle, self.voltage = np.array(angles), voltage
         self.goal, self.torque = self.angle.copy(), np.zeros(4, dtype=bool)
-        self.stall, self.load = read_servo().tendon_stall(voltage), np.zeros(4)  # N m; a share
+        self.stall, self.load = (
+            read_servo().tendon_stall(voltage),
+            np.zeros(4),
+        )  # N m; a share
         self.silent, self.unplugged = set(), False  # the legs that do not answer
 
     def advance(self, dt, torques=(0.0,) * 4):
@@ -72,7 +81,9 @@ class IdealBus:
 
     def __init__(self, servos, clock):
         self.servos, self.clock, self.active = servos, clock, False
-        self.facts = BusFacts("ideal", "/dev/null", 0.0, read_robot().tendon.angle_max, math.inf)
+        self.facts = BusFacts(
+            "ideal", "/dev/null", 0.0, read_robot().tendon.angle_max, math.inf
+        )
         self.health = tuple(ServoStatus(leg, k + 1) for k, leg in enumerate(LEGS))
 
     def configure(self):
@@ -128,7 +139,9 @@ class IdealBus:
     def _update(self):
         found = {"last_answer": self.clock(), "voltage": self.servos.voltage}
         self.health = tuple(
-            s if s.leg in self.servos.silent else dataclasses.replace(s, torque=bool(on), **found)
+            s
+            if s.leg in self.servos.silent
+            else dataclasses.replace(s, torque=bool(on), **found)
             for s, on in zip(self.health, self.servos.torque)
         )
 

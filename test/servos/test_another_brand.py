@@ -62,17 +62,24 @@ def test_the_driver_node_drives_servos_of_another_brand(tmp_path, monkeypatch):
     stub.permission, begin = Action.OFF, rig.now()
     rig.wait_for_torque_off(begin)
     answer = rig.call(Trigger, f"/{DRIVER}/zero_fl")
-    assert (answer.success, answer.message) == (False, "servos of ideal have no such service")
+    assert (answer.success, answer.message) == (
+        False,
+        "servos of ideal have no such service",
+    )
     rig.close()
 
 
 def test_an_unknown_brand_is_refused_with_those_there_are(name_brand):
     name_brand("other")
-    with pytest.raises(ConfigError, match=r"brand = 'other': expected one of dynamixel"):
+    with pytest.raises(
+        ConfigError, match=r"brand = 'other': expected one of dynamixel"
+    ):
         registry.read_brand()
 
 
-def test_a_brand_without_an_emulator_is_refused_as_a_simulated_robot(name_brand, monkeypatch):
+def test_a_brand_without_an_emulator_is_refused_as_a_simulated_robot(
+    name_brand, monkeypatch
+):
     bare = registry.Brand(lambda: None, lambda settings: None)
     monkeypatch.setitem(registry.BRANDS, "bare", lambda: bare)
     name_brand("bare")

@@ -36,7 +36,9 @@ class SessionRig:
         )
         self.time = 0.0
         self.bus = self.servos.connect(lambda: self.time)
-        self.session = ServoSession(self.bus, read_robot().tendon.angle_max, PERIOD, self.sleep)
+        self.session = ServoSession(
+            self.bus, read_robot().tendon.angle_max, PERIOD, self.sleep
+        )
         self.session.watchdog.set_limits(read_supervisor().servo_limits)
         self.session.configure()
         self.permit(Action.HOLD)
@@ -114,7 +116,9 @@ def test_a_permission_of_a_supervisor_that_has_ended_switches_no_torque_on(rig):
     rig.permit(Action.OFF)
     rig.permit(Action.HOLD)
     rig.sleep(TIMING.command_hold + 0.1)
-    with pytest.raises(RefusedError, match=r"the supervisor's permission is 0\.\d+ s old"):
+    with pytest.raises(
+        RefusedError, match=r"the supervisor's permission is 0\.\d+ s old"
+    ):
         rig.session.start()
     assert rig.torque() == ()
 
@@ -175,7 +179,9 @@ def test_a_fault_of_one_servo_relaxes_all_and_is_named(dynamixels, kind):
     assert dynamixels.torque() == ()
 
 
-def test_a_bus_watchdog_that_a_late_cycle_has_tripped_is_reported_with_the_delay(dynamixels):
+def test_a_bus_watchdog_that_a_late_cycle_has_tripped_is_reported_with_the_delay(
+    dynamixels,
+):
     dynamixels.run(0.2, SLIGHTLY)
     dynamixels.sleep(0.15)
     dynamixels.run(1.0, SLIGHTLY)
@@ -224,7 +230,9 @@ def test_stop_relaxes_and_confirms_also_during_an_exchange(dynamixels):
 def test_stop_reads_torque_off_back_once(rig, monkeypatch):
     rig.run(0.2, SLIGHTLY)
     confirm, calls = rig.bus.torque_off, []
-    monkeypatch.setattr(rig.bus, "torque_off", lambda: calls.append(rig.time) or confirm())
+    monkeypatch.setattr(
+        rig.bus, "torque_off", lambda: calls.append(rig.time) or confirm()
+    )
     assert rig.session.stop().complete
     assert len(calls) == 1
     assert rig.session.stop().complete  # torque is off: read back again
@@ -282,8 +290,16 @@ def test_an_interrupted_stop_switches_torque_off(rig):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("joints.low_deg", 10.0, r"range \[10, 116\.28\] deg, smaller than that of the tendon"),
-        ("joints.high_deg", 100.0, r"range \[0, 100\] deg, smaller .* robot\.yaml instead"),
+        (
+            "joints.low_deg",
+            10.0,
+            r"range \[10, 116\.28\] deg, smaller than that of the tendon",
+        ),
+        (
+            "joints.high_deg",
+            100.0,
+            r"range \[0, 100\] deg, smaller .* robot\.yaml instead",
+        ),
     ],
 )
 def test_a_range_smaller_than_the_tendons_is_refused(name, value, message):

@@ -22,8 +22,17 @@ SECONDS = 1.0  # the robot walks since 0.34 s
 def loaded():
     """Every kernel of the project with the types of arguments for which it is compiled."""
     modules = [m for name, m in sys.modules.items() if name.startswith("slot_core.")]
-    values = [v for module in modules for v in vars(module).values() if isinstance(v, Dispatcher)]
-    return {(f"{v.__module__}.{v.__name__}", types) for v in values for types in v.signatures}
+    values = [
+        v
+        for module in modules
+        for v in vars(module).values()
+        if isinstance(v, Dispatcher)
+    ]
+    return {
+        (f"{v.__module__}.{v.__name__}", types)
+        for v in values
+        for types in v.signatures
+    }
 
 
 def main(what, scene):

@@ -41,7 +41,11 @@ def lockstep(plant):
     servos = DirectServos(plant, lockstep=True)
     servos.watchdog.set_limits(read_supervisor().servo_limits)
     clock = LockstepClock(plant, servos)
-    assert [type(r) for r in clock.at_rest()] == [ImuReading, JointReading, OdometryReading]
+    assert [type(r) for r in clock.at_rest()] == [
+        ImuReading,
+        JointReading,
+        OdometryReading,
+    ]
     (report,) = clock.advance_on_answer(OdometryReading, LOCKSTEP_START)
     assert not clock.running
     assert clock.at_rest()[0].stamp == report.stamp == plant.now == LOCKSTEP_START
@@ -56,7 +60,9 @@ def real_time(plant):
     return clock
 
 
-def test_lockstep_advances_from_one_reading_that_is_answered_to_the_next(plant, lockstep):
+def test_lockstep_advances_from_one_reading_that_is_answered_to_the_next(
+    plant, lockstep
+):
     kind, stamp, answered = StampedHealth, LOCKSTEP_START, []
     for _ in range(40):
         *others, reading = lockstep.advance_on_answer(kind, stamp)
@@ -64,7 +70,10 @@ def test_lockstep_advances_from_one_reading_that_is_answered_to_the_next(plant, 
         kind, stamp = type(reading), reading.stamp
         assert plant.now == stamp + (DELAY if kind is OdometryReading else 0)
         answered.append((kind, stamp - LOCKSTEP_START))
-    for kind, period in ((OdometryReading, PERIOD), (StampedHealth, round(SUPERVISOR * SECOND))):
+    for kind, period in (
+        (OdometryReading, PERIOD),
+        (StampedHealth, round(SUPERVISOR * SECOND)),
+    ):
         times = [time for k, time in answered if k is kind]
         assert times == [period * n for n in range(1, len(times) + 1)]
         assert len(times) > 10
@@ -75,14 +84,18 @@ def test_lockstep_advances_from_one_reading_that_is_answered_to_the_next(plant, 
 def test_lockstep_advances_on_no_other_answer(plant, lockstep, kind, offset):
     reading = list(lockstep.advance_on_answer(StampedHealth, LOCKSTEP_START))[-1]
     before = plant.now
-    assert list(lockstep.advance_on_answer(StampedHealth, LOCKSTEP_START)) == []  # answered
+    assert (
+        list(lockstep.advance_on_answer(StampedHealth, LOCKSTEP_START)) == []
+    )  # answered
     assert plant.now == before
     if (kind, offset) != (type(reading), 0):
         assert list(lockstep.advance_on_answer(kind, reading.stamp + offset)) == []
         assert plant.now == before
 
 
-def test_real_time_advances_by_at_most_one_portion_and_reports_its_lag(plant, real_time):
+def test_real_time_advances_by_at_most_one_portion_and_reports_its_lag(
+    plant, real_time
+):
     present = NOW + 3 * PORTION + STEP // 2
     assert (plant.now, real_time.lag(NOW)) == (NOW, 0)
     for portions in (1, 2, 3, 3):  # in whole steps
@@ -107,7 +120,9 @@ class LateDriver:
 
     def __init__(self):
         rng = np.random.default_rng(0)
-        self.plant = RobotSimulator(read_robot(), SCENE, read_servo(), rng, read_brand().emulate)
+        self.plant = RobotSimulator(
+            read_robot(), SCENE, read_servo(), rng, read_brand().emulate
+        )
         self.now = NOW
         self.driver = self.plant.emulated.connect(lambda: self.now / SECOND)
         self.driver.configure()
@@ -160,7 +175,9 @@ def test_an_ended_driver_trips_the_bus_watchdogs_on_the_robots_clock_as_soon_as_
 def test_a_delay_of_the_simulation_itself_does_not_count_as_one_of_the_driver():
     driven = LateDriver()
     driven.run(0.1)
-    driven.now += SECOND  # the whole machine stands still; instructions are not yet read
+    driven.now += (
+        SECOND  # the whole machine stands still; instructions are not yet read
+    )
     driven.run(0.1, cycles=False)
     assert driven.tripped() == 0
     driven.run(1.2)

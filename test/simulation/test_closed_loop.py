@@ -15,7 +15,9 @@ from slot_core.simulation.closed_loop import ClosedLoop
 PERIOD = read_scene("flat").sensors.odometry.period  # s
 
 
-def walk(duration, scene="flat", gait="walk", velocity=(0.05, 0.0, 0.0), seed=0, **options):
+def walk(
+    duration, scene="flat", gait="walk", velocity=(0.05, 0.0, 0.0), seed=0, **options
+):
     """Positions (n, 3), m, and roll-pitch-yaw (n, 3), rad, at every tick, and the ticks."""
     loop = ClosedLoop(scene, gait, np.array(velocity), seed, **options)
     positions, angles, ticks = [], [], []
@@ -75,7 +77,8 @@ def test_mean_predicted_normal_forces_sum_to_the_weight(minute):
 
 
 @pytest.mark.parametrize(
-    "velocity", [(0.02, 0, 0), (0.06, 0, 0), (-0.04, 0, 0), (0, 0.05, 0), (0.025, -0.025, 0)]
+    "velocity",
+    [(0.02, 0, 0), (0.06, 0, 0), (-0.04, 0, 0), (0, 0.05, 0), (0.025, -0.025, 0)],
 )
 def test_robot_walks_at_the_commanded_velocity(velocity):
     position, rpy, _ = walk(15.0, velocity=velocity)
@@ -112,7 +115,9 @@ def test_robot_climbs_an_incline_of_5_deg_slowly_and_stays_upright():
 
 def test_a_payload_lowers_the_default_less_than_the_gait_alone():
     """By some 6 and 9 mm: the largest tendon angle does not carry more."""
-    runs = [walk(12.0, "payload", policy=policy) for policy in ("predictive", "gait_alone")]
+    runs = [
+        walk(12.0, "payload", policy=policy) for policy in ("predictive", "gait_alone")
+    ]
     lowered = [abs(position[after(4.0), 2].mean() - 0.064) for position, _, _ in runs]
     assert lowered[1] > 5e-3
     assert lowered[0] < 0.7 * lowered[1]
@@ -132,9 +137,14 @@ def test_a_payload_off_the_centre_is_carried_at_the_commanded_height_and_level()
     load = {"scene.payload.mass": 0.3, "scene.payload.place": (0.04, 0.03, 0.03)}
     held = {}
     for policy in ("predictive", "forces"):
-        position, rpy, _ = walk(8.0, gait="stand", velocity=(0, 0, 0), policy=policy, changes=load)
+        position, rpy, _ = walk(
+            8.0, gait="stand", velocity=(0, 0, 0), policy=policy, changes=load
+        )
         late = after(4.0)
-        held[policy] = (abs(position[late, 2].mean() - 0.04), np.abs(rpy[late, :2].mean(axis=0)))
+        held[policy] = (
+            abs(position[late, 2].mean() - 0.04),
+            np.abs(rpy[late, :2].mean(axis=0)),
+        )
     assert held["predictive"][0] < 1e-3
     assert np.degrees(held["predictive"][1]).max() < 0.3
     assert held["forces"][0] > 5e-3
@@ -178,7 +188,9 @@ def test_values_by_dotted_name_change_the_simulated_robot_and_the_controller():
     loop = ClosedLoop("flat", "stand", np.zeros(3), 0, changes=changes)
     assert loop.plant.robot.scene.payload.mass == 0.3
     assert loop.plant.robot.parameters.leg.young_modulus == 2e7
-    with pytest.raises(ConfigError, match=r"floor\.friction: expected one of scene, servo, robot"):
+    with pytest.raises(
+        ConfigError, match=r"floor\.friction: expected one of scene, servo, robot"
+    ):
         ClosedLoop("flat", "stand", np.zeros(3), 0, changes={"floor.friction": 0.2})
     with pytest.raises(ConfigError, match=r"robot: leg\.mass is not a setting"):
         ClosedLoop("flat", "stand", np.zeros(3), 0, changes={"robot.leg.mass": 0.2})

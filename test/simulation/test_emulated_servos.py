@@ -25,7 +25,9 @@ SETTLED = 150  # reports of the supervisor, 3 s: the robot walks at its speed
 
 def make(scene="flat"):
     rng = np.random.default_rng(1)
-    return RobotSimulator(ROBOT, read_scene(scene), read_servo(), rng, read_brand().emulate)
+    return RobotSimulator(
+        ROBOT, read_scene(scene), read_servo(), rng, read_brand().emulate
+    )
 
 
 @pytest.fixture
@@ -40,7 +42,9 @@ def run(plant, duration):
 
 def switch_on(plant, angles):
     """Write goals at tendon angles (4,), rad, and torque on to the registers."""
-    for joint, servo, angle in zip(plant.emulated.joints, plant.emulated.bus.servos, angles):
+    for joint, servo, angle in zip(
+        plant.emulated.joints, plant.emulated.bus.servos, angles
+    ):
         servo.memory["goal_position"] = joint.counts(angle)
         servo.memory["torque_enable"] = 1
 
@@ -57,7 +61,9 @@ def test_spool_angles_equal_shaft_angles_after_every_step(plant):
     for _ in range(100):
         run(plant, 0.001)
         # rounding of angle + h (command - angle) / h
-        assert plant.robot.tendon_angle == pytest.approx(plant.emulated.angles(), abs=1e-12)
+        assert plant.robot.tendon_angle == pytest.approx(
+            plant.emulated.angles(), abs=1e-12
+        )
 
 
 def test_without_torque_tendons_unwind_until_the_friction_of_the_gear_holds_them(plant):
@@ -65,7 +71,9 @@ def test_without_torque_tendons_unwind_until_the_friction_of_the_gear_holds_them
     before = plant.robot.tendon_angle
     run(plant, 2.0)
     assert (plant.robot.tendon_angle < before - 0.05).all()
-    friction = read_emulator().servo.shaft.friction * read_settings().joints.servo_per_tendon
+    friction = (
+        read_emulator().servo.shaft.friction * read_settings().joints.servo_per_tendon
+    )
     # the gear holds this load and creeps at a slightly larger one
     assert plant.robot.servo_torque.max() < friction * 1.1
 
@@ -79,7 +87,9 @@ def test_joint_readings_come_only_from_the_driver(plant):
 
 def test_backlash_is_refused():
     servo = dataclasses.replace(read_servo(), backlash_deg=1.0)
-    with pytest.raises(ConfigError, match=r"backlash_deg = 1\.0: emulated servos have none"):
+    with pytest.raises(
+        ConfigError, match=r"backlash_deg = 1\.0: emulated servos have none"
+    ):
         ideal_servo(servo, 0.001)
 
 
@@ -108,16 +118,21 @@ def test_servos_measure_the_scenes_voltage_and_the_torque_of_the_tendons(scene):
     for _ in range(50):  # every servo is asked for its voltage once in 16 cycles
         cycle = session.bus.cycle()
         run(plant, 0.01)
-    assert session.voltage == pytest.approx([read_scene(scene).supply_voltage] * 4, abs=1e-9)
+    assert session.voltage == pytest.approx(
+        [read_scene(scene).supply_voltage] * 4, abs=1e-9
+    )
     found = cycle.joints(plant.now, read_servo().tendon_stall(session.voltage))
     # within two counts of the encoder, of which the P gain makes 0.7 % of stall each, and what the
     # friction of the guide holds
     expected, give = plant.robot.servo_torque, ROBOT.tendon.capstan
-    assert (np.abs(found.torque - expected) < 2 * 0.0071 * 1.45 + (give - 1) * expected).all()
+    assert (
+        np.abs(found.torque - expected) < 2 * 0.0071 * 1.45 + (give - 1) * expected
+    ).all()
 
 
 @pytest.mark.parametrize(
-    ("kind", "value", "most"), [("tendon_broken", 0.0, 0.01), ("tendon_slack", 0.003, 0.4)]
+    ("kind", "value", "most"),
+    [("tendon_broken", 0.0, 0.01), ("tendon_slack", 0.003, 0.4)],
 )
 def test_driver_measures_the_loss_of_load_of_a_damaged_tendon(plant, kind, value, most):
     """Measured: 0.47 of the stall torque at all servos, then 0 or 0.37 at this one."""
@@ -158,7 +173,11 @@ def test_the_simulated_servo_is_that_of_the_bus():
 
     Its duty is P/128 of an error in counts, over the full duty; I and D act once a loop period.
     """
-    settings, period, found = read_settings(), read_emulator().servo.loop_period, read_servo()
+    settings, period, found = (
+        read_settings(),
+        read_emulator().servo.loop_period,
+        read_servo(),
+    )
     ratio, gains = settings.joints.servo_per_tendon, settings.gains
     duty = ratio / RAD_PER_COUNT / PWM_FULL  # per rad of tendon angle, with gain 1
     assert found.model == "pid"
@@ -181,5 +200,8 @@ def test_ten_seconds_of_walking_neither_overload_nor_heat_a_servo(walks):
     loop, _ = walks["fake_bus"]
     servos = loop.plant.emulated.bus.servos
     assert [servo.memory["hardware_error_status"] for servo in servos] == [0] * 4
-    assert max(servo.temperature() for servo in servos) < read_emulator().servo.shaft.room + 5.0
+    assert (
+        max(servo.temperature() for servo in servos)
+        < read_emulator().servo.shaft.room + 5.0
+    )
     assert [health.error_rate for health in loop.servos.session.bus.health] == [0.0] * 4

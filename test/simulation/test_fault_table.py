@@ -46,68 +46,132 @@ def after(limit):
 LOST = {"HOLD": after(TIMING.command_hold), "RELAX": after(TIMING.command_lost)}
 ERROR = ("RELAX", {"RELAX": within(0.0)}, ("fake_bus",))
 NO_DRIVER = {
-    "servos stopped": after(read_settings().servo.watchdog), "RELAX": after(TIMING.servo_silent),
-}  # fmt: skip
+    "servos stopped": after(read_settings().servo.watchdog),
+    "RELAX": after(TIMING.servo_silent),
+}
 IMU_LOST = {"warned": within(SETTINGS.estimate.imu_silence + 2 * ODOMETRY)}
 
 # Row of the table: fault, last event, bounds of its events (s), hardware.
 ROWS = {
     "a node of the controller dead": (
-        lambda loop: loop.kill(*CONTROLLER), "torque off", LOST, BOTH),
+        lambda loop: loop.kill(*CONTROLLER),
+        "torque off",
+        LOST,
+        BOTH,
+    ),
     "odometry lost": (
-        FaultyLoop.lose_odometry, "torque off",
-        {"HOLD": after(TIMING.command_hold), "RELAX": after(GAP + TIMING.command_lost)}, ("sim",)),
+        FaultyLoop.lose_odometry,
+        "torque off",
+        {"HOLD": after(TIMING.command_hold), "RELAX": after(GAP + TIMING.command_lost)},
+        ("sim",),
+    ),
     "command not finite": (
-        lambda loop: loop.spoil_command(np.nan), "torque off",
-        {"HOLD": within(ODOMETRY), "RELAX": after(TIMING.command_lost)}, ("sim",)),
+        lambda loop: loop.spoil_command(np.nan),
+        "torque off",
+        {"HOLD": within(ODOMETRY), "RELAX": after(TIMING.command_lost)},
+        ("sim",),
+    ),
     "command out of range": (
-        lambda loop: loop.spoil_command(ANGLE_MAX + 0.1), "HOLD", {"HOLD": within(ODOMETRY)},
-        BOTH),
+        lambda loop: loop.spoil_command(ANGLE_MAX + 0.1),
+        "HOLD",
+        {"HOLD": within(ODOMETRY)},
+        BOTH,
+    ),
     "command too fast": (
-        FaultyLoop.jump_command, "slewed", {"slewed": within(2 * ODOMETRY)}, ("sim",)),
+        FaultyLoop.jump_command,
+        "slewed",
+        {"slewed": within(2 * ODOMETRY)},
+        ("sim",),
+    ),
     "supervisor dead": (lambda loop: loop.kill("supervisor"), "torque off", LOST, BOTH),
     "no usable estimate": (
-        FaultyLoop.spoil_odometry, "HOLD",
-        {"HOLD": after((SETTINGS.estimate.coast_cycles + 1) * ODOMETRY)}, ("sim",)),
+        FaultyLoop.spoil_odometry,
+        "HOLD",
+        {"HOLD": after((SETTINGS.estimate.coast_cycles + 1) * ODOMETRY)},
+        ("sim",),
+    ),
     "no solution of the MPC": (
-        FaultyLoop.spoil_problem, "HOLD",
-        {"HOLD": after((read_mpc().fallback.cycles + 1) * ODOMETRY)}, ("sim",)),
+        FaultyLoop.spoil_problem,
+        "HOLD",
+        {"HOLD": after((read_mpc().fallback.cycles + 1) * ODOMETRY)},
+        ("sim",),
+    ),
     "tendon 5 mm longer": (
-        lambda loop: loop.inject("tendon_slack", 5e-3), "HOLD", {"HOLD": within(STRIDE)},
-        ("sim",)),
+        lambda loop: loop.inject("tendon_slack", 5e-3),
+        "HOLD",
+        {"HOLD": within(STRIDE)},
+        ("sim",),
+    ),
     "tendon broken": (
-        lambda loop: loop.inject("tendon_broken"), "torque off",
-        {"HOLD": within(STRIDE), "RELAX": within(STRIDE + TIMING.hold_max)}, ("sim",)),
+        lambda loop: loop.inject("tendon_broken"),
+        "torque off",
+        {"HOLD": within(STRIDE), "RELAX": within(STRIDE + TIMING.hold_max)},
+        ("sim",),
+    ),
     "walk without motion": (
-        FaultyLoop.jam, "HOLD", {"HOLD": within(SETTINGS.motion.window + 5 * ODOMETRY)}, ("sim",)),
+        FaultyLoop.jam,
+        "HOLD",
+        {"HOLD": within(SETTINGS.motion.window + 5 * ODOMETRY)},
+        ("sim",),
+    ),
     "IMU lost": (FaultyLoop.lose_imu, "warned", IMU_LOST, ("sim",)),
     "IMU not finite": (FaultyLoop.spoil_imu, "warned", IMU_LOST, ("sim",)),
     "clock jumps": (FaultyLoop.jump_clock, "HOLD", {"HOLD": within(0.0)}, ("sim",)),
     "roll too large": (
-        lambda loop: loop.tilt("x"), "torque off", {"RELAX": within(5 * ODOMETRY)}, ("sim",)),
+        lambda loop: loop.tilt("x"),
+        "torque off",
+        {"RELAX": within(5 * ODOMETRY)},
+        ("sim",),
+    ),
     "pitch too large": (
-        lambda loop: loop.tilt("y"), "RELAX", {"RELAX": within(5 * ODOMETRY)}, ("sim",)),
+        lambda loop: loop.tilt("y"),
+        "RELAX",
+        {"RELAX": within(5 * ODOMETRY)},
+        ("sim",),
+    ),
     "servo silent": (
-        lambda loop: loop.inject("silent"), "FAULT", {"RELAX": after(TIMING.servo_silent)},
-        ("fake_bus",)),
+        lambda loop: loop.inject("silent"),
+        "FAULT",
+        {"RELAX": after(TIMING.servo_silent)},
+        ("fake_bus",),
+    ),
     "servo: overload": (
-        lambda loop: loop.inject("overload"), "torque off", {"RELAX": within(0.0)}, ("fake_bus",)),
+        lambda loop: loop.inject("overload"),
+        "torque off",
+        {"RELAX": within(0.0)},
+        ("fake_bus",),
+    ),
     "servo: overheating": (lambda loop: loop.inject("overheating", 90.0), *ERROR),
     "servo: input voltage": (lambda loop: loop.inject("undervoltage", 8.0), *ERROR),
-    "adapter unplugged": (lambda loop: loop.inject("unplugged"), "RELAX", NO_DRIVER, ("fake_bus",)),
+    "adapter unplugged": (
+        lambda loop: loop.inject("unplugged"),
+        "RELAX",
+        NO_DRIVER,
+        ("fake_bus",),
+    ),
     "driver killed": (FaultyLoop.end_driver, "RELAX", NO_DRIVER, ("fake_bus",)),
     "e-stop pressed at one of two sources": (
-        FaultyLoop.press_estop, "torque off", {"ESTOP": within(0.0)}, BOTH),
+        FaultyLoop.press_estop,
+        "torque off",
+        {"ESTOP": within(0.0)},
+        BOTH,
+    ),
     "one of two sources of the e-stop lost": (
-        FaultyLoop.lose_estop, "torque off", {"ESTOP": after(TIMING.estop)}, ("sim",)),
-}  # fmt: skip
+        FaultyLoop.lose_estop,
+        "torque off",
+        {"ESTOP": after(TIMING.estop)},
+        ("sim",),
+    ),
+}
 CASES = [(row, hardware) for row, entry in ROWS.items() for hardware in entry[3]]
 EVENTS = ("slewed", "warned", "HOLD", "servos stopped", "RELAX", "ESTOP", "torque off")
 
 
 def measured(loop):
     """The events in their order, as in the page."""
-    found = sorted((time, event) for event, time in loop.first.items() if event in EVENTS)
+    found = sorted(
+        (time, event) for event, time in loop.first.items() if event in EVENTS
+    )
     return ", ".join(f"{event} {time:.2f} s" for time, event in found)
 
 
@@ -124,7 +188,9 @@ def page_rows():
 
 
 @pytest.mark.parametrize(("row", "hardware"), CASES)
-def test_a_fault_of_a_walking_robot_ends_as_the_table_says_at_the_time_it_says(row, hardware):
+def test_a_fault_of_a_walking_robot_ends_as_the_table_says_at_the_time_it_says(
+    row, hardware
+):
     fault, last, bounds, _ = ROWS[row]
     loop = FaultyLoop(hardware)
     if "of two sources" in row:
@@ -148,7 +214,9 @@ def test_a_robot_walks_on_without_its_imu():
     loop = FaultyLoop("sim")
     loop.react(FaultyLoop.lose_imu, "HOLD", 6.0)
     assert loop.report.state is State.WALKING
-    assert loop.plant.robot.position[0] > 0.25  # measured: 0.048 m/s of the commanded 0.05
+    assert (
+        loop.plant.robot.position[0] > 0.25
+    )  # measured: 0.048 m/s of the commanded 0.05
 
 
 STIFF = {"robot.leg.young_modulus": 1e9}
@@ -163,7 +231,9 @@ STIFF = {"robot.leg.young_modulus": 1e9}
         ("flat", 0.05, {"scene.payload.mass": 2.0}, None),  # its belly drags
     ],
 )
-def test_only_a_walk_that_does_not_move_is_held_for_it(scene, velocity, changes, reason):
+def test_only_a_walk_that_does_not_move_is_held_for_it(
+    scene, velocity, changes, reason
+):
     loop = SupervisedLoop(scene, "walk", np.array([velocity, 0, 0]), 0, changes=changes)
     held = next((r for r in loop.run(8.0) if r.state is State.HOLD), None)
     assert (held is None) == (reason is None)

@@ -31,7 +31,10 @@ def until(loop, wanted, seconds):
 def heights(loop, seconds):
     """Times since the call, s, and heights of the torso, mm."""
     begin = time(loop)
-    rows = [(time(loop) - begin, 1e3 * loop.plant.robot.position[2]) for _ in loop.run(seconds)]
+    rows = [
+        (time(loop) - begin, 1e3 * loop.plant.robot.position[2])
+        for _ in loop.run(seconds)
+    ]
     return np.array(rows).T
 
 

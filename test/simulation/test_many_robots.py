@@ -17,7 +17,9 @@ FRICTION = (0.2, 0.4, 0.7)
 
 def robot(level="map", **changes):
     solver = {f"solver.{name}": v for name, v in config.load(f"solver/{level}").items()}
-    return make_robot(ROBOT, config.replace(read_scene("flat"), solver | changes), SERVO)
+    return make_robot(
+        ROBOT, config.replace(read_scene("flat"), solver | changes), SERVO
+    )
 
 
 def robots(level):

@@ -71,7 +71,10 @@ class VerticalDrop:
         bent = bend + rod.damping_time * turn_rate
         axial = rod.axial * stretched + pull * tendon.along
         moment = rod.bending * bent + pull * tendon.around + bulge * axial
-        end = axial[:, None] * along + (moment - np.append(moment[1:], 0.0))[:, None] * across
+        end = (
+            axial[:, None] * along
+            + (moment - np.append(moment[1:], 0.0))[:, None] * across
+        )
         return np.vstack([end, [0, 0]]) - np.vstack([[0, 0], end])
 
     def contact(self, node, velocity):
@@ -80,11 +83,17 @@ class VerticalDrop:
         normal = np.maximum(0.0, -stiffness * gap - damping * velocity[:, 1])
         normal[gap >= 0.0] = 0.0
         slip = velocity[:, 0]
-        drag = self.model.friction[0, 0] * normal / np.hypot(slip, floor.friction_velocity)
+        drag = (
+            self.model.friction[0, 0] * normal / np.hypot(slip, floor.friction_velocity)
+        )
         return np.column_stack([-drag * slip, normal])
 
 
-DROP = {"height": 0.05, "speed": -0.4, "angle": 1.2}  # m, m/s, rad: suddenly taut, 70 N a tendon
+DROP = {
+    "height": 0.05,
+    "speed": -0.4,
+    "angle": 1.2,
+}  # m, m/s, rad: suddenly taut, 70 N a tendon
 
 
 def dropped(step, seconds, theta):
@@ -107,12 +116,16 @@ def drop_error(sims, seconds):
     """Largest distance of a node from the solution of Radau's method, m, for each simulator."""
     exact = VerticalDrop(sims[0], DROP["angle"])
     y0 = exact.start(DROP["height"], DROP["speed"])
-    y = solve_ivp(exact.rate, (0, seconds), y0, method="Radau", rtol=1e-9, atol=1e-11).y[:, -1]
+    y = solve_ivp(
+        exact.rate, (0, seconds), y0, method="Radau", rtol=1e-9, atol=1e-11
+    ).y[:, -1]
     node, velocity = y.reshape(2, -1, 2)
     errors = []
     for sim in sims:
         shape = sim.nodes[0] - sim.nodes[0, 0]
-        found = np.column_stack([np.hypot(shape[:, 0], shape[:, 1]), sim.nodes[0, :, 2]])
+        found = np.column_stack(
+            [np.hypot(shape[:, 0], shape[:, 1]), sim.nodes[0, :, 2]]
+        )
         errors.append(np.abs(found - node).max())
     return errors, node, exact.contact(node, velocity)[:, 1].sum()
 
@@ -131,7 +144,9 @@ def test_landing_agrees_with_an_independent_solver():
     seconds = 0.08
     errors, node, force = drop_error([dropped(2.5e-5, seconds, 0.55)], seconds)
     assert force > 1.0  # N: it has landed
-    assert node[0, 1] > ROBOT.torso.size[2] / 2  # contact of the torso is not in the reference
+    assert (
+        node[0, 1] > ROBOT.torso.size[2] / 2
+    )  # contact of the torso is not in the reference
     assert errors[0] < 2e-5  # m, of first order in the step; the motion is 20 mm
 
 
@@ -156,7 +171,9 @@ def test_error_of_a_step_command_falls_with_the_time_step():
     fine = step_response(2e-5)
     errors = [np.linalg.norm(step_response(step) - fine) for step in (1e-3, 2.5e-4)]
     assert errors[0] < 5e-4  # m
-    assert np.log2(errors[0] / errors[1]) / 2 > 0.8  # theta = .55 and the servo's lag: first order
+    assert (
+        np.log2(errors[0] / errors[1]) / 2 > 0.8
+    )  # theta = .55 and the servo's lag: first order
 
 
 @pytest.mark.parametrize("speed", [1.0, 3.0])
@@ -193,7 +210,11 @@ def test_angles_and_quaternion_equal_those_of_scipy():
 
 
 def test_step_without_halvings_left_is_counted_as_unconverged():
-    changes = {"start__height": 0.03, "start__settle": 0.0, "solver__correction_limit": 1e-15}
+    changes = {
+        "start__height": 0.03,
+        "start__settle": 0.0,
+        "solver__correction_limit": 1e-15,
+    }
     for halvings in (0, 2):
         sim = simulator(**changes, solver__halvings=halvings)
         sim.set_motion(np.array([0.0, 0.0, -1.0]), np.zeros(3))
@@ -205,7 +226,9 @@ def test_step_without_halvings_left_is_counted_as_unconverged():
 def test_walking_steps_are_neither_halved_nor_indefinite():
     sim = simulator()
     for k in range(20):
-        sim.advance(50, np.radians([[90.0, 30.0, 50.0, 75.0], [30.0, 90.0, 75.0, 50.0]][k % 2]))
+        sim.advance(
+            50, np.radians([[90.0, 30.0, 50.0, 75.0], [30.0, 90.0, 75.0, 50.0]][k % 2])
+        )
     assert (sim.halvings, sim.indefinite_steps, sim.unconverged_steps) == (0, 0, 0)
 
 
@@ -219,11 +242,15 @@ def test_directors_are_across_their_segments_and_turn_with_the_clamp():
     sim.set_motion(np.zeros(3), np.array([3.0, 4.0, 5.0]))
     sim.advance(100, PULLED)
     assert np.degrees(np.arccos(sim.rotation[2, 2])) > 20.0
-    sim.state.node_velocity[:, :, 1] += 3.0 * np.linspace(0.0, 1.0, 22) ** 2  # m/s, to the left
+    sim.state.node_velocity[:, :, 1] += (
+        3.0 * np.linspace(0.0, 1.0, 22) ** 2
+    )  # m/s, to the left
     sim.advance(10, PULLED)
     directors, along = sim.directors, np.diff(sim.nodes, axis=1)
     np.testing.assert_allclose(np.linalg.norm(directors, axis=2), 1.0, atol=1e-12)
-    np.testing.assert_allclose(np.einsum("lki,lki->lk", along, directors), 0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        np.einsum("lki,lki->lk", along, directors), 0.0, atol=1e-12
+    )
     right = np.cross(ROBOT.outward, [0.0, 0.0, 1.0]) @ sim.rotation.T
     turned = np.degrees(np.arccos(np.einsum("lki,li->lk", directors, right)))
     assert turned[:, 0].max() < 1.0  # a segment of 9 mm, the thickest
@@ -243,8 +270,12 @@ def test_a_change_to_equal_parameters_in_a_run_changes_nothing_to_the_last_bit()
 
 
 def test_a_change_in_a_run_ends_where_a_robot_with_those_parameters_does():
-    scene = config.replace(read_scene("flat"), {"payload.mass": 0.5, "start.settle": 3.0})
+    scene = config.replace(
+        read_scene("flat"), {"payload.mass": 0.5, "start.settle": 3.0}
+    )
     wanted, sim = RodRobot(ROBOT, scene, read_servo()), simulator()
     sim.change(ROBOT, scene, read_servo())
     sim.advance(3000, np.full(4, np.radians(scene.start.tendon_angle_deg)))
-    assert sim.position[2] == pytest.approx(wanted.position[2], abs=2e-4)  # feet slide otherwise
+    assert sim.position[2] == pytest.approx(
+        wanted.position[2], abs=2e-4
+    )  # feet slide otherwise

@@ -49,13 +49,20 @@ def test_odometry_has_the_stated_noise_and_no_bias(flying):
     sensor = OdometrySensor(SCENE.sensors.odometry, *np.random.default_rng(7).spawn(2))
     readings = [sensor.sample(true_odometry(flying, 5)) for _ in range(COUNT)]
     settings, rotation = SCENE.sensors.odometry, Rotation.from_matrix(flying.rotation)
-    check_noise([r.position for r in readings], flying.position, settings.position_noise)
-    errors = [(Rotation.from_quat(r.quaternion) * rotation.inv()).as_rotvec() for r in readings]
+    check_noise(
+        [r.position for r in readings], flying.position, settings.position_noise
+    )
+    errors = [
+        (Rotation.from_quat(r.quaternion) * rotation.inv()).as_rotvec()
+        for r in readings
+    ]
     check_noise(errors, 0.0, settings.orientation_noise)
     body = rotation.inv().apply(flying.velocity)
     check_noise([r.velocity for r in readings], body, settings.velocity_noise)
     check_noise(
-        [r.angular_velocity for r in readings], flying.angular_velocity, settings.rate_noise
+        [r.angular_velocity for r in readings],
+        flying.angular_velocity,
+        settings.rate_noise,
     )
     assert readings[0].stamp == 5
 
@@ -72,7 +79,9 @@ def test_drift_is_a_random_walk_beside_an_unchanged_noise(truth):
         settings = config.replace(SCENE.sensors.odometry, {"yaw_drift": 0.01})
         trouble = np.random.default_rng(seed)
         sensor = OdometrySensor(settings, np.random.default_rng(7).spawn(2)[0], trouble)
-        np.testing.assert_array_equal(sensor.sample(truth, 0.0).position, plain.position)
+        np.testing.assert_array_equal(
+            sensor.sample(truth, 0.0).position, plain.position
+        )
         for since in (30.0, 100.0):
             reading = sensor.sample(truth, since)
         yaws.append(Rotation.from_quat(reading.quaternion).as_euler("ZYX")[0])
@@ -87,7 +96,9 @@ def test_drift_is_a_random_walk_beside_an_unchanged_noise(truth):
     ],
 )
 def test_a_jump_displaces_the_odometry_from_its_time_on(truth, begin, expected):
-    jumps = {"jumps": {"once": {"time": begin, "position": [0.1, 0.0, 0.0], "yaw": 0.0}}}
+    jumps = {
+        "jumps": {"once": {"time": begin, "position": [0.1, 0.0, 0.0], "yaw": 0.0}}
+    }
     with_jump, without = troubled(jumps), troubled({})
     for since, jump in expected:
         a, b = (sensor.sample(truth, since) for sensor in (with_jump, without))
@@ -97,10 +108,14 @@ def test_a_jump_displaces_the_odometry_from_its_time_on(truth, begin, expected):
 
 def test_odometry_is_lost_in_a_dropout_and_by_its_share(truth):
     dropout = troubled({"dropouts": {"gap": {"time": 1.0, "duration": 0.5}}})
-    lost = [not dropout.sample(truth, s).quaternion.any() for s in (0.0, 0.9, 1.0, 1.4, 1.5)]
+    lost = [
+        not dropout.sample(truth, s).quaternion.any() for s in (0.0, 0.9, 1.0, 1.4, 1.5)
+    ]
     assert lost == [False, False, True, True, False]
     often = troubled({"loss": 0.25})
-    share = np.mean([not often.sample(truth, 1.0).quaternion.any() for _ in range(COUNT)])
+    share = np.mean(
+        [not often.sample(truth, 1.0).quaternion.any() for _ in range(COUNT)]
+    )
     assert share == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / COUNT))
 
 
@@ -115,7 +130,9 @@ def test_twist_is_in_base_link(flying):
     """Against the velocity of 0.4, -0.3, 0.2 m/s in odom, rotated by SciPy."""
     reading = true_odometry(flying, 0)
     turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.2])
-    np.testing.assert_allclose(reading.velocity, turn.inv().apply([0.4, -0.3, 0.2]), atol=1e-12)
+    np.testing.assert_allclose(
+        reading.velocity, turn.inv().apply([0.4, -0.3, 0.2]), atol=1e-12
+    )
     np.testing.assert_allclose(reading.angular_velocity, [0.5, 1.0, -0.7], atol=1e-12)
     assert abs(reading.quaternion @ turn.as_quat()) == pytest.approx(1.0, abs=1e-12)
 

@@ -71,7 +71,9 @@ class DirectRig:
 
     def run(self, seconds, action, command=None):
         """The health after `seconds`."""
-        return [self.tick(action, command) for _ in range(round(seconds * SECOND / TICK))][-1]
+        return [
+            self.tick(action, command) for _ in range(round(seconds * SECOND / TICK))
+        ][-1]
 
 
 @pytest.fixture
@@ -195,7 +197,9 @@ def test_bus_servos_at_the_end_name_the_legs_left_under_torque(bus, tmp_path):
 
 
 @pytest.mark.parametrize("running", [True, False])
-def test_the_robot_advances_in_real_time_while_bus_servos_close_if_it_is_running(bus, running):
+def test_the_robot_advances_in_real_time_while_bus_servos_close_if_it_is_running(
+    bus, running
+):
     servos, plant = bus
     plant.start(0)
     servos.close(running=running)

@@ -55,7 +55,9 @@ def test_without_friction_each_leg_carries_a_quarter_of_the_weight_at_the_height
     theta_deg,
 ):
     angle, force = math.radians(theta_deg), read("force_N")
-    height = brentq(lambda h: force(angle, h) - ROBOT.weight / 4, 0.015, 0.12, xtol=1e-12)
+    height = brentq(
+        lambda h: force(angle, h) - ROBOT.weight / 4, 0.015, 0.12, xtol=1e-12
+    )
     changes = {"start.settle": 30.0, "start.tendon_angle_deg": theta_deg} | SMOOTH
     sim = simulator(**changes)
     # The bounce decays within a second.
@@ -63,10 +65,14 @@ def test_without_friction_each_leg_carries_a_quarter_of_the_weight_at_the_height
     assert sim.position[2] == pytest.approx(height, abs=1e-7)
     tension = read("tension_N")(angle, height)
     assert sim.tension == pytest.approx(np.full(4, tension), rel=1e-5)
-    assert sim.ground_force[:, 2] == pytest.approx(np.full(4, ROBOT.weight / 4), rel=1e-5)
+    assert sim.ground_force[:, 2] == pytest.approx(
+        np.full(4, ROBOT.weight / 4), rel=1e-5
+    )
     foot = sim.nodes[:, 1] - sim.nodes[:, 0]
     outward = np.einsum("lj,lj->l", foot, ROBOT.outward)
-    assert outward == pytest.approx(np.full(4, read("contact_x_m")(angle, height)), abs=1e-6)
+    assert outward == pytest.approx(
+        np.full(4, read("contact_x_m")(angle, height)), abs=1e-6
+    )
     assert sim.nodes[:, 1, 2] == pytest.approx(np.zeros(4), abs=1e-9)
 
 
@@ -78,7 +84,9 @@ def test_free_fall_with_the_whole_mass_and_hanging_feet():
     assert np.abs(sim.specific_force).max() < 1e-9
     assert not sim.ground_force.any()
     drop = sim.nodes[:, 0, 2] - sim.nodes[:, 1, 2]
-    assert drop == pytest.approx(np.full(4, 0.03))  # lowest height without force in the table
+    assert drop == pytest.approx(
+        np.full(4, 0.03)
+    )  # lowest height without force in the table
 
 
 def test_push_accelerates_mass_and_inertia_of_torso_and_legs():
@@ -90,7 +98,9 @@ def test_push_accelerates_mass_and_inertia_of_torso_and_legs():
     sim.advance(20, np.zeros(4))
     assert sim.velocity == pytest.approx(0.02 * force / ROBOT.mass, rel=1e-12)
     turning = 0.02 * moment[2] / ROBOT.inertia[2, 2]
-    assert sim.angular_velocity == pytest.approx([0.0, 0.0, turning], rel=1e-9, abs=1e-12)
+    assert sim.angular_velocity == pytest.approx(
+        [0.0, 0.0, turning], rel=1e-9, abs=1e-12
+    )
 
 
 def forces_by_hand(angle, height, rotation):
@@ -115,7 +125,9 @@ def forces_by_hand(angle, height, rotation):
 def test_forces_on_a_tilted_torso_are_those_of_the_table_at_its_four_feet(rpy_deg):
     rotation = Rotation.from_euler("xyz", rpy_deg, degrees=True)
     step, height = 1e-6, 0.06
-    sim = at_rest(simulator(**{"solver.step": step} | SMOOTH), math.radians(75), height, rotation)
+    sim = at_rest(
+        simulator(**{"solver.step": step} | SMOOTH), math.radians(75), height, rotation
+    )
     sim.state.node[:, 0, 0] = 0.16
     sim.advance(1, sim.tendon_angle)
     force, moment = forces_by_hand(math.radians(75), height, rotation)
@@ -128,8 +140,14 @@ def test_forces_on_a_tilted_torso_are_those_of_the_table_at_its_four_feet(rpy_de
 @pytest.mark.parametrize("robot", [ELASTIC, ROBOT])
 def test_energy_does_not_grow_in_a_bounce(robot):
     """On held spools, without friction; potential energy: integral of the table's force."""
-    force, angle, knots = read("force_N"), math.radians(70.0), np.linspace(0.015, 0.12, 22)
-    line = make_interp_spline(knots, [force(angle, h) for h in knots], k=1).antiderivative()
+    force, angle, knots = (
+        read("force_N"),
+        math.radians(70.0),
+        np.linspace(0.015, 0.12, 22),
+    )
+    line = make_interp_spline(
+        knots, [force(angle, h) for h in knots], k=1
+    ).antiderivative()
     sim = at_rest(simulator(robot, **{"solver.step": 5e-4} | SMOOTH), angle, 0.085)
     energies = []
     for _ in range(800):
@@ -161,7 +179,9 @@ def energy(sim, line, sideways):
 def test_energy_of_a_robot_that_slides_and_turns_does_not_grow(robot, law):
     """Its feet stick, bend their legs sideways, and slip; equal stiffness sideways everywhere."""
     force, knots, sideways = read("force_N"), np.linspace(0.015, 0.12, 22), 100.0
-    line = make_interp_spline(knots, [force(STANCE, h) for h in knots], k=1).antiderivative()
+    line = make_interp_spline(
+        knots, [force(STANCE, h) for h in knots], k=1
+    ).antiderivative()
     sim = simulator(robot, **{"floor.friction_law": law, "start.settle": 5.0})
     sim.legs.table[:, :, 5] = sideways
     sim.set_motion(np.array([0.5, -0.3, 0.0]), np.array([0.0, 0.0, 3.0]))
@@ -192,7 +212,10 @@ def test_soft_and_stiff_legs_are_stable_at_steps_of_5_ms(sideways, law):
 
 def test_moment_about_the_vertical_turns_a_stuck_robot_by_the_springs_of_its_legs():
     """Each foot resists sideways with its leg and bristle in series, outward with its bristle."""
-    sim, moment = simulator(**{"floor.friction_law": "bristle", "start.settle": 10.0} | SMOOTH), 0.1
+    sim, moment = (
+        simulator(**{"floor.friction_law": "bristle", "start.settle": 10.0} | SMOOTH),
+        0.1,
+    )
     sim.model.friction[:] = 2.0
     before, height = sim.rpy[2], sim.position[2]
     sim.push(np.zeros(3), np.array([0.0, 0.0, moment]))
@@ -224,14 +247,18 @@ def test_robot_sticks_on_a_slope_with_bristles_and_creeps_with_viscous_friction(
     drift = {}
     for law in ("viscous", "bristle"):
         # A foot creeps against the spring of its leg with mu N / (eps k_y), 12 s.
-        sim = simulator(gravity=tilted, **{"floor.friction_law": law, "start.settle": 60.0})
+        sim = simulator(
+            gravity=tilted, **{"floor.friction_law": law, "start.settle": 60.0}
+        )
         before = sim.position
         sim.advance(2000, sim.tendon_angle)
         drift[law] = (sim.position - before)[0]
     assert abs(drift["bristle"]) < 1e-6
     # Four feet of friction mu N v / sqrt(v^2 + eps^2) = N tan(0.1): v = eps s / sqrt(1 - s^2).
     share = math.tan(0.1) / 0.4
-    assert drift["viscous"] == pytest.approx(2e-3 * share / math.sqrt(1 - share**2), rel=0.1)
+    assert drift["viscous"] == pytest.approx(
+        2e-3 * share / math.sqrt(1 - share**2), rel=0.1
+    )
 
 
 def test_slack_tendon_equals_a_spool_turned_back_and_broken_one_has_no_tension():

@@ -38,7 +38,9 @@ def test_every_kernel_of_a_walk_is_compiled_before_the_first_reading(what, scene
 
 def test_an_installed_copy_uses_the_kernels_that_the_setup_has_compiled(tmp_path):
     package = Path(slot_core.__file__).parent
-    shutil.copytree(package, tmp_path / "slot_core", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        package, tmp_path / "slot_core", ignore=shutil.ignore_patterns("__pycache__")
+    )
     script = """if True:
         from slot_core.dynamics import observe
         print(observe.__file__, observe.points._cache.path((), observe.points.targetctx))

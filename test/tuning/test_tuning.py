@@ -10,7 +10,14 @@ from real_graph import set_values
 from slot_core import config
 from slot_core.gait.gait import HarmonicBasis, read_gaits
 from slot_lab.tuning import gait_file, identification, symmetry, tune_command
-from slot_lab.tuning.pattern_search import FAILED, Goal, PatternSearch, cost, start_of, trial
+from slot_lab.tuning.pattern_search import (
+    FAILED,
+    Goal,
+    PatternSearch,
+    cost,
+    start_of,
+    trial,
+)
 from slot_lab.tuning.settings import read_tuning
 from slot_lab.tuning.stride_run import TIME, Job, StrideMotion, simulate
 
@@ -34,12 +41,18 @@ def series(pattern, phase):
     [
         (symmetry.forward, [1, 0, 3, 2], 1),  # its mirror image
         (symmetry.turn, [3, 2, 1, 0], 1),  # after half a turn
-        (symmetry.steering, [1, 0, 3, 2], -1),  # whose mirror image steers to the other side
+        (
+            symmetry.steering,
+            [1, 0, 3, 2],
+            -1,
+        ),  # whose mirror image steers to the other side
     ],
 )
 def test_a_pattern_has_its_symmetry_half_a_stride_later(pattern, legs, sign):
     made = pattern(RNG.normal(size=10))
-    assert series(made, PHASES) == pytest.approx(sign * series(made, PHASES + 0.5)[:, legs])
+    assert series(made, PHASES) == pytest.approx(
+        sign * series(made, PHASES + 0.5)[:, legs]
+    )
 
 
 @pytest.mark.parametrize("kind", ["forward", "turn"])
@@ -51,7 +64,9 @@ def test_the_numbers_of_a_pattern_give_it_back(kind):
 def test_the_shipped_walk_has_the_symmetries():
     """Its coefficients have four digits; every pattern holds the height by an offset of its own."""
     forward = np.array(WALK.forward.angle_deg)
-    assert symmetry.forward(symmetry.numbers("forward", forward)) == pytest.approx(forward)
+    assert symmetry.forward(symmetry.numbers("forward", forward)) == pytest.approx(
+        forward
+    )
     lateral = np.array(WALK.lateral.angle_deg)
     lateral[:, 0] += (forward - lateral)[:, 0].mean()
     assert lateral == pytest.approx(symmetry.lateral(forward), abs=0.01)
@@ -76,7 +91,13 @@ def test_a_faster_pattern_is_better_and_one_that_tilts_or_diverges_is_worse():
     goal = Goal("forward", top_max=0.07)
     costs = [
         cost([each, motion(v_x=0.025)], WALK, goal, SETTINGS)[0]
-        for each in (motion(v_x=0.06), motion(), motion(tilt=0.2), motion(top=0.08), None)
+        for each in (
+            motion(v_x=0.06),
+            motion(),
+            motion(tilt=0.2),
+            motion(top=0.08),
+            None,
+        )
     ]
     assert costs[0] < costs[1] < min(costs[2:])
     assert costs[4] == FAILED
@@ -98,10 +119,16 @@ def test_a_search_starts_from_every_shipped_stride(name, kind):
     assert PatternSearch(STRIDES[name], Goal(kind), start, SHIPPED, 1).done == 0
 
 
-def test_a_start_beyond_the_largest_coefficient_is_refused_before_any_search(own_config, refusal):
-    set_values(own_config, {"tune": {"coefficient_max_deg": 68.0}})  # the walk's forward: 65
+def test_a_start_beyond_the_largest_coefficient_is_refused_before_any_search(
+    own_config, refusal
+):
+    set_values(
+        own_config, {"tune": {"coefficient_max_deg": 68.0}}
+    )  # the walk's forward: 65
     line = refusal(tune_command.main, "mine", "--like", "walk", "--quick")
-    assert "turn.angle_deg[1][4] = 69.84: outside [-68, 68], coefficient_max_deg" in line
+    assert (
+        "turn.angle_deg[1][4] = 69.84: outside [-68, 68], coefficient_max_deg" in line
+    )
 
 
 def test_a_random_start_is_within_the_largest_coefficient():
@@ -164,15 +191,21 @@ def test_two_generations_on_the_simulated_robot_are_no_worse_than_the_start(tmp_
     )
     job = Job(trial(WALK, "forward", start), 0.4, (WALK.forward.speed, 0.0, 0.0))
     slow = Job(job.stride, 0.4, (WALK.forward.speed / 2, 0.0, 0.0))
-    assert found.cost <= cost(simulated([job, slow]), WALK, Goal("forward"), settings)[0]
+    assert (
+        found.cost <= cost(simulated([job, slow]), WALK, Goal("forward"), settings)[0]
+    )
     assert found.speed[0] > 0.05
 
 
 def test_the_means_are_those_of_whole_strides():
     """From the end of the stride before: a turn's speed varies by half within a stride."""
     for settling in (0, 1):
-        settings = config.replace(SETTINGS, {"strides": 1, "settling_strides": settling})
-        track = simulate(Job(WALK, 0.4, (0.0, 0.0, 0.1), hold_height=False), settings).track
+        settings = config.replace(
+            SETTINGS, {"strides": 1, "settling_strides": settling}
+        )
+        track = simulate(
+            Job(WALK, 0.4, (0.0, 0.0, 0.1), hold_height=False), settings
+        ).track
         assert track[-1, TIME] - track[0, TIME] == pytest.approx(WALK.period)
 
 
@@ -190,7 +223,16 @@ def test_the_strides_that_count_are_settled(name):
 def test_the_documented_search_writes_a_gait(own_config, tmp_path, monkeypatch):
     """As in the documentation, with 8 of its 32 candidates."""
     monkeypatch.chdir(tmp_path)
-    arguments = ["mine", "--like", "walk", "--quick", "--evaluations", "8", "--workers", "1"]
+    arguments = [
+        "mine",
+        "--like",
+        "walk",
+        "--quick",
+        "--evaluations",
+        "8",
+        "--workers",
+        "1",
+    ]
     assert tune_command.main(arguments) == 0
     mine = read_gaits().strides["mine"]
     assert mine.forward.speed > 0.05

@@ -19,14 +19,28 @@ from slot_lab.twin import parameter_set, twin, twin_command
 from slot_lab.twin.prediction import PredictedTrack, measured_track, predict, read_parts
 from slot_lab.twin.recorded import COLUMNS, BagRecording, read_recorded
 from slot_lab.twin.settings import read_twin
-from slot_lab.twin.strides import angle_period, error_growth, find_strides, stride_errors
-from slot_lab.twin.twin_fit import changed, changes, fit_twin, parameter, places, serially
+from slot_lab.twin.strides import (
+    angle_period,
+    error_growth,
+    find_strides,
+    stride_errors,
+)
+from slot_lab.twin.twin_fit import (
+    changed,
+    changes,
+    fit_twin,
+    parameter,
+    places,
+    serially,
+)
 from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED
 
 SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
 PARTS = read_parts("flat")
 MODULUS = 0.85 * 2.6e7  # Pa
-OTHER = changed(PARTS, ["scene.floor.friction", "robot.leg.young_modulus"], [0.3, MODULUS])
+OTHER = changed(
+    PARTS, ["scene.floor.friction", "robot.leg.young_modulus"], [0.3, MODULUS]
+)
 WALK = Path(__file__).parents[1] / "bags" / "walk"
 SECONDS, SPEED = 10.0, 0.021  # s, m/s
 
@@ -53,7 +67,9 @@ def motion_of(track, noise=0.0):
 
 
 def still(t):
-    place, rpy = (np.tile(row, (len(t), 1)) for row in ([0.3, -0.2, 0.04], [0.0, 0.0, 0.5]))
+    place, rpy = (
+        np.tile(row, (len(t), 1)) for row in ([0.3, -0.2, 0.04], [0.0, 0.0, 0.5])
+    )
     return PredictedTrack(t, place, rpy)
 
 
@@ -61,7 +77,9 @@ def still(t):
 def recorded():
     """A recorded walk of OTHER that starts somewhere."""
     angles = walking_angles()
-    blank = BagRecording("walked", angles, motion_of(still(np.arange(0.0, SECONDS, 0.033))), None)
+    blank = BagRecording(
+        "walked", angles, motion_of(still(np.arange(0.0, SECONDS, 0.033))), None
+    )
     moved = predict(blank, OTHER, SETTINGS).at(blank.motion.t[:-1])
     return dataclasses.replace(blank, motion=motion_of(moved, noise=1e-3))
 
@@ -96,16 +114,23 @@ def test_a_recorded_walk_is_predicted_from_its_own_angles(angles, source):
     # The recording may end before a command.
     inside = measured.t <= (recorded.angles.t[-1] if angles else np.inf)
     assert inside.sum() > 40
-    assert off[inside].max() < 2.5e-3  # 2.2 mm at the first jump of the angles, recorded at 100 Hz
+    assert (
+        off[inside].max() < 2.5e-3
+    )  # 2.2 mm at the first jump of the angles, recorded at 100 Hz
     assert np.ptp(measured.position[:, 0]) > 0.008
 
 
 def write_walk(path, recorded):
     """The recorded walk as a CSV file: angles and poses in rows of their own."""
-    angles = [(t, *row, *[""] * 6) for t, row in zip(recorded.angles.t, recorded.angles.angle)]
+    angles = [
+        (t, *row, *[""] * 6) for t, row in zip(recorded.angles.t, recorded.angles.angle)
+    ]
     pose = measured_track(recorded.motion)
     poses = [(t, *[""] * 4, *row) for t, row in zip(pose.t, pose.columns)]
-    rows = [",".join(map(str, row)) for row in sorted(angles + poses, key=lambda row: row[0])]
+    rows = [
+        ",".join(map(str, row))
+        for row in sorted(angles + poses, key=lambda row: row[0])
+    ]
     path.write_text("\n".join(["# a walk", ",".join(COLUMNS), *rows]) + "\n")
     return path
 
@@ -125,7 +150,9 @@ def test_a_csv_file_is_the_walk_that_it_holds(recorded, tmp_path):
 
 def test_a_csv_file_is_predicted_and_compared(recorded, tmp_path, capsys):
     walk = write_walk(tmp_path / "walk.csv", recorded)
-    assert twin_command.main([str(walk), "--out", str(tmp_path / "out")]) == NOT_EXPLAINED
+    assert (
+        twin_command.main([str(walk), "--out", str(tmp_path / "out")]) == NOT_EXPLAINED
+    )
     text = capsys.readouterr().out
     assert text.splitlines()[-1].startswith("verdict: not explained: chi-square")
     assert "tendon angles       FL, FR, RL, RR (measured)" in text
@@ -139,12 +166,26 @@ def test_a_csv_file_is_predicted_and_compared(recorded, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("lines", "reason"),
     [
-        (["time,x,y,z"], "line 1: columns time,x,y,z: expected time,FL,FR,RL,RR,x,y,z,roll"),
-        ([",".join(COLUMNS)], "0 rows with FL, FR, RL, RR, less than 2"),
-        ([",".join(COLUMNS), "0,1,1,1,,,,,,,"], "line 2, RR: '' is not a finite number"),
-        ([",".join(COLUMNS), *["0,1,1,1,1,,,,,,"] * 2], "line 3, time: does not increase"),
         (
-            [",".join(COLUMNS), "0,1,1,1,1,,,,,,", "1,1,1,1,1,0,0,0,0,0,0", "2,,,,,0,0,0,0,0,0"],
+            ["time,x,y,z"],
+            "line 1: columns time,x,y,z: expected time,FL,FR,RL,RR,x,y,z,roll",
+        ),
+        ([",".join(COLUMNS)], "0 rows with FL, FR, RL, RR, less than 2"),
+        (
+            [",".join(COLUMNS), "0,1,1,1,,,,,,,"],
+            "line 2, RR: '' is not a finite number",
+        ),
+        (
+            [",".join(COLUMNS), *["0,1,1,1,1,,,,,,"] * 2],
+            "line 3, time: does not increase",
+        ),
+        (
+            [
+                ",".join(COLUMNS),
+                "0,1,1,1,1,,,,,,",
+                "1,1,1,1,1,0,0,0,0,0,0",
+                "2,,,,,0,0,0,0,0,0",
+            ],
             "FL, FR, RL, RR and x .. yaw do not overlap",
         ),
     ],
@@ -156,7 +197,9 @@ def test_a_csv_file_that_holds_no_walk_is_refused(tmp_path, lines, reason):
     assert reason in str(refusal.value)
 
 
-def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(recorded, monkeypatch):
+def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(
+    recorded, monkeypatch
+):
     first = predict(recorded, PARTS, SETTINGS)
     from slot_lab.twin import prediction  # noqa: PLC0415 - its function is replaced
 
@@ -177,7 +220,9 @@ def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(recorded, m
 def test_strides_begin_with_the_motion_and_have_the_period_of_the_angles(strides):
     period = read_gaits().find("fast_walk").period
     assert strides.period == pytest.approx(period, abs=0.01)
-    assert strides.edges[0] == pytest.approx(1.0 + SETTINGS.run_in * strides.period, abs=0.1)
+    assert strides.edges[0] == pytest.approx(
+        1.0 + SETTINGS.run_in * strides.period, abs=0.1
+    )
 
 
 def test_standing_before_and_after_the_walk_is_no_stride(recorded):
@@ -192,7 +237,10 @@ def test_standing_before_and_after_the_walk_is_no_stride(recorded):
         recorded, angles=TendonAngles(MEASURED, t, whole), motion=motion, period=0.7
     )
     strides = find_strides(long, SETTINGS)
-    begin, end = 17.0 + 1.0, 17.0 + SECONDS  # of the walk, which begins with a second at rest
+    begin, end = (
+        17.0 + 1.0,
+        17.0 + SECONDS,
+    )  # of the walk, which begins with a second at rest
     assert begin + SETTINGS.run_in * 0.7 - 0.7 <= strides.edges[0] <= begin + 3 * 0.7
     assert end - 0.7 <= strides.edges[-1] <= end + 0.7
 
@@ -207,7 +255,8 @@ def test_angles_without_a_period_are_refused(recorded):
 def test_errors_of_strides_are_those_of_the_closed_form(strides):
     t = np.arange(0.0, SECONDS, 0.033)
     slow, fast = (
-        PredictedTrack(t, np.outer(t, [v, 0.0, 0.0]), np.zeros((len(t), 3))) for v in (0.05, 0.06)
+        PredictedTrack(t, np.outer(t, [v, 0.0, 0.0]), np.zeros((len(t), 3)))
+        for v in (0.05, 0.06)
     )
     found = stride_errors(fast, slow, strides).summary()
     assert found["displacement"] == pytest.approx(0.01 * strides.period)
@@ -217,7 +266,9 @@ def test_errors_of_strides_are_those_of_the_closed_form(strides):
     assert growth[:, 1] == pytest.approx(0.01 * strides.period * growth[:, 0])
 
 
-def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(recorded, strides):
+def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(
+    recorded, strides
+):
     names = places(["friction", "young_modulus"])
     found = fit_twin(recorded, PARTS, names, strides, SETTINGS)
     friction, modulus = found.estimate.values
@@ -238,7 +289,9 @@ def test_the_verdict_knows_the_robot_that_walked_from_another(recorded, strides)
     assert same.code == EXPLAINED
     assert same.chi_square == pytest.approx(same.freedom, rel=0.1)
     assert other.code == NOT_EXPLAINED
-    at_bound = twin.judge(tracks[0], measured, strides, SETTINGS, ["scene.floor.friction"])
+    at_bound = twin.judge(
+        tracks[0], measured, strides, SETTINGS, ["scene.floor.friction"]
+    )
     assert at_bound.code == NOT_EXPLAINED
 
 
@@ -252,8 +305,14 @@ def test_a_parameter_without_influence_is_named_as_undetermined(recorded, stride
 def test_a_change_for_one_leg_leaves_the_others():
     given = changes(PARTS, places(["tendon_offset"])[1:2], [0.0005])
     assert given["scene"] == {"tendons.slack": [0.0, 0.0005, 0.0, 0.0]}
-    assert changes(PARTS, ["servo.stall_torque[1]"], [1.3])["servo"]["stall_torque"][1] == 1.3
-    assert changes(PARTS, ["servo.lag"], [0.05])["servo"] == {"lag": 0.05, "model": "torque_speed"}
+    assert (
+        changes(PARTS, ["servo.stall_torque[1]"], [1.3])["servo"]["stall_torque"][1]
+        == 1.3
+    )
+    assert changes(PARTS, ["servo.lag"], [0.05])["servo"] == {
+        "lag": 0.05,
+        "model": "torque_speed",
+    }
 
 
 @pytest.mark.parametrize(
@@ -275,9 +334,14 @@ def test_a_parameter_that_is_none_is_refused(name, message):
 def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(own_config):
     values = read_parameters("calibrated") | {"leg.young_modulus": 2.0e7}
     content = {
-        "values": values, "robot": {"torso.mass": 2.2}, "servo": {"motor_time": 0.02},
-        "scene": {"floor.friction": [0.3] * 4, "tendons.slack": [0.0, -0.0005, 0.0, 0.0]},
-    }  # fmt: skip
+        "values": values,
+        "robot": {"torso.mass": 2.2},
+        "servo": {"motor_time": 0.02},
+        "scene": {
+            "floor.friction": [0.3] * 4,
+            "tendons.slack": [0.0, -0.0005, 0.0, 0.0],
+        },
+    }
     parameter_set.write("mine", content)
     (own_config / "scene" / "mine.yaml").write_text(
         "like: flat\nparameters: mine\nfloor.friction: [0.2, 0.2, 0.2, 0.2]\n"
@@ -296,7 +360,9 @@ def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(own_config):
 def test_a_fit_that_ends_deletes_its_own_trials_only(tmp_path):
     (tmp_path / "trials").mkdir()
     (tmp_path / "trials" / "notes.txt").touch()
-    one, other = (twin._Trials(tmp_path / "trials", serially, fit) for fit in ("one", "other"))
+    one, other = (
+        twin._Trials(tmp_path / "trials", serially, fit) for fit in ("one", "other")
+    )
     for trials in (one, other):
         trials(np.square, [np.array([1.0, 2.0])])
     one.forget()
@@ -305,7 +371,9 @@ def test_a_fit_that_ends_deletes_its_own_trials_only(tmp_path):
     assert "notes.txt" in kept
 
 
-def test_an_interrupted_fit_takes_up_only_trials_of_the_same_strides(recorded, tmp_path):
+def test_an_interrupted_fit_takes_up_only_trials_of_the_same_strides(
+    recorded, tmp_path
+):
     runs = []
 
     def run(point):
@@ -314,7 +382,9 @@ def test_an_interrupted_fit_takes_up_only_trials_of_the_same_strides(recorded, t
 
     for period in (0.7, 0.7, 0.8):
         fit = (recorded, find_strides(recorded, SETTINGS, period), PARTS, SETTINGS)
-        found = twin._Trials(tmp_path / "trials", serially, fit)(run, [np.ones(2), np.full(2, 3.0)])
+        found = twin._Trials(tmp_path / "trials", serially, fit)(
+            run, [np.ones(2), np.full(2, 3.0)]
+        )
         assert found[1].tolist() == [9.0, 9.0]
     assert len(runs) == 4
 
@@ -322,16 +392,26 @@ def test_an_interrupted_fit_takes_up_only_trials_of_the_same_strides(recorded, t
 @pytest.mark.parametrize(
     ("names", "reason"),
     [
-        (["lag"], "needs its commands: --angles /desired_joint_angles"),  # angles are measured
-        (["friction", "young_modulus", "tendon_offset"], "5 windows of 1 strides for 6 parameters"),
+        (
+            ["lag"],
+            "needs its commands: --angles /desired_joint_angles",
+        ),  # angles are measured
+        (
+            ["friction", "young_modulus", "tendon_offset"],
+            "5 windows of 1 strides for 6 parameters",
+        ),
     ],
 )
-def test_a_fit_that_the_recording_cannot_tell_is_refused(recorded, strides, names, reason):
+def test_a_fit_that_the_recording_cannot_tell_is_refused(
+    recorded, strides, names, reason
+):
     with pytest.raises(ConfigError, match=reason):
         fit_twin(recorded, PARTS, places(names), strides, SETTINGS)
 
 
 def test_angles_in_degrees_are_refused(recorded):
-    degrees = dataclasses.replace(recorded.angles, angle=np.degrees(recorded.angles.angle))
+    degrees = dataclasses.replace(
+        recorded.angles, angle=np.degrees(recorded.angles.angle)
+    )
     with pytest.raises(ConfigError, match=r"angles of .* rad, outside \[0, 2.029\]"):
         predict(dataclasses.replace(recorded, angles=degrees), PARTS, SETTINGS)

@@ -29,7 +29,9 @@ def film(offset, drift, rotation, seed=0, duration=16.0):
     rng = np.random.default_rng(seed)
     t = np.arange(offset, duration, 1 / RATE)
     places = rotation.apply(walk(t)) + SHIFT + rng.normal(scale=NOISE, size=(len(t), 3))
-    return PointRecording("film", {"torso": PointTrack((t - t[0]) / (1 + drift), places)}), t
+    return PointRecording(
+        "film", {"torso": PointTrack((t - t[0]) / (1 + drift), places)}
+    ), t
 
 
 def track_of(offset=0.0):
@@ -53,7 +55,9 @@ def test_a_clock_is_found_within_two_milliseconds_on_30_hz_data(offset, drift):
 
 def test_a_film_too_short_to_tell_has_no_interval():
     track = track_of(1.0)
-    brief = PointRecording("brief", {"torso": PointTrack(track.t[:45], track.position[:45])})
+    brief = PointRecording(
+        "brief", {"torso": PointTrack(track.t[:45], track.position[:45])}
+    )
     found = compare(run(), brief, offset=1.0)
     assert math.isnan(found.time.offset_width)
     assert "(+- ? ms)" in "\n".join(alignment_lines(found, "level"))
@@ -78,7 +82,9 @@ def test_a_film_of_periodic_motion_alone_says_so_and_takes_a_known_offset():
 
 
 def test_recordings_that_do_not_move_cannot_be_aligned():
-    still = PointRecording("still", {"torso": PointTrack(np.arange(90) / RATE, np.zeros((90, 3)))})
+    still = PointRecording(
+        "still", {"torso": PointTrack(np.arange(90) / RATE, np.zeros((90, 3)))}
+    )
     with pytest.raises(RecordingError, match="nothing moves in one of the recordings"):
         compare(run(), still)
 
@@ -96,7 +102,9 @@ def test_a_level_frame_turns_about_z_alone():
     tilted = Rotation.from_euler("ZYX", [0.7, 0.1, 0.0]).apply(points)
     found = align_frames(tilted, points, "level")
     assert found.rotation[2] == pytest.approx([0.0, 0.0, 1.0])
-    assert np.arctan2(found.rotation[1, 0], found.rotation[0, 0]) == pytest.approx(-0.7, abs=0.05)
+    assert np.arctan2(found.rotation[1, 0], found.rotation[0, 0]) == pytest.approx(
+        -0.7, abs=0.05
+    )
 
 
 def test_an_error_that_grows_shows_when_the_frames_are_aligned_by_the_start():
@@ -104,7 +112,9 @@ def test_an_error_that_grows_shows_when_the_frames_are_aligned_by_the_start():
     slower = PointTrack(track.t, track.position - np.outer(track.t, [0.002, 0.0, 0.0]))
     found = compare(run(), PointRecording("slow", {"torso": slower}), frame_time=1.0)
     series = found.series["torso", "x"]
-    assert (series.run - series.measured)[-1] == pytest.approx(0.002 * 15.5, abs=4 * NOISE)
+    assert (series.run - series.measured)[-1] == pytest.approx(
+        0.002 * 15.5, abs=4 * NOISE
+    )
 
 
 def test_points_seen_briefly_or_late_are_left_out_by_name():
@@ -116,7 +126,9 @@ def test_points_seen_briefly_or_late_are_left_out_by_name():
     found = compare(mine, PointRecording("film", points), zero=True, frame_time=1.0)
     assert found.brief == ("FL_tip", "FR_tip")
     assert {name for name, _ in found.series} == {"torso"}
-    assert "points   seen too briefly or too late: FL_tip, FR_tip" in report(found, "level")
+    assert "points   seen too briefly or too late: FL_tip, FR_tip" in report(
+        found, "level"
+    )
 
 
 def test_markers_beside_their_points_are_compared_from_where_they_start():
@@ -125,6 +137,9 @@ def test_markers_beside_their_points_are_compared_from_where_they_start():
     points = {"torso": track, "FL_tip": beside}
     mine = PointRecording("run", dict.fromkeys(points, run().points["torso"]))
     film_of_both = PointRecording("beside", points)
-    found = [compare(mine, film_of_both, zero=zero).series["FL_tip", "z"] for zero in (False, True)]
+    found = [
+        compare(mine, film_of_both, zero=zero).series["FL_tip", "z"]
+        for zero in (False, True)
+    ]
     off, zeroed = (series.errors.value["rmse"] for series in found)
     assert zeroed < 1.5 * NOISE < 4 * NOISE < off

@@ -40,7 +40,9 @@ def test_an_interval_contains_the_truth_in_most_series_and_widens_with_correlati
     rng, hits, widths = np.random.default_rng(0), 0, []
     for smooth in (1, 20):
         for _ in range(30):
-            noise = np.convolve(rng.normal(size=900), np.ones(smooth), "valid") / np.sqrt(smooth)
+            noise = np.convolve(
+                rng.normal(size=900), np.ones(smooth), "valid"
+            ) / np.sqrt(smooth)
             low, high = errors(noise, np.zeros(len(noise)), 60).interval["rmse"]
             hits += low <= 1.0 <= high
             widths.append(high - low)

@@ -38,14 +38,21 @@ def test_a_simple_table_is_the_torso(csv):
 
 
 def test_an_attitude_is_read_and_yaw_unwrapped(csv):
-    rows = [f"{row},0,0.1,{yaw}" for row, yaw in zip(ROWS, [3.0, 3.1, -3.1, -3.0, *[-2.9] * 6])]
+    rows = [
+        f"{row},0,0.1,{yaw}"
+        for row, yaw in zip(ROWS, [3.0, 3.1, -3.1, -3.0, *[-2.9] * 6])
+    ]
     track = read_recording(csv(f"{HEAD},roll,pitch,yaw", *rows)).points["torso"]
     assert track.rpy[3] == pytest.approx([0.0, 0.1, 2 * np.pi - 3.0])
 
 
 def test_written_points_are_read_again(tmp_path):
-    rows = np.column_stack([np.arange(10) / 30, np.ones(10), np.zeros(10), np.arange(10) / 100])
-    write_points(tmp_path / "p.csv", {"torso": rows, "FL_tip": rows + LATER}, ["a", "b"])
+    rows = np.column_stack(
+        [np.arange(10) / 30, np.ones(10), np.zeros(10), np.arange(10) / 100]
+    )
+    write_points(
+        tmp_path / "p.csv", {"torso": rows, "FL_tip": rows + LATER}, ["a", "b"]
+    )
     points = read_recording(tmp_path / "p.csv").points
     assert set(points) == {"torso", "FL_tip"}
     assert points["FL_tip"].t[0] == pytest.approx(0.01)
@@ -57,7 +64,10 @@ def test_written_points_are_read_again(tmp_path):
     [
         ([], "is empty"),
         ([HEAD], "no samples"),
-        (["a,b,c"], r"line 1: columns a,b,c: expected time,point,x,y,z or time,x,y,z\["),
+        (
+            ["a,b,c"],
+            r"line 1: columns a,b,c: expected time,point,x,y,z or time,x,y,z\[",
+        ),
         ([HEAD, *ROWS[:3]], "torso has 3 samples, less than 8"),
         ([HEAD, *ROWS, "0.4,nan,0,0"], r"line 12, x: 'nan' is not a finite number"),
         ([HEAD, *ROWS, "0.4,,0,0"], r"line 12, x: '' is not a finite number"),
@@ -73,19 +83,27 @@ def test_a_bad_table_is_refused_with_its_line(csv, lines, message):
 
 
 def test_recordings_without_a_common_point_are_refused(csv, refusal):
-    line = refusal(validate.main, str(EXAMPLE / "single_leg_run.csv"), str(csv(HEAD, *ROWS)))
-    assert "no common point: single_leg_run.csv has base, third, two_thirds, tip" in line
+    line = refusal(
+        validate.main, str(EXAMPLE / "single_leg_run.csv"), str(csv(HEAD, *ROWS))
+    )
+    assert (
+        "no common point: single_leg_run.csv has base, third, two_thirds, tip" in line
+    )
 
 
 def test_the_shipped_single_leg_gives_the_papers_table_and_plots(tmp_path, capsys):
     files = [str(EXAMPLE / f"single_leg_{name}.csv") for name in ("run", "markers")]
-    assert validate.main([*files, "--out", str(tmp_path)]) == NOT_EXPLAINED  # another robot
+    assert (
+        validate.main([*files, "--out", str(tmp_path)]) == NOT_EXPLAINED
+    )  # another robot
     text = capsys.readouterr().out
     assert "fixed base" in text
     assert "accuracy" in text
     assert "verdict: not explained: chi-square" in text.splitlines()[-1]
     assert "largest: base z" in text.splitlines()[-1]
-    assert (tmp_path / "summary.txt").read_text().splitlines()[-1] == text.splitlines()[-1]
+    assert (tmp_path / "summary.txt").read_text().splitlines()[-1] == text.splitlines()[
+        -1
+    ]
     assert (tmp_path / "leg.png").stat().st_size > 10_000
     rows = (tmp_path / "errors.csv").read_text().splitlines()
     assert len(rows) == 1 + 4 * 3
@@ -96,7 +114,10 @@ def test_tracks_in_the_axes_of_a_camera_are_only_compared_with_a_free_rotation(
     tmp_path, capsys, refusal
 ):
     t = np.arange(60) / 30
-    samples = [MarkerSample(x, "torso", np.array([0.05 * x, 0.0, 0.01 * np.sin(9 * x)])) for x in t]
+    samples = [
+        MarkerSample(x, "torso", np.array([0.05 * x, 0.0, 0.01 * np.sin(9 * x)]))
+        for x in t
+    ]
     for frame in ("odom", "camera_link"):
         write_tracks(tmp_path / f"{frame}.csv", samples, frame)
     odom, camera = (str(tmp_path / f"{frame}.csv") for frame in ("odom", "camera_link"))
@@ -104,7 +125,11 @@ def test_tracks_in_the_axes_of_a_camera_are_only_compared_with_a_free_rotation(
     line = refusal(validate.main, odom, camera, *out)
     assert "the tracks are in its axes; align them with --frame rigid" in line
     assert validate.main([odom, camera, "--frame", "rigid", *out]) == EXPLAINED
-    assert capsys.readouterr().out.splitlines()[-1].startswith("verdict: explained: chi-square")
+    assert (
+        capsys.readouterr()
+        .out.splitlines()[-1]
+        .startswith("verdict: explained: chi-square")
+    )
 
 
 def test_legs_of_two_nodes_have_no_points(tmp_path):

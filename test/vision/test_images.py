@@ -20,8 +20,14 @@ IMAGE, INFO = "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 
 def image(pixels, encoding="mono8", **changes):
     height, width = pixels.shape[:2]
-    message = {"height": height, "width": width, "encoding": encoding, "is_bigendian": 0,
-               "step": pixels[0].nbytes, "data": pixels.tobytes()}  # fmt: skip
+    message = {
+        "height": height,
+        "width": width,
+        "encoding": encoding,
+        "is_bigendian": 0,
+        "step": pixels[0].nbytes,
+        "data": pixels.tobytes(),
+    }
     return SimpleNamespace(**(message | changes))
 
 
@@ -48,7 +54,10 @@ def test_depth_of_both_byte_orders_is_in_millimetres():
     [
         ({"encoding": "yuv422"}, "encoding 'yuv422': expected one of mono8"),
         ({"height": 4}, "12 bytes in rows of 4: 4 x 4 px of mono8"),
-        ({"width": 0, "step": 0, "data": b"", "encoding": "bgr8"}, "0 bytes in rows of 0: 0 x 3"),
+        (
+            {"width": 0, "step": 0, "data": b"", "encoding": "bgr8"},
+            "0 bytes in rows of 0: 0 x 3",
+        ),
         ({"step": 3}, "12 bytes in rows of 3"),
         ({"data": b"", "height": 0}, "0 bytes"),
     ],
@@ -64,8 +73,19 @@ def write_bag(path, images, depths=(), k=CAMERA.matrix):
     zero = make["std_msgs/msg/Header"](make["builtin_interfaces/msg/Time"](0, 0), "")
     with BagWriter(path, read_record_settings()) as bag:
         roi = make["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-        info = make[INFO](zero, 720, 1280, "plumb_bob", CAMERA.distortion, k.ravel(),
-                          np.eye(3).ravel(), np.zeros(12), 0, 0, roi)  # fmt: skip
+        info = make[INFO](
+            zero,
+            720,
+            1280,
+            "plumb_bob",
+            CAMERA.distortion,
+            k.ravel(),
+            np.eye(3).ravel(),
+            np.zeros(12),
+            0,
+            0,
+            roi,
+        )
         bag.write("/camera/camera_info", INFO, 0, TYPES.serialize_cdr(info, INFO))
         both = [("/camera/image_raw", "mono8", *p) for p in images]
         both += [("/camera/depth", "16UC1", *d) for d in depths]
@@ -74,7 +94,9 @@ def write_bag(path, images, depths=(), k=CAMERA.matrix):
             header = make["std_msgs/msg/Header"](stamp, "camera")
             height, width = pixels.shape
             data = np.frombuffer(pixels.tobytes(), np.uint8)
-            message = make[IMAGE](header, height, width, encoding, 0, pixels[0].nbytes, data)
+            message = make[IMAGE](
+                header, height, width, encoding, 0, pixels[0].nbytes, data
+            )
             bag.write(topic, IMAGE, ms * 1_000_000, TYPES.serialize_cdr(message, IMAGE))
     return path
 
@@ -86,7 +108,11 @@ def test_a_bag_gives_its_images_with_stamps_camera_and_the_nearest_depth(tmp_pat
     frames = list(read_film(bag, depth="/camera/depth"))
     assert [f.time for f in frames] == pytest.approx([0.010, 0.043, 0.076])
     assert [f.grey[0, 0] for f in frames] == [10, 43, 76]
-    assert [None if f.depth is None else f.depth[0, 0] for f in frames] == [12, 40, None]
+    assert [None if f.depth is None else f.depth[0, 0] for f in frames] == [
+        12,
+        40,
+        None,
+    ]
     assert bag_camera(bag, "/camera/image_raw").equals(CAMERA)
 
 
@@ -94,7 +120,9 @@ def test_a_bag_without_images_or_calibration_is_refused(tmp_path):
     bag = write_bag(tmp_path / "bag", [], k=np.zeros((3, 3)))
     with pytest.raises(FilmError, match="no topic /camera/image_raw"):
         list(read_film(bag))
-    with pytest.raises(FilmError, match=r"camera_info: K\[0\] = 0: the camera is not calibrated"):
+    with pytest.raises(
+        FilmError, match=r"camera_info: K\[0\] = 0: the camera is not calibrated"
+    ):
         bag_camera(bag, "/camera/image_raw")
 
 

@@ -5,7 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from views import CAMERA, MOUNT, VISION, board, image_from_torso, image_from_world, synthetic
+from views import (
+    CAMERA,
+    MOUNT,
+    VISION,
+    board,
+    image_from_torso,
+    image_from_world,
+    synthetic,
+)
 
 from slot_core import config
 from slot_core.clock import SECOND
@@ -31,7 +39,9 @@ def changed(**changes):
     return config.replace(VISION, changes)
 
 
-@pytest.mark.parametrize(("carrier", "frame"), [("torso", "odom"), ("world", "base_link")])
+@pytest.mark.parametrize(
+    ("carrier", "frame"), [("torso", "odom"), ("world", "base_link")]
+)
 def test_settings_without_a_board_to_see_are_refused(carrier, frame):
     with pytest.raises(ConfigError, match=f"boards: none in the frame {frame}"):
         localizer(carrier, dataclasses.replace(VISION, boards={}))
@@ -42,7 +52,9 @@ def test_the_pose_is_that_of_the_torso_within_its_covariance(carrier):
     image = image_from_torso(BASE) if carrier == "torso" else image_from_world(BASE)
     fix = localizer(carrier).locate(5, image)
     assert isinstance(fix, MarkerFix)
-    turn = Rotation.from_quat(fix.quaternion) * Rotation.from_matrix(BASE.rotation).inv()
+    turn = (
+        Rotation.from_quat(fix.quaternion) * Rotation.from_matrix(BASE.rotation).inv()
+    )
     error = np.concatenate([fix.position - BASE.position, turn.as_rotvec()])
     assert np.abs(error[:3]).max() < 2e-3
     assert np.abs(error[3:]).max() < 5e-3
@@ -76,7 +88,9 @@ def test_a_image_that_repeats_its_stamp_changes_nothing():
         repeating.locate(0, images[0])
     first.locate(0, images[0])
     a, b = (each.locate(33_000_000, images[1]) for each in (first, repeating))
-    np.testing.assert_array_equal(np.concatenate(a.odometry[1:]), np.concatenate(b.odometry[1:]))
+    np.testing.assert_array_equal(
+        np.concatenate(a.odometry[1:]), np.concatenate(b.odometry[1:])
+    )
 
 
 def reason(located, image, images=1):
@@ -106,7 +120,9 @@ def test_ids_seen_twice_are_not_used():
     shown = board("wall")
     sheet = print_of(shown, VISION.dictionary_number)
     sheets = [
-        Surface(sheet, Transform.of((x, 0.0, 1.8), (np.pi, 0.0, 0.0)).apply(shown.outline))
+        Surface(
+            sheet, Transform.of((x, 0.0, 1.8), (np.pi, 0.0, 0.0)).apply(shown.outline)
+        )
         for x in (-0.45, 0.45)
     ]
     image, seeing = synthetic().image(sheets), localizer()
@@ -136,12 +152,16 @@ def test_an_id_seen_twice_is_not_used_while_only_a_part_of_the_image_is_searched
 def test_markers_that_no_board_has_are_named():
     image = image_from_torso(BASE)
     elsewhere = changed(**{"boards.wall.frame": "base_link"})
-    assert "no marker of the boards, only ids 0, 1" in reason(localizer(settings=elsewhere), image)
+    assert "no marker of the boards, only ids 0, 1" in reason(
+        localizer(settings=elsewhere), image
+    )
 
 
 def test_a_wrong_calibration_is_refused_by_its_reprojection_error():
     wrong = Camera(1280, 720, CAMERA.matrix, np.array([0.4, 0.0, 0.0, 0.0, 0.0]))
-    assert "reprojection error" in reason(localizer(camera=wrong), image_from_torso(BASE))
+    assert "reprojection error" in reason(
+        localizer(camera=wrong), image_from_torso(BASE)
+    )
 
 
 def off_camera(focal=1.0, centre=0.0, covariance=None):
@@ -212,7 +232,9 @@ def test_a_pose_of_after_a_clock_that_was_set_back_decides_nothing(alone):
 
 def test_the_covariance_of_the_velocity_is_in_the_axes_of_the_torso():
     turned = Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, np.pi / 2))
-    unsure = np.diag([4.0, 1.0, 0.0, 0.0, 0.0, 0.0])  # along x of odom, which is -y of the torso
+    unsure = np.diag(
+        [4.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+    )  # along x of odom, which is -y of the torso
     known = localizer()
     known._last = 0, turned, unsure
     *_, twist = known._twist(SECOND // 30, turned, unsure)
@@ -240,9 +262,16 @@ def test_settings_that_contradict_each_other_are_refused(changes, message):
         changed(**changes)
 
 
-@pytest.mark.parametrize("changes", [
-    {}, {"scene.sensors.camera.carrier": "world", "scene.sensors.camera.boards": ("torso",)},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {
+            "scene.sensors.camera.carrier": "world",
+            "scene.sensors.camera.boards": ("torso",),
+        },
+    ],
+)
 def test_the_robot_walks_in_closed_loop_through_its_images(changes):
     """Two strides: every image gives an estimate, within 3 mm and 30 mm/s of the truth."""
     loop = ClosedLoop("marker_camera", "walk", None, 0, changes=changes)
@@ -258,6 +287,13 @@ def test_the_robot_walks_in_closed_loop_through_its_images(changes):
 
 
 def test_a_board_that_the_camera_cannot_see_is_refused():
-    with pytest.raises(ConfigError, match=r"boards: 'torso': expected .* \(wall, film\)"):
-        ClosedLoop("marker_camera", "walk", None, 0,
-                   changes={"scene.sensors.camera.boards": ("torso",)})  # fmt: skip
+    with pytest.raises(
+        ConfigError, match=r"boards: 'torso': expected .* \(wall, film\)"
+    ):
+        ClosedLoop(
+            "marker_camera",
+            "walk",
+            None,
+            0,
+            changes={"scene.sensors.camera.boards": ("torso",)},
+        )

@@ -9,7 +9,13 @@ from scipy.spatial.transform import Rotation
 from views import CAMERA, VISION, board, image_from_torso, seen_from_torso
 
 from slot_core.geometry import Transform
-from slot_core.vision.camera import Camera, CameraError, camera_text, from_camera_info, read_camera
+from slot_core.vision.camera import (
+    Camera,
+    CameraError,
+    camera_text,
+    from_camera_info,
+    read_camera,
+)
 from slot_core.vision.detector import MarkerDetector
 from slot_core.vision.pose import board_poses, nearest
 
@@ -17,7 +23,9 @@ from slot_core.vision.pose import board_poses, nearest
 @pytest.mark.parametrize("blur", [0.0, 0.6, 1.5])
 def test_corners_are_found_to_a_twentieth_of_a_pixel_whatever_the_blur(blur):
     base = Transform.of((0.1, 0.05, 0.07), (0.05, -0.04, 0.1))
-    found = MarkerDetector(VISION.dictionary_number, CAMERA).find(image_from_torso(base, blur=blur))
+    found = MarkerDetector(VISION.dictionary_number, CAMERA).find(
+        image_from_torso(base, blur=blur)
+    )
     wall = board("wall")
     assert set(found.ids) == set(wall.corners)
     true = seen_from_torso(base).apply(np.array([wall.corners[i] for i in found.ids]))
@@ -36,7 +44,9 @@ def test_covariance_of_a_pose_is_that_of_its_errors():
     for _ in range(count):
         rays = seen[:, :2] / seen[:, 2:] + noise * rng.normal(size=(len(points), 2))
         pose = board_poses(points, rays, noise)
-        turn = Rotation.from_matrix(pose.transform.rotation @ true.rotation.T).as_rotvec()
+        turn = Rotation.from_matrix(
+            pose.transform.rotation @ true.rotation.T
+        ).as_rotvec()
         error = np.concatenate([pose.transform.position - true.position, turn])
         total += error @ np.linalg.solve(pose.covariance, error)
     low, high = stats.chi2.ppf([0.0005, 0.9995], 6 * count)
@@ -47,7 +57,9 @@ def test_a_small_marker_has_two_poses_of_which_the_expected_one_is_chosen():
     corners = 0.02 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     true = Transform.of((0.0, 0.0, 1.5), (np.pi + 0.4, 0.0, 0.0))
     seen = true.apply(corners)
-    rays = seen[:, :2] / seen[:, 2:] + 2e-4 * np.random.default_rng(1).normal(size=(4, 2))
+    rays = seen[:, :2] / seen[:, 2:] + 2e-4 * np.random.default_rng(1).normal(
+        size=(4, 2)
+    )
     pose = board_poses(corners, rays, 1e-4)
     assert pose.ratio < VISION.detection.ambiguity
     for expected in (pose, pose.other):
@@ -66,8 +78,13 @@ def test_rays_invert_the_projection_everywhere_in_the_image():
     np.testing.assert_allclose(CAMERA.project(points), pixels, atol=1e-5)
 
 
-INFO = {"width": 1280, "height": 720, "model": "plumb_bob", "d": [0.0] * 5,
-        "k": [900.0, 0, 640, 0, 900, 360, 0, 0, 1]}  # fmt: skip
+INFO = {
+    "width": 1280,
+    "height": 720,
+    "model": "plumb_bob",
+    "d": [0.0] * 5,
+    "k": [900.0, 0, 640, 0, 900, 360, 0, 0, 1],
+}
 
 
 @pytest.mark.parametrize(
@@ -77,7 +94,10 @@ INFO = {"width": 1280, "height": 720, "model": "plumb_bob", "d": [0.0] * 5,
         ({"k": [1.0]}, "K has 1 values, expected 9"),
         ({"k": [float("nan"), *INFO["k"][1:]]}, "not finite"),
         ({"k": [-900.0, *INFO["k"][1:]]}, "expected > 0"),
-        ({"model": "equidistant", "d": [0.0] * 4}, "distortion_model 'equidistant': expected one"),
+        (
+            {"model": "equidistant", "d": [0.0] * 4},
+            "distortion_model 'equidistant': expected one",
+        ),
         ({"d": [0.0] * 4}, "D has 4 values, plumb_bob has 5"),
         ({"d": [float("inf")] * 5}, "not finite"),
         ({"k": [1e308, *INFO["k"][1:]]}, "above 1e\\+06"),
@@ -105,7 +125,9 @@ def test_a_camera_without_coefficients_has_no_distortion():
 def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
     known = np.diag(np.linspace(0.5, 1e-3, 4 + size))
     for covariance in (None, known):
-        camera = Camera(640, 360, CAMERA.matrix / 2, np.linspace(-0.01, 0.02, size), covariance)
+        camera = Camera(
+            640, 360, CAMERA.matrix / 2, np.linspace(-0.01, 0.02, size), covariance
+        )
         (tmp_path / "camera.yaml").write_text(camera_text(camera))
         found = read_camera(tmp_path / "camera.yaml")
         assert found.equals(camera)
@@ -123,7 +145,9 @@ def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
 )
 def test_a_covariance_that_is_none_is_refused(tmp_path, values, reason):
     file = tmp_path / "camera.yaml"
-    file.write_text(camera_text(CAMERA) + f"intrinsics_covariance: {{data: {values}}}\n")
+    file.write_text(
+        camera_text(CAMERA) + f"intrinsics_covariance: {{data: {values}}}\n"
+    )
     with pytest.raises(CameraError, match=reason):
         read_camera(file)
 
@@ -143,15 +167,21 @@ def test_the_calibration_moves_a_pose_by_its_covariance(size):
         return Camera(1280, 720, matrix, distortion + coefficients, root @ root.T)
 
     true = camera(np.zeros(4 + size))
-    pixels = true.project(Transform.of((0.1, -0.05, 1.2), (np.pi + 0.2, 0.1, 0.3)).apply(points))
+    pixels = true.project(
+        Transform.of((0.1, -0.05, 1.2), (np.pi + 0.2, 0.1, 0.3)).apply(points)
+    )
     exact = board_poses(points, true.rays(pixels), 1e-4, true)
     moved = []
     for off in root.T:
         found = board_poses(points, camera(off).rays(pixels), 1e-4).transform
-        turn = Rotation.from_matrix(found.rotation @ exact.transform.rotation.T).as_rotvec()
+        turn = Rotation.from_matrix(
+            found.rotation @ exact.transform.rotation.T
+        ).as_rotvec()
         moved.append(np.concatenate([found.position - exact.transform.position, turn]))
     expected = np.transpose(moved) @ moved
-    np.testing.assert_allclose(exact.calibration, expected, atol=0.03 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        exact.calibration, expected, atol=0.03 * np.abs(expected).max()
+    )
     assert np.sqrt(exact.calibration[2, 2]) > 1e-4  # m: of the distance
     assert not board_poses(points, true.rays(pixels), 1e-4).calibration.any()
 

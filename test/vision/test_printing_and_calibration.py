@@ -37,7 +37,9 @@ def test_a_print_is_written_with_its_resolution(tmp_path, capsys, name):
         if image:
             assert image.info["dpi"] == pytest.approx((200, 200), abs=0.01)
         else:  # points of 1/72 inch
-            box = re.search(rb"/MediaBox \[ *0 0 ([\d.]+) ([\d.]+) *\]", out.read_bytes())
+            box = re.search(
+                rb"/MediaBox \[ *0 0 ([\d.]+) ([\d.]+) *\]", out.read_bytes()
+            )
             size = np.array([float(edge) for edge in box.groups()]) / 72 * 25.4
             np.testing.assert_allclose(size, [136, 108], atol=0.5)
     assert "136 x 108 mm at 200 dots per inch" in capsys.readouterr().out
@@ -74,10 +76,15 @@ def views(count, spread=1.0):
 def test_the_covariance_of_a_calibration_has_opencvs_deviations():
     """And in its correlations the distances that they leave between f_x and f_y are smaller."""
     rng, given = np.random.default_rng(2), views(20)
-    noisy = [BoardView(v.name, v.points, v.pixels + 0.1 * rng.normal(size=(24, 2))) for v in given]
+    noisy = [
+        BoardView(v.name, v.points, v.pixels + 0.1 * rng.normal(size=(24, 2)))
+        for v in given
+    ]
     found = calibrate(noisy, (1280, 720))
-    points, pixels = ([getattr(v, name).astype(np.float32) for v in noisy]
-                      for name in ("points", "pixels"))  # fmt: skip
+    points, pixels = (
+        [getattr(v, name).astype(np.float32) for v in noisy]
+        for name in ("points", "pixels")
+    )
     *_, deviation, _, _ = cv2.calibrateCameraExtended(
         points, pixels, (1280, 720), np.eye(3), np.zeros(5)
     )
@@ -90,7 +97,9 @@ def test_the_covariance_of_a_calibration_has_opencvs_deviations():
 def test_a_view_with_gross_errors_is_left_out():
     given = views(12)
     rng = np.random.default_rng(1)
-    bad = BoardView("bad", given[0].points, given[0].pixels + 5 * rng.normal(size=(24, 2)))
+    bad = BoardView(
+        "bad", given[0].points, given[0].pixels + 5 * rng.normal(size=(24, 2))
+    )
     found = calibrate([*given, bad], (1280, 720))
     assert found.left_out == ("bad",)
     np.testing.assert_allclose(found.camera.matrix, CAMERA.matrix, atol=0.05)

@@ -16,11 +16,16 @@ from slot_lab.film.tracker import Tracker
 
 COUNT = 6
 POINTS = ["torso", "FR_base", "FR_third", "FR_two_thirds", "FR_tip"]
-LOOK = Transform.of((0, 0, 0), VISION.film_camera.rpy).rotation[:, 0]  # of the film's camera
+LOOK = Transform.of((0, 0, 0), VISION.film_camera.rpy).rotation[
+    :, 0
+]  # of the film's camera
 
 
 def bases():
-    return [Transform.of((0.01 * k, 0.0, 0.045), (0.02, 0.03 * k, 0.0)) for k in range(COUNT)]
+    return [
+        Transform.of((0.01 * k, 0.0, 0.045), (0.02, 0.03 * k, 0.0))
+        for k in range(COUNT)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +53,9 @@ def folder(tmp_path, shots):
 
 
 @pytest.mark.parametrize("with_depth", [False, True])
-def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(shots, with_depth):
+def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(
+    shots, with_depth
+):
     tracker = Tracker(VISION, CAMERA)
     for number, (image, depth, _) in enumerate(shots):
         tracker.add(float(number), image, depth if with_depth else None)
@@ -56,8 +63,9 @@ def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(sh
     assert tracks.frame == "odom"
     assert tracks.camera_motion < 1.0
     assert sorted(s.point for s in tracks.samples if s.time == 0.0) == sorted(POINTS)
-    errors = np.array([s.position - shots[int(s.time)][2][s.point].position
-                       for s in tracks.samples])  # fmt: skip
+    errors = np.array(
+        [s.position - shots[int(s.time)][2][s.point].position for s in tracks.samples]
+    )
     assert len(errors) == len(POINTS) * COUNT
     depth_error = errors @ LOOK
     across = np.linalg.norm(errors - depth_error[:, None] * LOOK, axis=1)
@@ -80,7 +88,9 @@ def test_a_camera_that_moves_is_noticed(shots):
     tracker = Tracker(VISION, CAMERA)
     for shift in (0, 0, 0, 4):
         tracker.add(0.0, np.roll(shots[0][0], shift, axis=1))
-    assert tracker.tracks().camera_motion == pytest.approx(2.0, rel=0.2)  # mean of x and y
+    assert tracker.tracks().camera_motion == pytest.approx(
+        2.0, rel=0.2
+    )  # mean of x and y
 
 
 def rows(path):
@@ -92,17 +102,32 @@ def rows(path):
 def test_the_csv_has_a_row_for_every_marker_that_a_image_shows(folder, capsys):
     out = folder / "tracks.csv"
     place = ["--camera", str(folder / "camera.yaml"), "--out", str(out), "--rate", "25"]
-    assert track_command.main([str(folder / "film"), *place, "--depth", str(folder / "depth")]) == 0
+    assert (
+        track_command.main(
+            [str(folder / "film"), *place, "--depth", str(folder / "depth")]
+        )
+        == 0
+    )
     found = rows(out)
     assert list(found[0]) == ["time", "point", "x", "y", "z"]
     assert {r["point"] for r in found} == set(POINTS)
-    assert sorted({float(r["time"]) for r in found}) == pytest.approx(np.arange(COUNT) / 25)
+    assert sorted({float(r["time"]) for r in found}) == pytest.approx(
+        np.arange(COUNT) / 25
+    )
     assert track_command.main([str(folder / "film"), *place, "--leg", "FR"]) == 0
-    assert {r["point"] for r in rows(out)} == {"torso", "base", "third", "two_thirds", "tip"}
+    assert {r["point"] for r in rows(out)} == {
+        "torso",
+        "base",
+        "third",
+        "two_thirds",
+        "tip",
+    }
     assert "100.0 % of the images" in capsys.readouterr().out
 
 
-def test_a_damaged_video_is_tracked_as_far_as_it_can_be_read_and_named(tmp_path, shots, capsys):
+def test_a_damaged_video_is_tracked_as_far_as_it_can_be_read_and_named(
+    tmp_path, shots, capsys
+):
     film = tmp_path / "film.avi"
     coding = cv2.VideoWriter.fourcc(*"MJPG")
     video = cv2.VideoWriter(str(film), coding, 30.0, (1280, 720), isColor=False)
@@ -127,7 +152,9 @@ def test_a_damaged_video_is_tracked_as_far_as_it_can_be_read_and_named(tmp_path,
         ("bag.mcap", b"nothing", "cannot be read"),
     ],
 )
-def test_an_unreadable_film_is_refused_in_one_line(tmp_path, refusal, name, content, reason):
+def test_an_unreadable_film_is_refused_in_one_line(
+    tmp_path, refusal, name, content, reason
+):
     film, out = tmp_path / name, tmp_path / "out.csv"
     if content is not None:
         film.write_bytes(content)
@@ -148,8 +175,12 @@ def test_films_that_do_not_fit_are_refused(folder, refusal):
     half = Camera(640, 360, CAMERA.matrix / 2, CAMERA.distortion)
     (folder / "half.yaml").write_text(camera_text(half))
     place = ["--camera", str(folder / "half.yaml")]
-    assert "calibrated at 640 x 360 px" in refusal(track_command.main, film, *out, *place)
-    assert "expected one 16-bit channel" in refusal(track_command.main, film, *out, "--depth", film)
+    assert "calibrated at 640 x 360 px" in refusal(
+        track_command.main, film, *out, *place
+    )
+    assert "expected one 16-bit channel" in refusal(
+        track_command.main, film, *out, "--depth", film
+    )
     (folder / "depth" / "005.png").unlink()
     line = refusal(track_command.main, film, *out, "--depth", str(folder / "depth"))
     assert line.endswith("5 depth images, fewer than images")
@@ -166,9 +197,17 @@ def test_plates_turn_with_a_leg_that_twists():
     along = np.diff(straight.nodes, axis=1)
     along /= np.linalg.norm(along, axis=2, keepdims=True)
     side = straight.sides[:, 1:]
-    directors = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(along, side)
-    twisted = stage().plates(filmed(read_robot(), straight.base, straight.nodes, directors))
+    directors = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(
+        along, side
+    )
+    twisted = stage().plates(
+        filmed(read_robot(), straight.base, straight.nodes, directors)
+    )
     for name, plate in stage().plates(straight).items():
-        turned = np.arccos(min(1.0, plate.rotation[:, 2] @ twisted[name].rotation[:, 2]))
+        turned = np.arccos(
+            min(1.0, plate.rotation[:, 2] @ twisted[name].rotation[:, 2])
+        )
         share = {"torso": 0.0, "base": 0.0, "third": 1 / 3, "thirds": 2 / 3, "tip": 1.0}
-        assert turned == pytest.approx(0.3 * share[name.rpartition("_")[2]], abs=0.02), name
+        assert turned == pytest.approx(
+            0.3 * share[name.rpartition("_")[2]], abs=0.02
+        ), name

@@ -19,7 +19,13 @@ from scipy import stats
 
 from benchmarks.estimation import measured_streams as measured
 from benchmarks.estimation import methods, plots, vision_rows
-from benchmarks.estimation.measured_streams import PERIOD, WARM_UP, Arrival, Slam, Streams
+from benchmarks.estimation.measured_streams import (
+    PERIOD,
+    WARM_UP,
+    Arrival,
+    Slam,
+    Streams,
+)
 from benchmarks.harness import Check, Progress, Row, at_least, at_most, cpu_time
 from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Estimate
@@ -36,7 +42,9 @@ ESTIMATED, RATE = (0, 1, 2, 3, 4, 5, 9, 10, 11), (6, 7, 8)  # of the state
 PASSES, PLAIN_STEPS = 7, 1000  # over the walk; steps of a filter in NumPy after each
 # CPU of the estimator over that of such a step: 50 and 150 us where it takes some 95 us.
 IMU_RATIO, ODOMETRY_RATIO = 0.5, 1.6
-WITHIN = 0.9  # share of the ticks; 0.95 is expected, and the ticks of a walk are correlated
+WITHIN = (
+    0.9  # share of the ticks; 0.95 is expected, and the ticks of a walk are correlated
+)
 Method = Callable[..., Iterable[methods.Use]]
 
 
@@ -58,9 +66,14 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
     for name, slam in others.items():
         progress(name)
         rows += method_rows(walks, slam, settings, kind=name)
-    lost = [error_after_loss(walk, others["one second lost"], settings) for walk in walks]
+    lost = [
+        error_after_loss(walk, others["one second lost"], settings) for walk in walks
+    ]
     rows.append(nees_row(walks, settings))
-    rows += [cpu_row(walks[0], settings), *closed_loop_rows(range(8 if quick else 20), progress)]
+    rows += [
+        cpu_row(walks[0], settings),
+        *closed_loop_rows(range(8 if quick else 20), progress),
+    ]
     rows += vision_rows.rows(quick, progress)
     plots.draw(rows, out / "estimation.png")
     return rows, checks(rows, np.array(lost))
@@ -83,7 +96,9 @@ def method_rows(
             for key, part in ERRORS.items()
         }
         place = {"kind": kind, "method": name, "delay_ms": 1e3 * slam.delay}
-        rows.append({**place, "jitter_ms": 1e3 * slam.jitter, "ticks": len(errors), **rms})
+        rows.append(
+            {**place, "jitter_ms": 1e3 * slam.jitter, "ticks": len(errors), **rms}
+        )
     return rows
 
 
@@ -122,14 +137,24 @@ def nees_row(walks: list[Streams], settings: EstimatorSettings) -> Row:
     slam, first, by_walk = Slam(0.05, 0.02), round(WARM_UP / PERIOD), []
     for walk in walks:
         arrivals = slam.arrivals(walk, np.random.default_rng(0))
-        found = [e for _, e in methods.estimates(arrivals, settings) if e.time <= walk.end]
-        errors = [(difference(e.state, walk.true_state(e.time)), e) for e in found[first:]]
+        found = [
+            e for _, e in methods.estimates(arrivals, settings) if e.time <= walk.end
+        ]
+        errors = [
+            (difference(e.state, walk.true_state(e.time)), e) for e in found[first:]
+        ]
         by_walk.append([(nees(x, e, ESTIMATED), nees(x, e, RATE)) for x, e in errors])
     ticks = min(map(len, by_walk))
     estimated, rate = np.mean([walk[:ticks] for walk in by_walk], axis=0).T
     low, high = stats.chi2.ppf([0.025, 0.975], len(ESTIMATED) * len(walks)) / len(walks)
     within = np.mean((low <= estimated) & (estimated <= high))
-    row = {"kind": "nees", "mean": estimated.mean(), "low": low, "high": high, "within": within}
+    row = {
+        "kind": "nees",
+        "mean": estimated.mean(),
+        "low": low,
+        "high": high,
+        "within": within,
+    }
     return row | {"ticks": ticks, "rate_mean": rate.mean()}
 
 
@@ -150,7 +175,10 @@ def cpu_row(walk: Streams, settings: EstimatorSettings) -> Row:
     for figures in passes:
         figures[:2] = cpu_times(arrivals, settings)
         figures[2] = cpu_time(methods.plain_step, 1, PLAIN_STEPS).median
-    microseconds, ratios = 1e6 * np.median(passes, axis=0), passes[:, :2] / passes[:, 2:]
+    microseconds, ratios = (
+        1e6 * np.median(passes, axis=0),
+        passes[:, :2] / passes[:, 2:],
+    )
     return {
         "kind": "cpu",
         **dict(zip(("imu_us", "odometry_us", "plain_step_us"), microseconds)),
@@ -158,7 +186,9 @@ def cpu_row(walk: Streams, settings: EstimatorSettings) -> Row:
     }
 
 
-def cpu_times(arrivals: Sequence[Arrival], settings: EstimatorSettings) -> tuple[float, float]:
+def cpu_times(
+    arrivals: Sequence[Arrival], settings: EstimatorSettings
+) -> tuple[float, float]:
     """Median CPU time, s, of taking an IMU sample and an odometry reading."""
     times: dict[type, list[float]] = {ImuReading: [], OdometryReading: []}
     estimator = StateEstimator(settings)
@@ -183,13 +213,17 @@ def closed_loop_rows(seeds: Sequence[int], progress: Progress) -> list[Row]:
         row = {"kind": "closed loop", "delay_ms": 1e3 * delay, "seeds": len(seeds)}
         late = {"scene.sensors.odometry.delay": delay}
         found = [walk_figures(seed, late) for seed in seeds]
-        rows.append(row | {key: np.mean([each[key] for each in found]) for key in found[0]})
+        rows.append(
+            row | {key: np.mean([each[key] for each in found]) for key in found[0]}
+        )
     return rows
 
 
 def walk_figures(seed: int, changes: Mapping[str, Any]) -> dict[str, float]:
     """Velocity, drift to the side, and RMS of roll and pitch of a walk."""
-    states, figures = measured.walked(measured.RecordingPlant, seed, 10.0, changes).motion()
+    states, figures = measured.walked(
+        measured.RecordingPlant, seed, 10.0, changes
+    ).motion()
     return figures | {"tilt_mrad": 1e3 * np.sqrt(np.mean(states[:, 0:2] ** 2))}
 
 
@@ -210,17 +244,27 @@ def checks(rows: list[Row], lost: Array) -> list[Check]:
         at_most("velocity, 50 ms late", ours["velocity_mm_s"], 10.0, "mm/s"),
         at_most("roll and pitch, 50 ms late", ours["roll_pitch_mrad"], 5.0, "mrad"),
         at_least("velocity error of finite differences", faster, 3),
-        at_most("position after 1 s without odometry", 1e3 * lost[:, 0].max(), 50.0, "mm"),
-        at_most("velocity after 1 s without odometry", 1e3 * lost[:, 1].max(), 50.0, "mm/s"),
+        at_most(
+            "position after 1 s without odometry", 1e3 * lost[:, 0].max(), 50.0, "mm"
+        ),
+        at_most(
+            "velocity after 1 s without odometry", 1e3 * lost[:, 1].max(), 50.0, "mm/s"
+        ),
         at_least("mean NEES", nees["mean"], nees["low"]),
         at_most("mean NEES", nees["mean"], nees["high"]),
-        at_least("NEES within its 95 % bounds: share of the ticks", nees["within"], WITHIN),
+        at_least(
+            "NEES within its 95 % bounds: share of the ticks", nees["within"], WITHIN
+        ),
         at_most("v_x, 80 ms late", abs(far["v_x_mm_s"] / near["v_x_mm_s"] - 1.0), 0.05),
         *[
             at_most(f"{name} added by 80 ms", far[name] / near[name] - 1.0, 0.05)
             for name in ("lateral_mm", "tilt_mrad")
         ],
         at_most("CPU of an IMU step over one in NumPy", cpu["imu_ratio"], IMU_RATIO),
-        at_most("CPU of an odometry update over that step", cpu["odometry_ratio"], ODOMETRY_RATIO),
+        at_most(
+            "CPU of an odometry update over that step",
+            cpu["odometry_ratio"],
+            ODOMETRY_RATIO,
+        ),
         *vision_rows.checks(rows),
     ]

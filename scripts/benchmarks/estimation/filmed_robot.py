@@ -28,7 +28,9 @@ class FilmedRobot(NamedTuple):
     sides: Array  # (4, N, 3) unit vectors along the width, to the right looking outward
 
 
-def filmed(robot: RobotParameters, base: Transform, nodes: Array, directors: Array) -> FilmedRobot:
+def filmed(
+    robot: RobotParameters, base: Transform, nodes: Array, directors: Array
+) -> FilmedRobot:
     """The robot with directors (4, N-1, 3) of its segments, or (4, 0, 3): legs without twist."""
     sides = np.concatenate([directors[:, :1], directors], axis=1)
     if not directors.size:
@@ -50,7 +52,9 @@ def plates(
             z = aside - (aside @ x) * x
             z /= np.linalg.norm(z)
             middle = point + (robot.leg.width / 2 + settings.stand_off) * z
-            found[f"{leg}_{name}"] = Transform(np.column_stack([x, np.cross(z, x), z]), middle)
+            found[f"{leg}_{name}"] = Transform(
+                np.column_stack([x, np.cross(z, x), z]), middle
+            )
     return found
 
 
@@ -67,8 +71,12 @@ class Stage:
         self._board = make_board(settings.boards[BOARD])
         self._board_print = print_of(self._board, number)
         names = settings.points.names
-        markers = {name: single_marker(i, settings.points.size) for i, name in names.items()}
-        self._prints = {name: print_of(marker, number) for name, marker in markers.items()}
+        markers = {
+            name: single_marker(i, settings.points.size) for i, name in names.items()
+        }
+        self._prints = {
+            name: print_of(marker, number) for name, marker in markers.items()
+        }
         self._outline = next(iter(markers.values())).outline
 
     def plates(self, at: FilmedRobot) -> dict[str, Transform]:
@@ -79,7 +87,9 @@ class Stage:
         self, at: FilmedRobot, soon: tuple[FilmedRobot, float] | None = None
     ) -> list[Surface]:
         """Surfaces before the camera; soon: the robot later, and the time (s) until then."""
-        board = self._seen(self._board_print, self._board.pose.apply(self._board.outline))
+        board = self._seen(
+            self._board_print, self._board.pose.apply(self._board.outline)
+        )
         body = [self._seen(SKIN, face) for face in self._body(at)]
         later, shown = self.plates(soon[0]) if soon else {}, []
         for name, plate in self.plates(at).items():
@@ -89,7 +99,9 @@ class Stage:
             shown.append(self._seen(self._prints[name], corners, velocity))
         return [board, *sorted(body, key=_distance), *sorted(shown, key=_distance)]
 
-    def _seen(self, sheet: GreyImage, corners: Array, velocity: Array | None = None) -> Surface:
+    def _seen(
+        self, sheet: GreyImage, corners: Array, velocity: Array | None = None
+    ) -> Surface:
         """A surface in the optical frame from corners (4, 3) and velocities in odom."""
         if velocity is not None:
             velocity = velocity @ self._to_camera.rotation.T
@@ -109,7 +121,11 @@ class Stage:
             normal = np.cross(side, np.gradient(line, axis=0))
             up = normal * (thick / np.linalg.norm(normal, axis=1))[:, None]
             for i in range(len(line) - 1):
-                quad = [line[i] - up[i], line[i + 1] - up[i + 1], line[i + 1] + up[i + 1]]
+                quad = [
+                    line[i] - up[i],
+                    line[i + 1] - up[i + 1],
+                    line[i + 1] + up[i + 1],
+                ]
                 yield from _turned(np.array([*quad, line[i] + up[i]]), self._to_camera)
 
 

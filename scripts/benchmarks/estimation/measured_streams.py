@@ -36,13 +36,17 @@ class RecordingPlant(RobotSimulator):
         sim, readings = self.robot, super()._read_imu()
         angles = rpy_of(sim.rotation)
         rate = sim.rotation @ sim.angular_velocity
-        self.truth.append((self.now, np.concatenate([angles, sim.position, rate, sim.velocity])))
+        self.truth.append(
+            (self.now, np.concatenate([angles, sim.position, rate, sim.velocity]))
+        )
         self.readings += [r for r in readings if isinstance(r, ImuReading)]
         return readings
 
     def motion(self) -> tuple[Array, dict[str, float]]:
         """True states (n, 12) after the warm-up; their mean v_x and largest drift to the side."""
-        states = np.array([state for _, state in self.truth][round(WARM_UP / IMU_PERIOD) :])
+        states = np.array(
+            [state for _, state in self.truth][round(WARM_UP / IMU_PERIOD) :]
+        )
         speed = (states[-1, 3] - states[0, 3]) / (len(states) * IMU_PERIOD)
         drift = np.abs(states[:, 4] - states[0, 4]).max()
         return states, {"v_x_mm_s": 1e3 * speed, "lateral_mm": 1e3 * drift}
@@ -52,7 +56,9 @@ class RecordingPlant(RobotSimulator):
         readings = super()._read_odometry()
         for event in self._events:  # the one that it has scheduled is the delivery
             if event.number not in pending:
-                self.readings += [r for r in event.action() if isinstance(r, OdometryReading)]
+                self.readings += [
+                    r for r in event.action() if isinstance(r, OdometryReading)
+                ]
         return readings
 
 
@@ -66,7 +72,9 @@ class Streams:
 
     def true_state(self, time: int) -> Array:
         """True state (12,) at a time, ns; linear between two samples of the IMU."""
-        after = int(np.clip(np.searchsorted(self.stamps, time), 1, len(self.stamps) - 1))
+        after = int(
+            np.clip(np.searchsorted(self.stamps, time), 1, len(self.stamps) - 1)
+        )
         t0, t1 = self.stamps[after - 1 : after + 1]
         share = (time - t0) / (t1 - t0)
         return (1 - share) * self.states[after - 1] + share * self.states[after]
@@ -81,7 +89,10 @@ Plant = TypeVar("Plant", bound=RobotSimulator)
 
 
 def walked(
-    make: type[Plant], seed: int, duration: float, changes: Mapping[str, Any] | None = None
+    make: type[Plant],
+    seed: int,
+    duration: float,
+    changes: Mapping[str, Any] | None = None,
 ) -> Plant:
     """The plant after a walk of `duration` (s) on the flat floor, changed as in `ClosedLoop`."""
     loop = ClosedLoop("flat", "walk", None, seed, changes=changes, make=make)
@@ -108,7 +119,9 @@ class Slam:
     jitter: float = 0.0  # s, largest deviation of the delay
     loss: float = 0.0  # share of lost readings
     gap: tuple[float, float] = (0.0, 0.0)  # s after the first reading: none in between
-    jumps: tuple[float, ...] = ()  # s after the first reading: single readings 0.2 m off
+    jumps: tuple[
+        float, ...
+    ] = ()  # s after the first reading: single readings 0.2 m off
 
     def arrivals(self, streams: Streams, rng: np.random.Generator) -> list[Arrival]:
         """The readings with their times of arrival, ns, in that order."""
@@ -119,7 +132,10 @@ class Slam:
             if isinstance(r, ImuReading):
                 result.append((r.stamp, r))
                 continue
-            since, late = to_seconds(r.stamp - start), self.delay + self.jitter * rng.uniform(-1, 1)
+            since, late = (
+                to_seconds(r.stamp - start),
+                self.delay + self.jitter * rng.uniform(-1, 1),
+            )
             if rng.random() < self.loss or self.gap[0] < since < self.gap[1]:
                 continue
             jumped = r

@@ -29,7 +29,9 @@ def finite_differences(arrivals: Sequence[Arrival]) -> Iterator[Use]:
     """The authors' way: pose of the odometry, velocity by its differences, angular rate zero."""
     last: OdometryReading | None = None
     for arrival, r in arrivals:
-        if not isinstance(r, OdometryReading) or (last is not None and r.stamp <= last.stamp):
+        if not isinstance(r, OdometryReading) or (
+            last is not None and r.stamp <= last.stamp
+        ):
             continue
         if last is not None:
             velocity = (r.position - last.position) / to_seconds(r.stamp - last.stamp)
@@ -38,13 +40,17 @@ def finite_differences(arrivals: Sequence[Arrival]) -> Iterator[Use]:
         last = r
 
 
-def without_prediction(arrivals: Sequence[Arrival], settings: EstimatorSettings) -> Iterator[Use]:
+def without_prediction(
+    arrivals: Sequence[Arrival], settings: EstimatorSettings
+) -> Iterator[Use]:
     """The filter's state at the stamp of the odometry, used when that has arrived.
 
     In order of the stamps the estimator's states are newer than that by `lead`; as long after the
     arrival they are as old as they should be.
     """
-    arrival_of = {r.stamp: time for time, r in arrivals if isinstance(r, OdometryReading)}
+    arrival_of = {
+        r.stamp: time for time, r in arrivals if isinstance(r, OdometryReading)
+    }
     in_order = sorted(arrivals, key=lambda item: item[1].stamp)
     prompt = config.replace(settings, {"timing.command_delay": 0.0})
     for _, estimate in estimates(in_order, prompt):
@@ -52,7 +58,9 @@ def without_prediction(arrivals: Sequence[Arrival], settings: EstimatorSettings)
             yield arrival_of[estimate.stamp] + estimate.lead, estimate.state
 
 
-def predicted(arrivals: Sequence[Arrival], settings: EstimatorSettings) -> Iterator[Use]:
+def predicted(
+    arrivals: Sequence[Arrival], settings: EstimatorSettings
+) -> Iterator[Use]:
     """The state of the estimator, predicted to the newest IMU sample."""
     for time, estimate in estimates(arrivals, settings):
         yield time, estimate.state
@@ -75,7 +83,9 @@ def add_to(estimator: StateEstimator, r: ImuReading | OdometryReading) -> None:
     if isinstance(r, ImuReading):
         estimator.add_imu(r.stamp, r.angular_velocity, r.specific_force)
     else:
-        estimator.add_odometry(r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity)
+        estimator.add_odometry(
+            r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity
+        )
 
 
 def plain_step() -> tuple[Rotation, Array]:

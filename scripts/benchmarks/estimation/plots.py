@@ -29,7 +29,11 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
             mine = [r for r in rows if r["kind"] == "delay" and r["method"] == method]
             x, y = [r["delay_ms"] for r in mine], [r[name] for r in mine]
             ax.plot(x, y, "o-", color=colour, label=method)
-        ax.set(xlabel="delay of the odometry, ms", ylabel=f"RMS error of {label}", yscale="log")
+        ax.set(
+            xlabel="delay of the odometry, ms",
+            ylabel=f"RMS error of {label}",
+            yscale="log",
+        )
         ax.grid(alpha=0.3)
     figure.axes[0].legend(frameon=False)
     figure.savefig(path, dpi=150)

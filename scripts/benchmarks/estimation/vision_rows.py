@@ -28,7 +28,10 @@ from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
 from slot_lab.film.tracker import MarkerSample, Tracker
 
 PERIOD = read_scene("marker_camera").sensors.camera.period  # s, of the images
-FILMED = slice(60, 500), slice(160, 920)  # px, rows and columns that show robot and board
+FILMED = (
+    slice(60, 500),
+    slice(160, 920),
+)  # px, rows and columns that show robot and board
 
 
 def rows(quick: bool, progress: Progress) -> list[Row]:
@@ -45,7 +48,11 @@ def rows(quick: bool, progress: Progress) -> list[Row]:
 
 def shots(count: int) -> list[FilmedRobot]:
     """The walking robot at `count` images."""
-    loop, found, robot = ClosedLoop("flat", "walk", None, 0), list[FilmedRobot](), read_robot()
+    loop, found, robot = (
+        ClosedLoop("flat", "walk", None, 0),
+        list[FilmedRobot](),
+        read_robot(),
+    )
     sim = loop.plant.robot
     for _ in loop.run(count):
         base = Transform(sim.rotation.copy(), sim.position.copy())
@@ -57,18 +64,26 @@ def draw_film(path: Path) -> None:
     """Write the part of an image of the film that shows robot and board."""
     settings = read_vision()
     surfaces = Stage(settings, read_robot()).surfaces(shots(1)[0])
-    camera = SyntheticCamera(nominal(settings.camera), Imperfections(), np.random.default_rng(0))
+    camera = SyntheticCamera(
+        nominal(settings.camera), Imperfections(), np.random.default_rng(0)
+    )
     cv2.imwrite(str(path), camera.image(surfaces)[FILMED])
 
 
-def tracker_rows(settings: VisionSettings, walk: list[FilmedRobot]) -> list[dict[str, Any]]:
+def tracker_rows(
+    settings: VisionSettings, walk: list[FilmedRobot]
+) -> list[dict[str, Any]]:
     """Errors and CPU time of the tracker without and with the depth channel."""
     stage, camera = Stage(settings, read_robot()), nominal(settings.camera)
     synthetic = SyntheticCamera(camera, Imperfections(), np.random.default_rng(0))
     trackers = {depth: Tracker(settings, camera) for depth in (False, True)}
     dictionary = cv2.aruco.getPredefinedDictionary(settings.dictionary_number)
     plain = cv2.aruco.ArucoDetector(dictionary)
-    truth, times, plain_times = list[dict[str, Transform]](), list[float](), list[float]()
+    truth, times, plain_times = (
+        list[dict[str, Transform]](),
+        list[float](),
+        list[float](),
+    )
     for number, (now, soon) in enumerate(pairwise(walk)):
         surfaces = stage.surfaces(now, (soon, PERIOD))
         image, depth = synthetic.image(surfaces), synthetic.depth(surfaces, DEPTH_NOISE)
@@ -81,7 +96,10 @@ def tracker_rows(settings: VisionSettings, walk: list[FilmedRobot]) -> list[dict
     for depth, tracker in trackers.items():
         across, along = errors(tracker.tracks().samples, truth, look)
         row = {"kind": "tracker", "depth_channel": depth, "images": len(truth)}
-        row |= {"samples": len(along), "image_plane_mm": 1e3 * np.sqrt(np.mean(across**2))}
+        row |= {
+            "samples": len(along),
+            "image_plane_mm": 1e3 * np.sqrt(np.mean(across**2)),
+        }
         found.append(row | {"depth_mm": 1e3 * np.sqrt(np.mean(along**2))})
     cpu = {"cpu_ms": 1e3 * np.median(times), "plain_ms": 1e3 * np.median(plain_times)}
     cpu |= {"images_per_s": 1 / np.median(times)}
@@ -93,7 +111,9 @@ def errors(
     samples: list[MarkerSample], truth: list[dict[str, Transform]], look: Array
 ) -> tuple[Array, Array]:
     """Errors (n,) across and along a line of sight, m."""
-    off = np.array([s.position - truth[round(s.time)][s.point].position for s in samples])
+    off = np.array(
+        [s.position - truth[round(s.time)][s.point].position for s in samples]
+    )
     along = off @ look
     return np.linalg.norm(off - along[:, None] * look, axis=1), along
 
@@ -104,7 +124,9 @@ def walk_row(scene: str, duration: float) -> Row:
     sim = loop.plant.robot
     for tick in loop.run(round(duration / PERIOD)):
         state = tick.estimate.state
-        off.append(np.concatenate([state[3:6] - sim.position, state[9:12] - sim.velocity]))
+        off.append(
+            np.concatenate([state[3:6] - sim.position, state[9:12] - sim.velocity])
+        )
     assert isinstance(loop.plant, RecordingPlant)
     rms = 1e3 * np.sqrt(np.mean(np.square(off[round(WARM_UP / PERIOD) :]), axis=0))
     row = {"kind": "images", "scene": scene, **loop.plant.motion()[1]}
@@ -116,12 +138,17 @@ def checks(rows: list[Row]) -> list[Check]:
     """Figures of these rows that have a goal."""
     image, deep = (r for r in rows if r["kind"] == "tracker")
     stock, seen = (r for r in rows if r["kind"] == "images")
-    aside, beyond = "lateral error through images", seen["lateral_mm"] - stock["lateral_mm"]
+    aside, beyond = (
+        "lateral error through images",
+        seen["lateral_mm"] - stock["lateral_mm"],
+    )
     return [
         at_most("tracker, image plane at 0.8 m", image["image_plane_mm"], 1.0, "mm"),
         at_most("tracker, depth at 0.8 m", image["depth_mm"], 3.0, "mm"),
         at_most("tracker, depth with the depth channel", deep["depth_mm"], 2.0, "mm"),
         at_most("tracker, CPU over that of detectMarkers", image["ratio"], 3.0),
-        at_most("v_x through images", abs(seen["v_x_mm_s"] / stock["v_x_mm_s"] - 1.0), 0.05),
+        at_most(
+            "v_x through images", abs(seen["v_x_mm_s"] / stock["v_x_mm_s"] - 1.0), 0.05
+        ),
         at_most(f"{aside}, beyond that of stock odometry", beyond, 2.0, "mm"),
     ]

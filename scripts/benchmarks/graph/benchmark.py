@@ -24,7 +24,16 @@ from benchmarks import against as other_checkout
 from benchmarks.graph.endurance import endurance_checks, long_walk
 from benchmarks.graph.measured_walk import Walk, measure_walk
 from benchmarks.graph.plots import END_TO_END, draw
-from benchmarks.harness import Attempts, Check, Progress, Row, at_least, at_most, cpu_time, timed
+from benchmarks.harness import (
+    Attempts,
+    Check,
+    Progress,
+    Row,
+    at_least,
+    at_most,
+    cpu_time,
+    timed,
+)
 from slot_bringup.graph import CONTROLLER, read_graph
 from slot_core.control.pace import Pace
 from slot_core.control.policies import DEFAULT_POLICY
@@ -44,27 +53,40 @@ SEPARATE, COMPOSED = "separate", "composed"  # the controller's nodes
 FAST = "composed, 100 Hz"  # odometry; else it is at 30 Hz
 NODE_FIGURES = ("cpu_percent", "rss_mb", "pss_mb")
 PERCENTILES = ("p50", "p99", "max")  # of a latency
-WALK_FIGURES = ("ticks", "deadline_misses", "unanswered", "missed_ticks", "real_time_factor")
+WALK_FIGURES = (
+    "ticks",
+    "deadline_misses",
+    "unanswered",
+    "missed_ticks",
+    "real_time_factor",
+)
 WALK_FIGURES += ("mean_v_x", "fallback_cycles")
 
 # Composed, as on the robot: a thirteenth of its 8 GB. A page that n processes share counts 1/n in
 # each.
 PSS_MB, CONTROLLER_PSS_MB = 600.0, 250.0
 # Plausibility of the walk: the figures of a robot that fell do not count.
-LEAST_SPEED, LARGEST_TILT = 0.05, 0.5  # m/s; rad, where a supervisor would stop the robot
+LEAST_SPEED, LARGEST_TILT = (
+    0.05,
+    0.5,
+)  # m/s; rad, where a supervisor would stop the robot
 # What composition saves at the least, against separate processes in the same run.
 # In lockstep robot and supervisor are in the process too.
 LATENCY_RATIO, CPU_RATIO, LEAST_SPEEDUP = 0.8, 0.8, 1.5
 # CPU of the controller with odometry at 100 Hz over that at 30 Hz: 3.3 if a tick takes as long.
 FAST_CPU_RATIO = 3.4
-REPLAY_RATIO = 2.0  # CPU of a replay, without start-up, over that of controller and plant
+REPLAY_RATIO = (
+    2.0  # CPU of a replay, without start-up, over that of controller and plant
+)
 REPLAYED = 60.0  # s of a walk
 # Goals for the robot, which are the machine's too.
 CONTROLLER_CPU, RECORDER_CPU = 30.0, 5.0  # % of a core, at 30 Hz
 FEEDBACK_CPU, POLICY_CPU = 0.5, 4.0  # ms, of the policy: after the odometry, and in all
 LOCKSTEP_SPEED = 8.0  # times real time, composed
 REPLAY_CPU = 3.0  # s, of `REPLAYED`, without start-up
-LARGEST_CYCLE = 3.0  # CPU of a cycle of the MPC's node, messages included, over its solution alone
+LARGEST_CYCLE = (
+    3.0  # CPU of a cycle of the MPC's node, messages included, over its solution alone
+)
 
 
 @dataclass(frozen=True)
@@ -93,7 +115,9 @@ def run(
     graph = read_graph()
     values = {argument.name: argument.default for argument in graph.arguments}
     progress("closed loop in one process")
-    loop = closed_loop_row(values, plan.blocks)  # also compiles the kernels that the nodes load
+    loop = closed_loop_row(
+        values, plan.blocks
+    )  # also compiles the kernels that the nodes load
     progress("cycle of the MPC's node")
     cycle = cycle_row(CYCLES)
     modes = {SEPARATE: values, COMPOSED: values | {"composed": True}}
@@ -102,7 +126,10 @@ def run(
         progress(name := f"lockstep, {mode}")
         values_here = chosen | {"lockstep": True}
         if one := attempts.run(name, measure_walk, graph, values_here, plan.lockstep):
-            figures = {"duration_s": one.metrics.duration, "speed": one.metrics.real_time_factor}
+            figures = {
+                "duration_s": one.metrics.duration,
+                "speed": one.metrics.real_time_factor,
+            }
             speeds.append({"kind": "lockstep", "nodes": mode} | figures)
     modes[FAST] = modes[COMPOSED] | {"scene": "fast_odometry"}
     walks: dict[str, list[Walk]] = {mode: [] for mode in modes}
@@ -141,7 +168,10 @@ def cycle_row(ticks: int) -> dict[str, Any]:
 
     The preparation for the next cycle has a time of its own.
     """
-    loop, period = ClosedLoop("flat", "walk", None, 0), read_scene("flat").sensors.odometry.period
+    loop, period = (
+        ClosedLoop("flat", "walk", None, 0),
+        read_scene("flat").sensors.odometry.period,
+    )
     walking = [
         (messages.preview_to_msg(tick.preview), messages.state_to_msg(tick.estimate))
         for tick in loop.run(ticks)
@@ -183,20 +213,37 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
     which = {"nodes": mode, "repeat": repeat}
     m = one.metrics
     stages = {**m.stages, END_TO_END: m.end_to_end}
-    figures = np.column_stack([one.cpu, *(np.divide([one.usage.rss, one.usage.pss], 1e6))])
+    figures = np.column_stack(
+        [one.cpu, *(np.divide([one.usage.rss, one.usage.pss], 1e6))]
+    )
     nodes = [*zip(one.usage.nodes, figures), (ALL_NODES, figures.sum(axis=0))]
-    walk = {"kind": "walk", **which, "duration_s": m.duration, "period_ms": 1e3 * m.period}
-    walk |= {name: getattr(m, name) for name in WALK_FIGURES} | {"tilt_max_rad": m.tilt_max}
+    walk = {
+        "kind": "walk",
+        **which,
+        "duration_s": m.duration,
+        "period_ms": 1e3 * m.period,
+    }
+    walk |= {name: getattr(m, name) for name in WALK_FIGURES} | {
+        "tilt_max_rad": m.tilt_max
+    }
     walk["waiting_for_a_core_percent"] = one.waited  # how loaded the machine was
-    walk |= {"replay_cpu_s_per_s": one.replay_cpu, "replay_differences": one.replay_differences}
+    walk |= {
+        "replay_cpu_s_per_s": one.replay_cpu,
+        "replay_differences": one.replay_differences,
+    }
     node, latency = {"kind": "node", **which}, {"kind": "latency", **which}
     return [
         walk,
         *(
-            latency | {"stage": stage} | {f"{p}_ms": 1e3 * getattr(found, p) for p in PERCENTILES}
+            latency
+            | {"stage": stage}
+            | {f"{p}_ms": 1e3 * getattr(found, p) for p in PERCENTILES}
             for stage, found in stages.items()
         ),
-        *(node | {"node": name} | dict(zip(NODE_FIGURES, values)) for name, values in nodes),
+        *(
+            node | {"node": name} | dict(zip(NODE_FIGURES, values))
+            for name, values in nodes
+        ),
     ]
 
 
@@ -204,10 +251,14 @@ def medians(rows: Sequence[Row]) -> list[Row]:
     """One row for each kind, stage and node: the median of every number over the repeats."""
     groups: dict[tuple[str, ...], list[Row]] = defaultdict(list)
     for row in rows:
-        groups[tuple(value for value in row.values() if isinstance(value, str))].append(row)
+        groups[tuple(value for value in row.values() if isinstance(value, str))].append(
+            row
+        )
     return [
         {
-            name: value if isinstance(value, str) else statistics.median(r[name] for r in group)
+            name: value
+            if isinstance(value, str)
+            else statistics.median(r[name] for r in group)
             for name, value in group[0].items()
         }
         | {"repeat": "median"}
@@ -227,7 +278,11 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
         return [r[name] for r in rows if which.items() <= r.items() and name in r]
 
     def over_repeats(name: str, kind: str = "walk", **which: Any) -> list[Any]:
-        return [v for k in range(plan.repeats) for v in column(name, kind=kind, repeat=k, **which)]
+        return [
+            v
+            for k in range(plan.repeats)
+            for v in column(name, kind=kind, repeat=k, **which)
+        ]
 
     def median(name: str, mode: str, **which: Any) -> float:
         return only(column(name, nodes=mode, repeat="median", **which))
@@ -237,11 +292,14 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
 
     stages = sum(median("cpu_percent", SEPARATE, node=node) for node in STAGES)
     controller = median("cpu_percent", COMPOSED, node=CONTROLLER)
-    age = {mode: median("p50_ms", mode, stage=END_TO_END) for mode in (SEPARATE, COMPOSED)}
+    age = {
+        mode: median("p50_ms", mode, stage=END_TO_END) for mode in (SEPARATE, COMPOSED)
+    }
     [cycle] = (row for row in rows if row["kind"] == "cycle")
     [loop] = column("cpu_s_per_s", kind="closed loop")
     separate, composed = (
-        only(column("speed", kind="lockstep", nodes=mode)) for mode in (SEPARATE, COMPOSED)
+        only(column("speed", kind="lockstep", nodes=mode))
+        for mode in (SEPARATE, COMPOSED)
     )
     nodes, own = (
         max(over_repeats("pss_mb", "node", nodes=COMPOSED, node=node), default=math.nan)
@@ -253,21 +311,36 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
     younger, beside = age[COMPOSED] / age[SEPARATE], "composed over separate"
     return [
         at_least(
-            "shortest walk", min(over_repeats("duration_s"), default=math.nan), plan.duration, "s"
+            "shortest walk",
+            min(over_repeats("duration_s"), default=math.nan),
+            plan.duration,
+            "s",
         ),
         at_least(
-            "least mean v_x", min(over_repeats("mean_v_x"), default=math.nan), LEAST_SPEED, "m/s"
+            "least mean v_x",
+            min(over_repeats("mean_v_x"), default=math.nan),
+            LEAST_SPEED,
+            "m/s",
         ),
         at_most(
-            "largest tilt", max(over_repeats("tilt_max_rad"), default=math.nan), LARGEST_TILT, "rad"
+            "largest tilt",
+            max(over_repeats("tilt_max_rad"), default=math.nan),
+            LARGEST_TILT,
+            "rad",
         ),
         at_most("memory of all nodes, composed", nodes, PSS_MB, "MB"),
         at_most("memory of the controller, composed", own, CONTROLLER_PSS_MB, "MB"),
-        at_most("CPU of a cycle of the MPC's node over its solution's", solving, LARGEST_CYCLE),
+        at_most(
+            "CPU of a cycle of the MPC's node over its solution's",
+            solving,
+            LARGEST_CYCLE,
+        ),
         at_most(f"{beside}: odometry to command, median", younger, LATENCY_RATIO),
         at_most(f"{beside}: CPU of the controller", controller / stages, CPU_RATIO),
         at_least(f"{beside}: lockstep speed", composed / separate, LEAST_SPEEDUP),
-        at_most("CPU of a replay over that of controller and plant", replay, REPLAY_RATIO),
+        at_most(
+            "CPU of a replay over that of controller and plant", replay, REPLAY_RATIO
+        ),
         at_most(
             "stages that a replay changes",
             max(over_repeats("replay_differences"), default=math.nan),
@@ -284,9 +357,13 @@ def goal_checks(rows: Sequence[Row]) -> list[Check]:
         found = (r[name] for r in rows if which.items() <= r.items() and name in r)
         return max(found, default=math.nan)
 
-    controller = largest("cpu_percent", nodes=COMPOSED, node=CONTROLLER, repeat="median")
+    controller = largest(
+        "cpu_percent", nodes=COMPOSED, node=CONTROLLER, repeat="median"
+    )
     recorder = largest("cpu_percent", nodes=SEPARATE, node=RECORDER, repeat="median")
-    solve, prepare = (largest(f"{phase}_cpu_ms", kind="cycle") for phase in ("solve", "prepare"))
+    solve, prepare = (
+        largest(f"{phase}_cpu_ms", kind="cycle") for phase in ("solve", "prepare")
+    )
     speed = largest("speed", kind="lockstep", nodes=COMPOSED)
     replay_cpu = largest("replay_cpu_s_per_s", nodes=SEPARATE, repeat="median")
     return [
@@ -294,7 +371,9 @@ def goal_checks(rows: Sequence[Row]) -> list[Check]:
         at_most("CPU of the policy in a tick", solve + prepare, POLICY_CPU, "ms"),
         at_most("CPU of the controller, composed", controller, CONTROLLER_CPU, "%"),
         at_most("CPU of the recorder", recorder, RECORDER_CPU, "%"),
-        at_most("100 Hz: ticks without a command", largest("unanswered", nodes=FAST), 0),
+        at_most(
+            "100 Hz: ticks without a command", largest("unanswered", nodes=FAST), 0
+        ),
         at_least("lockstep speed, composed", speed, LOCKSTEP_SPEED, "times real time"),
         at_most("CPU of a replay of 60 s", REPLAYED * replay_cpu, REPLAY_CPU, "s"),
     ]

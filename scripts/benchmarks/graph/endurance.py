@@ -30,7 +30,9 @@ NODE_FIGURES = ("memory_mb", "threads", "descriptors")
 class Samples:
     """Samples of the nodes and of the machine's shared memory, one after the other."""
 
-    figures: list[list[list[float]]] = field(default_factory=list)  # (n, nodes, NODE_FIGURES)
+    figures: list[list[list[float]]] = field(
+        default_factory=list
+    )  # (n, nodes, NODE_FIGURES)
     shared: list[float] = field(default_factory=list)  # (n,) MB
 
     def growth(self) -> tuple[np.ndarray, float]:
@@ -65,10 +67,14 @@ def long_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> list[
     grown, shared = samples.growth()
     figures = [f"{figure}_grown" for figure in NODE_FIGURES]
     rows = [
-        {"kind": "endurance", "duration_s": duration, "node": name} | dict(zip(figures, row))
+        {"kind": "endurance", "duration_s": duration, "node": name}
+        | dict(zip(figures, row))
         for name, row in zip(names, grown.tolist())
     ]
-    return [*rows, {"kind": "shared memory", "duration_s": duration, "grown_mb": shared}]
+    return [
+        *rows,
+        {"kind": "shared memory", "duration_s": duration, "grown_mb": shared},
+    ]
 
 
 def add(samples: Samples, nodes: Sequence[psutil.Process]) -> None:
@@ -89,7 +95,9 @@ def endurance_checks(rows: Sequence[Row]) -> list[Check]:
     )
     [shared] = (row["grown_mb"] for row in rows if row["kind"] == "shared memory")
     return [
-        at_most("growth of a node's memory in a long walk", memory, LARGEST_GROWTH, "MB"),
+        at_most(
+            "growth of a node's memory in a long walk", memory, LARGEST_GROWTH, "MB"
+        ),
         at_most("growth of a node's threads in a long walk", threads, 0.0),
         at_most("growth of a node's file descriptors in a long walk", descriptors, 0.0),
         at_most("growth of shared memory in a long walk", shared, 0.0, "MB"),

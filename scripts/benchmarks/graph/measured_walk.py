@@ -24,7 +24,9 @@ from slot_lab.bags.recorded_walk import Ticks, read_motion, read_ticks
 from slot_lab.bags.replay_command import TOLERANCE
 from slot_lab.report.metrics import WalkMetrics, walk_metrics
 
-STANDING = 1.0  # s, at most, from the first state to the first command: the robot stands still
+STANDING = (
+    1.0  # s, at most, from the first state to the first command: the robot stands still
+)
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,9 @@ def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Wa
     with tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch, "bag")
         try:
-            usage = record(graph, {**values, "bag": str(directory)}, STANDING + warm_up + duration)
+            usage = record(
+                graph, {**values, "bag": str(directory)}, STANDING + warm_up + duration
+            )
             bag = Bag(directory)
             metrics = walk_metrics(bag, warm_up, read_servo())
             ticks = read_ticks(bag).after(read_motion(bag).t[0] + warm_up)
@@ -63,7 +67,10 @@ def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Wa
 def record(graph: Graph, values: Mapping[str, Any], duration: float) -> Usage:
     """Run the graph until its clock has advanced by `duration` (s); raises RunError."""
     names = [spec.name for spec in graph.nodes(values)]
-    with tempfile.TemporaryDirectory() as logs, started(graph, values, Path(logs)) as processes:
+    with (
+        tempfile.TemporaryDirectory() as logs,
+        started(graph, values, Path(logs)) as processes,
+    ):
         with metered({name: processes.pid(name) for name in names}) as usage:
             watch(processes, duration)
         return usage

@@ -25,8 +25,9 @@ def draw(walks: Sequence[Walk], composed: Sequence[Walk], path: Path) -> None:
     figure.suptitle(
         f"graph in real time, {len(walks)} x {duration:.0f} s, {machine()['cores']} cores of "
         f"{machine()['cpu']}, on which any program waited for a core {waiting:.0f} % of the time",
-        fontsize=11, fontweight="bold",
-    )  # fmt: skip
+        fontsize=11,
+        fontweight="bold",
+    )
     latency, cpu = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
     draw_latency(latency, [one.ticks for one in walks], [one.ticks for one in composed])
     draw_cpu(cpu, walks)
@@ -40,7 +41,10 @@ def draw_latency(ax: Axes, ticks: Sequence[Ticks], composed: Sequence[Ticks]) ->
     """
     stages = np.concatenate([one.latency for one in ticks])
     curves = [(stage, len(stage), name) for stage, name in zip(stages.T, STAGES)]
-    curves += [(*whole(ticks), END_TO_END), (*whole(composed), f"{END_TO_END}, composed")]
+    curves += [
+        (*whole(ticks), END_TO_END),
+        (*whole(composed), f"{END_TO_END}, composed"),
+    ]
     colours = (*palette.STAGE_COLOURS, palette.INK, palette.INK)
     for (values, count, name), colour in zip(curves, colours):
         ms = 1e3 * np.sort(values[np.isfinite(values)])
@@ -49,10 +53,23 @@ def draw_latency(ax: Axes, ticks: Sequence[Ticks], composed: Sequence[Ticks]) ->
         ax.step(ms, later, dashes, where="pre", color=colour, lw=1.8, label=name)
     for share, name in ((0.5, "p50"), (0.01, "p99")):
         ax.axhline(share, color=palette.PALE, lw=1, zorder=0)
-        ax.annotate(name, (1, share), (2, 0), xycoords=("axes fraction", "data"),
-                    textcoords="offset points", va="center", fontsize=7)  # fmt: skip
+        ax.annotate(
+            name,
+            (1, share),
+            (2, 0),
+            xycoords=("axes fraction", "data"),
+            textcoords="offset points",
+            va="center",
+            fontsize=7,
+        )
     period = 1e3 * ticks[0].period
-    ax.axvline(period, color=palette.INK, ls=":", lw=1, label=f"control period, {period:.0f} ms")
+    ax.axvline(
+        period,
+        color=palette.INK,
+        ls=":",
+        lw=1,
+        label=f"control period, {period:.0f} ms",
+    )
     ax.set(xscale="log", yscale="log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     ax.xaxis.set_minor_formatter(NullFormatter())
@@ -80,8 +97,14 @@ def draw_cpu(ax: Axes, walks: Sequence[Walk]) -> None:
     for bar, values, mb in zip(bars, cpu.T, pss):
         y = bar.get_y() + bar.get_height() / 2
         ax.plot(values, np.full(len(values), y), "o", color=palette.INK, ms=3)
-        ax.annotate(f"{mb:.0f} MB", (values.max(), y), (6, 0), textcoords="offset points",
-                    va="center", fontsize=8)  # fmt: skip
+        ax.annotate(
+            f"{mb:.0f} MB",
+            (values.max(), y),
+            (6, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=8,
+        )
     ax.margins(x=0.15)
     ax.invert_yaxis()
     finish(ax, "CPU and memory of each node", "CPU (% of one core)", "")

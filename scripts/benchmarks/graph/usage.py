@@ -22,15 +22,23 @@ class Usage:
 
     nodes: tuple[str, ...]
     time: list[float] = field(default_factory=list)  # (n,) s, wall clock
-    cpu: list[list[float]] = field(default_factory=list)  # (n, nodes + 1) s; last: `time_waited`
-    rss: list[float] = field(default_factory=list)  # (nodes,) bytes, resident set, at the end
-    pss: list[float] = field(default_factory=list)  # (nodes,) bytes, proportional set, at the end
+    cpu: list[list[float]] = field(
+        default_factory=list
+    )  # (n, nodes + 1) s; last: `time_waited`
+    rss: list[float] = field(
+        default_factory=list
+    )  # (nodes,) bytes, resident set, at the end
+    pss: list[float] = field(
+        default_factory=list
+    )  # (nodes,) bytes, proportional set, at the end
 
     def percent(self, begin: float, end: float) -> Array:
         """(nodes + 1,) % of one core, last: % of the time waited, between two wall times (s)."""
         begin, end = max(begin, self.time[0]), min(end, self.time[-1])
         cpu = np.array(self.cpu).T
-        used = [np.diff(np.interp([begin, end], self.time, column))[0] for column in cpu]
+        used = [
+            np.diff(np.interp([begin, end], self.time, column))[0] for column in cpu
+        ]
         return 100 * np.array(used) / (end - begin)
 
 

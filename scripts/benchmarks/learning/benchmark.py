@@ -21,14 +21,30 @@ from benchmarks.harness import Check, Progress, Row, at_least, cpu_time
 from slot_lab.learning.task import make_task
 
 REQUIRES = ("gymnasium", "gym_softrobot")
-GOAL_CASE = ("standard", 0.0028)  # level and time step (s) of the example, and of the goal
-CASES = (("map", 0.0055), ("coarse", 0.0022), GOAL_CASE, ("coarse", 0.0), ("standard", 0.0))
+GOAL_CASE = (
+    "standard",
+    0.0028,
+)  # level and time step (s) of the example, and of the goal
+CASES = (
+    ("map", 0.0055),
+    ("coarse", 0.0022),
+    GOAL_CASE,
+    ("coarse", 0.0),
+    ("standard", 0.0),
+)
 REFERENCE = ("fine", 0.0)
 ROBOTS, GOAL = 64, 5000.0  # steps a second, in GOAL_CASE
 FRICTION = (0.2, 0.4, 0.6)
-SPEED, WARM_UP, DURATION = 0.05, 4.0, 12.4  # m/s; s, of walks: whole strides are measured
+SPEED, WARM_UP, DURATION = (
+    0.05,
+    4.0,
+    12.4,
+)  # m/s; s, of walks: whole strides are measured
 SOFTQ = 30.0  # s of computing per simulated second, as published; not run here
-PEER, PEER_STEPS = "ContinuumSnake-v0", 2  # its octopuses need a COOMM that is not published
+PEER, PEER_STEPS = (
+    "ContinuumSnake-v0",
+    2,
+)  # its octopuses need a COOMM that is not published
 
 
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
@@ -38,7 +54,9 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
         progress(f"steps a second at level {level}")
         rows.append(throughput(level, step, 1, 10 if quick else 60))
     level, step = GOAL_CASE
-    rows.append(throughput(level, step, len(os.sched_getaffinity(0)), 10 if quick else 60))
+    rows.append(
+        throughput(level, step, len(os.sched_getaffinity(0)), 10 if quick else 60)
+    )
     progress("speed of the walk at each level")
     rows += level_rows(quick)
     progress(f"gym-softrobot, {PEER}")
@@ -89,9 +107,12 @@ def walk_speeds(level: str, step: float, friction: tuple[float, ...]) -> list[fl
     speeds = []
     for mu in friction:
         task = make_task(
-            level=level, servos=False, velocity=(SPEED, 0.0, 0.0), duration=100.0,
+            level=level,
+            servos=False,
+            velocity=(SPEED, 0.0, 0.0),
+            duration=100.0,
             drawn={"scene.floor.friction": (mu, mu)},
-        )  # fmt: skip
+        )
         env, dt = WalkVectorEnv(1, task, step=step), task.gaits.dt
         env.reset(seed=1)
         first, place = round(WARM_UP / dt), []
@@ -116,10 +137,11 @@ def peer_row() -> dict[str, Any]:
     begin: float = env.time
     took = cpu_time(lambda: env.step(env.action_space.sample()), PEER_STEPS)
     return {
-        "kind": "peer", "name": f"gym-softrobot {PEER}",
+        "kind": "peer",
+        "name": f"gym-softrobot {PEER}",
         "simulated_per_step": (env.time - begin) / (PEER_STEPS + 1),
         "speed": (env.time - begin) / (PEER_STEPS + 1) / took.median,
-    }  # fmt: skip
+    }
 
 
 def checks(rows: list[dict[str, Any]]) -> list[Check]:
@@ -130,6 +152,11 @@ def checks(rows: list[dict[str, Any]]) -> list[Check]:
     rate, ratio = learned["steps_per_s"], learned["speed"] / peer["speed"]
     level, step = GOAL_CASE
     return [
-        at_least(f"steps of 33 ms on one core, {level} at {1e3 * step:g} ms", rate, GOAL, "1/s"),
+        at_least(
+            f"steps of 33 ms on one core, {level} at {1e3 * step:g} ms",
+            rate,
+            GOAL,
+            "1/s",
+        ),
         at_least(f"simulated time over that of {peer['name']}", ratio, 1.0),
     ]

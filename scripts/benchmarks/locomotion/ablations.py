@@ -36,7 +36,10 @@ MEASURED = (
 def chosen(rows: Sequence[LocomotionRow]) -> list[LocomotionRow]:
     """The rows of MEASURED, each with its first case."""
     found = {row.name: row for row in rows}
-    return [dataclasses.replace(found[name], cases=found[name].cases[:1]) for name in MEASURED]
+    return [
+        dataclasses.replace(found[name], cases=found[name].cases[:1])
+        for name in MEASURED
+    ]
 
 
 def jobs(rows: Sequence[LocomotionRow]) -> list[Job]:
@@ -64,7 +67,12 @@ def measured(
         result: dict[str, Any] = {"kind": "ablation", "without": name}
         for row in chosen(rows):
             values = [
-                row.value([motions[without(case, changes), DEFAULT, seed] for case in row.cases])
+                row.value(
+                    [
+                        motions[without(case, changes), DEFAULT, seed]
+                        for case in row.cases
+                    ]
+                )
                 for seed in SEEDS
             ]
             result[row.name] = sum(values) / len(values)
@@ -76,7 +84,11 @@ def checks(found: Sequence[Mapping[str, Any]]) -> list[Check]:
     """Every part is worth its lines in one of the cases."""
     whole, *parts = found
     return [
-        at_least(f"ablation, {part['without']}: largest error over that with all", worth, WORTH)
+        at_least(
+            f"ablation, {part['without']}: largest error over that with all",
+            worth,
+            WORTH,
+        )
         for part in parts
         for worth in [max(ratio(part[name], whole[name]) for name in MEASURED)]
     ]

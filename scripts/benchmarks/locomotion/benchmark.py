@@ -23,7 +23,15 @@ import numpy as np
 from benchmarks.harness import COURSES, Check, Progress, at_least, at_most
 from benchmarks.harness import Row as Result
 from benchmarks.locomotion import cases, transient_rows
-from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPERS, Case, Job, WalkMotion
+from benchmarks.locomotion.cases import (
+    ALONE,
+    COLUMNS,
+    DEFAULT,
+    PAPERS,
+    Case,
+    Job,
+    WalkMotion,
+)
 from benchmarks.locomotion.rows import LocomotionRow, ratio, rows
 
 REQUIRES = ("onnxruntime",)
@@ -53,7 +61,9 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[
     draw_top(shown, out / "top.png")
     stills.draw(out / "gaits.png")
     predicted_stride.draw(out / "prediction.png")
-    found = [margins.row(case, motions[case, column, seed]) for case, column, seed in walks]
+    found = [
+        margins.row(case, motions[case, column, seed]) for case, column, seed in walks
+    ]
     margins.draw(found, out / "margins.png")
     results, goals = [*table, *found], [*checks(wanted, table), *margins.checks(found)]
     if not quick:
@@ -77,7 +87,9 @@ def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
     """Run every job once, on all cores, the longest first."""
     jobs, found = sorted(dict.fromkeys(wanted), key=lambda job: -job[0].duration), {}
     cases.run_job(jobs[-1])  # the kernels are compiled once, before the workers start
-    with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
+    with multiprocessing.get_context("spawn").Pool(
+        len(os.sched_getaffinity(0))
+    ) as pool:
         for job, motion in pool.imap_unordered(cases.run_job, jobs):
             found[job] = motion
             if len(found) % max(1, len(jobs) // REPORTS) == 0:
@@ -101,7 +113,8 @@ def measured(
         for column, some in seeds.items():
             part = dataclasses.replace(row, cases=cases_of(row, column))
             of_seeds = [
-                part.value([motions[case, column, seed] for case in part.cases]) for seed in some
+                part.value([motions[case, column, seed] for case in part.cases])
+                for seed in some
             ]
             result[column] = min(of_seeds) if row.larger else max(of_seeds)
         table.append(result)
@@ -110,7 +123,9 @@ def measured(
 
 def checks(wanted: Sequence[LocomotionRow], table: Sequence[Result]) -> list[Check]:
     """Every goal, and the benefit over the gait alone where that misses the goal."""
-    return [check for row, values in zip(wanted, table) for check in _checks(row, values)]
+    return [
+        check for row, values in zip(wanted, table) for check in _checks(row, values)
+    ]
 
 
 def _checks(row: LocomotionRow, values: Result) -> Iterator[Check]:
@@ -119,4 +134,6 @@ def _checks(row: LocomotionRow, values: Result) -> Iterator[Check]:
     yield compare(row.name, reached, row.goal, row.unit)
     enough = compare(row.name, alone, row.goal, row.unit).holds
     if row.share is not None and not enough:
-        yield compare(f"{row.name}: over the gait alone", ratio(reached, alone), row.share)
+        yield compare(
+            f"{row.name}: over the gait alone", ratio(reached, alone), row.share
+        )

@@ -28,7 +28,13 @@ STRIDES = read_gaits().strides
 PERIOD = STRIDES["walk"].period  # s
 FALLEN = read_supervisor().estimate.tilt_max  # rad
 PUSH_TIME = 0.2  # s
-COURSES = ("time", "position", "rpy", "torque", "goal_speed")  # of a motion, over its ticks
+COURSES = (
+    "time",
+    "position",
+    "rpy",
+    "torque",
+    "goal_speed",
+)  # of a motion, over its ticks
 Vector3 = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]  # dotted names and values, hashable
 
@@ -56,7 +62,9 @@ class Case:
     scene: str = "flat"
     gait: str = "walk"
     velocity: Vector3 = (0.0, 0.0, 0.0)
-    schedule: tuple[tuple[float, Vector3], ...] = ()  # times (s) and velocities from then on
+    schedule: tuple[
+        tuple[float, Vector3], ...
+    ] = ()  # times (s) and velocities from then on
     pose: Vector3 | None = None  # height (m), roll, pitch (rad); None: the gait's own
     path: tuple[tuple[float, float], ...] = ()  # followed at the speed of `velocity`
     heading: str = "kept"  # on the path, or "along"
@@ -64,7 +72,9 @@ class Case:
     lost_odometry: tuple[float, float] = (0.0, 0.0)  # begin and duration, s
     # times (s), names and values of the simulated robot's model that change then
     events: tuple[tuple[float, str, tuple[float, ...]], ...] = ()
-    poses: tuple[tuple[float, Vector3], ...] = ()  # times (s) and body poses from then on
+    poses: tuple[
+        tuple[float, Vector3], ...
+    ] = ()  # times (s) and body poses from then on
 
 
 @dataclass(frozen=True)
@@ -132,17 +142,31 @@ def run_case(case: Case, column: str, seed: int) -> WalkMotion:
         if column == DEFAULT or not name.startswith("policy.")
     }
     loop = ClosedLoop(
-        case.scene, case.gait, reachable(case.gait, case.velocity), seed, COLUMNS[column],
-        changes=changes, path=path, lost_odometry=case.lost_odometry,
-    )  # fmt: skip
-    scheduler, sim, rows, fallen = loop.controller.scheduler, loop.plant.robot, [], False
+        case.scene,
+        case.gait,
+        reachable(case.gait, case.velocity),
+        seed,
+        COLUMNS[column],
+        changes=changes,
+        path=path,
+        lost_odometry=case.lost_odometry,
+    )
+    scheduler, sim, rows, fallen = (
+        loop.controller.scheduler,
+        loop.plant.robot,
+        [],
+        False,
+    )
     schedule, events, poses = [*case.schedule], [*case.events], [*case.poses]
     last: Array | None = None
     if case.pose is not None:
         scheduler.set_pose(np.array(case.pose))
     try:
         for tick in loop.run(round(case.duration / DT)):
-            time, angle = to_seconds(loop.plant.now - LOCKSTEP_START), tick.command.angle
+            time, angle = (
+                to_seconds(loop.plant.now - LOCKSTEP_START),
+                tick.command.angle,
+            )
             speed = 0.0 if last is None else float(np.abs(angle - last).mean()) / DT
             rows.append([time, *sim.position, *sim.rpy, sim.servo_torque.mean(), speed])
             last = angle.copy()
@@ -171,9 +195,15 @@ def motion_of(rows: Array, fallen: bool, period: float) -> WalkMotion:
     """Motion of rows (n, 9), time first, then those of a motion; gaps are closed linearly."""
     rows[:, 6] = np.unwrap(rows[:, 6])
     time = np.arange(0.0, rows[-1, 0] + DT / 2, DT)
-    even = np.column_stack([np.interp(time, rows[:, 0], column) for column in rows.T[1:]])
-    motion = WalkMotion(time, even[:, :3], even[:, 3:6], even[:, 6], even[:, 7], fallen, period)
-    return dataclasses.replace(motion, fallen=fallen or bool(motion.tilt.max() > FALLEN))
+    even = np.column_stack(
+        [np.interp(time, rows[:, 0], column) for column in rows.T[1:]]
+    )
+    motion = WalkMotion(
+        time, even[:, :3], even[:, 3:6], even[:, 6], even[:, 7], fallen, period
+    )
+    return dataclasses.replace(
+        motion, fallen=fallen or bool(motion.tilt.max() > FALLEN)
+    )
 
 
 def friction(left: float, right: float | None = None) -> Changes:

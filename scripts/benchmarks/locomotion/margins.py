@@ -21,7 +21,12 @@ FRICTION = (0.2, 0.4, 0.6)
 VOLTAGE = (11.1, 9.6)  # V, of a battery's nominal and almost empty cells
 SEED = 1
 LARGEST_LOAD = 50.0  # % of the stall torque, at the nominal voltage
-SHOWN = {"speed": "m/s", "aside": "mm per m walked", "heading": "deg", "tilt": "deg RMS"}
+SHOWN = {
+    "speed": "m/s",
+    "aside": "mm per m walked",
+    "heading": "deg",
+    "tilt": "deg RMS",
+}
 SHOWN |= {"load": "% of stall"}
 
 
@@ -32,7 +37,9 @@ def jobs(quick: bool) -> list[Job]:
         (*friction(mu), ("scene.supply_voltage", volt))
         for volt, mu in itertools.product(VOLTAGE[: 1 if quick else None], FRICTION)
     ]
-    walks = [Case(duration, velocity=(SPEED, 0.0, 0.0), changes=floor) for floor in floors]
+    walks = [
+        Case(duration, velocity=(SPEED, 0.0, 0.0), changes=floor) for floor in floors
+    ]
     return [(walk, DEFAULT, SEED) for walk in walks]
 
 

@@ -52,7 +52,10 @@ def courses(quick: bool, motions: Motions) -> dict[str, Array]:
     for column in MARKS:
         ways = [case for case in directions(quick) if (case, column, SEED) in motions]
         if ways:
-            pairs = [[*way.velocity[:2], *reached(motions[way, column, SEED])] for way in ways]
+            pairs = [
+                [*way.velocity[:2], *reached(motions[way, column, SEED])]
+                for way in ways
+            ]
             found[f"{VELOCITY}/{column}"] = np.array(pairs)
         for name, case in ((SQUARE, square()), (SLANTED, slanted())):
             if (motion := motions.get((case, column, SEED))) is not None:
@@ -76,7 +79,8 @@ def draw_table(table: Sequence[Mapping[str, Any]], path: Path) -> None:
     ax.axvspan(SHOWN[0], 1.0, color=palette.SHADE, zorder=0)
     place = np.arange(len(table))
     shown = {
-        column: np.clip([_in_goals(values, column) for values in table], *SHOWN) for column in MARKS
+        column: np.clip([_in_goals(values, column) for values in table], *SHOWN)
+        for column in MARKS
     }
     ax.hlines(place, shown[ALONE], shown[DEFAULT], color=palette.PALE, lw=2.0, zorder=1)
     for column, mark in MARKS.items():
@@ -84,10 +88,17 @@ def draw_table(table: Sequence[Mapping[str, Any]], path: Path) -> None:
     names = [f"{values['row']}, {values['unit']}".rstrip(", ") for values in table]
     ax.set_yticks(place, names, fontsize=8)
     ax.tick_params(axis="y", length=0)
-    ax.set(xscale="log", xlim=SHOWN, ylim=(len(table) - 0.5, -0.5), xlabel="error over goal")
+    ax.set(
+        xscale="log",
+        xlim=SHOWN,
+        ylim=(len(table) - 0.5, -0.5),
+        xlabel="error over goal",
+    )
     ax.grid(color=palette.PALE, lw=0.4)
     ax.set_axisbelow(True)
-    _add_legend(figure, ax, "error of the policies over the goal of each row; shaded: holds")
+    _add_legend(
+        figure, ax, "error of the policies over the goal of each row; shaded: holds"
+    )
     figure.savefig(path, dpi=130)
 
 
@@ -96,7 +107,9 @@ def draw_velocity(found: Courses, path: Path) -> None:
     figure = Figure(figsize=(6.5, 7.5), layout="constrained")
     ax = figure.subplots()
     wanted = found[f"{VELOCITY}/{DEFAULT}"][:, :2]
-    ax.plot(*wanted.T, "o", color=palette.TORSO, fillstyle="none", ms=16, label="commanded")
+    ax.plot(
+        *wanted.T, "o", color=palette.TORSO, fillstyle="none", ms=16, label="commanded"
+    )
     for column, mark in MARKS.items():
         if (pairs := found.get(f"{VELOCITY}/{column}")) is not None:
             ax.plot(pairs[:, ::2].T, pairs[:, 1::2].T, color=mark.colour, lw=0.8)
@@ -135,8 +148,13 @@ def _draw_track(ax: Axes, track: Array, label: str, colour: str) -> None:
 
 def _style(mark: Mark) -> dict[str, Any]:
     hollow = "none" if mark.marker == "o" else "full"
-    return {"marker": mark.marker, "ms": mark.size, "color": mark.colour, "ls": "none",
-            "fillstyle": hollow}  # fmt: skip
+    return {
+        "marker": mark.marker,
+        "ms": mark.size,
+        "color": mark.colour,
+        "ls": "none",
+        "fillstyle": hollow,
+    }
 
 
 def _add_legend(figure: Figure, ax: Axes, title: str, columns: int = 6) -> None:

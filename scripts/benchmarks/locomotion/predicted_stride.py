@@ -33,14 +33,18 @@ def draw(path: Path) -> None:
         plans.append(tick.plan)
         if k == FIRST:
             legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, robot)
-            pose = Snapshot(k * DT, sim.position, sim.quaternion, legs, sim.ground_force)
+            pose = Snapshot(
+                k * DT, sim.position, sim.quaternion, legs, sim.ground_force
+            )
     figure = Figure(figsize=(8.0, 7.2), layout="constrained")
     above, below = figure.subfigures(2, 1)
     ax = above.subplots()
     draw_robot(ax, pose, robot, CAMERA)
     centre = np.array([*pose.position[:2], 0.0])
     draw_ways(ax, plans[FIRST].pose[:, 3:] - centre, plans[FIRST].foot - centre)
-    ax.set_title("the next stride, as predicted: ways of torso and feet", fontsize=10, loc="left")
+    ax.set_title(
+        "the next stride, as predicted: ways of torso and feet", fontsize=10, loc="left"
+    )
     motion, axes = np.array(true), below.subplots(2, 1, sharex=True)
     for ax, column, name in zip(axes, (3, 5), ("x, mm", "height, mm")):
         draw_beside(ax, MM * motion[:, column], plans, column)
@@ -58,14 +62,24 @@ def draw_ways(ax: Axes, torso: Array, feet: Array) -> None:
         ax.plot(*CAMERA.project(feet[:, leg]).T, color=colour, lw=2.0, zorder=6)
 
 
-def draw_beside(ax: Axes, true: Array, plans: Sequence[TendonPlan], column: int) -> None:
+def draw_beside(
+    ax: Axes, true: Array, plans: Sequence[TendonPlan], column: int
+) -> None:
     """The true course of a column of the pose, mm, and predictions of it from several ticks on."""
     time = DT * np.arange(len(true))
-    ax.plot(time[FIRST:LAST], true[FIRST:LAST], color=palette.TRUE, lw=2.5, label="true")
+    ax.plot(
+        time[FIRST:LAST], true[FIRST:LAST], color=palette.TRUE, lw=2.5, label="true"
+    )
     for k in range(FIRST, LAST, EVERY):
         pose = MM * plans[k].pose[:, column]
         label = "predicted from the dot on" if k == FIRST else "_"
-        ax.plot(time[k] + DT * np.arange(len(pose) + 1), [true[k], *pose], "--",
-                color=palette.INK, lw=1.1, label=label)  # fmt: skip
+        ax.plot(
+            time[k] + DT * np.arange(len(pose) + 1),
+            [true[k], *pose],
+            "--",
+            color=palette.INK,
+            lw=1.1,
+            label=label,
+        )
         ax.plot(time[k], true[k], "o", color=palette.INK, ms=3.5)
     ax.grid(color=palette.PALE, lw=0.4)

@@ -36,7 +36,9 @@ CAUGHT_UP = 6.0  # s, after which the distance lost at the start is regained
 SPEED, LENGTH = 0.05, 0.8  # m/s, m: of the straight walks
 SIDE = 0.6  # m, of the square
 TURN_RATE = 0.15  # rad/s
-STEADY_STRIDES = 6  # at the end of a turn; before, the angle lost at the start is regained
+STEADY_STRIDES = (
+    6  # at the end of a turn; before, the angle lost at the start is regained
+)
 DIRECTION_SPEED = 0.06  # m/s, too fast for the walk when it is slanting
 HELD = 0.003  # m/s within which a speed counts as held
 DISTURBED = 3.0  # s, time of pushes and of lost odometry
@@ -118,7 +120,10 @@ def square() -> Case:
     """Square of four sides and four turns of 90 deg by velocity commands, then standing."""
     schedule, time = [], 0.0
     for _ in range(4):
-        schedule += [(time, (SPEED, 0.0, 0.0)), (time + SIDE / SPEED, (0.0, 0.0, TURN_RATE))]
+        schedule += [
+            (time, (SPEED, 0.0, 0.0)),
+            (time + SIDE / SPEED, (0.0, 0.0, TURN_RATE)),
+        ]
         time += SIDE / SPEED + math.pi / 2 / TURN_RATE
     return Case(time + 2.0, schedule=(*schedule, (time, (0.0, 0.0, 0.0))))
 
@@ -126,7 +131,9 @@ def square() -> Case:
 def slanted() -> Case:
     """Path of 60 deg, with the heading kept."""
     end = (LENGTH * math.cos(math.pi / 3), LENGTH * math.sin(math.pi / 3))
-    return Case(LENGTH / SPEED + 3.0, velocity=(SPEED, 0.0, 0.0), path=((0.0, 0.0), end))
+    return Case(
+        LENGTH / SPEED + 3.0, velocity=(SPEED, 0.0, 0.0), path=((0.0, 0.0), end)
+    )
 
 
 def _speeds(quick: bool) -> list[LocomotionRow]:
@@ -138,14 +145,20 @@ def _speeds(quick: bool) -> list[LocomotionRow]:
         for mu in ((0.2, 0.6) if quick else (0.2, 0.3, 0.4, 0.6))
     ]
     found = [
-        LocomotionRow("v_x held, .02 to .055, mu .2 to .6", "mm/s", 2.0, held, worst(_speed_error))
+        LocomotionRow(
+            "v_x held, .02 to .055, mu .2 to .6", "mm/s", 2.0, held, worst(_speed_error)
+        )
     ]
     tried = (0.05, 0.055, 0.06, 0.065, 0.07)
     for mu, goal in () if quick else ((0.2, 0.06), (0.4, 0.075), (0.6, 0.08)):
-        cases = [Case(duration, velocity=(v, 0.0, 0.0), changes=friction(mu)) for v in tried]
+        cases = [
+            Case(duration, velocity=(v, 0.0, 0.0), changes=friction(mu)) for v in tried
+        ]
         cases += [_fast(v, changes=friction(mu)) for v in (0.075, 0.08)]
         name = f"fastest held, mu {mu:g}"
-        found.append(LocomotionRow(name, "m/s", goal, cases, _fastest_held, 1.05, larger=True))
+        found.append(
+            LocomotionRow(name, "m/s", goal, cases, _fastest_held, 1.05, larger=True)
+        )
     return found
 
 
@@ -153,8 +166,12 @@ def _straight() -> list[LocomotionRow]:
     equal, split = straight(), straight(friction(0.5, 0.3))
     return [
         LocomotionRow("lateral error over .8 m", "mm", 10.0, [equal], worst(_lateral)),
-        LocomotionRow("lateral RMSE over .8 m", "mm", 14.0, [equal], worst(_lateral_rms), None),
-        LocomotionRow("lateral error, split friction", "mm", 20.0, [split], worst(_lateral)),
+        LocomotionRow(
+            "lateral RMSE over .8 m", "mm", 14.0, [equal], worst(_lateral_rms), None
+        ),
+        LocomotionRow(
+            "lateral error, split friction", "mm", 20.0, [split], worst(_lateral)
+        ),
         LocomotionRow("heading, split friction", "deg", 2.0, [split], worst(_heading)),
     ]
 
@@ -174,7 +191,9 @@ def _path() -> list[LocomotionRow]:
 
     case = slanted()
     return [
-        LocomotionRow("60 deg path, cross-track RMSE", "mm", 10.0, [case], worst(cross_track)),
+        LocomotionRow(
+            "60 deg path, cross-track RMSE", "mm", 10.0, [case], worst(cross_track)
+        ),
         LocomotionRow("60 deg path, heading", "deg", 2.0, [case], worst(_heading)),
     ]
 
@@ -199,7 +218,9 @@ def _turn(quick: bool) -> list[LocomotionRow]:
     quarter = math.pi / 2 / TURN_RATE
     schedule = ((0.0, (0.0, 0.0, TURN_RATE)), (quarter, (0.0, 0.0, 0.0)))
     floors = (0.6,) if quick else (0.2, 0.4, 0.6)
-    cases = [Case(quarter + 2.0, schedule=schedule, changes=friction(mu)) for mu in floors]
+    cases = [
+        Case(quarter + 2.0, schedule=schedule, changes=friction(mu)) for mu in floors
+    ]
 
     def rate(case: Case, motion: WalkMotion) -> float:
         late = motion.after(quarter - STEADY_STRIDES * PERIOD, quarter)
@@ -226,7 +247,9 @@ def _directions(quick: bool) -> list[LocomotionRow]:
 
     cases = directions(quick)
     return [
-        LocomotionRow("v of .06 held in all directions", "mm/s", 3.0, cases, worst(error)),
+        LocomotionRow(
+            "v of .06 held in all directions", "mm/s", 3.0, cases, worst(error)
+        ),
         LocomotionRow("v of .06, heading", "deg", 2.0, cases, worst(_heading)),
     ]
 
@@ -234,8 +257,18 @@ def _directions(quick: bool) -> list[LocomotionRow]:
 def _standing(quick: bool) -> list[LocomotionRow]:
     heights = [(h, 0.0, 0.0) for h in (0.030, 0.040, 0.050, 0.060)]
     five = math.radians(5.0)
-    tilts = [(0.040, five, 0.0), (0.040, -five, 0.0), (0.040, 0.0, five), (0.040, 0.0, -five)]
-    places = [(0.06, 0.04, 0.02), (-0.06, 0.0, 0.02), (0.0, 0.04, 0.02), (0.0, 0.0, 0.02)]
+    tilts = [
+        (0.040, five, 0.0),
+        (0.040, -five, 0.0),
+        (0.040, 0.0, five),
+        (0.040, 0.0, -five),
+    ]
+    places = [
+        (0.06, 0.04, 0.02),
+        (-0.06, 0.0, 0.02),
+        (0.0, 0.04, 0.02),
+        (0.0, 0.0, 0.02),
+    ]
     slopes = [slope(10.0, 90.0, 0.6), slope(10.0, 0.0, 0.6), slope(5.0, 0.0, 0.4)]
     loads = [payload(0.5, place) for place in places]
     groups: dict[str, list[Case]] = {
@@ -251,7 +284,9 @@ def _standing(quick: bool) -> list[LocomotionRow]:
         share, row = None if name.startswith("heights") else 0.5, f"standing, {name}"
         found += [
             LocomotionRow(f"{row}: height", "mm", 1.0, cases, worst(_height_off)),
-            LocomotionRow(f"{row}: angles", "deg", 0.3, cases, worst(_angle_off), share),
+            LocomotionRow(
+                f"{row}: angles", "deg", 0.3, cases, worst(_angle_off), share
+            ),
         ]
     return found
 
@@ -264,20 +299,26 @@ def _heights(quick: bool) -> list[LocomotionRow]:
     loads = ((), payload(0.3, (-0.04, 0.0, 0.03)), payload(0.3, (0.0, 0.04, 0.02)))
     commanded = (0.070,) if quick else (0.055, 0.0625, 0.070)
     cases = [
-        Case(WARM_UP + 7.0, velocity=(SPEED, 0.0, 0.0), pose=(h, 0.0, 0.0), changes=load)
+        Case(
+            WARM_UP + 7.0, velocity=(SPEED, 0.0, 0.0), pose=(h, 0.0, 0.0), changes=load
+        )
         for h in commanded
         for load in loads[: 1 if quick else None]
     ]
 
     def error(case: Case, motion: WalkMotion) -> float:
         assert case.pose is not None
-        return MM * float(abs(motion.after(WARM_UP).position[:, 2].mean() - case.pose[0]))
+        return MM * float(
+            abs(motion.after(WARM_UP).position[:, 2].mean() - case.pose[0])
+        )
 
     return [LocomotionRow("mean height walking, .3 kg", "mm", 3.0, cases, worst(error))]
 
 
 def _slopes(quick: bool) -> list[LocomotionRow]:
-    easy = Case(CAUGHT_UP + 10.5, velocity=(0.04, 0.0, 0.0), changes=slope(5.0, 0.0, 0.4))
+    easy = Case(
+        CAUGHT_UP + 10.5, velocity=(0.04, 0.0, 0.0), changes=slope(5.0, 0.0, 0.4)
+    )
     steep = _fast(0.03, changes=slope(10.0, 0.0, 0.6))
     cases = {"slope 5 deg, v_x of 0.04": easy, "slope 10 deg, v_x of 0.03": steep}
     return [
@@ -295,8 +336,12 @@ def _posture() -> list[LocomotionRow]:
 
     low = Case(12.0, gait="crawl", velocity=(0.03, 0.0, 0.0))
     return [
-        LocomotionRow("tilt of the walk, RMS", "deg", 4.5, [straight()], worst(rms), None),
-        LocomotionRow("tilt of the walk, largest", "deg", 8.0, [straight()], worst(largest), None),
+        LocomotionRow(
+            "tilt of the walk, RMS", "deg", 4.5, [straight()], worst(rms), None
+        ),
+        LocomotionRow(
+            "tilt of the walk, largest", "deg", 8.0, [straight()], worst(largest), None
+        ),
         LocomotionRow("crawl, torso's top", "mm", 70.0, [low], worst(_top), None),
     ]
 
@@ -321,14 +366,18 @@ def _disturbed(quick: bool) -> list[LocomotionRow]:
         "all at once": recovery(everything, scene="push", lost_odometry=gap),
     }
     return [
-        LocomotionRow(f"{name}: off the path after .8 m", "mm", 10.0, [case], worst(_off_path))
+        LocomotionRow(
+            f"{name}: off the path after .8 m", "mm", 10.0, [case], worst(_off_path)
+        )
         for name, case in list(cases.items())[: 1 if quick else None]
     ]
 
 
 def recovery(changes: Changes = (), **others: Any) -> Case:
     """Straight walk with a disturbance, then .8 m to return to the path and some more."""
-    return replace(straight(changes), duration=DISTURBED + LENGTH / SPEED + RECOVERED, **others)
+    return replace(
+        straight(changes), duration=DISTURBED + LENGTH / SPEED + RECOVERED, **others
+    )
 
 
 def _speed_error(case: Case, motion: WalkMotion) -> float:
@@ -337,7 +386,10 @@ def _speed_error(case: Case, motion: WalkMotion) -> float:
 
 def _fastest_held(cases: Sequence[Case], motions: Sequence[WalkMotion]) -> float:
     """Largest of the commanded speeds that is reached but for HELD; 0: none."""
-    speeds = [(c.velocity[0], m.after(CAUGHT_UP).forward_speed) for c, m in zip(cases, motions)]
+    speeds = [
+        (c.velocity[0], m.after(CAUGHT_UP).forward_speed)
+        for c, m in zip(cases, motions)
+    ]
     return max((v for v, reached in speeds if reached >= v - HELD), default=0.0)
 
 
@@ -385,6 +437,8 @@ def _top(case: Case, motion: WalkMotion) -> float:
         return math.inf
     late = motion.after(WARM_UP)
     roll, pitch = late.rpy[:, 0], late.rpy[:, 1]
-    upward = np.array([np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)])
+    upward = np.array(
+        [np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)]
+    )
     rise = np.array(read_robot().torso.size) / 2 @ np.abs(upward)
     return MM * float((late.position[:, 2] + rise).max())

@@ -39,7 +39,9 @@ STRIDES = {
 
 def draw(path: Path) -> None:
     """Write a PNG: the postures in its first row, then a stride a row at equal shares of it."""
-    figure = Figure(figsize=(1.9 * COLUMNS, 1.25 * (1 + len(STRIDES))), layout="constrained")
+    figure = Figure(
+        figsize=(1.9 * COLUMNS, 1.25 * (1 + len(STRIDES))), layout="constrained"
+    )
     robot, camera = read_robot(), Viewpoint()
     rows = [[(name, poses(case, [0.0])[0]) for name, case in POSTURES.items()]]
     for name, case in STRIDES.items():
@@ -67,5 +69,7 @@ def poses(case: Case, times: Sequence[float]) -> list[Snapshot]:
     wanted = [round((case.duration + time) / DT) for time in times]
     for k, _ in enumerate(loop.run(max(wanted) + 1)):
         legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, robot)
-        found[k] = Snapshot(k * DT, sim.position, sim.quaternion, legs, sim.ground_force)
+        found[k] = Snapshot(
+            k * DT, sim.position, sim.quaternion, legs, sim.ground_force
+        )
     return [found[k] for k in wanted]

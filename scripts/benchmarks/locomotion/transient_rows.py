@@ -11,7 +11,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.locomotion.cases import PERIOD, Case, WalkMotion, friction, incline, push
+from benchmarks.locomotion.cases import (
+    PERIOD,
+    Case,
+    WalkMotion,
+    friction,
+    incline,
+    push,
+)
 from benchmarks.locomotion.rows import MM, SPEED, LocomotionRow, worst
 from slot_core.robot import Array
 
@@ -43,13 +50,17 @@ def _paths(quick: bool) -> list[LocomotionRow]:
             Case(duration, velocity=(SPEED, 0.0, 0.0), path=path, changes=friction(mu))
             for mu in ((0.4,) if quick else (0.2, 0.4, 0.6))
         ]
-        found.append(LocomotionRow(f"{name} by path, RMS", "mm", 5.0, cases, worst(_off_path)))
+        found.append(
+            LocomotionRow(f"{name} by path, RMS", "mm", 5.0, cases, worst(_off_path))
+        )
     return found
 
 
 def _off_path(case: Case, motion: WalkMotion) -> float:
     late = motion.after(3.0)
-    distance = np.min([_distance(late.position[:, :2], *edge) for edge in _edges(case)], axis=0)
+    distance = np.min(
+        [_distance(late.position[:, :2], *edge) for edge in _edges(case)], axis=0
+    )
     return MM * float(np.sqrt(np.mean(distance**2)))
 
 
@@ -83,7 +94,9 @@ def _steps(quick: bool) -> list[LocomotionRow]:
     steps = {".02 to .06": (0.02, 0.06, 1.2), ".06 to -.04": (0.06, -0.04, 1.5)}
     steps |= {".05 to 0": (0.05, 0.0, 1.2)}
     return [
-        LocomotionRow(f"velocity {name}: to a tenth", "s", goal, [step(a, b)], worst(settled))
+        LocomotionRow(
+            f"velocity {name}: to a tenth", "s", goal, [step(a, b)], worst(settled)
+        )
         for name, (a, b, goal) in list(steps.items())[: 1 if quick else None]
     ]
 
@@ -94,13 +107,20 @@ def _pushes(quick: bool) -> list[LocomotionRow]:
     ways = {"aside": ((0.0, force, 0.0), 1), "back": ((-force, 0.0, 0.0), 0)}
     for name, (way, axis) in list(ways.items())[: 1 if quick else None]:
         cases = [
-            Case(begin + 4.0, "push", velocity=(SPEED, 0.0, 0.0), changes=push(begin, way))
+            Case(
+                begin + 4.0,
+                "push",
+                velocity=(SPEED, 0.0, 0.0),
+                changes=push(begin, way),
+            )
             for begin in begins
         ]
         title = f"push of .83 N s {name}"
         found += [
             LocomotionRow(f"{title}: peak", "mm", 20.0, cases, worst(_peak(axis)), 1.1),
-            LocomotionRow(f"{title}: recovery", "s", 2.0, cases, worst(_recovery(axis)), 0.9),
+            LocomotionRow(
+                f"{title}: recovery", "s", 2.0, cases, worst(_recovery(axis)), 0.9
+            ),
         ]
     return found
 
@@ -144,7 +164,11 @@ def _loads(quick: bool) -> list[LocomotionRow]:
     found = []
     for name, happens in list(events.items())[: 1 if quick else None]:
         cases = [Case(AT + 6.0, velocity=(SPEED, 0.0, 0.0), events=happens)]
-        found.append(LocomotionRow(f"{name}, at once: place lost", "mm", 10.0, cases, worst(_lost)))
+        found.append(
+            LocomotionRow(
+                f"{name}, at once: place lost", "mm", 10.0, cases, worst(_lost)
+            )
+        )
     return found
 
 
@@ -158,7 +182,9 @@ def _lost(case: Case, motion: WalkMotion) -> float:
 
 
 def _postures() -> list[LocomotionRow]:
-    ramp = Case(8.0, gait="stand", pose=(0.060, 0.0, 0.0), poses=((4.0, (0.030, 0.0, 0.0)),))
+    ramp = Case(
+        8.0, gait="stand", pose=(0.060, 0.0, 0.0), poses=((4.0, (0.030, 0.0, 0.0)),)
+    )
 
     def lag(case: Case, motion: WalkMotion) -> float:
         moving = motion.after(4.3, 5.4)  # from 60 to 30 mm at 20 mm/s
@@ -170,19 +196,31 @@ def _postures() -> list[LocomotionRow]:
 
     still = [Case(10.0, gait="stand")]
     return [
-        LocomotionRow("standing, ramp of 30 mm: lag", "mm", 2.0, [ramp], worst(lag), None),
-        LocomotionRow("standing: speed of the goals", "deg/s", 5.0, still, worst(speed), None),
+        LocomotionRow(
+            "standing, ramp of 30 mm: lag", "mm", 2.0, [ramp], worst(lag), None
+        ),
+        LocomotionRow(
+            "standing: speed of the goals", "deg/s", 5.0, still, worst(speed), None
+        ),
     ]
 
 
 def _steady() -> list[LocomotionRow]:
     walk = [Case(16.0, velocity=(SPEED, 0.0, 0.0), changes=friction(1.0))]
 
-    def of_height(which: Callable[[Array], float]) -> Callable[[Case, WalkMotion], float]:
-        return lambda _, motion: MM * which(motion.moving_mean(motion.after(6.0).position[:, 2]))
+    def of_height(
+        which: Callable[[Array], float],
+    ) -> Callable[[Case, WalkMotion], float]:
+        return lambda _, motion: (
+            MM * which(motion.moving_mean(motion.after(6.0).position[:, 2]))
+        )
 
     swing = worst(of_height(lambda height: float(np.ptp(height))))
-    return [LocomotionRow("friction 1: swing of the mean height", "mm", 4.0, walk, swing, None)]
+    return [
+        LocomotionRow(
+            "friction 1: swing of the mean height", "mm", 4.0, walk, swing, None
+        )
+    ]
 
 
 def _curves() -> list[LocomotionRow]:
@@ -203,7 +241,9 @@ def _curves() -> list[LocomotionRow]:
         return MM * float(np.sqrt(np.mean((np.hypot(x, y - 1.0) - 1.0) ** 2)))
 
     return [
-        LocomotionRow("curves of .03 m/s: yaw rate missed", "%", 10.0, turning, worst(missing)),
+        LocomotionRow(
+            "curves of .03 m/s: yaw rate missed", "%", 10.0, turning, worst(missing)
+        ),
         LocomotionRow("circle of 1 m radius, RMS", "mm", 5.0, circle, worst(off)),
     ]
 
@@ -228,7 +268,11 @@ def _stress() -> list[LocomotionRow]:
     def tilt(case: Case, motion: WalkMotion) -> float:
         return math.degrees(motion.tilt.max())
 
-    return [LocomotionRow("random stress of 90 s: tilt", "deg", 15.0, cases, worst(tilt), None)]
+    return [
+        LocomotionRow(
+            "random stress of 90 s: tilt", "deg", 15.0, cases, worst(tilt), None
+        )
+    ]
 
 
 def _broken() -> list[LocomotionRow]:
@@ -241,4 +285,8 @@ def _broken() -> list[LocomotionRow]:
         late = motion.after(5.0)
         return math.degrees(float(abs(late.rpy[-1, 2] - late.rpy[0, 2])))
 
-    return [LocomotionRow("tendon FL broken, told: turned", "deg", 5.0, cases, worst(turned))]
+    return [
+        LocomotionRow(
+            "tendon FL broken, told: turned", "deg", 5.0, cases, worst(turned)
+        )
+    ]

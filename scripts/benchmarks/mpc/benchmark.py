@@ -14,7 +14,15 @@ from typing import Any
 import numpy as np
 import psutil
 
-from benchmarks.harness import Check, Progress, Row, at_least, at_most, mark_front, timed
+from benchmarks.harness import (
+    Check,
+    Progress,
+    Row,
+    at_least,
+    at_most,
+    mark_front,
+    timed,
+)
 from benchmarks.mpc.cases import Case, hard_cases, random_case, stretched
 from benchmarks.mpc.cvxpy_reference import CvxpyReference, restated
 from benchmarks.mpc.oracle import optimum
@@ -42,7 +50,8 @@ Solved = tuple[Sequence[Case], Array]  # cases, and the first forces of their op
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
     """Run all measurements; the plot goes to `out/mpc.png`."""
     settings = config.replace(
-        read_mpc("forces"), {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0}
+        read_mpc("forces"),
+        {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0},
     )
     progress("walk")
     walk, hard = walk_cases(), list(hard_and_random(settings.horizon))
@@ -170,29 +179,39 @@ def worst(row: Row) -> float:
     return max(row["error_max"], row["hard_error_max"])
 
 
-def horizon_rows(settings: MpcSettings, walk: Sequence[Case]) -> Iterable[dict[str, Any]]:
+def horizon_rows(
+    settings: MpcSettings, walk: Sequence[Case]
+) -> Iterable[dict[str, Any]]:
     """CPU time of a cycle over the number of stages."""
     for stages in HORIZONS:
         changes = {"horizon": stages, "acceptance.condition_max": 1e12}
         mpc = controller(config.replace(settings, changes), HORIZON_TOLERANCE)
-        results, times = plans(mpc, [(x, stretched(ahead, stages + 1)) for x, ahead in walk])
+        results, times = plans(
+            mpc, [(x, stretched(ahead, stages + 1)) for x, ahead in walk]
+        )
         row = {"kind": "horizon", "solver": SOLVER, "stages": stages}
         refused = sum(not accepted(result) for result in results)
         yield row | {"median_ms": np.median(times), "refused": refused}
 
 
-def cvxpy_rows(settings: MpcSettings, cases: Sequence[Case], exact: Array) -> Iterable[Row]:
+def cvxpy_rows(
+    settings: MpcSettings, cases: Sequence[Case], exact: Array
+) -> Iterable[Row]:
     """CVXPY with the problem compiled once, and with the problem rebuilt in every cycle."""
     robot = read_robot()
     cached = CvxpyReference(robot, settings)
     cached.solve(cases[0][0].state, cases[0][1])
     solvers = {
         "CVXPY, cached, Clarabel": lambda x, ahead: cached.solve(x.state, ahead),
-        "CVXPY, as published, SCS": lambda x, ahead: restated(robot, settings, x.state, ahead),
+        "CVXPY, as published, SCS": lambda x, ahead: restated(
+            robot, settings, x.state, ahead
+        ),
     }
     for name, solve in solvers.items():
         forces, times = zip(*(timed(solve, *case) for case in cases))
-        off = [np.abs(force[0] - optimal).max() for force, optimal in zip(forces, exact)]
+        off = [
+            np.abs(force[0] - optimal).max() for force, optimal in zip(forces, exact)
+        ]
         row = {"kind": "cvxpy", "solver": name, "median_ms": 1e3 * np.median(times)}
         yield row | {"error_median": np.median(off), "error_max": np.max(off)}
 
@@ -205,11 +224,23 @@ def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]
     cached, published = (r["median_ms"] for r in rows if r["kind"] == "cvxpy")
     hour = [row["gained_MB"] for row in rows if row["kind"] == "hour"]
     return [
-        *(at_most("growth of memory in an hour of cycles", gained, 1.0, "MB") for gained in hour),
+        *(
+            at_most("growth of memory in an hour of cycles", gained, 1.0, "MB")
+            for gained in hour
+        ),
         at_most("error of the first forces, walk", row["error_max"], 1e-3, "N"),
-        at_most("error of the first forces, hard cases", row["hard_error_max"], 1e-3, "N"),
-        at_most("hard cases refused or wrong", row["hard_refused"] + row["hard_wrong"], 0),
+        at_most(
+            "error of the first forces, hard cases", row["hard_error_max"], 1e-3, "N"
+        ),
+        at_most(
+            "hard cases refused or wrong", row["hard_refused"] + row["hard_wrong"], 0
+        ),
         at_most("time of 60 stages over that of 15", time_of[60] / time_of[15], 4.5),
         at_least("faster than CVXPY, cached", cached / row["median_ms"], 2.5, "times"),
-        at_least("faster than CVXPY as published", published / row["median_ms"], 80.0, "times"),
+        at_least(
+            "faster than CVXPY as published",
+            published / row["median_ms"],
+            80.0,
+            "times",
+        ),
     ]

@@ -19,7 +19,10 @@ Case = tuple[Estimate, GaitPreview]
 
 
 def state(
-    rpy: Any = (0, 0, 0), p: Any = (0, 0, HEIGHT), omega: Any = (0, 0, 0), v: Any = (0, 0, 0)
+    rpy: Any = (0, 0, 0),
+    p: Any = (0, 0, HEIGHT),
+    omega: Any = (0, 0, 0),
+    v: Any = (0, 0, 0),
 ) -> Array:
     """(12,) state [rpy, p, omega, v]; rad, m, rad/s, m/s."""
     return np.concatenate([rpy, p, omega, v]).astype(float)
@@ -52,9 +55,13 @@ def hard_cases(stages: int) -> dict[str, Case]:
     zeros, none = np.zeros((stages, 4)), np.zeros((stages, 4), dtype=bool)
     swing = np.ones((stages, 4), dtype=bool)
     swing[stages // 3 : 2 * stages // 3, 1] = False
-    lifted, diagonal = (np.tile(feet, (stages, 1)) for feet in ([1, 0, 1, 1], [1, 0, 0, 1]))
+    lifted, diagonal = (
+        np.tile(feet, (stages, 1)) for feet in ([1, 0, 1, 1], [1, 0, 0, 1])
+    )
     landing = np.repeat(np.arange(stages) >= stages // 2, 4).reshape(stages, 4)
-    moving = torso(rpy=(0.02, -0.01, 0.2), p=(0, 0, 0.05), omega=(0.1, 0, 0), v=(0.1, 0.05, 0))
+    moving = torso(
+        rpy=(0.02, -0.01, 0.2), p=(0, 0, 0.05), omega=(0.1, 0, 0), v=(0.1, 0.05, 0)
+    )
     stance = standing(stages)
     return {
         "low": (torso(p=(0, 0, 0.01)), stance),
@@ -104,5 +111,7 @@ def stretched(preview: GaitPreview, stages: int) -> GaitPreview:
     """The preview repeated periodically over `stages` stages."""
     rows = np.arange(stages) % len(preview.contact)
     names = ("contact", "friction", "normal_force", "tendon_angle", "reference")
-    arrays: dict[str, Any] = {name: np.asarray(getattr(preview, name))[rows] for name in names}
+    arrays: dict[str, Any] = {
+        name: np.asarray(getattr(preview, name))[rows] for name in names
+    }
     return dataclasses.replace(preview, **arrays)

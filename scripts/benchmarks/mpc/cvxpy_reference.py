@@ -29,11 +29,19 @@ class CvxpyReference:
         stages = settings.horizon
         self.x0, self.drift = cp.Parameter(STATES), cp.Parameter(STATES)
         self.a, self.b = cp.Parameter((STATES, STATES)), cp.Parameter((STATES, INPUTS))
-        self.x_ref, self.u_ref = cp.Parameter((stages, STATES)), cp.Parameter((stages, INPUTS))
+        self.x_ref, self.u_ref = (
+            cp.Parameter((stages, STATES)),
+            cp.Parameter((stages, INPUTS)),
+        )
         self.friction = cp.Parameter((stages, FEET), nonneg=True)
         self.limit = cp.Parameter((stages, FEET), nonneg=True)
-        self.u, self.x = cp.Variable((stages, INPUTS)), cp.Variable((stages + 1, STATES))
-        self._problem = cp.Problem(cp.Minimize(self._cost()), [*self._dynamics(), *self._limits()])
+        self.u, self.x = (
+            cp.Variable((stages, INPUTS)),
+            cp.Variable((stages + 1, STATES)),
+        )
+        self._problem = cp.Problem(
+            cp.Minimize(self._cost()), [*self._dynamics(), *self._limits()]
+        )
 
     def _cost(self) -> Any:
         """Sum of squares of the errors, scaled by the roots of the weights."""
@@ -69,7 +77,9 @@ class CvxpyReference:
         self.drift.value = prediction.drift
         following = np.minimum(now + 1, len(preview.reference) - 1)
         target = np.array(preview.reference, dtype=float)[following]
-        target[:, YAW] += 2 * np.pi * np.round((state[YAW] - target[0, YAW]) / (2 * np.pi))
+        target[:, YAW] += (
+            2 * np.pi * np.round((state[YAW] - target[0, YAW]) / (2 * np.pi))
+        )
         self.x_ref.value = target
         force = np.zeros((len(now), INPUTS))
         force[:, 2::3] = np.asarray(preview.normal_force)[now]
@@ -93,7 +103,9 @@ def restated(
         u_ref[2::3] = preview.normal_force[k]
         cost += cp.quad_form(x[:, k + 1] - preview.reference[k + 1], q)
         cost += cp.quad_form(u[:, k] - u_ref, r)
-        constraints.append(x[:, k + 1] == model.a @ x[:, k] + model.b @ u[:, k] + model.drift)
+        constraints.append(
+            x[:, k + 1] == model.a @ x[:, k] + model.b @ u[:, k] + model.drift
+        )
         for leg in range(FEET):
             f_x, f_y, f_z = (u[3 * leg + axis, k] for axis in range(3))
             friction = preview.friction[k][leg] * f_z

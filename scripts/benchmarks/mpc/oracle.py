@@ -42,5 +42,7 @@ def _minimum(qp: HorizonQp, hessian: Array, slope: Array, inputs: Array) -> Arra
     used = np.abs(rows).sum(axis=1) > 0.0
     square = hessian[np.ix_(free, free)]
     square = (square + square.T) / 2
-    f[free] = quadprog.solve_qp(square, -slope[free], rows[used].T.copy(), least[used])[0]
+    f[free] = quadprog.solve_qp(square, -slope[free], rows[used].T.copy(), least[used])[
+        0
+    ]
     return f

@@ -62,7 +62,9 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
     return rows, checks(rows)
 
 
-def cases(duration: float, progress: Progress) -> tuple[dict[str, Runs], list[dict[str, Any]]]:
+def cases(
+    duration: float, progress: Progress
+) -> tuple[dict[str, Runs], list[dict[str, Any]]]:
     """Run every case of both studies; the published one always lasts as long as in the paper."""
     robot, published = read_robot(), read_paper_mpc("paper_code")
     runs: dict[str, Runs] = {"published": {}, "robot": {}}
@@ -71,10 +73,16 @@ def cases(duration: float, progress: Progress) -> tuple[dict[str, Runs], list[di
         progress(f"case {name}")
         noisy = name == "Noise"
         noise = np.random.default_rng(NOISE_SEED) if noisy else None
-        runs["published"][name] = run_published(robot, published, change, DURATION, noise)
-        runs["robot"][name], reached = run_robot(change, duration, NOISE if noisy else 0.0)
+        runs["published"][name] = run_published(
+            robot, published, change, DURATION, noise
+        )
+        runs["robot"][name], reached = run_robot(
+            change, duration, NOISE if noisy else 0.0
+        )
         for study, by_case in runs.items():
-            row = {"kind": "case", "study": study, "case": name} | metrics(by_case[name])
+            row = {"kind": "case", "study": study, "case": name} | metrics(
+                by_case[name]
+            )
             row |= {f"paper_{key}": value for key, value in zip(PAPER, TABLE[name])}
             rows.append(row | (reached if study == "robot" else {}))
     return runs, rows
@@ -90,7 +98,11 @@ def checks(rows: Iterable[Row]) -> list[Check]:
         if row["study"] == "published":
             if row["case"] in REPRODUCED:
                 off = 100 * abs(row["max_cost"] / row["paper_max_cost"] - 1)
-                out.append(at_most(f"{name}: maximum cost", off, MOST_DEVIATION, "% off the paper"))
+                out.append(
+                    at_most(
+                        f"{name}: maximum cost", off, MOST_DEVIATION, "% off the paper"
+                    )
+                )
         else:
             out.append(at_most(f"{name}: infeasible steps", row["infeasible"], 0))
             out.append(at_most(f"{name}: settled", row["settling_s"], LATEST, "s"))

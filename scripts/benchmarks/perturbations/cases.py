@@ -57,7 +57,9 @@ class PerturbedRun:
     def of(cls, time: Any, cost: Any, states: Any, infeasible: int) -> PerturbedRun:
         """The run with states (n, 12)."""
         x = np.array(states)
-        return cls(np.array(time), np.array(cost), x[:, P_Z], tilt(x[:, :3]), infeasible)
+        return cls(
+            np.array(time), np.array(cost), x[:, P_Z], tilt(x[:, :3]), infeasible
+        )
 
 
 Runs = Mapping[str, Mapping[str, PerturbedRun]]  # by study and case

@@ -29,7 +29,9 @@ STUDIES = {
     "published": "the published problem on its own linear model",
     "robot": "the default policy on the Cosserat robot, standing",
 }
-COLOURS = dict(zip(CASES, (palette.INK, palette.TRUE, *palette.STAGE_COLOURS, palette.TORSO)))
+COLOURS = dict(
+    zip(CASES, (palette.INK, palette.TRUE, *palette.STAGE_COLOURS, palette.TORSO))
+)
 STYLES = {"Roll": "--", "Velocity": "-.", "Noise": ":"}
 SHOWN = 2.0  # s, of the robot
 
@@ -50,7 +52,9 @@ def draw_responses(runs: Mapping[str, Mapping[str, PerturbedRun]], path: Path) -
     height.set_title(STUDIES["robot"], fontsize=9, loc="left")
     _draw_lines(leaning, runs["robot"], lambda run: np.degrees(run.tilt))
     leaning.axhspan(0.0, math.degrees(TILT_BAND), color=palette.SHADE, zorder=0)
-    leaning.set(ylabel="tilt (deg)", xlabel="time (s)", xlim=(0.0, SHOWN), ylim=(0.0, None))
+    leaning.set(
+        ylabel="tilt (deg)", xlabel="time (s)", xlim=(0.0, SHOWN), ylim=(0.0, None)
+    )
     for axes, settled in ((height, 1.4), (leaning, 0.4)):
         axes.text(0.98 * SHOWN, settled, "settled", ha="right", va="center", fontsize=8)
     handles, names = height.get_legend_handles_labels()
@@ -64,10 +68,23 @@ def _draw_costs(axes: Axes, runs: Mapping[str, PerturbedRun]) -> None:
     for place, (name, run) in enumerate(runs.items()):
         paper, found = TABLE[name][0], float(run.cost.max())
         axes.plot([paper, found], [place, place], color=palette.PALE, lw=2, zorder=1)
-        axes.plot(found, place, "o", color=palette.INK, label="here" if place == 0 else None)
-        axes.plot(paper, place, "|", ms=14, mew=2, color=palette.TRUE,
-                  label="the paper's table" if place == 0 else None)  # fmt: skip
-    axes.set(yticks=range(len(runs)), yticklabels=list(runs), xlabel="maximum cost of the MPC")
+        axes.plot(
+            found, place, "o", color=palette.INK, label="here" if place == 0 else None
+        )
+        axes.plot(
+            paper,
+            place,
+            "|",
+            ms=14,
+            mew=2,
+            color=palette.TRUE,
+            label="the paper's table" if place == 0 else None,
+        )
+    axes.set(
+        yticks=range(len(runs)),
+        yticklabels=list(runs),
+        xlabel="maximum cost of the MPC",
+    )
     axes.set(xlim=(0.0, None))
     axes.invert_yaxis()
     axes.grid(axis="x", color=palette.PALE, lw=0.4)
@@ -93,7 +110,9 @@ def table_lines(rows: Sequence[Row]) -> list[str]:
     for case, (most, mean, final, settled) in TABLE.items():
         line = f"{case:<10}{most:8.4f}{mean:8.4f}{final:8.4f}{_time(settled):>10}|"
         if row := found.get(("published", case)):
-            line += "".join(f"{row[f'{name}_cost']:8.4f}" for name in ("max", "mean", "final"))
+            line += "".join(
+                f"{row[f'{name}_cost']:8.4f}" for name in ("max", "mean", "final")
+            )
             line += f"{_time(row['settling_cost_s']):>9}{_still(row)}  |"
         if row := found.get(("robot", case)):
             line += _still(row)

@@ -13,7 +13,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.perturbations.cases import DT, HEIGHT, NOISE, P_Z, SPEED, V_X, PerturbedRun
+from benchmarks.perturbations.cases import (
+    DT,
+    HEIGHT,
+    NOISE,
+    P_Z,
+    SPEED,
+    V_X,
+    PerturbedRun,
+)
 from slot_core.mpc.model import FEET, STATES
 from slot_core.mpc.paper_problem import AXES, FRONT, PaperProblem
 from slot_core.mpc.settings import PaperMpcSettings
@@ -61,8 +69,12 @@ def run_published(  # noqa: PLR0917
             force = problem.forces(found.z)[0]
             entries.append((time, problem.cost(found.z), state))
         if step < RAISED_STEPS:
-            force[:, 2] = np.maximum(force[:, 2], problem.mass * GRAVITY / FEET + raised)
+            force[:, 2] = np.maximum(
+                force[:, 2], problem.mass * GRAVITY / FEET + raised
+            )
         state = model.a @ state + model.b @ force.ravel() + model.drift
         if noise is not None:
-            state = np.clip(state + NOISE * noise.normal(size=STATES), -MOST_STATE, MOST_STATE)
+            state = np.clip(
+                state + NOISE * noise.normal(size=STATES), -MOST_STATE, MOST_STATE
+            )
     return PerturbedRun.of(*zip(*entries), infeasible)

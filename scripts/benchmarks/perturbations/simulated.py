@@ -22,7 +22,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from benchmarks.perturbations.cases import DT, HEIGHT, P_Z, PITCH, ROLL, SPEED, V_X, PerturbedRun
+from benchmarks.perturbations.cases import (
+    DT,
+    HEIGHT,
+    P_Z,
+    PITCH,
+    ROLL,
+    SPEED,
+    V_X,
+    PerturbedRun,
+)
 from slot_core import config
 from slot_core.control.policy import Status
 from slot_core.dynamics.scene import Scene, read_scene
@@ -61,13 +70,19 @@ def lowest_angle(height: float) -> float:
     """Tendon angle, deg, at which the robot stands at `height` (m); 0 if it cannot be that low."""
 
     def above(angle_deg: float) -> float:
-        scene = config.replace(read_scene("flat"), {"start.tendon_angle_deg": angle_deg})
-        plant = RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))
+        scene = config.replace(
+            read_scene("flat"), {"start.tendon_angle_deg": angle_deg}
+        )
+        plant = RobotSimulator(
+            read_robot(), scene, read_servo(), np.random.default_rng(0)
+        )
         return float(plant.robot.position[2]) - height
 
     if above(0.0) >= 0.0:
         return 0.0
-    return float(brentq(above, 0.0, read_scene("flat").start.tendon_angle_deg, xtol=0.1))
+    return float(
+        brentq(above, 0.0, read_scene("flat").start.tendon_angle_deg, xtol=0.1)
+    )
 
 
 @functools.cache
@@ -89,14 +104,20 @@ def quiet(noise: float = 0.0) -> Scene:
     """The scene `flat` with the same noise on every state of the odometry, and none of the IMU."""
     odometry = {f"sensors.odometry.{name}": noise for name in NOISE_FIELDS}
     imu = ("rate_noise", "rate_bias", "acceleration_noise")
-    return config.replace(read_scene("flat"), odometry | {f"sensors.imu.{n}": 0.0 for n in imu})
+    return config.replace(
+        read_scene("flat"), odometry | {f"sensors.imu.{n}": 0.0 for n in imu}
+    )
 
 
-def states(realised: RealisedCase, scene: Scene, duration: float) -> tuple[Array, list[float], int]:
+def states(
+    realised: RealisedCase, scene: Scene, duration: float
+) -> tuple[Array, list[float], int]:
     """(n, 12) true states at the ticks, costs of the MPC, number of steps without a solution."""
     scene = config.replace(scene, {"start.tendon_angle_deg": realised.start_angle_deg})
     loop = ClosedLoop("flat", "stand", np.zeros(3), SEED)
-    loop.plant = RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(SEED))
+    loop.plant = RobotSimulator(
+        read_robot(), scene, read_servo(), np.random.default_rng(SEED)
+    )
     sim, nothing = loop.plant.robot, np.zeros(3)
     moment = np.array([*realised.moment, 0.0])
     rows, costs, infeasible = [], [], 0
@@ -105,7 +126,9 @@ def states(realised: RealisedCase, scene: Scene, duration: float) -> tuple[Array
             sim.set_motion(np.array([realised.speed, 0.0, 0.0]), nothing)
         if k in {0, PULSE_TICKS}:
             sim.push(nothing, moment if k == 0 else -moment)
-        rows.append(np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity]))
+        rows.append(
+            np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity])
+        )
         costs.append(tick.plan.report.cost)
         infeasible += tick.plan.status != Status.SOLVED
     return np.array(rows), costs, infeasible
@@ -118,7 +141,11 @@ def run_robot(
     realised = realise(change, read_scene("flat").start.tendon_angle_deg)
     rows, costs, infeasible = states(realised, quiet(noise), duration)
     peaks, height = np.abs(rows).max(axis=0), rows[:, P_Z]
-    reached = {"peak_roll": peaks[ROLL], "peak_pitch": peaks[PITCH], "start_height": height[0]}
+    reached = {
+        "peak_roll": peaks[ROLL],
+        "peak_pitch": peaks[PITCH],
+        "start_height": height[0],
+    }
     reached |= {"v_x_error": realised.speed}
     reached |= dict(zip(("moment_x", "moment_y"), realised.moment))
     reached |= {"final_height": height[-1], "height_error": height[-1] - HEIGHT}

@@ -16,13 +16,25 @@ from documentation.markdown import plain, table
 
 COLUMNS = ("gait alone", "paper", "default")  # of the locomotion table
 MARGINS = {
-    "voltage": "V", "friction": "", "speed": "m/s", "aside": "mm per m walked",
-    "heading": "deg", "tilt": "deg RMS", "load": "% of stall",
-}  # fmt: skip
+    "voltage": "V",
+    "friction": "",
+    "speed": "m/s",
+    "aside": "mm per m walked",
+    "heading": "deg",
+    "tilt": "deg RMS",
+    "load": "% of stall",
+}
 NOT_MEASURED, MISSING, NO_VALUE = "not measured", "result missing", "no value"
 VERDICTS = (
-    "better", "equal", "reproduced", "worse", "not reproduced", NOT_MEASURED, MISSING, NO_VALUE,
-)  # fmt: skip
+    "better",
+    "equal",
+    "reproduced",
+    "worse",
+    "not reproduced",
+    NOT_MEASURED,
+    MISSING,
+    NO_VALUE,
+)
 ABOUT = """\
 Everything is of the simulated robot, unless it is the paper's: S. Karan, N. Maram, S. Borate, M. Vadali,
 *Dynamic Modeling and MPC for Locomotion of Tendon-Driven Soft Quadruped*."""
@@ -41,14 +53,18 @@ comparison records neither."""
 class Contents:
     """Results that a page shows, and the commands that make them."""
 
-    benchmarks: Mapping[str, tuple[str, Result | None]]  # by name: what it measures, its result
+    benchmarks: Mapping[
+        str, tuple[str, Result | None]
+    ]  # by name: what it measures, its result
     runs: Mapping[str, tuple[str, Result | None]]  # by folder: title, its result
     commands: Mapping[str, Sequence[str]]  # by name or folder
 
     def results(self) -> dict[str, Result]:
         """All results that are there, by name or folder."""
         found = {**self.benchmarks, **self.runs}
-        return {name: result for name, (_, result) in found.items() if result is not None}
+        return {
+            name: result for name, (_, result) in found.items() if result is not None
+        }
 
 
 def render(contents: Contents, revision: str, folder: Path) -> str:
@@ -74,16 +90,23 @@ def render(contents: Contents, revision: str, folder: Path) -> str:
 def _overview(contents: Contents, counts: Mapping[str, Counter[str]]) -> Iterator[str]:
     """How many results are there, how many checks hold, and how the paper's figures are judged."""
     results = contents.results()
-    checks = [(name, check) for name, result in results.items() for check in result.checks]
+    checks = [
+        (name, check) for name, result in results.items() for check in result.checks
+    ]
     missed = [(name, check) for name, check in checks if not check.holds]
     yield (
         f"{len(results)} of {len(contents.commands)} results are here. Of {len(checks)} checks of "
         f"benchmarks {len(checks) - len(missed)} hold and {len(missed)} are missed."
     )
-    judged = [[plain(t), *(str(count[v] or "") for v in VERDICTS)] for t, count in counts.items()]
+    judged = [
+        [plain(t), *(str(count[v] or "") for v in VERDICTS)]
+        for t, count in counts.items()
+    ]
     yield table(["figures of the paper", *VERDICTS], judged)
     if missed:
-        rows = [[_link(name), plain(c.name), _value(c), plain(c.goal)] for name, c in missed]
+        rows = [
+            [_link(name), plain(c.name), _value(c), plain(c.goal)] for name, c in missed
+        ]
         yield table(["missed in", "check", "value", "goal"], rows)
 
 
@@ -96,20 +119,35 @@ def _comparison(
     for line in compared.lines:
         papers = [""] * len(compared.others) or line.paper
         cells = [
-            _figure(ours, column.judged if line.judged is None else line.judged, paper, results)
-            for column, paper, ours in zip(compared.ours, papers, line.ours, strict=True)
+            _figure(
+                ours,
+                column.judged if line.judged is None else line.judged,
+                paper,
+                results,
+            )
+            for column, paper, ours in zip(
+                compared.ours, papers, line.ours, strict=True
+            )
         ]
         count.update(verdict or text for text, verdict in cells)
         given = [f"{v:g}" if isinstance(v, float) else v for v in line.paper]
         name = plain(line.name + (f" ({line.place})" if line.place else ""))
-        rows.append([name, *given, *(f"{text} {word}".strip() for text, word in cells if here)])
+        rows.append(
+            [name, *given, *(f"{text} {word}".strip() for text, word in cells if here)]
+        )
     columns = [f"paper: {_title(column)}" for column in compared.columns]
     columns += [f"here: {_title(column)}" for column in compared.ours if here]
     names = ", ".join(_link(name) for name in compared.results if name in results)
     missing = ", ".join(name for name in compared.results if name not in results)
-    ends = [f"From {names}." if names else "", f"Not run: {missing}." if missing else ""]
+    ends = [
+        f"From {names}." if names else "",
+        f"Not run: {missing}." if missing else "",
+    ]
     about = f"### {compared.title}\n\n{plain(compared.place)}. {plain(compared.about)}"
-    return f"{about}\n\n{table(['', *columns], rows)}\n{' '.join(filter(None, ends))}", count
+    return (
+        f"{about}\n\n{table(['', *columns], rows)}\n{' '.join(filter(None, ends))}",
+        count,
+    )
 
 
 def _figure(
@@ -136,7 +174,9 @@ def _claims() -> str:
     return f"{about}\n\n{table(['place', 'claim', 'verdict', 'why'], rows)}"
 
 
-def _sections(shown: Mapping[str, tuple[str, Result | None]], folder: Path) -> Iterator[str]:
+def _sections(
+    shown: Mapping[str, tuple[str, Result | None]], folder: Path
+) -> Iterator[str]:
     """A section for each result that is there."""
     for name, (about, result) in shown.items():
         if result is None:
@@ -146,7 +186,12 @@ def _sections(shown: Mapping[str, tuple[str, Result | None]], folder: Path) -> I
         yield f"```bash\n{result.command}\n```\n\n{plain(result.origin)}.{quick}"
         if result.checks:
             rows = [
-                ["holds" if c.holds else "**missed**", plain(c.name), _value(c), plain(c.goal)]
+                [
+                    "holds" if c.holds else "**missed**",
+                    plain(c.name),
+                    _value(c),
+                    plain(c.goal),
+                ]
                 for c in result.checks
             ]
             yield table(["", "check", "value", "goal"], rows)
@@ -170,7 +215,9 @@ def _locomotion(result: Result) -> Iterator[str]:
             holds = known and (values[-1] >= goal if larger else values[-1] <= goal)
             wanted = f"{'>=' if larger else '<='} {_number(goal)}"
             words = (plain(str(word)) for word in (row["row"], row.get("unit"), wanted))
-            rows.append([*words, *map(_number, values), "holds" if holds else "**missed**"])
+            rows.append(
+                [*words, *map(_number, values), "holds" if holds else "**missed**"]
+            )
         elif row.get("kind") == "margin":
             margins.append([_number(number(row.get(column))) for column in MARGINS])
     if rows:
@@ -181,14 +228,21 @@ def _locomotion(result: Result) -> Iterator[str]:
         yield table(["row", "unit", "goal", *COLUMNS, "of the default"], rows)
     if margins:
         yield "The default walk at 0.05 m/s, over friction and the servos' supply voltage."
-        yield table([f"{name}, {unit}".rstrip(", ") for name, unit in MARGINS.items()], margins)
+        yield table(
+            [f"{name}, {unit}".rstrip(", ") for name, unit in MARGINS.items()], margins
+        )
 
 
 def _missing(contents: Contents) -> Iterator[str]:
     there = contents.results()
-    missing = {name: lines for name, lines in contents.commands.items() if name not in there}
+    missing = {
+        name: lines for name, lines in contents.commands.items() if name not in there
+    }
     if missing:
-        lines = [f"- {n}: {', then '.join(f'`{c}`' for c in cs)}" for n, cs in missing.items()]
+        lines = [
+            f"- {n}: {', then '.join(f'`{c}`' for c in cs)}"
+            for n, cs in missing.items()
+        ]
         yield "## What is missing\n\n" + "\n".join(lines)
 
 

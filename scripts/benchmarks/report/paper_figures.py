@@ -26,25 +26,37 @@ WALKED = {
 MAP = "scripts/constraint_map {} --out {}/constraint_map.png"
 RUNS = (
     Run("walk", "Walk", ("scripts/run --lockstep --bag {}", MAP), WALKED),
-    Run("crawl", "Crawl", ("scripts/run --lockstep --gait crawl --bag {}", MAP), WALKED),
     Run(
-        "diagonal", "Walk at 60 degrees",
-        ("scripts/run --lockstep --vx 0.025 --vy 0.043 --bag {}", MAP), WALKED,
+        "crawl", "Crawl", ("scripts/run --lockstep --gait crawl --bag {}", MAP), WALKED
     ),
     Run(
-        "single_leg", "Single leg, compared with the synthetic example",
-        (f"scripts/validate {EXAMPLE}/single_leg_run.csv {EXAMPLE}/single_leg_markers.csv"
-         " --out {}",),
-        {"leg.png": "height of four points of a leg: simulated, and a synthetic measurement"},
+        "diagonal",
+        "Walk at 60 degrees",
+        ("scripts/run --lockstep --vx 0.025 --vy 0.043 --bag {}", MAP),
+        WALKED,
     ),
     Run(
-        "walk_validated", "Walk, compared with the synthetic example",
-        (f"scripts/twin {EXAMPLE}/walk --out {{}}",
-         f"scripts/validate {{}}/predicted.csv {EXAMPLE}/walk_markers.csv --frame-time 1.5"
-         " --out {}"),
+        "single_leg",
+        "Single leg, compared with the synthetic example",
+        (
+            f"scripts/validate {EXAMPLE}/single_leg_run.csv {EXAMPLE}/single_leg_markers.csv"
+            " --out {}",
+        ),
+        {
+            "leg.png": "height of four points of a leg: simulated, and a synthetic measurement"
+        },
+    ),
+    Run(
+        "walk_validated",
+        "Walk, compared with the synthetic example",
+        (
+            f"scripts/twin {EXAMPLE}/walk --out {{}}",
+            f"scripts/validate {{}}/predicted.csv {EXAMPLE}/walk_markers.csv --frame-time 1.5"
+            " --out {}",
+        ),
         {"torso.png": "the torso: predicted by the model, and a synthetic measurement"},
     ),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -93,7 +105,9 @@ class PaperComparison:
     columns: Sequence[TableColumn]  # of the paper
     lines: Sequence[Line]
     results: Sequence[str]  # whose figures and images show the same
-    others: Sequence[TableColumn] = ()  # ours, if not those of the paper; then nothing is judged
+    others: Sequence[
+        TableColumn
+    ] = ()  # ours, if not those of the paper; then nothing is judged
 
     @property
     def ours(self) -> Sequence[TableColumn]:
@@ -104,9 +118,15 @@ class PaperComparison:
 def comparisons() -> list[PaperComparison]:
     """All comparisons, in the order of the paper."""
     return [
-        _timing(), _single_leg(), _whole_body(), _tracking(), _diagonal(), _stability(),
-        _settling(), _feasibility(),
-    ]  # fmt: skip
+        _timing(),
+        _single_leg(),
+        _whole_body(),
+        _tracking(),
+        _diagonal(),
+        _stability(),
+        _settling(),
+        _feasibility(),
+    ]
 
 
 def _timing() -> PaperComparison:
@@ -115,28 +135,54 @@ def _timing() -> PaperComparison:
     published = {"kind": "cvxpy", "solver": "CVXPY, as published, SCS"}
 
     def stage(name: str) -> Ours:
-        match = {"kind": "latency", "nodes": "separate", "stage": name, "repeat": "median"}
+        match = {
+            "kind": "latency",
+            "nodes": "separate",
+            "stage": name,
+            "repeat": "median",
+        }
         return Ours("graph", "p50_ms", match)
 
     lines = [
-        Line("four legs of 31 nodes and torso, a step (four times 0.35, and 0.18)",
-             (4 * 0.35 + 0.18,), (rod,), judged="smaller"),
-        Line("MPC on forces, horizon 15, by Clarabel", (6.2,),
-             (Ours("mpc", "median_ms", solver),), judged="smaller"),
-        Line("the same rebuilt in every cycle, through CVXPY and SCS as in the paper", (6.2,),
-             (Ours("mpc", "median_ms", published),), judged="smaller"),
-        Line("gait scheduling; with force map and PID in the paper", (0.5,),
-             (stage("gait_scheduler"),)),
-        Line("force map; with gait scheduling and PID in the paper", (0.5,),
-             (stage("force_mapper"),)),
-    ]  # fmt: skip
+        Line(
+            "four legs of 31 nodes and torso, a step (four times 0.35, and 0.18)",
+            (4 * 0.35 + 0.18,),
+            (rod,),
+            judged="smaller",
+        ),
+        Line(
+            "MPC on forces, horizon 15, by Clarabel",
+            (6.2,),
+            (Ours("mpc", "median_ms", solver),),
+            judged="smaller",
+        ),
+        Line(
+            "the same rebuilt in every cycle, through CVXPY and SCS as in the paper",
+            (6.2,),
+            (Ours("mpc", "median_ms", published),),
+            judged="smaller",
+        ),
+        Line(
+            "gait scheduling; with force map and PID in the paper",
+            (0.5,),
+            (stage("gait_scheduler"),),
+        ),
+        Line(
+            "force map; with gait scheduling and PID in the paper",
+            (0.5,),
+            (stage("force_mapper"),),
+        ),
+    ]
     return PaperComparison(
-        "Time of each component", "Section V",
+        "Time of each component",
+        "Section V",
         "The paper's times are of an NVIDIA Jetson Xavier, ours of the machine named at each "
         "benchmark. Ours of the gait scheduler and the force map are medians from message to "
         "message, between processes; the paper's is an upper bound of both and the PID together.",
-        (TableColumn("time", "ms"),), lines, ("robot", "mpc", "graph"),
-    )  # fmt: skip
+        (TableColumn("time", "ms"),),
+        lines,
+        ("robot", "mpc", "graph"),
+    )
 
 
 def _single_leg() -> PaperComparison:
@@ -150,18 +196,25 @@ def _single_leg() -> PaperComparison:
         "accuracy, %": ("accuracy", 1e2, (97.49, 96.53, 95.44, 96.79)),
     }
     lines = [
-        Line(title, paper, [
-            Ours("single_leg", name, {"point": point, "axis": "z"}, factor)
-            for point in points.values()
-        ])
+        Line(
+            title,
+            paper,
+            [
+                Ours("single_leg", name, {"point": point, "axis": "z"}, factor)
+                for point in points.values()
+            ],
+        )
         for title, (name, factor, paper) in metrics.items()
-    ]  # fmt: skip
+    ]
     return PaperComparison(
-        "Single leg: height of four points", "Table II, Fig. 5",
+        "Single leg: height of four points",
+        "Table II, Fig. 5",
         "Not reproduced: no robot was measured. Ours are the same metrics between the simulated "
         "leg and a synthetic measurement of another simulated robot.",
-        [TableColumn(name) for name in points], lines, ("single_leg",),
-    )  # fmt: skip
+        [TableColumn(name) for name in points],
+        lines,
+        ("single_leg",),
+    )
 
 
 def _whole_body() -> PaperComparison:
@@ -173,13 +226,15 @@ def _whole_body() -> PaperComparison:
         Line("crawl", (5.1, 4.6), (None, None)),
     ]
     return PaperComparison(
-        "Walk and crawl: place of the torso", "Table III, Fig. 6 to 8",
+        "Walk and crawl: place of the torso",
+        "Table III, Fig. 6 to 8",
         "Not reproduced: no robot was measured. Ours is the walk that the model predicts from the "
         "tendon angles of a bag against a synthetic measurement of another simulated robot, whose "
         "parameters the model does not know.",
-        (TableColumn("RMSE in x", "mm"), TableColumn("RMSE in z", "mm")), lines,
+        (TableColumn("RMSE in x", "mm"), TableColumn("RMSE in z", "mm")),
+        lines,
         ("walk_validated", "walk", "crawl"),
-    )  # fmt: skip
+    )
 
 
 def _default(row: str) -> Ours:
@@ -188,70 +243,124 @@ def _default(row: str) -> Ours:
 
 
 def _tracking() -> PaperComparison:
-    heights, angles = "standing, heights .030 to .060: ", "standing, roll and pitch of 5 deg: "
+    heights, angles = (
+        "standing, heights .030 to .060: ",
+        "standing, roll and pitch of 5 deg: ",
+    )
     lines = [
-        Line("height held, standing and not walking: largest error, mm", ("reaches 0.04 m",),
-             (_default(f"{heights}height"),), "VI-E, Fig. 9a"),
-        Line("forward velocity held, friction 0.4, not at 0.04 m, m/s", (0.08,),
-             (_default("fastest held, mu 0.4"),), "VI-E, Fig. 9b", "larger"),
-        Line("lateral deviation over 0.8 m, largest, mm", (32.0,),
-             (_default("lateral error over .8 m"),), "VI-E"),
-        Line("lateral RMSE over 0.8 m, mm", (14.0,),
-             (_default("lateral RMSE over .8 m"),), "VI-E"),
-        Line("roll and pitch held, standing: largest error, deg", ("not given",),
-             (_default(f"{angles}angles"),)),
-    ]  # fmt: skip
+        Line(
+            "height held, standing and not walking: largest error, mm",
+            ("reaches 0.04 m",),
+            (_default(f"{heights}height"),),
+            "VI-E, Fig. 9a",
+        ),
+        Line(
+            "forward velocity held, friction 0.4, not at 0.04 m, m/s",
+            (0.08,),
+            (_default("fastest held, mu 0.4"),),
+            "VI-E, Fig. 9b",
+            "larger",
+        ),
+        Line(
+            "lateral deviation over 0.8 m, largest, mm",
+            (32.0,),
+            (_default("lateral error over .8 m"),),
+            "VI-E",
+        ),
+        Line(
+            "lateral RMSE over 0.8 m, mm",
+            (14.0,),
+            (_default("lateral RMSE over .8 m"),),
+            "VI-E",
+        ),
+        Line(
+            "roll and pitch held, standing: largest error, deg",
+            ("not given",),
+            (_default(f"{angles}angles"),),
+        ),
+    ]
     return PaperComparison(
-        "Height, velocity and angles under the MPC", "Section VI-E, Fig. 9 and 10",
+        "Height, velocity and angles under the MPC",
+        "Section VI-E, Fig. 9 and 10",
         "The paper has its velocity and its height at once; ours are held one at a time: 0.079 m/s "
         "at a mean height of 65 mm, 0.025 m/s at 44 mm. "
         "The paper's lateral deviation is of its robot on a floor, ours of the simulated robot on "
         "even friction; ours are the worst cases of the rows below Locomotion.",
-        (TableColumn("value"),), lines, ("locomotion", "walk"),
-    )  # fmt: skip
+        (TableColumn("value"),),
+        lines,
+        ("locomotion", "walk"),
+    )
 
 
 def _diagonal() -> PaperComparison:
     lines = [
-        Line("RMSE of the path, mm", (35.0,), (_default("60 deg path, cross-track RMSE"),),
-             judged="smaller"),
+        Line(
+            "RMSE of the path, mm",
+            (35.0,),
+            (_default("60 deg path, cross-track RMSE"),),
+            judged="smaller",
+        ),
         Line("velocity ahead and sideways, m/s", ("0.052, 0.09",), (None,)),
-        Line("change of heading, deg", ("not given",), (_default("60 deg path, heading"),)),
-    ]  # fmt: skip
+        Line(
+            "change of heading, deg",
+            ("not given",),
+            (_default("60 deg path, heading"),),
+        ),
+    ]
     return PaperComparison(
-        "Omnidirectional walk at 60 degrees", "Section VI-E, Fig. 11",
+        "Omnidirectional walk at 60 degrees",
+        "Section VI-E, Fig. 11",
         "Both are simulated. The paper's velocity is not reproduced: our robot walks the path "
         "at the lower velocity of its benchmark.",
-        (TableColumn("value"),), lines, ("locomotion", "diagonal"),
-    )  # fmt: skip
+        (TableColumn("value"),),
+        lines,
+        ("locomotion", "diagonal"),
+    )
 
 
 def _stability() -> PaperComparison:
     names = ("max_cost", "mean_cost", "final_cost", "settling_cost_s")
     lines = [
-        Line(case, [*(_settled(v) for v in paper), 0.0], [
-            Ours("perturbations", name, {"kind": "case", "study": "published", "case": case})
-            for name in (*names, "infeasible")
-        ], judged="" if case == "Noise" else None)
+        Line(
+            case,
+            [*(_settled(v) for v in paper), 0.0],
+            [
+                Ours(
+                    "perturbations",
+                    name,
+                    {"kind": "case", "study": "published", "case": case},
+                )
+                for name in (*names, "infeasible")
+            ],
+            judged="" if case == "Noise" else None,
+        )
         for case, paper in TABLE.items()
-    ]  # fmt: skip
+    ]
     columns = (
-        TableColumn("max cost", "", "equal"), TableColumn("mean cost"), TableColumn("final cost"),
-        TableColumn("settled", "s"), TableColumn("infeasible steps"),
-    )  # fmt: skip
+        TableColumn("max cost", "", "equal"),
+        TableColumn("mean cost"),
+        TableColumn("final cost"),
+        TableColumn("settled", "s"),
+        TableColumn("infeasible steps"),
+    )
     return PaperComparison(
-        "Perturbations: the published problem on its own model", "Table IV, Fig. 12",
+        "Perturbations: the published problem on its own model",
+        "Table IV, Fig. 12",
         "Only the maximum cost is judged: the interval of mean cost and settling is not published, "
         "nor are the seed of the noise and its clipping.",
-        columns, lines, ("perturbations",),
-    )  # fmt: skip
+        columns,
+        lines,
+        ("perturbations",),
+    )
 
 
 def _settling() -> PaperComparison:
     lines = []
     for case, paper in TABLE.items():
         row = {"kind": "case", "study": "robot", "case": case}
-        lines.append(Line(case, [_settled(paper[3])], [Ours("perturbations", "settling_s", row)]))
+        lines.append(
+            Line(case, [_settled(paper[3])], [Ours("perturbations", "settling_s", row)])
+        )
     return PaperComparison(
         "Perturbations: settling of the Cosserat robot",
         "Table IV",
@@ -269,18 +378,25 @@ def _settled(value: float) -> float | str:
 
 def _feasibility() -> PaperComparison:
     fallback = Ours(
-        "graph", "fallback_cycles", {"kind": "walk", "nodes": "separate", "repeat": "median"}
+        "graph",
+        "fallback_cycles",
+        {"kind": "walk", "nodes": "separate", "repeat": "median"},
     )
     lines = [
         Line("walk: infeasible cycles", (0.0,), (fallback,), "Fig. 13a"),
-        Line("60 degrees: infeasible", ("at 22.374 and 61.875 s",), (None,), "Fig. 13b"),
+        Line(
+            "60 degrees: infeasible", ("at 22.374 and 61.875 s",), (None,), "Fig. 13b"
+        ),
     ]
     return PaperComparison(
-        "Constraint map", "Section VI-E, Fig. 13",
+        "Constraint map",
+        "Section VI-E, Fig. 13",
         "Every constraint of the MPC over time, of the walk and at 60 degrees: the maps are below "
         "Runs. In a stride our default solves no problem, so its cycles are not judged.",
-        (TableColumn("cycles"),), lines, ("graph", "walk", "diagonal"),
-    )  # fmt: skip
+        (TableColumn("cycles"),),
+        lines,
+        ("graph", "walk", "diagonal"),
+    )
 
 
 def find(ours: Ours, rows: Sequence[Mapping[str, Any]]) -> float | None:

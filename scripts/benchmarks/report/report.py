@@ -34,7 +34,9 @@ CAPTIONS = {
         "other_engine.png": "speeds of the gaits here and in MuJoCo",
     },
     "mpc": {"mpc.png": "speed against error of the solvers, and time over the horizon"},
-    "estimation": {"estimation.png": "error of the state over the delay of the odometry"},
+    "estimation": {
+        "estimation.png": "error of the state over the delay of the odometry"
+    },
     "locomotion": {
         "table.png": "every row in units of its goal",
         "velocity.png": "commanded and achieved velocity in all directions",
@@ -56,9 +58,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = CommandParser(prog="scripts/report", description=__doc__)
     results, out = Path("results"), Path("results", "report.md")
     parser.add_argument(
-        "--results", type=Path, metavar="DIR", default=results, help=f"default: {results}"
+        "--results",
+        type=Path,
+        metavar="DIR",
+        default=results,
+        help=f"default: {results}",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", default=out, help=f"default: {out}")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", default=out, help=f"default: {out}"
+    )
     options = parser.parse_args(arguments)
     from benchmarks.report.page import render  # noqa: PLC0415 - heavy
     from slot_core.recording.origin import revision  # noqa: PLC0415
@@ -81,11 +89,19 @@ def read_contents(directory: Path) -> Contents:
     from benchmarks.report.paper_figures import RUNS  # noqa: PLC0415 - heavy
 
     if not directory.is_dir():
-        raise ReportError(f"--results {directory}: not a directory; scripts/bench NAME makes one")
+        raise ReportError(
+            f"--results {directory}: not a directory; scripts/bench NAME makes one"
+        )
     found = known(BENCHMARKS)
-    names = [*(name for name in CAPTIONS if name in found), *sorted(found.keys() - CAPTIONS.keys())]
+    names = [
+        *(name for name in CAPTIONS if name in found),
+        *sorted(found.keys() - CAPTIONS.keys()),
+    ]
     benchmarks = {
-        name: (about(found[name]), read_benchmark(directory, name, CAPTIONS.get(name, {})))
+        name: (
+            about(found[name]),
+            read_benchmark(directory, name, CAPTIONS.get(name, {})),
+        )
         for name in names
     }
     return Contents(

@@ -45,7 +45,9 @@ class Run:
     images: Mapping[str, str]  # captions by file; the first one has to exist
 
 
-def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> Result | None:
+def read_benchmark(
+    directory: Path, name: str, captions: Mapping[str, str]
+) -> Result | None:
     """`directory/name/name.json` or `directory/name.json` with its images; None if not there.
 
     Raises ReportError for a file that scripts/bench did not write so.
@@ -58,12 +60,20 @@ def read_benchmark(directory: Path, name: str, captions: Mapping[str, str]) -> R
     try:
         if found["name"] != name:
             raise ValueError(f"name: expected {name!r}, got {quoted(found['name'])}")
-        quick, command = found["quick"], bench_command(name, found["quick"], found["options"])
+        quick, command = (
+            found["quick"],
+            bench_command(name, found["quick"], found["options"]),
+        )
         origin = _origin(found["revision"], found["machine"])
-        rows, checks = [dict(row) for row in found["rows"]], list(map(_check, found["checks"]))
+        rows, checks = (
+            [dict(row) for row in found["rows"]],
+            list(map(_check, found["checks"])),
+        )
         return Result(command, origin, quick, rows, checks, images)
     except KeyError as error:
-        raise ReportError(f"{path}: not a result of scripts/bench: no {error}") from None
+        raise ReportError(
+            f"{path}: not a result of scripts/bench: no {error}"
+        ) from None
     except (TypeError, ValueError, AttributeError) as error:
         raise ReportError(f"{path}: not a result of scripts/bench: {error}") from None
 
@@ -100,7 +110,10 @@ def read_run(directory: Path, run: Run) -> Result | None:
 
 def commands(directory: Path, run: Run) -> list[str]:
     """Command lines of a run, whose results go below `directory`."""
-    return [line.replace("{}", shlex.quote(str(directory / run.folder))) for line in run.commands]
+    return [
+        line.replace("{}", shlex.quote(str(directory / run.folder)))
+        for line in run.commands
+    ]
 
 
 def number(value: Any) -> float | None:
@@ -132,7 +145,9 @@ def _read_text(path: Path) -> str:
 def _check(found: Mapping[str, Any]) -> Check:
     value = number(found["value"])
     if value is None and found["value"] is not None:
-        raise TypeError(f"value: expected a finite number, got {quoted(found['value'])}")
+        raise TypeError(
+            f"value: expected a finite number, got {quoted(found['value'])}"
+        )
     return Check(**{**found, "value": math.nan if value is None else value})
 
 
@@ -161,7 +176,9 @@ def _bag_origin(folder: Path) -> str:
     return f"revision {revision}" + (f"; {values}" if values else "")
 
 
-def _images(path: Path, name: str, captions: Mapping[str, str]) -> list[tuple[Path, str]]:
+def _images(
+    path: Path, name: str, captions: Mapping[str, str]
+) -> list[tuple[Path, str]]:
     """Images beside a result: those with a caption first, in a folder of its own all others."""
     files = [path.parent / file for file in captions if (path.parent / file).is_file()]
     if path.parent.name == name:
@@ -174,9 +191,13 @@ def _read_errors(path: Path) -> list[dict[str, Any]]:
     rows = []
     for row in csv.DictReader(_read_text(path).splitlines()):
         try:
-            numbers = {k: float(v) for k, v in row.items() if k not in ("point", "axis")}
+            numbers = {
+                k: float(v) for k, v in row.items() if k not in ("point", "axis")
+            }
             labels = {"point": row["point"], "axis": row["axis"]}
         except (TypeError, ValueError, KeyError) as error:
-            raise ReportError(f"{path}: not a table of scripts/validate: {error}") from None
+            raise ReportError(
+                f"{path}: not a table of scripts/validate: {error}"
+            ) from None
         rows.append(labels | numbers)
     return rows

@@ -18,7 +18,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks import against as other_checkout
-from benchmarks.harness import Check, Progress, Row, at_most, cpu_ratio, cpu_time, mark_front
+from benchmarks.harness import (
+    Check,
+    Progress,
+    Row,
+    at_most,
+    cpu_ratio,
+    cpu_time,
+    mark_front,
+)
 from benchmarks.robot.hard_cases import CASES
 from benchmarks.robot.plots import draw
 from benchmarks.robot.stress import StressCase, examine
@@ -58,7 +66,9 @@ def run(
 
     robot, repeats = read_robot(), 3 if quick else 9
     progress("cost of a step")
-    rows: list[dict[str, Any]] = [cost_row(robot, nodes, repeats) for nodes in (10, 16, 22, 31, 61)]
+    rows: list[dict[str, Any]] = [
+        cost_row(robot, nodes, repeats) for nodes in (10, 16, 22, 31, 61)
+    ]
     progress("fine reference")
     exact = motion(simulator(robot, FINE))
     rows += sweep(robot, exact, repeats, quick, progress)
@@ -80,7 +90,9 @@ def run(
     return [*rows, *compared], [*found, *other_checkout.against_checks(compared)]
 
 
-def simulator(robot: RobotParameters, solver: dict[str, Any], **changes: Any) -> RodRobot:
+def simulator(
+    robot: RobotParameters, solver: dict[str, Any], **changes: Any
+) -> RodRobot:
     """RodRobot in the scene `flat` without settling, with changes of the solver and the scene."""
     values = {f"solver.{name}": value for name, value in solver.items()}
     scene = config.replace(read_scene("flat"), {"start.settle": 0.0} | values | changes)
@@ -118,7 +130,12 @@ def cost_row(robot: RobotParameters, nodes: int, repeats: int) -> dict[str, Any]
 
     time = cpu_time(advance, repeats).median / calls
     step = sim.scene.solver.step
-    row = {"kind": "cost", "nodes": nodes, "us_per_step": 1e6 * time, "real_time": step / time}
+    row = {
+        "kind": "cost",
+        "nodes": nodes,
+        "us_per_step": 1e6 * time,
+        "real_time": step / time,
+    }
     if nodes not in COMPARED:
         return row
     rod, _ = DAMPED.leg(nodes, Scheme(0.5, 2))
@@ -133,12 +150,19 @@ def sweep(
     for theta, iterations in SCHEMES:
         progress(f"stand and step: theta {theta}, {iterations} iterations")
         for nodes, step in itertools.product(numbers, steps):
-            solver = {"nodes": nodes, "step": step, "theta": theta, "iterations": iterations}
+            solver = {
+                "nodes": nodes,
+                "step": step,
+                "theta": theta,
+                "iterations": iterations,
+            }
             make = functools.partial(simulator, robot, solver)
             yield {"kind": "stand and step"} | solver | measured(make, exact, repeats)
 
 
-def measured(make: Callable[[], SimulatedRobot], exact: Array, repeats: int) -> dict[str, Any]:
+def measured(
+    make: Callable[[], SimulatedRobot], exact: Array, repeats: int
+) -> dict[str, Any]:
     """Error and cost of stand and step; NaN if the simulation diverges."""
     try:
         sim = make()
@@ -151,18 +175,27 @@ def measured(make: Callable[[], SimulatedRobot], exact: Array, repeats: int) -> 
     return {"error_mm": error, "us_per_ms": cost, "halvings": sim.halvings}
 
 
-def level_row(robot: RobotParameters, name: str, exact: Array, repeats: int) -> dict[str, Any]:
+def level_row(
+    robot: RobotParameters, name: str, exact: Array, repeats: int
+) -> dict[str, Any]:
     """Stand and step at the level of `config/solver/<name>.yaml`."""
     solver = config.read(SolverSettings, f"solver/{name}")
     scene = config.replace(read_scene("flat"), {"start.settle": 0.0})
     scene = dataclasses.replace(scene, solver=solver)
     found = measured(lambda: make_robot(robot, scene, read_servo()), exact, repeats)
-    return {"kind": "level", "level": name, "nodes": solver.nodes, "step": solver.step} | found
+    return {
+        "kind": "level",
+        "level": name,
+        "nodes": solver.nodes,
+        "step": solver.step,
+    } | found
 
 
 def flight_rows(robot: RobotParameters, quick: bool) -> Iterable[dict[str, Any]]:
     """Undamped legs tumbling for 0.2 s: relative change of energy and momentum."""
-    free = dataclasses.replace(robot, leg=dataclasses.replace(robot.leg, damping_time=0.0))
+    free = dataclasses.replace(
+        robot, leg=dataclasses.replace(robot.leg, damping_time=0.0)
+    )
     steps = (1e-3, 2.5e-4) if quick else (1e-3, 5e-4, 2.5e-4, 1.25e-4)
     for theta, step in itertools.product((0.5, 0.55, 1.0), steps):
         solver = {"theta": theta, "step": step, "iterations": 6}
@@ -181,7 +214,9 @@ def flight_rows(robot: RobotParameters, quick: bool) -> Iterable[dict[str, Any]]
 def hard_row(name: str, case: StressCase) -> dict[str, Any]:
     """Record of a hard case, its limits (`limit_...`) and whether they hold."""
     record = examine(case)
-    limits = {f"limit_{key}": value for key, value in dataclasses.asdict(case.limits).items()}
+    limits = {
+        f"limit_{key}": value for key, value in dataclasses.asdict(case.limits).items()
+    }
     row = {"kind": "hard case", "case": name, **dataclasses.asdict(record), **limits}
     return row | {"holds": record.holds(case.limits)}
 
@@ -200,5 +235,7 @@ def checks(rows: list[dict[str, Any]]) -> list[Check]:
     if hard:
         out.append(at_most(f"violated of {len(hard)} hard cases", hard.count(False), 0))
     flights = [row["momentum"] for row in rows if row["kind"] == "flight"]
-    out.append(at_most("relative drift of linear momentum in flight", max(flights), 1e-10))
+    out.append(
+        at_most("relative drift of linear momentum in flight", max(flights), 1e-10)
+    )
     return out

@@ -34,16 +34,22 @@ def landing(speed: float, step: float = 1e-3, stiffness: float = 2e4) -> float:
     return CONTACTS * stiffness / 2 * (0.45 * speed * step) ** 2
 
 
-def bottom(speed: float, mass: float = 2.16, stiffness: float = 2e4, corners: int = 4) -> float:
+def bottom(
+    speed: float, mass: float = 2.16, stiffness: float = 2e4, corners: int = 4
+) -> float:
     """Depth to which a mass (kg) sinks that meets its corners' springs at `speed` (m/s), mm.
 
     A seventh more than the closed form, for the error of the time step.
     """
     weight = mass * GRAVITY / (corners * stiffness)
-    return 1.15e3 * (weight + math.sqrt(weight**2 + speed**2 * mass / (corners * stiffness)))
+    return 1.15e3 * (
+        weight + math.sqrt(weight**2 + speed**2 * mass / (corners * stiffness))
+    )
 
 
-def thrown(down: float, spin: tuple[float, float, float], height: float = 0.03) -> Changes:
+def thrown(
+    down: float, spin: tuple[float, float, float], height: float = 0.03
+) -> Changes:
     """Start of a case in the air, with a speed downwards (m/s) and a spin (rad/s)."""
 
     def throw(sim: RodRobot) -> None:
@@ -60,7 +66,9 @@ def above(height: float) -> Changes:
 def drop(robot: Changes | None = None, **floor_or_solver: Any) -> Changes:
     """A drop at 0.5 m/s from 30 mm with changes of the robot or the scene (`floor__friction`)."""
     case = thrown(0.5, (0.0, 0.0, 0.0))
-    changes = {name.replace("__", "."): value for name, value in floor_or_solver.items()}
+    changes = {
+        name.replace("__", "."): value for name, value in floor_or_solver.items()
+    }
     return {**case, "robot": robot or {}, "scene": {**case["scene"], **changes}}
 
 
@@ -87,7 +95,9 @@ def wrung(sim: RodRobot) -> None:
 def struck(sim: RodRobot) -> None:
     """Kick the legs sideways, those on the left to the left: their tips at 6 m/s."""
     part = sim.model.rod.arc / sim.model.rod.arc[-1]
-    sim.state.node_velocity[:, :, 1] += 6.0 * part**2 * np.array([[1.0], [-1.0], [-1.0], [1.0]])
+    sim.state.node_velocity[:, :, 1] += (
+        6.0 * part**2 * np.array([[1.0], [-1.0], [-1.0], [1.0]])
+    )
 
 
 def rolled(sim: RodRobot) -> None:
@@ -110,11 +120,15 @@ def there_and_back(time: float) -> Array:
 # From 30 mm the legs fall 8 mm and the underside 13 mm, which adds 0.25 m^2/s^2 to speed squared.
 IMPACTS = {
     "impact at 1 m/s": StressCase(
-        Limits(landing(1.1), bottom(1.12), 3.0), seconds=1.0, **thrown(1.0, (0.5, 0.2, 0.0))
+        Limits(landing(1.1), bottom(1.12), 3.0),
+        seconds=1.0,
+        **thrown(1.0, (0.5, 0.2, 0.0)),
     ),
     # It bounces to 0.4 m; one step more or less on the floor changes that by a tenth.
     "impact at 3 m/s": StressCase(
-        Limits(landing(3.1), bottom(3.1), 60.0), seconds=1.0, **thrown(3.0, (0.5, 0.2, 0.0))
+        Limits(landing(3.1), bottom(3.1), 60.0),
+        seconds=1.0,
+        **thrown(3.0, (0.5, 0.2, 0.0)),
     ),
     # Falls on its back or side from 0.25 m, at 2 m/s, on two corners first: 2 J each.
     **{
@@ -127,7 +141,10 @@ IMPACTS = {
     },
     # Falls 0.13 m onto its back and bounces: its pose after 1 s depends on every contact.
     "flipped robot": StressCase(
-        Limits(landing(1.6), bottom(1.6), 35.0), above(0.15), start=turned_over, seconds=1.0
+        Limits(landing(1.6), bottom(1.6), 35.0),
+        above(0.15),
+        start=turned_over,
+        seconds=1.0,
     ),
 }
 
@@ -162,7 +179,13 @@ PARAMETERS = {
         f"E = {young} Pa": StressCase(
             replace(DROP, apart=apart), **drop({"leg.young_modulus": float(young)})
         )
-        for young, apart in {"1e5": 10.0, "1e6": 15.0, "1e7": 5.0, "1e8": 5.0, "1e9": 5.0}.items()
+        for young, apart in {
+            "1e5": 10.0,
+            "1e6": 15.0,
+            "1e7": 5.0,
+            "1e8": 5.0,
+            "1e9": 5.0,
+        }.items()
     },
     "EA x 100": StressCase(DROP, **{**drop(), "start": stretch_stiff}),
     "contact of 1e5 N/m": StressCase(
@@ -196,7 +219,9 @@ PARAMETERS = {
 # Slowly through the fold near 110 deg and back, with friction 0.4 and without friction.
 BENT = {"start.tendon_angle_deg": 90.0}
 FOLDS = {
-    "snap-through": StressCase(Limits(1e-4, 0.5, 0.1), BENT, command=there_and_back, seconds=10.0),
+    "snap-through": StressCase(
+        Limits(1e-4, 0.5, 0.1), BENT, command=there_and_back, seconds=10.0
+    ),
     # Without friction it snaps to one side or the other.
     "snap-through without friction": StressCase(
         Limits(1e-4, 0.5, 120.0),
@@ -225,7 +250,13 @@ STEPS = {
         step=step,
         **thrown(1.0, (0.5, 0.2, 0.0)),
     )
-    for step, apart in ((5e-4, 1.6), (1e-3, 3.0), (2e-3, 7.0), (5e-3, 7.0), (1e-2, 13.0))
+    for step, apart in (
+        (5e-4, 1.6),
+        (1e-3, 3.0),
+        (2e-3, 7.0),
+        (5e-3, 7.0),
+        (1e-2, 13.0),
+    )
 }
 
 CASES = {**IMPACTS, **PULLS, **PARAMETERS, **FOLDS, **IN_SPACE, **STEPS}

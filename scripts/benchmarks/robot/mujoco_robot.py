@@ -50,10 +50,14 @@ class Engine:
 
     step: float = 2e-4  # s
     cone: str = "elliptic"  # friction cone: round, or with four sides (pyramidal)
-    reach: float = 2e-3  # s, time constant of a contact; the engine wants two steps at least
+    reach: float = (
+        2e-3  # s, time constant of a contact; the engine wants two steps at least
+    )
     hold: float = 0.95  # d
     tangential: float = 100.0  # softness of normal forces over that of friction
-    stretch: bool = True  # whether the links stretch; else their compliance is the tendon's
+    stretch: bool = (
+        True  # whether the links stretch; else their compliance is the tendon's
+    )
 
 
 DEFAULT = Engine()
@@ -88,7 +92,10 @@ def links(robot: RobotParameters, model: Model) -> MujocoLinks:
     rod, leg = model.rod, robot.leg
     step, fraction = np.diff(rod.arc), rod.arc / rod.arc[-1]
     line = sections(leg, fraction).mass
-    begin, end = step / 6 * (2 * line[:-1] + line[1:]), step / 6 * (line[:-1] + 2 * line[1:])
+    begin, end = (
+        step / 6 * (2 * line[:-1] + line[1:]),
+        step / 6 * (line[:-1] + 2 * line[1:]),
+    )
     mass, square = begin + end, rod.rest_length**2
     across = begin * end / mass * square - rod.coupling * square
     wide, thick = leg.width**2, leg.thickness((fraction[:-1] + fraction[1:]) / 2) ** 2
@@ -126,13 +133,18 @@ def build(robot: RobotParameters, model: Model, engine: Engine) -> mujoco.MjMode
     shape, spec = links(robot, model), mujoco.MjSpec()
     set_option(spec.option, model, engine)
     spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], pos=[0, 0, -POINT],
-        contype=FLOOR, conaffinity=TOUCHING,
-    )  # fmt: skip
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0, 0, 1],
+        pos=[0, 0, -POINT],
+        contype=FLOOR,
+        conaffinity=TOUCHING,
+    )
     torso = spec.worldbody.add_body(
-        name="torso", mass=model.torso.mass, inertia=np.diag(model.torso.inertia),
+        name="torso",
+        mass=model.torso.mass,
+        inertia=np.diag(model.torso.inertia),
         explicitinertial=True,
-    )  # fmt: skip
+    )
     torso.add_freejoint()
     for corner in model.torso.corners:
         add_point(torso, corner, model.floor.corner_friction, engine)
@@ -155,7 +167,12 @@ def set_option(option: Any, model: Model, engine: Engine) -> None:
 
 
 def add_leg(  # noqa: PLR0917
-    torso: Any, leg: int, robot: RobotParameters, model: Model, shape: MujocoLinks, engine: Engine
+    torso: Any,
+    leg: int,
+    robot: RobotParameters,
+    model: Model,
+    shape: MujocoLinks,
+    engine: Engine,
 ) -> None:
     """Add leg 0 .. 3: links from the clamp outward, each with its joints and its end's points."""
     length, body, place = model.rod.rest_length, torso, robot.clamps[leg]
@@ -163,10 +180,14 @@ def add_leg(  # noqa: PLR0917
     for k in range(len(length)):
         turn = turn * Rotation.from_euler("y", -model.rod.rest_angle[k])
         body = body.add_body(
-            name=f"{LEGS[leg]}{k}", pos=place, quat=turn.as_quat(scalar_first=True),
-            mass=shape.mass[k], ipos=[shape.centre[k], 0, 0], inertia=shape.inertia[k],
+            name=f"{LEGS[leg]}{k}",
+            pos=place,
+            quat=turn.as_quat(scalar_first=True),
+            mass=shape.mass[k],
+            ipos=[shape.centre[k], 0, 0],
+            inertia=shape.inertia[k],
             explicitinertial=True,
-        )  # fmt: skip
+        )
         add_joints(body, k, model, shape.torsion[k], engine.stretch)
         for side in (-0.5, 0.5):
             edge = [length[k], side * robot.leg.contact_width, 0]
@@ -188,9 +209,12 @@ def add_joints(body: Any, k: int, model: Model, torsion: float, stretch: bool) -
         joints.append(("along", mujoco.mjtJoint.mjJNT_SLIDE, (1, 0, 0), rod.axial[k]))
     for kind, form, axis, stiffness in joints:
         body.add_joint(
-            name=f"{body.name}{kind}", type=form, axis=axis,
-            stiffness=stiffness, damping=stiffness * rod.damping_time,
-        )  # fmt: skip
+            name=f"{body.name}{kind}",
+            type=form,
+            axis=axis,
+            stiffness=stiffness,
+            damping=stiffness * rod.damping_time,
+        )
 
 
 def add_point(body: Any, place: Any, friction: float, engine: Engine) -> None:
@@ -201,10 +225,18 @@ def add_point(body: Any, place: Any, friction: float, engine: Engine) -> None:
     """
     hold = engine.hold
     body.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[POINT, 0, 0], pos=place, mass=0,
-        contype=TOUCHING, conaffinity=FLOOR, friction=[friction, 0, 0], condim=3,
-        priority=1, solref=[engine.reach, 1.0], solimp=[hold, hold, 1e-3, 0.5, 2],
-    )  # fmt: skip
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=[POINT, 0, 0],
+        pos=place,
+        mass=0,
+        contype=TOUCHING,
+        conaffinity=FLOOR,
+        friction=[friction, 0, 0],
+        condim=3,
+        priority=1,
+        solref=[engine.reach, 1.0],
+        solimp=[hold, hold, 1e-3, 0.5, 2],
+    )
 
 
 def add_tendon(spec: Any, leg: int, model: Model, engine: Engine) -> None:
@@ -217,14 +249,21 @@ def add_tendon(spec: Any, leg: int, model: Model, engine: Engine) -> None:
             tendon.wrap_joint(f"{LEGS[leg]}{k}along", along)
     k = line.stiffness
     spec.add_actuator(
-        name=LEGS[leg], target=LEGS[leg], trntype=mujoco.mjtTrn.mjTRN_TENDON,
-        gaintype=mujoco.mjtGain.mjGAIN_FIXED, gainprm=[k] + 9 * [0],
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE, biasprm=[0, -k, -k * line.delay] + 7 * [0],
-        forcelimited=True, forcerange=[-1e4, 0],
-    )  # fmt: skip
+        name=LEGS[leg],
+        target=LEGS[leg],
+        trntype=mujoco.mjtTrn.mjTRN_TENDON,
+        gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        gainprm=[k] + 9 * [0],
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        biasprm=[0, -k, -k * line.delay] + 7 * [0],
+        forcelimited=True,
+        forcerange=[-1e4, 0],
+    )
 
 
-def motor_speed(law: Servo, speed: Array, error: Array, torque: Array, h: float) -> Array:
+def motor_speed(
+    law: Servo, speed: Array, error: Array, torque: Array, h: float
+) -> Array:
     """Speed of the motors (4,) after h (s), rad/s, by the pid without its integral.
 
     error: commanded less measured angle, rad; torque: load by the tendons, N m. The friction of
@@ -234,7 +273,10 @@ def motor_speed(law: Servo, speed: Array, error: Array, torque: Array, h: float)
     duty = np.clip(law.proportional * error - law.derivative * speed, -1.0, 1.0)
     loads = torque * law.friction, torque / law.friction
     winding, releasing = (
-        speed + (law.speed * (duty - law.speed_loss * load) - speed) * h / (law.motor_time + h)
+        speed
+        + (law.speed * (duty - law.speed_loss * load) - speed)
+        * h
+        / (law.motor_time + h)
         for load in loads
     )
     return np.maximum(winding, 0.0) + np.minimum(releasing, 0.0)
@@ -248,18 +290,28 @@ class MujocoRobot(SimulatedRobot):
     """
 
     def __init__(
-        self, robot: RobotParameters, scene: Scene, servo: ServoSettings, engine: Engine = DEFAULT
+        self,
+        robot: RobotParameters,
+        scene: Scene,
+        servo: ServoSettings,
+        engine: Engine = DEFAULT,
     ) -> None:
         self.parameters, self.scene, self.engine = robot, scene, engine
         model = build_model(robot, scene, servo)
         self._law, self._radius = model.servo, model.tendon.spool_radius
         if not self._law.pid or self._law.integral or self._law.play:
-            raise ValueError("the servo in MuJoCo is the pid without integral and backlash")
+            raise ValueError(
+                "the servo in MuJoCo is the pid without integral and backlash"
+            )
         self._cable = cable(model, engine.stretch)
         self._model = build(robot, model, engine)
         self._data = mujoco.MjData(self._model)
         self._data.qpos[2] = scene.start.height
-        self._angle, self._speed, self._tip_force = np.zeros(4), np.zeros(4), np.zeros((4, 3))
+        self._angle, self._speed, self._tip_force = (
+            np.zeros(4),
+            np.zeros(4),
+            np.zeros((4, 3)),
+        )
         mujoco.mj_forward(self._model, self._data)
         self._settle()
 
@@ -269,14 +321,20 @@ class MujocoRobot(SimulatedRobot):
         self._pull_tips()
         for _ in range(steps * round(self.scene.solver.step / h)):
             torque = -self._radius * data.actuator_force
-            self._speed = motor_speed(self._law, self._speed, command - self._angle, torque, h)
+            self._speed = motor_speed(
+                self._law, self._speed, command - self._angle, torque, h
+            )
             self._angle = self._angle + h * self._speed
             ahead = self._angle + self._cable.delay * self._speed
             data.ctrl[:] = self._cable.slack - self._radius * ahead
             mujoco.mj_step(self._model, data)
         self.steps += steps
-        if any(warning.number for warning in data.warning):  # the engine has started anew
-            raise DivergenceError(f"MuJoCo's simulation diverged before {self.time:.3f} s")
+        if any(
+            warning.number for warning in data.warning
+        ):  # the engine has started anew
+            raise DivergenceError(
+                f"MuJoCo's simulation diverged before {self.time:.3f} s"
+            )
 
     def push(self, force: Array, moment: Array) -> None:
         """See SimulatedRobot."""
@@ -300,7 +358,9 @@ class MujocoRobot(SimulatedRobot):
         """Motion of the torso; the specific force is not measured, NaN."""
         place, velocity = self._data.qpos[:7], self._data.qvel[:6]
         rotation = Rotation.from_quat(place[3:], scalar_first=True).as_matrix()
-        return MujocoMotion(place[:3], rotation, velocity[:3], velocity[3:], np.full(3, math.nan))
+        return MujocoMotion(
+            place[:3], rotation, velocity[:3], velocity[3:], np.full(3, math.nan)
+        )
 
     @property
     def tendon_angle(self) -> Array:

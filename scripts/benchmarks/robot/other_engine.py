@@ -43,7 +43,9 @@ SETTLED = 3.0  # s: vibrations of a leg under a load have died away
 TIP_MASS = 0.02  # kg
 SIDEWAYS = 1.0  # m/s^2
 HELD = 1e9  # kg, a torso that no leg moves
-RESTING_DAMPING = 0.05  # s, damping time at which also a loaded leg comes to rest in `SETTLED`
+RESTING_DAMPING = (
+    0.05  # s, damping time at which also a loaded leg comes to rest in `SETTLED`
+)
 FEW_NODES = 14  # of a leg in MuJoCo: the variations, and what `quick` runs
 QUICK = ("walk", 0.2)
 # The crawl, whose feet slide most of the time, changes by a third between 0.2 and 0.1 ms.
@@ -63,7 +65,11 @@ VARIATIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ("feet that stick without creep", "own", {"floor.friction_law": "bristle"}),
     ("creep of sticking feet times ten", "own", {"floor.friction_velocity": 1e-2}),
     ("damping of the contact times twelve", "own", {"floor.damping": 60.0}),
-    ("contact twice as soft", "own", {"floor.stiffness": 1e4, "floor.line_stiffness": 1.1e6}),
+    (
+        "contact twice as soft",
+        "own",
+        {"floor.stiffness": 1e4, "floor.line_stiffness": 1.1e6},
+    ),
     ("nothing", "other", {}),
     ("half the time step", "other", {"step": 1e-4}),
     ("a quarter of the time step", "other", {"step": 5e-5}),
@@ -84,12 +90,17 @@ def rows(quick: bool, out: Path, progress: Progress) -> list[dict[str, Any]]:
     progress("other engine: stiffness and stand")
     found = []
     for degrees in ANGLES_DEG[1:2] if quick else ANGLES_DEG:
-        found += [sideways_row(robot, still, degrees), loaded_row(robot, still, degrees)]
+        found += [
+            sideways_row(robot, still, degrees),
+            loaded_row(robot, still, degrees),
+        ]
     found.append(stand_row(robot, still))
     found += replay_rows(robot, scene, quick, progress)
     if not quick:
         found += variation_rows(robot, scene, progress)
-    draw_engines([row for row in found if row["kind"] == "replay"], out / "other_engine.png")
+    draw_engines(
+        [row for row in found if row["kind"] == "replay"], out / "other_engine.png"
+    )
     return found
 
 
@@ -111,18 +122,25 @@ def other_robot(robot: RobotParameters, nodes: int, engine: Engine = DEFAULT) ->
 def hold(sim: SimulatedRobot, degrees: float, seconds: float = SETTLED) -> None:
     """Hold commanded tendon angles (deg) for a time (s), in pieces of 10 ms."""
     for _ in range(round(seconds / 0.01)):
-        sim.advance(round(0.01 / sim.scene.solver.step), np.full(4, math.radians(degrees)))
+        sim.advance(
+            round(0.01 / sim.scene.solver.step), np.full(4, math.radians(degrees))
+        )
 
 
-def sideways_row(robot: RobotParameters, scene: Scene, degrees: float) -> dict[str, Any]:
+def sideways_row(
+    robot: RobotParameters, scene: Scene, degrees: float
+) -> dict[str, Any]:
     """Sideways deflection of a free leg's tip per force, mm/N."""
     field, tip = SIDEWAYS * aside(robot), TIP_MASS * SIDEWAYS * aside(robot)
-    bare, loaded = (own_leg(robot, scene, degrees, field, mass) for mass in (0.0, TIP_MASS))
+    bare, loaded = (
+        own_leg(robot, scene, degrees, field, mass) for mass in (0.0, TIP_MASS)
+    )
     other = other_leg(robot, scene, degrees, np.zeros(3), tip)
     shape = bare @ np.column_stack([robot.outward[0], [0.0, 0.0, 1.0]])
     arc = discretise(robot.leg, len(bare), robot.tendon.end_fraction).arc
     compliance = {
-        "own_mm_per_N": float((loaded[-1] - bare[-1]) @ aside(robot)) / (TIP_MASS * SIDEWAYS),
+        "own_mm_per_N": float((loaded[-1] - bare[-1]) @ aside(robot))
+        / (TIP_MASS * SIDEWAYS),
         "other_mm_per_N": float(other[-1] @ aside(robot)) / (TIP_MASS * SIDEWAYS),
         "integral_mm_per_N": sideways_compliance(robot.leg, arc, shape),
     }
@@ -141,7 +159,9 @@ def loaded_row(robot: RobotParameters, scene: Scene, degrees: float) -> dict[str
     other = other_leg(robot, scene, degrees, field, mass * field)
     row: dict[str, Any] = {"kind": "loaded", "tendon_deg": degrees, "nodes": len(own)}
     for name, nodes in (("own", own), ("other", other)):
-        row[f"{name}_mm_per_N"] = 1e3 * float(nodes[-1] @ aside(robot)) / (mass * SIDEWAYS)
+        row[f"{name}_mm_per_N"] = (
+            1e3 * float(nodes[-1] @ aside(robot)) / (mass * SIDEWAYS)
+        )
         row[f"{name}_drop_mm"] = -1e3 * float(nodes[-1, 2])
     return row
 
@@ -214,7 +234,12 @@ def stand_row(robot: RobotParameters, scene: Scene) -> dict[str, Any]:
         sim = make(scene)
         hold(sim, degrees)
         height[f"{name}_mm"] = 1e3 * float(sim.position[2])
-    return {"kind": "other stand", "tendon_deg": degrees, "nodes": scene.solver.nodes, **height}
+    return {
+        "kind": "other stand",
+        "tendon_deg": degrees,
+        "nodes": scene.solver.nodes,
+        **height,
+    }
 
 
 def replay_rows(
@@ -238,7 +263,9 @@ def replay_rows(
         yield row | judged(row)
 
 
-def replay(make: Make, scene: Scene, stride: Stride, tuning: TuningSettings) -> dict[str, float]:
+def replay(
+    make: Make, scene: Scene, stride: Stride, tuning: TuningSettings
+) -> dict[str, float]:
     """Mean motion over the strides that count, at amplitude one and without offsets.
 
     v_x, v_y in mm/s, yaw rate in rad/s, height in mm, tilt (RMS) in deg; NaN if the simulation
@@ -257,7 +284,10 @@ def replay(make: Make, scene: Scene, stride: Stride, tuning: TuningSettings) -> 
 def tracked(sim: SimulatedRobot, stride: Stride, tuning: TuningSettings) -> Array:
     """(n, 7) time, position, roll, pitch and yaw after each command of the strides that count."""
     dt, settling = tuning.command_period, tuning.settling_strides
-    steps, first = round(dt / sim.scene.solver.step), round(settling * stride.period / dt)
+    steps, first = (
+        round(dt / sim.scene.solver.step),
+        round(settling * stride.period / dt),
+    )
     last = round((settling + tuning.strides) * stride.period / dt)
     velocity = np.array([stride.forward.speed, 0.0, 0.0])
     phase = np.arange(last) * dt / stride.period % 1.0
@@ -301,14 +331,20 @@ def checks(found: list[dict[str, Any]]) -> list[Check]:
     """The differences of the engines against their goals."""
     out = []
     for kind, leg in (("sideways", "a free"), ("loaded", "a loaded")):
-        pairs = [(r["other_mm_per_N"], r["own_mm_per_N"]) for r in found if r["kind"] == kind]
-        worst = max((100 * abs(other / own - 1) for other, own in pairs), default=math.nan)
+        pairs = [
+            (r["other_mm_per_N"], r["own_mm_per_N"]) for r in found if r["kind"] == kind
+        ]
+        worst = max(
+            (100 * abs(other / own - 1) for other, own in pairs), default=math.nan
+        )
         name = f"MuJoCo: sideways compliance of {leg} leg"
         out.append(at_most(name, worst, STIFFNESS_PERCENT, "%"))
     for row in found:
         if row["kind"] == "other stand":
             apart = abs(row["own_mm"] - row["other_mm"])
-            out.append(at_most("MuJoCo: height of the standing robot", apart, STAND_MM, "mm"))
+            out.append(
+                at_most("MuJoCo: height of the standing robot", apart, STAND_MM, "mm")
+            )
         if row["kind"] == "replay":
             name = f"MuJoCo: speed of {row['gait']} at friction {row['friction']}"
             out.append(at_most(name, row["difference"], row["goal"], "mm/s"))

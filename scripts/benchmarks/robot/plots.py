@@ -15,8 +15,10 @@ from slot_core.drawing import palette
 
 BESIDE = {"coarse": (-88, -30), "fine": (-90, -26)}  # points, of a name from its level
 RANGE = {"xlim": (0.3, 300), "ylim": (0.006, 30)}
-ENGINES = (("own", "rod legs of this project", palette.TRUE, "o"),
-           ("other", "hinge chains in MuJoCo", palette.SECONDARY, "s"))  # fmt: skip
+ENGINES = (
+    ("own", "rod legs of this project", palette.TRUE, "o"),
+    ("other", "hinge chains in MuJoCo", palette.SECONDARY, "s"),
+)
 APART = 0.08  # of the places of two engines at one friction, in units of its place
 
 
@@ -24,20 +26,32 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the plot of all rows with an error and a cost."""
     figure = Figure(figsize=(8, 5), layout="constrained")
     ax = figure.subplots()
-    runs = [row for row in rows if row["kind"] == "stand and step" and row["error_mm"] < math.inf]
+    runs = [
+        row
+        for row in rows
+        if row["kind"] == "stand and step" and row["error_mm"] < math.inf
+    ]
     ax.plot(
         *zip(*((row["us_per_ms"], row["error_mm"]) for row in runs)),
-        "o", color=palette.PALE, ms=4, mew=0, label="schemes, nodes and steps",
-    )  # fmt: skip
-    front = sorted((row["us_per_ms"], row["error_mm"]) for row in rows if row.get("front"))
+        "o",
+        color=palette.PALE,
+        ms=4,
+        mew=0,
+        label="schemes, nodes and steps",
+    )
+    front = sorted(
+        (row["us_per_ms"], row["error_mm"]) for row in rows if row.get("front")
+    )
     ax.step(*zip(*front), where="post", color=palette.INK, lw=1.0, label="Pareto front")
     draw_levels(ax, [row for row in rows if row["kind"] == "level"])
     ax.set(
-        xscale="log", yscale="log", **RANGE,
+        xscale="log",
+        yscale="log",
+        **RANGE,
         xlabel="CPU microseconds per simulated millisecond, whole robot",
         ylabel="error of the torso's centre, mm RMS",
         title="Stand up and step, 1.5 s: error against 121 nodes at 10 us",
-    )  # fmt: skip
+    )
     ax.grid(which="major", color=palette.PALE, lw=0.5)
     ax.legend(loc="upper right", frameon=False)
     figure.savefig(path, dpi=150)
@@ -57,7 +71,9 @@ def draw_levels(ax: Axes, levels: Sequence[Mapping[str, Any]]) -> None:
                 "fontsize": 9,
                 "bbox": {"fc": "white", "ec": "none", "pad": 0.5, "alpha": 0.85},
             }
-            ax.annotate(text, place, beside, textcoords="offset points", zorder=2, **style)
+            ax.annotate(
+                text, place, beside, textcoords="offset points", zorder=2, **style
+            )
 
 
 def draw_engines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -71,7 +87,9 @@ def draw_engines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         ax.grid(axis="y", color=palette.PALE, lw=0.5)
     panels[0].set_ylim(bottom=min(0.0, panels[0].get_ylim()[0]))
     panels[0].set_ylabel("mean speed, mm/s")
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3
+    )
     figure.savefig(path, dpi=150)
 
 
@@ -80,7 +98,9 @@ def draw_gait(ax: Any, rows: Sequence[Mapping[str, Any]]) -> None:
     for k, row in enumerate(rows):
         low, size = row["own_v_x"] - row["goal"], 2 * row["goal"]
         label = "goal: within 10 % or 3 mm/s" if k == 0 else None
-        ax.bar(k, size, 0.5, low, color=palette.SHADE, edgecolor=palette.PALE, label=label)
+        ax.bar(
+            k, size, 0.5, low, color=palette.SHADE, edgecolor=palette.PALE, label=label
+        )
     for side, (name, label, colour, mark) in zip((-APART, APART), ENGINES):
         places = [k + side for k in range(len(rows))]
         speeds = [row[f"{name}_v_x"] for row in rows]

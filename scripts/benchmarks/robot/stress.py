@@ -129,7 +129,9 @@ class MeasuredRun:
         """The record of the run."""
         sim = self._sim
         counts = sim.halvings, sim.indefinite_steps, sim.unconverged_steps
-        return StressRecord(lost, self._fastest, self._gained, 1e3 * self._sunk, apart, *counts)
+        return StressRecord(
+            lost, self._fastest, self._gained, 1e3 * self._sunk, apart, *counts
+        )
 
     def _advance(self, command: Array) -> None:
         sim, before = self._sim, self._sim.tendon_angle

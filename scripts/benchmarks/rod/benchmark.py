@@ -11,7 +11,10 @@ from benchmarks.harness import Outcome, Progress, at_most
 from benchmarks.rod import plots, release, statics
 
 REQUIRES = ("mujoco", "elastica")
-ELEMENTS = {True: (10, 20, 30), False: (10, 20, 30, 60, 100)}  # of PyElastica, by `quick`
+ELEMENTS = {
+    True: (10, 20, 30),
+    False: (10, 20, 30, 60, 100),
+}  # of PyElastica, by `quick`
 
 
 def run(quick: bool, out: Path, progress: Progress) -> Outcome:
@@ -24,10 +27,16 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     released = release_rows(quick, repeats, progress)
     release.mark_fronts(released)
     plots.draw(released, out / "rod.png")
-    flight = [row["momentum"] for row in moving if row["kind"] == "flight" and row["theta"] == 0.5]
+    flight = [
+        row["momentum"]
+        for row in moving
+        if row["kind"] == "flight" and row["theta"] == 0.5
+    ]
     return [*still, *moving, *released], [
         *statics.static_checks(still),
-        at_most("relative drift of momentum in flight, midpoint rule", max(flight), 1e-12),
+        at_most(
+            "relative drift of momentum in flight, midpoint rule", max(flight), 1e-12
+        ),
         *release.release_checks(released),
     ]
 

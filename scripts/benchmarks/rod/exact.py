@@ -30,7 +30,9 @@ EULER = math.pi**2 / 4  # P L^2 / EI, clamped and free
 # w L^3 / EI at which an upright column buckles under its own weight: 9/4 j^2 with the first zero j
 # of the Bessel function J_(-1/3) (Greenhill 1881).
 GREENHILL = 9 / 4 * 1.8663508588738948**2
-LATERAL = 4.0126  # P L^2 / sqrt(EI GJ): a narrow cantilever buckles sideways (Prandtl 1899)
+LATERAL = (
+    4.0126  # P L^2 / sqrt(EI GJ): a narrow cantilever buckles sideways (Prandtl 1899)
+)
 
 FREQUENCIES = {  # rad/s with EI = rho A = L = 1; the leg's in Hz
     "uniform": np.array([1.8751040687, 4.6940911330, 7.8547574382]) ** 2,
@@ -53,10 +55,14 @@ PRINCETON = Geometry(0.508, Rectangle(12.3777e-3, (3.2024e-3, 3.2024e-3)))
 PRINCETON_MATERIAL = Material(71.7e9, 71.7e9 / 2.62, 2700.0, 0.0)
 PRINCETON_FORCE = 8.896  # N
 PRINCETON_TIPS = {
-    0: (0.010714, 0.0), 15: (0.010613, 0.042082), 30: (0.010112, 0.079395),
-    45: (0.008837, 0.108988), 60: (0.006605, 0.129888), 75: (0.003539, 0.142194),
+    0: (0.010714, 0.0),
+    15: (0.010613, 0.042082),
+    30: (0.010112, 0.079395),
+    45: (0.008837, 0.108988),
+    60: (0.006605, 0.129888),
+    75: (0.003539, 0.142194),
     90: (0.0, 0.146246),
-}  # fmt: skip
+}
 
 
 def elastica(p: float) -> Array:
@@ -64,7 +70,9 @@ def elastica(p: float) -> Array:
 
     def excess(angle: float) -> float:
         m = (1 + math.sin(angle)) / 2
-        return float(ellipk(m) - ellipkinc(math.asin(math.sqrt(0.5 / m)), m)) - math.sqrt(p)
+        return float(
+            ellipk(m) - ellipkinc(math.asin(math.sqrt(0.5 / m)), m)
+        ) - math.sqrt(p)
 
     angle = brentq(excess, 1e-12, math.pi / 2 - 1e-12, xtol=1e-14)
     m = (1 + math.sin(angle)) / 2
@@ -98,14 +106,18 @@ def follower(p: float) -> Array:
 def axes(q: Array) -> Array:
     """(3, 3, ...) columns tangent, width, normal of quaternions (4, ...) of any length."""
     w, x, y, z = q / np.sqrt((q * q).sum(axis=0))
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
 
 
-def slope(material: Material, geometry: Geometry, gravity: Array, s: Array, y: Array) -> Array:
+def slope(
+    material: Material, geometry: Geometry, gravity: Array, s: Array, y: Array
+) -> Array:
     """Cosserat's equations without shear: derivative of y (13, n) by the arc length s (n,).
 
     y is the place r, a quaternion q of the axes R, the force n and the moment m on the part beyond:
@@ -125,10 +137,12 @@ def slope(material: Material, geometry: Geometry, gravity: Array, s: Array, y: A
     kappa[1] -= geometry.curvature_at(s)
     area = section.area(f)
     tangent = frame[:, 0] * (1 + (frame[:, 0] * force).sum(axis=0) / (young * area))
-    turned = np.vstack([
-        -(q[1:] * kappa).sum(axis=0),
-        q[0] * kappa + np.cross(q[1:], kappa, axis=0),
-    ])  # fmt: skip
+    turned = np.vstack(
+        [
+            -(q[1:] * kappa).sum(axis=0),
+            q[0] * kappa + np.cross(q[1:], kappa, axis=0),
+        ]
+    )
     weight = -np.outer(gravity, material.density * area)
     return np.vstack([tangent, turned / 2, weight, -np.cross(tangent, force, axis=0)])
 
@@ -138,7 +152,10 @@ def collocation(material: Material, geometry: Geometry, loads: Loads) -> Array:
 
     Raises ArithmeticError if the collocation does not converge.
     """
-    parts = [np.array(part) for part in (loads.gravity, loads.force, loads.moment, loads.follower)]
+    parts = [
+        np.array(part)
+        for part in (loads.gravity, loads.force, loads.moment, loads.follower)
+    ]
     s = np.linspace(0.0, geometry.length, 201)
     y = np.zeros((13, len(s)))
     shape = geometry.natural_shape(len(s))
@@ -147,10 +164,17 @@ def collocation(material: Material, geometry: Geometry, loads: Loads) -> Array:
     for factor in RAMP:
         gravity, force, moment, own = (factor * part for part in parts)
 
-        def ends(a: Array, b: Array, force: Array = force, moment: Array = moment,
-                 own: Array = own) -> Array:  # fmt: skip
+        def ends(
+            a: Array,
+            b: Array,
+            force: Array = force,
+            moment: Array = moment,
+            own: Array = own,
+        ) -> Array:
             start = a[:7] - [0, 0, 0, 1, 0, 0, 0]
-            return np.concatenate([start, b[7:10] - force - axes(b[3:7]) @ own, b[10:] - moment])
+            return np.concatenate(
+                [start, b[7:10] - force - axes(b[3:7]) @ own, b[10:] - moment]
+            )
 
         def rate(s: Array, y: Array, gravity: Array = gravity) -> Array:
             return slope(material, geometry, gravity, s, y)
@@ -170,7 +194,9 @@ def tip(material: Material, geometry: Geometry, loads: Loads) -> Array:
 
 def thin(loads: Loads) -> Array:
     """Tip (x, z) of the thin rod that represents the elastica, with its stretch."""
-    return tip(THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (THIN, THIN))), loads)[[0, 2]]
+    return tip(THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (THIN, THIN))), loads)[
+        [0, 2]
+    ]
 
 
 def heavy(w: float) -> Array:
@@ -183,14 +209,20 @@ def heavy(w: float) -> Array:
 
 def sideways(material: Material, geometry: Geometry, count: int) -> Array:
     """Lowest frequencies (count,), Hz, of a straight cantilever that bends sideways (`_ritz`)."""
-    section, speed = geometry.section, math.sqrt(material.young_modulus / material.density)
+    section, speed = (
+        geometry.section,
+        math.sqrt(material.young_modulus / material.density),
+    )
     found = speed * _ritz(section.lateral_moment, section.area, 2)
     return found[:count] / (2 * math.pi * geometry.length**2)
 
 
 def twisting(material: Material, geometry: Geometry, count: int) -> Array:
     """Lowest frequencies (count,), Hz, of a straight cantilever that twists (`_ritz`)."""
-    section, speed = geometry.section, math.sqrt(material.shear_modulus / material.density)
+    section, speed = (
+        geometry.section,
+        math.sqrt(material.shear_modulus / material.density),
+    )
 
     def polar(f: Array) -> Array:
         return section.second_moment(f) + section.lateral_moment(f)
@@ -210,11 +242,16 @@ def _ritz(stiffness: Field, mass: Field, order: int) -> Array:
     power = np.polynomial.Polynomial([0.0] * order + [1.0])
     shapes = [
         power
-        * np.polynomial.Legendre.basis(j, domain=[0, 1]).convert(kind=np.polynomial.Polynomial)
+        * np.polynomial.Legendre.basis(j, domain=[0, 1]).convert(
+            kind=np.polynomial.Polynomial
+        )
         for j in range(16)
     ]
     bent = np.array([shape.deriv(order)(x) for shape in shapes])
     moved = np.array([shape(x) for shape in shapes])
-    square = eigh((bent * weight * stiffness(x)) @ bent.T, (moved * weight * mass(x)) @ moved.T,
-                  eigvals_only=True)  # fmt: skip
+    square = eigh(
+        (bent * weight * stiffness(x)) @ bent.T,
+        (moved * weight * mass(x)) @ moved.T,
+        eigvals_only=True,
+    )
     return np.sqrt(square)

@@ -26,7 +26,10 @@ from slot_core.robot import Array
 from slot_core.rod.mesh import sections
 
 STEPS = (1e-3, 5e-4, 2e-4, 1e-4)  # at 2 ms the chain is unstable
-LINKS = {True: (4, 6, 8, 12, 16, 20), False: (4, 6, 8, 10, 12, 16, 20, 24, 30)}  # by `quick`
+LINKS = {
+    True: (4, 6, 8, 12, 16, 20),
+    False: (4, 6, 8, 10, 12, 16, 20, 24, 30),
+}  # by `quick`
 FINE = (16, 32)  # links, for its own converged motion
 FINE_STEPS = (1e-4, 5e-5)
 MEANINGFUL = 30.0  # percent; a row with a larger error has diverged or rings
@@ -41,7 +44,12 @@ def rows(quick: bool, repeats: int) -> Iterator[dict[str, Any]]:
         error = percent(motion, exact, start)
         if not error < MEANINGFUL:
             error = cost = math.nan
-        figures = {"h": h, "percent": error, "cpu_s": cost, "version": mujoco.__version__}
+        figures = {
+            "h": h,
+            "percent": error,
+            "cpu_s": cost,
+            "version": mujoco.__version__,
+        }
         yield release_row("MuJoCo hinge chain", DAMPED, links + 1, **figures)
 
 
@@ -72,7 +80,9 @@ def release(links: int, h: float, repeats: int) -> tuple[Array, Array, float]:
             sample[:] = data.site_xpos[0]
 
     run()
-    if any(warning.number for warning in data.warning):  # MuJoCo resets a simulation that diverges
+    if any(
+        warning.number for warning in data.warning
+    ):  # MuJoCo resets a simulation that diverges
         tip[:] = math.nan
     elif repeats:
         return tip, start, cpu_time(run, repeats).median / DURATION
@@ -88,7 +98,9 @@ def equilibrium(model: Any, data: Any) -> Array:
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_jacSite(model, data, jacobian, None, 0)
-        return model.jnt_stiffness * angles - jacobian.T @ (factor * np.array(PUSH.force))
+        return model.jnt_stiffness * angles - jacobian.T @ (
+            factor * np.array(PUSH.force)
+        )
 
     angles = np.zeros(model.nv)
     for factor in (0.5, 1.0):
@@ -104,7 +116,9 @@ def description(links: int, h: float) -> str:
     """The chain in MuJoCo's XML; axes x, y, z as the rod's."""
     arc = np.linspace(0.0, LEG.length, links + 1)
     link, hinge = LEG.length / links, sections(TPU, LEG, arc)
-    spring = np.array([hinge.torsion, hinge.bending, hinge.lateral]) / weights(np.diff(arc))
+    spring = np.array([hinge.torsion, hinge.bending, hinge.lateral]) / weights(
+        np.diff(arc)
+    )
     body = f'<site name="tip" pos="{link} 0 0" size="0.001"/>'
     for i in reversed(range(links)):
         joints = "".join(

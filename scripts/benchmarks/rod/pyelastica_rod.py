@@ -25,7 +25,10 @@ from benchmarks.rod.release import DURATION, SAMPLES, UNDAMPED, percent, release
 from slot_core.robot import Array
 from slot_core.rod.motion import Scheme
 
-FINE = {True: (30, 60), False: (60, 120)}  # elements, for its own converged motion, by `quick`
+FINE = {
+    True: (30, 60),
+    False: (60, 120),
+}  # elements, for its own converged motion, by `quick`
 SHEAR_FACTOR = 5 / 6
 
 FIRST_STEP = 6e-5  # s; unstable with every number of elements
@@ -69,7 +72,9 @@ def rows(quick: bool, elements: tuple[int, ...]) -> Iterator[dict[str, Any]]:
         tip, start, h, cost = release(Cells(count, moved))
         name = f"PyElastica, clamp {'moved' if moved else 'as documented'}"
         figures = {"h": h, "percent": percent(tip, exact, start), "cpu_s": cost}
-        yield release_row(name, UNDAMPED, count + 1, **figures, version=version("pyelastica"))
+        yield release_row(
+            name, UNDAMPED, count + 1, **figures, version=version("pyelastica")
+        )
 
 
 def release(cells: Cells) -> tuple[Array, Array, float, float]:
@@ -114,18 +119,26 @@ def bent_rod(cells: Cells) -> Any:
 
     def assign(unknowns: Array) -> None:
         rod.position_collection[:, 1:] = unknowns[: 3 * n].reshape(3, n)
-        turned = axes @ Rotation.from_rotvec(unknowns[3 * n :].reshape(n - 1, 3)).as_matrix()
-        rod.director_collection[..., 1:] = np.moveaxis(turned[:, :, [1, 2, 0]], (0, 2), (2, 0))
+        turned = (
+            axes @ Rotation.from_rotvec(unknowns[3 * n :].reshape(n - 1, 3)).as_matrix()
+        )
+        rod.director_collection[..., 1:] = np.moveaxis(
+            turned[:, :, [1, 2, 0]], (0, 2), (2, 0)
+        )
 
     def imbalance(unknowns: Array) -> Array:
         assign(unknowns)
         rod.compute_internal_forces_and_torques(0.0)
         force = rod.internal_forces[:, 1:].copy()
         force[:, -1] += PUSH.force
-        return np.concatenate([force.ravel(), rod.internal_torques[:, 1:].ravel() / cells.size])
+        return np.concatenate(
+            [force.ravel(), rod.internal_torques[:, 1:].ravel() / cells.size]
+        )
 
     start = np.concatenate([place.ravel(), np.zeros(3 * (n - 1))])
-    unknowns, _, status, message = fsolve(imbalance, start, xtol=1e-10, full_output=True)
+    unknowns, _, status, message = fsolve(
+        imbalance, start, xtol=1e-10, full_output=True
+    )
     if status != 1:
         raise ArithmeticError(f"no equilibrium of PyElastica's rod: {message}")
     assign(unknowns)
@@ -139,7 +152,9 @@ def guess(cells: Cells) -> tuple[Array, Array]:
     place = np.array([np.interp(cells.edges[1:], s, part) for part in ours.position.T])
     tangent = np.diff(ours.position, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    axes = np.stack([tangent, -ours.director, np.cross(tangent, -ours.director)], axis=2)
+    axes = np.stack(
+        [tangent, -ours.director, np.cross(tangent, -ours.director)], axis=2
+    )
     of_element = np.searchsorted(s, cells.middles[1:]) - 1
     return place, axes[of_element]
 
@@ -151,19 +166,26 @@ def straight_rod(cells: Cells) -> Any:
     """
     size, section = cells.size, LEG.section
     rod = elastica.CosseratRod.straight_rod(
-        cells.elements, np.array([cells.edges[0], 0.0, 0.0]), np.array([1.0, 0.0, 0.0]),
-        np.array([0.0, 1.0, 0.0]), base_length=cells.elements * size,
-        base_radius=section.width / 2, density=TPU.density,
-        youngs_modulus=TPU.young_modulus, shear_modulus=TPU.shear_modulus,
-    )  # fmt: skip
+        cells.elements,
+        np.array([cells.edges[0], 0.0, 0.0]),
+        np.array([1.0, 0.0, 0.0]),
+        np.array([0.0, 1.0, 0.0]),
+        base_length=cells.elements * size,
+        base_radius=section.width / 2,
+        density=TPU.density,
+        youngs_modulus=TPU.young_modulus,
+        shear_modulus=TPU.shear_modulus,
+    )
     area, inner, outer, _ = sections(cells.middles)
     lateral = SHEAR_FACTOR * TPU.shear_modulus * area
     fill(rod.shear_matrix, lateral, lateral, TPU.young_modulus * area)
     _, bend, aside, torsion = sections(cells.edges[1:-1])
     fill(
-        rod.bend_matrix, TPU.young_modulus * bend, TPU.young_modulus * aside,
+        rod.bend_matrix,
+        TPU.young_modulus * bend,
+        TPU.young_modulus * aside,
         TPU.shear_modulus * torsion,
-    )  # fmt: skip
+    )
     half = TPU.density * area * size / 2
     rod.mass[:] = np.append(half, 0.0) + np.append(0.0, half)
     inertia = [TPU.density * size * part for part in (inner, outer, inner + outer)]

@@ -29,9 +29,17 @@ from slot_core.rod.motion import RodState, Scheme
 DURATION, SAMPLES = 1.0, 100  # s, number of samples of the tip
 OURS = "CosseratRod"
 LARGEST_ERROR = 0.5  # percent
-LARGEST_GROWTH = 6.0  # of the cost from 7 to 31 nodes; 5 if proportional to their segments
+LARGEST_GROWTH = (
+    6.0  # of the cost from 7 to 31 nodes; 5 if proportional to their segments
+)
 NODES = (4, 5, 7, 9, 13, 17, 31)
-STEPS = (2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)  # s; the longest one damped, the shortest undamped
+STEPS = (
+    2e-3,
+    1e-3,
+    5e-4,
+    2.5e-4,
+    1.25e-4,
+)  # s; the longest one damped, the shortest undamped
 SCHEMES = ((0.5, 1), (0.5, 2), (0.5, 20), (0.55, 2))  # theta, iterations
 
 
@@ -44,7 +52,9 @@ class Physics:
 
     def leg(self, nodes: int, scheme: Scheme) -> tuple[CosseratRod, RodState]:
         """The leg, and its equilibrium under PUSH."""
-        rod = CosseratRod(TPU if self.damped else UNDAMPED_TPU, LEG, nodes, scheme=scheme)
+        rod = CosseratRod(
+            TPU if self.damped else UNDAMPED_TPU, LEG, nodes, scheme=scheme
+        )
         rod.solve_static(PUSH)
         return rod, rod.state
 
@@ -77,9 +87,13 @@ class Setting:
     def row(self, rows: list[dict[str, Any]]) -> dict[str, Any]:
         """The row of this setting."""
         wanted = {
-            "simulator": OURS, "physics": self.physics.name, "nodes": self.nodes, "h": self.h,
-            "theta": 0.5, "iterations": self.iterations,
-        }  # fmt: skip
+            "simulator": OURS,
+            "physics": self.physics.name,
+            "nodes": self.nodes,
+            "h": self.h,
+            "theta": 0.5,
+            "iterations": self.iterations,
+        }
         return next(row for row in rows if wanted.items() <= row.items())
 
     def __str__(self) -> str:
@@ -88,7 +102,11 @@ class Setting:
 
 
 # From some 25 nodes on the damped leg diverges, after a second, with one iteration at 1 ms.
-GOALS = (Setting(DAMPED, 7, 1e-3), Setting(DAMPED, 7, 1e-3, 2), Setting(DAMPED, 31, 1e-3, 2))
+GOALS = (
+    Setting(DAMPED, 7, 1e-3),
+    Setting(DAMPED, 7, 1e-3, 2),
+    Setting(DAMPED, 31, 1e-3, 2),
+)
 # None whose errors of space and time cancel by chance, as with 9 nodes at 1 ms.
 RIVALS = (  # peer, the setting compared with it, least ratio of the costs
     ("MuJoCo", Setting(DAMPED, 5, 1e-3), 20.0),
@@ -128,9 +146,16 @@ def own_row(  # noqa: PLR0917
     return release_row(OURS, physics, rod.nodes, **setting, percent=error, cpu_s=cost)
 
 
-def release_row(simulator: str, physics: Physics, nodes: int, **figures: Any) -> dict[str, Any]:
+def release_row(
+    simulator: str, physics: Physics, nodes: int, **figures: Any
+) -> dict[str, Any]:
     """A row of the release test."""
-    place = {"kind": "release", "simulator": simulator, "physics": physics.name, "nodes": nodes}
+    place = {
+        "kind": "release",
+        "simulator": simulator,
+        "physics": physics.name,
+        "nodes": nodes,
+    }
     return place | figures
 
 
@@ -151,7 +176,12 @@ def energy_rows() -> Iterator[dict[str, Any]]:
             released, bent = UNDAMPED.leg(17, scheme)
             released.state = bent
             for kind, rod in (("flight", thrown(scheme)), ("vibration", released)):
-                yield {"kind": kind, "theta": theta, "h": h, **drift(rod, h, kind == "flight")}
+                yield {
+                    "kind": kind,
+                    "theta": theta,
+                    "h": h,
+                    **drift(rod, h, kind == "flight"),
+                }
 
 
 def drift(rod: CosseratRod, h: float, free: bool) -> dict[str, float]:
@@ -196,14 +226,18 @@ def release_checks(rows: list[dict[str, Any]]) -> list[Check]:
         for setting, row in zip(GOALS, found)
     ]
     ratio = found[2]["cpu_s"] / found[1]["cpu_s"]
-    out.append(at_most("release: cost of 31 nodes over that of 7", ratio, LARGEST_GROWTH))
+    out.append(
+        at_most("release: cost of 31 nodes over that of 7", ratio, LARGEST_GROWTH)
+    )
     for peer, setting, goal in RIVALS:
         rivals = [row for row in rows if row["simulator"].startswith(peer)]
         out.append(rival_check(peer, setting.row(rows), rivals, goal))
     return out
 
 
-def rival_check(peer: str, own: dict[str, Any], rivals: list[dict[str, Any]], goal: float) -> Check:
+def rival_check(
+    peer: str, own: dict[str, Any], rivals: list[dict[str, Any]], goal: float
+) -> Check:
     """Cost of a peer over that of `own` at equal error, %.
 
     The peer's cost is interpolated, in logarithms, between the rows that none of its own surpasses:

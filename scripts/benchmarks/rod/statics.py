@@ -19,12 +19,22 @@ STANDARD, FINE = 31, 61  # nodes at which the goals are set: in the plane, and i
 PERCENT = 0.01  # goal of the frequencies' errors
 COLUMN_OVERLOAD = 1.2  # of the load at which a column buckles
 
-UNIT = Material(1.0, 1.0, 1e-6, 0.0)  # L = EI = 1, EI sideways 2, GJ .8; stretch 1e-6 at load 1
+UNIT = Material(
+    1.0, 1.0, 1e-6, 0.0
+)  # L = EI = 1, EI sideways 2, GJ .8; stretch 1e-6 at load 1
 OBLONG = Uniform(1e6, 1.0, 2.0, 0.8)
 SPATIAL = {  # name: material, geometry and loads of cantilevers that bend in both planes and twist
     "oblique force": (UNIT, Geometry(1.0, OBLONG), Loads(force=(0.5, 2.0, 2.0))),
-    "force against the tip": (UNIT, Geometry(1.0, OBLONG), Loads(force=(-1.0, 1.0, 3.0))),
-    "sideways force, curved": (UNIT, Geometry(1.0, OBLONG, 1.0), Loads(force=(0.0, 2.0, 0.0))),
+    "force against the tip": (
+        UNIT,
+        Geometry(1.0, OBLONG),
+        Loads(force=(-1.0, 1.0, 3.0)),
+    ),
+    "sideways force, curved": (
+        UNIT,
+        Geometry(1.0, OBLONG, 1.0),
+        Loads(force=(0.0, 2.0, 0.0)),
+    ),
     "leg": (TPU, LEG, PUSH),
     "curved leg": (TPU, Geometry(LEG.length, LEG.section, 6.0), PUSH),
     "bend, 300": (exact.BEND_MATERIAL, exact.BEND, Loads(force=(0.0, 300.0, 0.0))),
@@ -34,7 +44,9 @@ SPATIAL = {  # name: material, geometry and loads of cantilevers that bend in bo
 
 def slender(nodes: int, taper: float = 1.0) -> CosseratRod:
     """A rod with L = EI = rho A = 1 at its base."""
-    return CosseratRod(THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (THIN, THIN * taper))), nodes)
+    return CosseratRod(
+        THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (THIN, THIN * taper))), nodes
+    )
 
 
 def static_rows(repeats: int) -> Iterator[dict[str, Any]]:
@@ -73,8 +85,16 @@ def tip_rows(
             rod.state = rest
             rod.solve_static(loads)
 
-        row = {"kind": case, "load": load, "nodes": nodes, "error": math.dist(reached, tip)}
-        row |= {"discretisation": math.dist(reached, modelled), "iterations": found.iterations}
+        row = {
+            "kind": case,
+            "load": load,
+            "nodes": nodes,
+            "error": math.dist(reached, tip),
+        }
+        row |= {
+            "discretisation": math.dist(reached, modelled),
+            "iterations": found.iterations,
+        }
         yield row | {"cpu_ms": 1e3 * cpu_time(solve, repeats).median}
 
 
@@ -96,9 +116,13 @@ def spatial_rows() -> Iterator[dict[str, Any]]:
                 found = rod.solve_static(loads)
                 error = math.dist(rod.tip.position, wanted) / geometry.length
                 yield {
-                    "kind": "spatial", "case": case, "refined": refined, "nodes": nodes,
-                    "error": error, "iterations": found.iterations,
-                }  # fmt: skip
+                    "kind": "spatial",
+                    "case": case,
+                    "refined": refined,
+                    "nodes": nodes,
+                    "error": error,
+                    "iterations": found.iterations,
+                }
 
 
 def princeton_rows() -> Iterator[dict[str, Any]]:
@@ -107,15 +131,23 @@ def princeton_rows() -> Iterator[dict[str, Any]]:
         angle = math.radians(degrees)
         rod = CosseratRod(exact.PRINCETON_MATERIAL, exact.PRINCETON, STANDARD)
         force = exact.PRINCETON_FORCE
-        rod.solve_static(Loads(force=(0.0, force * math.cos(angle), force * math.sin(angle))))
-        yield published_row(f"Princeton's beam at {degrees} deg", rod.tip.position[1:], tip)
+        rod.solve_static(
+            Loads(force=(0.0, force * math.cos(angle), force * math.sin(angle)))
+        )
+        yield published_row(
+            f"Princeton's beam at {degrees} deg", rod.tip.position[1:], tip
+        )
     for load, tip in exact.BEND_TIPS.items():
         rod = CosseratRod(exact.BEND_MATERIAL, exact.BEND, STANDARD)
         rod.solve_static(Loads(force=(0.0, load, 0.0)))
-        yield published_row(f"Bathe and Bolourchi's bend at {load:g}", rod.tip.position, tip)
+        yield published_row(
+            f"Bathe and Bolourchi's bend at {load:g}", rod.tip.position, tip
+        )
 
 
-def published_row(case: str, found: tuple[float, ...], wanted: tuple[float, ...]) -> dict[str, Any]:
+def published_row(
+    case: str, found: tuple[float, ...], wanted: tuple[float, ...]
+) -> dict[str, Any]:
     """Largest relative difference of the components that are not zero, in percent."""
     percent = max(100 * abs(a / b - 1) for a, b in zip(found, wanted) if b)
     return {"kind": "published", "case": case, "percent": percent}
@@ -129,22 +161,37 @@ def buckling_rows() -> Iterator[dict[str, Any]]:
     over, stiff = COLUMN_OVERLOAD, Geometry(1.0, Uniform(1e6, 1e4, 1.0, 0.8))
     aside = Loads(force=(0.0, 0.0, over * exact.LATERAL * math.sqrt(0.8)))
     for column, rod, loads in (
-        ("Euler's column", slender(STANDARD), Loads(force=(-over * exact.EULER, 0.0, 0.0))),
-        ("heavy column", slender(STANDARD), Loads(gravity=(-over * exact.GREENHILL, 0.0, 0.0))),
+        (
+            "Euler's column",
+            slender(STANDARD),
+            Loads(force=(-over * exact.EULER, 0.0, 0.0)),
+        ),
+        (
+            "heavy column",
+            slender(STANDARD),
+            Loads(gravity=(-over * exact.GREENHILL, 0.0, 0.0)),
+        ),
         ("sideways", CosseratRod(UNIT, stiff, STANDARD), aside),
     ):
         percent = 100 * abs(over * rod.solve_static(loads).critical[0] - 1)
-        yield {"kind": "buckling", "column": column, "nodes": rod.nodes, "percent": percent}
+        yield {
+            "kind": "buckling",
+            "column": column,
+            "nodes": rod.nodes,
+            "percent": percent,
+        }
 
 
 def frequency_rows() -> Iterator[dict[str, Any]]:
     """Errors of the first clamped-free frequencies of a kind, in percent."""
     wanted = {
-        **{name: found / (1.0 if name == "leg" else 2 * math.pi)
-           for name, found in exact.FREQUENCIES.items()},
+        **{
+            name: found / (1.0 if name == "leg" else 2 * math.pi)
+            for name, found in exact.FREQUENCIES.items()
+        },
         "leg, sideways": exact.sideways(TPU, LEG, 3),
         "leg, twist": exact.twisting(TPU, LEG, 1),
-    }  # fmt: skip
+    }
     for nodes in NODES:
         for name, frequencies in wanted.items():
             rod = CosseratRod(TPU, LEG, nodes)
@@ -152,7 +199,12 @@ def frequency_rows() -> Iterator[dict[str, Any]]:
                 rod = slender(nodes, 0.5 if name == "tapered" else 1.0)
             found = rod.natural_frequencies(20)
             percent = [100 * np.abs(found / f - 1).min() for f in frequencies]
-            yield {"kind": "frequency", "rod": name, "nodes": nodes, "percent": np.array(percent)}
+            yield {
+                "kind": "frequency",
+                "rod": name,
+                "nodes": nodes,
+                "percent": np.array(percent),
+            }
 
 
 def static_checks(rows: list[dict[str, Any]]) -> list[Check]:
@@ -166,7 +218,11 @@ def static_checks(rows: list[dict[str, Any]]) -> list[Check]:
         found = order([row for row in of_case if row["load"] == largest], 9, 31)
         out.append(at_least(f"{case}'s order, 9 to 31 nodes", found, 2.0))
     for case in SPATIAL:
-        of_case = [r for r in rows if r["kind"] == "spatial" and r["case"] == case and r["refined"]]
+        of_case = [
+            r
+            for r in rows
+            if r["kind"] == "spatial" and r["case"] == case and r["refined"]
+        ]
         found = order(of_case, 17, FINE)
         out.append(at_least(f"{case}: order, 17 to {FINE} nodes", found, 2.5))
     return out
@@ -175,12 +231,18 @@ def static_checks(rows: list[dict[str, Any]]) -> list[Check]:
 def row_checks(row: dict[str, Any]) -> Iterable[Check]:
     """The goals of one row."""
     match row["kind"], row.get("nodes"):
-        case ("elastica" | "follower force" | "heavy elastica") as case, nodes if nodes == STANDARD:
-            yield at_most(f"{case}, load {row['load']:g}", row["error"], 2e-4, "of the length")
+        case ("elastica" | "follower force" | "heavy elastica") as case, nodes if (
+            nodes == STANDARD
+        ):
+            yield at_most(
+                f"{case}, load {row['load']:g}", row["error"], 2e-4, "of the length"
+            )
         case "circle", nodes if nodes == STANDARD:
             yield at_most("circle, closing error", row["error"], 1e-4, "of the length")
         case "spatial", nodes if nodes == FINE and row["refined"]:
-            yield at_most(f"{row['case']}, {FINE} nodes", row["error"], 1e-6, "of the length")
+            yield at_most(
+                f"{row['case']}, {FINE} nodes", row["error"], 1e-6, "of the length"
+            )
         case "published", _:
             yield at_most(row["case"], row["percent"], 1.0, "%")
         case "buckling", _:

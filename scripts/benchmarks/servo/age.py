@@ -74,7 +74,11 @@ def walk(duration: float, nodes: str) -> Ages:
             if (failure := processes.failed()) or time.monotonic() > limit + duration:
                 raise BenchmarkError(f"the graph failed: {failure or 'no commands'}")
     begin = min(filter(None, written)) + warm_up * 1e9
-    aged = [1e-9 * (at - published[s]) for s, at in written.items() if s in published and s > begin]
+    aged = [
+        1e-9 * (at - published[s])
+        for s, at in written.items()
+        if s in published and s > begin
+    ]
     if not aged:
         raise BenchmarkError("no command after the warm-up")
     return np.array(aged)
@@ -129,7 +133,9 @@ def draw(ages: Mapping[str, Ages], path: Path) -> None:
     for nodes, found in ages.items():
         older = 1.0 - np.arange(len(found)) / len(found)
         axes.step(1e3 * np.sort(found), older, color=colours[nodes], label=nodes)
-    axes.plot(GOALS.values(), GOALS.keys(), "x", color=SECONDARY, label="goals, composed")
+    axes.plot(
+        GOALS.values(), GOALS.keys(), "x", color=SECONDARY, label="goals, composed"
+    )
     axes.set(xlabel="from odometry published to goals written, ms", xlim=(0.0, None))
     axes.set(ylabel="share of commands that are older", yscale="log")
     axes.grid(alpha=0.3)

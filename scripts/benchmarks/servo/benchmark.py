@@ -35,7 +35,10 @@ from slot_core.simulation.plant import CYCLE
 
 STEP = (0.5, 1.5)  # rad
 LOADS = (0.0, 0.3)  # N m on the tendon's angle
-STYLES = {"position": ("C0", "servo's own loop"), "pwm": ("C1", "loop on the host, PWM mode")}
+STYLES = {
+    "position": ("C0", "servo's own loop"),
+    "pwm": ("C1", "loop on the host, PWM mode"),
+}
 
 
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
@@ -45,7 +48,9 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
     progress("CPU share at 100 Hz")
     share = share_row(2.0 if quick else 20.0)
     progress("step responses")
-    steps = [step_row(control, load) for control in ("position", "pwm") for load in LOADS]
+    steps = [
+        step_row(control, load) for control in ("position", "pwm") for load in LOADS
+    ]
     draw(steps, out / "servo_step.png")
     ages, attempts = {}, Attempts()
     for nodes in age.NODES:
@@ -82,7 +87,11 @@ def cycle_rows(count: int) -> Iterator[Row]:
         row = {"kind": "cycle", "fast_sync_read": fast, "usb_latency_ms": 1e3 * latency}
         row |= {"rate_hz": 1.0 / median, "mean_rate_hz": count / duration}
         incomplete = sum(not cycle.complete for cycle in found)
-        yield row | {"p50_ms": 1e3 * median, "p99_ms": 1e3 * p99, "incomplete": incomplete}
+        yield row | {
+            "p50_ms": 1e3 * median,
+            "p99_ms": 1e3 * p99,
+            "incomplete": incomplete,
+        }
 
 
 def share_row(duration: float) -> Row:
@@ -116,7 +125,12 @@ def step_row(control: str, load: float) -> dict[str, Any]:
             trace.append(driver.cycle().readings[0].angle)  # type: ignore[union-attr]
             servos.advance(CYCLE, (load,) * 4)
     driver.torque_off()
-    return {"kind": "step", "control": control, "load": load, "trace": trace} | measures(trace)
+    return {
+        "kind": "step",
+        "control": control,
+        "load": load,
+        "trace": trace,
+    } | measures(trace)
 
 
 def measures(trace: list[float]) -> dict[str, float]:
@@ -151,7 +165,9 @@ def emulated(changes: dict[str, Any], latency: float) -> Iterator[Driver]:
     with tempfile.TemporaryDirectory() as directory:
         command = [sys.executable, "-m", "slot_bringup.servos", "emulate"]
         command += ["--link", f"{directory}/servos", "--usb-latency", str(latency)]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ)
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, text=True, env=os.environ
+        )
         try:
             assert process.stdout is not None
             name, bus = process.stdout.readline().strip(), settings.bus

@@ -32,12 +32,16 @@ class Access:
 
         path: with its query; host, origin, cookie: headers, origin None where there is none.
         """
-        if not self._token and not is_this_machine(urlsplit(f"//{host}").hostname or ""):
+        if not self._token and not is_this_machine(
+            urlsplit(f"//{host}").hostname or ""
+        ):
             return "unknown host"
         if origin is not None and urlsplit(origin).netloc != host:
             return "another page"
         if self._token and not self._has_token(path, cookie):
-            return "the token is missing: open the address that scripts/play has printed"
+            return (
+                "the token is missing: open the address that scripts/play has printed"
+            )
         return ""
 
     def is_named(self, path: str) -> bool:
@@ -80,7 +84,9 @@ def guarded(access: Access) -> Iterator[None]:
         """A server that refuses the requests that `access` refuses."""
 
         def __init__(self, *args: Any, process_request: Answer, **options: Any) -> None:
-            super().__init__(*args, process_request=checked(access, process_request), **options)
+            super().__init__(
+                *args, process_request=checked(access, process_request), **options
+            )
 
     module.serve = Guarded
     try:
@@ -95,7 +101,10 @@ def checked(access: Access, answer: Answer) -> Answer:
     def check(connection: Any, request: Any) -> Any:
         headers = request.headers
         refusal = access.refusal(
-            request.path, headers.get("Host", ""), headers.get("Origin"), headers.get("Cookie", "")
+            request.path,
+            headers.get("Host", ""),
+            headers.get("Origin"),
+            headers.get("Cookie", ""),
         )
         if refusal:
             return connection.respond(http.HTTPStatus.FORBIDDEN, refusal + "\n")

@@ -115,19 +115,29 @@ def add_policy(gui: viser.GuiApi, do: Do[PlayedRobot], start: str) -> None:
 
 # Sliders of SPEED_KEYS: v_x, v_y, yaw rate; of POSE_KEYS, with Shift: height, roll, pitch.
 SPEED_KEYS = {
-    "I": (0, 1, "faster forward"), "K": (0, -1, "slower, back"),
-    "U": (1, 1, "to the left"), "O": (1, -1, "to the right"),
-    "J": (2, 1, "turn left"), "L": (2, -1, "turn right"),
-}  # fmt: skip
+    "I": (0, 1, "faster forward"),
+    "K": (0, -1, "slower, back"),
+    "U": (1, 1, "to the left"),
+    "O": (1, -1, "to the right"),
+    "J": (2, 1, "turn left"),
+    "L": (2, -1, "turn right"),
+}
 POSE_KEYS = {
-    "I": (2, 1, "nose down"), "K": (2, -1, "nose up"), "U": (0, 1, "higher"),
-    "O": (0, -1, "lower"), "J": (1, -1, "roll left"), "L": (1, 1, "roll right"),
-}  # fmt: skip
+    "I": (2, 1, "nose down"),
+    "K": (2, -1, "nose up"),
+    "U": (0, 1, "higher"),
+    "O": (0, -1, "lower"),
+    "J": (1, -1, "roll left"),
+    "L": (1, 1, "roll right"),
+}
 
 
 def _add_keys(gui: viser.GuiApi, speeds: Sequence[Any], pose: Sequence[Any]) -> None:
     """Keys that move the sliders of velocity and, with Shift, of the pose."""
-    for sliders, keys, modifier in ((speeds, SPEED_KEYS, None), (pose, POSE_KEYS, "shift")):
+    for sliders, keys, modifier in (
+        (speeds, SPEED_KEYS, None),
+        (pose, POSE_KEYS, "shift"),
+    ):
         for key, (index, sign, label) in keys.items():
             add_key(gui, key, label, partial(_nudge, sliders[index], sign), modifier)
 
@@ -149,7 +159,11 @@ def _next(dropdown: Any) -> None:
 
 
 def add_key(
-    gui: viser.GuiApi, key: Any, label: str, act: Callable[[], None], modifier: Any = None
+    gui: viser.GuiApi,
+    key: Any,
+    label: str,
+    act: Callable[[], None],
+    modifier: Any = None,
 ) -> None:
     """A key of the keyboard, which the list of commands names too."""
     gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(lambda _: act())
@@ -164,7 +178,9 @@ def _add_pose(gui: viser.GuiApi, do: Do[DrivableRobot]) -> tuple[Any, Any, Any]:
     own: Any = gui.add_checkbox("the gait's own height and tilt", initial_value=True)
     start = 1e3 * gaits.find(STAND).height
     height = _slider(gui, "height (mm)", Range(low, high, 1.0, start))
-    roll, pitch = (_slider(gui, f"{n} (deg)", Range(-tilt, tilt, 0.1, 0.0)) for n in ANGLES)
+    roll, pitch = (
+        _slider(gui, f"{n} (deg)", Range(-tilt, tilt, 0.1, 0.0)) for n in ANGLES
+    )
 
     def take(robot: DrivableRobot) -> None:
         z, *tilts = _values((height, roll, pitch))
@@ -195,19 +211,31 @@ def add_world(gui: viser.GuiApi, robot: PlayedRobot, do: Do[PlayedRobot]) -> Non
     ]
     for slider in friction:
         slider.on_update(
-            lambda _: do(lambda r: r.change({"scene.floor.friction": _values(friction).tolist()}))
+            lambda _: do(
+                lambda r: r.change({"scene.floor.friction": _values(friction).tolist()})
+            )
         )
-    slope = _slider(gui, "slope (deg)", Range(-STEEPEST, STEEPEST, 0.5, _slope(scene.gravity)))
+    slope = _slider(
+        gui, "slope (deg)", Range(-STEEPEST, STEEPEST, 0.5, _slope(scene.gravity))
+    )
     slope.on_update(lambda _: do(lambda r: r.set_slope(slope.value)))
-    mass = _slider(gui, "payload (kg)", Range(0.0, LARGEST_PAYLOAD, 0.02, scene.payload.mass))
+    mass = _slider(
+        gui, "payload (kg)", Range(0.0, LARGEST_PAYLOAD, 0.02, scene.payload.mass)
+    )
     mass.on_update(lambda _: do(lambda r: _load(r, mass.value)))
     modulus = read_robot(scene.parameters).leg.young_modulus
     stiff = _slider(gui, "stiffness of the legs (%)", Range(50.0, 150.0, 1.0, 100.0))
     stiff.on_update(
-        lambda _: do(lambda r: r.change({"robot.leg.young_modulus": stiff.value / 100 * modulus}))
+        lambda _: do(
+            lambda r: r.change({"robot.leg.young_modulus": stiff.value / 100 * modulus})
+        )
     )
-    volts = _slider(gui, "supply voltage (V)", Range(9.0, 12.0, 0.1, scene.supply_voltage))
-    volts.on_update(lambda _: do(lambda r: r.change({"scene.supply_voltage": volts.value})))
+    volts = _slider(
+        gui, "supply voltage (V)", Range(9.0, 12.0, 0.1, scene.supply_voltage)
+    )
+    volts.on_update(
+        lambda _: do(lambda r: r.change({"scene.supply_voltage": volts.value}))
+    )
     for leg in LEGS:
         _add_tendon(gui, leg, do)
 
@@ -228,7 +256,9 @@ def add_push(gui: viser.GuiApi, do: Do[PlayedRobot]) -> None:
         do(lambda r: r.push(wanted, PUSH_TIME))
 
     side.on_click(push)
-    gui.add_markdown("Drag the torso with the mouse to pull at it; drag the payload to its place.")
+    gui.add_markdown(
+        "Drag the torso with the mouse to pull at it; drag the payload to its place."
+    )
 
 
 SIDES = {"left": (0, 1), "right": (0, -1), "front": (1, 0), "back": (-1, 0)}
@@ -243,7 +273,13 @@ def add_faults(gui: viser.GuiApi, do: Do[GraphRobot]) -> None:
     act = gui.add_button_group("fault", ("inject", "clear"))
 
     def inject(_: object) -> None:
-        wanted = kind.value, leg.value, value.value, duration.value, act.value == "clear"
+        wanted = (
+            kind.value,
+            leg.value,
+            value.value,
+            duration.value,
+            act.value == "clear",
+        )
         do(lambda r: r.inject(*wanted))
 
     act.on_click(inject)

@@ -51,7 +51,9 @@ class GraphPage(Page[GraphRobot]):
             self.do_wanted()
             begin = clock()
             self._show(begin)
-            drawing = f"drawing {1e3 * (clock() - begin):.0f} ms of {1e3 * FRAME:.0f} ms"
+            drawing = (
+                f"drawing {1e3 * (clock() - begin):.0f} ms of {1e3 * FRAME:.0f} ms"
+            )
             if (state := self.display.newest.get("/mpc_state")) is not None:
                 self._pace.add(clock(), to_seconds(decode.stamp(state)))
             self.write(self._of_speed(clock(), drawing), self.robot.said)

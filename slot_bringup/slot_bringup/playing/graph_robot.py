@@ -18,7 +18,14 @@ from slot_core.gait.gait import STAND, Posture, read_gaits
 from slot_core.messages import decode
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import Array
-from slot_core.safety.requests import LATCHED, TO_RISE, TO_STAND, TO_WALK, Request, no_change
+from slot_core.safety.requests import (
+    LATCHED,
+    TO_RISE,
+    TO_STAND,
+    TO_WALK,
+    Request,
+    no_change,
+)
 from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview
 from slot_msgs.srv import InjectFault, SetGait
@@ -33,7 +40,11 @@ class GraphRobot:
 
     def __init__(self, node: Node) -> None:
         self.said = ""
-        self._node, self._steering, self._gaits = node, SteeringPublisher(node), read_gaits()
+        self._node, self._steering, self._gaits = (
+            node,
+            SteeringPublisher(node),
+            read_gaits(),
+        )
         self._new: dict[str, Any] = {}  # since the last frame, by topic
         self._preview: GaitPreview | None = None
         self.gait = STAND  # wanted last
@@ -43,10 +54,15 @@ class GraphRobot:
         self._tries = self._wait = 0  # tries that are left, and states until the next
         kinds = {_name(request): Trigger for request in Request}
         kinds |= {"set_gait": SetGait, "sim_robot/inject": InjectFault}
-        self._clients = {name: node.create_client(kind, name) for name, kind in kinds.items()}
+        self._clients = {
+            name: node.create_client(kind, name) for name, kind in kinds.items()
+        }
         for name, topic in read_record_settings().topics.items():
             if name in TOPICS:
-                kind, profile = messages.message_class(topic.type), qos.recorded(topic, 1)
+                kind, profile = (
+                    messages.message_class(topic.type),
+                    qos.recorded(topic, 1),
+                )
                 take = partial(self._take, name)
                 node.create_subscription(
                     kind, name.removeprefix("/"), take, qos.best_effort(profile)
@@ -104,9 +120,13 @@ class GraphRobot:
         self._to = {}
         self._call(_name(request), Trigger.Request())
 
-    def inject(self, kind: str, leg: str, value: float, duration: float, clear: bool) -> None:
+    def inject(
+        self, kind: str, leg: str, value: float, duration: float, clear: bool
+    ) -> None:
         """Inject a fault into the simulated robot, or clear it."""
-        fault = InjectFault.Request(kind=kind, leg=leg, value=value, duration=duration, clear=clear)
+        fault = InjectFault.Request(
+            kind=kind, leg=leg, value=value, duration=duration, clear=clear
+        )
         self._call("sim_robot/inject", fault)
 
     def _to_gait(self) -> dict[State, Request]:

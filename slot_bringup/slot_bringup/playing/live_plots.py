@@ -16,7 +16,16 @@ from slot_lab.report import traces
 
 SPAN = 10.0  # s shown
 POINTS = 250
-SHOWN = ("velocity", "height", "roll", "pitch", "angle", "force", "tension", "disturbance")
+SHOWN = (
+    "velocity",
+    "height",
+    "roll",
+    "pitch",
+    "angle",
+    "force",
+    "tension",
+    "disturbance",
+)
 LEGEND = (
     "display:grid;grid-template-columns:repeat(4,auto);white-space:nowrap;"
     "font-size:0.7em;padding:0.7em 0.3em 0"
@@ -29,10 +38,14 @@ class LivePlots:
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._plots: dict[str, _LivePlot] = {}
-        self._start: int | None = None  # ns, first stamp; a graph's clock may count from 1970
+        self._start: int | None = (
+            None  # ns, first stamp; a graph's clock may count from 1970
+        )
         shown = ""
         for name in SHOWN:
-            if shown != (shown := legend(traces.PLOTS[name])):  # the same holds for those below
+            if shown != (
+                shown := legend(traces.PLOTS[name])
+            ):  # the same holds for those below
                 gui.add_html(shown)
             self._plots[name] = _LivePlot(gui, name)
 
@@ -63,8 +76,15 @@ class LivePlots:
 
 def legend(plot: traces.Plot) -> str:
     """HTML of the names of a plot's curves, in lines of four, each after its colour."""
-    curves = [each for curve in plot.curves.values() for each in zip(curve.names, curve.colours)]
-    names = (f'<span><b style="color:{c}">\u25ac</b> {escape(name)}</span>' for name, c in curves)
+    curves = [
+        each
+        for curve in plot.curves.values()
+        for each in zip(curve.names, curve.colours)
+    ]
+    names = (
+        f'<span><b style="color:{c}">\u25ac</b> {escape(name)}</span>'
+        for name, c in curves
+    )
     return f'<div style="{LEGEND}">{"".join(names)}</div>'
 
 
@@ -83,12 +103,19 @@ class _LivePlot:
             curves += list(zip(curve.names, curve.colours))
         self._now: Array = np.full(len(curves), np.nan)
         self._table = np.zeros((1 + len(curves), 0))  # row 0: time, s
-        series = [uplot.Series(label="s"), *(uplot.Series(label=n, stroke=c) for n, c in curves)]
+        series = [
+            uplot.Series(label="s"),
+            *(uplot.Series(label=n, stroke=c) for n, c in curves),
+        ]
         self._handle = gui.add_uplot(
-            tuple(np.zeros((1 + len(curves), 2))), tuple(series), title=plot.title, height=HEIGHT,
-            scales={"x": uplot.Scale(time=False)}, legend=uplot.Legend(show=False),
+            tuple(np.zeros((1 + len(curves), 2))),
+            tuple(series),
+            title=plot.title,
+            height=HEIGHT,
+            scales={"x": uplot.Scale(time=False)},
+            legend=uplot.Legend(show=False),
             axes=(uplot.Axis(), uplot.Axis(size=AXIS)),
-        )  # fmt: skip
+        )
 
     def set(self, curve: str, values: Array) -> None:
         rows = self._rows[curve]

@@ -45,9 +45,24 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--namespace", metavar="NAME", default="", help="of the graph")
     wait = "for the graph to answer (default: %(default)g s)"
     add("--wait", default=5.0, type=within(0.0, 3600.0, "s"), metavar="S", help=wait)
-    add("--open", action="store_true", help="open the page in the browser, if there is a display")
-    add("--host", default="127.0.0.1", metavar="ADDRESS", help="to listen on (default: 127.0.0.1)")
-    add("--port", default=PORT, type=within(0, 65535), metavar="N", help="default: %(default)s")
+    add(
+        "--open",
+        action="store_true",
+        help="open the page in the browser, if there is a display",
+    )
+    add(
+        "--host",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="to listen on (default: 127.0.0.1)",
+    )
+    add(
+        "--port",
+        default=PORT,
+        type=within(0, 65535),
+        metavar="N",
+        help="default: %(default)s",
+    )
     options = made.parse_args(arguments)
     if options.graph and (options.scene or options.policy):
         made.error("--graph: its scene and policy are those of scripts/run")
@@ -78,12 +93,18 @@ def start_server(host: str, port: int, token: str) -> viser.ViserServer:
 
     with socket.create_server((host, port), reuse_port=False):
         pass  # viser would take the next port
-    logging.getLogger("websockets.server").setLevel(logging.CRITICAL)  # of broken connections
+    logging.getLogger("websockets.server").setLevel(
+        logging.CRITICAL
+    )  # of broken connections
     with guarded(Access(token)), contextlib.redirect_stdout(io.StringIO()):
         server = Server(host=host, port=port, label="SLOT", verbose=False)
-    server.gui.configure_theme(show_share_button=False, show_logo=False, control_width="large")
+    server.gui.configure_theme(
+        show_share_button=False, show_logo=False, control_width="large"
+    )
     for script in (GIVE_KEYS_BACK, GAMEPAD, WIDE_ON_A_PHONE):
-        server._websock_server.queue_message(_messages.RunJavascriptMessage(source=script))
+        server._websock_server.queue_message(
+            _messages.RunJavascriptMessage(source=script)
+        )
     return server
 
 
@@ -117,7 +138,9 @@ def _play_graph(options: argparse.Namespace) -> None:
         robot = GraphRobot(node)
         if not executor.spin_until(robot.found, options.wait):
             raise ConfigError(no_answer(node, "supervisor", options.wait))
-        executor.spin_until(robot.walks, GAIT_TIME)  # none before the servos have torque
+        executor.spin_until(
+            robot.walks, GAIT_TIME
+        )  # none before the servos have torque
         with _served(options) as server:
             GraphPage(server, robot).run(lambda: False, executor.spin_once)
 

@@ -37,7 +37,9 @@ PAYLOAD = "/robot/torso/payload"
 class PlayPage(Page[PlayedRobot]):
     """A page that shows and drives a played robot."""
 
-    def __init__(self, server: viser.ViserServer, robot: PlayedRobot, bags: Path) -> None:
+    def __init__(
+        self, server: viser.ViserServer, robot: PlayedRobot, bags: Path
+    ) -> None:
         """bags: directory for saved bags."""
         super().__init__(server, robot)
         self._bags = bags
@@ -47,7 +49,9 @@ class PlayPage(Page[PlayedRobot]):
         self._size = np.array(read_robot().torso.size)
         self._payload: Any = None
         self._build()
-        server.on_client_disconnect(lambda _: self.do(_let_go))  # in the middle of a drag
+        server.on_client_disconnect(
+            lambda _: self.do(_let_go)
+        )  # in the middle of a drag
 
     def run(
         self,
@@ -77,7 +81,9 @@ class PlayPage(Page[PlayedRobot]):
         run = gui.add_button_group("time", ("pause", "go on", "step", "reset", "save"))
         run.on_click(lambda _: self._on_time(run.value))
         speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="real time")
-        speed.on_update(lambda _: self.do(lambda _: self._set_speed(SPEEDS[speed.value])))
+        speed.on_update(
+            lambda _: self.do(lambda _: self._set_speed(SPEEDS[speed.value]))
+        )
         tabs = gui.add_tab_group()
         with tabs.add_tab("Drive"):
             controls.add_policy(gui, self.do, self.robot.policy)
@@ -132,7 +138,9 @@ class PlayPage(Page[PlayedRobot]):
         if self.robot.ended:
             return
         with self.server.atomic():
-            self.display.show(robot_messages.of_frame(happened), plots=self.count % PLOTTED == 0)
+            self.display.show(
+                robot_messages.of_frame(happened), plots=self.count % PLOTTED == 0
+            )
             self._draw()
         self._costs.add(simulated - begin, time.perf_counter() - simulated)
 
@@ -140,7 +148,11 @@ class PlayPage(Page[PlayedRobot]):
         """Show the force that pushes the torso, and the payload."""
         if (truth := self.robot.truth) is None:
             return
-        model, position, view = self.robot.model, truth.odometry.position, self.display.view
+        model, position, view = (
+            self.robot.model,
+            truth.odometry.position,
+            self.display.view,
+        )
         push = np.array([model.push[:3]])
         if push.any():
             arrow = Arrows(position[None], FORCE_SCALE * push, PUSHED[None], PUSH_WIDTH)
@@ -167,8 +179,15 @@ class PlayPage(Page[PlayedRobot]):
         def place(robot: PlayedRobot) -> None:
             if robot.truth is None:
                 return
-            position, quaternion = robot.truth.odometry.position, robot.truth.odometry.quaternion
-            eye, mouse = Rotation.from_quat(quaternion).inv().apply(seen - [0.0, 0.0, position[2]])
+            position, quaternion = (
+                robot.truth.odometry.position,
+                robot.truth.odometry.quaternion,
+            )
+            eye, mouse = (
+                Rotation.from_quat(quaternion)
+                .inv()
+                .apply(seen - [0.0, 0.0, position[2]])
+            )
             top = controls.on_top(robot)
             if min(eye[2] - top, eye[2] - mouse[2]) <= 0.0:
                 return  # the line of sight does not meet the top

@@ -51,7 +51,10 @@ def _of_tick(_: int, tick: Tick) -> Iterator[Named]:
     yield "/mpc_state", messages.state_to_msg(tick.estimate)
     yield "/gait_preview", messages.preview_to_msg(tick.preview)
     yield "/tendon_plan", messages.plan_to_msg(tick.plan, tick.preview, 0.0, PACE)
-    yield "/desired_joint_angles", messages.command_to_msg(stamp, command.angle, command.rate)
+    yield (
+        "/desired_joint_angles",
+        messages.command_to_msg(stamp, command.angle, command.rate),
+    )
     yield "/force_map/status", messages.map_status_to_msg(stamp, command)
 
 
@@ -67,7 +70,9 @@ _ENCODE: dict[type, Callable[[int, Any], Iterable[Named]]] = {
     OdometryReading: lambda _, odom: [("/odom", messages.odometry_to_msg(odom))],
     ImuReading: lambda _, imu: [("/imu", messages.imu_to_msg(imu))],
     JointReading: lambda _, joints: [("/joint_states", messages.joints_to_msg(joints))],
-    Report: lambda now, report: [("/robot_state", messages.robot_state_to_msg(now, report))],
+    Report: lambda now, report: [
+        ("/robot_state", messages.robot_state_to_msg(now, report))
+    ],
 }
 
 

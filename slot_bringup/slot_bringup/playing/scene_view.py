@@ -13,7 +13,10 @@ from slot_core.drawing.shapes import Arrows, Bars, Box, Shape, Strips, halves
 from slot_core.robot import Array
 
 ROOT = "/robot"
-HEAD = 3.0, 4.0  # radius of an arrow's head over that of the shaft, and length over radius
+HEAD = (
+    3.0,
+    4.0,
+)  # radius of an arrow's head over that of the shaft, and length over radius
 CELL, SECTION, FLOOR = 0.05, 0.1, 8.0  # m, lines of the floor and its size
 
 
@@ -24,13 +27,21 @@ class SceneView:
         self._scene = scene
         self._root = scene.add_frame(ROOT, show_axes=False)
         self._shown: dict[str, list[Any]] = {}
-        self._bars: dict[str, Any] = {}  # what a new shape of that name has in common with the last
+        self._bars: dict[
+            str, Any
+        ] = {}  # what a new shape of that name has in common with the last
         scene.set_up_direction("+z")
         scene.configure_default_lights(cast_shadow=False)  # slow without a GPU
         self._floor = scene.add_grid(
-            f"{ROOT}/floor", width=FLOOR, height=FLOOR, cell_size=CELL, section_size=SECTION,
-            plane="xy", cell_color=(222, 227, 231), section_color=(190, 199, 207),
-        )  # fmt: skip
+            f"{ROOT}/floor",
+            width=FLOOR,
+            height=FLOOR,
+            cell_size=CELL,
+            section_size=SECTION,
+            plane="xy",
+            cell_color=(222, 227, 231),
+            section_color=(190, 199, 207),
+        )
 
     def centre(self, position: Array) -> None:
         """Show the place below `position` (3,), m, in the middle, wherever the floor has lines."""
@@ -69,7 +80,11 @@ class SceneView:
     def _show_box(self, name: str, box: Box, shown: list[Any] | None) -> None:
         if shown is None:
             colour = _bytes(box.colour)
-            shown = [self._scene.add_box(_path(name), dimensions=tuple(box.size), color=colour)]
+            shown = [
+                self._scene.add_box(
+                    _path(name), dimensions=tuple(box.size), color=colour
+                )
+            ]
             self._shown[name] = shown
         x, y, z, w = box.quaternion
         shown[0].position, shown[0].wxyz = box.centre, (w, x, y, z)
@@ -83,7 +98,11 @@ class SceneView:
             faces = halves(bars.quads)
             self._shown[name] = [
                 self._scene.add_mesh_simple(
-                    f"{_path(name)}/{k}", points, faces, color=_bytes(colour), flat_shading=True
+                    f"{_path(name)}/{k}",
+                    points,
+                    faces,
+                    color=_bytes(colour),
+                    flat_shading=True,
                 )
                 for k, (points, colour) in enumerate(zip(corners, bars.colours))
             ]
@@ -95,18 +114,26 @@ class SceneView:
         points = np.stack([strips.points[:, :-1], strips.points[:, 1:]], axis=2)
         count = points.shape[1]
         points = points.reshape(-1, 2, 3).astype(np.float32)
-        colours = np.repeat(_bytes(strips.colours), count, axis=0)[:, None].repeat(2, axis=1)
+        colours = np.repeat(_bytes(strips.colours), count, axis=0)[:, None].repeat(
+            2, axis=1
+        )
         if shown is None:
             self._shown[name] = [
                 self._scene.add_line_segments(
-                    _path(name), points, colours, thickness=strips.width, thickness_units="world"
+                    _path(name),
+                    points,
+                    colours,
+                    thickness=strips.width,
+                    thickness_units="world",
                 )
             ]
             return
         shown[0].points, shown[0].colors = points, colours
 
     def _show_arrows(self, name: str, arrows: Arrows, shown: list[Any] | None) -> None:
-        points = np.stack([arrows.tail, arrows.tail + arrows.vector], axis=1).astype(np.float32)
+        points = np.stack([arrows.tail, arrows.tail + arrows.vector], axis=1).astype(
+            np.float32
+        )
         if shown is None:
             if not len(points):
                 return
@@ -114,10 +141,14 @@ class SceneView:
             head = HEAD[0] * radius
             self._shown[name] = [
                 self._scene.add_arrows(
-                    _path(name), points, _bytes(arrows.colours), shaft_radius=radius,
-                    head_radius=head, head_length=HEAD[1] * head / 2,
+                    _path(name),
+                    points,
+                    _bytes(arrows.colours),
+                    shaft_radius=radius,
+                    head_radius=head,
+                    head_length=HEAD[1] * head / 2,
                 )
-            ]  # fmt: skip
+            ]
             return
         shown[0].visible = len(points) > 0
         if len(points):

@@ -63,7 +63,9 @@ class StatusText:
             lines.append(escape(f"{Status(plan.status).name} {plan.message}"))
             lines.append(self.of_disturbances(plan.mass, plan.wrench, plan.drift))
             remarks = [plan.remark, *remarks]
-        return lines + [f"<i>{escape(text)}</i>" for text in dict.fromkeys(remarks) if text]
+        return lines + [
+            f"<i>{escape(text)}</i>" for text in dict.fromkeys(remarks) if text
+        ]
 
     def of_disturbances(self, mass: float, wrench: ArrayLike, drift: ArrayLike) -> str:
         """Disturbances that the policy estimates: payload (kg), tilt (deg), slip (mm/s).

@@ -30,7 +30,9 @@ class CommandParser(argparse.ArgumentParser):
 def command_parser(name: str, description: str | None) -> CommandParser:
     """Parser of `scripts/NAME`, whose help shows the description as it is written."""
     form = argparse.RawDescriptionHelpFormatter
-    return CommandParser(prog=f"scripts/{name}", description=description, formatter_class=form)
+    return CommandParser(
+        prog=f"scripts/{name}", description=description, formatter_class=form
+    )
 
 
 def refuse(program: str, error: object) -> None:
@@ -76,7 +78,9 @@ def within(low: Number, high: Number, unit: str = "") -> Callable[[str], Number]
     def number(text: str) -> Number:
         value = kind(text)
         if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text}{end}: outside [{low:g}, {high:g}]{end}")
+            raise argparse.ArgumentTypeError(
+                f"{text}{end}: outside [{low:g}, {high:g}]{end}"
+            )
         return value
 
     return number

@@ -21,7 +21,12 @@ from slot_core.refusal import InputError, quoted
 
 T = TypeVar("T")
 SIZE_MAX = 1_000_000  # bytes of a configuration file
-KIND_NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "text"}
+KIND_NAMES = {
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    str: "text",
+}
 
 
 class ConfigError(InputError):
@@ -33,9 +38,13 @@ def config_dir() -> Path:
     return Path(os.environ.get("SLOT_CONFIG") or Path(__file__).parent / "defaults")
 
 
-def quantity(doc: str, unit: str = "", low: float = -math.inf, high: float = math.inf) -> Any:
+def quantity(
+    doc: str, unit: str = "", low: float = -math.inf, high: float = math.inf
+) -> Any:
     """A number, or a tuple of numbers, every element within [low, high]."""
-    return dataclasses.field(metadata={"doc": doc, "unit": unit, "low": low, "high": high})
+    return dataclasses.field(
+        metadata={"doc": doc, "unit": unit, "low": low, "high": high}
+    )
 
 
 def choice(doc: str, *options: str) -> Any:
@@ -98,7 +107,9 @@ def build(cls: type[T], mapping: Any, where: str) -> T:
     where: name of the source in error messages.
     """
     if not isinstance(mapping, Mapping):
-        raise ConfigError(f"{where}: expected a mapping of {cls.__name__}, got {quoted(mapping)}")
+        raise ConfigError(
+            f"{where}: expected a mapping of {cls.__name__}, got {quoted(mapping)}"
+        )
     hints = typing.get_type_hints(cls)
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     if unknown := [_name(key) for key in mapping if key not in fields]:
@@ -113,11 +124,15 @@ def build(cls: type[T], mapping: Any, where: str) -> T:
     }
     try:
         return cls(**values)
-    except ConfigError as error:  # raised by a class that checks values against each other
+    except (
+        ConfigError
+    ) as error:  # raised by a class that checks values against each other
         raise ConfigError(_inside(where, str(error))) from None
 
 
-def leaves(settings: Any, prefix: str = "") -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
+def leaves(
+    settings: Any, prefix: str = ""
+) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
     """Yield (dotted name, value, metadata) of every value of a settings object, except mappings."""
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
@@ -142,7 +157,9 @@ def replace(settings: T, changes: Mapping[str, Any], where: str = "override") ->
     Raises ConfigError as `build` does, for an unknown name, and if `changes` is no mapping.
     """
     if not isinstance(changes, Mapping):
-        raise ConfigError(f"{where}: expected a mapping of dotted names, got {quoted(changes)}")
+        raise ConfigError(
+            f"{where}: expected a mapping of dotted names, got {quoted(changes)}"
+        )
     mapping = _to_mapping(settings)
     for name, value in changes.items():
         *parents, last = str(name).split(".")
@@ -167,7 +184,10 @@ def _inside(where: str, name: str) -> str:
 
 def _to_mapping(value: Any) -> Any:
     if dataclasses.is_dataclass(value):
-        return {f.name: _to_mapping(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {
+            f.name: _to_mapping(getattr(value, f.name))
+            for f in dataclasses.fields(value)
+        }
     if isinstance(value, dict):
         return {key: _to_mapping(item) for key, item in value.items()}
     return value
@@ -187,7 +207,9 @@ def _convert(value: Any, kind: Any, meta: Mapping[str, Any], where: str) -> Any:
     return _convert_scalar(value, kind, meta, where)
 
 
-def _convert_tuple(value: Any, kinds: tuple[Any, ...], meta: Mapping[str, Any], where: str) -> Any:
+def _convert_tuple(
+    value: Any, kinds: tuple[Any, ...], meta: Mapping[str, Any], where: str
+) -> Any:
     if not isinstance(value, (list, tuple)):
         raise ConfigError(f"{where} = {quoted(value)}: expected a list")
     if kinds[-1] is Ellipsis:
@@ -196,7 +218,8 @@ def _convert_tuple(value: Any, kinds: tuple[Any, ...], meta: Mapping[str, Any], 
         count = f"expected {len(kinds)} values, got {len(value)}"
         raise ConfigError(f"{where} = {quoted(value)}: {count}")
     return tuple(
-        _convert(v, k, meta, f"{where}[{i}]") for i, (v, k) in enumerate(zip(value, kinds))
+        _convert(v, k, meta, f"{where}[{i}]")
+        for i, (v, k) in enumerate(zip(value, kinds))
     )
 
 
@@ -205,9 +228,13 @@ def _convert_scalar(value: Any, kind: Any, meta: Mapping[str, Any], where: str) 
         try:  # YAML 1.1 reads 1e-8 as a string
             value = float(value)
         except (TypeError, ValueError):
-            raise ConfigError(f"{where} = {quoted(value)}: expected {KIND_NAMES[float]}") from None
+            raise ConfigError(
+                f"{where} = {quoted(value)}: expected {KIND_NAMES[float]}"
+            ) from None
         except OverflowError:
-            raise ConfigError(f"{where}: {quoted(value)}: too large for a number") from None
+            raise ConfigError(
+                f"{where}: {quoted(value)}: too large for a number"
+            ) from None
     if type(value) is not kind:
         raise ConfigError(f"{where} = {quoted(value)}: expected {KIND_NAMES[kind]}")
     if "options" in meta and value not in meta["options"]:

@@ -28,8 +28,12 @@ from slot_core.compiled import OPTIONS, helper, kernel
 
 LARGEST = 1e6  # rad, above which sin and cos are NaN: the argument's own spacing is 1e-10 there
 SHIFT = 1.5 * 2.0**52  # added and subtracted it rounds to the nearest integer
-HALF_PI = Fraction("1.5707963267948966192313216916397514420985846996875529104874722961539082031431")
-LOG_2 = Fraction("0.69314718055994530941723212145817656807550013436025525412068000949339362196969")
+HALF_PI = Fraction(
+    "1.5707963267948966192313216916397514420985846996875529104874722961539082031431"
+)
+LOG_2 = Fraction(
+    "0.69314718055994530941723212145817656807550013436025525412068000949339362196969"
+)
 GRID = 32  # arc tangents of k / GRID are tabulated
 SERIES_BELOW = 0.125  # tangent below which the series of the arc tangent needs no table
 HALF_ROOT = 0.7071067811865476
@@ -221,7 +225,12 @@ def _applied(function: int, y: Any, x: Any) -> Any:
     if y.shape != x.shape:
         y, x = np.broadcast_arrays(y, x)
     out = np.empty(x.shape)
-    _each(function, np.ascontiguousarray(y).ravel(), np.ascontiguousarray(x).ravel(), out.ravel())
+    _each(
+        function,
+        np.ascontiguousarray(y).ravel(),
+        np.ascontiguousarray(x).ravel(),
+        out.ravel(),
+    )
     return out if out.ndim else float(out)
 
 

@@ -13,9 +13,16 @@ from slot_core.robot import LEGS
 ALL_LEGS = "all"
 SLACK, BROKEN, NAN = "tendon_slack", "tendon_broken", "nan"
 BUS_KINDS = (
-    "silent", "corrupt", "late", "wrong_id", "overload", "overheating", "undervoltage",
-    "watchdog", "unplugged",
-)  # fmt: skip
+    "silent",
+    "corrupt",
+    "late",
+    "wrong_id",
+    "overload",
+    "overheating",
+    "undervoltage",
+    "watchdog",
+    "unplugged",
+)
 KINDS = (*BUS_KINDS, SLACK, BROKEN, NAN)
 VALUE_RANGES = {  # minimum, maximum and unit of the value; at the minimum the fault has an effect
     "corrupt": (1e-3, 1.0, "of the answers"),
@@ -60,4 +67,6 @@ def legs_of(kind: str, leg: str) -> tuple[str, ...]:
 def require_simulated_legs(fault: Fault) -> None:
     """Raise ConfigError for a fault that requires emulated servos."""
     if fault.kind in BUS_KINDS:
-        raise ConfigError(f"fault {fault.kind!r}: only the servos of hardware fake_bus can have it")
+        raise ConfigError(
+            f"fault {fault.kind!r}: only the servos of hardware fake_bus can have it"
+        )

@@ -76,10 +76,30 @@ def quaternion_of(rotation: Array) -> Array:
     r = rotation
     square = np.array(
         [
-            [r[0, 0] - r[1, 1] - r[2, 2], r[1, 0] + r[0, 1], r[2, 0] + r[0, 2], r[2, 1] - r[1, 2]],
-            [r[1, 0] + r[0, 1], r[1, 1] - r[0, 0] - r[2, 2], r[2, 1] + r[1, 2], r[0, 2] - r[2, 0]],
-            [r[2, 0] + r[0, 2], r[2, 1] + r[1, 2], r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1], r[0, 0] + r[1, 1] + r[2, 2]],
+            [
+                r[0, 0] - r[1, 1] - r[2, 2],
+                r[1, 0] + r[0, 1],
+                r[2, 0] + r[0, 2],
+                r[2, 1] - r[1, 2],
+            ],
+            [
+                r[1, 0] + r[0, 1],
+                r[1, 1] - r[0, 0] - r[2, 2],
+                r[2, 1] + r[1, 2],
+                r[0, 2] - r[2, 0],
+            ],
+            [
+                r[2, 0] + r[0, 2],
+                r[2, 1] + r[1, 2],
+                r[2, 2] - r[0, 0] - r[1, 1],
+                r[1, 0] - r[0, 1],
+            ],
+            [
+                r[2, 1] - r[1, 2],
+                r[0, 2] - r[2, 0],
+                r[1, 0] - r[0, 1],
+                r[0, 0] + r[1, 1] + r[2, 2],
+            ],
         ]
     ) + np.eye(4)
     q = square[np.argmax(square.diagonal())]
@@ -107,7 +127,9 @@ class Transform:
     position: Array  # (3,) m
 
     @classmethod
-    def of(cls, position: Array | tuple[float, ...], rpy: Array | tuple[float, ...]) -> Transform:
+    def of(
+        cls, position: Array | tuple[float, ...], rpy: Array | tuple[float, ...]
+    ) -> Transform:
         """From a position (m) and Rz(yaw) Ry(pitch) Rx(roll), rad."""
         return cls(matrix_of_rpy(rpy), np.asarray(position, float))
 

@@ -28,7 +28,9 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-LIMIT = 500e6  # bytes; the kernels of a walk take some 20 MB, those of all tests some 60 MB
+LIMIT = (
+    500e6  # bytes; the kernels of a walk take some 20 MB, those of all tests some 60 MB
+)
 SUFFIX = ".kernel"
 DIGEST = hashlib.sha256().digest_size
 CONFIG: Any = numba.config  # its attributes are set at run time
@@ -41,7 +43,8 @@ SETTINGS = (
 )  # of Numba
 PACKAGE = Path(__file__).parent
 IMPORT = re.compile(
-    rf"^(?:from|import) ({PACKAGE.name}[\w.]*)(?: import (\([^)]*\)|[^\n]*))?", re.MULTILINE
+    rf"^(?:from|import) ({PACKAGE.name}[\w.]*)(?: import (\([^)]*\)|[^\n]*))?",
+    re.MULTILINE,
 )
 
 
@@ -76,7 +79,8 @@ class KernelCache(NullCache):
             _sources(self._function.__module__),
         )
         return (
-            folder() / f"{self.name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:24]}{SUFFIX}"
+            folder()
+            / f"{self.name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:24]}{SUFFIX}"
         )
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -87,7 +91,9 @@ class KernelCache(NullCache):
             data = path.read_bytes()
             if data[:DIGEST] == hashlib.sha256(data[DIGEST:]).digest():
                 os.utime(path)  # used now
-                return CompileResult._rebuild(target_context, *pickle.loads(data[DIGEST:]))
+                return CompileResult._rebuild(
+                    target_context, *pickle.loads(data[DIGEST:])
+                )
         except OSError:
             pass
         self._announce()
@@ -185,7 +191,10 @@ def _described(value: Any) -> str:
         return f"({', '.join(map(_described, value))})"
     if isinstance(value, types.BaseNamedTuple):
         named: Any = value
-        fields = [f"{n}: {_described(t)}" for n, t in zip(named.fields, named.types, strict=True)]
+        fields = [
+            f"{n}: {_described(t)}"
+            for n, t in zip(named.fields, named.types, strict=True)
+        ]
         return f"{named.instance_class.__qualname__}({', '.join(fields)})"
     if isinstance(value, (types.Tuple, types.UniTuple)):
         return _described(tuple(value.types))
@@ -213,7 +222,10 @@ def _sources(module: str) -> str:
 def _imported(path: Path) -> Iterator[Path]:
     """Files of this package that a file imports at its top level."""
     for name, members in IMPORT.findall(path.read_text(encoding="utf-8")):
-        for full in (name, *(f"{name}.{member}" for member in re.findall(r"\w+", members))):
+        for full in (
+            name,
+            *(f"{name}.{member}" for member in re.findall(r"\w+", members)),
+        ):
             file = PACKAGE.joinpath(*full.split(".")[1:]).with_suffix(".py")
             if file.is_file():
                 yield file

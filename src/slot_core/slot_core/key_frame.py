@@ -48,7 +48,13 @@ def restore(thing: Any, text: str) -> None:
         raise ValueError(f"key frame of {len(text)} characters, limit {TEXT_MAX}")
     try:
         _restore_part(thing, json.loads(text))
-    except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+    except (
+        AttributeError,
+        LookupError,
+        TypeError,
+        ValueError,
+        RecursionError,
+    ) as error:
         raise ValueError(f"no key frame of {type(thing).__name__}: {error}") from error
 
 
@@ -74,11 +80,19 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple, deque)) and not hasattr(value, "_asdict"):
         return [_plain(item) for item in value]
     if isinstance(value, np.ndarray):
-        return {ARRAY: [value.dtype.str, value.shape, base64.b64encode(value.tobytes()).decode()]}
+        return {
+            ARRAY: [
+                value.dtype.str,
+                value.shape,
+                base64.b64encode(value.tobytes()).decode(),
+            ]
+        }
     if hasattr(type(value), "STATE"):
         return {PART: _part(value)}
     kind, items = (
-        (MAP, value) if isinstance(value, dict) else (type(value).__name__, _fields(value))
+        (MAP, value)
+        if isinstance(value, dict)
+        else (type(value).__name__, _fields(value))
     )
     return {kind: {name: _plain(item) for name, item in items.items()}}
 
@@ -120,7 +134,9 @@ def _value(plain: Any, values: dict[str, type]) -> Any:
         return _array(*content)
     if kind == MAP:
         return {name: _value(item, values) for name, item in content.items()}
-    return values[kind](**{name: _value(item, values) for name, item in content.items()})
+    return values[kind](
+        **{name: _value(item, values) for name, item in content.items()}
+    )
 
 
 def _array(kind: str, shape: list[int], text: str) -> np.ndarray:

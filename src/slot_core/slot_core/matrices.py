@@ -124,7 +124,9 @@ def sparse_product(matrix: Any, vector: Array) -> Array:
     """Product of a matrix in SciPy's CSC format and a vector; sums go along the columns."""
     columns = np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
     products = matrix.data * vector[columns]
-    return np.asarray(np.bincount(matrix.indices, products, matrix.shape[0]), dtype=float)
+    return np.asarray(
+        np.bincount(matrix.indices, products, matrix.shape[0]), dtype=float
+    )
 
 
 def inverse(a: Array) -> Array:
@@ -148,6 +150,9 @@ def interpolated(x: Any, grid: Any, values: Any) -> Any:
     """
     at = np.array(x, dtype=float, order="C")
     out = np.empty(at.shape)
-    grid, values = np.ascontiguousarray(grid, float), np.ascontiguousarray(values, float)
+    grid, values = (
+        np.ascontiguousarray(grid, float),
+        np.ascontiguousarray(values, float),
+    )
     _interpolate(at.ravel(), grid, values, out.ravel())
     return out if out.ndim else float(out)

@@ -46,7 +46,9 @@ class _Short(reprlib.Repr):
 
     def repr_int(self, x: int, level: int) -> str:
         """Python refuses to print very long integers."""
-        return repr(x) if x.bit_length() <= 64 else f"an integer of {x.bit_length()} bits"
+        return (
+            repr(x) if x.bit_length() <= 64 else f"an integer of {x.bit_length()} bits"
+        )
 
 
 _SHORT = _Short()

@@ -56,7 +56,9 @@ class Leg:
     azimuth_deg: tuple[float, float, float, float] = quantity(
         "azimuth of FL FR RL RR", "deg", -180, 180
     )
-    reach: float = quantity("horizontal extent of a leg's natural shape", "m", 0.02, 1.0)
+    reach: float = quantity(
+        "horizontal extent of a leg's natural shape", "m", 0.02, 1.0
+    )
     natural_shape: tuple[float, float, float, float] = quantity(
         "cubic z(x) of the stress-free centre line, highest power first", "", -100, 100
     )
@@ -69,9 +71,15 @@ class Leg:
         "thickness of a leg at the tip, linear in between", "m", 1e-4, 0.1
     )
     density: float = quantity("density of the leg's material", "kg/m^3", 1, 2e4)
-    young_modulus: float = quantity("Young's modulus of the leg's material", "Pa", 1e5, 1e9)
-    poisson_ratio: float = quantity("Poisson's ratio of the leg's material", "", 0.0, 0.499)
-    damping_time: float = quantity("Kelvin-Voigt time constant of the material", "s", 0, 0.1)
+    young_modulus: float = quantity(
+        "Young's modulus of the leg's material", "Pa", 1e5, 1e9
+    )
+    poisson_ratio: float = quantity(
+        "Poisson's ratio of the leg's material", "", 0.0, 0.499
+    )
+    damping_time: float = quantity(
+        "Kelvin-Voigt time constant of the material", "s", 0, 0.1
+    )
     relaxation_share: tuple[float, float] = quantity(
         "moduli of two Maxwell branches over Young's modulus", "", 0.0, 10.0
     )
@@ -91,7 +99,9 @@ class Leg:
         By Simpson's rule in each cell; its error is below 1e-15 m.
         """
         x, slope = np.linspace(0.0, self.reach, ARC_CELLS + 1), self.shape.deriv()
-        begin, middle, end = (hypot(1.0, slope(at)) for at in (x[:-1], (x[:-1] + x[1:]) / 2, x[1:]))
+        begin, middle, end = (
+            hypot(1.0, slope(at)) for at in (x[:-1], (x[:-1] + x[1:]) / 2, x[1:])
+        )
         cells = np.diff(x) / 6 * (begin + 4 * middle + end)
         return x, np.append(0.0, np.cumsum(cells))
 
@@ -111,7 +121,10 @@ class Leg:
 
     def thickness(self, fraction: Array) -> Array:
         """Thickness at shares of the leg's arc length, m."""
-        return self.thickness_clamp + (self.thickness_tip - self.thickness_clamp) * fraction
+        return (
+            self.thickness_clamp
+            + (self.thickness_tip - self.thickness_clamp) * fraction
+        )
 
     @cached_property
     def mass(self) -> float:
@@ -127,14 +140,20 @@ class Tendon:
     end_fraction: float = quantity(
         "arc length of the tendon's anchor as a share of the leg's", "", 0.1, 1.0
     )
-    offset: float = quantity("distance of the tendon below the leg's centre line", "m", 1e-3, 0.05)
+    offset: float = quantity(
+        "distance of the tendon below the leg's centre line", "m", 1e-3, 0.05
+    )
     cable_stiffness: float = quantity("stiffness of the cable", "N/m", 1e3, 1e8)
     cable_damping: float = quantity("damping of the cable", "N s/m", 0, 1e3)
     slack: float = quantity("slack of a tendon at angle zero", "m", 0, 0.02)
     spool_radius: float = quantity("radius of the spool", "m", 1e-3, 0.05)
     angle_max_deg: float = quantity("largest tendon angle", "deg", 1, 360)
-    guide_friction: float = quantity("friction coefficient of the cable in its guide", "", 0.0, 1.0)
-    guide_angle_deg: float = quantity("angle by which the guide turns the cable", "deg", 0.0, 720.0)
+    guide_friction: float = quantity(
+        "friction coefficient of the cable in its guide", "", 0.0, 1.0
+    )
+    guide_angle_deg: float = quantity(
+        "angle by which the guide turns the cable", "deg", 0.0, 720.0
+    )
 
     @property
     def capstan(self) -> float:
@@ -183,7 +202,9 @@ class RobotParameters:
         """Clamps above the floor (..., 4) m, at heights (m), rolls and pitches (rad) (...)."""
         level = cos(pitch)
         up = -sin(pitch), level * sin(roll), level * cos(roll)
-        x, y, z = (np.multiply.outer(part, axis) for part, axis in zip(up, self.clamps.T))
+        x, y, z = (
+            np.multiply.outer(part, axis) for part, axis in zip(up, self.clamps.T)
+        )
         return np.asarray(np.asarray(height)[..., None] + x + y + z)
 
     @cached_property
@@ -228,15 +249,21 @@ def read_robot(parameters: str = "") -> RobotParameters:
     """
     mapping = config.load("robot")
     if not isinstance(mapping, dict) or "parameters" not in mapping:
-        raise ConfigError("robot.yaml: parameters is missing: the name of a parameter set")
+        raise ConfigError(
+            "robot.yaml: parameters is missing: the name of a parameter set"
+        )
     if not isinstance(named := mapping.pop("parameters"), str):
         raise ConfigError(f"robot.yaml: parameters = {quoted(named)}: expected a name")
     name = parameters or named
     content = config.load(f"parameters/{name}")
     for dotted, value in _part(content, name, "values").items():
         _insert(mapping, dotted, value, f"parameters/{name}.yaml")
-    robot = config.build(RobotParameters, mapping, f"robot.yaml with parameters/{name}.yaml")
-    return config.replace(robot, _part(content, name, "robot"), f"parameters/{name}.yaml: robot")
+    robot = config.build(
+        RobotParameters, mapping, f"robot.yaml with parameters/{name}.yaml"
+    )
+    return config.replace(
+        robot, _part(content, name, "robot"), f"parameters/{name}.yaml: robot"
+    )
 
 
 def read_parameters(name: str, part: str = "values") -> dict[str, Any]:
@@ -253,7 +280,9 @@ def _part(content: Any, name: str, part: str) -> dict[str, Any]:
     given = content if isinstance(content, dict) else {}
     values = given.get(part, {} if part != "values" else None)
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
-        raise ConfigError(f"parameters/{name}.yaml: {part} is missing: a mapping of dotted names")
+        raise ConfigError(
+            f"parameters/{name}.yaml: {part} is missing: a mapping of dotted names"
+        )
     return values
 
 
@@ -265,5 +294,7 @@ def _insert(mapping: dict[str, Any], dotted: str, value: Any, source: str) -> No
         if not isinstance(mapping, dict):
             raise ConfigError(f"{source}: {dotted} is not a setting")
     if last in mapping:
-        raise ConfigError(f"{source}: {dotted} is set in robot.yaml too; set it in one of the two")
+        raise ConfigError(
+            f"{source}: {dotted} is set in robot.yaml too; set it in one of the two"
+        )
     mapping[last] = value

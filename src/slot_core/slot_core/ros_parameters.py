@@ -50,7 +50,9 @@ def parse_parameters(text: str, where: str) -> list[Parameters]:
 
 def of_node(found: list[Parameters], node: str) -> dict[str, Any]:
     """Parameters of a node, by its full name; later ones replace earlier ones."""
-    return {name: v for each in found if each.match(node) for name, v in each.values.items()}
+    return {
+        name: v for each in found if each.match(node) for name, v in each.values.items()
+    }
 
 
 def _found(content: Any, pattern: str, where: str) -> Iterator[Parameters]:
@@ -59,8 +61,12 @@ def _found(content: Any, pattern: str, where: str) -> Iterator[Parameters]:
     for key, value in content.items():
         if key == KEY:
             if not isinstance(value, Mapping):
-                raise ValueError(f"{where}: {pattern}: expected a mapping of parameters")
-            values = {n: v for n, v in config.dotted(value) if not isinstance(v, Mapping)}
+                raise ValueError(
+                    f"{where}: {pattern}: expected a mapping of parameters"
+                )
+            values = {
+                n: v for n, v in config.dotted(value) if not isinstance(v, Mapping)
+            }
             yield Parameters(pattern, values)
         else:
             yield from _found(value, f"{pattern}/{str(key).strip('/')}", where)

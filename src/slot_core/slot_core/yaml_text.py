@@ -44,7 +44,9 @@ def _require_plain(text: str) -> None:
 class _UniqueKeyLoader(yaml.CSafeLoader):
     """YAML's safe loader, which refuses a mapping that repeats a key."""
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+    def construct_mapping(
+        self, node: yaml.MappingNode, deep: bool = False
+    ) -> dict[Any, Any]:
         """The mapping of a node; raises ConstructorError."""
         seen: set[Hashable] = set()
         for key_node, _ in node.value:
@@ -52,7 +54,10 @@ class _UniqueKeyLoader(yaml.CSafeLoader):
             if not isinstance(key, Hashable):
                 break  # which is refused below
             if key in seen:
-                where, problem = key_node.start_mark, f"the key {quoted(key)} is repeated"
+                where, problem = (
+                    key_node.start_mark,
+                    f"the key {quoted(key)} is repeated",
+                )
                 raise yaml.constructor.ConstructorError(None, None, problem, where)
             seen.add(key)
         return super().construct_mapping(node, deep)

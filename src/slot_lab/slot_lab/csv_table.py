@@ -38,7 +38,9 @@ class CsvRow:
         except ValueError:
             value = np.nan
         if not np.isfinite(value):
-            raise TableError(f"{self.where}, {column}: {quoted(text)} is not a finite number{hint}")
+            raise TableError(
+                f"{self.where}, {column}: {quoted(text)} is not a finite number{hint}"
+            )
         return value
 
 
@@ -59,8 +61,14 @@ def read_table(path: Path) -> Table:
     except UnicodeDecodeError:
         raise TableError(f"{path}: not a text file") from None
     except (OSError, ValueError) as error:
-        raise TableError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
-    comments = [line[1:].strip() for line in map(str.strip, text.splitlines()) if line[:1] == "#"]
+        raise TableError(
+            f"{path}: {getattr(error, 'strerror', None) or error}"
+        ) from None
+    comments = [
+        line[1:].strip()
+        for line in map(str.strip, text.splitlines())
+        if line[:1] == "#"
+    ]
     lines = list(_lines(path, text))
     if not lines:
         raise TableError(f"{path}: is empty: no line of column names")

@@ -30,14 +30,24 @@ def workers(scheduler: str, count: int | None = None) -> Iterator[Any]:
         return
     cores = count or len(os.sched_getaffinity(0))
     local = {
-        "host": LOOPBACK, "processes": True, "threads_per_worker": 1, "silence_logs": logging.ERROR,
-    }  # fmt: skip
+        "host": LOOPBACK,
+        "processes": True,
+        "threads_per_worker": 1,
+        "silence_logs": logging.ERROR,
+    }
     # By default the web servers listen on every interface.
-    pages = dict.fromkeys(("dashboard_address", "worker_dashboard_address"), f"{LOOPBACK}:0")
-    with LocalCluster(n_workers=cores, **local, **pages) as here, Client(here) as client:
+    pages = dict.fromkeys(
+        ("dashboard_address", "worker_dashboard_address"), f"{LOOPBACK}:0"
+    )
+    with (
+        LocalCluster(n_workers=cores, **local, **pages) as here,
+        Client(here) as client,
+    ):
         yield client
 
 
-def gather(client: Any, call: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+def gather(
+    client: Any, call: Callable[[Item], Result], items: Sequence[Item]
+) -> list[Result]:
     """Results of a call for each of the items, in their order."""
     return list(client.gather(client.map(call, list(items), pure=False)))

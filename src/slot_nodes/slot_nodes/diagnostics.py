@@ -25,8 +25,12 @@ def to_msg(
     readings = cycle.readings if cycle is not None else (None,) * len(servos)
     loads = [None if reading is None else reading.load for reading in readings]
     active = session.bus.active
-    found = [_servo(s, active, silent.get(s.leg, ""), load) for s, load in zip(servos, loads)]
-    array = DiagnosticArray(header=messages.header(stamp, ""), status=[_bus(session, pace), *found])
+    found = [
+        _servo(s, active, silent.get(s.leg, ""), load) for s, load in zip(servos, loads)
+    ]
+    array = DiagnosticArray(
+        header=messages.header(stamp, ""), status=[_bus(session, pace), *found]
+    )
     for found_status in array.status:
         found_status.hardware_id = session.bus.facts.brand
     return array
@@ -46,7 +50,9 @@ def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
     )
 
 
-def _servo(health: ServoStatus, active: bool, silent: str, load: float | None) -> DiagnosticStatus:
+def _servo(
+    health: ServoStatus, active: bool, silent: str, load: float | None
+) -> DiagnosticStatus:
     faults = [*health.faults(active), *filter(None, [silent])]
     level = DiagnosticStatus.ERROR if faults else DiagnosticStatus.OK
     if not faults and health.error_rate > ERROR_RATE_WARNING:

@@ -51,12 +51,20 @@ class DynamixelDriverNode(LifecycleNode):
     def __init__(self) -> None:
         super().__init__("dynamixel_driver")
         if self.get_parameter("use_sim_time").value:
-            raise ConfigError("dynamixel_driver: servos move in real time: no lockstep with them")
+            raise ConfigError(
+                "dynamixel_driver: servos move in real time: no lockstep with them"
+            )
         brand = read_brand()
         settings = runtime.declare_settings(self, brand.read_settings())
-        rate = runtime.declare(self, "rate", 100.0, "bus cycles [Hz]", between=(20.0, 500.0))
+        rate = runtime.declare(
+            self, "rate", 100.0, "bus cycles [Hz]", between=(20.0, 500.0)
+        )
         self._port_timeout = runtime.declare(
-            self, "wait_for_port", 60.0, "time to wait for the port [s]", between=(0.0, 3600.0)
+            self,
+            "wait_for_port",
+            60.0,
+            "time to wait for the port [s]",
+            between=(0.0, 3600.0),
         )
         self._autostart = runtime.declare(self, "autostart", True, "configure at start")
         self._session = make_session(brand, settings, 1.0 / rate)
@@ -68,8 +76,12 @@ class DynamixelDriverNode(LifecycleNode):
         self._timer: Timer | None = None
         self._create_outputs()
         self._answer_invalid_transitions()
-        inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
-        inputs.subscribe(self, RobotState, "robot_state", self._on_robot_state, qos.STATE)
+        inputs.subscribe(
+            self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL
+        )
+        inputs.subscribe(
+            self, RobotState, "robot_state", self._on_robot_state, qos.STATE
+        )
         inputs.subscribe(self, ServoLimits, "servo_limits", self._on_limits, qos.STATE)
         self._port_deadline = time.monotonic() + self._port_timeout
         self._autostart_timer = runtime.wall_timer(
@@ -81,12 +93,18 @@ class DynamixelDriverNode(LifecycleNode):
     def _create_outputs(self) -> None:
         self._joints = runtime.publisher(self, JointState, "joint_states", qos.SENSOR)
         self._health = HealthPublisher(self)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "diagnostics", qos.SENSOR)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, "diagnostics", qos.SENSOR
+        )
         runtime.wall_timer(self, DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         self.create_service(SetBool, "~/torque", self._on_torque)
         for leg in LEGS:
-            self._create_servo_service(f"~/reboot_{leg.lower()}", partial(self._reboot, leg))
-            self._create_servo_service(f"~/zero_{leg.lower()}", partial(self._zero, leg))
+            self._create_servo_service(
+                f"~/reboot_{leg.lower()}", partial(self._reboot, leg)
+            )
+            self._create_servo_service(
+                f"~/zero_{leg.lower()}", partial(self._zero, leg)
+            )
 
     def _answer_invalid_transitions(self) -> None:
         """Answer a transition that the state does not have; with rclpy 7.1 the node would end."""
@@ -96,7 +114,9 @@ class DynamixelDriverNode(LifecycleNode):
             try:
                 return change(request, response)
             except RuntimeError as error:  # an RCLError
-                self.get_logger().error(f"transition {request.transition.id} refused: {error}")
+                self.get_logger().error(
+                    f"transition {request.transition.id} refused: {error}"
+                )
                 response.success = False
                 return response
 
@@ -165,7 +185,9 @@ class DynamixelDriverNode(LifecycleNode):
         A refusal of the first attempt ends the node; after an error the attempt is repeated.
         """
         if not Path(self._port).exists() and time.monotonic() < self._port_deadline:
-            self.get_logger().info(f"waiting for {self._port}", throttle_duration_sec=5.0)
+            self.get_logger().info(
+                f"waiting for {self._port}", throttle_duration_sec=5.0
+            )
             return
         if self.trigger_configure() == SUCCESS:
             self._autostart_timer.cancel()
@@ -196,7 +218,9 @@ class DynamixelDriverNode(LifecycleNode):
         inputs.require_sole_supervisor(self, message, self._session.watchdog.relax)
         permission = decode.permission(message, time.monotonic_ns())
         now = self.get_clock().now().nanoseconds
-        inputs.require_present_permission(message, now, self._session.watchdog.clock_jump)
+        inputs.require_present_permission(
+            message, now, self._session.watchdog.clock_jump
+        )
         self._session.permit(permission)
         if permission.action is Action.OFF and self._active:
             self.trigger_deactivate()
@@ -212,7 +236,9 @@ class DynamixelDriverNode(LifecycleNode):
             self.get_logger().fatal(f"{error}; their bus watchdogs stop the servos")
             raise SystemExit(1) from None
         if self._session.action is not before:
-            self.get_logger().info(f"{self._session.action.name} {self._session.reason}".strip())
+            self.get_logger().info(
+                f"{self._session.action.name} {self._session.reason}".strip()
+            )
         self._publish(cycle)
         if self._active and not self._session.bus.active:
             self.trigger_deactivate()
@@ -227,14 +253,20 @@ class DynamixelDriverNode(LifecycleNode):
     def _publish_diagnostics(self) -> None:
         pace = self._session.pace(time.monotonic_ns())
         stamp = self.get_clock().now().nanoseconds
-        self._diagnostics.publish(diagnostics.to_msg(stamp, self._session, pace, self._cycle))
+        self._diagnostics.publish(
+            diagnostics.to_msg(stamp, self._session, pace, self._cycle)
+        )
 
-    def _on_torque(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+    def _on_torque(
+        self, request: SetBool.Request, response: SetBool.Response
+    ) -> SetBool.Response:
         if not request.data:
             self._session.watchdog.relax("torque switched off by the operator")
             response.success, response.message = True, "slackening, then torque off"
         elif self._timer is None or self._active:
-            response.message = "torque is on already" if self._active else "not configured"
+            response.message = (
+                "torque is on already" if self._active else "not configured"
+            )
         else:
             response.success = self.trigger_activate() == SUCCESS
             response.message = "torque on" if response.success else self._refusal
@@ -270,7 +302,9 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _refuse(self, reason: str) -> TransitionCallbackReturn:
         self._refusal = reason
-        if self._cycle is not None or not self._autostart:  # else it is logged when the node ends
+        if (
+            self._cycle is not None or not self._autostart
+        ):  # else it is logged when the node ends
             self.get_logger().error(reason, throttle_duration_sec=5.0)
         return FAILURE
 

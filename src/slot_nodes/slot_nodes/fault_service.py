@@ -18,7 +18,10 @@ def serve(node: Node, plant: RobotSimulator) -> None:
 
 
 def _inject(
-    node: Node, plant: RobotSimulator, request: InjectFault.Request, response: InjectFault.Response
+    node: Node,
+    plant: RobotSimulator,
+    request: InjectFault.Request,
+    response: InjectFault.Response,
 ) -> InjectFault.Response:
     try:
         if request.clear:

@@ -23,22 +23,32 @@ class ForceMapperNode(Node):
         self._map = make_force_map(read_robot(), settings)
         self._record = stage_record.Recorder(self, self._map)
         self._inputs = TimeSynchronizer("plan", "preview", "state")
-        self._angles = runtime.publisher(self, JointState, "desired_joint_angles", qos.CONTROL)
-        self._status = runtime.publisher(self, ForceMapStatus, "force_map/status", qos.CONTROL)
+        self._angles = runtime.publisher(
+            self, JointState, "desired_joint_angles", qos.CONTROL
+        )
+        self._status = runtime.publisher(
+            self, ForceMapStatus, "force_map/status", qos.CONTROL
+        )
         self._polled = inputs.PassiveSubscriptions(self)  # they come before their plan
         self._polled.subscribe(MpcState, "mpc_state", self._on_state, qos.CONTROL)
-        self._polled.subscribe(GaitPreview, "gait_preview", self._on_preview, qos.CONTROL)
+        self._polled.subscribe(
+            GaitPreview, "gait_preview", self._on_preview, qos.CONTROL
+        )
         inputs.subscribe(self, TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL)
 
     def _on_state(self, message: MpcState) -> None:
         estimate = decode.estimate(message)
         inputs.require_finite("state", estimate.state)
-        self._command(estimate.stamp, self._inputs.add("state", estimate.stamp, estimate.state))
+        self._command(
+            estimate.stamp, self._inputs.add("state", estimate.stamp, estimate.state)
+        )
 
     def _on_preview(self, message: GaitPreview) -> None:
         preview = decode.preview(message)
         inputs.require_nominal(preview)
-        self._command(preview.stamp, self._inputs.add("preview", preview.stamp, preview))
+        self._command(
+            preview.stamp, self._inputs.add("preview", preview.stamp, preview)
+        )
 
     def _on_plan(self, message: TendonPlan) -> None:
         stamp, plan = decode.plan(message)
@@ -52,12 +62,16 @@ class ForceMapperNode(Node):
         if matched is None:
             return
         command = self._map.step(*matched)
-        self._angles.publish(messages.command_to_msg(stamp, command.angle, command.rate))
+        self._angles.publish(
+            messages.command_to_msg(stamp, command.angle, command.rate)
+        )
         self._record.put(stamp)
         self._status.publish(messages.map_status_to_msg(stamp, command))
         if command.saturated.any():
             legs = ", ".join(leg for leg, hit in zip(LEGS, command.saturated) if hit)
-            self.get_logger().info(f"tendon angle at its limit: {legs}", throttle_duration_sec=5.0)
+            self.get_logger().info(
+                f"tendon angle at its limit: {legs}", throttle_duration_sec=5.0
+            )
 
 
 def main() -> None:

@@ -27,19 +27,31 @@ class GaitSchedulerNode(Node):
     def __init__(self) -> None:
         super().__init__("gait_scheduler")
         settings = runtime.declare_settings(self, read_gaits())
-        file = runtime.declare(self, "path", "", "CSV with columns x, y in odom [m] to follow")
-        heading = runtime.declare(self, "path_heading", KEPT, "heading on the path: kept or along")
+        file = runtime.declare(
+            self, "path", "", "CSV with columns x, y in odom [m] to follow"
+        )
+        heading = runtime.declare(
+            self, "path_heading", KEPT, "heading on the path: kept or along"
+        )
         path = read_route(file, heading) if file else None
         springs = read_springs()
-        self._scheduler = GaitScheduler(settings, read_robot(), springs, STAND, None, path)
+        self._scheduler = GaitScheduler(
+            settings, read_robot(), springs, STAND, None, path
+        )
         self._record = stage_record.Recorder(self, self._scheduler)
-        self._preview = runtime.publisher(self, GaitPreview, "gait_preview", qos.CONTROL)
+        self._preview = runtime.publisher(
+            self, GaitPreview, "gait_preview", qos.CONTROL
+        )
         text = "type of /cmd_vel: TwistStamped, else Twist as of Nav2 and teleop without options"
         stamped = runtime.declare(self, "stamped_cmd_vel", True, text)
         self._wrong_type = ""  # one line on publishers of /cmd_vel of the other type
         kind = TwistStamped if stamped else Twist
-        inputs.subscribe(self, kind, "cmd_vel", self._on_velocity, qos.SENSOR, overridable=True)
-        runtime.wall_timer(self, SEARCH_PERIOD, partial(self._look_for_wrong_type, stamped))
+        inputs.subscribe(
+            self, kind, "cmd_vel", self._on_velocity, qos.SENSOR, overridable=True
+        )
+        runtime.wall_timer(
+            self, SEARCH_PERIOD, partial(self._look_for_wrong_type, stamped)
+        )
         inputs.subscribe(
             self, PoseStamped, "body_pose", self._on_pose, qos.SENSOR, overridable=True
         )
@@ -60,11 +72,15 @@ class GaitSchedulerNode(Node):
         """Find publishers of /cmd_vel whose messages do not arrive, since their type is another."""
         wrong, change = ("Twist", "false") if stamped else ("TwistStamped", "true")
         found = self.get_publishers_info_by_topic("cmd_vel")
-        nodes = [info.node_name for info in found if info.topic_type.endswith(f"/{wrong}")]
+        nodes = [
+            info.node_name for info in found if info.topic_type.endswith(f"/{wrong}")
+        ]
         before, self._wrong_type = self._wrong_type, ""
         if nodes:
             wanted = f"start with stamped_cmd_vel {change}"
-            self._wrong_type = f"cmd_vel of {nodes[0]} is not heard, a {wrong}: {wanted}"
+            self._wrong_type = (
+                f"cmd_vel of {nodes[0]} is not heard, a {wrong}: {wanted}"
+            )
         if self._wrong_type not in ("", before):
             self.get_logger().warning(self._wrong_type)
 
@@ -72,18 +88,26 @@ class GaitSchedulerNode(Node):
         """Set the velocity; a zero stamp, as of a plain `ros2 topic pub`, stands for now."""
         stamp, velocity = decode.velocity(message)
         try:
-            self._scheduler.set_velocity(stamp or self.get_clock().now().nanoseconds, velocity)
+            self._scheduler.set_velocity(
+                stamp or self.get_clock().now().nanoseconds, velocity
+            )
         except ConfigError as error:
-            self.get_logger().warning(f"cmd_vel refused: {error}", throttle_duration_sec=1.0)
+            self.get_logger().warning(
+                f"cmd_vel refused: {error}", throttle_duration_sec=1.0
+            )
 
     def _on_pose(self, message: PoseStamped) -> None:
         """Set height, roll and pitch of the torso; place and yaw of the pose are not used."""
         try:
             self._scheduler.set_pose(decode.body_pose(message))
         except ConfigError as error:
-            self.get_logger().warning(f"body_pose refused: {error}", throttle_duration_sec=1.0)
+            self.get_logger().warning(
+                f"body_pose refused: {error}", throttle_duration_sec=1.0
+            )
 
-    def _on_gait(self, request: SetGait.Request, response: SetGait.Response) -> SetGait.Response:
+    def _on_gait(
+        self, request: SetGait.Request, response: SetGait.Response
+    ) -> SetGait.Response:
         try:
             self._scheduler.request(request.gait, decode.vector(request.velocity))
             response.success = True

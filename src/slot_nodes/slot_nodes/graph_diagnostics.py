@@ -35,11 +35,16 @@ class GraphDiagnostics:
     """Publishes a node's diagnostics every PERIOD, and at once when their key changes."""
 
     def __init__(self, node: Node) -> None:
-        self._publisher = runtime.publisher(node, DiagnosticArray, "diagnostics", qos.SENSOR)
+        self._publisher = runtime.publisher(
+            node, DiagnosticArray, "diagnostics", qos.SENSOR
+        )
         self._last: tuple[Hashable, int] | None = None  # key, and ns of the message
 
     def publish(
-        self, stamp: int, make: Callable[[], list[DiagnosticStatus]], key: Hashable = None
+        self,
+        stamp: int,
+        make: Callable[[], list[DiagnosticStatus]],
+        key: Hashable = None,
     ) -> None:
         """Publish the status of `make` at `stamp` (ns) if it is due."""
         if self._last is not None:
@@ -116,9 +121,14 @@ def of_controller(plan: TendonPlan, passed: tuple[int, int]) -> DiagnosticStatus
 
 def of_disturbances(plan: TendonPlan, mass: float) -> DiagnosticStatus:
     """Disturbances that the policy estimates, payload beyond `mass` (kg); "": not estimated."""
-    known = 1.0 if math.isfinite(plan.mass) else math.nan  # else the policy plans nothing now
+    known = (
+        1.0 if math.isfinite(plan.mass) else math.nan
+    )  # else the policy plans nothing now
     vertical, *moment = known * np.array(plan.wrench)
-    slip, turn = 1e3 * known * np.array(plan.drift[:2]), known * math.degrees(plan.drift[2])
+    slip, turn = (
+        1e3 * known * np.array(plan.drift[:2]),
+        known * math.degrees(plan.drift[2]),
+    )
     return status(
         "disturbances",
         OK,

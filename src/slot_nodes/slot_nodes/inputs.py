@@ -45,7 +45,9 @@ def subscribe(
         try:
             callback(message, number) if numbered else callback(message)
         except ValueError as error:
-            node.get_logger().warning(f"{topic} refused: {error}", throttle_duration_sec=1.0)
+            node.get_logger().warning(
+                f"{topic} refused: {error}", throttle_duration_sec=1.0
+            )
 
     name = node.resolve_topic_name(topic)
     if intra_process.subscribe(name, receive, profile):
@@ -53,16 +55,26 @@ def subscribe(
     overriding = QoSOverridingOptions.with_default_policies() if overridable else None
     take = _with_number(receive) if numbered else receive
     made = node.create_subscription(
-        kind, topic, take, profile, qos_overriding_options=overriding, callback_group=group
+        kind,
+        topic,
+        take,
+        profile,
+        qos_overriding_options=overriding,
+        callback_group=group,
     )
-    intra_process.subscribe_later(name, receive, profile, lambda: node.destroy_subscription(made))
+    intra_process.subscribe_later(
+        name, receive, profile, lambda: node.destroy_subscription(made)
+    )
     return made
 
 
 def sensor_profile(node: Node, profile: QoSProfile) -> QoSProfile:
     """Declare the parameter `best_effort_sensors`; return the profile, or its best effort."""
     wanted = runtime.declare(
-        node, "best_effort_sensors", False, "receive from sensors that publish best effort too"
+        node,
+        "best_effort_sensors",
+        False,
+        "receive from sensors that publish best effort too",
     )
     return qos.best_effort(profile) if wanted else profile
 
@@ -75,7 +87,9 @@ def _with_number(receive: Callable[[Any, int], None]) -> Any:
 def process_received(subscription: Subscription | None) -> None:
     """Process the messages that a subscription has received now, before the executor would."""
     while subscription and (
-        taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        taken := subscription.handle.take_message(
+            subscription.msg_type, subscription.raw
+        )
     ):
         subscription.callback(taken[0])
 
@@ -116,7 +130,9 @@ def require_finite(name: str, values: Any) -> None:
     if not finite.all():
         index = np.argwhere(~finite)[0]
         place = ", ".join(str(int(i)) for i in index)
-        raise ValueError(f"{name}[{place}] = {array[tuple(index)]}: expected a finite number")
+        raise ValueError(
+            f"{name}[{place}] = {array[tuple(index)]}: expected a finite number"
+        )
 
 
 def require_present(stamp: int, now: int, limit: float) -> None:
@@ -135,7 +151,9 @@ def require_present_permission(message: RobotState, now: int, limit: float) -> N
         require_present(decode.stamp(message), now, limit)
 
 
-def require_sole_publisher(node: Node, topic: str, relax: Callable[[str], None]) -> None:
+def require_sole_publisher(
+    node: Node, topic: str, relax: Callable[[str], None]
+) -> None:
     """Raise ValueError, and let the servos relax, if several nodes publish the topic.
 
     Both get one line that names the nodes. DDS lists a killed node for another 20 s.
@@ -156,7 +174,9 @@ def _full_name(endpoint: TopicEndpointInfo) -> str:
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
-def require_sole_supervisor(node: Node, message: RobotState, relax: Callable[[str], None]) -> None:
+def require_sole_supervisor(
+    node: Node, message: RobotState, relax: Callable[[str], None]
+) -> None:
     """Check who publishes /robot_state, for HOLD or PASS; RELAX and OFF are always accepted."""
     if message.action in (RobotState.ACTION_HOLD, RobotState.ACTION_PASS):
         require_sole_publisher(node, "robot_state", relax)

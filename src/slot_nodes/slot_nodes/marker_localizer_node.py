@@ -44,13 +44,19 @@ class MarkerLocalizerNode(Node):
             except CameraError as error:
                 raise ConfigError(f"marker_localizer: calibration {error}") from None
         else:
-            inputs.subscribe(self, CameraInfo, "camera/camera_info", self._on_info, profile)
+            inputs.subscribe(
+                self, CameraInfo, "camera/camera_info", self._on_info, profile
+            )
         inputs.subscribe(self, Image, "camera/image_raw", self._on_image, profile)
 
     def _on_info(self, message: CameraInfo) -> None:
         """Take the calibration, and a new one if it changes."""
         camera = from_camera_info(
-            message.width, message.height, message.distortion_model, message.d, message.k
+            message.width,
+            message.height,
+            message.distortion_model,
+            message.d,
+            message.k,
         )
         if self._camera is None or not camera.equals(self._camera):
             self._use(camera)
@@ -58,7 +64,9 @@ class MarkerLocalizerNode(Node):
     def _use(self, camera: Camera) -> None:
         self._localizer = MarkerLocalizer(self._settings, camera, self._mount)
         self._camera = camera
-        known = "" if camera.covariance is not None else ", its calibration taken as exact"
+        known = (
+            "" if camera.covariance is not None else ", its calibration taken as exact"
+        )
         self.get_logger().info(
             f"camera of {camera.width} x {camera.height} px, f = {camera.focal:.1f} px,"
             f" on the {self._settings.carrier}{known}"
@@ -66,7 +74,9 @@ class MarkerLocalizerNode(Node):
 
     def _on_image(self, message: Image) -> None:
         if self._localizer is None:
-            raise ValueError("no calibration: no usable /camera/camera_info has arrived")
+            raise ValueError(
+                "no calibration: no usable /camera/camera_info has arrived"
+            )
         fix = self._localizer.locate(decode.stamp(message), image_message.grey(message))
         if isinstance(fix, MarkerFix):
             self._odometry.publish(messages.fix_to_odometry(fix))
@@ -76,7 +86,8 @@ class MarkerLocalizerNode(Node):
             reason = fix.reason
         if reason:
             self.get_logger().warning(
-                f"image at {to_seconds(fix.stamp):.3f} s: {reason}", throttle_duration_sec=1.0
+                f"image at {to_seconds(fix.stamp):.3f} s: {reason}",
+                throttle_duration_sec=1.0,
             )
 
 

@@ -22,9 +22,22 @@ from slot_core.gait import gait
 from slot_core.geometry import Transform
 from slot_core.matrices import product
 from slot_core.messages import decode
-from slot_core.robot import BASE_FRAME, FOOTPRINT_FRAME, ODOM_FRAME, TENDON_JOINTS, Array
+from slot_core.robot import (
+    BASE_FRAME,
+    FOOTPRINT_FRAME,
+    ODOM_FRAME,
+    TENDON_JOINTS,
+    Array,
+)
 from slot_msgs import msg as slot_msgs
-from slot_msgs.msg import ForceMapStatus, GaitPreview, LegStates, MpcState, RobotState, TendonPlan
+from slot_msgs.msg import (
+    ForceMapStatus,
+    GaitPreview,
+    LegStates,
+    MpcState,
+    RobotState,
+    TendonPlan,
+)
 from slot_msgs.srv import SetGait
 
 # rows of an estimate's covariance in the order of the messages': position, angle; linear, angular
@@ -128,7 +141,9 @@ def _odometry(
 def image_to_msg(reading: ImageReading) -> Image:
     """Grey image, mono8."""
     height, width = reading.grey.shape
-    message = Image(header=header(reading.stamp, OPTICAL_FRAME), height=height, width=width)
+    message = Image(
+        header=header(reading.stamp, OPTICAL_FRAME), height=height, width=width
+    )
     message.encoding, message.step = "mono8", width
     message.data = array("B", reading.grey.tobytes())
     return message
@@ -210,7 +225,9 @@ def state_to_tf(estimate: Estimate) -> TFMessage:
         transforms=[
             _transform(header(estimate.time), BASE_FRAME, base),
             _transform(
-                header(estimate.time, BASE_FRAME), FOOTPRINT_FRAME, base.inverse @ footprint
+                header(estimate.time, BASE_FRAME),
+                FOOTPRINT_FRAME,
+                base.inverse @ footprint,
             ),
         ]
     )

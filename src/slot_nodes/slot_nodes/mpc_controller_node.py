@@ -32,10 +32,16 @@ class MpcControllerNode(Node):
         text = "policy by its name, a Python file with one, or onnx:FILE"
         name = runtime.declare(self, "policy", DEFAULT_POLICY, text)
         kind = policy_class(name)
-        settings = runtime.declare_settings(self, kind.read_settings(name), read_only=False)
-        simulated = self.get_parameter("use_sim_time").value  # a plan takes no simulated time
+        settings = runtime.declare_settings(
+            self, kind.read_settings(name), read_only=False
+        )
+        simulated = self.get_parameter(
+            "use_sim_time"
+        ).value  # a plan takes no simulated time
         robot, timer = read_robot(), (lambda: 0.0) if simulated else time.perf_counter
-        self._policy = TunedPolicy(lambda settings: kind(robot, settings, timer), settings)
+        self._policy = TunedPolicy(
+            lambda settings: kind(robot, settings, timer), settings
+        )
         self._record = stage_record.Recorder(self, self._policy)
         self._names = {setting for setting, _, _ in config.leaves(settings)}
         self._pace, self._stamp = Pace(), 0
@@ -43,13 +49,19 @@ class MpcControllerNode(Node):
         self._preparation.cancel()
         self._inputs = TimeSynchronizer("state", "preview")
         self._plans = runtime.publisher(self, TendonPlan, "tendon_plan", qos.CONTROL)
-        inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.STATE, numbered=True)
+        inputs.subscribe(
+            self, MpcState, "mpc_state", self._on_state, qos.STATE, numbered=True
+        )
         inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.STATE)
         self.add_on_set_parameters_callback(self._on_parameters)
 
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         """Change settings of the policy, or say why not."""
-        given = {p.name: runtime.plain_value(p.value) for p in parameters if p.name in self._names}
+        given = {
+            p.name: runtime.plain_value(p.value)
+            for p in parameters
+            if p.name in self._names
+        }
         try:
             if given:
                 self._policy.change(given)
@@ -78,7 +90,9 @@ class MpcControllerNode(Node):
         elapsed = time.perf_counter() - start
         self._pace.add(number, elapsed, preview.dt)
         changes = self._policy.changes
-        self._plans.publish(messages.plan_to_msg(plan, preview, elapsed, self._pace, changes))
+        self._plans.publish(
+            messages.plan_to_msg(plan, preview, elapsed, self._pace, changes)
+        )
         self._record.put(estimate.stamp)
         self._preparation.reset()
         if plan.status != Status.SOLVED:

@@ -24,7 +24,9 @@ def _profile(
     reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE,
 ) -> QoSProfile:
     last = HistoryPolicy.KEEP_LAST
-    return QoSProfile(reliability=reliability, durability=durability, history=last, depth=depth)
+    return QoSProfile(
+        reliability=reliability, durability=durability, history=last, depth=depth
+    )
 
 
 SENSOR = _profile(200)

@@ -25,7 +25,11 @@ from slot_core import config
 from slot_core.recording.bag_error import BagError
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.origin import origin_here
-from slot_core.recording.record_settings import RecordedTopic, read_record_settings, root_of
+from slot_core.recording.record_settings import (
+    RecordedTopic,
+    read_record_settings,
+    root_of,
+)
 from slot_nodes import messages, qos, runtime
 from slot_nodes.process.executor import DirectExecutor
 
@@ -49,9 +53,13 @@ class RecorderNode(Node):
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        stamped = runtime.declare(self, "stamped_cmd_vel", True, "/cmd_vel is a TwistStamped")
+        stamped = runtime.declare(
+            self, "stamped_cmd_vel", True, "/cmd_vel is a TwistStamped"
+        )
         self._settings = read_record_settings(self.get_namespace(), stamped)
-        path = runtime.declare(self, "bag", "", "directory of the bag, which must not exist")
+        path = runtime.declare(
+            self, "bag", "", "directory of the bag, which must not exist"
+        )
         about = runtime.declare(
             self, "about", "{}", "arguments of the graph, JSON: kept in the bag"
         )
@@ -60,9 +68,14 @@ class RecorderNode(Node):
         except (BagError, OSError) as error:
             raise config.ConfigError(str(error)) from None
         self._best_effort = runtime.declare(
-            self, "best_effort_sensors", False, "record sensors that publish best effort too"
+            self,
+            "best_effort_sensors",
+            False,
+            "record sensors that publish best effort too",
         )
-        self._recorded = {n: self._listen(n, t) for n, t in self._settings.topics.items()}
+        self._recorded = {
+            n: self._listen(n, t) for n, t in self._settings.topics.items()
+        }
         self._awaited = [s for s in self._recorded.values() if _is_latched(s)]
         self._recording = self.create_publisher(Bool, "recording", qos.STATE)
         self._announced = -math.inf  # s, monotonic
@@ -85,7 +98,9 @@ class RecorderNode(Node):
                     flushed = time.monotonic()
                     self._note_nodes()
                     self._bag.flush()
-                    executor.spin_once(0.0)  # services of the parameters, events of the topics
+                    executor.spin_once(
+                        0.0
+                    )  # services of the parameters, events of the topics
         except BagError as error:
             self.get_logger().fatal(str(error))
             raise SystemExit(1) from None
@@ -93,7 +108,9 @@ class RecorderNode(Node):
     def _take(self) -> None:
         """Write all messages that have arrived."""
         for name, subscription in self._recorded.items():
-            while taken := subscription.handle.take_message(subscription.msg_type, True):
+            while taken := subscription.handle.take_message(
+                subscription.msg_type, True
+            ):
                 self._write(name, *taken)
 
     def _write(self, name: str, data: bytes, info: Any) -> None:
@@ -119,7 +136,9 @@ class RecorderNode(Node):
             if known:
                 self._nodes.setdefault(topic, set()).update(known)
         if self._nodes != before:
-            text = json.dumps({topic: sorted(nodes) for topic, nodes in self._nodes.items()})
+            text = json.dumps(
+                {topic: sorted(nodes) for topic, nodes in self._nodes.items()}
+            )
             data = serialize_message(String(data=text))
             name = f"{root_of(self.get_namespace())}/{NODES}"
             self._bag.write(name, "std_msgs/msg/String", time.time_ns(), data)

@@ -72,7 +72,9 @@ class Interrupt:
             signal.signal(number, self._handle)
         signal.signal(signal.SIGALRM, self._raise)
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            signal.signal(signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+            signal.signal(
+                signal.SIGHUP, lambda *_: os.kill(os.getpid(), signal.SIGTERM)
+            )
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -146,16 +148,22 @@ def take_priority(wanted: str) -> None:
     for thread in os.listdir("/proc/self/task"):
         with suppress(ProcessLookupError):  # it has ended meanwhile
             try:
-                os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(priority))
+                os.sched_setscheduler(
+                    int(thread), os.SCHED_FIFO, os.sched_param(priority)
+                )
             except PermissionError:
                 if not wanted:
-                    get_logger("realtime").info("no right to a real-time priority: ordinary one")
+                    get_logger("realtime").info(
+                        "no right to a real-time priority: ordinary one"
+                    )
                     return
                 text = f"realtime = {priority}: no right to this priority; see rtprio"
                 raise config.ConfigError(text) from None
     if ctypes.CDLL(None, use_errno=True).mlockall(LOCK_ALL):
         reason = os.strerror(ctypes.get_errno())
-        get_logger("realtime").warning(f"memory is not locked: {reason}; see LimitMEMLOCK")
+        get_logger("realtime").warning(
+            f"memory is not locked: {reason}; see LimitMEMLOCK"
+        )
 
 
 def fix_clock(node: Node) -> None:
@@ -171,11 +179,15 @@ def _init() -> None:
     """Initialise rclpy, whose handlers of signals call those set before."""
     try:
         rclpy.init()
-    except RuntimeError as error:  # arguments that are not YAML, a domain that is not a number
+    except (
+        RuntimeError
+    ) as error:  # arguments that are not YAML, a domain that is not a number
         raise config.ConfigError(error) from None
 
 
-def declare_settings(node: Node, settings: T, prefix: str = "", read_only: bool = True) -> T:
+def declare_settings(
+    node: Node, settings: T, prefix: str = "", read_only: bool = True
+) -> T:
     """Declare each value of a settings object as a parameter; return it as overridden.
 
     Defaults are the values of `config/*.yaml`; bounds and descriptions are those of the fields.
@@ -185,7 +197,11 @@ def declare_settings(node: Node, settings: T, prefix: str = "", read_only: bool 
     for name, value, meta in config.leaves(settings):
         default = list(value) if isinstance(value, tuple) else value
         given = declare(
-            node, prefix + name, default, read_only=read_only, **_descriptor(meta, value)
+            node,
+            prefix + name,
+            default,
+            read_only=read_only,
+            **_descriptor(meta, value),
         )
         changes[name] = plain_value(given)
     return config.replace(settings, changes, where=f"parameters of {node.get_name()}")
@@ -197,17 +213,24 @@ def plain_value(value: Any) -> Any:
 
 
 def declare(
-    node: Node, name: str, default: Any, description: str,
-    *, between: tuple[float, float] | None = None, read_only: bool = True, **descriptor: Any,
-) -> Any:  # fmt: skip
+    node: Node,
+    name: str,
+    default: Any,
+    description: str,
+    *,
+    between: tuple[float, float] | None = None,
+    read_only: bool = True,
+    **descriptor: Any,
+) -> Any:
     """Declare one parameter, a number `between` two ones, and return its value."""
     if between is not None:
         field, kind = _RANGES[type(default)]
         descriptor[field] = [kind(from_value=between[0], to_value=between[1])]
     return node.declare_parameter(
-        name, default,
+        name,
+        default,
         ParameterDescriptor(description=description, read_only=read_only, **descriptor),
-    ).value  # fmt: skip
+    ).value
 
 
 class PrefixedPublisher(Publisher):
@@ -240,7 +263,9 @@ def publisher(node: Node, kind: type, topic: str, profile: QoSProfile) -> Publis
 
 def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
     """Create a timer on the steady clock: under `use_sim_time` the ROS clock may stand still."""
-    return node.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    return node.create_timer(
+        period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME)
+    )
 
 
 def last_logger(node: Node) -> RcutilsLogger:
@@ -254,7 +279,9 @@ def _descriptor(meta: Mapping[str, Any], value: Any) -> dict[str, Any]:
     descriptor: dict[str, Any] = {"description": meta["doc"] + unit}
     if "options" in meta:
         descriptor["additional_constraints"] = "one of " + ", ".join(meta["options"])
-    if type(value) in _RANGES and all(math.isfinite(meta[end]) for end in ("low", "high")):
+    if type(value) in _RANGES and all(
+        math.isfinite(meta[end]) for end in ("low", "high")
+    ):
         descriptor["between"] = tuple(type(value)(meta[end]) for end in ("low", "high"))
     return descriptor
 

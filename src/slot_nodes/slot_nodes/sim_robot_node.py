@@ -61,10 +61,14 @@ from slot_nodes.health_publisher import HealthPublisher
 FROZEN_PERIOD = 0.1  # s, between two readings of the frozen robot in lockstep
 REAL_TIME_PERIOD = 0.002  # s, between two advances of the simulation
 PORTION = 20_000_000  # ns, longest simulation per callback, so that commands are taken between
-BUS_PORTION = 4_000_000  # ns, so that the time of the servos stays close to that of the driver
+BUS_PORTION = (
+    4_000_000  # ns, so that the time of the servos stays close to that of the driver
+)
 RECORDER = "recorder"
 IMAGES = "camera/image_raw"  # not recorded
-MATCH_TIMEOUT = 5.0  # s; a subscriber that is not matched then misses the first readings
+MATCH_TIMEOUT = (
+    5.0  # s; a subscriber that is not matched then misses the first readings
+)
 WAIT_REPORT = 5.0  # s, between two lines that say what the first readings wait for
 LAG_WARNING = 100_000_000  # ns behind real time
 PACE_WINDOW = 1.0  # s
@@ -75,21 +79,33 @@ class SimRobotNode(Node):
 
     def __init__(self) -> None:
         super().__init__("sim_robot")
-        self._lockstep = runtime.declare(self, "lockstep", False, "advance only on an answer")
-        seed = runtime.declare(self, "seed", 0, "of the sensor noise", between=(0, 2**63 - 1))
+        self._lockstep = runtime.declare(
+            self, "lockstep", False, "advance only on an answer"
+        )
+        seed = runtime.declare(
+            self, "seed", 0, "of the sensor noise", between=(0, 2**63 - 1)
+        )
         scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
         text = "publish nothing before /recording"
-        self._waits_for_recorder = runtime.declare(self, "wait_for_recording", False, text)
+        self._waits_for_recorder = runtime.declare(
+            self, "wait_for_recording", False, text
+        )
         self._is_recording = False
         self._matching_since: float | None = None  # s, monotonic
-        text = "directory for the state of a diverged simulation; empty: working directory"
+        text = (
+            "directory for the state of a diverged simulation; empty: working directory"
+        )
         dump = runtime.declare(self, "dump", "", text)
         self._save_state = partial(fault_service.save_state, dump, scene)
         text = "port of emulated servos, in lockstep without one; empty: servos of servo.yaml"
         link = runtime.declare(self, "bus", "", text)
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
-        servo = runtime.declare_settings(self, read_servo(settings.parameters), "servo.")
-        self.get_logger().info("preparing; a first start compiles the dynamics, about 10 s")
+        servo = runtime.declare_settings(
+            self, read_servo(settings.parameters), "servo."
+        )
+        self.get_logger().info(
+            "preparing; a first start compiles the dynamics, about 10 s"
+        )
         try:
             robot, rng = read_robot(settings.parameters), np.random.default_rng(seed)
             emulate = read_brand().emulate if link else None
@@ -131,7 +147,9 @@ class SimRobotNode(Node):
             inputs.require_sole_publisher(self, "servo_limits", servos.watchdog.relax)
             servos.watchdog.set_limits(decode.servo_limits(message))
 
-        inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
+        inputs.subscribe(
+            self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL
+        )
         inputs.subscribe(self, RobotState, "robot_state", on_state, qos.STATE)
         inputs.subscribe(self, ServoLimits, "servo_limits", on_limits, qos.STATE)
         return servos
@@ -141,7 +159,10 @@ class SimRobotNode(Node):
         made = partial(runtime.publisher, self)
         self._outputs: dict[type, tuple[Publisher, Callable[..., Any]]] = {
             ImuReading: (made(Imu, "imu", qos.SENSOR), messages.imu_to_msg),
-            JointReading: (made(JointState, "joint_states", qos.SENSOR), messages.joints_to_msg),
+            JointReading: (
+                made(JointState, "joint_states", qos.SENSOR),
+                messages.joints_to_msg,
+            ),
         }
         if self._lockstep:
             self._outputs[StampedHealth] = (
@@ -171,7 +192,9 @@ class SimRobotNode(Node):
                 return
         if missing := self._missing():
             self.get_logger().info(
-                f"waiting for {missing}", throttle_duration_sec=WAIT_REPORT, skip_first=True
+                f"waiting for {missing}",
+                throttle_duration_sec=WAIT_REPORT,
+                skip_first=True,
             )
         elif isinstance(self._time, LockstepClock):
             self._publish_all(self._time.at_rest())
@@ -199,8 +222,12 @@ class SimRobotNode(Node):
         for publisher in (*publishers, self._truth, self._legs):
             readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
             if (matched := publisher.get_subscription_count()) < len(readers):
-                return f"{matched} of {len(readers)} subscribers to {publisher.topic_name}"
-            recorded = self._waits_for_recorder and not publisher.topic_name.endswith(IMAGES)
+                return (
+                    f"{matched} of {len(readers)} subscribers to {publisher.topic_name}"
+                )
+            recorded = self._waits_for_recorder and not publisher.topic_name.endswith(
+                IMAGES
+            )
             if recorded and RECORDER not in {r.node_name for r in readers}:
                 return f"the recorder at {publisher.topic_name}"
         return ""
@@ -212,7 +239,9 @@ class SimRobotNode(Node):
         permission = decode.permission(message, self._servo_time())
         try:
             inputs.require_sole_supervisor(self, message, servos.watchdog.relax)
-            inputs.require_present_permission(message, self._now(), servos.watchdog.clock_jump)
+            inputs.require_present_permission(
+                message, self._now(), servos.watchdog.clock_jump
+            )
             servos.permit(permission)
         finally:
             self._continue(StampedHealth, decode.stamp(message))
@@ -245,7 +274,9 @@ class SimRobotNode(Node):
         self._frozen = False
         self.destroy_timer(self._timer)
         self._time.start(self._now())
-        self._timer = runtime.wall_timer(self, REAL_TIME_PERIOD, self._advance_to_present)
+        self._timer = runtime.wall_timer(
+            self, REAL_TIME_PERIOD, self._advance_to_present
+        )
 
     def _advance_to_present(self) -> None:
         """Advance the simulation towards the present."""
@@ -297,7 +328,9 @@ class SimRobotNode(Node):
         """Switch emulated servos off, or wait for the driver to do so, then destroy the node."""
         left = self._servos.close(running=not self._frozen)
         if self._plant.emulated is not None:
-            runtime.last_logger(self).info(f"servos left under torque: {left or 'none'}")
+            runtime.last_logger(self).info(
+                f"servos left under torque: {left or 'none'}"
+            )
         super().destroy_node()
 
     def _publish(self, reading: Reading) -> None:

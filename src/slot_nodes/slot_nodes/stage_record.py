@@ -26,10 +26,14 @@ class Recorder:
         self._stamps: list[int] = []
         self._output = 0  # ns, stamp of the last output
         self._due = 0  # ns, of such stamps: of the next key frame
-        self._settled = 0  # ns, of such stamps: from which on every subscriber hears all topics
+        self._settled = (
+            0  # ns, of such stamps: from which on every subscriber hears all topics
+        )
         self._subscribers, self._waits = 0, False
         self._afterwards = intra_process.afterwards()
-        self._records = runtime.publisher(node, StageRecord, "stage_record", qos.CONTROL)
+        self._records = runtime.publisher(
+            node, StageRecord, "stage_record", qos.CONTROL
+        )
         self._publish("")
 
     def take(self, topic: int, stamp: int) -> None:
@@ -54,16 +58,24 @@ class Recorder:
         state = ""
         if joined:
             self._settled = self._output + to_ns(DISCOVERY)
-        if joined or not self._output < self._due < self._output + 2 * to_ns(KEY_FRAME_PERIOD):
+        if joined or not self._output < self._due < self._output + 2 * to_ns(
+            KEY_FRAME_PERIOD
+        ):
             is_settled = self._output >= self._settled
-            self._due = self._output + to_ns(KEY_FRAME_PERIOD if is_settled else FIRST_PERIOD)
+            self._due = self._output + to_ns(
+                KEY_FRAME_PERIOD if is_settled else FIRST_PERIOD
+            )
             state = capture(self._stage)
         if state or self._taken:
             self._publish(state)
 
     def _publish(self, state: str) -> None:
         record = StageRecord(header=messages.header(self._output), node=self._name)
-        record.number, record.taken, record.stamp = self._number, self._taken, self._stamps
+        record.number, record.taken, record.stamp = (
+            self._number,
+            self._taken,
+            self._stamps,
+        )
         record.state = state
         self._records.publish(record)
         self._number += 1

@@ -32,10 +32,17 @@ class StateEstimatorNode(Node):
         self._record = stage_record.Recorder(self, self._estimator)
         self._state = runtime.publisher(self, MpcState, "mpc_state", qos.CONTROL)
         self._tf = runtime.publisher(self, TFMessage, "tf", qos.SENSOR)
-        self._filtered = runtime.publisher(self, Odometry, "odometry/filtered", qos.SENSOR)
+        self._filtered = runtime.publisher(
+            self, Odometry, "odometry/filtered", qos.SENSOR
+        )
         mounts = runtime.publisher(self, TFMessage, "tf_static", qos.STATE)
-        mounts.publish(messages.mounts_to_tf(settings.mounts.imu, settings.mounts.camera))
-        self._diagnostics, self._afterwards = GraphDiagnostics(self), intra_process.afterwards()
+        mounts.publish(
+            messages.mounts_to_tf(settings.mounts.imu, settings.mounts.camera)
+        )
+        self._diagnostics, self._afterwards = (
+            GraphDiagnostics(self),
+            intra_process.afterwards(),
+        )
         profile = inputs.sensor_profile(self, qos.SENSOR)
         self._imu = inputs.subscribe(self, Imu, "imu", self._on_imu, profile)
         inputs.subscribe(self, Odometry, "odom", self._on_odometry, profile)
@@ -52,7 +59,9 @@ class StateEstimatorNode(Node):
         self._estimator.add_imu(*reading)
         self._publish()
         # skipped without subscribers: it costs more than the filter
-        if self._filtered.get_subscription_count() and (present := self._estimator.present()):
+        if self._filtered.get_subscription_count() and (
+            present := self._estimator.present()
+        ):
             self._filtered.publish(messages.estimate_to_odometry(present))
 
     def _on_odometry(self, message: Odometry) -> None:

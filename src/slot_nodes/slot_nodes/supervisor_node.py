@@ -50,7 +50,11 @@ from slot_nodes.graph_diagnostics import SupervisorDiagnostics
 ESTOP_TYPE = "slot_msgs/msg/EmergencyStop"
 LIMITS_PERIOD = 1.0  # s, between two messages with the limits of the servos
 NODES_PERIOD = 1.0  # s, between two looks at which nodes are there
-CONTROLLER = ("gait_preview", "tendon_plan", "desired_joint_angles")  # one topic of each node
+CONTROLLER = (
+    "gait_preview",
+    "tendon_plan",
+    "desired_joint_angles",
+)  # one topic of each node
 
 
 class SupervisorNode(Node):
@@ -58,13 +62,22 @@ class SupervisorNode(Node):
 
     def __init__(self) -> None:
         super().__init__("supervisor")
-        robot, settings = read_robot(), runtime.declare_settings(self, read_supervisor())
-        self._supervisor = Supervisor(robot, settings, read_tendon_watch(robot, settings.tendon))
+        robot, settings = (
+            read_robot(),
+            runtime.declare_settings(self, read_supervisor()),
+        )
+        self._supervisor = Supervisor(
+            robot, settings, read_tendon_watch(robot, settings.tendon)
+        )
         help_text = "step on the servos' reports, at their stamps"
         self._lockstep = runtime.declare(self, "lockstep", False, help_text)
-        self._stepped = LOCKSTEP_START - 1  # ns, in lockstep the stamp of the last report
+        self._stepped = (
+            LOCKSTEP_START - 1
+        )  # ns, in lockstep the stamp of the last report
         self._walk = self._declare_gait()
-        autostart = runtime.declare(self, "autostart", False, "stand up and walk without requests")
+        autostart = runtime.declare(
+            self, "autostart", False, "stand up and walk without requests"
+        )
         self._start_up = StartUp(*self._start_up_requests() if autostart else ())
         self._ticked = TickedSupervisor(self._supervisor, self._start_up)
         self._gathered = LockstepInputs()
@@ -80,9 +93,13 @@ class SupervisorNode(Node):
             "gait": self.create_client(SetGait, "set_gait"),
             "followed": self.create_client(SetBool, "gait_scheduler/followed"),
         }
-        self._wanted: dict[str, Any] = {}  # requests to make once their services are there
+        self._wanted: dict[
+            str, Any
+        ] = {}  # requests to make once their services are there
         self._answers: list[Future] = []  # that are awaited
-        self._awaited: tuple[int, Health] | None = None  # in lockstep, report to step on
+        self._awaited: tuple[int, Health] | None = (
+            None  # in lockstep, report to step on
+        )
         self._unsent: Report | None = None  # in lockstep, until it is published
         self._polled = inputs.PassiveSubscriptions(self)  # at each step
         self._polled.wake_on_message(self._lockstep)
@@ -110,7 +127,9 @@ class SupervisorNode(Node):
     def _declare_gait(self) -> SetGait.Request:
         """Declare gait and velocity of WALKING; raises ConfigError if they do not fit."""
         gaits = read_gaits()
-        gait = runtime.declare(self, "gait", STAND, "gait of WALKING, a file of config/gait")
+        gait = runtime.declare(
+            self, "gait", STAND, "gait of WALKING, a file of config/gait"
+        )
         v_x = runtime.declare(
             self, "v_x", gaits.find(gait).cruise, "forward velocity of WALKING [m/s]"
         )
@@ -133,7 +152,9 @@ class SupervisorNode(Node):
         self._hears_controller = True
         self._polled.subscribe(MpcState, "mpc_state", self._on_state, qos.CONTROL)
         self._polled.subscribe(TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL)
-        inputs.subscribe(self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL)
+        inputs.subscribe(
+            self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL
+        )
 
     def _subscribe_to_robot(self) -> None:
         self._joints = self._polled.subscribe(
@@ -146,7 +167,9 @@ class SupervisorNode(Node):
         """Time of the messages' clock, ns; in lockstep the time of the last step."""
         return self._stepped if self._lockstep else self.get_clock().now().nanoseconds
 
-    def _take(self, source: str, stamp: int, take: Callable[..., Any], *given: Any) -> Any:
+    def _take(
+        self, source: str, stamp: int, take: Callable[..., Any], *given: Any
+    ) -> Any:
         """Take an input now, or in lockstep at its step; returns the result of `take`."""
         if not self._lockstep:
             return take(self._now(), *given)
@@ -177,7 +200,9 @@ class SupervisorNode(Node):
 
     def _on_joints(self, message: JointState) -> None:
         stamp, angle, torque = decode.joint_loads(message)
-        self._take("joints", stamp, self._supervisor.receive_joints, stamp, angle, torque)
+        self._take(
+            "joints", stamp, self._supervisor.receive_joints, stamp, angle, torque
+        )
 
     def _on_health(self, message: ServoHealth) -> None:
         stamp, health = decode.servo_health(message)
@@ -259,10 +284,16 @@ class SupervisorNode(Node):
         """Call the gait scheduler's services for the wanted gait, as far as they are there."""
         for answer in self._answers:
             if answer.done() and not answer.result().success:
-                self.get_logger().error(f"gait_scheduler refuses: {answer.result().message}")
+                self.get_logger().error(
+                    f"gait_scheduler refuses: {answer.result().message}"
+                )
         self._answers = [answer for answer in self._answers if not answer.done()]
-        for name in [name for name in self._wanted if self._scheduler[name].service_is_ready()]:
-            self._answers.append(self._scheduler[name].call_async(self._wanted.pop(name)))
+        for name in [
+            name for name in self._wanted if self._scheduler[name].service_is_ready()
+        ]:
+            self._answers.append(
+                self._scheduler[name].call_async(self._wanted.pop(name))
+            )
 
     def _note(self, report: Report) -> None:
         """Compare a report with the last one, for a transition and whether the servos follow."""

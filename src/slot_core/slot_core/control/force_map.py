@@ -34,10 +34,16 @@ PLANNED, HELD = "planned", "hold"  # names where no map is applied
 class ForceMapSettings:
     """Settings of `config/force_map.yaml`."""
 
-    line_offset: float = quantity("paper's line: force at angle zero, negated", "N", 0, 50)
+    line_offset: float = quantity(
+        "paper's line: force at angle zero, negated", "N", 0, 50
+    )
     line_slope: float = quantity("paper's line: slope", "N/deg", 1e-3, 10)
-    slope_min: float = quantity("least slope of a leg's force over its angle", "N/rad", 0.1, 100)
-    correction_max_deg: float = quantity("largest correction of map incremental", "deg", 0, 120)
+    slope_min: float = quantity(
+        "least slope of a leg's force over its angle", "N/rad", 0.1, 100
+    )
+    correction_max_deg: float = quantity(
+        "largest correction of map incremental", "deg", 0, 120
+    )
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,9 @@ class ForceMap:
 
     STATE = StateParts("_last")
 
-    def __init__(self, robot: RobotParameters, settings: ForceMapSettings, springs: LegSprings):
+    def __init__(
+        self, robot: RobotParameters, settings: ForceMapSettings, springs: LegSprings
+    ):
         self._robot, self._settings, self._springs = robot, settings, springs
         self._maps: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
             "incremental": self._incremental,
@@ -66,7 +74,9 @@ class ForceMap:
         }
         self._last: Array | None = None
 
-    def step(self, plan: TendonPlan, preview: GaitPreview, state: Array) -> TendonCommand:
+    def step(
+        self, plan: TendonPlan, preview: GaitPreview, state: Array
+    ) -> TendonCommand:
         """Command of a plan for the preview and state (12,) of its stamp.
 
         On STOPPED the last angles are held. Raises ValueError for an unknown map, and for forces,
@@ -86,11 +96,15 @@ class ForceMap:
         elif plan.map in self._maps:
             found = self._maps[plan.map](normal, preview, state)
         else:
-            raise ValueError(f"map {quoted(plan.map)}: expected one of {', '.join(self._maps)}")
+            raise ValueError(
+                f"map {quoted(plan.map)}: expected one of {', '.join(self._maps)}"
+            )
         angle, slope, rate = found
         self._last = clipped = self._clip(angle)
         name = plan.map or PLANNED
-        return TendonCommand(name, clipped, normal, slope, angle, clipped != angle, rate)
+        return TendonCommand(
+            name, clipped, normal, slope, angle, clipped != angle, rate
+        )
 
     def _incremental(
         self, normal: Array, preview: GaitPreview, state: Array
@@ -110,9 +124,13 @@ class ForceMap:
 
     def _hold(self, preview: GaitPreview) -> TendonCommand:
         """The last angles; before the first of them, the nominal angles of the preview."""
-        angle = self._clip(preview.tendon_angle[0]) if self._last is None else self._last
+        angle = (
+            self._clip(preview.tendon_angle[0]) if self._last is None else self._last
+        )
         zeros = np.zeros(len(LEGS))
-        return TendonCommand(HELD, angle, zeros, zeros, angle, zeros.astype(bool), zeros)
+        return TendonCommand(
+            HELD, angle, zeros, zeros, angle, zeros.astype(bool), zeros
+        )
 
     def _clip(self, angle: Array) -> Array:
         return np.clip(angle, 0.0, self._robot.tendon.angle_max)

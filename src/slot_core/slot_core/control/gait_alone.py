@@ -23,6 +23,9 @@ class GaitAlone(Policy):
 
 def gait_plan(preview: GaitPreview, change: Array | float = 0.0) -> TendonPlan:
     """The angles of a preview, changed by `change` (n, 4), rad, and its normal forces."""
-    angle, force = preview.tendon_angle + change, np.zeros((*preview.normal_force.shape, 3))
+    angle, force = (
+        preview.tendon_angle + change,
+        np.zeros((*preview.normal_force.shape, 3)),
+    )
     force[..., 2] = preview.normal_force
     return TendonPlan(angle, first_rate(angle, preview.dt), force)

@@ -26,9 +26,15 @@ def preview_fault(preview: GaitPreview, stages: int, most: float) -> str:
         fault_of("preview.dt", preview.dt, (), *STAGE)
         or fault_of("preview.contact", preview.contact, (stages, FEET), 0, 1)
         or fault_of("preview.friction", preview.friction, (stages, FEET), 0, most)
-        or fault_of("preview.normal_force", preview.normal_force, (stages, FEET), -most, most)
-        or fault_of("preview.tendon_angle", preview.tendon_angle, (stages, FEET), -most, most)
-        or fault_of("preview.reference", preview.reference, (stages, STATES), -most, most)
+        or fault_of(
+            "preview.normal_force", preview.normal_force, (stages, FEET), -most, most
+        )
+        or fault_of(
+            "preview.tendon_angle", preview.tendon_angle, (stages, FEET), -most, most
+        )
+        or fault_of(
+            "preview.reference", preview.reference, (stages, STATES), -most, most
+        )
     )
 
 
@@ -43,7 +49,9 @@ def is_late(plan: TendonPlan) -> bool:
     return EXCEED in plan.message
 
 
-def fault_of(name: str, value: Any, shape: tuple[int, ...], low: float, high: float) -> str:
+def fault_of(
+    name: str, value: Any, shape: tuple[int, ...], low: float, high: float
+) -> str:
     """The fault of an input of `shape`, or ""; two-dimensional inputs may have more rows."""
     try:
         array = np.asarray(value, dtype=float)
@@ -52,7 +60,9 @@ def fault_of(name: str, value: Any, shape: tuple[int, ...], low: float, high: fl
     usable = array[: shape[0]].shape if array.ndim == len(shape) == 2 else array.shape
     if usable != shape:
         return f"{name}: shape {array.shape}, needs {shape}"
-    if low <= array.min(initial=high) and array.max(initial=low) <= high:  # false for NaN
+    if (
+        low <= array.min(initial=high) and array.max(initial=low) <= high
+    ):  # false for NaN
         return ""
     inside = (array >= low) & (array <= high)
     index = tuple(int(i) for i in np.argwhere(~inside)[0])

@@ -20,7 +20,12 @@ from slot_core.config import ConfigError, text
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.input_check import state_fault
 from slot_core.control.policy import Policy, Status, TendonPlan, Timer
-from slot_core.control.walk_actions import ACTIONS, deviation, observation, observation_size
+from slot_core.control.walk_actions import (
+    ACTIONS,
+    deviation,
+    observation,
+    observation_size,
+)
 from slot_core.estimation.estimate import Estimate
 from slot_core.files import ONNX, read_bytes
 from slot_core.gait.gait import GaitPreview, read_gaits
@@ -82,7 +87,9 @@ class OnnxPolicy(Policy):
             return self._fall_back(Status.NOT_SOLVED, "action not finite", preview)
         self._action, self._missed = np.clip(action, -1.0, 1.0), 0
         velocity = preview.velocity_ahead
-        change = deviation(self._kind, self._action, self._stride, preview.phases, velocity)
+        change = deviation(
+            self._kind, self._action, self._stride, preview.phases, velocity
+        )
         return gait_plan(preview, change)
 
     def _fall_back(self, cause: Status, fault: str, preview: GaitPreview) -> TendonPlan:
@@ -129,14 +136,18 @@ def _session(file: Path) -> Any:
 def _require_sizes(file: Path, session: Any, expected: tuple[int, int]) -> None:
     """Raise ConfigError for a network that does not map one observation to one action."""
     ports = session.get_inputs(), session.get_outputs()
-    found = tuple(port[0].shape[-1] if len(port) == 1 and port[0].shape else 0 for port in ports)
+    found = tuple(
+        port[0].shape[-1] if len(port) == 1 and port[0].shape else 0 for port in ports
+    )
     if found != expected:
         raise ConfigError(
             f"policy {file}: the network maps {found[0]} values to {found[1]}, expected"
             f" {expected[0]} to {expected[1]}"
         )
     with _refused(file):
-        session.run(None, {ports[0][0].name: np.zeros((1, expected[0]), dtype=np.float32)})
+        session.run(
+            None, {ports[0][0].name: np.zeros((1, expected[0]), dtype=np.float32)}
+        )
 
 
 @contextmanager

@@ -29,8 +29,12 @@ from slot_core.robot import Array, RobotParameters
 class PlaceSettings:
     """Settings of `config/place.yaml`."""
 
-    gain: Vector3 = quantity("change of the velocity per error of x, y and yaw", "1/s", 0, 100)
-    change_max: Vector3 = quantity("largest change of v_x, v_y and yaw rate", "SI", 0, 1)
+    gain: Vector3 = quantity(
+        "change of the velocity per error of x, y and yaw", "1/s", 0, 100
+    )
+    change_max: Vector3 = quantity(
+        "largest change of v_x, v_y and yaw rate", "SI", 0, 1
+    )
 
 
 class PlaceFeedback(Policy):
@@ -50,7 +54,11 @@ class PlaceFeedback(Policy):
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """The gait's angles, with amplitudes that bring the robot to its place."""
         stride = self._strides.get(preview.gait)
-        if stride is None or not preview.corrected or not np.isfinite(estimate.state).all():
+        if (
+            stride is None
+            or not preview.corrected
+            or not np.isfinite(estimate.state).all()
+        ):
             return gait_plan(preview)
         phase = preview.phases
         table = stride.stride_table(phase, preview.velocity_ahead)

@@ -40,7 +40,9 @@ class Status(enum.IntEnum):
     LATE = 2  # solved after its time budget: fallback in use
     REJECTED = 3  # input rejected before the solve: fallback in use
     STOPPED = 4  # no feasible input yet, or fallback used up: not to be applied
-    MODEL_FAR = 5  # the robot moves otherwise than the policy's model: the gait's angles
+    MODEL_FAR = (
+        5  # the robot moves otherwise than the policy's model: the gait's angles
+    )
 
 
 def _unknown() -> Array:
@@ -58,12 +60,18 @@ class PlanReport:
     slack_normal_min: Array = field(default_factory=_unknown)  # (4,) N
     slack_normal_max: Array = field(default_factory=_unknown)  # (4,) N
     slack_friction: Array = field(default_factory=_unknown)  # (4,) N
-    slack_angle: Array = field(default_factory=_unknown)  # (4,) rad, to the nearer limit
+    slack_angle: Array = field(
+        default_factory=_unknown
+    )  # (4,) rad, to the nearer limit
     slack_rate: Array = field(default_factory=_unknown)  # (4,) rad/s
     slack_total: float = math.nan  # N, sum of contact f_max - m g
-    slack_balance: float = math.nan  # N, band - |sum f_z - m g|; infinite without `equality`
+    slack_balance: float = (
+        math.nan
+    )  # N, band - |sum f_z - m g|; infinite without `equality`
     mass: float = math.nan  # kg, of the model
-    drift: Array = field(default_factory=lambda: np.zeros(3))  # v_x, v_y m/s, yaw rate rad/s
+    drift: Array = field(
+        default_factory=lambda: np.zeros(3)
+    )  # v_x, v_y m/s, yaw rate rad/s
     wrench: Array = field(default_factory=lambda: np.zeros(3))  # F_z N, M_x, M_y N m
 
 
@@ -83,9 +91,13 @@ class TendonPlan:
     map: str = ""  # of a plan of forces alone
     fallback_cycles: int = 0  # consecutive cycles without an accepted solution
     report: PlanReport = PlanReport()
-    pose: Array = field(default_factory=lambda: np.zeros((0, 6)))  # (n, 6) roll, pitch, yaw, x, y,
+    pose: Array = field(
+        default_factory=lambda: np.zeros((0, 6))
+    )  # (n, 6) roll, pitch, yaw, x, y,
     # z at the stages 1 .. n, predicted, in odom; empty: the policy predicts none
-    foot: Array = field(default_factory=lambda: np.zeros((0, len(LEGS), 3)))  # (n, 4, 3) m, there
+    foot: Array = field(
+        default_factory=lambda: np.zeros((0, len(LEGS), 3))
+    )  # (n, 4, 3) m, there
 
 
 @dataclass(frozen=True)
@@ -149,11 +161,16 @@ def _class_of(place: str) -> type[Policy]:
 
 
 def make_policy(
-    name: str, robot: RobotParameters, timer: Timer = time.perf_counter, settings: Any = None
+    name: str,
+    robot: RobotParameters,
+    timer: Timer = time.perf_counter,
+    settings: Any = None,
 ) -> Policy:
     """The policy of that name or file, by default with its own settings; raises ConfigError."""
     kind = policy_class(name)
-    return kind(robot, kind.read_settings(name) if settings is None else settings, timer)
+    return kind(
+        robot, kind.read_settings(name) if settings is None else settings, timer
+    )
 
 
 def _class_in_file(path: Path) -> type[Policy]:

@@ -61,11 +61,15 @@ class TunedPolicy:
         self._policy, self.changes = self._made(changes), dict(changes)
 
     def _made(self, changes: Mapping[str, Any]) -> Policy:
-        return self._make(config.replace(self._settings, changes, "settings of the policy"))
+        return self._make(
+            config.replace(self._settings, changes, "settings of the policy")
+        )
 
 
 def _require_standing(preview: GaitPreview) -> None:
     """Raise ConfigError unless the robot stands, and is to go on standing."""
     for gait in (preview.gait, preview.command.gait):
         if gait != STAND:
-            raise ConfigError(f"gait {gait}: settings change in {STAND} only, see /set_gait")
+            raise ConfigError(
+                f"gait {gait}: settings change in {STAND} only, see /set_gait"
+            )

@@ -25,7 +25,9 @@ ANGLE_MAX = 0.35  # rad
 AMPLITUDE_MAX = np.array([0.05, 0.05, 0.1])  # m/s, m/s, rad/s
 ACTIONS = {"tendons": len(LEGS), "amplitudes": 3}
 """Number of values of an action, by its kind."""
-SCALE = np.array([0.05, 0.05, 0.1, *[0.02] * 2, 0.01, *[0.5] * 3, *[0.05] * 3])  # rad, m, SI
+SCALE = np.array(
+    [0.05, 0.05, 0.1, *[0.02] * 2, 0.01, *[0.5] * 3, *[0.05] * 3]
+)  # rad, m, SI
 CLIP = 5.0  # largest magnitude in an observation
 
 
@@ -50,7 +52,9 @@ def observation(
     return np.clip(np.hstack(parts), -CLIP, CLIP)
 
 
-def deviation(kind: str, action: Array, stride: Stride, phase: Array, velocity: Array) -> Array:
+def deviation(
+    kind: str, action: Array, stride: Stride, phase: Array, velocity: Array
+) -> Array:
     """Change (m, 4) of the gait's tendon angles, rad, by actions (m, n), or (1, n) for all.
 
     phase: (m,) and velocity: (m, 3) of the stride.

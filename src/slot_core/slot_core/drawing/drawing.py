@@ -59,8 +59,12 @@ class Drawing:
         self._robot = robot
         self._tension_max = torque_max / robot.tendon.spool_radius
         self._position, self._quaternion = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
-        self._legs = natural_legs(self._position, self._quaternion, robot, NATURAL_NODES)
-        self._placed = self._simulated = False  # whether a pose, the exact one has been received
+        self._legs = natural_legs(
+            self._position, self._quaternion, robot, NATURAL_NODES
+        )
+        self._placed = self._simulated = (
+            False  # whether a pose, the exact one has been received
+        )
         self._path, self._reference_path = Trace(), Trace()
 
     def receive(self, topic: str, message: Any) -> dict[str, Shape]:
@@ -81,15 +85,23 @@ class Drawing:
         state = decode.estimate(message).state
         quaternion = Rotation.from_euler("xyz", _finite(state)[:3]).as_quat()
         shapes = self._draw_torso(state[3:6], quaternion)
-        self._legs = natural_legs(self._position, quaternion, self._robot, NATURAL_NODES)
+        self._legs = natural_legs(
+            self._position, quaternion, self._robot, NATURAL_NODES
+        )
         return shapes | {"legs": leg_bars(self._legs, self._robot, known=False)}
 
     def _draw_torso(self, position: Array, quaternion: Array) -> dict[str, Shape]:
         self._position, self._quaternion = _finite(position), _finite(quaternion)
         self._placed = True
         path = self._path.extend(position)
-        shapes: dict[str, Shape] = {"torso": torso_box(position, quaternion, self._robot)}
-        return shapes if path is None else shapes | {"path": path_strip(path, LEG_COLOURS[0])}
+        shapes: dict[str, Shape] = {
+            "torso": torso_box(position, quaternion, self._robot)
+        }
+        return (
+            shapes
+            if path is None
+            else shapes | {"path": path_strip(path, LEG_COLOURS[0])}
+        )
 
     def _draw_legs(self, message: Any) -> dict[str, Shape]:
         self._simulated = True
@@ -106,7 +118,9 @@ class Drawing:
         if self._simulated or not self._placed:
             return {}
         _, _, torque = decode.joint_loads(message)
-        return {"tendons": self._tendons(_finite(torque) / self._robot.tendon.spool_radius)}
+        return {
+            "tendons": self._tendons(_finite(torque) / self._robot.tendon.spool_radius)
+        }
 
     def _tendons(self, tension: Array) -> Shape:
         return tendon_strips(self._legs, tension, self._robot, self._tension_max)
@@ -121,7 +135,11 @@ class Drawing:
             "horizon": path_strip(reference[:, 3:6], REFERENCE),
         }
         path = self._reference_path.extend(position)
-        return shapes if path is None else shapes | {"reference_path": path_strip(path, REFERENCE)}
+        return (
+            shapes
+            if path is None
+            else shapes | {"reference_path": path_strip(path, REFERENCE)}
+        )
 
     def _draw_plan(self, message: Any) -> dict[str, Shape]:
         """Planned forces of the first stage at the tips of the legs, and the predicted motion."""

@@ -20,7 +20,9 @@ from slot_core.robot import LEGS, Array, RobotParameters
 FORCE_SCALE = 0.012  # m of arrow per N
 LEAST_FORCE = 0.2  # N, smaller forces are not drawn
 TENDON_WIDTH, ARROW_WIDTH, EDGE_WIDTH, PATH_WIDTH = 0.002, 0.003, 0.001, 0.002  # m
-CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # of a box of edge length one
+CORNERS = np.array(
+    list(itertools.product((-0.5, 0.5), repeat=3))
+)  # of a box of edge length one
 # a walk along all twelve edges, by row of CORNERS
 EDGE_WALK = [0, 1, 3, 2, 0, 4, 5, 1, 5, 7, 3, 7, 6, 2, 6, 4]
 
@@ -66,7 +68,9 @@ class Bars:
         """(4 m - 2, 4) faces of a bar by row of its corners (4 m, 3), counter-clockwise outside."""
         row = np.arange(4 * self.corners.shape[1]).reshape(-1, 4)
         ahead = np.roll(row, -1, axis=1)
-        sides = np.stack([row[:-1], ahead[:-1], ahead[1:], row[1:]], axis=2).reshape(-1, 4)
+        sides = np.stack([row[:-1], ahead[:-1], ahead[1:], row[1:]], axis=2).reshape(
+            -1, 4
+        )
         return np.concatenate([sides, row[:1, ::-1], row[-1:]])
 
     @property
@@ -129,7 +133,10 @@ def rgb(colour: str) -> Array:
 
 
 LEG_COLOURS = np.array([rgb(palette.LEG_COLOURS[leg]) for leg in LEGS])
-SLACK, LOADED = rgb(palette.PALE), rgb("#C00000")  # tendons without load and at the largest
+SLACK, LOADED = (
+    rgb(palette.PALE),
+    rgb("#C00000"),
+)  # tendons without load and at the largest
 
 
 def torso_box(position: Array, quaternion: Array, robot: RobotParameters) -> Box:
@@ -143,7 +150,9 @@ def box_edges(position: Array, quaternion: Array, size: Array, colour: Array) ->
     return Strips(corners[EDGE_WALK][None], colour[None], EDGE_WIDTH)
 
 
-def bent_legs(nodes: Array, directors: Array, quaternion: Array, robot: RobotParameters) -> Legs:
+def bent_legs(
+    nodes: Array, directors: Array, quaternion: Array, robot: RobotParameters
+) -> Legs:
     """Legs at nodes (4, n, 3) m with directors (4, n - 1, 3).
 
     Without directors, (4, 0, 3), a leg lies in the plane of its azimuth, which is fixed to the
@@ -155,12 +164,16 @@ def bent_legs(nodes: Array, directors: Array, quaternion: Array, robot: RobotPar
     return Legs(nodes, directors)
 
 
-def natural_legs(position: Array, quaternion: Array, robot: RobotParameters, nodes: int) -> Legs:
+def natural_legs(
+    position: Array, quaternion: Array, robot: RobotParameters, nodes: int
+) -> Legs:
     """Stress-free legs of a torso, at `nodes` nodes: where the bent ones are not known."""
     x = np.linspace(0.0, robot.leg.reach, nodes)
     rise = robot.leg.shape(x) - robot.leg.shape(0.0)
     along = x[None, :, None] * robot.outward[:, None]
-    body = robot.clamps[:, None] + along + rise[None, :, None] * np.array([0.0, 0.0, 1.0])
+    body = (
+        robot.clamps[:, None] + along + rise[None, :, None] * np.array([0.0, 0.0, 1.0])
+    )
     turned = Rotation.from_quat(quaternion).apply(body.reshape(-1, 3))
     points = np.asarray(position + turned).reshape(body.shape)
     return bent_legs(points, np.zeros((len(LEGS), 0, 3)), quaternion, robot)
@@ -175,7 +188,9 @@ def leg_bars(legs: Legs, robot: RobotParameters, *, known: bool = True) -> Bars:
     return Bars(corners, LEG_COLOURS if known else np.tile(SLACK, (len(LEGS), 1)))
 
 
-def tendon_strips(legs: Legs, tension: Array, robot: RobotParameters, top: float) -> Strips:
+def tendon_strips(
+    legs: Legs, tension: Array, robot: RobotParameters, top: float
+) -> Strips:
     """Tendons along the lower sides of the legs up to the anchors.
 
     The colour goes with the tension (4,) N from pale at zero to red at `top` (N).

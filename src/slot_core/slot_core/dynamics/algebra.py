@@ -85,7 +85,9 @@ def cosine_sine(angle):
     square = angle * angle
     if all_lanes(square < 1e-4):
         c = 1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0))
-        return c, angle * (1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)))
+        return c, angle * (
+            1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
+        )
     return cos(angle), sin(angle)
 
 
@@ -130,7 +132,11 @@ def dot(a, b):
 @helper
 def cross(a, b):
     """Vector product of three numbers each."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
 
 
 @helper

@@ -94,7 +94,9 @@ def friction_force(floor, limit, tau, stiffness, damping, bristle, v):
     zero = like(0.0, limit)
     if floor.bristle == 0.0:
         slip = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-        return Friction(limit / math.sqrt(slip + floor.friction_velocity**2), zero, zero, zero)
+        return Friction(
+            limit / math.sqrt(slip + floor.friction_velocity**2), zero, zero, zero
+        )
     k, d = floor.bristle * stiffness, floor.bristle * damping
     rate = k * tau + d
     fx, fy, fz = (

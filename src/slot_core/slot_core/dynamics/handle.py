@@ -45,7 +45,9 @@ class Handle:
         if self._memory.nbytes != context.get_abi_sizeof(
             context.get_value_type(self.numba_type.content)
         ):
-            raise TypeError("Numba lays out the content of a Handle otherwise than _words does")
+            raise TypeError(
+                "Numba lays out the content of a Handle otherwise than _words does"
+            )
         self.address: int = self._memory.ctypes.data
 
     def __reduce__(self) -> str:
@@ -106,4 +108,6 @@ def _words(value: Any) -> Iterator[int]:
     ):  # a bool takes a byte, and the next item begins with the next word
         yield int(value) % 2**64
     else:
-        raise TypeError(f"a Handle holds tuples, arrays and numbers, not {type(value).__name__}")
+        raise TypeError(
+            f"a Handle holds tuples, arrays and numbers, not {type(value).__name__}"
+        )

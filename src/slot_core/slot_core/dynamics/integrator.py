@@ -37,7 +37,13 @@ from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.handle import contents
 from slot_core.dynamics.lanes import all_lanes, in_lanes, one_lane
 from slot_core.dynamics.spatial.elimination import eliminate, substitute
-from slot_core.dynamics.spatial.leg import advance_bristles, finish, load_leg, predict, stage
+from slot_core.dynamics.spatial.leg import (
+    advance_bristles,
+    finish,
+    load_leg,
+    predict,
+    stage,
+)
 from slot_core.dynamics.torso import add_corners, add_inertia, add_payload, add_push, at
 
 
@@ -62,7 +68,12 @@ def advance_one_by_one(machine, steps):
     The reference that the tests compare the lanes with.
     """
     model, state, work, start, legs, scheme = contents(machine)
-    singly = (one_lane(legs, 0), one_lane(legs, 1), one_lane(legs, 2), one_lane(legs, 3))
+    singly = (
+        one_lane(legs, 0),
+        one_lane(legs, 1),
+        one_lane(legs, 2),
+        one_lane(legs, 3),
+    )
     return advance_contents(model, state, work, start, singly, scheme, steps)
 
 
@@ -80,7 +91,10 @@ def advance_contents(model, state, work, start, legs, scheme, steps):
                 where = lost(state, legs, model.speed_limit)
                 if where >= 0:
                     break
-            if where < 0 and correction * (scheme.step / pieces) <= scheme.correction_limit:
+            if (
+                where < 0
+                and correction * (scheme.step / pieces) <= scheme.correction_limit
+            ):
                 break
             if halving < scheme.halvings:
                 copy(state.buffer, start.buffer)
@@ -186,8 +200,12 @@ def predict_torso(model, state, work, h, theta):
     rotation(work.turn, tau * w[0], tau * w[1], tau * w[2])
     product(work.rotation, state.rotation, work.turn)
     motion, field = work.motion, work.field
-    motion[0, 0], motion[0, 1], motion[0, 2] = times_transposed(work.rotation, v[0], v[1], v[2])
-    field[3, 0], field[3, 1], field[3, 2] = times_transposed(work.rotation, g[0], g[1], g[2])
+    motion[0, 0], motion[0, 1], motion[0, 2] = times_transposed(
+        work.rotation, v[0], v[1], v[2]
+    )
+    field[3, 0], field[3, 1], field[3, 2] = times_transposed(
+        work.rotation, g[0], g[1], g[2]
+    )
     for i in range(3):
         for k in range(3):
             field[k, i] = work.rotation[k, i]
@@ -236,7 +254,9 @@ def bend_corners(model, state, work, h):
         x, y, z = at(v, w, corners[k, 0], corners[k, 1], corners[k, 2])
         x, y, z = times(work.rotation, x, y, z)
         bristle, stiffness = state.corner_bristle[k], model.floor.corner_stiffness
-        advance_bristle(model.floor, bristle, work.limit[k], stiffness, work.slope[k], h, x, y, z)
+        advance_bristle(
+            model.floor, bristle, work.limit[k], stiffness, work.slope[k], h, x, y, z
+        )
 
 
 @helper

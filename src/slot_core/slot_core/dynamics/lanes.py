@@ -67,7 +67,9 @@ class _MaskModel(models.PrimitiveModel):
 
 def _spread(builder, value, vector):
     """The vector with this value in all lanes."""
-    one = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.IntType(32)(0))
+    one = builder.insert_element(
+        ir.Constant(vector, ir.Undefined), value, ir.IntType(32)(0)
+    )
     mask = ir.Constant(ir.VectorType(ir.IntType(32), COUNT), [0] * COUNT)
     return builder.shuffle_vector(one, ir.Constant(vector, ir.Undefined), mask)
 
@@ -79,7 +81,9 @@ def _lane(builder, value, k):
 @lower_cast(types.Float, _Lanes)
 @lower_cast(types.Integer, _Lanes)
 def _number_to_lanes(context, builder, fromty, toty, value):
-    return _spread(builder, context.cast(builder, value, fromty, types.float64), _VECTOR)
+    return _spread(
+        builder, context.cast(builder, value, fromty, types.float64), _VECTOR
+    )
 
 
 @lower_cast(types.Boolean, _Mask)
@@ -90,7 +94,9 @@ def _boolean_to_mask(context, builder, fromty, toty, value):
 def _is_lanes(args, number=_NUMBERS, lanes=_Lanes):
     """Whether the arguments are Lanes and numbers, with Lanes among them."""
     kinds = [isinstance(arg, lanes) for arg in args]
-    return any(kinds) and all(k or isinstance(arg, number) for k, arg in zip(kinds, args))
+    return any(kinds) and all(
+        k or isinstance(arg, number) for k, arg in zip(kinds, args)
+    )
 
 
 def _define(function, count, result, build):
@@ -131,7 +137,12 @@ def _sqrt(builder, a):
     return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [a])
 
 
-for _symbol, _name in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
+for _symbol, _name in (
+    ("add", "fadd"),
+    ("sub", "fsub"),
+    ("mul", "fmul"),
+    ("truediv", "fdiv"),
+):
     _define(getattr(operator, _symbol), 2, LANES, _operator(_name))
     _define(getattr(operator, f"i{_symbol}"), 2, LANES, _operator(_name))
 for _symbol, _name in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">=")):
@@ -145,7 +156,11 @@ _define(min, 2, LANES, _chooser("<"))
 @infer_global(operator.and_)
 class _And(AbstractTemplate):
     def generic(self, args, kws):
-        return signature(MASK, MASK, MASK) if _is_lanes(args, types.Boolean, _Mask) else None
+        return (
+            signature(MASK, MASK, MASK)
+            if _is_lanes(args, types.Boolean, _Mask)
+            else None
+        )
 
 
 @lower_builtin(operator.and_, _Mask, _Mask)
@@ -177,7 +192,9 @@ def any_lane(typingctx, mask):
         return types.boolean(types.boolean), lambda context, builder, sig, args: args[0]
 
     def build(context, builder, sig, args):
-        return builder.icmp_unsigned("!=", _bits(builder, args[0]), ir.IntType(COUNT)(0))
+        return builder.icmp_unsigned(
+            "!=", _bits(builder, args[0]), ir.IntType(COUNT)(0)
+        )
 
     return types.boolean(MASK), build
 
@@ -189,7 +206,9 @@ def all_lanes(typingctx, mask):
         return types.boolean(types.boolean), lambda context, builder, sig, args: args[0]
 
     def build(context, builder, sig, args):
-        return builder.icmp_unsigned("==", _bits(builder, args[0]), ir.IntType(COUNT)(-1))
+        return builder.icmp_unsigned(
+            "==", _bits(builder, args[0]), ir.IntType(COUNT)(-1)
+        )
 
     return types.boolean(MASK), build
 
@@ -257,14 +276,18 @@ def like(typingctx, value, sample):
 def _cos(x):
     """Cosine of each lane in turn: slow, for rare use, as those below."""
     if isinstance(x, _Lanes):
-        return lambda x: join(cos(lane(x, 0)), cos(lane(x, 1)), cos(lane(x, 2)), cos(lane(x, 3)))
+        return lambda x: join(
+            cos(lane(x, 0)), cos(lane(x, 1)), cos(lane(x, 2)), cos(lane(x, 3))
+        )
     return None
 
 
 @overload(sin, jit_options=OPTIONS)  # type: ignore[arg-type]
 def _sin(x):
     if isinstance(x, _Lanes):
-        return lambda x: join(sin(lane(x, 0)), sin(lane(x, 1)), sin(lane(x, 2)), sin(lane(x, 3)))
+        return lambda x: join(
+            sin(lane(x, 0)), sin(lane(x, 1)), sin(lane(x, 2)), sin(lane(x, 3))
+        )
     return None
 
 
@@ -288,7 +311,9 @@ def _part(kind, leaf):
     """Type of a (nested) named tuple of arrays (..., 4) with `leaf(ndim)` in place of each."""
     if isinstance(kind, types.Array):
         if kind.layout != "C" or kind.dtype != types.float64:
-            raise TypingError(f"{kind} has no lanes: they are the last axis of a contiguous array")
+            raise TypingError(
+                f"{kind} has no lanes: they are the last axis of a contiguous array"
+            )
         return leaf(kind.ndim - 1)
     parts = [_part(part, leaf) for part in kind.types]
     if all(part == parts[0] for part in parts):
@@ -303,8 +328,13 @@ def _convert(context, builder, kind, out, value, first):
         triples = zip(kind.types, out.types, parts)
         parts = [_convert(context, builder, *triple, first) for triple in triples]
         return context.make_tuple(builder, out, parts)
-    source, view = make_array(kind)(context, builder, value), make_array(out)(context, builder)
-    shape, strides = (cgutils.unpack_tuple(builder, x)[:-1] for x in (source.shape, source.strides))
+    source, view = (
+        make_array(kind)(context, builder, value),
+        make_array(out)(context, builder),
+    )
+    shape, strides = (
+        cgutils.unpack_tuple(builder, x)[:-1] for x in (source.shape, source.strides)
+    )
     data = builder.bitcast(builder.gep(source.data, [first]), view.data.type)
     itemsize = context.get_abi_sizeof(context.get_data_type(out.dtype))
     populate_array(view, data, shape, strides, itemsize, None)
@@ -321,7 +351,9 @@ def in_lanes(typingctx, arrays):
     out = _part(arrays, lambda ndim: types.Array(LANES, ndim, "C", aligned=False))
 
     def build(context, builder, sig, args):
-        return _convert(context, builder, arrays, out, args[0], context.get_constant(types.intp, 0))
+        return _convert(
+            context, builder, arrays, out, args[0], context.get_constant(types.intp, 0)
+        )
 
     return out(arrays), build
 

@@ -38,7 +38,9 @@ class Model(NamedTuple):
     torso: TorsoBox
     floor: Floor
     servo: Servo
-    friction: Array  # (2, 4) coefficient of the legs, and its other value where it varies
+    friction: (
+        Array  # (2, 4) coefficient of the legs, and its other value where it varies
+    )
     gravity: Array  # (3,) m/s^2, odom
     axes: Array  # (4, 3, 3) base_link to leg axes
     root: Array  # (4, 3) m, clamp from the torso's centre, leg axes
@@ -60,15 +62,15 @@ class MechanicalState(NamedTuple):
     specific_force: Array  # (3,) m/s^2, base_link, mean over the last step
     node: Array  # (4, N, 3) m from the clamp, leg axes
     node_velocity: Array  # (4, N, 3) m/s, absolute, leg axes
-    director: Array  # (4, N-1, 3) unit vectors along the width of the segments, leg axes
+    director: (
+        Array  # (4, N-1, 3) unit vectors along the width of the segments, leg axes
+    )
     swirl: Array  # (4, N-1, 3) rad/s, angular momentum of their twist over its inertia, leg axes
     tendon_angle: Array  # (4,) rad
     tendon_rate: Array  # (4,) rad/s, over the last step
     tension: Array  # (4,) N, at the stage of the last step
     drive: Array  # (4, 3) state of the servos, see `servo.spool_rate`
-    bristle: (
-        Array  # (4, P, 3) m, odom, and (8, 3) of the torso's corners; zero with viscous friction
-    )
+    bristle: Array  # (4, P, 3) m, odom, and (8, 3) of the torso's corners; zero with viscous friction
     corner_bristle: Array
     memory: Array  # (4, N-1, 4, 2) strains of `spatial/relaxation.py`; empty without branches
 
@@ -116,7 +118,15 @@ def state_space(nodes: int, points: int, relaxes: bool = False) -> MechanicalSta
     buffer = np.zeros(ends[-1])
     parts = zip(shapes.items(), np.split(buffer, ends[:-1]))
     views = {name: part.reshape(shape) for (name, shape), part in parts}
-    for name in ("node", "node_velocity", "director", "swirl", "drive", "bristle", "memory"):
+    for name in (
+        "node",
+        "node_velocity",
+        "director",
+        "swirl",
+        "drive",
+        "bristle",
+        "memory",
+    ):
         views[name] = np.moveaxis(views[name], -1, 0)
     return MechanicalState(buffer, **views)
 
@@ -219,7 +229,11 @@ def build_model(robot: RobotParameters, scene: Scene, settings: ServoSettings) -
     """
     c, s = cos(robot.azimuth), sin(robot.azimuth)
     zero, one = np.zeros(4), np.ones(4)
-    axes = np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]]).transpose(2, 0, 1).copy()
+    axes = (
+        np.array([[c, s, zero], [-s, c, zero], [zero, zero, one]])
+        .transpose(2, 0, 1)
+        .copy()
+    )
     root = (axes * robot.clamps[:, None]).sum(axis=-1)
     rod = discretise(robot.leg, scene.solver.nodes, robot.tendon.end_fraction)
     payload = scene.payload
@@ -228,7 +242,9 @@ def build_model(robot: RobotParameters, scene: Scene, settings: ServoSettings) -
         tendon=route(rod, robot.tendon),
         torso=box(robot.torso),
         floor=build_floor(scene.floor, rod, robot.leg.contact_width),
-        servo=servo(settings, scene.supply_voltage)._replace(friction=robot.tendon.capstan),
+        servo=servo(settings, scene.supply_voltage)._replace(
+            friction=robot.tendon.capstan
+        ),
         friction=np.array([scene.floor.friction, scene.floor.friction_other]),
         gravity=np.array(scene.gravity),
         axes=axes,
@@ -237,7 +253,9 @@ def build_model(robot: RobotParameters, scene: Scene, settings: ServoSettings) -
         speed_limit=scene.solver.speed_limit,
         payload=np.array([payload.mass, *payload.place]),
         push=np.zeros(6),
-        fault=np.array([scene.tendons.slack, np.logical_not(scene.tendons.broken)], dtype=float),
+        fault=np.array(
+            [scene.tendons.slack, np.logical_not(scene.tendons.broken)], dtype=float
+        ),
     )
 
 

@@ -50,7 +50,11 @@ def _contact_point(model, state, position, velocity, leg, p):
     e = plus(b, -1.0, a)
     w = cross(e, plus(row(velocity[leg], k + 1), -1.0, row(velocity[leg], k)))
     w = plus(_to_odom(model, state, leg, s[0], s[1], s[2]), 1.0 / dot(e, e), w)
-    return i, plus(row(position[leg], i), 1.0, arm), plus(row(velocity[leg], i), 1.0, cross(w, arm))
+    return (
+        i,
+        plus(row(position[leg], i), 1.0, arm),
+        plus(row(velocity[leg], i), 1.0, cross(w, arm)),
+    )
 
 
 @kernel
@@ -71,12 +75,16 @@ def ground_forces(model, state, position, velocity, force):
             normal = normal_force(stiffness, damping, gap, vn)
             outward = _outward(model, state, leg, v)
             rate = state.tendon_rate[leg]
-            mu = coefficient(floor, friction[0, leg], friction[1, leg], rate, outward, slip)
+            mu = coefficient(
+                floor, friction[0, leg], friction[1, leg], rate, outward, slip
+            )
             bristle = v
             if floor.bristle > 0.0:
                 held = state.bristle[leg, p]
                 bristle = (held[0], held[1], held[2])
-            hold = friction_force(floor, mu * normal, 0.0, stiffness, damping, bristle, v)
+            hold = friction_force(
+                floor, mu * normal, 0.0, stiffness, damping, bristle, v
+            )
             force[leg, 0] += normal * up[0] - hold.drag * v[0] - hold.x
             force[leg, 1] += normal * up[1] - hold.drag * v[1] - hold.y
             force[leg, 2] += normal * up[2] - hold.drag * v[2] - hold.z
@@ -120,7 +128,9 @@ def momenta(model, state, position, velocity, out):
             e = plus(row(position[leg], k + 1), -1.0, row(position[leg], k))
             u = plus(row(velocity[leg], k + 1), -1.0, row(velocity[leg], k))
             arm, s, inertia = cross(e, u), state.swirl[leg, k], model.rod.spin[k]
-            s = _to_odom(model, state, leg, inertia * s[0], inertia * s[1], inertia * s[2])
+            s = _to_odom(
+                model, state, leg, inertia * s[0], inertia * s[1], inertia * s[2]
+            )
             for i in range(3):
                 out[1, i] += s[i] - model.rod.coupling[k] * arm[i]
 
@@ -167,7 +177,10 @@ def _leg_energy(model, state, segments, position, velocity, leg):
     for i in range(position.shape[0]):
         total += _point_energy(model, rod.mass[i], position[i], velocity[i])
     for k in range(position.shape[0] - 1):
-        u, s = plus(row(velocity, k + 1), -1.0, row(velocity, k)), row(state.swirl[leg], k)
+        u, s = (
+            plus(row(velocity, k + 1), -1.0, row(velocity, k)),
+            row(state.swirl[leg], k),
+        )
         total += 0.5 * (rod.spin[k] * dot(s, s) - rod.coupling[k] * dot(u, u))
     return total
 
@@ -178,7 +191,9 @@ def _payload(model, state):
     _, x, y, z = model.payload
     w = state.rate
     px, py, pz = times(state.rotation, x, y, z)
-    u = times(state.rotation, w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x)
+    u = times(
+        state.rotation, w[1] * z - w[2] * y, w[2] * x - w[0] * z, w[0] * y - w[1] * x
+    )
     r, v = state.position, state.velocity
     return (r[0] + px, r[1] + py, r[2] + pz), (v[0] + u[0], v[1] + u[1], v[2] + u[2])
 

@@ -105,7 +105,9 @@ def build(leg: Leg, node: Array, arc: Array, anchor: int) -> Rod:
         node=node,
         arc=arc,
         **chain._replace(
-            bending=chain.bending[:-1], lateral=chain.lateral[:-1], torsion=chain.torsion[:-1]
+            bending=chain.bending[:-1],
+            lateral=chain.lateral[:-1],
+            torsion=chain.torsion[:-1],
         )._asdict(),
         anchor=anchor,
         anchor_share=float(before[-1] / (before[-1] + behind[0])),
@@ -114,7 +116,9 @@ def build(leg: Leg, node: Array, arc: Array, anchor: int) -> Rod:
     )
 
 
-def links(node: Array, arc: Array, extent: Array, hinge: Sections, middle: Sections) -> Links:
+def links(
+    node: Array, arc: Array, extent: Array, hinge: Sections, middle: Sections
+) -> Links:
     """Links of a chain: natural nodes (N, 2), arc lengths (N,) and hinges' weights (N,), m.
 
     hinge, middle: sections at the nodes and at the middles of the segments.

@@ -20,7 +20,9 @@ class FloorSettings:
     stiffness: float = quantity(
         "contact stiffness of a leg's tip and of the torso's corners", "N/m", 1e2, 1e7
     )
-    line_stiffness: float = quantity("contact stiffness along a leg", "N/m^2", 0.0, 1e10)
+    line_stiffness: float = quantity(
+        "contact stiffness along a leg", "N/m^2", 0.0, 1e10
+    )
     damping: float = quantity(
         "contact damping of a tip or corner; along a leg in proportion to the stiffness",
         "N s/m",
@@ -33,17 +35,31 @@ class FloorSettings:
     )
     friction_varies: str = choice(
         "dependence of friction: none, slip inward or outward, tendon pulled or released",
-        "uniform", "direction", "phase",
-    )  # fmt: skip
+        "uniform",
+        "direction",
+        "phase",
+    )
     friction_other: tuple[float, float, float, float] = quantity(
-        "friction coefficient of the legs outward or released, where it varies", "", 0.0, 5.0
+        "friction coefficient of the legs outward or released, where it varies",
+        "",
+        0.0,
+        5.0,
     )
-    torso_friction: float = quantity("friction coefficient of the torso's corners", "", 0.0, 5.0)
-    friction_law: str = choice("friction law: creeping or sticking", "viscous", "bristle")
+    torso_friction: float = quantity(
+        "friction coefficient of the torso's corners", "", 0.0, 5.0
+    )
+    friction_law: str = choice(
+        "friction law: creeping or sticking", "viscous", "bristle"
+    )
     friction_velocity: float = quantity(
-        "viscous friction: slip speed at which it is 71 % of Coulomb's", "m/s", 1e-6, 1.0
+        "viscous friction: slip speed at which it is 71 % of Coulomb's",
+        "m/s",
+        1e-6,
+        1.0,
     )
-    bristle: float = quantity("bristle friction: tangential over normal stiffness", "", 0.01, 100.0)
+    bristle: float = quantity(
+        "bristle friction: tangential over normal stiffness", "", 0.01, 100.0
+    )
     height_map: str = text("CSV of heights, m, in config/scene; empty: a plane")
     spacing: float = quantity("spacing of the heights", "m", 1e-3, 10.0)
 
@@ -89,8 +105,10 @@ class SolverSettings:
 
     legs: str = choice(
         "model of the legs: rods, quasi-static, or as published",
-        "spatial", "map", "paper",
-    )  # fmt: skip
+        "spatial",
+        "map",
+        "paper",
+    )
     nodes: int = quantity("nodes per leg", "", 4, 401)
     step: float = quantity("time step", "s", 1e-6, 0.02)
     theta: float = quantity("stage of the theta scheme", "", 0.5, 1.0)
@@ -120,7 +138,9 @@ class Jump:
     position: tuple[float, float, float] = quantity(
         "displacement of the odometry in odom", "m", -100.0, 100.0
     )
-    yaw: float = quantity("turn of the odometry about the origin of odom", "rad", -3.15, 3.15)
+    yaw: float = quantity(
+        "turn of the odometry about the origin of odom", "rad", -3.15, 3.15
+    )
 
 
 @dataclass(frozen=True)
@@ -129,7 +149,9 @@ class OdometrySettings:
 
     period: float = quantity("period of the readings", "s", 1e-3, 10.0)
     delay: float = quantity("delay from capture to publication", "s", 0.0, 1.0)
-    position_noise: float = quantity("standard deviation of the position per axis", "m", 0.0, 1.0)
+    position_noise: float = quantity(
+        "standard deviation of the position per axis", "m", 0.0, 1.0
+    )
     orientation_noise: float = quantity(
         "standard deviation of the orientation per axis", "rad", 0.0, 1.0
     )
@@ -140,7 +162,9 @@ class OdometrySettings:
         "standard deviation of the angular velocity per axis", "rad/s", 0.0, 10.0
     )
     jitter: float = quantity("largest deviation of the delay", "s", 0.0, 1.0)
-    position_drift: float = quantity("random walk of the position per axis", "m/sqrt(s)", 0.0, 1.0)
+    position_drift: float = quantity(
+        "random walk of the position per axis", "m/sqrt(s)", 0.0, 1.0
+    )
     yaw_drift: float = quantity("random walk of the yaw", "rad/sqrt(s)", 0.0, 1.0)
     loss: float = quantity("share of lost readings", "", 0.0, 1.0)
     dropouts: dict[str, Dropout] = text("times without odometry by name")
@@ -152,7 +176,9 @@ class CameraSettings:
     """A camera whose images `marker_localizer` turns into the odometry; see vision.yaml."""
 
     enabled: bool = flag("whether images take the place of the odometry")
-    carrier: str = choice("what the camera stands on; boards are on the other", "torso", "world")
+    carrier: str = choice(
+        "what the camera stands on; boards are on the other", "torso", "world"
+    )
     boards: tuple[str, ...] = text("boards of vision.yaml that are there")
     period: float = quantity("period of the images", "s", 1e-3, 10.0)
     delay: float = quantity("delay from mid exposure to publication", "s", 0.0, 1.0)
@@ -167,8 +193,12 @@ class ImuSettings:
 
     enabled: bool = flag("whether the robot has an IMU")
     period: float = quantity("period of the readings", "s", 1e-4, 1.0)
-    rate_noise: float = quantity("standard deviation of the gyroscope", "rad/s", 0.0, 10.0)
-    rate_bias: float = quantity("standard deviation of the gyroscope's bias", "rad/s", 0.0, 1.0)
+    rate_noise: float = quantity(
+        "standard deviation of the gyroscope", "rad/s", 0.0, 10.0
+    )
+    rate_bias: float = quantity(
+        "standard deviation of the gyroscope's bias", "rad/s", 0.0, 1.0
+    )
     acceleration_noise: float = quantity(
         "standard deviation of the accelerometer", "m/s^2", 0.0, 100.0
     )
@@ -187,8 +217,10 @@ class SensorSettings:
 
 
 NO_SENSORS = {
-    "sensors.imu.period": 1.0, "sensors.joint_period": 1.0, "sensors.odometry.period": 1.0,
-}  # fmt: skip
+    "sensors.imu.period": 1.0,
+    "sensors.joint_period": 1.0,
+    "sensors.odometry.period": 1.0,
+}
 """Changes of a scene whose sensors are not read: so seldom that they cost nothing."""
 
 
@@ -196,8 +228,12 @@ NO_SENSORS = {
 class StartSettings:
     """Start of a run: natural legs and slack tendons, then settling until time zero."""
 
-    height: float = quantity("height of the torso's centre above the floor", "m", 0.0, 10.0)
-    tendon_angle_deg: float = quantity("commanded tendon angle while settling", "deg", 0.0, 360.0)
+    height: float = quantity(
+        "height of the torso's centre above the floor", "m", 0.0, 10.0
+    )
+    tendon_angle_deg: float = quantity(
+        "commanded tendon angle while settling", "deg", 0.0, 360.0
+    )
     settle: float = quantity("duration of settling before time zero", "s", 0.0, 60.0)
 
 
@@ -217,22 +253,35 @@ class Scene:
         "gravity in odom, z normal to the floor", "m/s^2", -50, 50
     )
     supply_voltage: float = quantity(
-        "supply voltage of the servos; within the maker's figures in servo.yaml", "V", 9.0, 12.0
+        "supply voltage of the servos; within the maker's figures in servo.yaml",
+        "V",
+        9.0,
+        12.0,
     )
-    parameters: str = text("set of config/parameters of the robot in it; empty: robot.yaml's")
+    parameters: str = text(
+        "set of config/parameters of the robot in it; empty: robot.yaml's"
+    )
 
     def __post_init__(self) -> None:
         """Raise ConfigError if a sensor's period is shorter than the time step: it never ends."""
         sensors, step = self.sensors, self.solver.step
         periods = {
             "sensors.odometry.period": sensors.odometry.period,
-            "sensors.camera.period": sensors.camera.period if sensors.camera.enabled else math.inf,
-            "sensors.imu.period": sensors.imu.period if sensors.imu.enabled else math.inf,
-            "sensors.joint_period": sensors.joint_period if sensors.joints else math.inf,
+            "sensors.camera.period": sensors.camera.period
+            if sensors.camera.enabled
+            else math.inf,
+            "sensors.imu.period": sensors.imu.period
+            if sensors.imu.enabled
+            else math.inf,
+            "sensors.joint_period": sensors.joint_period
+            if sensors.joints
+            else math.inf,
         }
         for name, period in periods.items():
             if period < step:
-                raise ConfigError(f"{name} = {period}: shorter than solver.step = {step} s")
+                raise ConfigError(
+                    f"{name} = {period}: shorter than solver.step = {step} s"
+                )
 
 
 def read_scene(name: str) -> Scene:
@@ -247,7 +296,9 @@ def read_scene(name: str) -> Scene:
     if not isinstance(mapping, dict) or "like" not in mapping:
         return config.build(Scene, mapping, where)
     if not isinstance(other := mapping.pop("like"), str):
-        raise ConfigError(f"{where}: like = {quoted(other)}: expected the name of a scene")
+        raise ConfigError(
+            f"{where}: like = {quoted(other)}: expected the name of a scene"
+        )
     base = config.build(Scene, _load(other), f"scene/{other}.yaml")
     identified = mapping.get("parameters")
     if isinstance(identified, str) and identified:
@@ -265,4 +316,7 @@ def _load(name: str) -> Any:
 
 def level_changes(level: str) -> dict[str, Any]:
     """Changes of a scene, by dotted name, that simulate it at a level of `config/solver`."""
-    return {f"solver.{name}": value for name, value in config.load(f"solver/{level}").items()}
+    return {
+        f"solver.{name}": value
+        for name, value in config.load(f"solver/{level}").items()
+    }

@@ -43,7 +43,10 @@ class ServoSettings:
     model: str = choice("model of the position loop", "torque_speed", "ideal", "pid")
     lag: float = quantity("time constant of the position loop", "s", 1e-3, 1.0)
     voltage: tuple[float, ...] = quantity(
-        "supply voltages for which the maker states stall torque and speed, rising", "V", 1.0, 60.0
+        "supply voltages for which the maker states stall torque and speed, rising",
+        "V",
+        1.0,
+        60.0,
     )
     stall_torque: tuple[float, ...] = quantity(
         "stall torque at each of these voltages, at the shaft", "N m", 0.01, 100.0
@@ -51,16 +54,31 @@ class ServoSettings:
     no_load_rpm: tuple[float, ...] = quantity(
         "no-load speed of the shaft at each of these voltages", "rev/min", 1.0, 1000.0
     )
-    nominal_voltage: float = quantity("supply voltage assumed where none is known", "V", 1.0, 60.0)
-    continuous_load: float = quantity(
-        "largest share of the stall torque that the maker advises for continuous use", "", 0.0, 1.0
+    nominal_voltage: float = quantity(
+        "supply voltage assumed where none is known", "V", 1.0, 60.0
     )
-    ideal_rpm: float = quantity("maximum speed of the ideal servo's shaft", "rev/min", 1.0, 1000.0)
-    servo_per_tendon: float = quantity("angle of the shaft per tendon angle", "", 0.1, 10.0)
-    proportional: float = quantity("P gain of the pid: duty per angle", "1/rad", 0.0, 1e3)
-    integral: float = quantity("I gain of the pid: duty per angle and time", "1/(rad s)", 0.0, 1e4)
+    continuous_load: float = quantity(
+        "largest share of the stall torque that the maker advises for continuous use",
+        "",
+        0.0,
+        1.0,
+    )
+    ideal_rpm: float = quantity(
+        "maximum speed of the ideal servo's shaft", "rev/min", 1.0, 1000.0
+    )
+    servo_per_tendon: float = quantity(
+        "angle of the shaft per tendon angle", "", 0.1, 10.0
+    )
+    proportional: float = quantity(
+        "P gain of the pid: duty per angle", "1/rad", 0.0, 1e3
+    )
+    integral: float = quantity(
+        "I gain of the pid: duty per angle and time", "1/(rad s)", 0.0, 1e4
+    )
     derivative: float = quantity("D gain of the pid: duty per speed", "s/rad", 0.0, 1e2)
-    motor_time: float = quantity("time constant of the motor driven by the pid", "s", 0.0, 1.0)
+    motor_time: float = quantity(
+        "time constant of the motor driven by the pid", "s", 0.0, 1.0
+    )
     backlash_deg: float = quantity("play between motor and spool", "deg", 0.0, 10.0)
 
     def __post_init__(self) -> None:
@@ -125,7 +143,9 @@ class Servo(NamedTuple):
     derivative: float  # s/rad
     motor_time: float  # s
     play: float  # rad, half the backlash
-    friction: float = 1.0  # load on the spool over the load without friction, while it winds
+    friction: float = (
+        1.0  # load on the spool over the load without friction, while it winds
+    )
 
 
 def read_servo(parameters: str = "") -> ServoSettings:
@@ -136,7 +156,9 @@ def read_servo(parameters: str = "") -> ServoSettings:
     settings = config.read(ServoSettings, "servo")
     if not parameters:
         return settings
-    return config.replace(settings, read_parameters(parameters, "servo"), f"{parameters}: servo")
+    return config.replace(
+        settings, read_parameters(parameters, "servo"), f"{parameters}: servo"
+    )
 
 
 def servo(settings: ServoSettings, voltage: float) -> Servo:

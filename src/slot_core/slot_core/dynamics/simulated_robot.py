@@ -16,9 +16,18 @@ from slot_core.refusal import quoted
 from slot_core.robot import Array, RobotParameters
 
 SNAPSHOT = (
-    "time", "halvings", "indefinite_steps", "position", "rotation", "velocity", "angular_velocity",
-    "tendon_angle", "tendon_rate", "tension", "nodes",
-)  # fmt: skip
+    "time",
+    "halvings",
+    "indefinite_steps",
+    "position",
+    "rotation",
+    "velocity",
+    "angular_velocity",
+    "tendon_angle",
+    "tendon_rate",
+    "tension",
+    "nodes",
+)
 
 
 class TorsoMotion(Protocol):
@@ -57,7 +66,9 @@ class SimulatedRobot(ABC):
     steps = 0  # since the end of settling
 
     @abstractmethod
-    def __init__(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
+    def __init__(
+        self, robot: RobotParameters, scene: Scene, servo: ServoSettings
+    ) -> None:
         """Start at `scene.start` and settle; time zero is the end of settling."""
 
     @abstractmethod
@@ -75,7 +86,9 @@ class SimulatedRobot(ABC):
         They act until their opposites are added. Raises ConfigError if the model of the legs does
         not support pushes.
         """
-        raise ConfigError(f"legs of the model {self.scene.solver.legs!r} do not support pushes")
+        raise ConfigError(
+            f"legs of the model {self.scene.solver.legs!r} do not support pushes"
+        )
 
     def snapshot(self) -> dict[str, Any]:
         """Copies of time, counters, motion, tendons and nodes, by property name (`SNAPSHOT`)."""

@@ -35,7 +35,9 @@ class TendonModel(NamedTuple):
 
     along: Array  # (N-1,) w_i
     around: Array  # (N-1,) m, d v_i
-    relaxed: float  # m, l_cmd at tendon angle zero less the natural length of the segments
+    relaxed: (
+        float  # m, l_cmd at tendon angle zero less the natural length of the segments
+    )
     stiffness: float  # N/m
     damping: float  # N s/m
     spool_radius: float  # m
@@ -71,7 +73,9 @@ def pull(s, tendon, angle, rate, fault):
     speed = tendon.spool_radius * rate
     for i in range(s.length.size):
         stretch += tendon.along[i] * s.extension[i] + tendon.around[i] * s.turn[i]
-        speed += tendon.along[i] * s.extension_rate[i] + tendon.around[i] * s.turn_rate[i]
+        speed += (
+            tendon.along[i] * s.extension_rate[i] + tendon.around[i] * s.turn_rate[i]
+        )
     return fault[1] * max(0.0, tendon.stiffness * stretch + tendon.damping * speed)
 
 

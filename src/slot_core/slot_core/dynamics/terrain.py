@@ -53,7 +53,9 @@ def read_terrain(name: str, spacing: float) -> Terrain:
     except (OSError, ValueError) as error:
         raise ConfigError(f"scene/{name}: {error}") from None
     if min(height.shape) < 2 or not np.all(np.isfinite(height)):
-        raise ConfigError(f"scene/{name}: needs 2 x 2 finite heights, has {height.shape}")
+        raise ConfigError(
+            f"scene/{name}: needs 2 x 2 finite heights, has {height.shape}"
+        )
     return Terrain(height, spacing)
 
 

@@ -118,7 +118,13 @@ def add_corners(H, g, torso, floor, inv, place, axes, v, w, turn, held):
             limit[k] = most
             stuck = tangential(axes, bristle[k], up)
         hold = friction_force(
-            floor, most, 1.0 / inv, floor.corner_stiffness, floor.corner_damping, stuck, u
+            floor,
+            most,
+            1.0 / inv,
+            floor.corner_stiffness,
+            floor.corner_damping,
+            stuck,
+            u,
         )
         if normal > 0.0:
             f = (
@@ -148,7 +154,11 @@ def _gap(terrain, place, axes, r):
 @helper
 def at(v, w, x, y, z):
     """Velocity of the point (x, y, z) of a rigid body: v + w x (x, y, z)."""
-    return v[0] + w[1] * z - w[2] * y, v[1] + w[2] * x - w[0] * z, v[2] + w[0] * y - w[1] * x
+    return (
+        v[0] + w[1] * z - w[2] * y,
+        v[1] + w[2] * x - w[0] * z,
+        v[2] + w[0] * y - w[1] * x,
+    )
 
 
 @helper
@@ -165,7 +175,14 @@ def _add_point(H, g, x, y, z, f, stiff, drag, up):
 @helper
 def _subtract(g, x, y, z, f):
     """g -= (f, moment of f about the centre) for the force f at (x, y, z)."""
-    force = (f[0], f[1], f[2], y * f[2] - z * f[1], z * f[0] - x * f[2], x * f[1] - y * f[0])
+    force = (
+        f[0],
+        f[1],
+        f[2],
+        y * f[2] - z * f[1],
+        z * f[0] - x * f[2],
+        x * f[1] - y * f[0],
+    )
     for i in range(6):
         g[i] -= force[i]
 

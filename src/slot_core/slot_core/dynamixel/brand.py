@@ -26,7 +26,9 @@ def make_bus(settings: DynamixelSettings) -> Driver:
     from slot_core.dynamixel.driver import Driver  # noqa: PLC0415 - heavy
     from slot_core.dynamixel.port import SerialPort  # noqa: PLC0415
 
-    return Driver(SerialPort(settings.bus.port, settings.bus.baud, settings.bus.timeout), settings)
+    return Driver(
+        SerialPort(settings.bus.port, settings.bus.baud, settings.bus.timeout), settings
+    )
 
 
 def emulate(angles: Sequence[float] | Array, voltage: float) -> EmulatedServos:

@@ -25,7 +25,9 @@ from slot_core.dynamixel.settings import BusSettings
 from slot_core.dynamixel.table import TABLE, decode_span, span
 
 PROTOCOL = 2.0
-STATUS_BYTES = OVERHEAD + 4  # of a status packet without data: instruction, error and CRC
+STATUS_BYTES = (
+    OVERHEAD + 4
+)  # of a status packet without data: instruction, error and CRC
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,10 @@ class Bus:
     """All exchanges with the servos on one port; `names`: servo names for messages, by id."""
 
     def __init__(
-        self, port: SerialPort, settings: BusSettings, names: Mapping[int, str] | None = None
+        self,
+        port: SerialPort,
+        settings: BusSettings,
+        names: Mapping[int, str] | None = None,
     ) -> None:
         self.port = port
         self._settings = settings
@@ -91,9 +96,13 @@ class Bus:
     def scan(self) -> dict[int, tuple[int, int]]:
         """Model number and firmware version of every servo that answers, by id; takes about 1 s."""
         found, _ = self._handler.broadcastPing(self.port)
-        return {identity: (model, firmware) for identity, (model, firmware) in found.items()}
+        return {
+            identity: (model, firmware) for identity, (model, firmware) in found.items()
+        }
 
-    def read(self, identity: int, first: str, last: str | None = None) -> dict[str, int]:
+    def read(
+        self, identity: int, first: str, last: str | None = None
+    ) -> dict[str, int]:
         """Values of the registers `first` to `last` (default: `first` alone), by name.
 
         Raises CommunicationError, InstructionError.
@@ -101,7 +110,10 @@ class Bus:
         address, size = span(first, last or first)
         send = self._handler.readTx
         data = self._exchange(
-            identity, lambda: send(self.port, identity, address, size), size, f"reading {first}"
+            identity,
+            lambda: send(self.port, identity, address, size),
+            size,
+            f"reading {first}",
         )
         return decode_span(address, data)
 
@@ -135,9 +147,13 @@ class Bus:
         """
         result, error = self._handler.reboot(self.port, identity)
         if result != COMM_SUCCESS:
-            raise CommunicationError(f"{self.name(identity)}: reboot: {self._result_text(result)}")
+            raise CommunicationError(
+                f"{self.name(identity)}: reboot: {self._result_text(result)}"
+            )
         if error & ~ALERT:
-            raise InstructionError(f"{self.name(identity)}: reboot: {self._error_text(error)}")
+            raise InstructionError(
+                f"{self.name(identity)}: reboot: {self._error_text(error)}"
+            )
 
     def sync_write(self, register: str, values: Mapping[int, int]) -> None:
         """Write one register of several servos in one packet, values by id; without answers.
@@ -176,7 +192,9 @@ class Bus:
                 found |= self._read_alone(identity, address, size)
         self._silent = (self._silent - set(order)) | (set(order) - set(found))
         return {
-            identity: RegisterValues(decode_span(address, status.data), bool(status.error & ALERT))
+            identity: RegisterValues(
+                decode_span(address, status.data), bool(status.error & ALERT)
+            )
             for identity, status in found.items()
         }
 
@@ -191,10 +209,16 @@ class Bus:
         packet, result = self._handler.rxPacket(self.port, True)
         part_size = size + FAST_OVERHEAD
         length = 1 + len(ids) * part_size
-        if result != COMM_SUCCESS or packet[4] != BROADCAST or _length(packet) != length:
+        if (
+            result != COMM_SUCCESS
+            or packet[4] != BROADCAST
+            or _length(packet) != length
+        ):
             self.port.drain(self._settings.quiet)
             return {}
-        parts = [bytes(packet[8 + k * part_size :][: size + 2]) for k in range(len(ids))]
+        parts = [
+            bytes(packet[8 + k * part_size :][: size + 2]) for k in range(len(ids))
+        ]
         return {
             part[1]: _Status(part[0], part[2:])
             for identity, part in zip(ids, parts)
@@ -202,11 +226,15 @@ class Bus:
         }
 
     def _sync_read(self, ids: list[int], address: int, size: int) -> dict[int, _Status]:
-        result = self._handler.syncReadTx(self.port, address, size, ids, len(ids), False)
+        result = self._handler.syncReadTx(
+            self.port, address, size, ids, len(ids), False
+        )
         if result != COMM_SUCCESS:
             return {}
         found, _ = self._receive(ids, size)
-        return {identity: status for identity, status in found.items() if not status.number}
+        return {
+            identity: status for identity, status in found.items() if not status.number
+        }
 
     def _read_alone(self, identity: int, address: int, size: int) -> dict[int, _Status]:
         for _ in range(self._settings.retries):
@@ -218,7 +246,9 @@ class Bus:
                 return found
         return {}
 
-    def _exchange(self, identity: int, send: Callable[[], int], size: int, action: str) -> bytes:
+    def _exchange(
+        self, identity: int, send: Callable[[], int], size: int, action: str
+    ) -> bytes:
         """Send until an answer is valid, with at most `retries` retries; returns its data."""
         cause = ""
         for _ in range(self._settings.retries + 1):
@@ -230,8 +260,14 @@ class Bus:
             status = found.get(identity)
             if status is not None and not status.number:
                 return status.data
-            cause = self._result_text(result) if status is None else self._error_text(status.error)
-            if status is not None and status.number != Error.CRC:  # CRC: damaged on the line, retry
+            cause = (
+                self._result_text(result)
+                if status is None
+                else self._error_text(status.error)
+            )
+            if (
+                status is not None and status.number != Error.CRC
+            ):  # CRC: damaged on the line, retry
                 raise InstructionError(f"{self.name(identity)}: {action}: {cause}")
         raise CommunicationError(f"{self.name(identity)}: {action}: {cause}")
 
@@ -243,7 +279,9 @@ class Bus:
         return result
 
     def _write(self, identity: int, address: int, data: list[int]) -> int:
-        result: int = self._handler.writeTxOnly(self.port, identity, address, len(data), data)
+        result: int = self._handler.writeTxOnly(
+            self.port, identity, address, len(data), data
+        )
         self.port.setPacketTimeout(STATUS_BYTES)
         return result
 

@@ -50,7 +50,9 @@ def expected(settings: DynamixelSettings, joint: Joint) -> dict[str, int]:
     }
 
 
-def differences(settings: DynamixelSettings, joint: Joint, info: ServoInfo) -> list[str]:
+def differences(
+    settings: DynamixelSettings, joint: Joint, info: ServoInfo
+) -> list[str]:
     """Differences of a servo from the configuration, one line each; empty if there are none."""
     setup, reasons = settings.servo, []
     if info.model != setup.model:

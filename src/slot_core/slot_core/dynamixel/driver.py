@@ -26,7 +26,13 @@ from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT, Mode
 from slot_core.hardware_error import hardware_errors
 from slot_core.robot import LEGS, Array
 from slot_core.servos.servo_errors import PortError, RefusedError, ServoError
-from slot_core.servos.servo_state import BusFacts, Cycle, ServoReading, ServoStatus, TorqueOff
+from slot_core.servos.servo_state import (
+    BusFacts,
+    Cycle,
+    ServoReading,
+    ServoStatus,
+    TorqueOff,
+)
 
 TORQUE_OFF_ATTEMPTS = 3
 # One of these is read from one servo in every cycle; no two have the same length.
@@ -43,13 +49,20 @@ class Driver:
     """Driver of four servos on an open or closed port."""
 
     def __init__(
-        self, port: SerialPort, settings: DynamixelSettings, clock: Clock = time.monotonic
+        self,
+        port: SerialPort,
+        settings: DynamixelSettings,
+        clock: Clock = time.monotonic,
     ) -> None:
         self.settings = settings
         self.joints: tuple[Joint, ...] = joints(settings.joints)
-        self.bus = Bus(port, settings.bus, {joint.id: joint.name for joint in self.joints})
+        self.bus = Bus(
+            port, settings.bus, {joint.id: joint.name for joint in self.joints}
+        )
         first, watchdog = self.joints[0], settings.servo.watchdog
-        self.facts = BusFacts("dynamixel", port.port_name, first.low, first.high, watchdog)
+        self.facts = BusFacts(
+            "dynamixel", port.port_name, first.low, first.high, watchdog
+        )
         self.active = False
         self.health = tuple(ServoStatus(joint.leg, joint.id) for joint in self.joints)
         self.clock, self._port = clock, port
@@ -134,11 +147,16 @@ class Driver:
         """Switch all torque off and read it back; never raises."""
         self.active = self._port.is_using = False
         self._pid.reset()
-        with contextlib.suppress(ServoError):  # all at once first: a silent servo delays the others
+        with contextlib.suppress(
+            ServoError
+        ):  # all at once first: a silent servo delays the others
             self.bus.sync_write("torque_enable", {joint.id: 0 for joint in self.joints})
-        reasons = [self._confirm_off(index, joint) for index, joint in enumerate(self.joints)]
+        reasons = [
+            self._confirm_off(index, joint) for index, joint in enumerate(self.joints)
+        ]
         return TorqueOff(
-            tuple(not reason for reason in reasons), tuple(reason for reason in reasons if reason)
+            tuple(not reason for reason in reasons),
+            tuple(reason for reason in reasons if reason),
         )
 
     def reboot(self, leg: str) -> None:
@@ -170,7 +188,9 @@ class Driver:
         self.joints, self.settings = joints(settings.joints), settings
         joint = self.joints[index]
         for register in ("min_position_limit", "max_position_limit"):
-            self.bus.write_verified(joint.id, register, expected(self.settings, joint)[register])
+            self.bus.write_verified(
+                joint.id, register, expected(self.settings, joint)[register]
+            )
 
     def close(self) -> None:
         """Close the port; torque stays as it is."""
@@ -186,12 +206,18 @@ class Driver:
         self._pid.reset()
         self._last = None
         for index, joint in enumerate(self.joints):
-            error = self.bus.read(joint.id, "hardware_error_status")["hardware_error_status"]
+            error = self.bus.read(joint.id, "hardware_error_status")[
+                "hardware_error_status"
+            ]
             if error:
-                reasons.append(f"{joint.name}: hardware error: {hardware_errors(error)}; reboot it")
+                reasons.append(
+                    f"{joint.name}: hardware error: {hardware_errors(error)}; reboot it"
+                )
                 continue
             self.bus.write_verified(joint.id, "torque_enable", 0)
-            self.bus.write_verified(joint.id, "bus_watchdog", 0)  # a tripped one refuses goals
+            self.bus.write_verified(
+                joint.id, "bus_watchdog", 0
+            )  # a tripped one refuses goals
             reasons += self._prepare_servo(index, joint)
         if reasons:
             raise RefusedError(reasons)
@@ -207,7 +233,9 @@ class Driver:
             ]
         self._goal[index] = joint.tendon(present)
         # Armed before torque comes on.
-        self.bus.write_verified(joint.id, "bus_watchdog", self.settings.servo.watchdog_code())
+        self.bus.write_verified(
+            joint.id, "bus_watchdog", self.settings.servo.watchdog_code()
+        )
         if self.settings.mode is Mode.PWM:
             self.bus.write_verified(joint.id, "goal_pwm", 0)
             return []
@@ -244,8 +272,12 @@ class Driver:
         self.bus.sync_write("goal_pwm", pwm)
 
     def _read(self) -> tuple[ServoReading | None, ...]:
-        answers = self.bus.sync_read((joint.id for joint in self.joints), *FAST, self._fast)
-        self._alerts = {identity for identity, answer in answers.items() if answer.alert}
+        answers = self.bus.sync_read(
+            (joint.id for joint in self.joints), *FAST, self._fast
+        )
+        self._alerts = {
+            identity for identity, answer in answers.items() if answer.alert
+        }
         return tuple(
             self._reading(joint, answers[joint.id]) if joint.id in answers else None
             for joint in self.joints

@@ -40,7 +40,9 @@ def measure_zero(bus: Bus, joint: Joint, sleep: Sleep) -> float:
     moved = max(found) - min(found)
     if moved > SPREAD_MAX:
         raise RefusedError(
-            [f"{joint.name}: moves by {moved} counts, limit {SPREAD_MAX}; hold it still"]
+            [
+                f"{joint.name}: moves by {moved} counts, limit {SPREAD_MAX}; hold it still"
+            ]
         )
     return round(math.degrees(statistics.fmean(found) * RAD_PER_COUNT), ZERO_DIGITS)
 
@@ -53,7 +55,9 @@ def write_zero(leg: str, zero_deg: float) -> Path:
     """
     path = config.config_dir() / "dynamixel.yaml"
     text = read_text(path, config.SIZE_MAX)
-    line = re.search(rf"^(\s*zero_deg:\s*\[)({NUMBER}(?:\s*,\s*{NUMBER}){{3}})(\])", text, re.M)
+    line = re.search(
+        rf"^(\s*zero_deg:\s*\[)({NUMBER}(?:\s*,\s*{NUMBER}){{3}})(\])", text, re.M
+    )
     if line is None:
         raise config.ConfigError(f"{path}: no line zero_deg: [FL, FR, RL, RR]")
     values = [value.strip() for value in line[2].split(",")]

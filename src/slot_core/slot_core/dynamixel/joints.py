@@ -81,7 +81,9 @@ def joints(settings: JointSettings) -> tuple[Joint, ...]:
     position limits that are not within one turn of the encoder.
     """
     if len(set(settings.ids)) < len(LEGS):
-        raise ConfigError(f"dynamixel.yaml: joints.ids = {settings.ids}: two servos with one id")
+        raise ConfigError(
+            f"dynamixel.yaml: joints.ids = {settings.ids}: two servos with one id"
+        )
     if 0 in settings.direction:
         raise ConfigError(
             f"dynamixel.yaml: joints.direction = {settings.direction}: expected 1 or -1"

@@ -19,7 +19,9 @@ BROADCAST = 0xFE
 PACKET_MAX = 1024  # bytes of the longest packet accepted, as in dynamixel-sdk
 LENGTH_MIN = 3  # value of `length` without parameters: instruction and CRC
 OVERHEAD = 7  # bytes from the header to the length, both included
-FAST_OVERHEAD = 4  # bytes of each servo in a fast answer beside its data: error, id, CRC
+FAST_OVERHEAD = (
+    4  # bytes of each servo in a fast answer beside its data: error, id, CRC
+)
 ALERT = 0x80  # bit of the error byte: Hardware Error Status is not 0
 _POLYNOMIAL = 0x8005
 _PATTERN = b"\xff\xff\xfd"
@@ -149,7 +151,10 @@ class Parser:
         buffer = self._buffer
         while self._align():
             length = int.from_bytes(buffer[5:7], "little")
-            if not LENGTH_MIN <= length <= PACKET_MAX - OVERHEAD or buffer[4] > BROADCAST:
+            if (
+                not LENGTH_MIN <= length <= PACKET_MAX - OVERHEAD
+                or buffer[4] > BROADCAST
+            ):
                 del buffer[:1]  # no packet begins here
                 continue
             if len(buffer) < length + OVERHEAD:
@@ -162,7 +167,9 @@ class Parser:
         start = self._buffer.find(HEADER)
         if start < 0:
             start = max(len(self._buffer) - len(HEADER) + 1, 0)
-            while start < len(self._buffer) and not HEADER.startswith(self._buffer[start:]):
+            while start < len(self._buffer) and not HEADER.startswith(
+                self._buffer[start:]
+            ):
                 start += 1
         del self._buffer[:start]
         return len(self._buffer) >= OVERHEAD

@@ -33,7 +33,9 @@ class SerialPort(PortHandler):
     `timeout` (s) is the time allowed for an answer beyond its transmission time; `clock` in s.
     """
 
-    def __init__(self, name: str, baud: int, timeout: float, clock: Clock = time.monotonic) -> None:
+    def __init__(
+        self, name: str, baud: int, timeout: float, clock: Clock = time.monotonic
+    ) -> None:
         super().__init__(name)
         self._clock = clock
         self._timeout = timeout
@@ -42,7 +44,9 @@ class SerialPort(PortHandler):
     def open(self) -> None:
         """Open the port at its baud rate; raises PortError with the cause."""
         if not self.setBaudRate(self.baudrate):
-            raise BaudRateError(f"{self.port_name}: {self.baudrate} baud is not supported")
+            raise BaudRateError(
+                f"{self.port_name}: {self.baudrate} baud is not supported"
+            )
 
     def close(self) -> None:
         """Close the port; may be called again."""
@@ -83,7 +87,9 @@ class SerialPort(PortHandler):
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
         """Start the timeout for an answer of `packet_length` bytes."""
-        self.setPacketTimeoutMillis(self.tx_time_per_byte * packet_length + 1e3 * self._timeout)
+        self.setPacketTimeoutMillis(
+            self.tx_time_per_byte * packet_length + 1e3 * self._timeout
+        )
 
     def getCurrentTime(self) -> float:  # noqa: N802
         """Time in ms."""
@@ -95,7 +101,9 @@ class SerialPort(PortHandler):
         Returns the number of bytes discarded; raises PortError.
         """
         dropped = 0
-        end = self._clock() + self._timeout + quiet  # bound for a line that is never idle
+        end = (
+            self._clock() + self._timeout + quiet
+        )  # bound for a line that is never idle
         while self._clock() < end:
             data = self._guard(lambda: self._await(self.ser.in_waiting or 1, quiet))
             if not data:
@@ -119,7 +127,9 @@ class SerialPort(PortHandler):
                 raise OSError("the port is not open")
             return action()
         except (OSError, termios.error, TypeError, ValueError) as error:
-            self.is_using = False  # TypeError, ValueError: another thread has closed the port
+            self.is_using = (
+                False  # TypeError, ValueError: another thread has closed the port
+            )
             raise PortError(f"{self.port_name}: {error}") from None
 
 

@@ -28,10 +28,18 @@ class BusSettings:
     """Serial line."""
 
     port: str = text("device, or the pseudo-terminal of emulated servos")
-    baud: int = quantity("baud rate of the line and of all servos", "1/s", 9600, 4500000)
-    latency_limit: int = quantity("largest latency timer accepted of a USB port", "ms", 1, 255)
-    timeout: float = quantity("timeout of an answer, beyond its transmission time", "s", 1e-4, 1.0)
-    quiet: float = quantity("idle time of the line awaited after an invalid answer", "s", 0.0, 0.1)
+    baud: int = quantity(
+        "baud rate of the line and of all servos", "1/s", 9600, 4500000
+    )
+    latency_limit: int = quantity(
+        "largest latency timer accepted of a USB port", "ms", 1, 255
+    )
+    timeout: float = quantity(
+        "timeout of an answer, beyond its transmission time", "s", 1e-4, 1.0
+    )
+    quiet: float = quantity(
+        "idle time of the line awaited after an invalid answer", "s", 0.0, 0.1
+    )
     retries: int = quantity("retries of a write or a read", "", 0, 10)
     window: int = quantity("exchanges over which error rates are taken", "", 10, 100000)
 
@@ -48,13 +56,19 @@ class ServoSetup:
 
     model: int = quantity("model number", "", 0, 65535)
     firmware_min: int = quantity("oldest firmware accepted", "", 0, 255)
-    fast_from_firmware: int = quantity("oldest with fast sync read; 256: never", "", 0, 256)
+    fast_from_firmware: int = quantity(
+        "oldest with fast sync read; 256: never", "", 0, 256
+    )
     return_delay: float = quantity("delay of a servo's answer", "s", 0.0, 508e-6)
     temperature_limit: int = quantity("overheating error above this", "degC", 0, 100)
     voltage_min: float = quantity("input voltage error below this", "V", 6.0, 14.0)
     voltage_max: float = quantity("input voltage error above this", "V", 6.0, 14.0)
-    shutdown: int = quantity("hardware errors that switch torque off", "", 0, HARDWARE_ERROR_BITS)
-    watchdog: float = quantity("time without an instruction until it stops", "s", 0.02, 2.54)
+    shutdown: int = quantity(
+        "hardware errors that switch torque off", "", 0, HARDWARE_ERROR_BITS
+    )
+    watchdog: float = quantity(
+        "time without an instruction until it stops", "s", 0.02, 2.54
+    )
 
     def eeprom(self) -> dict[str, int]:
         """EEPROM values that are the same for all servos, by register name."""
@@ -90,7 +104,9 @@ class JointSettings:
     servo_per_tendon: float = quantity("servo angle per tendon angle", "", 0.1, 10.0)
     low_deg: float = quantity("smallest tendon angle commanded", "deg", -10.0, 360.0)
     high_deg: float = quantity("largest tendon angle commanded", "deg", 0.0, 360.0)
-    margin_deg: float = quantity("margin of the servo's own limits, servo angle", "deg", 0.0, 45.0)
+    margin_deg: float = quantity(
+        "margin of the servo's own limits, servo angle", "deg", 0.0, 45.0
+    )
 
 
 @dataclass(frozen=True)
@@ -109,10 +125,14 @@ class HostPidSettings:
     p: float = quantity("P gain, duty per angle", "1/rad", 0.0, 1e3)
     i: float = quantity("I gain, duty per angle and time", "1/(rad s)", 0.0, 1e4)
     d: float = quantity("D gain, duty per speed", "s/rad", 0.0, 1e2)
-    filter_time: float = quantity("time constant of the filter of the speed", "s", 0.0, 1.0)
+    filter_time: float = quantity(
+        "time constant of the filter of the speed", "s", 0.0, 1.0
+    )
     duty_limit: float = quantity("largest duty", "", 0.0, 1.0)
     duty_rate: float = quantity("largest rate of change of the duty", "1/s", 0.1, 1e4)
-    blind_time: float = quantity("time without a reading until the duty is 0", "s", 0.0, 1.0)
+    blind_time: float = quantity(
+        "time without a reading until the duty is 0", "s", 0.0, 1.0
+    )
 
 
 @dataclass(frozen=True)
@@ -124,7 +144,9 @@ class DynamixelSettings:
     joints: JointSettings
     gains: GainSettings
     host_pid: HostPidSettings
-    control: str = choice("position loop: of the servo, or of the host in PWM mode", *MODES)
+    control: str = choice(
+        "position loop: of the servo, or of the host in PWM mode", *MODES
+    )
 
     @property
     def mode(self) -> Mode:

@@ -122,7 +122,16 @@ _ROWS: tuple[tuple[str, int, int, str, str, int, tuple[int, int], str], ...] = (
     ("position_p_gain", 84, 2, "1/128", "rw", 640, _GAIN, ""),
     ("feedforward_2nd_gain", 88, 2, "1/4", "rw", 0, _GAIN, ""),
     ("feedforward_1st_gain", 90, 2, "1/4", "rw", 0, _GAIN, ""),
-    ("bus_watchdog", 98, 1, "20 ms", "rw", 0, (0, 127), "s"),  # reads -1 after it has tripped
+    (
+        "bus_watchdog",
+        98,
+        1,
+        "20 ms",
+        "rw",
+        0,
+        (0, 127),
+        "s",
+    ),  # reads -1 after it has tripped
     ("goal_pwm", 100, 2, "1/885", "rw", PWM_FULL, (-PWM_FULL, PWM_FULL), "s"),
     ("goal_velocity", 104, 4, "0.229 rpm", "rw", 0, (-1023, 1023), "s"),
     ("profile_acceleration", 108, 4, "214.577 rev/min^2", "rw", 0, (0, 32767), ""),
@@ -152,19 +161,25 @@ def _indirect() -> Iterator[Register]:
         for i in range(INDIRECT_COUNT):
             number = bank * INDIRECT_COUNT + i + 1
             where, limits = address + 2 * i, (RAM_START, TABLE_END - 1)
-            yield Register(f"indirect_address_{number}", where, 2, "", True, data + i, *limits)
+            yield Register(
+                f"indirect_address_{number}", where, 2, "", True, data + i, *limits
+            )
             yield Register(f"indirect_data_{number}", data + i, 1, "", True, 0, 0, 255)
 
 
 REGISTERS: tuple[Register, ...] = tuple(
-    Register(name, address, size, unit, access == "rw", int(initial), *limits, sign == "s")
+    Register(
+        name, address, size, unit, access == "rw", int(initial), *limits, sign == "s"
+    )
     for name, address, size, unit, access, initial, limits, sign in _ROWS
 ) + tuple(_indirect())
 
 TABLE: dict[str, Register] = {register.name: register for register in REGISTERS}
 
 BY_ADDRESS: dict[int, Register] = {
-    address: register for register in REGISTERS for address in range(register.address, register.end)
+    address: register
+    for register in REGISTERS
+    for address in range(register.address, register.end)
 }  # register of every defined byte
 
 
@@ -177,7 +192,9 @@ def decode_span(address: int, data: bytes) -> dict[str, int]:
     """Values of the registers that lie wholly within `data` read from `address`, by name."""
     end = address + len(data)
     return {
-        register.name: register.decode(data[register.address - address : register.end - address])
+        register.name: register.decode(
+            data[register.address - address : register.end - address]
+        )
         for register in map(BY_ADDRESS.get, range(address, end))
         if register is not None and address <= register.address and register.end <= end
     }

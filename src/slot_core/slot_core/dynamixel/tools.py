@@ -35,7 +35,9 @@ def use(options: argparse.Namespace) -> int:
     """Run the tool that the command line names; returns the exit code."""
     try:
         settings = read_settings()
-        changed = {k: v for k, v in (("port", options.port), ("baud", options.baud)) if v}
+        changed = {
+            k: v for k, v in (("port", options.port), ("baud", options.baud)) if v
+        }
         bus = dataclasses.replace(settings.bus, **changed)
         return TOOLS[options.action](dataclasses.replace(settings, bus=bus), options)
     except RefusedError as error:
@@ -55,7 +57,9 @@ def scan(settings: DynamixelSettings, options: argparse.Namespace) -> int:
         except BaudRateError:
             continue
         for identity, (model, firmware) in bus.scan().items():
-            print(f"{baud:>8} baud  id {identity:>3}  model {model}  firmware {firmware}")
+            print(
+                f"{baud:>8} baud  id {identity:>3}  model {model}  firmware {firmware}"
+            )
             found += 1
         bus.port.close()
     if not found:
@@ -82,7 +86,9 @@ def assign(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     bus = _open(settings)
     present = list(bus.scan())
     if len(present) != 1:
-        raise RefusedError([f"{len(present)} servos on the line {present}, expected exactly one"])
+        raise RefusedError(
+            [f"{len(present)} servos on the line {present}, expected exactly one"]
+        )
     bus.write_verified(present[0], "torque_enable", 0)
     bus.write(present[0], "id", options.id)
     if options.to_baud:
@@ -119,7 +125,9 @@ def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     was = math.degrees(joint.zero)
     print(f"{joint.name}: zero at {angle:.2f} deg, {was:.2f} deg before")
     if options.write:
-        print(f"written to {write_zero(options.leg, angle)}; now run scripts/servos prepare")
+        print(
+            f"written to {write_zero(options.leg, angle)}; now run scripts/servos prepare"
+        )
     return 0
 
 
@@ -145,7 +153,9 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
 
 
 def _state(bus: Bus, joint: Joint) -> str:
-    values = bus.read(joint.id, "torque_enable") | bus.read(joint.id, "hardware_error_status")
+    values = bus.read(joint.id, "torque_enable") | bus.read(
+        joint.id, "hardware_error_status"
+    )
     values |= bus.read(joint.id, "present_position", "present_temperature")
     torque = "on" if values["torque_enable"] else "off"
     return (
@@ -158,9 +168,13 @@ def _state(bus: Bus, joint: Joint) -> str:
 
 def _open(settings: DynamixelSettings, baud: int | None = None) -> Bus:
     check_latency(settings.bus.port, settings.bus.latency_limit)
-    port = SerialPort(settings.bus.port, baud or settings.bus.baud, settings.bus.timeout)
+    port = SerialPort(
+        settings.bus.port, baud or settings.bus.baud, settings.bus.timeout
+    )
     port.open()
-    return Bus(port, settings.bus, {joint.id: joint.name for joint in joints(settings.joints)})
+    return Bus(
+        port, settings.bus, {joint.id: joint.name for joint in joints(settings.joints)}
+    )
 
 
 TOOLS: dict[str, Callable[[DynamixelSettings, argparse.Namespace], int]] = {

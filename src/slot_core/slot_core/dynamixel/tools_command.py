@@ -29,10 +29,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> CommandParser:
     parser = command_parser("servos", __doc__)
     parser.add_argument(
-        "--port", metavar="DEVICE", help="serial port; default: of config/dynamixel.yaml"
+        "--port",
+        metavar="DEVICE",
+        help="serial port; default: of config/dynamixel.yaml",
     )
     parser.add_argument(
-        "--baud", metavar="N", type=int, help="baud rate; default: configured, scan: all"
+        "--baud",
+        metavar="N",
+        type=int,
+        help="baud rate; default: configured, scan: all",
     )
     actions = parser.add_subparsers(dest="action", required=True)
     for name in ("scan", "info", "prepare"):
@@ -45,5 +50,7 @@ def _parser() -> CommandParser:
     zero.add_argument("--write", action="store_true", help="to config/dynamixel.yaml")
     emulate = actions.add_parser("emulate")
     emulate.add_argument("--link", type=Path, help="symbolic link to the port")
-    emulate.add_argument("--usb-latency", type=float, help="latency of the emulated adapter, s")
+    emulate.add_argument(
+        "--usb-latency", type=float, help="latency of the emulated adapter, s"
+    )
     return parser

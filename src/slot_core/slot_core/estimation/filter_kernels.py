@@ -32,11 +32,19 @@ from slot_core.estimation.matrix_kernels import (
     symmetrise,
 )
 from slot_core.geometry import roll_pitch_yaw
-from slot_core.matrices import cholesky, set_product, set_product_transposed, solve_cholesky
+from slot_core.matrices import (
+    cholesky,
+    set_product,
+    set_product_transposed,
+    solve_cholesky,
+)
 from slot_core.robot import GRAVITY, Array
 
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = range(0, 15, 3)
-ERROR, MEASURED = 15, 9  # sizes of the error state and of a reading's angle, position, velocity
+ERROR, MEASURED = (
+    15,
+    9,
+)  # sizes of the error state and of a reading's angle, position, velocity
 COS_PITCH_MIN = 1e-3  # keeps the covariance of roll and yaw finite at a pitch of 90 deg
 
 
@@ -130,7 +138,17 @@ def propagate(state, work, rate, force, dt, noise, from_imu, bias_max):
 
 @kernel
 def propagate_through(
-    state, work, stamps, samples, begin, end, noise, bias_max, longest, rate, blind_noise
+    state,
+    work,
+    stamps,
+    samples,
+    begin,
+    end,
+    noise,
+    bias_max,
+    longest,
+    rate,
+    blind_noise,
 ):
     """Propagate from `begin` to `end` (ns) in steps between the IMU samples.
 

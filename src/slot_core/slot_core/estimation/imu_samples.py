@@ -60,14 +60,19 @@ class ImuQueue:
     def content(self, content: Sequence[ImuSamples]) -> None:
         (samples,) = content
         self._begin = self._end = 0
-        for stamp, value in zip(samples.stamps[-self._size :], samples.values[-self._size :]):
+        for stamp, value in zip(
+            samples.stamps[-self._size :], samples.values[-self._size :]
+        ):
             self.append(int(stamp), value)
 
     def append(self, stamp: int, value: Array) -> None:
         """Append a sample: stamp (ns), newer than all others, and (6,)."""
         if self._end == len(self._stamps):
             kept, count = slice(self._begin, self._end), self._end - self._begin
-            self._stamps[:count], self._values[:count] = self._stamps[kept], self._values[kept]
+            self._stamps[:count], self._values[:count] = (
+                self._stamps[kept],
+                self._values[kept],
+            )
             self._begin, self._end = 0, count
         self._stamps[self._end], self._values[self._end] = stamp, value
         self._end += 1

@@ -50,9 +50,15 @@ class OdometryNoise:
     period: float = quantity("nominal period of the odometry", "s", 1e-3, 1)
     position_noise: float = quantity("standard deviation of the position", "m", 1e-6, 1)
     angle_noise: float = quantity("standard deviation of the attitude", "rad", 1e-6, 1)
-    velocity_noise: float = quantity("standard deviation of the velocity", "m/s", 1e-6, 10)
-    rate_noise: float = quantity("standard deviation of the angular velocity", "rad/s", 1e-6, 10)
-    position_max: float = quantity("largest magnitude of a component that is accepted", "m", 1, 1e6)
+    velocity_noise: float = quantity(
+        "standard deviation of the velocity", "m/s", 1e-6, 10
+    )
+    rate_noise: float = quantity(
+        "standard deviation of the angular velocity", "rad/s", 1e-6, 10
+    )
+    position_max: float = quantity(
+        "largest magnitude of a component that is accepted", "m", 1, 1e6
+    )
     velocity_max: float = quantity(
         "largest magnitude of a component that is accepted", "m/s", 0.1, 100
     )
@@ -66,11 +72,15 @@ class ImuNoise:
     """Noise, biases and admissible range of the IMU."""
 
     rate: float = quantity("nominal sample rate of the IMU", "Hz", 10, 1e4)
-    gyro_noise: float = quantity("noise density of the gyroscope", "rad/s/sqrt(Hz)", 1e-7, 1)
+    gyro_noise: float = quantity(
+        "noise density of the gyroscope", "rad/s/sqrt(Hz)", 1e-7, 1
+    )
     acceleration_noise: float = quantity(
         "noise density of the accelerometer", "m/s^2/sqrt(Hz)", 1e-7, 10
     )
-    gyro_bias: float = quantity("initial standard deviation of the gyroscope's bias", "rad/s", 0, 1)
+    gyro_bias: float = quantity(
+        "initial standard deviation of the gyroscope's bias", "rad/s", 0, 1
+    )
     acceleration_bias: float = quantity(
         "initial standard deviation of the accelerometer's bias, tilt of odom included",
         "m/s^2",
@@ -80,7 +90,9 @@ class ImuNoise:
     acceleration_bias_max: float = quantity(
         "largest bias of the accelerometer, without the tilt of odom", "m/s^2", 0, 5
     )
-    gyro_drift: float = quantity("random walk of the gyroscope's bias", "rad/s/sqrt(s)", 0, 0.1)
+    gyro_drift: float = quantity(
+        "random walk of the gyroscope's bias", "rad/s/sqrt(s)", 0, 0.1
+    )
     acceleration_drift: float = quantity(
         "random walk of the accelerometer's bias", "m/s^2/sqrt(s)", 0, 1
     )
@@ -90,7 +102,9 @@ class ImuNoise:
     acceleration_step: float = quantity(
         "change of the acceleration between two samples", "m/s^2", 0, 1e3
     )
-    gyro_max: float = quantity("largest magnitude of a component that is accepted", "rad/s", 1, 100)
+    gyro_max: float = quantity(
+        "largest magnitude of a component that is accepted", "rad/s", 1, 100
+    )
     acceleration_max: float = quantity(
         "largest magnitude of a component that is accepted", "m/s^2", 10, 1e4
     )
@@ -112,9 +126,14 @@ class BlindSettings:
 class OutlierSettings:
     """Outlier gate of the odometry, and when the filter restarts from rejected readings."""
 
-    distance: float = quantity("largest Mahalanobis distance of angle, p, v", "sigma", 3, 1e3)
+    distance: float = quantity(
+        "largest Mahalanobis distance of angle, p, v", "sigma", 3, 1e3
+    )
     max_rejections: int = quantity(
-        "rejected readings in a row after which the filter restarts if they agree", "", 2, 100
+        "rejected readings in a row after which the filter restarts if they agree",
+        "",
+        2,
+        100,
     )
     agreement_distance: float = quantity(
         "largest distance of readings that agree, motion subtracted", "m", 1e-4, 1
@@ -131,13 +150,23 @@ class OutlierSettings:
 class TimingSettings:
     """Waiting time for the IMU, and gaps after which the filter degrades or restarts."""
 
-    imu_wait: float = quantity("a reading newer by this ends the wait for the IMU", "s", 0, 1)
-    imu_gap: float = quantity("longest interval between IMU samples that are used", "s", 1e-3, 1)
+    imu_wait: float = quantity(
+        "a reading newer by this ends the wait for the IMU", "s", 0, 1
+    )
+    imu_gap: float = quantity(
+        "longest interval between IMU samples that are used", "s", 1e-3, 1
+    )
     odometry_gap: float = quantity(
-        "longest interval between accepted readings; then the filter restarts", "s", 0.02, 5
+        "longest interval between accepted readings; then the filter restarts",
+        "s",
+        0.02,
+        5,
     )
     odometry_wait: float = quantity(
-        "time after a reading was due from which the IMU alone gives estimates", "s", 0.02, 5
+        "time after a reading was due from which the IMU alone gives estimates",
+        "s",
+        0.02,
+        5,
     )
     command_delay: float = quantity(
         "time from the newest sample to the effect of its command", "s", 0, 0.2
@@ -154,7 +183,10 @@ class BufferSettings:
     imu: int = quantity("largest number of IMU samples kept", "", 4, 100_000)
     odometry: int = quantity("largest number of readings that wait", "", 1, 1000)
     estimates: int = quantity(
-        "largest number of estimates not yet polled; the oldest is dropped", "", 1, 10_000
+        "largest number of estimates not yet polled; the oldest is dropped",
+        "",
+        1,
+        10_000,
     )
 
 
@@ -229,14 +261,18 @@ class InertialFilter:
         self._settings = settings
         imu, blind = settings.imu, settings.blind
         attitude, cov = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros((15, 15))
-        self._state = FilterState(attitude, np.zeros(3), np.zeros(3), np.zeros((2, 3)), cov)
+        self._state = FilterState(
+            attitude, np.zeros(3), np.zeros(3), np.zeros((2, 3)), cov
+        )
         self.forget_biases()
         self._work = work_space()
         drifts = imu.gyro_drift, imu.acceleration_drift
         self.rate = Rate(np.zeros(3), 0.0, 0.0)
         self._bias_max = imu.acceleration_bias_max
         self._noise = _densities(imu.gyro_noise, imu.acceleration_noise, *drifts)
-        self._blind_noise = _densities(blind.gyro_noise, blind.acceleration_noise, *drifts)
+        self._blind_noise = _densities(
+            blind.gyro_noise, blind.acceleration_noise, *drifts
+        )
 
     def forget_biases(self) -> None:
         """Set the biases to zero, as uncertain as at the start."""
@@ -307,7 +343,9 @@ class InertialFilter:
         held, steps = self._noise.copy(), self._settings.imu
         held[THETA] += np.square(dt * steps.angular_acceleration_step) * dt
         held[V] += np.square(steps.acceleration_step) * dt
-        propagate(self._state, self._work, imu[:3], imu[3:], dt, held, True, self._bias_max)
+        propagate(
+            self._state, self._work, imu[:3], imu[3:], dt, held, True, self._bias_max
+        )
 
     def correct(self, motion: OdometryMotion) -> bool:
         """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
@@ -359,7 +397,9 @@ def load_kernels(settings: EstimatorSettings) -> None:
     """Call every kernel once, which loads or compiles it, so that no reading waits for it."""
     scratch = InertialFilter(settings)
     zero = np.zeros(3)
-    still = OdometryMotion(0, np.array([0.0, 0.0, 0.0, 1.0]), zero, zero, zero, np.ones(12))
+    still = OdometryMotion(
+        0, np.array([0.0, 0.0, 0.0, 1.0]), zero, zero, zero, np.ones(12)
+    )
     scratch.restart(still)
     queue, imu = ImuQueue(2), np.concatenate([zero, UP])
     queue.append(0, imu)
@@ -370,6 +410,8 @@ def load_kernels(settings: EstimatorSettings) -> None:
     scratch.output()
 
 
-def _densities(gyro: float, force: float, gyro_drift: float, force_drift: float) -> Array:
+def _densities(
+    gyro: float, force: float, gyro_drift: float, force_drift: float
+) -> Array:
     """Variance densities (15,) of the error state from noise densities."""
     return np.square(np.repeat([gyro, 0.0, force, gyro_drift, force_drift], 3))

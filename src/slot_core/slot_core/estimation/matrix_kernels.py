@@ -13,7 +13,9 @@ from slot_core.compiled import helper
 from slot_core.elementary import atan2, cos, sin
 from slot_core.matrices import set_product
 
-SMALL_ANGLE = 1e-4  # rad, below which the next term of a series is less than a rounding error
+SMALL_ANGLE = (
+    1e-4  # rad, below which the next term of a series is less than a rounding error
+)
 
 
 @helper
@@ -94,8 +96,16 @@ def set_cross(out, row, column, a, scale):
     """Set a block (3, 3) of out to scale [a]x, with [a]x b = a x b."""
     x, y, z = scale * a[0], scale * a[1], scale * a[2]
     out[row, column], out[row, column + 1], out[row, column + 2] = 0.0, -z, y
-    out[row + 1, column], out[row + 1, column + 1], out[row + 1, column + 2] = z, 0.0, -x
-    out[row + 2, column], out[row + 2, column + 1], out[row + 2, column + 2] = -y, x, 0.0
+    out[row + 1, column], out[row + 1, column + 1], out[row + 1, column + 2] = (
+        z,
+        0.0,
+        -x,
+    )
+    out[row + 2, column], out[row + 2, column + 1], out[row + 2, column + 2] = (
+        -y,
+        x,
+        0.0,
+    )
 
 
 @helper

@@ -48,7 +48,10 @@ from slot_core.matrices import norm, product
 from slot_core.robot import Array
 
 BEFORE_ALL_TIMES = -(2**62)  # ns
-VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6  # SI, to which the variances of a message are clipped
+VARIANCE_MIN, VARIANCE_MAX = (
+    1e-12,
+    1e6,
+)  # SI, to which the variances of a message are clipped
 
 
 def read_estimator() -> EstimatorSettings:
@@ -66,10 +69,19 @@ class StateEstimator:
     """
 
     STATE = StateParts(
-        "_filter", "_newest", "_imu", "_waiting", "_rejected", "_stamp", "_corrected", "_reached",
-        "_tick", "_accepted_stamp", "_accepted",
+        "_filter",
+        "_newest",
+        "_imu",
+        "_waiting",
+        "_rejected",
+        "_stamp",
+        "_corrected",
+        "_reached",
+        "_tick",
+        "_accepted_stamp",
+        "_accepted",
         values=(FilterState, OdometryMotion),
-    )  # fmt: skip
+    )
 
     def __init__(self, settings: EstimatorSettings) -> None:
         load_kernels(settings)
@@ -107,7 +119,9 @@ class StateEstimator:
         """Angle of the floor of odom and its standard deviation, rad, see `InertialFilter`."""
         return self._filter.incline
 
-    def add_imu(self, stamp: int, angular_velocity: Array, specific_force: Array) -> None:
+    def add_imu(
+        self, stamp: int, angular_velocity: Array, specific_force: Array
+    ) -> None:
         """Add an IMU sample: stamp (ns), (3,) rad/s and (3,) m/s^2 in the frame of the IMU."""
         rate = _vector(angular_velocity, 3, self._settings.imu.gyro_max)
         force = _vector(specific_force, 3, self._settings.imu.acceleration_max)
@@ -136,7 +150,9 @@ class StateEstimator:
         """
         if not self._advances("odometry", stamp):
             return
-        motion = self._decode(stamp, position, quaternion_xyzw, velocity, angular_velocity)
+        motion = self._decode(
+            stamp, position, quaternion_xyzw, velocity, angular_velocity
+        )
         if motion is not None and variance is not None:
             motion = replace(motion, variance=_known(variance, self._variance))
         self._waiting.append((stamp, motion))
@@ -155,7 +171,12 @@ class StateEstimator:
         return self._predicted(newest, validity, 0.0)
 
     def _decode(
-        self, stamp: int, position: Array, quaternion: Array, velocity: Array, rate: Array
+        self,
+        stamp: int,
+        position: Array,
+        quaternion: Array,
+        velocity: Array,
+        rate: Array,
     ) -> OdometryMotion | None:
         """The decoded reading; None if it is not finite, of a wrong shape, or out of range."""
         limits = self._settings.odometry
@@ -173,7 +194,10 @@ class StateEstimator:
     def _advances(self, stream: str, stamp: int) -> bool:
         """Whether `stamp` is the newest of its stream; a clock set back resets the estimator."""
         newest = self._newest.get(stream)
-        if newest is not None and newest - stamp > self._settings.timing.clock_jump * SECOND:
+        if (
+            newest is not None
+            and newest - stamp > self._settings.timing.clock_jump * SECOND
+        ):
             self._reset()
             newest = None
         if newest is not None and stamp <= newest:
@@ -284,12 +308,16 @@ class StateEstimator:
         half = to_seconds(b.stamp - a.stamp) / 2
         before, after = matrix_of_quaternion([a.attitude, b.attitude])
         travel = half * (product(before, a.velocity) + product(after, b.velocity))
-        turned = quaternion_product(a.attitude, quaternion_of_vector(half * (a.rate + b.rate)))
+        turned = quaternion_product(
+            a.attitude, quaternion_of_vector(half * (a.rate + b.rate))
+        )
         distance = norm(b.position - a.position - travel)
         apart = quaternion_product(turned * [-1.0, -1.0, -1.0, 1.0], b.attitude)
         angle = 2.0 * atan2(norm(apart[:3]), abs(apart[3]))
         gate = self._settings.gate
-        return distance <= gate.agreement_distance and bool(angle <= gate.agreement_angle)
+        return distance <= gate.agreement_distance and bool(
+            angle <= gate.agreement_angle
+        )
 
     def _validity(self, accepted: bool, imu_complete: bool) -> Validity:
         if not accepted:
@@ -302,7 +330,9 @@ class StateEstimator:
         """Make the estimate of a tick, predicted with the newest IMU sample and beyond it."""
         self._tick = stamp
         self._propagate_to_newest()
-        self._ready.append(self._predicted(stamp, validity, self._settings.timing.command_delay))
+        self._ready.append(
+            self._predicted(stamp, validity, self._settings.timing.command_delay)
+        )
 
     def _predicted(self, stamp: int, validity: Validity, delay: float) -> Estimate:
         """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
@@ -328,7 +358,9 @@ def _vector(values: Array, size: int, limit: float) -> Array | None:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         return None
-    usable = array.shape == (size,) and all(abs(x) <= limit for x in array.tolist())  # NaN is not
+    usable = array.shape == (size,) and all(
+        abs(x) <= limit for x in array.tolist()
+    )  # NaN is not
     return array if usable else None
 
 
@@ -339,7 +371,9 @@ def _mount(imu: Mount) -> tuple[Array, Array] | None:
     return (rotation, place) if np.any(imu.rpy) or place.any() else None
 
 
-def _in_base(rate: Array, force: Array, rotation: Array, place: Array) -> tuple[Array, Array]:
+def _in_base(
+    rate: Array, force: Array, rotation: Array, place: Array
+) -> tuple[Array, Array]:
     """Angular velocity and specific force of base_link from those of an IMU at `place` on it.
 
     f = R f_imu - w x (w x r); the angular acceleration's share is neglected, as no IMU measures it.

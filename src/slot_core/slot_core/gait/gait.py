@@ -78,7 +78,9 @@ class Pattern:
     The tables are differences to the stride's centre at rest; legs in the order FL FR RL RR.
     """
 
-    speed: float = quantity("velocity commanded by amplitude one", "m/s or rad/s", 1e-3, 1)
+    speed: float = quantity(
+        "velocity commanded by amplitude one", "m/s or rad/s", 1e-3, 1
+    )
     angle_deg: FourHarmonics = quantity("tendon angle", "deg", -360, 360)
     normal_force: FourHarmonics = quantity("normal force of the ground", "N", -50, 50)
     roll: Harmonics = quantity("roll of the torso", "rad", -1, 1)
@@ -117,7 +119,9 @@ class Posture:
     height: float = quantity("height of base_link", "m", 0.015, 0.12)
     roll_deg: float = quantity("roll", "deg", -20, 20)
     pitch_deg: float = quantity("pitch", "deg", -20, 20)
-    height_range: tuple[float, float] = quantity("heights that can be commanded", "m", 0.015, 0.12)
+    height_range: tuple[float, float] = quantity(
+        "heights that can be commanded", "m", 0.015, 0.12
+    )
 
     cruise = 0.0
     period = 1.0
@@ -142,9 +146,15 @@ class Stride:
     )
     centre_force: float = quantity("normal force of a leg at rest", "N", 0, 50)
     height: float = quantity("height of base_link at rest", "m", 0.015, 0.12)
-    height_range: tuple[float, float] = quantity("heights that can be commanded", "m", 0.015, 0.12)
-    amplitude_max: Vector3 = quantity("largest amplitude of each pattern alone", "", 0.1, 3)
-    walking_speed: float = quantity("speed above which steering replaces the turn", "m/s", 1e-3, 1)
+    height_range: tuple[float, float] = quantity(
+        "heights that can be commanded", "m", 0.015, 0.12
+    )
+    amplitude_max: Vector3 = quantity(
+        "largest amplitude of each pattern alone", "", 0.1, 3
+    )
+    walking_speed: float = quantity(
+        "speed above which steering replaces the turn", "m/s", 1e-3, 1
+    )
 
     @property
     def speeds(self) -> Vector3:
@@ -164,7 +174,9 @@ class Stride:
         most = (1.0 - walking) * self.turn.speed + walking * steering
         return np.append(planar, np.clip(velocity[2], -most, most))
 
-    def stride_table(self, phase: Array, velocity: Array, offset: Array | float = 0.0) -> Array:
+    def stride_table(
+        self, phase: Array, velocity: Array, offset: Array | float = 0.0
+    ) -> Array:
         """Gait (n, 20) at phases (n,): 4 tendon angles (rad), 4 normal forces (N), 12 torso states.
 
         velocity: (n, 3) or (3,) [v_x, v_y, yaw rate] that sets the amplitudes; offset: rad, of the
@@ -199,11 +211,16 @@ class Stride:
         amplitude[:, 2] *= 1.0 - walking
         limit = np.maximum(1.0, norm(amplitude / self.amplitude_max))
         table = np.zeros((len(velocity), 13, 5))
-        for a, (one, other) in zip((amplitude / limit[:, None]).T[..., None, None], self._pairs):
+        for a, (one, other) in zip(
+            (amplitude / limit[:, None]).T[..., None, None], self._pairs
+        ):
             table += np.maximum(a, 0.0) * one + np.maximum(-a, 0.0) * other
         steerings = (self.forward_steering, self.lateral_steering)
         for a, steering, (one, other) in zip(amplitude.T, steerings, self._steering):
-            turn = np.clip(velocity[:, 2], -steering.rate_max, steering.rate_max) / steering.rate
+            turn = (
+                np.clip(velocity[:, 2], -steering.rate_max, steering.rate_max)
+                / steering.rate
+            )
             share = (walking * turn * np.abs(a) / size)[:, None, None]
             table += share * np.where((a < 0.0)[:, None, None], other, one)
         return table
@@ -243,7 +260,9 @@ class Stride:
 
 def _mirrored(table: Array, legs: list[int], signs: Array) -> Array:
     """Mirror image of a pattern (13, 5), half a stride later; signs (5,) of the sway."""
-    mirrored = np.vstack([table[:4][legs], table[4:8][legs], signs[:, None] * table[8:]])
+    mirrored = np.vstack(
+        [table[:4][legs], table[4:8][legs], signs[:, None] * table[8:]]
+    )
     return mirrored * HALF_STRIDE_LATER
 
 
@@ -253,8 +272,12 @@ class GaitSettings:
 
     postures: dict[str, Posture]
     strides: dict[str, Stride]
-    friction: float = quantity("friction coefficient assumed by the controller", "", 0, 2)
-    contact_force: float = quantity("smallest normal force of a leg in stance", "N", 0, 10)
+    friction: float = quantity(
+        "friction coefficient assumed by the controller", "", 0, 2
+    )
+    contact_force: float = quantity(
+        "smallest normal force of a leg in stance", "N", 0, 10
+    )
     transition: float = quantity("duration of a blend between gaits", "s", 0, 10)
     acceleration: float = quantity(
         "largest rate of change of the commanded velocity", "m/s^2", 1e-3, 10
@@ -262,15 +285,25 @@ class GaitSettings:
     turn_acceleration: float = quantity(
         "largest rate of change of the commanded yaw rate", "rad/s^2", 1e-3, 10
     )
-    lead: float = quantity("largest distance of the reference from the robot", "m", 0, 1)
-    heading_lead: float = quantity("largest angle of the reference from the robot", "rad", 0, 1)
-    lift_speed: float = quantity("largest rate of change of the commanded height", "m/s", 1e-3, 1)
+    lead: float = quantity(
+        "largest distance of the reference from the robot", "m", 0, 1
+    )
+    heading_lead: float = quantity(
+        "largest angle of the reference from the robot", "rad", 0, 1
+    )
+    lift_speed: float = quantity(
+        "largest rate of change of the commanded height", "m/s", 1e-3, 1
+    )
     tilt_speed: float = quantity(
         "largest rate of change of commanded roll and pitch", "rad/s", 1e-3, 10
     )
     tilt_max: float = quantity("largest commanded roll and pitch", "rad", 0, 0.5)
-    velocity_timeout: float = quantity("age at which a velocity command expires", "s", 0.05, 10)
-    stages: int = quantity("stages of the preview, at least the MPC's horizon", "", 1, 100)
+    velocity_timeout: float = quantity(
+        "age at which a velocity command expires", "s", 0.05, 10
+    )
+    stages: int = quantity(
+        "stages of the preview, at least the MPC's horizon", "", 1, 100
+    )
     dt: float = quantity("time between stages", "s", 1e-3, 0.2)
 
     @property
@@ -289,14 +322,18 @@ class GaitSettings:
         """Raise ConfigError for an unknown gait or a velocity (3,) that it does not reach."""
         gait = self.find(name)
         if len(velocity) != 3:
-            raise config.ConfigError(f"velocity: {len(velocity)} values, not v_x, v_y, yaw rate")
+            raise config.ConfigError(
+                f"velocity: {len(velocity)} values, not v_x, v_y, yaw rate"
+            )
         for value, most, label in zip(velocity, gait.speeds, SPEED_NAMES):
             if not abs(value) <= most + ROUNDING:
                 raise config.ConfigError(
                     f"{label} = {value:g}: gait {name} reaches [{0.0 - most:g}, {most:g}]"
                 )
         if isinstance(gait, Stride):
-            for value, reached, label in zip(velocity, gait.reached(velocity), SPEED_NAMES):
+            for value, reached, label in zip(
+                velocity, gait.reached(velocity), SPEED_NAMES
+            ):
                 if abs(value - reached) > ROUNDING:
                     raise config.ConfigError(
                         f"{label} = {value:g}: with the other velocities gait {name} reaches"
@@ -309,8 +346,14 @@ class GaitSettings:
         if isinstance(gait, Posture) and not gait.loaded:
             raise config.ConfigError(f"gait {name} has slack tendons: no body pose")
         low, high = gait.height_range
-        limits = ((low, high), (-self.tilt_max, self.tilt_max), (-self.tilt_max, self.tilt_max))
-        for value, (least, most), label in zip(pose, limits, ("height", "roll", "pitch")):
+        limits = (
+            (low, high),
+            (-self.tilt_max, self.tilt_max),
+            (-self.tilt_max, self.tilt_max),
+        )
+        for value, (least, most), label in zip(
+            pose, limits, ("height", "roll", "pitch")
+        ):
             if not least <= value <= most:
                 raise config.ConfigError(
                     f"{label} = {value:g}: gait {name} reaches [{least:g}, {most:g}]"
@@ -345,10 +388,14 @@ class GaitPreview:
     normal_force: Array  # (n, 4) N, of the gait
     tendon_angle: Array  # (n, 4) rad, nominal
     reference: Array  # (n, 12) [roll pitch yaw, p, omega, v]
-    velocity_ahead: Array  # (n, 3) v_x, v_y m/s, yaw rate rad/s of the reference, heading frame
+    velocity_ahead: (
+        Array  # (n, 3) v_x, v_y m/s, yaw rate rad/s of the reference, heading frame
+    )
     corrected: bool  # whether a policy may correct the angles: loaded legs follow them
     command: GaitCommand  # that was in force
-    remark: str = ""  # one line on a command that is followed in part only, or not at all
+    remark: str = (
+        ""  # one line on a command that is followed in part only, or not at all
+    )
 
     @property
     def phases(self) -> Array:
@@ -371,7 +418,9 @@ def read_gaits() -> GaitSettings:
     """The settings of `config/gait.yaml` with every file of `config/gait/`; raises ConfigError."""
     settings = config.load("gait")
     if not isinstance(settings, dict):
-        raise config.ConfigError(f"gait.yaml: expected a mapping, got {quoted(settings)}")
+        raise config.ConfigError(
+            f"gait.yaml: expected a mapping, got {quoted(settings)}"
+        )
     found: dict[str, dict[str, object]] = {"posture": {}, "stride": {}}
     for path in sorted((config.config_dir() / "gait").glob("*.yaml")):
         gait = config.load(f"gait/{path.stem}")

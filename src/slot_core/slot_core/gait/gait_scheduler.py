@@ -30,7 +30,10 @@ from slot_core.robot import Array, RobotParameters
 LEAST_VELOCITY = 1e-4  # m/s, rad/s: below it a stride stands
 LONGEST_GAP = 0.5  # s between states; after a longer one the commands do not move
 SETTLING = 0.5  # s that the servos follow before a posture is corrected: the torso still swings
-FASTEST, FASTEST_TURN = 1.0, 3.0  # m/s, rad/s of a torso; beyond it the odometry has jumped
+FASTEST, FASTEST_TURN = (
+    1.0,
+    3.0,
+)  # m/s, rad/s of a torso; beyond it the odometry has jumped
 
 
 @dataclass
@@ -67,10 +70,22 @@ class GaitScheduler:
     """
 
     STATE = StateParts(
-        "_requested", "_wanted", "_remark", "_wanted_pose", "_command_stamp", "_running",
-        "_since_change", "_stamp", "_seen", "_followed", "_followed_for", "_velocity", "_pose",
-        "_place", "_path",
-    )  # fmt: skip
+        "_requested",
+        "_wanted",
+        "_remark",
+        "_wanted_pose",
+        "_command_stamp",
+        "_running",
+        "_since_change",
+        "_stamp",
+        "_seen",
+        "_followed",
+        "_followed_for",
+        "_velocity",
+        "_pose",
+        "_place",
+        "_path",
+    )
 
     def __init__(  # noqa: PLR0917
         self,
@@ -113,7 +128,9 @@ class GaitScheduler:
         self._requested, self._wanted = gait, np.array(velocity, dtype=float)
         self._remark = ""  # what of the velocity is clipped
         self._wanted_pose = self._home(wanted)
-        self._command_stamp: int | None = None  # ns, of the velocity; None: it does not expire
+        self._command_stamp: int | None = (
+            None  # ns, of the velocity; None: it does not expire
+        )
 
     def set_velocity(self, stamp: int, velocity: Array) -> None:
         """Set the velocity of the requested gait; after `velocity_timeout` it becomes zero.
@@ -174,7 +191,10 @@ class GaitScheduler:
         """Whether the robot is further from where it was seen last than it can move."""
         if self._seen is None:
             return False
-        moved, turned = norm(state[3:5] - self._seen[:2]), wrapped(state[2] - self._seen[2])
+        moved, turned = (
+            norm(state[3:5] - self._seen[:2]),
+            wrapped(state[2] - self._seen[2]),
+        )
         return bool(moved > FASTEST * elapsed or abs(turned) > FASTEST_TURN * elapsed)
 
     def _is_expired(self, stamp: int) -> bool:
@@ -243,7 +263,9 @@ class GaitScheduler:
         """Advance the strides that run, and the reference place."""
         for active in {id(a): a for a in (self._previous, self._current)}.values():
             if isinstance(active, _ActiveStride):
-                active.moving = float(self._moving_after(active, np.array([elapsed]))[0])
+                active.moving = float(
+                    self._moving_after(active, np.array([elapsed]))[0]
+                )
         current = self._current
         if isinstance(current, _ActivePosture) or self._waits():
             self._place = None
@@ -268,7 +290,9 @@ class GaitScheduler:
     def _moving_after(self, active: _ActiveStride, times: Array) -> Array:
         """Share (n,) of a stride's motion at `times` (s) ahead."""
         change = times / max(self._settings.transition, 1e-9)
-        return np.clip(active.moving + (-change if self._is_still() else change), 0.0, 1.0)
+        return np.clip(
+            active.moving + (-change if self._is_still() else change), 0.0, 1.0
+        )
 
     def _preview(self, stamp: int, state: Array) -> GaitPreview:
         times = self._settings.dt * np.arange(self._settings.stages, dtype=float)
@@ -289,7 +313,10 @@ class GaitScheduler:
             velocity_ahead=velocity,
             corrected=self._is_corrected(),
             command=GaitCommand(
-                self._requested, self._wanted.copy(), self._wanted_pose.copy(), self._followed
+                self._requested,
+                self._wanted.copy(),
+                self._wanted_pose.copy(),
+                self._followed,
             ),
             remark=self._remark,
         )
@@ -298,7 +325,9 @@ class GaitScheduler:
         """Velocities (n, 3) and places (n, 3) of the reference at `times` (s) ahead."""
         s, place, gait = self._settings, self._place, self._current.gait
         if place is not None and self._path is not None and isinstance(gait, Stride):
-            return self._path.ahead(place, times, self._speed, gait.reached, self._velocity)
+            return self._path.ahead(
+                place, times, self._speed, gait.reached, self._velocity
+            )
         steps = times[:, None] * [s.acceleration, s.acceleration, s.turn_acceleration]
         velocity = _toward(self._velocity, self._wanted, steps)
         begin = state[[3, 4, 2]] if place is None else place
@@ -309,17 +338,25 @@ class GaitScheduler:
         if not self._followed or self._followed_for < SETTLING:
             return False
         blends = self._since_change < self._settings.transition
-        gaits = [self._current.gait, self._previous.gait] if blends else [self._current.gait]
+        gaits = (
+            [self._current.gait, self._previous.gait]
+            if blends
+            else [self._current.gait]
+        )
         return all(isinstance(gait, Stride) or gait.loaded for gait in gaits)
 
     def _blend(self, times: Array, velocity: Array) -> Array:
         """Blend (n, 20) of the previous and the present gait at velocities (n, 3)."""
         elapsed = self._since_change + times
-        weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[:, None]
+        weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[
+            :, None
+        ]
         current = self._table_ahead(self._current, times, velocity)
         if weight.min() == 1.0:
             return current
-        return (1 - weight) * self._table_ahead(self._previous, times, velocity) + weight * current
+        return (1 - weight) * self._table_ahead(
+            self._previous, times, velocity
+        ) + weight * current
 
     def _table_ahead(self, active: _Active, times: Array, velocity: Array) -> Array:
         """Angles, normal forces and torso states (n, 20) of a gait at `times` (s) ahead."""
@@ -331,7 +368,9 @@ class GaitScheduler:
         slack[:, 13] = self._pose[0]
         return slack
 
-    def _stride_table_ahead(self, active: _ActiveStride, times: Array, velocity: Array) -> Array:
+    def _stride_table_ahead(
+        self, active: _ActiveStride, times: Array, velocity: Array
+    ) -> Array:
         """Course (n, 20) of a stride that moves, stands on its centre, or changes between both."""
         gait, moving = active.gait, self._moving_after(active, times)[:, None]
         if moving.max() == 0.0:
@@ -347,7 +386,9 @@ class GaitScheduler:
 
     def _posture_course(self, times: Array) -> Array:
         """Angles, normal forces and torso states (n, 20) of a posture; linear in the time ahead."""
-        ends = np.stack([self._posture_row(self._pose_after(t)) for t in (0.0, times[-1])])
+        ends = np.stack(
+            [self._posture_row(self._pose_after(t)) for t in (0.0, times[-1])]
+        )
         share = (times / max(times[-1], 1e-9))[:, None]
         return (1 - share) * ends[0] + share * ends[1]
 

@@ -19,7 +19,9 @@ def limited(place: Array, robot: Array, lead: float, heading_lead: float) -> Arr
     """Reference place (3,), at most `lead` (m) and `heading_lead` (rad) from the robot's place."""
     gap, turn = place[:2] - robot[:2], wrapped(place[2] - robot[2])
     share = min(1.0, lead / max(norm(gap), 1e-12))
-    return np.append(robot[:2] + share * gap, robot[2] + np.clip(turn, -heading_lead, heading_lead))
+    return np.append(
+        robot[:2] + share * gap, robot[2] + np.clip(turn, -heading_lead, heading_lead)
+    )
 
 
 def places_ahead(place: Array, velocity: Array, dt: float) -> Array:
@@ -54,4 +56,6 @@ def mean_velocity(time: Array, pose: Array) -> Array:
     """
     yaw = np.unwrap(pose[:, 2])
     forward, lateral = rotate(np.diff(pose[:, :2], axis=0), -yaw[:-1]).T
-    return np.array([forward.sum(), lateral.sum(), yaw[-1] - yaw[0]]) / (time[-1] - time[0])
+    return np.array([forward.sum(), lateral.sum(), yaw[-1] - yaw[0]]) / (
+        time[-1] - time[0]
+    )

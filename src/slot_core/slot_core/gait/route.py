@@ -96,7 +96,9 @@ class Route:
         """
         arc = np.minimum(self.travelled + speed * times, self.length)
         direction = self._direction[self._segments(arc)]
-        xy = np.column_stack([interpolated(arc, self._arc, axis) for axis in self._points.T])
+        xy = np.column_stack(
+            [interpolated(arc, self._arc, axis) for axis in self._points.T]
+        )
         xy += place[:2] - xy[0]
         yaw, velocity = np.full(len(times), place[2]), np.zeros((len(times), 3))
         for k, way in enumerate(direction):
@@ -132,14 +134,19 @@ class Route:
     def _point(self, travelled: float) -> Array:
         x, y = self._points.T
         return np.array(
-            [interpolated(travelled, self._arc, x), interpolated(travelled, self._arc, y)]
+            [
+                interpolated(travelled, self._arc, x),
+                interpolated(travelled, self._arc, y),
+            ]
         )
 
 
 def read_route(file: Path | str, heading: str) -> Route:
     """The path of a CSV file with columns x, y (m); heading as in `Route`. Raises ConfigError."""
     if heading not in (KEPT, ALONG):
-        raise ConfigError(f"path_heading = {quoted(heading)}: expected one of kept, along")
+        raise ConfigError(
+            f"path_heading = {quoted(heading)}: expected one of kept, along"
+        )
     try:
         lines = read_text(Path(file), SIZE_MAX).splitlines()
         rows = [[float(row["x"]), float(row["y"])] for row in csv.DictReader(lines)]

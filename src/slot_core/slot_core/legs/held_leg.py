@@ -35,7 +35,9 @@ class HeldLeg:
     NoEquilibriumError where the leg has no equilibrium at the start.
     """
 
-    def __init__(self, robot: RobotParameters, nodes: int, friction: float, height: float):
+    def __init__(
+        self, robot: RobotParameters, nodes: int, friction: float, height: float
+    ):
         self.height = height  # m, checked by `StaticLeg`
         self.model, self._leg = level_leg(robot, nodes, {"friction_law": "viscous"})
         self._leg.friction[:] = checked("friction", friction, ())
@@ -59,7 +61,9 @@ class HeldLeg:
         start = float(self._leg.angle[0])
         steps = max(1, math.ceil(abs(angle - start) / (rate * STEP)))
         turn = (angle - start) / steps
-        change = turn_spool(self.model, self._leg, self._start, self.height, turn, steps)
+        change = turn_spool(
+            self.model, self._leg, self._start, self.height, turn, steps
+        )
         if not change <= LIMIT:
             raise NoEquilibriumError(
                 f"leg at {math.degrees(self._leg.angle[0]):.3f} deg, {self.height:.4f} m:"
@@ -88,7 +92,9 @@ def turn_spool(model, leg, start, height, turn, steps):
             substeps = 2**halving
             for k in range(substeps):
                 leg.angle[0] = begin + turn * (k + 1) / substeps
-                change = take_step(model, leg, height, STEP / substeps, ITERATIONS, TOLERANCE)
+                change = take_step(
+                    model, leg, height, STEP / substeps, ITERATIONS, TOLERANCE
+                )
                 if not change <= LIMIT:
                     break
             if change <= LIMIT:

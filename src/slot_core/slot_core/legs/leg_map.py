@@ -80,7 +80,9 @@ class StaticLeg:
     """One leg on a frictionless floor, clamp horizontal; keeps its shape between solutions."""
 
     def __init__(self, robot: RobotParameters, nodes: int):
-        self.model, self._leg = level_leg(robot, nodes, {"friction": (0.0, 0.0, 0.0, 0.0)})
+        self.model, self._leg = level_leg(
+            robot, nodes, {"friction": (0.0, 0.0, 0.0, 0.0)}
+        )
         self._stiffness = at_nodes(self.model.floor.stiffness)
 
     @property
@@ -113,8 +115,12 @@ class StaticLeg:
         if force > 0.0:
             contact = (normal * node[:, 0]).sum() / force
         self._leg.back[:, :, 7] = 0.0  # the last correction is no part of the response
-        slope, foot_slope = respond(self.model, self._leg, self._stiffness, height, 0.0, 1.0)
-        stiffness, foot_rise = respond(self.model, self._leg, self._stiffness, height, 1.0, 0.0)
+        slope, foot_slope = respond(
+            self.model, self._leg, self._stiffness, height, 0.0, 1.0
+        )
+        stiffness, foot_rise = respond(
+            self.model, self._leg, self._stiffness, height, 1.0, 0.0
+        )
         return LegEquilibrium(
             force=float(force),
             slope=slope,
@@ -169,7 +175,9 @@ def respond(model, leg, springs, height, rise, turn):
     return force, shift / weight if weight > 0.0 else 0.0
 
 
-def tabulate(robot: RobotParameters, grid: LegMapSettings, tell: Tell = untold) -> Array:
+def tabulate(
+    robot: RobotParameters, grid: LegMapSettings, tell: Tell = untold
+) -> Array:
     """Leg map, (angles x heights, 11), columns and units of `COLUMNS`; the height varies fastest.
 
     Raises NoEquilibriumError.
@@ -187,7 +195,11 @@ def tabulate(robot: RobotParameters, grid: LegMapSettings, tell: Tell = untold) 
 
 
 def _rows_at_height(
-    robot: RobotParameters, grid: LegMapSettings, node: Array, height: float, angles: Array
+    robot: RobotParameters,
+    grid: LegMapSettings,
+    node: Array,
+    height: float,
+    angles: Array,
 ) -> Array:
     """(angles, 11) rows of the map at one height (m), from the shape (N, 2) at angle zero."""
     leg, stuck = StaticLeg(robot, grid.nodes), StickingLeg(robot, grid.nodes)
@@ -199,7 +211,9 @@ def _rows_at_height(
         numbers = (here.force, here.slope, here.stiffness, here.contact_x, here.tension)
         feet = (here.foot_slope, here.foot_rise)
         held = stuck.stiffness(here.node, angle, height)
-        rows.append((math.degrees(angle), height, *numbers, *feet, held[0, 0], held[1, 1]))
+        rows.append(
+            (math.degrees(angle), height, *numbers, *feet, held[0, 0], held[1, 1])
+        )
     return np.array(rows)
 
 

@@ -41,7 +41,9 @@ class LegSprings:
     def at(self, angle: Array, height: Array) -> Springs:
         """Statics at tendon angles (rad) and clamp heights (m) of one shape; raises ValueError."""
         if np.shape(angle) != np.shape(height):
-            raise ValueError(f"angles {np.shape(angle)}, heights {np.shape(height)}: not equal")
+            raise ValueError(
+                f"angles {np.shape(angle)}, heights {np.shape(height)}: not equal"
+            )
         flat = self._table.at(np.ravel(angle), np.ravel(height))
         flat[:, 1] = np.maximum(flat[:, 1], self._slope_min)
         flat[:, 2] = np.minimum(flat[:, 2], 0.0)

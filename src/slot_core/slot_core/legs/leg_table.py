@@ -36,7 +36,9 @@ class LegTable:
         checked("table", self.table, (*map(len, grid), -1))
         for values in grid:
             if len(values) < 2 or not (np.diff(values) > 0.0).all():
-                raise ValueError("grid: expected two or more angles and heights that rise")
+                raise ValueError(
+                    "grid: expected two or more angles and heights that rise"
+                )
 
     def at(self, angle: Array, height: Array) -> Array:
         """Columns (k, c) at angles (k,) rad and heights (k,) m, bilinear; outside: at the edge.

@@ -45,8 +45,12 @@ def level_leg(
 
     floor: changes of the floor of the scene `flat`, by name.
     """
-    changes = {f"floor.{name}": value for name, value in floor.items()} | {"solver.nodes": nodes}
-    model = build_model(robot, config.replace(read_scene("flat"), changes), read_servo())
+    changes = {f"floor.{name}": value for name, value in floor.items()} | {
+        "solver.nodes": nodes
+    }
+    model = build_model(
+        robot, config.replace(read_scene("flat"), changes), read_servo()
+    )
     leg = spatial_leg(nodes, (), len(model.floor.stiffness))
     leg.stage[:, ::2] = model.rod.node
     leg.segments.director[:] = 0.0, -1.0, 0.0

@@ -21,7 +21,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = CommandParser(prog="scripts/tabulate_leg", description=__doc__)
     default = config.config_dir() / "leg_map.csv"
     parser.add_argument(
-        "--out", metavar="FILE", type=Path, default=default, help="CSV file (default: %(default)s)"
+        "--out",
+        metavar="FILE",
+        type=Path,
+        default=default,
+        help="CSV file (default: %(default)s)",
     )
     out = parser.parse_args(arguments).out
     if out.is_dir() or not out.parent.is_dir():  # known before the long computation

@@ -85,12 +85,18 @@ def imu(message: Any) -> tuple[int, Array, Array]:
     for name in ("angular_velocity", "linear_acceleration"):
         if getattr(message, f"{name}_covariance")[0] == -1.0:
             raise ValueError(f"no {name}: its covariance begins with -1")
-    return stamp(message), vector(message.angular_velocity), vector(message.linear_acceleration)
+    return (
+        stamp(message),
+        vector(message.angular_velocity),
+        vector(message.linear_acceleration),
+    )
 
 
 def velocity(message: Any) -> tuple[int, Array]:
     """(stamp, [v_x, v_y, yaw rate]) of a TwistStamped in base_link, or of a Twist with stamp 0."""
-    when, twist = (stamp(message), message.twist) if hasattr(message, "header") else (0, message)
+    when, twist = (
+        (stamp(message), message.twist) if hasattr(message, "header") else (0, message)
+    )
     return when, np.array([twist.linear.x, twist.linear.y, twist.angular.z])
 
 
@@ -111,7 +117,11 @@ def joint_command(message: Any) -> tuple[int, Array, Array]:
 
     Without velocities the rates are zero.
     """
-    rate = _of_joints(message, message.velocity) if len(message.velocity) else np.zeros(len(LEGS))
+    rate = (
+        _of_joints(message, message.velocity)
+        if len(message.velocity)
+        else np.zeros(len(LEGS))
+    )
     return *joint_angles(message), rate
 
 
@@ -123,14 +133,21 @@ def joint_loads(message: Any) -> tuple[int, Array, Array]:
 def _of_joints(message: Any, values: Any) -> Array:
     names = list(message.name)
     if sorted(names) != sorted(TENDON_JOINTS) or len(values) != len(LEGS):
-        raise ValueError(f"joints {quoted(names)}: expected {', '.join(TENDON_JOINTS)} once each")
+        raise ValueError(
+            f"joints {quoted(names)}: expected {', '.join(TENDON_JOINTS)} once each"
+        )
     by_name = dict(zip(names, values))
     return np.array([by_name[joint] for joint in TENDON_JOINTS])
 
 
 def estimate(message: Any) -> Estimate:
     """Estimate of an MpcState; raises ValueError on an unknown validity."""
-    parts = (message.rpy, message.position, message.angular_velocity, message.linear_velocity)
+    parts = (
+        message.rpy,
+        message.position,
+        message.angular_velocity,
+        message.linear_velocity,
+    )
     return Estimate(
         stamp(message),
         np.concatenate([vector(part) for part in parts]),
@@ -147,7 +164,9 @@ def preview(message: Any) -> GaitPreview:
     def rows(name: str, columns: int = 4) -> Array:
         values = np.array(getattr(message, name))
         if stages < 1 or values.size != stages * columns:
-            raise ValueError(f"{name} has {values.size} values, not {stages} stages of {columns}")
+            raise ValueError(
+                f"{name} has {values.size} values, not {stages} stages of {columns}"
+            )
         return values.reshape(stages, columns)
 
     reference = rows("reference", 12)
@@ -180,15 +199,21 @@ def plan(message: Any) -> tuple[int, TendonPlan]:
     stages, legs = int(message.stages), len(LEGS)
     angle, force = np.array(message.angle), np.array(message.force)
     if stages < 1 or force.size != 3 * legs * stages:
-        raise ValueError(f"force has {force.size} values, not {stages} stages of {legs} vectors")
+        raise ValueError(
+            f"force has {force.size} values, not {stages} stages of {legs} vectors"
+        )
     if angle.size not in {0, legs * stages}:
-        raise ValueError(f"angle has {angle.size} values, not {stages} stages of {legs}")
+        raise ValueError(
+            f"angle has {angle.size} values, not {stages} stages of {legs}"
+        )
     pose = np.array(getattr(message, "pose", ()))
     if pose.size not in {0, 6 * stages}:
         raise ValueError(f"pose has {pose.size} values, not {stages} stages of 6")
     foot = np.array(getattr(message, "foot", ()), dtype=float)
     if foot.size not in {0, 3 * legs * stages}:
-        raise ValueError(f"foot has {foot.size} values, not {stages} stages of {legs} places")
+        raise ValueError(
+            f"foot has {foot.size} values, not {stages} stages of {legs} places"
+        )
     return stamp(message), TendonPlan(
         angle=angle.reshape(-1, legs),
         rate=np.array(message.rate),
@@ -212,9 +237,13 @@ def legs(message: Any) -> tuple[int, Array, Array, Array, Array]:
     count, position = int(message.nodes), np.array(message.position, dtype=np.float64)
     director = np.array(getattr(message, "director", ()), dtype=np.float64)
     if count < 2 or position.size != len(LEGS) * count * 3:
-        raise ValueError(f"position has {position.size} values, not 4 legs of {count} nodes")
+        raise ValueError(
+            f"position has {position.size} values, not 4 legs of {count} nodes"
+        )
     if director.size not in {0, len(LEGS) * (count - 1) * 3}:
-        raise ValueError(f"director has {director.size} values, not 4 legs of {count} nodes")
+        raise ValueError(
+            f"director has {director.size} values, not 4 legs of {count} nodes"
+        )
     if not (np.isfinite(position).all() and np.isfinite(director).all()):
         raise ValueError("position, director: expected finite numbers")
     force = np.array([vector(f) for f in message.ground_force])
@@ -248,13 +277,17 @@ def servo_health(message: Any) -> tuple[int, ServoHealth]:
         error_rate=np.array(message.error_rate, dtype=np.float64),
         commanded=time(message.commanded),
         written=time(message.written),
-        supervised=time(message.supervised) if hasattr(message, "supervised") else 0,  # an old bag
+        supervised=time(message.supervised)
+        if hasattr(message, "supervised")
+        else 0,  # an old bag
     )
 
 
 def emergency_stop(message: Any) -> tuple[str, bool, bool]:
     """(source, pressed, leaving) of the e-stop; whatever the name, the message counts."""
-    name = "".join(c if c.isprintable() else "?" for c in message.source[:LONGEST_SOURCE])
+    name = "".join(
+        c if c.isprintable() else "?" for c in message.source[:LONGEST_SOURCE]
+    )
     return name or "a source without a name", message.pressed, message.leaving
 
 

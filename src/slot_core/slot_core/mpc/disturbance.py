@@ -25,9 +25,13 @@ Z = 5  # index of the linear acceleration along z
 class DisturbanceSettings:
     """Time constant and bounds of the observer."""
 
-    time: float = quantity("time constant of the observer; 0: no observer", "s", 0.0, 100.0)
+    time: float = quantity(
+        "time constant of the observer; 0: no observer", "s", 0.0, 100.0
+    )
     mass_error: float = quantity("largest relative error of the mass", "", 0.0, 0.9)
-    bias_linear: float = quantity("largest bias of the linear acceleration", "m/s^2", 0.0, 10.0)
+    bias_linear: float = quantity(
+        "largest bias of the linear acceleration", "m/s^2", 0.0, 10.0
+    )
     bias_angular: float = quantity(
         "largest bias of the angular acceleration", "rad/s^2", 0.0, 100.0
     )

@@ -47,7 +47,9 @@ class _LastTick:
 class ForceProblem:
     """The problem with the values of the present tick, its observer and its solver."""
 
-    STATE = StateParts("_disturbance", "_solver", "_stamp", "_state", "_last", values=(_LastTick,))
+    STATE = StateParts(
+        "_disturbance", "_solver", "_stamp", "_state", "_last", values=(_LastTick,)
+    )
 
     def __init__(self, robot: RobotParameters, settings: MpcSettings):
         """Set up problem and solver.
@@ -87,7 +89,8 @@ class ForceProblem:
         force = np.zeros((len(now), FEET, 3))
         force[..., 2] = self.share * np.asarray(preview.normal_force)[now]
         self._ahead = ahead = Horizon(
-            force_max=self._settings.force_max * np.asarray(preview.contact, dtype=float)[now],
+            force_max=self._settings.force_max
+            * np.asarray(preview.contact, dtype=float)[now],
             friction=np.asarray(preview.friction, dtype=float)[now],
             force_ref=force,
             state_ref=np.asarray(preview.reference, dtype=float)[following],

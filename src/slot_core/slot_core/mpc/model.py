@@ -80,7 +80,9 @@ class FirstStage:
         Negative means violated.
         """
         normal, tangential = force[:, 2], np.abs(force[:, :2]).max(axis=1)
-        return np.stack([normal, self.force_max - normal, self.friction * normal - tangential])
+        return np.stack(
+            [normal, self.force_max - normal, self.friction * normal - tangential]
+        )
 
 
 class TorsoModel:
@@ -165,7 +167,9 @@ class HorizonQp:
         The yaw of the targets is shifted by the full turns that bring it nearest to the state's.
         """
         friction = -stages.friction.ravel()
-        values = np.concatenate([[1.0, -1.0], -prediction.a.ravel(), -prediction.b.ravel()])
+        values = np.concatenate(
+            [[1.0, -1.0], -prediction.a.ravel(), -prediction.b.ravel()]
+        )
         self.A.data[:] = values[self._a_slots]
         self.G.data[:] = np.concatenate([[1.0, -1.0], friction])[self._g_slots]
         dynamics = self.b.reshape(self.horizon, -1)
@@ -211,7 +215,9 @@ class _Rows:
         size = STATES
         number = 3 + np.arange(size * (size + INPUTS))
         a = np.where(self._pattern.a != 0, number[: size * size].reshape(size, size), 0)
-        b = np.where(self._pattern.b != 0, number[size * size :].reshape(size, INPUTS), 0)
+        b = np.where(
+            self._pattern.b != 0, number[size * size :].reshape(size, INPUTS), 0
+        )
         rows = self._empty(size)
         for k in range(self._horizon):
             rows[k, :, k, :INPUTS] = b
@@ -244,7 +250,9 @@ def turned_to(reference: Array, state: Array) -> Array:
     return shifted
 
 
-def condensed_condition(prediction: Prediction, q: Array, r: Array, horizon: int) -> float:
+def condensed_condition(
+    prediction: Prediction, q: Array, r: Array, horizon: int
+) -> float:
     """Condition number of the condensed Hessian S'QS + R (states eliminated: x = S u + ..).
 
     If it is large, the objective is flat in some directions: roundoff and the solver's tolerance
@@ -257,7 +265,9 @@ def condensed_condition(prediction: Prediction, q: Array, r: Array, horizon: int
         block = prediction.a @ block
     s = np.zeros((horizon * STATES, horizon * INPUTS))
     for k in range(horizon):
-        s[k * STATES :, k * INPUTS : (k + 1) * INPUTS] = columns[: horizon - k].reshape(-1, INPUTS)
+        s[k * STATES :, k * INPUTS : (k + 1) * INPUTS] = columns[: horizon - k].reshape(
+            -1, INPUTS
+        )
     hessian = s.T @ (np.tile(q, horizon)[:, None] * s) + np.diag(np.tile(r, horizon))
     eigenvalues = np.linalg.eigvalsh(hessian)
     return float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))

@@ -43,7 +43,9 @@ class _SolverReport:
 class Mpc(Policy):
     """The MPC. `step` raises nothing for bad data; the solver's iterations are limited."""
 
-    STATE = StateParts("_problem", "_stage", "_last", "_missed", values=(FirstStage, PaperStage))
+    STATE = StateParts(
+        "_problem", "_stage", "_last", "_missed", values=(FirstStage, PaperStage)
+    )
 
     def __init__(self, robot: RobotParameters, settings: MpcSettings, timer: Timer):
         """Set up problem and solver; `timer` returns seconds.
@@ -67,7 +69,9 @@ class Mpc(Policy):
             else ForceProblem(robot, settings)
         )
         self._stage = NO_STAGE
-        self._last: Array | None = None  # last feasible input of the first stage minus u_ref
+        self._last: Array | None = (
+            None  # last feasible input of the first stage minus u_ref
+        )
         self._missed = 0  # consecutive cycles without an accepted solution
 
     @property
@@ -98,7 +102,9 @@ class Mpc(Policy):
         """The solution's plan if it is accepted, else the fallback's; `start`: of the tick, s."""
         limits, problem, z = self._settings.acceptance, self._problem, solution.z
         violation = problem.violation(z)
-        report = _SolverReport(solution.iterations, violation, problem.residual(z), problem.cost(z))
+        report = _SolverReport(
+            solution.iterations, violation, problem.residual(z), problem.cost(z)
+        )
         force, elapsed = problem.forces(z), self._timer() - start
         fault = solution.fault
         if not fault and not np.isfinite(z).all():
@@ -127,7 +133,9 @@ class Mpc(Policy):
         for _ in range(self._missed):
             deviation = rule.decay * deviation
         force = self._stage.clip(self._stage.force_ref + deviation)
-        return self._plan(np.tile(force, (self._settings.horizon, 1, 1)), cause, fault, report)
+        return self._plan(
+            np.tile(force, (self._settings.horizon, 1, 1)), cause, fault, report
+        )
 
     def _plan(
         self, force: Array, status: Status, message: str, report: _SolverReport

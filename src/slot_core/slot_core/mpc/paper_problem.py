@@ -52,7 +52,9 @@ from slot_core.robot import GRAVITY, Array, RobotParameters
 
 AXES = 3
 FRONT = (0, 1)
-SCALE = 1e6  # of the objective: with R = 1e-8 as it is, Clarabel stops before its tolerance
+SCALE = (
+    1e6  # of the objective: with R = 1e-8 as it is, Clarabel stops before its tolerance
+)
 LEAST_VELOCITY = 1e-4  # m/s, rad/s: below it the robot stands
 
 
@@ -70,8 +72,12 @@ class PaperStage(FirstStage):
         local[:, 2] = np.clip(local[:, 2], self.least_normal, self.force_max)
         limit = self.friction * local[:, 2]
         length = norm(local[:, :2])
-        share = np.where(self.cone, np.minimum(1.0, limit / np.maximum(length, 1e-12)), 1.0)
-        local[:, :2] = np.clip(share[:, None] * local[:, :2], -limit[:, None], limit[:, None])
+        share = np.where(
+            self.cone, np.minimum(1.0, limit / np.maximum(length, 1e-12)), 1.0
+        )
+        local[:, :2] = np.clip(
+            share[:, None] * local[:, :2], -limit[:, None], limit[:, None]
+        )
         return (self.axes * local[:, :, None]).sum(axis=1)
 
     def slacks(self, force: Array) -> Array:
@@ -108,7 +114,9 @@ class PaperProblem:
         self._levers = robot.clamps + outward * self._terms.lever
         self._inertia = robot.torso.inertia * self.mass / robot.torso.mass
         self._axes = (
-            _leg_axes(robot) if self._terms.leg_axes else np.tile(np.eye(AXES), (FEET, 1, 1))
+            _leg_axes(robot)
+            if self._terms.leg_axes
+            else np.tile(np.eye(AXES), (FEET, 1, 1))
         )
         self._phases = {pulled: self._phase(pulled) for pulled in (*FRONT, None)}
         self._reference = np.zeros((self.horizon, STATES))
@@ -125,7 +133,9 @@ class PaperProblem:
         yaw = float(state[2]) if self._terms.turning else 0.0
         self._set(state, self._reference, self.predict(preview.dt, yaw))
 
-    def set(self, state: Array, reference: Array, pulled: int | None, dt: float) -> None:
+    def set(
+        self, state: Array, reference: Array, pulled: int | None, dt: float
+    ) -> None:
         """Set state (12,), its reference (12,) over the horizon, and the pulled front leg."""
         self._now = self._phases[pulled]
         self._set(state, np.tile(reference, (self.horizon, 1)), self.predict(dt))
@@ -146,7 +156,10 @@ class PaperProblem:
     def solve(self) -> Solution:
         """Solve the problem with its present values; raises nothing."""
         settings = options(self._settings.solver)
-        objective = SCALE * sparse.triu(self._now.hessian, format="csc"), SCALE * self._slope
+        objective = (
+            SCALE * sparse.triu(self._now.hessian, format="csc"),
+            SCALE * self._slope,
+        )
         parts = *objective, self._matrix, self._right, self._cones, settings
         return solution_of(clarabel.DefaultSolver(*parts))
 
@@ -155,7 +168,9 @@ class PaperProblem:
 
     def balance(self, force: Array) -> float:
         """Slack of the balance of forces (4, 3) N with the weight, N."""
-        return self._terms.balance_band - abs(float(force[:, 2].sum()) - self.mass * GRAVITY)
+        return self._terms.balance_band - abs(
+            float(force[:, 2].sum()) - self.mass * GRAVITY
+        )
 
     def forces(self, z: Array) -> Array:
         """Forces (H, 4, 3) N at z."""
@@ -173,7 +188,8 @@ class PaperProblem:
         slack = self._right - sparse_product(self._matrix, z)
         dynamics, now = self.horizon * STATES, self._now
         equal, above, cones = np.split(
-            slack[dynamics:], np.cumsum([self.horizon * len(p) for p in (now.balance, now.rows)])
+            slack[dynamics:],
+            np.cumsum([self.horizon * len(p) for p in (now.balance, now.rows)]),
         )
         sides = cones.reshape(-1, AXES)
         outside = norm(sides[:, 1:]) - sides[:, 0]
@@ -182,7 +198,9 @@ class PaperProblem:
     def residual(self, z: Array) -> float:
         """Largest error of the dynamics over the stages, SI units."""
         return float(
-            np.abs(sparse_product(self._matrix, z) - self._right)[: self.horizon * STATES].max()
+            np.abs(sparse_product(self._matrix, z) - self._right)[
+                : self.horizon * STATES
+            ].max()
         )
 
     def _set(self, state: Array, reference: Array, model: Prediction) -> None:
@@ -190,7 +208,9 @@ class PaperProblem:
         now, size, stages = self._now, self.horizon, sparse.eye(self.horizon)
         here = np.hstack([-model.b, np.eye(STATES)])
         before = np.hstack([np.zeros((STATES, INPUTS)), -model.a])
-        parts = [sparse.kron(stages, here) + sparse.kron(sparse.eye(size, k=-1), before)]
+        parts = [
+            sparse.kron(stages, here) + sparse.kron(sparse.eye(size, k=-1), before)
+        ]
         for rows in (now.balance, now.rows, now.cones):
             wide = np.hstack([rows, np.zeros((len(rows), STATES))])
             parts.append(sparse.kron(stages, wide))
@@ -199,7 +219,9 @@ class PaperProblem:
         dynamics[:STATES] += product(model.a, state)
         weight = np.full(size * len(now.balance), self.mass * GRAVITY)
         cones = np.zeros(size * len(now.cones))
-        self._right = np.concatenate([dynamics, weight, np.tile(now.bound, size), cones])
+        self._right = np.concatenate(
+            [dynamics, weight, np.tile(now.bound, size), cones]
+        )
         self._cones = [
             clarabel.ZeroConeT(len(dynamics) + len(weight)),
             clarabel.NonnegativeConeT(size * len(now.bound)),
@@ -218,7 +240,8 @@ class PaperProblem:
             * bool(now.force_slope.any())
         )
         self._constant = (
-            float((error * (q * error)).sum() + (q * np.square(target[1:])).sum()) + size * pull
+            float((error * (q * error)).sum() + (q * np.square(target[1:])).sum())
+            + size * pull
         )
 
     def _phase(self, pulled: int | None) -> _Phase:
@@ -256,9 +279,16 @@ class PaperProblem:
         row[AXES * leg : AXES * leg + AXES] = self._axes[leg][axis]
         return row
 
-    def _limits(self, stage: PaperStage, pulled: int | None) -> tuple[Array, Array, Array, Array]:
+    def _limits(
+        self, stage: PaperStage, pulled: int | None
+    ) -> tuple[Array, Array, Array, Array]:
         """Rows of the balance, of other limits with their bounds, and of the cones."""
-        terms, rows, bound, cones = self._terms, list[Array](), list[float](), list[Array]()
+        terms, rows, bound, cones = (
+            self._terms,
+            list[Array](),
+            list[float](),
+            list[Array](),
+        )
         total = np.tile([0.0, 0.0, 1.0], FEET)
         weight, band = self.mass * GRAVITY, terms.balance_band
         for sign in (1.0, -1.0) if band else ():
@@ -278,7 +308,12 @@ class PaperProblem:
                 rows.append(-x)
                 bound.append(-terms.least_pull)
         balance = np.zeros((0, INPUTS)) if band else total[None]
-        return balance, np.array(rows), np.array(bound), np.array(cones).reshape(-1, INPUTS)
+        return (
+            balance,
+            np.array(rows),
+            np.array(bound),
+            np.array(cones).reshape(-1, INPUTS),
+        )
 
 
 def pulled_leg(preview: GaitPreview) -> int | None:

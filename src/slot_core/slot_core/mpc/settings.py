@@ -45,20 +45,30 @@ class Weights:
 class Acceptance:
     """Limits of the inputs and of an accepted solution."""
 
-    violation_max: float = quantity("largest accepted violation of a force limit", "N", 0, 1)
-    time_budget: float = quantity("longest time for checks, update and solve", "s", 0, math.inf)
+    violation_max: float = quantity(
+        "largest accepted violation of a force limit", "N", 0, 1
+    )
+    time_budget: float = quantity(
+        "longest time for checks, update and solve", "s", 0, math.inf
+    )
     condition_max: float = quantity(
         "largest condition number of the Hessian, at the longest stage", "", 1, 1e12
     )
-    input_max: float = quantity("largest accepted magnitude of any input, SI units", "", 1, 1e9)
+    input_max: float = quantity(
+        "largest accepted magnitude of any input, SI units", "", 1, 1e9
+    )
 
 
 @dataclass(frozen=True)
 class Fallback:
     """Fallback without a solution: u = u_ref + decay^n (u - u_ref)_last in its n-th cycle."""
 
-    cycles: int = quantity("largest number of cycles in a row without a solution", "", 0, 1000)
-    decay: float = quantity("factor of the last input's deviation per such cycle", "", 0, 1)
+    cycles: int = quantity(
+        "largest number of cycles in a row without a solution", "", 0, 1000
+    )
+    decay: float = quantity(
+        "factor of the last input's deviation per such cycle", "", 0, 1
+    )
 
 
 @dataclass(frozen=True)
@@ -83,17 +93,31 @@ class PaperTerms:
         "mass of the box, whose weight the normal forces balance", "kg", 0.1, 100
     )
     lever: Vector3 = quantity(
-        "end of a leg's lever beyond its attachment: outward along x and y, downward", "m", 0, 1
+        "end of a leg's lever beyond its attachment: outward along x and y, downward",
+        "m",
+        0,
+        1,
     )
     turning: bool = flag("whether levers, inertia and rates turn with the present yaw")
     drag: Vector3 = quantity("drag of the velocity", "1/s", 0, 10)
-    balance_band: float = quantity("largest imbalance of the normal forces", "N", 0, 100)
-    friction: Vector3 = quantity(
-        "friction of the pulled front leg, the released one, and the rear legs", "", 0, 2
+    balance_band: float = quantity(
+        "largest imbalance of the normal forces", "N", 0, 100
     )
-    leg_axes: bool = flag("whether friction is limited in the legs' axes, at the rear by a cone")
-    least_normal: float = quantity("least normal force of all legs but the pulled one", "N", 0, 100)
-    least_pull: float = quantity("least force of the pulled leg along its axis", "N", 0, 10)
+    friction: Vector3 = quantity(
+        "friction of the pulled front leg, the released one, and the rear legs",
+        "",
+        0,
+        2,
+    )
+    leg_axes: bool = flag(
+        "whether friction is limited in the legs' axes, at the rear by a cone"
+    )
+    least_normal: float = quantity(
+        "least normal force of all legs but the pulled one", "N", 0, 100
+    )
+    least_pull: float = quantity(
+        "least force of the pulled leg along its axis", "N", 0, 10
+    )
     pull: float = quantity("target of that force", "N", 0, 10)
     pull_weight: float = quantity(
         "weight of the front legs' forces along their axes; 0: without least_pull too",
@@ -112,7 +136,9 @@ class PaperMpcSettings(MpcSettings):
 
 def read_mpc(policy: str = FORCES) -> MpcSettings:
     """The settings of `config/mpc.yaml`, or those of a policy of the paper; raises ConfigError."""
-    return config.read(MpcSettings, "mpc") if policy == FORCES else read_paper_mpc(policy)
+    return (
+        config.read(MpcSettings, "mpc") if policy == FORCES else read_paper_mpc(policy)
+    )
 
 
 def read_paper_mpc(policy: str) -> PaperMpcSettings:
@@ -125,5 +151,7 @@ def read_paper_mpc(policy: str) -> PaperMpcSettings:
     changes = dict(profile) if isinstance(profile, dict) else {}
     terms = changes.pop("terms", None)
     config.read(MpcSettings, "mpc")  # refused under its own name
-    settings = config.build(PaperMpcSettings, {**config.load("mpc"), "terms": terms}, where)
+    settings = config.build(
+        PaperMpcSettings, {**config.load("mpc"), "terms": terms}, where
+    )
     return config.replace(settings, changes, where)

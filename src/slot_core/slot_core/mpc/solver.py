@@ -22,11 +22,15 @@ from slot_core.robot import Array
 class MpcSolverSettings:
     """Termination criteria of the solver."""
 
-    tolerance_abs: float = quantity("largest absolute duality gap of a solution", "", 1e-12, 1e-1)
+    tolerance_abs: float = quantity(
+        "largest absolute duality gap of a solution", "", 1e-12, 1e-1
+    )
     tolerance_rel: float = quantity(
         "largest relative residual and duality gap of a solution", "", 1e-12, 1e-1
     )
-    iterations: int = quantity("largest number of iterations of the solver", "", 1, 100000)
+    iterations: int = quantity(
+        "largest number of iterations of the solver", "", 1, 100000
+    )
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,10 @@ class QpSolver:
         self._slots = _slots(self._matrix, qp)
         equalities = qp.A.shape[0]
         inequalities = self._matrix.shape[0] - equalities
-        cones = [clarabel.ZeroConeT(equalities), clarabel.NonnegativeConeT(inequalities)]
+        cones = [
+            clarabel.ZeroConeT(equalities),
+            clarabel.NonnegativeConeT(inequalities),
+        ]
         objective = sparse.triu(qp.P, format="csc"), qp.c
         parts = *objective, self._matrix, self._right_side(), cones, options(settings)
         self._solver = clarabel.DefaultSolver(*parts)
@@ -102,7 +109,9 @@ class QpSolver:
         return np.concatenate([qp.b.ravel(), qp.h, *bounds])
 
 
-def _slots(matrix: sparse.csc_matrix, qp: HorizonQp) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _slots(
+    matrix: sparse.csc_matrix, qp: HorizonQp
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Indices of the entries of A and of G in `matrix.data`, in column order."""
     equalities, inequalities = qp.A.shape[0], qp.A.shape[0] + qp.G.shape[0]
     rows = matrix.indices

@@ -88,7 +88,11 @@ def _segment(model, node, angle, i):
     dx, dz = node[i + 1, 0] - node[i, 0], node[i + 1, 1] - node[i, 1]
     length = math.sqrt(dx * dx + dz * dz)
     axial = model.axial[i] * (length - model.spacing) / model.spacing
-    return axial * dx / length, axial * dz / length, model.bending[i] * (angle[i + 1] - angle[i])
+    return (
+        axial * dx / length,
+        axial * dz / length,
+        model.bending[i] * (angle[i + 1] - angle[i]),
+    )
 
 
 @helper
@@ -145,7 +149,11 @@ def _step_torso(torso, state, legs, h):
         z = legs.force[k, 1]
         r = torso.clamps[k]
         fx, fy, fz = fx + x, fy + y, fz + z
-        mx, my, mz = mx + r[1] * z - r[2] * y, my + r[2] * x - r[0] * z, mz + r[0] * y - r[1] * x
+        mx, my, mz = (
+            mx + r[1] * z - r[2] * y,
+            my + r[2] * x - r[0] * z,
+            mz + r[0] * y - r[1] * x,
+        )
     _shift(torso, state, times(state.rotation, fx, fy, fz), h)
     _rotate(torso, state, times(torso.mobility, mx, my, mz), h)
 

@@ -30,10 +30,14 @@ class PaperSettings:
     contact_stiffness: float = quantity("contact stiffness of a node", "N/m", 0.0, 1e8)
     contact_damping: float = quantity("contact damping of a node", "N s/m", 0.0, 1e4)
     friction: float = quantity("Coulomb friction", "", 0.0, 5.0)
-    servo_torque: float = quantity("torque at the end of the servo's range", "N m", 0.0, 100.0)
+    servo_torque: float = quantity(
+        "torque at the end of the servo's range", "N m", 0.0, 100.0
+    )
     servo_range_deg: float = quantity("range of the servo", "deg", 1.0, 3600.0)
     tension_scale: float = quantity("factor of the robot's tensions", "", 0.0, 1.0)
-    weight_share: float = quantity("part of the torso's weight on each leg's base", "", 0.0, 1.0)
+    weight_share: float = quantity(
+        "part of the torso's weight on each leg's base", "", 0.0, 1.0
+    )
     torso_drag: float = quantity("horizontal damping of the torso", "N s/m", 0.0, 1e4)
     torso_stiffness: float = quantity("vertical spring of the torso", "N/m", 0.0, 1e6)
     torso_damping: float = quantity("vertical damping of the torso", "N s/m", 0.0, 1e5)
@@ -158,7 +162,9 @@ def leg_state(model: PaperLegModel, legs: int) -> PaperLegState:
     return PaperLegState(node, *(np.zeros(shape) for shape in shapes))
 
 
-def torso_model(robot: RobotParameters, scene: Scene, settings: PaperSettings) -> PaperTorso:
+def torso_model(
+    robot: RobotParameters, scene: Scene, settings: PaperSettings
+) -> PaperTorso:
     """Numbers of the torso; its vertical spring is relaxed at the scene's start height."""
     return PaperTorso(
         mass=robot.torso.mass,

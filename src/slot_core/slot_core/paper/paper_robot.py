@@ -157,7 +157,10 @@ class PaperRobot(SimulatedRobot):
         last = self.settings.nodes - 1
         self.model = leg_model(robot, self.settings, last, load, -_vertical(scene))
         self.torso = torso_model(robot, scene, self.settings)
-        self.legs, self.state = leg_state(self.model, 4), torso_state(scene.start.height)
+        self.legs, self.state = (
+            leg_state(self.model, 4),
+            torso_state(scene.start.height),
+        )
         self._handle = Handle((self.model, self.legs, self.torso, self.state))
         self._angle, self._rate = np.zeros(4), np.zeros(4)
         self._settle()
@@ -178,7 +181,9 @@ class PaperRobot(SimulatedRobot):
         if failed >= 0:
             leg, node = divmod(failed, self.settings.nodes)
             state = self.snapshot() | {"command": command}
-            raise _divergence(self.time, self.settings, f"leg {LEGS[leg]} node {node}", state)
+            raise _divergence(
+                self.time, self.settings, f"leg {LEGS[leg]} node {node}", state
+            )
 
     @property
     def tendon_angle(self) -> Array:
@@ -207,15 +212,22 @@ class PaperRobot(SimulatedRobot):
         """(4, 3) N in odom, present force of the floor on the tip of each leg."""
         z, (vx, vz) = self.legs.node[:, -1, 1], self.legs.velocity[:, -1].T
         s = self.settings
-        normal = np.where(z < 0.0, -s.contact_stiffness * z - s.contact_damping * vz, 0.0)
+        normal = np.where(
+            z < 0.0, -s.contact_stiffness * z - s.contact_damping * vz, 0.0
+        )
         friction = np.where(z <= 0.0, -self.model.friction * np.sign(vx), 0.0)
-        out = np.einsum("ij,lj,l->li", self.state.rotation, self.parameters.outward, friction)
+        out = np.einsum(
+            "ij,lj,l->li", self.state.rotation, self.parameters.outward, friction
+        )
         out[:, 2] = normal
         return out
 
     def _from_corners(self, x: Array) -> Array:
         """(4, N, 3) m in odom, points at distances x (4, N) outward from the torso's corners."""
-        body = self.parameters.clamps[:, None] + x[..., None] * self.parameters.outward[:, None]
+        body = (
+            self.parameters.clamps[:, None]
+            + x[..., None] * self.parameters.outward[:, None]
+        )
         return np.asarray(self.state.position + body @ self.state.rotation.T)
 
     def _set_tension(self, command: Array, steps: int) -> None:
@@ -232,7 +244,9 @@ def _vertical(scene: Scene) -> float:
     """Gravity of the scene along z, m/s^2; raises ConfigError when it has other components."""
     x, y, z = scene.gravity
     if x or y:
-        raise ConfigError(f"gravity = {scene.gravity}: the paper's legs have gravity along z alone")
+        raise ConfigError(
+            f"gravity = {scene.gravity}: the paper's legs have gravity along z alone"
+        )
     return z
 
 
@@ -240,7 +254,9 @@ def _substeps(scene: Scene, settings: PaperSettings) -> int:
     """Number of steps of the settings in a step of the scene; raises ConfigError if not whole."""
     ratio = scene.solver.step / settings.step
     if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9 * ratio:
-        raise ConfigError(f"solver.step = {scene.solver.step}: no multiple of {settings.step} s")
+        raise ConfigError(
+            f"solver.step = {scene.solver.step}: no multiple of {settings.step} s"
+        )
     return round(ratio)
 
 
@@ -252,5 +268,6 @@ def _divergence(
 ) -> DivergenceError:
     limit = settings.speed_limit
     return DivergenceError(
-        f"simulation diverged at {time:.4f} s: {place} is beyond {limit} m/s or not a number", state
+        f"simulation diverged at {time:.4f} s: {place} is beyond {limit} m/s or not a number",
+        state,
     )

@@ -23,7 +23,9 @@ from slot_core.compiled import helper, kernel
 from slot_core.matrices import cholesky, solve_cholesky
 from slot_core.robot import Array
 
-PARALLEL = 1e-11  # share of a normal outside of those in force, below which it depends on them
+PARALLEL = (
+    1e-11  # share of a normal outside of those in force, below which it depends on them
+)
 STEPS_MAX = 400  # changes of the set of limits in force
 
 
@@ -46,7 +48,13 @@ class ActiveSet:
         self._work = Workspace(*np.zeros((3, n, n)), *np.zeros((4, n)))
 
     def solve(
-        self, inverse: Array, gradient: Array, rows: Array, low: Array, high: Array, slack: float
+        self,
+        inverse: Array,
+        gradient: Array,
+        rows: Array,
+        low: Array,
+        high: Array,
+        slack: float,
     ) -> Array | None:
         """Minimum (n,), which violates a limit by `slack` at most; None if there is none.
 
@@ -134,7 +142,10 @@ def _add(work, inverse, bound, count, x):
         for k in range(dropped, count):
             work.multiplier[k] = work.multiplier[k + 1]
             for i in range(x.size):
-                work.normal[k, i], work.image[k, i] = work.normal[k + 1, i], work.image[k + 1, i]
+                work.normal[k, i], work.image[k, i] = (
+                    work.normal[k + 1, i],
+                    work.image[k + 1, i],
+                )
     return -1
 
 

@@ -54,7 +54,9 @@ class DisturbanceObserver:
         "drift", "wrench", "is_far", "_misfit", "_past", values=(_Seen, NominalState)
     )
 
-    def __init__(self, model: NominalRobot, settings: ObserverSettings, scale: Array, dt: float):
+    def __init__(
+        self, model: NominalRobot, settings: ObserverSettings, scale: Array, dt: float
+    ):
         """scale: (6,) errors of roll, pitch, yaw, x, y, z that cost as much as one another."""
         self._scale = scale[[*PLACE, *TILTS]]
         self._model, self._settings, self._dt = model, settings, dt
@@ -70,13 +72,18 @@ class DisturbanceObserver:
         """Forget the motion so far: a gap or a jump. The estimates stay."""
         self._past.clear()
 
-    def observe(self, time: int, start: NominalState, state: Array, angle: Array) -> None:
+    def observe(
+        self, time: int, start: NominalState, state: Array, angle: Array
+    ) -> None:
         """Take an estimate at `time` (ns), its state (12,) and the angles (4,) commanded then.
 
         start: of the nominal robot, with the torso as measured. Once the estimates reach back over
         the window, correct drift and wrench. Raises ValueError for other shapes.
         """
-        state, angle = checked("state", state, (12,)), checked("angle", angle, (len(LEGS),))
+        state, angle = (
+            checked("state", state, (12,)),
+            checked("angle", angle, (len(LEGS),)),
+        )
         past, s, tick = self._past, self._settings, round(1e9 * self._dt)
         past.append(_Seen(time, start, state.copy(), angle.copy()))
         begin = time - s.window * tick
@@ -84,16 +91,20 @@ class DisturbanceObserver:
             past.popleft()
         if past[0].time > begin:
             return
-        known = [(seen.time - past[0].time) / tick for seen in past]  # ticks after the first
+        known = [
+            (seen.time - past[0].time) / tick for seen in past
+        ]  # ticks after the first
         passed = known[-1]
         ticks = np.arange(math.ceil(passed) + 1.0)
         plan = [
-            interpolated(ticks, known, angles) for angles in zip(*(seen.angle for seen in past))
+            interpolated(ticks, known, angles)
+            for angles in zip(*(seen.angle for seen in past))
         ]
         poses = self._model.roll_out(past[0].start, np.transpose(plan)[None]).pose[0]
         if np.isfinite(poses).all():
             pose = [
-                interpolated(passed, ticks[1:], values) for values in np.unwrap(poses, axis=0).T
+                interpolated(passed, ticks[1:], values)
+                for values in np.unwrap(poses, axis=0).T
             ]
             self._correct(state, np.array(pose), self._dt * passed)
 
@@ -106,14 +117,18 @@ class DisturbanceObserver:
         self._judge(np.concatenate([span * (drift - self.drift), error]))
         if self.is_far:
             drift, error = np.zeros(3), -self.wrench / self._stiffness
-        self.drift = _bounded(self.drift + s.drift_gain * (drift - self.drift), self._drift_max)
+        self.drift = _bounded(
+            self.drift + s.drift_gain * (drift - self.drift), self._drift_max
+        )
         wrench = self.wrench + s.wrench_gain * self._stiffness * error
         self.wrench = _bounded(wrench, self._wrench_max)
 
     def _judge(self, left_over: Array) -> None:
         """Update the misfit by the errors (6,) that drift and wrench leave over."""
         s = self._settings
-        self._misfit += s.misfit_gain * (np.square(left_over / self._scale) - self._misfit)
+        self._misfit += s.misfit_gain * (
+            np.square(left_over / self._scale) - self._misfit
+        )
         self.is_far = self.misfit > s.misfit_max * (0.5 if self.is_far else 1.0)
 
     @property

@@ -52,8 +52,12 @@ class NominalRobot:
         scene = nominal_scene(settings, dt / (settings.cycles * settings.steps))
         self.robot = TabulatedRobot(robot, scene, read_servo())
         self._angle_max = robot.tendon.angle_max
-        self._initial = NominalState(self.robot.state.buffer.copy(), np.zeros(len(LEGS)))
-        self.measured(self._initial, np.zeros(12))  # compiles the kernels, as does the next line
+        self._initial = NominalState(
+            self.robot.state.buffer.copy(), np.zeros(len(LEGS))
+        )
+        self.measured(
+            self._initial, np.zeros(12)
+        )  # compiles the kernels, as does the next line
         self.after(self._initial, np.zeros((2, len(LEGS))))
 
     @property
@@ -73,12 +77,17 @@ class NominalRobot:
 
     def at_rest(self, state: Array, angle: Array) -> NominalState:
         """State with the torso of `state` (12,) and legs and servos that have reached `angle`."""
-        state, angle = checked("state", state, (12,)), checked("angle", angle, (len(LEGS),))
+        state, angle = (
+            checked("state", state, (12,)),
+            checked("angle", angle, (len(LEGS),)),
+        )
         self.robot.state.buffer[:] = self._initial.buffer
         self.robot.state.tendon_angle[:] = angle
         start = NominalState(self.robot.state.buffer.copy(), self._initial.side_rate)
         still = np.concatenate([state[:6], np.zeros(6)])
-        settled = self.after(self.measured(start, still), np.tile(angle, (SETTLING + 1, 1)))
+        settled = self.after(
+            self.measured(start, still), np.tile(angle, (SETTLING + 1, 1))
+        )
         return self.measured(settled, state)
 
     def measured(self, known: NominalState, state: Array) -> NominalState:
@@ -104,23 +113,38 @@ class NominalRobot:
             raise ValueError(f"plans: {plans.shape[1]} stages, expected two or more")
         buffer, side_rate = self._checked(start)
         count, stages = plans.shape[0], plans.shape[1] - 1
-        pose, of_feet = np.empty((count, stages, 6)), np.empty((2, count, stages, len(LEGS), 3))
+        pose, of_feet = (
+            np.empty((count, stages, 6)),
+            np.empty((2, count, stages, len(LEGS), 3)),
+        )
         found = Rollouts(pose, *of_feet)
         roll_out(
-            self.robot.handle, buffer, side_rate, plans,
-            self._angle_max, self._cycles, self._steps, *found,
-        )  # fmt: skip
+            self.robot.handle,
+            buffer,
+            side_rate,
+            plans,
+            self._angle_max,
+            self._cycles,
+            self._steps,
+            *found,
+        )
         return found
 
     def after(self, start: NominalState, plan: Array) -> NominalState:
         """State after a plan (n + 1, 4)."""
         self.roll_out(start, np.asarray(plan)[None])
-        return NominalState(self.robot.state.buffer.copy(), self.robot.feet.side_rate.copy())
+        return NominalState(
+            self.robot.state.buffer.copy(), self.robot.feet.side_rate.copy()
+        )
 
     def _checked(self, state: NominalState) -> NominalState:
         """The state, if it is one of this robot; it may have diverged. Raises ValueError."""
-        buffer = checked("buffer", state.buffer, self.robot.state.buffer.shape, finite=False)
-        return NominalState(buffer, checked("side_rate", state.side_rate, (len(LEGS),), False))
+        buffer = checked(
+            "buffer", state.buffer, self.robot.state.buffer.shape, finite=False
+        )
+        return NominalState(
+            buffer, checked("side_rate", state.side_rate, (len(LEGS),), False)
+        )
 
 
 def nominal_scene(settings: NominalSettings, step: float) -> Scene:

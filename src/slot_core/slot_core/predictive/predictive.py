@@ -40,7 +40,10 @@ from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
 EARLY = 0.8  # of a stage: an estimate before that gets the present plan
-JUMP, TURN = 0.05, 0.2  # m, rad beyond the nominal robot's motion: the odometry has jumped
+JUMP, TURN = (
+    0.05,
+    0.2,
+)  # m, rad beyond the nominal robot's motion: the odometry has jumped
 
 
 @dataclass(frozen=True)
@@ -59,12 +62,23 @@ class Predictive(Policy):
     """Plans tendon angles over the next stride; `step` raises nothing for bad data."""
 
     STATE = StateParts(
-        "stage_time", "_model", "observer", "_plan", "_next", "_state", "_prediction",
-        "_stiffness", "_missed", "_disturbances", "_far",
+        "stage_time",
+        "_model",
+        "observer",
+        "_plan",
+        "_next",
+        "_state",
+        "_prediction",
+        "_stiffness",
+        "_missed",
+        "_disturbances",
+        "_far",
         values=(_Plan, NominalState, Linearisation, Rollouts),
-    )  # fmt: skip
+    )
 
-    def __init__(self, robot: RobotParameters, settings: PredictiveSettings, timer: Timer):
+    def __init__(
+        self, robot: RobotParameters, settings: PredictiveSettings, timer: Timer
+    ):
         """Take the nominal robot; raises ConfigError for one that the leg table does not cover."""
         self._robot, self._settings, self._timer = robot, settings, timer
         self._springs = read_springs()
@@ -109,7 +123,9 @@ class Predictive(Policy):
         self.observer = DisturbanceObserver(self._model, settings.observer, scale, dt)
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
-        self._state: Array | None = None  # (12,) that the plan is for; None after a fallback
+        self._state: Array | None = (
+            None  # (12,) that the plan is for; None after a fallback
+        )
         # predicted: poses and feet at the stages 1 .. K, forces at 0 .. K-1
         self._seen = _empty(settings.stages)
         self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
@@ -128,7 +144,10 @@ class Predictive(Policy):
                 return self._gait_plan(preview)
         if fault := fault or state_fault(estimate.state, limits.input_max):
             return self._fall_back(Status.REJECTED, fault)
-        if self._plan is not None and 0 <= (share := self._share(estimate.time)) < EARLY:
+        if (
+            self._plan is not None
+            and 0 <= (share := self._share(estimate.time)) < EARLY
+        ):
             return self._published(share=share)
         state = np.asarray(estimate.state, dtype=float)
         plan, rollout, fault = self._improved(
@@ -144,7 +163,9 @@ class Predictive(Policy):
         moved = self._problem.moved(self.observer.drift, float(state[2]))
         pose[:, PLACE] += moved
         foot[..., :2] += moved[:, None, :2]
-        now = force[:1] if self._plan is None else self._seen.force[1:2]  # as predicted before
+        now = (
+            force[:1] if self._plan is None else self._seen.force[1:2]
+        )  # as predicted before
         self._plan, self._next = replace(plan, linear=None), None
         self._seen = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
         self._state = state
@@ -164,7 +185,9 @@ class Predictive(Policy):
         self._next = self._linearised(self._moved_on(plan))
         self._stiffness = self._stiffness_of(self._next.nominal[1:-1], self._seen.pose)
         if self._state is not None:
-            self.observer.observe(plan.time, plan.start, self._state, self._angles(plan)[0])
+            self.observer.observe(
+                plan.time, plan.start, self._state, self._angles(plan)[0]
+            )
 
     def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
         """The plan for the state (12,) at `time` (ns), linearised near it."""
@@ -213,7 +236,9 @@ class Predictive(Policy):
 
         The torso sags by the mean force that the largest tendon angle does not give.
         """
-        angle = np.asarray(preview.tendon_angle, dtype=float)[: self._settings.stages + 2]
+        angle = np.asarray(preview.tendon_angle, dtype=float)[
+            : self._settings.stages + 2
+        ]
         carried = angle - product(self._shares, self.observer.wrench) / self._stiffness
         nominal = np.clip(carried, 0.0, self._robot.tendon.angle_max)
         missing = float(product(carried - nominal, self._stiffness).mean())  # N
@@ -248,9 +273,13 @@ class Predictive(Policy):
         pose = self._model.roll_out(
             plan.start, np.vstack([angle[None], angle + steps * basis])
         ).pose
-        slopes = self._problem.errors(pose[1:], pose[0], self._model.place(plan.start)[2])
+        slopes = self._problem.errors(
+            pose[1:], pose[0], self._model.place(plan.start)[2]
+        )
         slopes /= steps[:, 0]
-        slopes[~np.isfinite(slopes).all(axis=1)] = 0.0  # no change where a rollout diverges
+        slopes[~np.isfinite(slopes).all(axis=1)] = (
+            0.0  # no change where a rollout diverges
+        )
         return replace(plan, linear=self._problem.linearised(slopes))
 
     def _improved(
@@ -300,7 +329,9 @@ class Predictive(Policy):
             plan = self._published()
         return replace(plan, status=cause, message=fault, fallback_cycles=self._missed)
 
-    def _published(self, preview: GaitPreview | None = None, share: float = 0.0) -> TendonPlan:
+    def _published(
+        self, preview: GaitPreview | None = None, share: float = 0.0
+    ) -> TendonPlan:
         """The present plan from `share` of a stage on."""
         assert self._plan is not None
         angle, seen = self._angles(self._plan), self._seen
@@ -324,13 +355,20 @@ class Predictive(Policy):
         observer, limit = self.observer, self._settings.observer.misfit_max
         mass = self._robot.mass - observer.wrench[0] / GRAVITY
         self._disturbances = mass, observer.drift.copy(), observer.wrench.copy()
-        far = f"misfit {observer.misfit:.1f}, limit {limit:g}" if observer.is_far else ""
+        far = (
+            f"misfit {observer.misfit:.1f}, limit {limit:g}" if observer.is_far else ""
+        )
         self._far = far and f"the robot moves otherwise than its model: {far}"
 
-    def _report(self, angle: Array, rate: Array, preview: GaitPreview | None) -> PlanReport:
+    def _report(
+        self, angle: Array, rate: Array, preview: GaitPreview | None
+    ) -> PlanReport:
         """Margins of the first stage and the disturbances."""
         assert self._plan is not None
-        (mass, drift, wrench), (fx, fy, normal) = self._disturbances, self._seen.force[0].T
+        (mass, drift, wrench), (fx, fy, normal) = (
+            self._disturbances,
+            self._seen.force[0].T,
+        )
         friction = np.full(len(LEGS), math.nan)
         if preview is not None:
             friction = preview.friction[0] * normal - np.maximum(np.abs(fx), np.abs(fy))

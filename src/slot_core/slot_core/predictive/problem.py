@@ -40,7 +40,9 @@ from slot_core.predictive.settings import PredictiveSettings
 from slot_core.robot import LEGS, Array
 
 LEG_COUNT = len(LEGS)
-MODES = np.vstack([np.eye(LEG_COUNT), np.ones(LEG_COUNT)])  # FL FR RL RR, and all together
+MODES = np.vstack(
+    [np.eye(LEG_COUNT), np.ones(LEG_COUNT)]
+)  # FL FR RL RR, and all together
 QP_TOLERANCE = 1e-6  # of the limits, as a share of the largest deviation
 
 
@@ -68,14 +70,19 @@ class PlanProblem:
         self.scale = np.array(scale)  # (6,) of the errors of a pose
         self._weight = 1.0 / (np.sqrt(stages) * self.scale)
         pulls = np.array([self._pull(b).ravel() for b in self.basis])
-        self._damped = product(self._flat, pulls.T) + np.eye(len(self.basis)) / np.square(
-            cost.change
-        )
+        self._damped = product(self._flat, pulls.T) + np.eye(
+            len(self.basis)
+        ) / np.square(cost.change)
         self._solver = ActiveSet(len(self.basis))
         nowhere = np.zeros(3)
         wanted = self.reference(np.zeros((stages + 1, 12)), nowhere, nowhere, 0.0)
-        error = self.errors(wanted[None], wanted, 0.0)[0]  # compiles the kernels, as does the step
-        slopes, angle = np.zeros((len(self.basis), error.size)), np.zeros((stages + 1, LEG_COUNT))
+        error = self.errors(wanted[None], wanted, 0.0)[
+            0
+        ]  # compiles the kernels, as does the step
+        slopes, angle = (
+            np.zeros((len(self.basis), error.size)),
+            np.zeros((stages + 1, LEG_COUNT)),
+        )
         self.change(error, self.linearised(slopes), angle, angle)
 
     def reference(self, rows: Array, place: Array, drift: Array, sag: float) -> Array:
@@ -88,7 +95,9 @@ class PlanProblem:
         cost, stages = self._settings.cost, self._settings.stages
         rows = checked("reference", rows, (-1, 12), finite=False)
         if len(rows) <= stages:
-            raise ValueError(f"reference: {len(rows)} stages, expected more than {stages}")
+            raise ValueError(
+                f"reference: {len(rows)} stages, expected more than {stages}"
+            )
         place, drift = checked("place", place, (3,)), checked("drift", drift, (3,))
         pose = np.empty((stages, 6))
         set_reference(rows, place, drift, sag, self._dt, cost.reach, pose)
@@ -115,7 +124,9 @@ class PlanProblem:
         """Half the gradient (K + 1, 4) of the cost of deviations (K + 1, 4)."""
         cost, mean = self._settings.cost, deviation.sum(axis=0) / len(deviation)
         swing = (deviation - mean) / np.square(cost.swing)
-        return np.asarray((swing + mean / np.square(cost.deviation)) / self._settings.stages)
+        return np.asarray(
+            (swing + mean / np.square(cost.deviation)) / self._settings.stages
+        )
 
     def linearised(self, slopes: Array) -> Linearisation:
         """Linearisation with the slopes (n, 6 K) of the weighted errors, per rad."""
@@ -138,11 +149,19 @@ class PlanProblem:
         )
         limits, low, high = self._settings.limits, *np.empty((2, len(self._rows)))
         step = self._dt * limits.rate
-        set_limits(nominal, deviation, *self.range(nominal), limits.deviation, step, low, high)
+        set_limits(
+            nominal, deviation, *self.range(nominal), limits.deviation, step, low, high
+        )
         slack = QP_TOLERANCE * limits.deviation
-        delta = self._solver.solve(linear.inverse, gradient, self._rows, low, high, slack)
-        return None if delta is None else product(delta, self._flat).reshape(nominal.shape)
+        delta = self._solver.solve(
+            linear.inverse, gradient, self._rows, low, high, slack
+        )
+        return (
+            None if delta is None else product(delta, self._flat).reshape(nominal.shape)
+        )
 
     def range(self, nominal: Array) -> tuple[float, float]:
         """Least and largest tendon angle of a plan around the nominal angles, rad."""
-        return min(self._settings.limits.angle_min, float(nominal.min())), self._angle_max
+        return min(
+            self._settings.limits.angle_min, float(nominal.min())
+        ), self._angle_max

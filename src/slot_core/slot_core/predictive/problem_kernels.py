@@ -50,7 +50,11 @@ def set_errors(pose, reference, w, yaw, error):
             x, y = is_[3] - should[3], is_[4] - should[4]
             turn = is_[2] - should[2] + math.pi
             turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi)) + math.pi
-            e[0], e[1], e[2] = (is_[0] - should[0]) * w[0], (is_[1] - should[1]) * w[1], turn * w[2]
+            e[0], e[1], e[2] = (
+                (is_[0] - should[0]) * w[0],
+                (is_[1] - should[1]) * w[1],
+                turn * w[2],
+            )
             e[3], e[4] = (c * x + s * y) * w[3], (c * y - s * x) * w[4]
             e[5] = (is_[5] - should[5]) * w[5]
 

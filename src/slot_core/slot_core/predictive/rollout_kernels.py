@@ -15,7 +15,9 @@ from slot_core.simulation.tabulated_kernels import divergence_of, one_step
 
 
 @kernel
-def roll_out(machine, start, side_rate, plans, angle_max, cycles, steps, pose, force, foot):
+def roll_out(
+    machine, start, side_rate, plans, angle_max, cycles, steps, pose, force, foot
+):
     """Simulate every plan from the state `start` (m,) and the feet's `side_rate` (4,), m/s.
 
     plans: (P, n + 1, 4) rad, tendon angles at the stages 0 .. n, linear between them; the servos
@@ -78,9 +80,17 @@ def _record(pose, force, foot, legs, state, feet, diverged):
     for i in range(3):
         pose[3 + i] = nan if diverged else state.position[i]
     for leg in range(4):
-        c, a, b, node = legs.clamps[leg], legs.outward[leg], legs.left[leg], state.node[leg, 0]
-        x, y, z = (c[0] + node[0] * a[0] + node[1] * b[0], c[1] + node[0] * a[1] + node[1] * b[1],
-                   c[2] + node[0] * a[2] + node[1] * b[2] + node[2])  # fmt: skip
+        c, a, b, node = (
+            legs.clamps[leg],
+            legs.outward[leg],
+            legs.left[leg],
+            state.node[leg, 0],
+        )
+        x, y, z = (
+            c[0] + node[0] * a[0] + node[1] * b[0],
+            c[1] + node[0] * a[1] + node[1] * b[1],
+            c[2] + node[0] * a[2] + node[1] * b[2] + node[2],
+        )
         for i in range(3):
             place = state.position[i] + r[i, 0] * x + r[i, 1] * y + r[i, 2] * z
             foot[leg, i] = nan if diverged else place

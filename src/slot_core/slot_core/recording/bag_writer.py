@@ -22,7 +22,10 @@ from slot_core.recording.origin import ORIGIN, Origin
 from slot_core.recording.record_settings import RecordedTopic, RecordSettings
 
 VERSION = 9  # of metadata.yaml
-FOREVER = {"sec": 9223372036, "nsec": 854775807}  # how rosbag2 writes an infinite time, 2^63 - 1 ns
+FOREVER = {
+    "sec": 9223372036,
+    "nsec": 854775807,
+}  # how rosbag2 writes an infinite time, 2^63 - 1 ns
 MEGABYTE = 1_000_000
 
 
@@ -60,12 +63,16 @@ class BagWriter:
         except OSError as error:
             raise self._failure(error) from None
 
-    def write(self, topic: str, typename: str, time_ns: int, data: bytes | memoryview) -> None:
+    def write(
+        self, topic: str, typename: str, time_ns: int, data: bytes | memoryview
+    ) -> None:
         """Append one message: CDR bytes `data` of `typename`, published at wall time `time_ns`.
 
         Raises BagError for an unknown type and for a topic that changes its type.
         """
-        known = self._topics.get(topic) or self.add_topic(topic, self._type(topic, typename))
+        known = self._topics.get(topic) or self.add_topic(
+            topic, self._type(topic, typename)
+        )
         if known.name != typename:
             raise BagError(f"{topic}: is recorded as {known.name}, not {typename}")
         try:
@@ -98,8 +105,12 @@ class BagWriter:
             return
         try:
             self._finish(self._file)
-            information = {"rosbag2_bagfile_information": self._information(self._files)}
-            (self._path / "metadata.yaml").write_text(yaml.safe_dump(information, sort_keys=False))
+            information = {
+                "rosbag2_bagfile_information": self._information(self._files)
+            }
+            (self._path / "metadata.yaml").write_text(
+                yaml.safe_dump(information, sort_keys=False)
+            )
         except OSError as error:
             raise self._failure(error) from None
 
@@ -121,7 +132,9 @@ class BagWriter:
         if typename not in self._types.fielddefs:
             raise BagError(f"{topic}: no definition of {typename} found")
         definition, _ = self._types.generate_msgdef(typename, ros_version=2)
-        return MessageType(typename, definition, digest=self._types.hash_rihs01(typename))
+        return MessageType(
+            typename, definition, digest=self._types.hash_rihs01(typename)
+        )
 
     def _next_file(self) -> _File:
         number = f"_{len(self._files)}" if self._files else ""
@@ -220,7 +233,9 @@ class _File:
             "topic_type_hash": kind.digest,
         }
         schema = self._schemas[kind.name]
-        self._channels[topic] = self._writer.register_channel(topic, "cdr", schema, about)
+        self._channels[topic] = self._writer.register_channel(
+            topic, "cdr", schema, about
+        )
         self.counts[topic] = 0
 
     def add(self, topic: str, time_ns: int, data: bytes) -> None:

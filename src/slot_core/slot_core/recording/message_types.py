@@ -25,7 +25,9 @@ def message_types() -> Types:
 def add_installed(types: Types) -> None:
     """Register those types of slot_msgs that are not yet; FileNotFoundError if none is found."""
     files = sorted(_message_files())
-    add_definitions(types, {f"{PACKAGE}/msg/{path.stem}": path.read_text() for path in files})
+    add_definitions(
+        types, {f"{PACKAGE}/msg/{path.stem}": path.read_text() for path in files}
+    )
 
 
 @functools.lru_cache(maxsize=8)
@@ -59,10 +61,14 @@ def _parsed(text: str, typename: str) -> dict[str, Any]:
 
 def _message_files() -> list[Path]:
     """The .msg files from the first installation that has slot_msgs, else from the source tree."""
-    prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    prefixes = [
+        Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p
+    ]
     places = [prefix / "share" / PACKAGE / "msg" for prefix in prefixes]
     places.append(Path(__file__).resolve().parents[4] / PACKAGE / "msg")
     for place in places:
         if files := list(place.glob("*.msg")):
             return files
-    raise FileNotFoundError(f"no .msg files of {PACKAGE}: build it, and source the workspace")
+    raise FileNotFoundError(
+        f"no .msg files of {PACKAGE}: build it, and source the workspace"
+    )

@@ -21,9 +21,11 @@ ORIGIN = "slot"  # name of the MCAP metadata record
 CONFIGURATION = "config.zip"  # name of the attachment
 ARCHIVE_MAX = 100_000_000  # bytes of it unpacked, and of a file
 FILES = {
-    "path": "path.csv", "calibration": "camera.yaml", "policy": "policy.py",
+    "path": "path.csv",
+    "calibration": "camera.yaml",
+    "policy": "policy.py",
     "params_file": "params.yaml",
-}  # fmt: skip
+}
 """Attachments by the argument that names their file."""
 NETWORK = "policy.onnx"  # attachment of a policy that is a network
 
@@ -32,7 +34,9 @@ NETWORK = "policy.onnx"  # attachment of a policy that is a network
 class Origin:
     """Revision, arguments and files that made a bag; empty if none are recorded."""
 
-    about: Mapping[str, str] = field(default_factory=dict)  # revision, and the graph's arguments
+    about: Mapping[str, str] = field(
+        default_factory=dict
+    )  # revision, and the graph's arguments
     files: Mapping[str, bytes] = field(default_factory=dict)  # attachments by name
 
     def changed_files(self) -> list[str]:
@@ -44,7 +48,9 @@ class Origin:
             return []
         then = self.configuration()
         now = configuration()
-        return sorted(name for name in then.keys() | now.keys() if then.get(name) != now.get(name))
+        return sorted(
+            name for name in then.keys() | now.keys() if then.get(name) != now.get(name)
+        )
 
     def configuration(self) -> dict[str, bytes]:
         """Files of the recorded configuration by path; raises as `changed_files`, also without."""
@@ -53,7 +59,9 @@ class Origin:
                 if sum(file.file_size for file in archive.infolist()) > ARCHIVE_MAX:
                     raise BagError(f"more than {ARCHIVE_MAX} bytes")
                 return {name: archive.read(name) for name in archive.namelist()}
-        except Exception as error:  # of a damaged archive also zlib, struct and index errors
+        except (
+            Exception
+        ) as error:  # of a damaged archive also zlib, struct and index errors
             raise BagError(f"{CONFIGURATION}: {error}") from None
 
     def lines(self) -> list[str]:
@@ -64,7 +72,11 @@ class Origin:
         revision = about.pop("revision", "unknown")
         lines = [f"recorded by  revision {revision}, {_pairs(about)}"]
         try:
-            changed = f"differs in {', '.join(names)}" if (names := self.changed_files()) else ""
+            changed = (
+                f"differs in {', '.join(names)}"
+                if (names := self.changed_files())
+                else ""
+            )
         except BagError as error:
             changed = f"cannot be read: {error}"
         if changed:
@@ -80,14 +92,21 @@ def origin_here(arguments: Mapping[str, Any]) -> Origin:
     named = {name: str(arguments[name]) for name in FILES.keys() & arguments.keys()}
     attached = dict(FILES)
     if named.get("policy", "").startswith(ONNX):
-        named["policy"], attached["policy"] = named["policy"].removeprefix(ONNX), NETWORK
+        named["policy"], attached["policy"] = (
+            named["policy"].removeprefix(ONNX),
+            NETWORK,
+        )
     elif not named.get("policy", "").endswith(".py"):
         named.pop("policy", None)  # a name
     about = {name: str(value) for name, value in arguments.items()}
     about |= {name: Path(file).name for name, file in named.items()}
-    files = {attached[name]: read_bytes(Path(file), ARCHIVE_MAX) for name, file in named.items()}
+    files = {
+        attached[name]: read_bytes(Path(file), ARCHIVE_MAX)
+        for name, file in named.items()
+    }
     return Origin(
-        {"revision": revision(), **about}, {CONFIGURATION: _zipped(configuration()), **files}
+        {"revision": revision(), **about},
+        {CONFIGURATION: _zipped(configuration()), **files},
     )
 
 
@@ -104,9 +123,19 @@ def revision() -> str:
     An image without .git names its commit by that variable.
     """
     sources = Path(__file__).resolve().parent
-    command = ["git", "-C", str(sources), "describe", "--always", "--dirty", "--abbrev=10"]
+    command = [
+        "git",
+        "-C",
+        str(sources),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=10",
+    ]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=10, check=False
+        )
         if done.returncode == 0:
             return done.stdout.strip()
         return os.environ.get("SLOT_REVISION") or f"version {version('slot_core')}"

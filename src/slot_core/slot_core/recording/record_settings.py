@@ -24,24 +24,36 @@ class RecordedTopic:
 class RecordSettings:
     """Recorded topics, how they are written, and the warm-up that the metrics leave out."""
 
-    warm_up: float = quantity("time at the start left out by the metrics", "s", 0.0, 60.0)
+    warm_up: float = quantity(
+        "time at the start left out by the metrics", "s", 0.0, 60.0
+    )
     depth: int = quantity("queue of each subscription", "messages", 1, 100_000)
     poll: float = quantity("time between two looks at the queues", "s", 0.001, 1.0)
-    flush: float = quantity("time between two chunks: what SIGKILL loses at most", "s", 0.02, 60.0)
-    split: float = quantity("size from which the bag goes on in a new file; 0: none", "MB", 0.0)
+    flush: float = quantity(
+        "time between two chunks: what SIGKILL loses at most", "s", 0.02, 60.0
+    )
+    split: float = quantity(
+        "size from which the bag goes on in a new file; 0: none", "MB", 0.0
+    )
     topics: dict[str, RecordedTopic] = text("recorded topics by name")
 
 
-def read_record_settings(namespace: str = "", stamped_cmd_vel: bool = True) -> RecordSettings:
+def read_record_settings(
+    namespace: str = "", stamped_cmd_vel: bool = True
+) -> RecordSettings:
     """The settings of `config/record.yaml`, topics in a namespace; raises ConfigError.
 
     stamped_cmd_vel: whether /cmd_vel has the type of the file, else it is a Twist.
     """
     settings = config.read(RecordSettings, "record")
     if not stamped_cmd_vel and VELOCITY in settings.topics:
-        plain = dataclasses.replace(settings.topics[VELOCITY], type="geometry_msgs/msg/Twist")
+        plain = dataclasses.replace(
+            settings.topics[VELOCITY], type="geometry_msgs/msg/Twist"
+        )
         settings.topics[VELOCITY] = plain
-    topics = {f"{root_of(namespace)}/{name}": topic for name, topic in settings.topics.items()}
+    topics = {
+        f"{root_of(namespace)}/{name}": topic for name, topic in settings.topics.items()
+    }
     return dataclasses.replace(settings, topics=topics)
 
 

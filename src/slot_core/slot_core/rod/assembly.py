@@ -88,7 +88,9 @@ def hinge(mesh, work, k, inv, before, behind):
     put(work.residual, k, m)
     _stiffness(work.form, h, before, behind)
     _gradient(work.form, m, normal, before, behind)
-    _stretch(work.stretch[k], work.form, h.bulge, before, behind, viscous * mesh.axial[k])
+    _stretch(
+        work.stretch[k], work.form, h.bulge, before, behind, viscous * mesh.axial[k]
+    )
 
 
 @helper

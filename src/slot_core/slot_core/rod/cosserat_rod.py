@@ -160,10 +160,15 @@ class CosseratRod:
         for end, pose in ((0, base), (1, tip)):
             if pose is not None:
                 axes = Rotation.from_rotvec(pose.rotation).as_matrix()
-                self._target[end, 0], self._target[end, 1:] = pose.position, _frame(axes)
+                self._target[end, 0], self._target[end, 1:] = (
+                    pose.position,
+                    _frame(axes),
+                )
         self._run(h, 1, loads, self._no_record)
 
-    def run(self, h: float, steps: int, loads: Loads = NO_LOADS, samples: int = 0) -> Array:
+    def run(
+        self, h: float, steps: int, loads: Loads = NO_LOADS, samples: int = 0
+    ) -> Array:
         """Advance by `steps` equal steps of h (s) with the supports at rest, in a compiled loop.
 
         Returns (samples, 3) positions of the tip at evenly spaced times, the last at the end.
@@ -171,9 +176,13 @@ class CosseratRod:
         Raises RodError for a negative number or where `samples` does not divide `steps`, and the
         errors of `step`.
         """
-        whole = all(isinstance(number, (int, np.integer)) for number in (steps, samples))
+        whole = all(
+            isinstance(number, (int, np.integer)) for number in (steps, samples)
+        )
         if not whole or min(steps, samples) < 0 or (samples and steps % samples):
-            raise RodError(f"samples {samples} must divide steps {steps}, integers of 0 or more")
+            raise RodError(
+                f"samples {samples} must divide steps {steps}, integers of 0 or more"
+            )
         _need_step(h)
         record = np.zeros((samples, 3))
         self._run(h, steps, loads, record)
@@ -192,7 +201,9 @@ class CosseratRod:
         no potential to descend.
         """
         if settings.stay_stable and _has_no_potential(loads):
-            raise RodError("stay_stable needs loads with a potential: no moment, no follower force")
+            raise RodError(
+                "stay_stable needs loads with a potential: no moment, no follower force"
+            )
         begin = RodLoads(*(part.copy() for part in self._load))
         self._apply(loads)
         end = RodLoads(*(part.copy() for part in self._load))
@@ -212,7 +223,9 @@ class CosseratRod:
         """Kinetic, elastic and potential energy of the present state under loads, J."""
         mesh, work, n = self.mesh, self._work, self.nodes
         v, spin = work.velocity[:n], work.swirl[: n - 1]
-        kinetic = mesh.mass @ (v**2).sum(axis=1) + mesh.spin[:-1] @ (spin**2).sum(axis=1)
+        kinetic = mesh.mass @ (v**2).sum(axis=1) + mesh.spin[:-1] @ (spin**2).sum(
+            axis=1
+        )
         kinetic -= mesh.coupling[:-1] @ (np.diff(v, axis=0) ** 2).sum(axis=1)
         kernels.pose(mesh, work)
         return Energy(
@@ -226,7 +239,9 @@ class CosseratRod:
         mesh, work, n = self.mesh, self._work, self.nodes
         r, v = work.node[:n], work.velocity[:n]
         p, less = mesh.mass[:, None] * v, mesh.coupling[:-1, None] * np.diff(v, axis=0)
-        angular = np.cross(r, p).sum(axis=0) - np.cross(np.diff(r, axis=0), less).sum(axis=0)
+        angular = np.cross(r, p).sum(axis=0) - np.cross(np.diff(r, axis=0), less).sum(
+            axis=0
+        )
         angular += mesh.spin[:-1] @ work.swirl[: n - 1]
         return p.sum(axis=0), angular
 
@@ -280,7 +295,9 @@ class CosseratRod:
         shift = 1e-3 * stiffness.trace() / metric.trace() / len(free) ** 3
         while True:
             try:
-                values = eigh(mass, stiffness + shift * (mass + 1e-9 * metric), eigvals_only=True)
+                values = eigh(
+                    mass, stiffness + shift * (mass + 1e-9 * metric), eigvals_only=True
+                )
                 break
             except np.linalg.LinAlgError:
                 shift *= 10
@@ -322,7 +339,9 @@ class CosseratRod:
         """Loads at the nodes."""
         dead = self.mesh.mass[:, None] * np.asarray(loads.gravity, dtype=np.float64)
         dead[-1] += loads.force
-        return RodLoads(dead, np.array(loads.moment, float), np.array(loads.follower, float))
+        return RodLoads(
+            dead, np.array(loads.moment, float), np.array(loads.follower, float)
+        )
 
     def _set(self, nodal: RodLoads, loads: Loads | None) -> None:
         """Set the present loads from nodal loads."""
@@ -334,7 +353,9 @@ class CosseratRod:
 def _need_step(h: float) -> None:
     """Raise RodError for a step (s) that is not finite and above 0."""
     is_number = isinstance(h, (int, float, np.number))
-    need(is_number and 0.0 < h < math.inf, f"step {quoted(h)} must be above 0 and finite")
+    need(
+        is_number and 0.0 < h < math.inf, f"step {quoted(h)} must be above 0 and finite"
+    )
 
 
 def _has_no_potential(loads: Loads) -> bool:

@@ -33,7 +33,9 @@ def prescribe(held, gap, F, rows):
     for c in range(held.size):
         if held[c]:
             for i in range(rows):
-                F[i, F.shape[1] - 1] -= F[i, c] * gap[c]  # 0 but in the last block, which is full
+                F[i, F.shape[1] - 1] -= (
+                    F[i, c] * gap[c]
+                )  # 0 but in the last block, which is full
                 F[i, c] = 0.0
             for j in range(F.shape[1] - 1):
                 F[c, j] = 0.0
@@ -128,7 +130,10 @@ def load_tip(work, loads, F):
 
     The force turns by Phi x f. The hinge's moment m has the antisymmetric tangent Phi x m / 2.
     """
-    f, m = follower_force(work.stage_frame[1], loads[2]), row(work.moment, work.normal.size - 1)
+    f, m = (
+        follower_force(work.stage_frame[1], loads[2]),
+        row(work.moment, work.normal.size - 1),
+    )
     for i in range(3):
         e = (1.0 * (i == 0), 1.0 * (i == 1), 1.0 * (i == 2))
         turn, half = cross(e, f), cross(e, m)

@@ -75,7 +75,13 @@ def stage(work, tau):
         put(work.stage, i, plus(row(work.node, i), tau, row(work.speed, i)))
     for end in range(2):
         w = row(work.rate, end)
-        end_frame(work, work.stage_frame, work.frame, end, (tau * w[0], tau * w[1], tau * w[2]))
+        end_frame(
+            work,
+            work.stage_frame,
+            work.frame,
+            end,
+            (tau * w[0], tau * w[1], tau * w[2]),
+        )
     show_tip(work, work.stage, work.stage_frame)
     point_along(work.segments, work.stage)
     orient(work.segments, work.begin, work.from_director, work.spin, ZERO, tau)
@@ -247,7 +253,9 @@ def displace(work, x):
     s, n, m = work.segments, work.spin.size, work.rotation
     at = 4 * n + 3
     end_frame(work, work.stage_frame, work.stage_frame, 0, (x[0], x[1], x[2]))
-    end_frame(work, work.stage_frame, work.stage_frame, 1, (x[at], x[at + 1], x[at + 2]))
+    end_frame(
+        work, work.stage_frame, work.stage_frame, 1, (x[at], x[at + 1], x[at + 2])
+    )
     put(work.stage, 0, plus(row(work.stage, 0), 1.0, (x[4], x[5], x[6])))
     for k in range(n - 1):
         i, t, d = 4 * k + 4, row(s.direction, k), row(work.from_director, k)

@@ -55,7 +55,12 @@ class Mesh(NamedTuple):
 
 
 def build_mesh(  # noqa: PLR0917
-    material: Material, geometry: Geometry, nodes: int, base: Support, tip: Support, refined: bool
+    material: Material,
+    geometry: Geometry,
+    nodes: int,
+    base: Support,
+    tip: Support,
+    refined: bool,
 ) -> Mesh:
     """Divide a rod into nodes - 1 segments of equal arc length; raises RodError below one.
 

@@ -52,7 +52,9 @@ def numbers(name: str, values: float | Array, shape: tuple[int, ...]) -> Array:
     try:
         found = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
     except (TypeError, ValueError):
-        raise RodError(f"{name} {quoted(values)} must be numbers of shape {shape}") from None
+        raise RodError(
+            f"{name} {quoted(values)} must be numbers of shape {shape}"
+        ) from None
     need(bool(np.isfinite(found).all()), f"{name} must be finite")
     return np.array(found)
 
@@ -71,9 +73,17 @@ class Material:
 
     def __post_init__(self) -> None:
         for name in ("young_modulus", "shear_modulus", "density"):
-            need(getattr(self, name) > 0.0, f"{name} {getattr(self, name)} must be above 0")
-        need(self.damping_time >= 0.0, f"damping_time {self.damping_time} must not be below 0")
-        need_finite(self.young_modulus, self.shear_modulus, self.density, self.damping_time)
+            need(
+                getattr(self, name) > 0.0,
+                f"{name} {getattr(self, name)} must be above 0",
+            )
+        need(
+            self.damping_time >= 0.0,
+            f"damping_time {self.damping_time} must not be below 0",
+        )
+        need_finite(
+            self.young_modulus, self.shear_modulus, self.density, self.damping_time
+        )
 
 
 class Section(Protocol):
@@ -223,7 +233,9 @@ class Geometry:
         angle = np.concatenate([[0.0], np.cumsum(whole)])
         inside = angle[:-1, None] + part
         steps = cell * np.stack([np.cos(inside) @ w, np.sin(inside) @ w], axis=1)
-        return np.column_stack([np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)]), angle])
+        return np.column_stack(
+            [np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)]), angle]
+        )
 
     def curvature_at(self, s: Array) -> Array:
         """Natural curvature at arc lengths s (m), 1/m."""
@@ -260,7 +272,10 @@ class Support:
     def __post_init__(self) -> None:
         for held in (self.position, self.rotation):
             are_three = np.shape(held) == (3,) and np.asarray(held).dtype == bool
-            need(are_three, f"{quoted(held)} must be whether each of 3 components is held")
+            need(
+                are_three,
+                f"{quoted(held)} must be whether each of 3 components is held",
+            )
 
 
 CLAMPED = Support(ALL_COMPONENTS, ALL_COMPONENTS)
@@ -280,7 +295,9 @@ class Loads:
     gravity: Vector = NOWHERE  # m/s^2
     force: Vector = NOWHERE  # N, at the tip
     moment: Vector = NOWHERE  # N m, at the tip
-    follower: Vector = NOWHERE  # N, at the tip, along its section's tangent, width and normal
+    follower: Vector = (
+        NOWHERE  # N, at the tip, along its section's tangent, width and normal
+    )
 
     def __post_init__(self) -> None:
         for name in ("gravity", "force", "moment", "follower"):

@@ -33,7 +33,9 @@ class Branch(Enum):
 
     PRIMARY = "primary"  # connected to the start, and no pivot has changed its sign
     UNSTABLE = "unstable"  # the tangent has negative pivots
-    SECONDARY = "secondary"  # stable again, after a bifurcation or beyond a critical load
+    SECONDARY = (
+        "secondary"  # stable again, after a bifurcation or beyond a critical load
+    )
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,9 @@ class StaticSettings:
         if self.side not in {-1, 1}:
             raise RodError(f"side {self.side} must be -1 or 1")
         if not 0.0 < self.least_step <= self.first_step <= 1.0:
-            raise RodError(f"steps {self.least_step}, {self.first_step} must be within 0 .. 1")
+            raise RodError(
+                f"steps {self.least_step}, {self.first_step} must be within 0 .. 1"
+            )
         if not self.tolerance > 0.0 or not self.critical_tolerance > 0.0:
             raise RodError(
                 f"tolerances {self.tolerance}, {self.critical_tolerance} must be above 0"
@@ -107,7 +111,10 @@ def free_unknowns(mesh: Mesh) -> NDArray[np.intp]:
     """Indices of the unknowns (`assembly.py`) that exist and that no support holds."""
     free, tip = np.ones(len(mesh.metric), dtype=bool), len(mesh.metric) - 7
     free[[3, -1]] = False
-    free[:3], free[4:7] = np.logical_not(mesh.held[0, 3:]), np.logical_not(mesh.held[0, :3])
+    free[:3], free[4:7] = (
+        np.logical_not(mesh.held[0, 3:]),
+        np.logical_not(mesh.held[0, :3]),
+    )
     free[tip : tip + 6] = np.logical_not(mesh.held[1])
     return np.flatnonzero(free)
 
@@ -129,16 +136,23 @@ class _Path:
         self.factor, self.negative = 0.0, 0
         self.steps = self.iterations = 0
         self.critical: list[float] = []
-        self.left_at: float | None = None  # load factor at which an unstable branch was left
+        self.left_at: float | None = (
+            None  # load factor at which an unstable branch was left
+        )
         self.rate = math.inf  # rad, turn per load factor in the last step
 
     def correct(self, factor: float) -> int | None:
         """Newton's method at a load factor from the posture; negative pivots, None if it fails."""
         start, frames = self.work.posture.copy(), self.frames()
         size, negative, count = kernels.equilibrium(
-            self.mesh, self.work, self.begin.toward(self.end, factor), self.place, 0.0,
-            self.settings.iterations, self.settings.tolerance,
-        )  # fmt: skip
+            self.mesh,
+            self.work,
+            self.begin.toward(self.end, factor),
+            self.place,
+            0.0,
+            self.settings.iterations,
+            self.settings.tolerance,
+        )
         self.iterations += count
         if size < self.settings.tolerance and self.turn(frames) <= self.limit(factor):
             return int(negative)
@@ -189,7 +203,9 @@ class _Path:
             if negative > self.negative and self.settings.stay_stable:
                 negative = self.descend(factor)
         turn = self.turn(frames)
-        self.rate = math.inf if self.left_at == factor else turn / (factor - self.factor)
+        self.rate = (
+            math.inf if self.left_at == factor else turn / (factor - self.factor)
+        )
         self.factor, self.negative, self.steps = factor, negative, self.steps + 1
         return True
 
@@ -202,7 +218,9 @@ class _Path:
         work, mesh = self.work, self.mesh
         loads = self.begin.toward(self.end, factor)
         value, shape = self.critical_shape(loads)
-        kernels.push_aside(mesh, work, self.settings.side * self.settings.largest_turn / 10 * shape)
+        kernels.push_aside(
+            mesh, work, self.settings.side * self.settings.largest_turn / 10 * shape
+        )
         shift = -20 * value
         for _ in range(DESCENT_STEPS):
             if shift < 1e-3 * abs(value):
@@ -215,7 +233,13 @@ class _Path:
                 break
             shift /= 2 if negative == 0 else 0.5
         size, negative, count = kernels.equilibrium(
-            mesh, work, loads, self.place, 0.0, self.settings.iterations, self.settings.tolerance
+            mesh,
+            work,
+            loads,
+            self.place,
+            0.0,
+            self.settings.iterations,
+            self.settings.tolerance,
         )
         self.iterations += count
         if not size < self.settings.tolerance or negative:
@@ -271,7 +295,9 @@ def follow(
             continue
         step /= 2
         if step < settings.least_step:
-            raise EquilibriumError("the branch ends or folds", path.factor, path.negative)
+            raise EquilibriumError(
+                "the branch ends or folds", path.factor, path.negative
+            )
     return Equilibrium(
         path.branch(), path.negative, tuple(path.critical), path.steps, path.iterations
     )

@@ -26,7 +26,9 @@ class RodWork(NamedTuple):
     frame: Array  # (2, 3, 3) of the base's and the tip's section
     turning: Array  # (2, 3) rad/s, their angular velocity in the last stage
     driven: Array  # (2, 3) m/s, their nodes' velocity in the last stage
-    posture: Array  # the iterate of statics, and the stage of a step; its parts are views:
+    posture: (
+        Array  # the iterate of statics, and the stage of a step; its parts are views:
+    )
     stage: Array  # (N + 1, 3) m
     begin: Array  # (N, 3) directions from which the directors `from_director` are carried on
     from_director: Array  # (N, 3)
@@ -41,7 +43,9 @@ class RodWork(NamedTuple):
     moment: Array  # (N, 3) N m, of the hinges, with the independent axial force
     residual: Array  # (N, 3) N m, the same with the axial force of the strains
     normal: Array  # (N,) N, axial force of the strains
-    stretch: Array  # (N, 8) derivative of a segment's extension over (s, w) before, behind
+    stretch: (
+        Array  # (N, 8) derivative of a segment's extension over (s, w) before, behind
+    )
     form: Array  # (8, 9) tangent | -gradient of a hinge over (s, w) before, behind
     factor: Array  # (N, 11, 12) tangent | -gradient of the hinges, factorised in place
     last: Array  # (6, 7) the same of the last node and the tip's section
@@ -102,7 +106,9 @@ def place(mesh: Mesh, work: RodWork, position: Array, axes: Array) -> None:
     work.node[:n] = position + mesh.natural @ axes.T
     c, s = np.cos(mesh.turn), np.sin(mesh.turn)
     work.frame[0] = _frame(axes)
-    work.frame[1] = _frame(axes @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]))
+    work.frame[1] = _frame(
+        axes @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+    )
     work.director[:] = work.frame[0, 1]
 
 

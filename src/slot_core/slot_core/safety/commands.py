@@ -40,7 +40,9 @@ def command_fault(angle: Array, rate: Array, low: float, high: float) -> str:
             return f"{name} has the shape {np.shape(values)}, limit ({len(LEGS)},)"
     for leg, value in zip(LEGS, angle):
         if not low <= value <= high:  # NaN is not
-            return f"command {leg} = {value:.4g} rad is not inside [{low:.4g}, {high:.4g}]"
+            return (
+                f"command {leg} = {value:.4g} rad is not inside [{low:.4g}, {high:.4g}]"
+            )
     for leg, value in zip(LEGS, rate):
         if not np.isfinite(value):
             return f"rate {leg} = {value:.4g} rad/s is not finite"

@@ -27,4 +27,7 @@ class OptionalNodes:
     @property
     def warnings(self) -> list[str]:
         """One line for each that is gone."""
-        return [f"node {name} has ended; the robot goes on without it" for name in self._gone]
+        return [
+            f"node {name} has ended; the robot goes on without it"
+            for name in self._gone
+        ]

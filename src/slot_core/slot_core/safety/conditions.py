@@ -32,7 +32,9 @@ class Conditions:
     def __init__(self, settings: SupervisorSettings):
         self._settings = settings
         self._received: dict[str, int] = {}
-        self.emergency_stop = EmergencyStop(settings.timing.estop, settings.estop_required)
+        self.emergency_stop = EmergencyStop(
+            settings.timing.estop, settings.estop_required
+        )
         self._missed = 0  # unusable estimates in a row
         self._imu_missing: int | None = None  # since when
         self._usable = False  # whether there has been a usable estimate
@@ -66,7 +68,9 @@ class Conditions:
         """Status of the last cycle of the MPC, and cycles since its last solution."""
         stopped = status == Status.STOPPED
         self._stopped = (
-            f"MPC stopped, {fallback_cycles} cycles without a solution" if stopped else ""
+            f"MPC stopped, {fallback_cycles} cycles without a solution"
+            if stopped
+            else ""
         )
 
     def receive_command(self, time: int, fault: str) -> None:
@@ -95,7 +99,9 @@ class Conditions:
         if self._health is None:
             return ["no report of the servos yet"]
         return [
-            f"servo {leg} without torque" for leg, on in zip(LEGS, self._health.torque) if not on
+            f"servo {leg} without torque"
+            for leg, on in zip(LEGS, self._health.torque)
+            if not on
         ]
 
     @property
@@ -113,7 +119,10 @@ class Conditions:
         """Whether a report newer than `since` says that no servo is under torque."""
         if self._health is None or self._reported <= since:
             return False
-        return self._health.action in (Action.RELAX, Action.OFF) and not self._health.torque.any()
+        return (
+            self._health.action in (Action.RELAX, Action.OFF)
+            and not self._health.torque.any()
+        )
 
     def distance(self, angle: Array) -> float:
         """Largest distance of the servos' goals from angles (4,), rad; inf without a report."""
@@ -125,7 +134,9 @@ class Conditions:
         """One line while the estimates rest on the odometry alone, or ""."""
         limit = self._settings.estimate.imu_silence
         age = 0.0 if self._imu_missing is None else to_seconds(time - self._imu_missing)
-        return f"no usable IMU for {age:.3g} s, limit {limit:g} s" if age > limit else ""
+        return (
+            f"no usable IMU for {age:.3g} s, limit {limit:g} s" if age > limit else ""
+        )
 
     @property
     def slewed(self) -> bool:
@@ -135,7 +146,13 @@ class Conditions:
     def conditions(self, time: int) -> dict[Condition, str]:
         """Every condition that holds now, with one line: cause, value and limit."""
         found: dict[Condition, str] = {}
-        for check in (self._estop, self._servos, self._torso, self._nodes, self._commands):
+        for check in (
+            self._estop,
+            self._servos,
+            self._torso,
+            self._nodes,
+            self._commands,
+        ):
             for condition, reason in check(time):
                 found.setdefault(condition, reason)
         return found
@@ -169,7 +186,10 @@ class Conditions:
         limits = self._settings.estimate
         for name, angle in zip(("roll", "pitch"), self._tilt):
             if abs(angle) > limits.tilt_max:
-                yield Condition.TILTED, f"{name} {angle:+.3f} rad, limit {limits.tilt_max:g} rad"
+                yield (
+                    Condition.TILTED,
+                    f"{name} {angle:+.3f} rad, limit {limits.tilt_max:g} rad",
+                )
         if not self._usable:
             yield Condition.ESTIMATE_LOST, "no usable estimate yet"
         if self._missed > limits.coast_cycles:
@@ -179,14 +199,20 @@ class Conditions:
             )
         age, limit = self._age(time, "estimate"), limits.silence
         if age > limit:
-            yield Condition.ESTIMATE_LOST, f"no estimate {_span(age)}, limit {limit:.3g} s"
+            yield (
+                Condition.ESTIMATE_LOST,
+                f"no estimate {_span(age)}, limit {limit:.3g} s",
+            )
 
     def _nodes(self, time: int) -> Iterator[Finding]:
         limit = self._settings.timing.heartbeat
         for node in self._settings.nodes:
             age = self._age(time, f"node {node}")
             if age > limit:
-                yield Condition.NODE_LOST, f"node {node} silent {_span(age)}, limit {limit:g} s"
+                yield (
+                    Condition.NODE_LOST,
+                    f"node {node} silent {_span(age)}, limit {limit:g} s",
+                )
 
     def _commands(self, time: int) -> Iterator[Finding]:
         timing, age = self._settings.timing, self._age(time, "command")

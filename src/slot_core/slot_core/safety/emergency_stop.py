@@ -28,7 +28,9 @@ class EmergencyStop:
         self._limit, self._required = limit, required
         self._sources: dict[str, _Source] = {}
 
-    def receive(self, time: int, source: str, pressed: bool, leaving: bool = False) -> None:
+    def receive(
+        self, time: int, source: str, pressed: bool, leaving: bool = False
+    ) -> None:
         """State of a source; a source that is `leaving` is not missed, unless it is pressed."""
         if leaving and not pressed:
             self._sources.pop(source, None)
@@ -54,7 +56,9 @@ class EmergencyStop:
             for name, age in self._silent(time).items()
             if not self._sources[name].pressed
         ]
-        return f"e-stop source {', '.join(lost)}, limit {self._limit:g} s" if lost else ""
+        return (
+            f"e-stop source {', '.join(lost)}, limit {self._limit:g} s" if lost else ""
+        )
 
     def accept_losses(self, time: int) -> None:
         """Miss released sources that are silent no more, if another source is alive."""
@@ -76,5 +80,7 @@ class EmergencyStop:
 
     def _silent(self, time: int) -> dict[str, float]:
         """Time since the last message of each source that is silent, s."""
-        ages = {name: to_seconds(time - s.received) for name, s in self._sources.items()}
+        ages = {
+            name: to_seconds(time - s.received) for name, s in self._sources.items()
+        }
         return {name: age for name, age in ages.items() if age > self._limit}

@@ -92,7 +92,9 @@ class RateLimiter:
     def _commanded(self, time: int) -> Array:
         """Angles (4,), rad, of the command at `time`."""
         age = to_seconds(time - self._accepted)
-        return np.clip(extrapolated(self._target, self._target_rate, age), self._low, self._high)
+        return np.clip(
+            extrapolated(self._target, self._target_rate, age), self._low, self._high
+        )
 
     def _elapsed(self, time: int) -> float:
         """Seconds since the last step."""
@@ -106,7 +108,9 @@ class RateLimiter:
         if not fast:
             return s.approach_rate
         share = to_seconds(time - self._since) / s.resume_time
-        return s.approach_rate + (s.rate_max - s.approach_rate) * min(max(share, 0.0), 1.0)
+        return s.approach_rate + (s.rate_max - s.approach_rate) * min(
+            max(share, 0.0), 1.0
+        )
 
     def _relax(self, time: int) -> Goals:
         """Ramp to slack; torque goes off at its end, whether or not the servos have followed."""

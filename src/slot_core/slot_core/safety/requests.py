@@ -33,7 +33,9 @@ _FIRST = {
     State.HOLD: "it ends when its reason is gone",
     State.RELAX: "wait for IDLE",
 }
-_TO_RESET = frozenset({Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, Condition.SERVO_FAULT})
+_TO_RESET = frozenset(
+    {Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, Condition.SERVO_FAULT}
+)
 _TO_READY = _TO_RESET | {Condition.SERVO_SILENT, Condition.TILTED}
 _TO_MOVE = _TO_READY | REASONS_TO_HOLD | {Condition.COMMAND_LOST}
 FORBIDDEN_BY: dict[Request, frozenset[Condition]] = {

@@ -33,12 +33,24 @@ class ServoHealth:
     reason: str  # why the action is not PASS, or ""
     torque: NDArray[np.bool_]  # as read back
     goal: Array  # rad, tendon angles sent to the servos last
-    slewed: NDArray[np.bool_] = field(default_factory=_no)  # whether the rate limit held it back
-    silence: Array = field(default_factory=ZEROS)  # s since the last answer; inf: never answered
-    hardware_error: NDArray[np.int64] = field(default_factory=_no_error)  # bits of HardwareError
+    slewed: NDArray[np.bool_] = field(
+        default_factory=_no
+    )  # whether the rate limit held it back
+    silence: Array = field(
+        default_factory=ZEROS
+    )  # s since the last answer; inf: never answered
+    hardware_error: NDArray[np.int64] = field(
+        default_factory=_no_error
+    )  # bits of HardwareError
     temperature: Array = field(default_factory=UNKNOWN)  # degC; NaN: not known
     voltage: Array = field(default_factory=UNKNOWN)  # V; NaN: not known
-    error_rate: Array = field(default_factory=ZEROS)  # share of the last exchanges that failed
-    commanded: int = 0  # ns, stamp of the command written last, in lockstep arrived last; 0: none
+    error_rate: Array = field(
+        default_factory=ZEROS
+    )  # share of the last exchanges that failed
+    commanded: int = (
+        0  # ns, stamp of the command written last, in lockstep arrived last; 0: none
+    )
     written: int = 0  # ns, time of that
-    supervised: int = 0  # ns, stamp of the first message of a supervisor that they took; 0: none
+    supervised: int = (
+        0  # ns, stamp of the first message of a supervisor that they took; 0: none
+    )

@@ -19,25 +19,41 @@ NODES = (
 class Timing:
     """Time limits of inputs and transitions."""
 
-    command_hold: float = quantity("time without a command that ends in HOLD", "s", 0.01, 1)
-    command_lost: float = quantity("time without a command that ends in RELAX", "s", 0.05, 5)
+    command_hold: float = quantity(
+        "time without a command that ends in HOLD", "s", 0.01, 1
+    )
+    command_lost: float = quantity(
+        "time without a command that ends in RELAX", "s", 0.05, 5
+    )
     hold_max: float = quantity("longest HOLD, then RELAX", "s", 0.1, 60)
-    recovery: float = quantity("time without a reason to hold that ends HOLD", "s", 0.0, 5)
+    recovery: float = quantity(
+        "time without a reason to hold that ends HOLD", "s", 0.0, 5
+    )
     clock_jump: float = quantity("change of the clock that is a jump", "s", 0.05, 60)
     heartbeat: float = quantity("time without a message of a node", "s", 0.05, 10)
-    estop: float = quantity("time without a message of the e-stop's source", "s", 0.3, 2)
+    estop: float = quantity(
+        "time without a message of the e-stop's source", "s", 0.3, 2
+    )
     servo_silent: float = quantity("time without an answer of a servo", "s", 0.05, 2)
-    torque_change: float = quantity("time for the driver to switch torque on or off", "s", 0.05, 5)
+    torque_change: float = quantity(
+        "time for the driver to switch torque on or off", "s", 0.05, 5
+    )
 
 
 @dataclass(frozen=True)
 class EstimateLimits:
     """Limits of the state estimate."""
 
-    coast_cycles: int = quantity("unusable estimates in a row that are accepted", "", 0, 30)
+    coast_cycles: int = quantity(
+        "unusable estimates in a row that are accepted", "", 0, 30
+    )
     silence: float = quantity("time without an estimate", "s", 0.01, 5)
-    imu_silence: float = quantity("time without a usable IMU that is warned of", "s", 0.05, 5)
-    tilt_max: float = quantity("largest magnitude of roll and of pitch", "rad", 0.05, 1.5)
+    imu_silence: float = quantity(
+        "time without a usable IMU that is warned of", "s", 0.05, 5
+    )
+    tilt_max: float = quantity(
+        "largest magnitude of roll and of pitch", "rad", 0.05, 1.5
+    )
 
 
 @dataclass(frozen=True)
@@ -49,7 +65,9 @@ class GateSettings:
     approach_rate: float = quantity("rate until a command is reached", "rad/s", 0.1, 6)
     resume_time: float = quantity("time from approach_rate to rate_max", "s", 0.01, 10)
     relax_rate: float = quantity("rate of the ramp to slack", "rad/s", 0.1, 20)
-    relax_time: float = quantity("longest ramp to slack, then torque goes off", "s", 0.1, 10)
+    relax_time: float = quantity(
+        "longest ramp to slack, then torque goes off", "s", 0.1, 10
+    )
 
     def check_ramp(self, angle_max: float) -> None:
         """Raise ConfigError when a ramp from `angle_max` (rad) takes longer than `relax_time`."""
@@ -66,8 +84,12 @@ class ServoLimits:
     """Limits of the servos' watchdog; the supervisor sends them on `/servo_limits`."""
 
     gate: GateSettings
-    command_hold: float = quantity("time without a command that ends in HOLD", "s", 0.01, 1)
-    command_lost: float = quantity("time without a command that ends in RELAX", "s", 0.05, 5)
+    command_hold: float = quantity(
+        "time without a command that ends in HOLD", "s", 0.01, 1
+    )
+    command_lost: float = quantity(
+        "time without a command that ends in RELAX", "s", 0.05, 5
+    )
     clock_jump: float = quantity("distance of a stamp from now", "s", 0.05, 60)
     servo_silent: float = quantity("time without an answer of a servo", "s", 0.05, 2)
 
@@ -77,14 +99,24 @@ class TendonLimits:
     """Limits beyond which a tendon counts as slack or broken."""
 
     slack_max: float = quantity("extra length, inferred from the load", "m", 1e-4, 0.05)
-    window_min: float = quantity("shortest time of the mean; else a stride", "s", 0.1, 10)
-    excess_max: float = quantity("slack beyond its limit, summed over time", "m s", 0, 0.1)
-    sample_gap: float = quantity("gap between two readings that restarts the mean", "s", 1e-3, 1)
+    window_min: float = quantity(
+        "shortest time of the mean; else a stride", "s", 0.1, 10
+    )
+    excess_max: float = quantity(
+        "slack beyond its limit, summed over time", "m s", 0, 0.1
+    )
+    sample_gap: float = quantity(
+        "gap between two readings that restarts the mean", "s", 1e-3, 1
+    )
     age_max: float = quantity(
         "age of a reading, estimate or command that restarts it", "s", 0.01, 1
     )
-    stiffness_min: float = quantity("least d torque / d angle to divide by", "N m/rad", 1e-3, 10)
-    share: float = quantity("share of the largest slack for another leg to be named", "", 0, 1)
+    stiffness_min: float = quantity(
+        "least d torque / d angle to divide by", "N m/rad", 1e-3, 10
+    )
+    share: float = quantity(
+        "share of the largest slack for another leg to be named", "", 0, 1
+    )
     broken: tuple[bool, bool, bool, bool] = flag(
         "whether a tendon FL FR RL RR is known to be broken and not watched"
     )
@@ -94,9 +126,13 @@ class TendonLimits:
 class MotionLimits:
     """Limits below which the walking robot counts as stuck."""
 
-    window: float = quantity("time in which torso and commands are compared", "s", 0.5, 60)
+    window: float = quantity(
+        "time in which torso and commands are compared", "s", 0.5, 60
+    )
     command_min: float = quantity("least extent of a commanded angle", "rad", 0.05, 3)
-    ratio_min: float = quantity("least extent of the torso's pose over it", "m/rad", 0, 1)
+    ratio_min: float = quantity(
+        "least extent of the torso's pose over it", "m/rad", 0, 1
+    )
     lever: float = quantity("by which angles of the torso count in it", "m", 0, 1)
 
 
@@ -109,17 +145,25 @@ class SupervisorSettings:
     gate: GateSettings
     tendon: TendonLimits
     motion: MotionLimits
-    zero_tolerance: float = quantity("measured tendon angle beyond the range", "rad", 0, 0.5)
-    arrived: float = quantity("distance to the command that counts as reached", "rad", 1e-3, 1)
+    zero_tolerance: float = quantity(
+        "measured tendon angle beyond the range", "rad", 0, 0.5
+    )
+    arrived: float = quantity(
+        "distance to the command that counts as reached", "rad", 1e-3, 1
+    )
     nodes: tuple[str, ...] = text("nodes whose heartbeat is needed")
-    companions: tuple[str, ...] = text("nodes whose end is said; the robot goes on without them")
+    companions: tuple[str, ...] = text(
+        "nodes whose end is said; the robot goes on without them"
+    )
     estop_required: bool = flag("whether motion needs a source of the e-stop")
 
     def __post_init__(self) -> None:
         """Raise ConfigError for a node whose heartbeat the supervisor does not receive."""
         for node in self.nodes:
             if node not in NODES:
-                raise ConfigError(f"nodes: {quoted(node)}: expected some of {', '.join(NODES)}")
+                raise ConfigError(
+                    f"nodes: {quoted(node)}: expected some of {', '.join(NODES)}"
+                )
 
     @property
     def servo_limits(self) -> ServoLimits:

@@ -6,7 +6,9 @@ from slot_core.safety.requests import Request
 from slot_core.safety.states import RELEASED
 from slot_core.safety.supervisor import Supervisor
 
-NOT_THE_FIRST = "start-up: the servos have obeyed an earlier supervisor, so an operator decides"
+NOT_THE_FIRST = (
+    "start-up: the servos have obeyed an earlier supervisor, so an operator decides"
+)
 
 
 class StartUp:
@@ -19,7 +21,9 @@ class StartUp:
 
     def __init__(self, *steps: Request):
         self._left = list(steps)
-        self._began: int | None = None  # ns, before the first message of this supervisor
+        self._began: int | None = (
+            None  # ns, before the first message of this supervisor
+        )
         self._hindrance = ""
 
     def request_next(self, supervisor: Supervisor, now: int) -> str:

@@ -91,31 +91,31 @@ _I, _R, _S, _W, _H, _X, _E, _F = State
 # Rows: conditions; columns: the state before, in the order of State.
 #                                  IDLE READY STANDING WALKING HOLD RELAX ESTOP FAULT
 TRANSITIONS: dict[Condition, tuple[State, ...]] = {
-    Condition.ESTOP_PRESSED:       (_E, _E, _E, _E, _E, _E, _E, _E),
-    Condition.ESTOP_LOST:          (_I, _E, _E, _E, _E, _E, _E, _F),
-    Condition.SERVO_FAULT:         (_F, _X, _X, _X, _X, _X, _E, _F),
-    Condition.SERVO_SILENT:        (_I, _X, _X, _X, _X, _X, _E, _F),
-    Condition.TILTED:              (_I, _X, _X, _X, _X, _X, _E, _F),
-    Condition.COMMAND_LOST:        (_I, _R, _X, _X, _X, _X, _E, _F),
-    Condition.HELD_TOO_LONG:       (_I, _R, _S, _W, _X, _X, _E, _F),
-    Condition.RELAX_REQUESTED:     (_I, _X, _X, _X, _X, _X, _E, _F),
-    Condition.CLOCK_JUMPED:        (_I, _R, _H, _H, _H, _X, _E, _F),
-    Condition.NODE_LOST:           (_I, _R, _H, _H, _H, _X, _E, _F),
-    Condition.TENDON_DAMAGED:      (_I, _R, _H, _H, _H, _X, _E, _F),
-    Condition.NO_MOTION:           (_I, _R, _H, _H, _H, _X, _E, _F),
-    Condition.MPC_STOPPED:         (_I, _R, _H, _H, _H, _X, _E, _F),
-    Condition.ESTIMATE_LOST:       (_I, _R, _H, _H, _H, _X, _E, _F),
-    Condition.COMMAND_REJECTED:    (_I, _R, _H, _H, _H, _X, _E, _F),
-    Condition.COMMAND_STALE:       (_I, _R, _H, _H, _H, _X, _E, _F),
-    Condition.RESET_REQUESTED:     (_I, _R, _S, _W, _H, _X, _I, _I),
-    Condition.READY_REQUESTED:     (_R, _R, _S, _W, _H, _X, _E, _F),
-    Condition.STAND_REQUESTED:     (_I, _S, _S, _S, _H, _X, _E, _F),
-    Condition.WALK_REQUESTED:      (_I, _R, _W, _W, _H, _X, _E, _F),
-    Condition.STANDING_RECOVERED:  (_I, _R, _S, _W, _S, _X, _E, _F),
-    Condition.WALKING_RECOVERED:   (_I, _R, _S, _W, _W, _X, _E, _F),
-    Condition.RELAXED:             (_I, _R, _S, _W, _H, _I, _E, _F),
+    Condition.ESTOP_PRESSED: (_E, _E, _E, _E, _E, _E, _E, _E),
+    Condition.ESTOP_LOST: (_I, _E, _E, _E, _E, _E, _E, _F),
+    Condition.SERVO_FAULT: (_F, _X, _X, _X, _X, _X, _E, _F),
+    Condition.SERVO_SILENT: (_I, _X, _X, _X, _X, _X, _E, _F),
+    Condition.TILTED: (_I, _X, _X, _X, _X, _X, _E, _F),
+    Condition.COMMAND_LOST: (_I, _R, _X, _X, _X, _X, _E, _F),
+    Condition.HELD_TOO_LONG: (_I, _R, _S, _W, _X, _X, _E, _F),
+    Condition.RELAX_REQUESTED: (_I, _X, _X, _X, _X, _X, _E, _F),
+    Condition.CLOCK_JUMPED: (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.NODE_LOST: (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.TENDON_DAMAGED: (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.NO_MOTION: (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.MPC_STOPPED: (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.ESTIMATE_LOST: (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.COMMAND_REJECTED: (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.COMMAND_STALE: (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.RESET_REQUESTED: (_I, _R, _S, _W, _H, _X, _I, _I),
+    Condition.READY_REQUESTED: (_R, _R, _S, _W, _H, _X, _E, _F),
+    Condition.STAND_REQUESTED: (_I, _S, _S, _S, _H, _X, _E, _F),
+    Condition.WALK_REQUESTED: (_I, _R, _W, _W, _H, _X, _E, _F),
+    Condition.STANDING_RECOVERED: (_I, _R, _S, _W, _S, _X, _E, _F),
+    Condition.WALKING_RECOVERED: (_I, _R, _S, _W, _W, _X, _E, _F),
+    Condition.RELAXED: (_I, _R, _S, _W, _H, _I, _E, _F),
     Condition.RELAXED_AFTER_FAULT: (_I, _R, _S, _W, _H, _F, _E, _F),
-}  # fmt: skip
+}
 
 ACTIONS = {
     State.IDLE: Action.OFF,
@@ -131,10 +131,14 @@ ACTIONS = {
 REASONS_TO_HOLD = frozenset(c for c, row in TRANSITIONS.items() if row[_W] is _H)
 # Faults of the robot itself: they count in every state under torque.
 FAULTS = frozenset(
-    c for c, row in TRANSITIONS.items() if row[_R] is _X and c is not Condition.RELAX_REQUESTED
+    c
+    for c, row in TRANSITIONS.items()
+    if row[_R] is _X and c is not Condition.RELAX_REQUESTED
 )
 REASONS_TO_RELAX = frozenset(
-    c for c, row in TRANSITIONS.items() if row[_H] is _X and c is not Condition.RELAX_REQUESTED
+    c
+    for c, row in TRANSITIONS.items()
+    if row[_H] is _X and c is not Condition.RELAX_REQUESTED
 )
 
 

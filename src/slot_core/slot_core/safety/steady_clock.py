@@ -17,7 +17,9 @@ class SteadyClock:
         self._last = now
         if abs(passed) > self._jump:
             limit = to_seconds(self._jump)
-            self.jumped = f"clock jumped by {to_seconds(passed):+.3g} s, limit {limit:g}"
+            self.jumped = (
+                f"clock jumped by {to_seconds(passed):+.3g} s, limit {limit:g}"
+            )
             passed = 0
         self._time += max(passed, 0)
         return self._time

@@ -51,7 +51,9 @@ class Report:
     since: int  # ns of `now` at the last transition
     warnings: tuple[str, ...]  # conditions that forbid motion now, one line each
     slack: Array  # (4,) m, extra length of the tendons, inferred from the load; NaN: unknown
-    resumed: bool  # whether the last transition led from HOLD back to the state before it
+    resumed: (
+        bool  # whether the last transition led from HOLD back to the state before it
+    )
     followed: bool  # whether the servos follow the commands, and have reached them once
 
     @property
@@ -63,7 +65,9 @@ class Report:
 class Supervisor:
     """State machine; inputs: `receive_...` and `request`, output: result of `step`."""
 
-    def __init__(self, robot: RobotParameters, settings: SupervisorSettings, watch: TendonWatch):
+    def __init__(
+        self, robot: RobotParameters, settings: SupervisorSettings, watch: TendonWatch
+    ):
         """Raises ConfigError when the ramp to slack takes longer than `gate.relax_time`."""
         settings.gate.check_ramp(robot.tendon.angle_max)
         self._robot, self._settings, self._watch = robot, settings, watch
@@ -72,8 +76,12 @@ class Supervisor:
         self._motion = MotionWatch(settings.motion)
         self._clock = SteadyClock(settings.timing.clock_jump)
         self._newest: dict[str, int] = {}  # ns, stamp of each input
-        self._wrong_clock: dict[str, str] = {}  # faults of inputs stamped by another clock
-        self._right_clock: set[str] = set()  # inputs with a stamp of this clock since the fault
+        self._wrong_clock: dict[
+            str, str
+        ] = {}  # faults of inputs stamped by another clock
+        self._right_clock: set[str] = (
+            set()
+        )  # inputs with a stamp of this clock since the fault
         self.operated = False  # whether an operator has requested anything
         self._state, self._reason, self._since = State.IDLE, "started", 0
         self._resume = State.STANDING  # state after HOLD
@@ -81,7 +89,9 @@ class Supervisor:
         self._resumed = False  # whether the last transition led from HOLD back to it
         self._entered = 0  # steady time of the last transition
         self._ready_since = 0  # steady time of the last READY
-        self._clear_since: int | None = None  # steady time since which there is no reason to hold
+        self._clear_since: int | None = (
+            None  # steady time since which there is no reason to hold
+        )
         self._faulty = False  # whether RELAX ends in FAULT
         self._followed = False  # whether the servos follow the commands
         self._unfollowed = 0  # steady time when they did not, last
@@ -110,14 +120,18 @@ class Supervisor:
         self.receive_heartbeat(now, "state_estimator")
         self.receive_estimate(now, estimate)
 
-    def receive_from_mpc(self, now: int, status: int, fallback_cycles: int, stride: float) -> None:
+    def receive_from_mpc(
+        self, now: int, status: int, fallback_cycles: int, stride: float
+    ) -> None:
         """A message of the MPC's node: its heartbeat, status of a cycle, period of the gait, s."""
         self.receive_heartbeat(now, "mpc_controller")
         self.receive_mpc(now, status, fallback_cycles)
         if np.isfinite(stride) and stride > 0.0:
             self._stride = float(stride)
 
-    def receive_from_force_map(self, now: int, stamp: int, angle: Array, rate: Array) -> str:
+    def receive_from_force_map(
+        self, now: int, stamp: int, angle: Array, rate: Array
+    ) -> str:
         """A message of the force mapper: its heartbeat, and the command; as `receive_command`."""
         self.receive_heartbeat(now, "force_mapper")
         return self.receive_command(now, stamp, angle, rate)
@@ -126,9 +140,13 @@ class Supervisor:
         """Names of the nodes that are there now."""
         self._companions.look(names)
 
-    def receive_estop(self, now: int, source: str, pressed: bool, *, leaving: bool = False) -> None:
+    def receive_estop(
+        self, now: int, source: str, pressed: bool, *, leaving: bool = False
+    ) -> None:
         """State of a source of the e-stop, repeated within `timing.estop` unless it is leaving."""
-        self._inputs.emergency_stop.receive(self._advance(now), source, pressed, leaving)
+        self._inputs.emergency_stop.receive(
+            self._advance(now), source, pressed, leaving
+        )
 
     def forget_estop(self, now: int, source: str) -> str:
         """Take a silent source of the e-stop for gone, pressed or not; or return why not."""
@@ -151,7 +169,9 @@ class Supervisor:
             self._motion.pause()
         self._height = self._clamp_heights(estimate.state)
 
-    def receive_command(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> str:
+    def receive_command(
+        self, now: int, stamp: int, angle: Array, rate: Array = AT_REST
+    ) -> str:
         """Tendon angles (4,), rad, and their rate (4,), rad/s; returns why not accepted, or ""."""
         time = self._advance(now)
         if fault := self._stamp_fault("command", now, stamp):
@@ -170,7 +190,9 @@ class Supervisor:
         self._inputs.receive_joints(time - max(now - stamp, 0), angle, torque)
         self._tendon_angle = np.array(angle, dtype=np.float64)
         if self._follows_gait(time):
-            oldest = min(stamp, *(self._newest.get(name, 0) for name in ("estimate", "command")))
+            oldest = min(
+                stamp, *(self._newest.get(name, 0) for name in ("estimate", "command"))
+            )
             age = to_seconds(now - oldest)
             self._tendons = self._watch.observe(
                 stamp, angle, torque, self._height, self._stride, age=age
@@ -215,10 +237,17 @@ class Supervisor:
         if self._state is State.RELAX and not FAULTS.isdisjoint(active):
             self._faulty = True
         for condition in Condition:
-            if condition in active and next_state(self._state, condition) is not self._state:
+            if (
+                condition in active
+                and next_state(self._state, condition) is not self._state
+            ):
                 self._transition(now, time, condition, active[condition])
                 break
-        warnings = [text for c, text in active.items() if c in REASONS_TO_HOLD | REASONS_TO_RELAX]
+        warnings = [
+            text
+            for c, text in active.items()
+            if c in REASONS_TO_HOLD | REASONS_TO_RELAX
+        ]
         warnings += [*self._wrong_clock.values(), *self._companions.warnings]
         warnings += filter(None, [self._inputs.imu_warning(time)])
         for source in self._right_clock:  # not before a report has named the fault
@@ -296,11 +325,16 @@ class Supervisor:
     def _follows_gait(self, time: int) -> bool:
         """Whether the legs follow the gait: for `resume_time`, in the same state."""
         since = max(self._entered, self._unfollowed)
-        return self._state in MOVING and time - since > self._settings.gate.resume_time * SECOND
+        return (
+            self._state in MOVING
+            and time - since > self._settings.gate.resume_time * SECOND
+        )
 
     def _torque_missing(self, time: int) -> str:
         """Why the servos have no torque after the time to switch it on, or ""."""
-        overdue = time - self._ready_since > self._settings.timing.torque_change * SECOND
+        overdue = (
+            time - self._ready_since > self._settings.timing.torque_change * SECOND
+        )
         if self._state in UNDER_TORQUE and overdue:
             return self._inputs.release_reason()
         return ""
@@ -311,12 +345,16 @@ class Supervisor:
         Without such a report RELAX ends in FAULT after `relax_time` and `torque_change`.
         """
         if self._inputs.torque_off(self._entered):
-            ending = Condition.RELAXED_AFTER_FAULT if self._faulty else Condition.RELAXED
+            ending = (
+                Condition.RELAXED_AFTER_FAULT if self._faulty else Condition.RELAXED
+            )
             found[ending] = f"slack after: {self._reason}"
             return
         limit = self._settings.gate.relax_time + self._settings.timing.torque_change
         if to_seconds(time - self._entered) > limit:
-            reason = f"torque off not confirmed within {limit:.3g} s, after: {self._reason}"
+            reason = (
+                f"torque off not confirmed within {limit:.3g} s, after: {self._reason}"
+            )
             found[Condition.RELAXED_AFTER_FAULT] = reason
 
     def _end_hold(self, time: int, found: dict[Condition, str]) -> None:
@@ -332,8 +370,12 @@ class Supervisor:
         self._clear_since = time if self._clear_since is None else self._clear_since
         if time - self._clear_since >= timing.recovery * SECOND:
             walks = self._resume is State.WALKING
-            recovered = Condition.WALKING_RECOVERED if walks else Condition.STANDING_RECOVERED
-            found[recovered] = f"no reason to hold for {timing.recovery:g} s, after: {self._reason}"
+            recovered = (
+                Condition.WALKING_RECOVERED if walks else Condition.STANDING_RECOVERED
+            )
+            found[recovered] = (
+                f"no reason to hold for {timing.recovery:g} s, after: {self._reason}"
+            )
 
     def _further_reasons(self, request: Request) -> list[str]:
         """Reasons to refuse a request that are not conditions, one line each."""
@@ -343,7 +385,9 @@ class Supervisor:
             return unpowered
         limit, distance = self._settings.arrived, self._inputs.distance(self._command)
         if request is Request.WALK and not distance <= limit:  # nor NaN
-            return [f"the legs are {distance:.3g} rad from their command, limit {limit:g} rad"]
+            return [
+                f"the legs are {distance:.3g} rad from their command, limit {limit:g} rad"
+            ]
         return []
 
     def _angles_out_of_range(self) -> list[str]:
@@ -357,7 +401,9 @@ class Supervisor:
             if not -tolerance <= angle <= largest + tolerance
         ]
 
-    def _transition(self, now: int, time: int, condition: Condition, reason: str) -> None:
+    def _transition(
+        self, now: int, time: int, condition: Condition, reason: str
+    ) -> None:
         """Make the transition of `condition`."""
         before, after = self._state, next_state(self._state, condition)
         self._state, self._reason, self._since = after, reason, now

@@ -102,7 +102,10 @@ class TendonWatch:
         if age > self._limits.age_max:
             self.pause()
             return self.state
-        values, newest = np.array([angle, torque, height], dtype=np.float64), self._window.newest
+        values, newest = (
+            np.array([angle, torque, height], dtype=np.float64),
+            self._window.newest,
+        )
         if not np.isfinite(values).all() or (newest is not None and stamp <= newest):
             return self.state
         elapsed = 0.0 if newest is None else to_seconds(stamp - newest)
@@ -122,7 +125,9 @@ class TendonWatch:
     def _evaluate(self, elapsed: float) -> None:
         """Compute the slack from the means; sum its excess over `elapsed` (s), set the alarms."""
         missing, slope = self._window.rows().mean(axis=0)
-        self._slack = self._radius * missing / np.maximum(slope, self._limits.stiffness_min)
+        self._slack = (
+            self._radius * missing / np.maximum(slope, self._limits.stiffness_min)
+        )
         shift = (self._slack * SIDES).sum() / len(LEGS)
         limit = self._limits.slack_max
         beyond = self._slack - np.clip(shift, -limit, limit) * SIDES
@@ -141,11 +146,15 @@ class TendonWatch:
         if not self._named:
             return ""
         limit = 1e3 * self._limits.slack_max
-        legs = ", ".join(f"{leg} ({1e3 * slack:.1f} mm)" for leg, slack in self._named.items())
+        legs = ", ".join(
+            f"{leg} ({1e3 * slack:.1f} mm)" for leg, slack in self._named.items()
+        )
         return f"slack or broken tendon {legs}, limit {limit:.1f} mm"
 
 
 def read_tendon_watch(robot: RobotParameters, limits: TendonLimits) -> TendonWatch:
     """The watch of the robot's tendons; raises ConfigError without `config/leg_map.csv`."""
     radius = robot.tendon.spool_radius
-    return TendonWatch(TendonLoad(read_leg_table(("tension_N",)), radius), radius, limits)
+    return TendonWatch(
+        TendonLoad(read_leg_table(("tension_N",)), radius), radius, limits
+    )

@@ -57,7 +57,9 @@ class Watchdog:
         self.limits: ServoLimits | None = None
         self._limiter: RateLimiter | None = None  # None: no limits yet
         self._range = low, high
-        self._engaged = np.full(len(LEGS), low)  # rad, angles of the servos when torque came on
+        self._engaged = np.full(
+            len(LEGS), low
+        )  # rad, angles of the servos when torque came on
         self._commanded: int | None = None  # time of the last accepted command
 
     @property
@@ -82,7 +84,11 @@ class Watchdog:
 
     def offer(self, now: int, angle: Array, rate: Array = AT_REST) -> str:
         """Accept tendon angles (4,), rad, with their rate (4,), rad/s; or return why not."""
-        fault = NO_LIMITS if self._limiter is None else self._limiter.offer(now, angle, rate)
+        fault = (
+            NO_LIMITS
+            if self._limiter is None
+            else self._limiter.offer(now, angle, rate)
+        )
         if not fault:
             self._commanded = now
         return fault
@@ -109,7 +115,9 @@ class Watchdog:
         self.action, self.reason = self._decide(now, self.limits)
         received = [] if self._commanded is None else [self._commanded]
         received += [] if self.permission is None else [self.permission.time]
-        self.overdue = any(now - time > self.limits.command_hold * SECOND for time in received)
+        self.overdue = any(
+            now - time > self.limits.command_hold * SECOND for time in received
+        )
         fast = self.permission is not None and self.permission.fast
         return self._limiter.step(now, self.action, fast=fast)
 
@@ -128,9 +136,14 @@ class Watchdog:
             return Action.RELAX, permission.reason
         if held or permission is None:
             return Action.HOLD, held
-        return permission.action, "" if permission.action is Action.PASS else permission.reason
+        return (
+            permission.action,
+            "" if permission.action is Action.PASS else permission.reason,
+        )
 
-    def _overdue(self, what: str, now: int, received: int | None, limits: ServoLimits) -> str:
+    def _overdue(
+        self, what: str, now: int, received: int | None, limits: ServoLimits
+    ) -> str:
         """Reason to hold because of a late message, or ""; begins RELAX beyond `command_lost`."""
         if received is None:
             return f"no {what} yet"

@@ -31,7 +31,9 @@ class ServoBusSettings:
     def __post_init__(self) -> None:
         """Raise ConfigError for an unknown brand."""
         if self.brand not in BRANDS:
-            raise ConfigError(f"brand = {quoted(self.brand)}: expected one of {', '.join(BRANDS)}")
+            raise ConfigError(
+                f"brand = {quoted(self.brand)}: expected one of {', '.join(BRANDS)}"
+            )
 
 
 def read_servo_bus() -> ServoBusSettings:

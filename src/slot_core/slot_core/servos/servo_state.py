@@ -20,7 +20,9 @@ class BusFacts:
     port: str  # device, which may not be there yet
     low: float  # rad, smallest tendon angle that every servo accepts
     high: float  # rad, largest one
-    watchdog: float  # s without a bus cycle after which a servo stops by itself; inf: never
+    watchdog: (
+        float  # s without a bus cycle after which a servo stops by itself; inf: never
+    )
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,9 @@ class ServoStatus:
         """One line for each fault; `armed`: torque should be on."""
         found = []
         if self.hardware_error:
-            found.append(f"{self.name}: hardware error: {hardware_errors(self.hardware_error)}")
+            found.append(
+                f"{self.name}: hardware error: {hardware_errors(self.hardware_error)}"
+            )
         if self.stopped:
             found.append(f"{self.name}: stopped by its bus watchdog")
         if armed and self.torque is False:

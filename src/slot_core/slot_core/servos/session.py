@@ -63,16 +63,24 @@ class ServoSession:
         self.period = period
         self.action, self.reason = Action.OFF, "not started"
         self.overruns = 0
-        self.commanded = 0  # ns, stamp of the last command that was written to the servos
+        self.commanded = (
+            0  # ns, stamp of the last command that was written to the servos
+        )
         self.written = 0.0  # s of the bus's clock, when it was written
         self._sleep = sleep
         self.watchdog = Watchdog(0.0, angle_max)
         self._slewed = np.zeros(len(LEGS), dtype=bool)
         self._offered = 0  # stamp of the last accepted command
-        self._locked = False  # torque went off by a rule of the session or was refused; until OFF
-        self._off: TorqueOff | None = None  # of the last ramp, or None: torque went off otherwise
+        self._locked = (
+            False  # torque went off by a rule of the session or was refused; until OFF
+        )
+        self._off: TorqueOff | None = (
+            None  # of the last ramp, or None: torque went off otherwise
+        )
         self._last_step: int | None = None
-        self._pause = 0.0  # s, the last between two steps that was long enough for a bus watchdog
+        self._pause = (
+            0.0  # s, the last between two steps that was long enough for a bus watchdog
+        )
         self._last_query: int | None = None
         self._durations: deque[float] = deque(maxlen=DURATIONS)
 
@@ -158,13 +166,19 @@ class ServoSession:
         if not goals.torque:
             self._switch_off(self.reason)
             self._locked = bool(self.watchdog.own_reason)
-        elif goals.action is not Action.HOLD:  # goals under HOLD may be below the range of commands
+        elif (
+            goals.action is not Action.HOLD
+        ):  # goals under HOLD may be below the range of commands
             self.bus.command(goals.angle)
 
     def _delay(self) -> str:
         """How late the bus cycle was that has tripped a bus watchdog, for the reason; or ""."""
         stopped = any(servo.stopped for servo in self.bus.health)
-        return f" after {self._pause:.2f} s without a bus cycle" if stopped and self._pause else ""
+        return (
+            f" after {self._pause:.2f} s without a bus cycle"
+            if stopped and self._pause
+            else ""
+        )
 
     def stop(self) -> TorqueOff:
         """Ramp the tendons to slack, then torque off, read back; blocks during the ramp.
@@ -193,7 +207,9 @@ class ServoSession:
         self._last_query = now
         if not times or passed <= 0.0:
             return BusPace(0.0, 0.0, 0.0, self.overruns)
-        return BusPace(len(times) / passed, sum(times) / len(times), max(times), self.overruns)
+        return BusPace(
+            len(times) / passed, sum(times) / len(times), max(times), self.overruns
+        )
 
     @property
     def urgent(self) -> tuple[Any, ...]:
@@ -229,7 +245,9 @@ class ServoSession:
 
     def faults(self) -> list[str]:
         """Faults of the servos, one line each."""
-        return [line for servo in self.bus.health for line in servo.faults(self.bus.active)]
+        return [
+            line for servo in self.bus.health for line in servo.faults(self.bus.active)
+        ]
 
     def silent(self) -> dict[str, str]:
         """Servos that have not answered for too long: one line each, by leg."""
@@ -244,7 +262,11 @@ class ServoSession:
     def _switch_off(self, reason: str) -> None:
         """Torque off at once, with its confirmation in `reason`."""
         off = self._off = self.bus.torque_off()
-        result = "torque off" if off.complete else "torque NOT off: " + "; ".join(off.reasons)
+        result = (
+            "torque off"
+            if off.complete
+            else "torque NOT off: " + "; ".join(off.reasons)
+        )
         self.action, self.reason = Action.OFF, f"{result}, after: {reason}"
 
     def _count_overrun(self, now: int) -> None:

@@ -63,7 +63,9 @@ class CameraSensor:
         soon = Transform(base.rotation @ turn, base.position + MOMENT * sim.velocity)
         surfaces = []
         for board, sheet in self._boards:
-            now, then = (self._seen(board.pose, b).apply(board.outline) for b in (base, soon))
+            now, then = (
+                self._seen(board.pose, b).apply(board.outline) for b in (base, soon)
+            )
             surfaces.append(Surface(sheet, now, (then - now) / MOMENT))
         return ImageReading(stamp, self._camera.image(surfaces))
 

@@ -19,7 +19,9 @@ from slot_core.simulation.sensors import ImageReading, OdometryReading
 from slot_core.simulation.simulated_servos import SimulatedServos
 
 PATIENCE = SECOND // 2  # ns, longest wait for a late driver
-LONGEST_CALL = SECOND // 100  # ns, of a wait, between two calls: a longer one was late itself
+LONGEST_CALL = (
+    SECOND // 100
+)  # ns, of a wait, between two calls: a longer one was late itself
 
 
 class LockstepClock:
@@ -32,7 +34,10 @@ class LockstepClock:
 
     def __init__(self, plant: RobotSimulator, servos: SimulatedServos) -> None:
         self._plant, self._servos = plant, servos
-        self._awaited: tuple[type, int] = OdometryReading, LOCKSTEP_START  # reading and stamp
+        self._awaited: tuple[type, int] = (
+            OdometryReading,
+            LOCKSTEP_START,
+        )  # reading and stamp
         self.running = False
 
     def at_rest(self) -> list[Reading]:
@@ -50,7 +55,10 @@ class LockstepClock:
             for reading in self._advance(kind):
                 yield reading
             is_report = isinstance(reading, StampedHealth)
-            self._awaited = StampedHealth if is_report else OdometryReading, reading.stamp
+            self._awaited = (
+                StampedHealth if is_report else OdometryReading,
+                reading.stamp,
+            )
 
     def _advance(self, kind: type) -> Iterable[Reading]:
         """Readings up to the next that is answered; after the first command the servos report."""
@@ -60,7 +68,9 @@ class LockstepClock:
             self.running = True
             self._plant.start(LOCKSTEP_START)
             self._servos.start()
-        return self._plant.advance_to_reading(OdometryReading, ImageReading, StampedHealth)
+        return self._plant.advance_to_reading(
+            OdometryReading, ImageReading, StampedHealth
+        )
 
 
 class RealTimeClock:
@@ -92,7 +102,9 @@ class BusClock(RealTimeClock):
     servos as soon after the last instruction, on the robot's clock, as on a robot.
     """
 
-    def __init__(self, plant: RobotSimulator, servos: EmulatedServos, portion: int) -> None:
+    def __init__(
+        self, plant: RobotSimulator, servos: EmulatedServos, portion: int
+    ) -> None:
         """`servos`: those of the plant; `portion` as for RealTimeClock."""
         super().__init__(plant, portion)
         self._servos, self._step = servos, to_ns(plant.robot.scene.solver.step)
@@ -115,4 +127,6 @@ class BusClock(RealTimeClock):
         left = self._servos.watchdog_left()
         if math.isinf(left):
             return None
-        return self._plant.now + (math.floor(left * SECOND) // self._step - 1) * self._step
+        return (
+            self._plant.now + (math.floor(left * SECOND) // self._step - 1) * self._step
+        )

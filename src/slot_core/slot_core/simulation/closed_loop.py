@@ -23,7 +23,9 @@ from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReadi
 if TYPE_CHECKING:
     from slot_core.vision.localizer import MarkerLocalizer
 
-PlantMaker = Callable[[RobotParameters, Scene, ServoSettings, np.random.Generator], RobotSimulator]
+PlantMaker = Callable[
+    [RobotParameters, Scene, ServoSettings, np.random.Generator], RobotSimulator
+]
 CHANGEABLE = ("scene", "servo", "robot", "gait", "policy")
 Settings = TypeVar("Settings")
 
@@ -67,7 +69,9 @@ class ClosedLoop:
         given = changes or {}
         for name in given:
             if name.partition(".")[0] not in CHANGEABLE:
-                raise config.ConfigError(f"{name}: expected one of {', '.join(CHANGEABLE)}")
+                raise config.ConfigError(
+                    f"{name}: expected one of {', '.join(CHANGEABLE)}"
+                )
         nominal, simulated = read_robot(), read_scene(scene)
         self.gaits = changed(read_gaits(), "gait", given)
         settings = changed(policy_class(policy).read_settings(policy), "policy", given)
@@ -92,7 +96,9 @@ class ClosedLoop:
         """
         for name in changes:
             if name.partition(".")[0] not in _Parts._fields:
-                raise config.ConfigError(f"{name}: expected one of {', '.join(_Parts._fields)}")
+                raise config.ConfigError(
+                    f"{name}: expected one of {', '.join(_Parts._fields)}"
+                )
         robot, scene, servo = self._parts
         parts = _Parts(
             changed(robot, "robot", changes),
@@ -131,7 +137,9 @@ class ClosedLoop:
         """Give readings to the estimator."""
         for r in readings:
             if isinstance(r, ImuReading):
-                self.controller.estimator.add_imu(r.stamp, r.angular_velocity, r.specific_force)
+                self.controller.estimator.add_imu(
+                    r.stamp, r.angular_velocity, r.specific_force
+                )
             elif isinstance(r, ImageReading) and self._localizer is not None:
                 fix = self._localizer.locate(r.stamp, r.grey)
                 self.controller.estimator.add_odometry(*fix.odometry)
@@ -146,7 +154,11 @@ class ClosedLoop:
 
 def changed(settings: Settings, name: str, changes: Mapping[str, Any]) -> Settings:
     """The settings with the changes, by dotted name, below `name`; raises ConfigError."""
-    mine = {k.partition(".")[2]: v for k, v in changes.items() if k.partition(".")[0] == name}
+    mine = {
+        k.partition(".")[2]: v
+        for k, v in changes.items()
+        if k.partition(".")[0] == name
+    }
     return config.replace(settings, mine, name) if mine else settings
 
 

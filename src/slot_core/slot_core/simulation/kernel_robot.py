@@ -25,7 +25,10 @@ class KernelRobot(SimulatedRobot):
         They act until their opposites are added. Raises ValueError for another shape or a value
         that is not finite.
         """
-        parts = checked("push: force", force, (3,)), checked("push: moment", moment, (3,))
+        parts = (
+            checked("push: force", force, (3,)),
+            checked("push: moment", moment, (3,)),
+        )
         self.model.push[:] += np.concatenate(parts)
 
     def damage_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
@@ -69,5 +72,7 @@ class KernelRobot(SimulatedRobot):
         A spool that stands still is taken to carry the load without friction.
         """
         rate, friction = self.state.tendon_rate, self.model.servo.friction
-        share = np.where(rate > 0.0, friction, np.where(rate < 0.0, 1.0 / friction, 1.0))
+        share = np.where(
+            rate > 0.0, friction, np.where(rate < 0.0, 1.0 / friction, 1.0)
+        )
         return super().servo_torque * share

@@ -33,7 +33,9 @@ class ManyRobots:
     def __init__(self, robots: Sequence[KernelRobot], threads: int = 1) -> None:
         """Take the robots; raises ValueError if their legs are of different models."""
         self.robots = list(robots)
-        self._advance = _advance_rods if isinstance(robots[0], RodRobot) else _advance_tabulated
+        self._advance = (
+            _advance_rods if isinstance(robots[0], RodRobot) else _advance_tabulated
+        )
         self._address = np.array([robot.handle.address for robot in robots])
         self.motion = np.zeros((len(robots), COLUMNS))
         for index, robot in enumerate(robots):
@@ -45,11 +47,18 @@ class ManyRobots:
         """Put another robot in a place; raises ValueError for another model of the legs."""
         kind = robot.handle.numba_type
         if kind != self.robots[0].handle.numba_type:
-            raise ValueError(f"robot {index}: legs of another model, or with other numbers of them")
+            raise ValueError(
+                f"robot {index}: legs of another model, or with other numbers of them"
+            )
         self.robots[index], self._address[index] = robot, robot.handle.address
         self.motion[index] = 0.0
-        self._advance(robot.handle, self._address[index : index + 1], np.zeros((1, 0, 4)), 0,
-                      self.motion[index : index + 1])  # fmt: skip
+        self._advance(
+            robot.handle,
+            self._address[index : index + 1],
+            np.zeros((1, 0, 4)),
+            0,
+            self.motion[index : index + 1],
+        )
 
     def advance(self, goals: Array, steps: int) -> Array:
         """Motion (M, 20) after the servos' goals (M, n, 4), rad, of `steps` steps each.
@@ -62,7 +71,9 @@ class ManyRobots:
         goals = checked("goals", goals, (len(self.robots), -1, len(LEGS)))
         most = self.robots[0].parameters.tendon.angle_max
         if goals.size and not (goals.min() >= 0.0 and goals.max() <= most):
-            raise ValueError(f"goals: {goals.min():g} to {goals.max():g} rad, not in [0, {most:g}]")
+            raise ValueError(
+                f"goals: {goals.min():g} to {goals.max():g} rad, not in [0, {most:g}]"
+            )
         parts = np.array_split(np.arange(len(goals)), self._threads)
         calls = [slice(int(part[0]), int(part[-1]) + 1) for part in parts if len(part)]
         list(self._pool.map(lambda part: self._advance_part(part, goals, steps), calls))
@@ -70,7 +81,9 @@ class ManyRobots:
 
     def _advance_part(self, part: slice, goals: Array, steps: int) -> None:
         handle = self.robots[0].handle
-        self._advance(handle, self._address[part], goals[part], steps, self.motion[part])
+        self._advance(
+            handle, self._address[part], goals[part], steps, self.motion[part]
+        )
 
 
 @unlocked_kernel
@@ -84,7 +97,9 @@ def _advance_rods(machine, address, goals, steps, motion):
                 legs.command[0, leg] = goals[r, c, leg]
             if fine:
                 lanes = (in_lanes(legs),)
-                _, where = advance_contents(model, state, work, start, lanes, scheme, steps)
+                _, where = advance_contents(
+                    model, state, work, start, lanes, scheme, steps
+                )
                 fine = where < 0
         _record(motion[r], state, fine)
 

@@ -17,7 +17,15 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import CameraSettings, Push, Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
-from slot_core.faults import BROKEN, BUS_KINDS, NAN, SLACK, Fault, legs_of, require_simulated_legs
+from slot_core.faults import (
+    BROKEN,
+    BUS_KINDS,
+    NAN,
+    SLACK,
+    Fault,
+    legs_of,
+    require_simulated_legs,
+)
 from slot_core.joint_reading import JointReading
 from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, Array, RobotParameters
@@ -54,7 +62,9 @@ class TrueState:
     tension: Array  # (4,) N
     ground_force: Array  # (4, 3) N in odom
     nodes: Array  # (4, N, 3) m in odom
-    directors: Array  # (4, N-1, 3) along the width of the segments, in odom; (4, 0, 3): none
+    directors: (
+        Array  # (4, N-1, 3) along the width of the segments, in odom; (4, 0, 3): none
+    )
 
 
 @dataclass(frozen=True)
@@ -65,7 +75,14 @@ class StampedHealth:
     health: ServoHealth | None
 
 
-Reading = OdometryReading | ImageReading | ImuReading | JointReading | TrueState | StampedHealth
+Reading = (
+    OdometryReading
+    | ImageReading
+    | ImuReading
+    | JointReading
+    | TrueState
+    | StampedHealth
+)
 
 
 @dataclass(frozen=True, order=True)
@@ -77,7 +94,9 @@ class _Event:
     action: Callable[[], list[Reading]] = field(compare=False)
 
 
-def make_camera(settings: CameraSettings, rng: np.random.Generator) -> CameraSensor | None:
+def make_camera(
+    settings: CameraSettings, rng: np.random.Generator
+) -> CameraSensor | None:
     """The camera of a scene, if it has one; OpenCV is loaded only then."""
     if not settings.enabled:
         return None
@@ -94,7 +113,9 @@ MODELS: dict[str, type[SimulatedRobot]] = {
 ROBOT_WITH_FAULT = {SLACK: KernelRobot, BROKEN: KernelRobot, NAN: RodRobot}
 
 
-def make_robot(robot: RobotParameters, scene: Scene, servo: ServoSettings) -> SimulatedRobot:
+def make_robot(
+    robot: RobotParameters, scene: Scene, servo: ServoSettings
+) -> SimulatedRobot:
     """Simulated robot with the model of the legs `scene.solver.legs`, settled at its start.
 
     Raises ConfigError for legs that relax of another model than `spatial`.
@@ -152,9 +173,13 @@ class RobotSimulator:
         self._command = self._goal = self.robot.tendon_angle.copy()  # rad
         self._rate, self._commanded_at = AT_REST, 0  # rad/s; ns
         self._next_cycle = 0  # ns, when the servos' goal follows the command
-        self._odometry = OdometrySensor(scene.sensors.odometry, odometry_rng, trouble_rng)
+        self._odometry = OdometrySensor(
+            scene.sensors.odometry, odometry_rng, trouble_rng
+        )
         self._camera = make_camera(scene.sensors.camera, camera_rng)
-        self._started = self._delivered = 0  # ns, of the clock and of the last delayed reading
+        self._started = self._delivered = (
+            0  # ns, of the clock and of the last delayed reading
+        )
         self._imu = ImuSensor(scene.sensors.imu, imu_rng)
         self._at_rest: list[Reading] = []
         self._events: list[_Event] = []
@@ -163,7 +188,9 @@ class RobotSimulator:
         for fault in scene.faults.values():
             self._require_supported(fault)
         if scene.pushes:
-            self.robot.push(np.zeros(3), np.zeros(3))  # raises if the robot supports none
+            self.robot.push(
+                np.zeros(3), np.zeros(3)
+            )  # raises if the robot supports none
 
     @property
     def camera(self) -> Camera | None:
@@ -195,7 +222,9 @@ class RobotSimulator:
         for present in self._faults.values():
             self._schedule_end(present)
         for fault in self._scene.faults.values():
-            self._schedule_action(self.now + to_ns(fault.time), partial(self.inject, fault))
+            self._schedule_action(
+                self.now + to_ns(fault.time), partial(self.inject, fault)
+            )
 
     def inject(self, fault: Fault) -> None:
         """Start a fault now, whatever its `time`; it replaces one of its kind at that leg.
@@ -215,20 +244,26 @@ class RobotSimulator:
         Hardware errors of a servo remain until it is rebooted, a tripped bus watchdog until it is
         cleared.
         """
-        active = [(kind, each) for each in legs_of(kind, leg) if (kind, each) in self._faults]
+        active = [
+            (kind, each) for each in legs_of(kind, leg) if (kind, each) in self._faults
+        ]
         if not active:
             raise ValueError(f"no fault {kind!r} at {leg!r}")
         for key in active:
             self._end(*key)
 
-    def change(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
+    def change(
+        self, robot: RobotParameters, scene: Scene, servo: ServoSettings
+    ) -> None:
         """Go on with another robot, scene or servo; motion, faults and pushes stay.
 
         Sensors, start, pushes and faults of a scene stay as they were at the start. Raises
         ConfigError for legs or emulated servos that cannot change, and as `RodRobot.change` does.
         """
         if not isinstance(self.robot, RodRobot) or self.emulated is not None:
-            raise ConfigError("only simulated rods with simulated servos can change in a run")
+            raise ConfigError(
+                "only simulated rods with simulated servos can change in a run"
+            )
         self.robot.change(robot, scene, servo)
         self._scene = scene
         for leg in LEGS:
@@ -299,7 +334,10 @@ class RobotSimulator:
         """Advance in whole time steps; the periods of `config/scene` are multiples of the step."""
         while (steps := (until - self.now) // self._step) > 0:
             if self.now >= self._next_cycle:
-                self._goal, self._next_cycle = self._commanded(), self.now + to_ns(CYCLE)
+                self._goal, self._next_cycle = (
+                    self._commanded(),
+                    self.now + to_ns(CYCLE),
+                )
             steps = min(steps, -((self.now - self._next_cycle) // self._step))
             if not self.held:
                 self._advance_robot(steps)
@@ -316,15 +354,21 @@ class RobotSimulator:
             self.robot.advance(steps, self._goal)
             return
         for _ in range(steps):
-            angle = self.emulated.advance(self._scene.solver.step, self.robot.servo_torque)
-            self.robot.advance(1, np.clip(angle, 0.0, self.robot.parameters.tendon.angle_max))
+            angle = self.emulated.advance(
+                self._scene.solver.step, self.robot.servo_torque
+            )
+            self.robot.advance(
+                1, np.clip(angle, 0.0, self.robot.parameters.tendon.angle_max)
+            )
 
     def _read_imu(self) -> list[Reading]:
         return [self._imu.sample(self.robot, self.now)]
 
     def _read_joints(self) -> list[Reading]:
         sim = self.robot
-        return [JointReading(self.now, sim.tendon_angle, sim.tendon_rate, sim.servo_torque)]
+        return [
+            JointReading(self.now, sim.tendon_angle, sim.tendon_rate, sim.servo_torque)
+        ]
 
     def _read_odometry(self) -> list[Reading]:
         """Return the ground truth now; schedule odometry or image after its delay, in order."""
@@ -347,7 +391,9 @@ class RobotSimulator:
 
     def _schedule_end(self, fault: Fault) -> None:
         if fault.duration:
-            self._schedule_action(self.now + to_ns(fault.duration), partial(self._expire, fault))
+            self._schedule_action(
+                self.now + to_ns(fault.duration), partial(self._expire, fault)
+            )
 
     def _expire(self, fault: Fault) -> None:
         """End a fault unless it has been cleared or replaced."""
@@ -362,7 +408,9 @@ class RobotSimulator:
         require_simulated_legs(fault)
         if not isinstance(self.robot, ROBOT_WITH_FAULT[fault.kind]):
             model = self._scene.solver.legs
-            raise ConfigError(f"fault {fault.kind!r}: legs of the model {model!r} cannot have it")
+            raise ConfigError(
+                f"fault {fault.kind!r}: legs of the model {model!r} cannot have it"
+            )
 
     def _end(self, kind: str, leg: str) -> None:
         self._set_fault(self._faults.pop((kind, leg)), leg, False)
@@ -390,4 +438,6 @@ class RobotSimulator:
 
     def _true_state(self, truth: OdometryReading) -> TrueState:
         sim = self.robot
-        return TrueState(self.now, truth, sim.tension, sim.ground_force, sim.nodes, sim.directors)
+        return TrueState(
+            self.now, truth, sim.tension, sim.ground_force, sim.nodes, sim.directors
+        )

@@ -11,7 +11,9 @@ from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.matrices import norm, product
 from slot_core.robot import LEGS
 
-SPEED_AT_REST = 0.01  # m/s, of the torso; settled in config/scene: at most 4 mm/s, 0.14 m/s^2
+SPEED_AT_REST = (
+    0.01  # m/s, of the torso; settled in config/scene: at most 4 mm/s, 0.14 m/s^2
+)
 ACCELERATION_AT_REST = 0.5  # m/s^2
 SETTLE_PIECE, SETTLE_MAX = 0.1, 10.0  # s, of settling beyond `start.settle`
 
@@ -41,5 +43,7 @@ def bring_to_rest(robot: SimulatedRobot) -> None:
 
 def _motion(robot: SimulatedRobot) -> tuple[float, float]:
     """Speed, m/s, and acceleration, m/s^2, of the torso."""
-    acceleration = product(robot.rotation, robot.specific_force) + np.array(robot.scene.gravity)
+    acceleration = product(robot.rotation, robot.specific_force) + np.array(
+        robot.scene.gravity
+    )
     return norm(robot.velocity), norm(acceleration)

@@ -37,7 +37,9 @@ class RodRobot(KernelRobot):
     command; time zero is the end of settling. Equal inputs give bit-equal results.
     """
 
-    def __init__(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
+    def __init__(
+        self, robot: RobotParameters, scene: Scene, servo: ServoSettings
+    ) -> None:
         self.parameters = robot
         self.scene = scene
         self.model = build_model(robot, scene, servo)
@@ -57,7 +59,9 @@ class RodRobot(KernelRobot):
         parts = (self.model, self.state, self._work, self._start, self._legs)
         self.handle = Handle((*parts, scheme))
 
-    def change(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
+    def change(
+        self, robot: RobotParameters, scene: Scene, servo: ServoSettings
+    ) -> None:
         """Go on from the present state with other parameters; pushes stay.
 
         Raises ConfigError as `build_model` does, and for what would take another state: other
@@ -67,7 +71,9 @@ class RodRobot(KernelRobot):
         law = scene.floor.friction_law != self.scene.floor.friction_law
         shapes = _state_shapes(model) != _state_shapes(self.model)
         if scene.solver != self.scene.solver or law or shapes:
-            raise ConfigError("solver, friction law and branches cannot change in a run")
+            raise ConfigError(
+                "solver, friction law and branches cannot change in a run"
+            )
         model.push[:] = self.model.push
         self.parameters, self.scene, self.model = robot, scene, model
         self._connect()
@@ -156,7 +162,9 @@ class RodRobot(KernelRobot):
 
     def energy(self) -> float:
         """J: kinetic, gravity (zero at odom's origin), rods, cables, floor and bristles."""
-        return float(observe.energy(self.model, self.state, self._segments, *self._observe()))
+        return float(
+            observe.energy(self.model, self.state, self._segments, *self._observe())
+        )
 
     def _observe(self) -> tuple[Array, Array]:
         observe.points(self.model, self.state, self._points[0], self._points[1])

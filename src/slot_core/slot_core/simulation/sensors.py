@@ -52,7 +52,9 @@ def normal(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
 def true_odometry(sim: SimulatedRobot, stamp: int) -> OdometryReading:
     """Odometry of the simulated robot at `stamp` (ns), without noise."""
     velocity = product(sim.rotation.T, sim.velocity)
-    return OdometryReading(stamp, sim.position, sim.quaternion, velocity, sim.angular_velocity)
+    return OdometryReading(
+        stamp, sim.position, sim.quaternion, velocity, sim.angular_velocity
+    )
 
 
 def lost_odometry(stamp: int) -> OdometryReading:
@@ -67,7 +69,10 @@ class OdometrySensor:
     """
 
     def __init__(
-        self, settings: OdometrySettings, rng: np.random.Generator, trouble: np.random.Generator
+        self,
+        settings: OdometrySettings,
+        rng: np.random.Generator,
+        trouble: np.random.Generator,
     ):
         """`rng` draws the noise, `trouble` drift, losses and delays."""
         self._settings, self._rng, self._trouble = settings, rng, trouble
@@ -102,15 +107,23 @@ class OdometrySensor:
     def delay(self) -> float:
         """Delay of the next reading, s."""
         jitter = self._settings.jitter
-        return max(0.0, self._settings.delay + jitter * self._trouble.uniform(-1.0, 1.0))
+        return max(
+            0.0, self._settings.delay + jitter * self._trouble.uniform(-1.0, 1.0)
+        )
 
     def _displacement(self, since: float) -> Array:
         """Displacement (3,), m, and yaw, rad, of the odometry by its drift and jumps so far."""
         s = self._settings
-        scale = np.array([s.position_drift] * 3 + [s.yaw_drift]) * np.sqrt(since - self._last)
+        scale = np.array([s.position_drift] * 3 + [s.yaw_drift]) * np.sqrt(
+            since - self._last
+        )
         self._drift += scale * normal(self._trouble, (4,))
         self._last = since
-        jumps = [[*j.position, j.yaw] for j in s.jumps.values() if since > 0.0 and j.time <= since]
+        jumps = [
+            [*j.position, j.yaw]
+            for j in s.jumps.values()
+            if since > 0.0 and j.time <= since
+        ]
         return self._drift + np.sum(jumps, axis=0) if jumps else self._drift
 
     def _is_lost(self, since: float) -> bool:

@@ -40,7 +40,9 @@ from slot_core.simulation.plant import CYCLE, Reading, RobotSimulator, StampedHe
 CYCLES = round(PERIOD / CYCLE)  # between two reports
 CLOSE_TIMEOUT = 3.0  # s, for the driver to switch the servos off
 CLOSE_STEP = 0.002  # s, between two steps of the simulation while closing
-SWITCH_INTERVAL = 5e-4  # s, between thread switches: longest delay of the bus by the simulation
+SWITCH_INTERVAL = (
+    5e-4  # s, between thread switches: longest delay of the bus by the simulation
+)
 
 
 class SimulatedServos(ABC):
@@ -55,7 +57,9 @@ class SimulatedServos(ABC):
         plant.held = lockstep
         self.watchdog = Watchdog(0.0, plant.robot.parameters.tendon.angle_max)
         self.released = self._was_on = False
-        self._commanded = self._arrived = 0  # ns, stamp of the newest command and when it arrived
+        self._commanded = self._arrived = (
+            0  # ns, stamp of the newest command and when it arrived
+        )
 
     @property
     @abstractmethod
@@ -104,7 +108,9 @@ class SimulatedServos(ABC):
         """The health now, with the newest command, in lockstep."""
         now, found = self._plant.now, self.health(self._plant.now)
         if found is not None:
-            found = dataclasses.replace(found, commanded=self._commanded, written=self._arrived)
+            found = dataclasses.replace(
+                found, commanded=self._commanded, written=self._arrived
+            )
         return StampedHealth(now, found)
 
     def _cycle(self) -> list[Reading]:
@@ -317,7 +323,9 @@ class BusServos(SimulatedServos):
         deque(self._plant.advance(self._plant.now + to_ns(seconds)), maxlen=0)
 
 
-def make_servos(plant: RobotSimulator, lockstep: bool, link: Path | None = None) -> SimulatedServos:
+def make_servos(
+    plant: RobotSimulator, lockstep: bool, link: Path | None = None
+) -> SimulatedServos:
     """The servos of a plant; raises RefusedError, ConfigError as `BusServos`."""
     if plant.emulated is None:
         return DirectServos(plant, lockstep)

@@ -72,10 +72,15 @@ class SupervisedLoop:
         self.report: Report | None = None  # the last
         self.running = {*_MESSAGES, "supervisor"}  # nodes whose messages arrive
         found = self.loop.gaits.find(gait)
-        self._gait = gait, np.array([found.cruise, 0.0, 0.0]) if velocity is None else velocity
+        self._gait = (
+            gait,
+            np.array([found.cruise, 0.0, 0.0]) if velocity is None else velocity,
+        )
         robot, settings = read_robot(), read_supervisor()
         settings = config.replace(settings, {"estop_required": False})
-        self.supervisor = Supervisor(robot, settings, read_tendon_watch(robot, settings.tendon))
+        self.supervisor = Supervisor(
+            robot, settings, read_tendon_watch(robot, settings.tendon)
+        )
         walk = [Request.WALK] * (gait != STAND)
         self.ticked = TickedSupervisor(
             self.supervisor, StartUp(Request.READY, Request.STAND, *walk)
@@ -140,7 +145,9 @@ class SupervisedLoop:
                 self.ticked.add(node, now, partial(receive, self.supervisor, tick))
         if "force_mapper" in self.running:
             with suppress(ValueError):  # rejected; the supervisor finds the same
-                self.servos.offer(now, tick.estimate.stamp, tick.command.angle, tick.command.rate)
+                self.servos.offer(
+                    now, tick.estimate.stamp, tick.command.angle, tick.command.rate
+                )
 
     def supervise(self, report: StampedHealth) -> Report | None:
         """Step the supervisor on a report of the servos, which take its permission."""
@@ -148,11 +155,16 @@ class SupervisedLoop:
             return None
         last, self.report = self.report, self.ticked.step(report.stamp, report.health)
         self.loop.controller.scheduler.set_followed(self.report.followed)
-        if last is None or (last.state, last.since) != (self.report.state, self.report.since):
+        if last is None or (last.state, last.since) != (
+            self.report.state,
+            self.report.since,
+        ):
             self._request_gait(self.report)
         found = self.report
         now = report.stamp
-        self.servos.permit(Permission(now, found.action, found.followed, found.reason, now))
+        self.servos.permit(
+            Permission(now, found.action, found.followed, found.reason, now)
+        )
         return self.report
 
     def _request_gait(self, report: Report) -> None:
@@ -163,7 +175,9 @@ class SupervisedLoop:
 
 
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
-    "state_estimator": lambda s, tick, now: s.receive_from_estimator(now, tick.estimate),
+    "state_estimator": lambda s, tick, now: s.receive_from_estimator(
+        now, tick.estimate
+    ),
     "mpc_controller": lambda s, tick, now: s.receive_from_mpc(
         now, tick.plan.status, tick.plan.fallback_cycles, tick.preview.period
     ),

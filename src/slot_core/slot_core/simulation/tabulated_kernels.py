@@ -9,7 +9,12 @@ from typing import NamedTuple
 
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import dot, plus, solve, times
-from slot_core.dynamics.contact import advance_bristle, coefficient, friction_force, tangential
+from slot_core.dynamics.contact import (
+    advance_bristle,
+    coefficient,
+    friction_force,
+    tangential,
+)
 from slot_core.dynamics.handle import contents
 from slot_core.dynamics.integrator import (
     bend_corners,
@@ -24,7 +29,9 @@ from slot_core.robot import Array
 
 TOO_FAST, TOO_TILTED = range(2)  # kinds of divergence
 TILT_MAX_DEG, COS_TILT_MAX = 60.0, 0.5  # largest tilt of the torso
-NORMAL_PER_DROP_MIN = 0.25  # least D, so that a foot that moves ahead of the torso cannot lock it
+NORMAL_PER_DROP_MIN = (
+    0.25  # least D, so that a foot that moves ahead of the torso cannot lock it
+)
 # Of friction, normal force and side rate of a foot, each of which needs the others. They continue
 # those of the step before: 3 leave 2 um in stand and step, 20 iterations as the reference.
 ITERATIONS = 3
@@ -50,9 +57,13 @@ class Feet(NamedTuple):
     """Variables of the legs beside the mechanical state."""
 
     command: Array  # (4,) rad
-    force: Array  # (4, 3) N, of the floor on the feet, odom, at the stage of the last step
+    force: (
+        Array  # (4, 3) N, of the floor on the feet, odom, at the stage of the last step
+    )
     limit: Array  # (4,) N, mu times the normal force
-    side_rate: Array  # (4,) m/s, of the feet out of the planes of their legs, at that stage
+    side_rate: (
+        Array  # (4,) m/s, of the feet out of the planes of their legs, at that stage
+    )
     flat: Array  # (2,) slopes of the floor, zero
 
 
@@ -78,9 +89,13 @@ class Foot(NamedTuple):
     up: tuple[float, float, float]  # n
     slope: float  # n.a
     normal_per_drop: float  # D
-    path: tuple[float, float, float]  # m = x_eta a - k: shift of the foot in the torso per drop
+    path: tuple[
+        float, float, float
+    ]  # m = x_eta a - k: shift of the foot in the torso per drop
     lean: float  # n.b / D: drop per shift sideways
-    across: tuple[float, float, float]  # w = b + n.b / D m: shift of the foot per shift sideways
+    across: tuple[
+        float, float, float
+    ]  # w = b + n.b / D m: shift of the foot per shift sideways
 
 
 @kernel
@@ -116,8 +131,13 @@ def one_step(model, legs, state, feet, work, scheme):
     tau, definite = theta * h, True
     predict_torso(model, state, work, h, theta)
     for k in range(4):
-        angle, torque = state.tendon_angle[k], model.tendon.spool_radius * state.tension[k]
-        rate = spool_rate(model.servo, state.drive[k], feet.command[k], angle, torque, h)
+        angle, torque = (
+            state.tendon_angle[k],
+            model.tendon.spool_radius * state.tension[k],
+        )
+        rate = spool_rate(
+            model.servo, state.drive[k], feet.command[k], angle, torque, h
+        )
         state.tendon_rate[k] = rate
     for _ in range(scheme.iterations):
         place = start_torso(model, state, work, tau)
@@ -132,7 +152,9 @@ def one_step(model, legs, state, feet, work, scheme):
         for k in range(4):
             u, stiffness = state.node_velocity[k, 0], model.floor.stiffness[-1]
             bristle, limit = state.bristle[k, 0], feet.limit[k]
-            advance_bristle(model.floor, bristle, limit, stiffness, feet.flat, h, u[0], u[1], u[2])
+            advance_bristle(
+                model.floor, bristle, limit, stiffness, feet.flat, h, u[0], u[1], u[2]
+            )
     finish_torso(state, work, h, theta)
     finish_rate(state, work, theta)
     for k in range(4):
@@ -152,18 +174,24 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     here, foot = _contact_point(legs, state, feet, work, k, place, angle, tau)
     drop_rate, slip = _slip_and_drop_rate(work, a, here, foot, rate)
     force_slope = min(0.0, here.force_h)
-    leg_force = max(0.0, here.force + beta * (force_slope * drop_rate + here.force_a * rate))
+    leg_force = max(
+        0.0, here.force + beta * (force_slope * drop_rate + here.force_a * rate)
+    )
     leg_force *= here.force > 0.0
     spring = here.sideways * (tau + beta)
     load = leg_force * foot.lean - here.sideways * state.node[k, 0, 1]
     mu = _mu(model, state, k, slip, a)
     held = (leg_force, spring, load, slip)
-    friction, normal, side, slip = _friction(model, state, feet, axes, k, mu, tau, held, foot)
+    friction, normal, side, slip = _friction(
+        model, state, feet, axes, k, mu, tau, held, foot
+    )
     drop_rate += foot.lean * side
     fx = -friction.drag * slip[0] - friction.x
     fy = -friction.drag * slip[1] - friction.y
     fz = -friction.drag * slip[2] - friction.z
-    stiffness = -force_slope * (1.0 + beta * inv) / foot.normal_per_drop**2 * (leg_force > 0.0)
+    stiffness = (
+        -force_slope * (1.0 + beta * inv) / foot.normal_per_drop**2 * (leg_force > 0.0)
+    )
     _add_force(work.vector, foot, normal, (fx, fy, fz))
     _add_stiffness(work.matrix, foot, stiffness, friction.drag * inv, spring * inv)
     along = fx * a[0] + fy * a[1] + fz * a[2] + normal * foot.slope
@@ -174,7 +202,13 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     feet.side_rate[k] = side
     up = foot.up
     _to_odom(state.node_velocity[k, 0], axes, slip[0], slip[1], slip[2])
-    _to_odom(feet.force[k], axes, normal * up[0] + fx, normal * up[1] + fy, normal * up[2] + fz)
+    _to_odom(
+        feet.force[k],
+        axes,
+        normal * up[0] + fx,
+        normal * up[1] + fy,
+        normal * up[2] + fz,
+    )
 
 
 @helper
@@ -185,7 +219,11 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
     """
     axes, small, a, b = work.rotation, work.motion[2], legs.outward[k], legs.left[k]
     ux, uy, uz = axes[2, 0], axes[2, 1], axes[2, 2]
-    c, x, y = legs.clamps[k], state.node[k, 0, 0], state.node[k, 0, 1] + tau * feet.side_rate[k]
+    c, x, y = (
+        legs.clamps[k],
+        state.node[k, 0, 0],
+        state.node[k, 0, 1] + tau * feet.side_rate[k],
+    )
     c = (c[0] + y * b[0], c[1] + y * b[1], c[2])
     px, py, pz = c[0] + x * a[0], c[1] + x * a[1], c[2] + x * a[2]
     px, py, pz = at((px, py, pz), small, px, py, pz)
@@ -296,9 +334,14 @@ def _friction(model, state, feet, axes, k, mu, tau, held, foot):
     f = friction_force(floor, mu * normal, tau, stiffness, damping, bristle, slip)
     for _ in range(ITERATIONS):
         rest = (f.x, f.y, f.z)
-        side = (load - f.drag * dot(start, w) - dot(rest, w)) / (spring + f.drag * dot(w, w))
+        side = (load - f.drag * dot(start, w) - dot(rest, w)) / (
+            spring + f.drag * dot(w, w)
+        )
         slip = plus(start, side, w)
-        normal = max(0.0, leg_force - f.drag * dot(slip, m) - dot(rest, m)) / foot.normal_per_drop
+        normal = (
+            max(0.0, leg_force - f.drag * dot(slip, m) - dot(rest, m))
+            / foot.normal_per_drop
+        )
         f = friction_force(floor, mu * normal, tau, stiffness, damping, bristle, slip)
     return f, normal, side, slip
 
@@ -323,12 +366,26 @@ def _add_stiffness(H, foot, stiffness, drag, spring):
     """
     x, y, z = foot.place
     up, m, w, per = foot.up, foot.path, foot.across, 1.0 / foot.normal_per_drop
-    n = (up[0], up[1], up[2], y * up[2] - z * up[1], z * up[0] - x * up[2], x * up[1] - y * up[0])
+    n = (
+        up[0],
+        up[1],
+        up[2],
+        y * up[2] - z * up[1],
+        z * up[0] - x * up[2],
+        x * up[1] - y * up[0],
+    )
     add_row(H, stiffness, n)
     add_row(H, drag, _add_rows((1.0, 0.0, 0.0, 0.0, z, -y), m[0] * per, n))
     add_row(H, drag, _add_rows((0.0, 1.0, 0.0, -z, 0.0, x), m[1] * per, n))
     add_row(H, drag, _add_rows((0.0, 0.0, 1.0, y, -x, 0.0), m[2] * per, n))
-    s = (w[0], w[1], w[2], y * w[2] - z * w[1], z * w[0] - x * w[2], x * w[1] - y * w[0])
+    s = (
+        w[0],
+        w[1],
+        w[2],
+        y * w[2] - z * w[1],
+        z * w[0] - x * w[2],
+        x * w[1] - y * w[0],
+    )
     yielding = -drag * drag / (spring + drag * dot(w, w))
     add_row(H, yielding, _add_rows(s, dot(w, m) * per, n))
 

@@ -62,7 +62,13 @@ from slot_core.matrices import interpolated
 from slot_core.refusal import quoted
 from slot_core.robot import Array, RobotParameters
 from slot_core.simulation.kernel_robot import KernelRobot
-from slot_core.simulation.tabulated_kernels import TILT_MAX_DEG, TOO_TILTED, Feet, MapLegs, advance
+from slot_core.simulation.tabulated_kernels import (
+    TILT_MAX_DEG,
+    TOO_TILTED,
+    Feet,
+    MapLegs,
+    advance,
+)
 
 COLUMNS = (
     "force_N",
@@ -82,7 +88,9 @@ class TabulatedRobot(KernelRobot):
     tilted by more than 60 deg is a DivergenceError, because the legs touch only a floor below it.
     """
 
-    def __init__(self, robot: RobotParameters, scene: Scene, servo: ServoSettings) -> None:
+    def __init__(
+        self, robot: RobotParameters, scene: Scene, servo: ServoSettings
+    ) -> None:
         _require_tabulated(scene)
         self.parameters, self.scene = robot, scene
         table = read_leg_table(COLUMNS)
@@ -117,11 +125,15 @@ class TabulatedRobot(KernelRobot):
         done, divergence = advance(self.handle, steps)
         self.steps += done
         if divergence >= 0:
-            limit = f"torso is beyond {self.scene.solver.speed_limit} m/s or not a number"
+            limit = (
+                f"torso is beyond {self.scene.solver.speed_limit} m/s or not a number"
+            )
             if divergence == TOO_TILTED:
                 limit = f"torso is tilted by more than {TILT_MAX_DEG:g} deg"
             state = self.snapshot() | {"command": self.feet.command.copy()}
-            raise DivergenceError(f"simulation diverged at {self.time:.4f} s: {limit}", state)
+            raise DivergenceError(
+                f"simulation diverged at {self.time:.4f} s: {limit}", state
+            )
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
         """Set the motion of the torso: (3,) m/s in odom, (3,) rad/s in base_link; or ValueError."""
@@ -134,7 +146,10 @@ class TabulatedRobot(KernelRobot):
     def nodes(self) -> Array:
         """(4, 2, 3) m in odom: clamp and foot, in contact or the lowest point of the leg."""
         node = self.state.node[:, 0]
-        angle = self.state.tendon_angle - self.model.fault[0] / self.parameters.tendon.spool_radius
+        angle = (
+            self.state.tendon_angle
+            - self.model.fault[0] / self.parameters.tendon.spool_radius
+        )
         hanging = interpolated(self.model.fault[1] * angle, *self._contact_drop)
         down = np.minimum(-node[:, 2], hanging)
         foot = self.parameters.clamps - down[:, None] * [0, 0, 1]
@@ -163,7 +178,9 @@ def _require_tabulated(scene: Scene) -> None:
         _Requirement("floor.height_map", floor.height_map, ""),
         _Requirement("floor.contact", floor.contact, made_for.contact),
         _Requirement("floor.stiffness", floor.stiffness, made_for.stiffness),
-        _Requirement("floor.line_stiffness", floor.line_stiffness, made_for.line_stiffness),
+        _Requirement(
+            "floor.line_stiffness", floor.line_stiffness, made_for.line_stiffness
+        ),
         _Requirement("solver.halvings", scene.solver.halvings, 0),
     )
     for need in needs:

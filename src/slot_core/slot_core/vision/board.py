@@ -14,7 +14,9 @@ from slot_core.vision.settings import BoardSettings
 
 GreyImage = NDArray[np.uint8]
 PRINT_CELL = 12  # px of a marker's cell in the image of a sheet
-SQUARE = np.array([[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]])
+SQUARE = np.array(
+    [[-0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.5, -0.5, 0.0], [-0.5, -0.5, 0.0]]
+)
 WHITE = 255
 FINER = 8
 
@@ -46,14 +48,19 @@ def make_board(settings: BoardSettings) -> Board:
         x = (column - (settings.columns - 1) / 2) * pitch
         y = ((settings.rows - 1) / 2 - row) * pitch
         corners[number] = settings.marker * SQUARE + [x, y, 0.0]
-    size = (settings.columns * pitch + settings.gap, settings.rows * pitch + settings.gap)
+    size = (
+        settings.columns * pitch + settings.gap,
+        settings.rows * pitch + settings.gap,
+    )
     return Board(corners, Transform.of(settings.pose.position, settings.pose.rpy), size)
 
 
 def single_marker(number: int, size: float) -> Board:
     """One marker with a third of its edge as white around it, in its own frame."""
     edge = size * (1 + 2 / 3)
-    return Board({number: size * SQUARE}, Transform(np.eye(3), np.zeros(3)), (edge, edge))
+    return Board(
+        {number: size * SQUARE}, Transform(np.eye(3), np.zeros(3)), (edge, edge)
+    )
 
 
 def image_of(board: Board, dictionary: int, scale: float) -> GreyImage:
@@ -62,17 +69,23 @@ def image_of(board: Board, dictionary: int, scale: float) -> GreyImage:
     image = np.full((height, width), WHITE, np.uint8)
     markers = cv2.aruco.getPredefinedDictionary(dictionary)
     for number, corners in board.corners.items():
-        left, top = np.round(scale * (corners[0, :2] * [1, -1] + np.array(board.size) / 2))
+        left, top = np.round(
+            scale * (corners[0, :2] * [1, -1] + np.array(board.size) / 2)
+        )
         side = round(scale * float(corners[1, 0] - corners[0, 0]))
         x, y = int(left), int(top)
-        image[y : y + side, x : x + side] = cv2.aruco.generateImageMarker(markers, number, side)
+        image[y : y + side, x : x + side] = cv2.aruco.generateImageMarker(
+            markers, number, side
+        )
     return image
 
 
 def print_of(board: Board, dictionary: int) -> GreyImage:
     """The board as an image with PRINT_CELL px a cell, edges exact to a FINER of a pixel."""
     corners = next(iter(board.corners.values()))
-    cells = cv2.aruco.getPredefinedDictionary(dictionary).markerSize + 2  # with the black border
+    cells = (
+        cv2.aruco.getPredefinedDictionary(dictionary).markerSize + 2
+    )  # with the black border
     scale = PRINT_CELL * cells / float(corners[1, 0] - corners[0, 0])
     size = [round(scale * edge) for edge in board.size]
     fine = image_of(board, dictionary, FINER * scale)

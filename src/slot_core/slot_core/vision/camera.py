@@ -41,13 +41,17 @@ class Camera:
     height: int  # px
     matrix: Array  # (3, 3) K
     distortion: Array  # (5,) or (8,)
-    covariance: Array | None = None  # (4 + 5 or 8) of f_x f_y c_x c_y and the distortion; None:
+    covariance: Array | None = (
+        None  # (4 + 5 or 8) of f_x f_y c_x c_y and the distortion; None:
+    )
     # not known
 
     @property
     def model(self) -> str:
         """Name of the distortion model in ROS."""
-        return next(name for name, size in MODELS.items() if size == self.distortion.size)
+        return next(
+            name for name, size in MODELS.items() if size == self.distortion.size
+        )
 
     @property
     def focal(self) -> float:
@@ -61,7 +65,9 @@ class Camera:
 
     def equals(self, other: Camera) -> bool:
         """Whether all values are equal."""
-        mine, its = ([c.width, c.height, *c.matrix.ravel(), *c.distortion] for c in (self, other))
+        mine, its = (
+            [c.width, c.height, *c.matrix.ravel(), *c.distortion] for c in (self, other)
+        )
         return mine == its
 
     def rays(self, pixels: Array) -> Array:
@@ -83,9 +89,13 @@ class Camera:
         zero = np.zeros(3)
         points = np.column_stack([rays, np.ones(len(rays))])[:, None]
         _, slopes = cv2.projectPoints(points, zero, zero, self.matrix, self.distortion)
-        by_ray = slopes[:, 3:5].reshape(-1, 2, 2)  # of a shift along x and y at distance one
+        by_ray = slopes[:, 3:5].reshape(
+            -1, 2, 2
+        )  # of a shift along x and y at distance one
         by_parameter = slopes[:, 6:].reshape(len(rays), 2, -1)
-        return np.asarray(-np.linalg.solve(by_ray, by_parameter).reshape(2 * len(rays), -1))
+        return np.asarray(
+            -np.linalg.solve(by_ray, by_parameter).reshape(2 * len(rays), -1)
+        )
 
     def project(self, points: Array) -> Array:
         """Pixels (..., 2) of points (..., 3) in front of the camera, m in the optical frame.
@@ -116,7 +126,9 @@ def nominal(settings: Intrinsics) -> Camera:
     """The camera of `config/vision.yaml`."""
     (f_x, f_y), (c_x, c_y) = settings.focal, settings.centre
     matrix = np.array([[f_x, 0.0, c_x], [0.0, f_y, c_y], [0.0, 0.0, 1.0]])
-    return Camera(settings.width, settings.height, matrix, np.array(settings.distortion))
+    return Camera(
+        settings.width, settings.height, matrix, np.array(settings.distortion)
+    )
 
 
 def from_camera_info(  # noqa: PLR0917
@@ -129,18 +141,26 @@ def from_camera_info(  # noqa: PLR0917
     """
     for name, size in (("image_width", width), ("image_height", height)):
         if type(size) is not int or not 1 <= size <= PIXELS_MAX:
-            raise CameraError(f"{name} = {quoted(size)}: expected an integer in [1, {PIXELS_MAX}]")
+            raise CameraError(
+                f"{name} = {quoted(size)}: expected an integer in [1, {PIXELS_MAX}]"
+            )
     matrix, distortion = _numbers("K", k), _numbers("D", d)
     if matrix.size != 9:
         raise CameraError(f"K has {matrix.size} values, expected 9")
     if matrix[0] == 0.0:
-        raise CameraError("K[0] = 0: the camera is not calibrated, see scripts/calibrate_camera")
+        raise CameraError(
+            "K[0] = 0: the camera is not calibrated, see scripts/calibrate_camera"
+        )
     if not distortion.size:
         distortion, model = np.zeros(5), "plumb_bob"
     if not isinstance(model, str) or model not in MODELS:
-        raise CameraError(f"distortion_model {quoted(model)}: expected one of {', '.join(MODELS)}")
+        raise CameraError(
+            f"distortion_model {quoted(model)}: expected one of {', '.join(MODELS)}"
+        )
     if distortion.size != MODELS[model]:
-        raise CameraError(f"D has {distortion.size} values, {model} has {MODELS[model]}")
+        raise CameraError(
+            f"D has {distortion.size} values, {model} has {MODELS[model]}"
+        )
     matrix = matrix.reshape(3, 3)
     if min(matrix[0, 0], matrix[1, 1]) <= 0:
         raise CameraError(f"f = {matrix[0, 0]:g}, {matrix[1, 1]:g} px: expected > 0")
@@ -155,7 +175,9 @@ def _numbers(name: str, values: Any) -> Array:
     except (TypeError, ValueError, OverflowError):
         raise CameraError(f"{name} = {quoted(values)}: expected numbers") from None
     if not (np.abs(found) <= LARGEST).all():  # NaN is not
-        raise CameraError(f"{name} has a value that is not finite, or above {LARGEST:g}")
+        raise CameraError(
+            f"{name} has a value that is not finite, or above {LARGEST:g}"
+        )
     return found
 
 
@@ -163,11 +185,15 @@ def _checked(covariance: Any, size: int) -> Array:
     """A covariance (size, size) from its values; raises CameraError."""
     values = _numbers("intrinsics_covariance", covariance)
     if values.size != size**2:
-        raise CameraError(f"intrinsics_covariance has {values.size} values, expected {size**2}")
+        raise CameraError(
+            f"intrinsics_covariance has {values.size} values, expected {size**2}"
+        )
     square = values.reshape(size, size)
     symmetric = np.allclose(square, square.T)
     if not symmetric or np.linalg.eigvalsh(square).min() < -1e-9 * np.abs(square).max():
-        raise CameraError("intrinsics_covariance is no covariance: not symmetric and positive")
+        raise CameraError(
+            "intrinsics_covariance is no covariance: not symmetric and positive"
+        )
     return square
 
 

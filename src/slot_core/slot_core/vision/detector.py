@@ -15,9 +15,16 @@ from slot_core.vision.camera import Camera, CameraError
 from slot_core.vision.edges import refined_rays
 
 FAMILIES = (  # to tell which dictionary the markers are of, if not of the one expected
-    "DICT_4X4_1000", "DICT_5X5_1000", "DICT_6X6_1000", "DICT_7X7_1000", "DICT_ARUCO_ORIGINAL",
-    "DICT_APRILTAG_16h5", "DICT_APRILTAG_25h9", "DICT_APRILTAG_36h10", "DICT_APRILTAG_36h11",
-)  # fmt: skip
+    "DICT_4X4_1000",
+    "DICT_5X5_1000",
+    "DICT_6X6_1000",
+    "DICT_7X7_1000",
+    "DICT_ARUCO_ORIGINAL",
+    "DICT_APRILTAG_16h5",
+    "DICT_APRILTAG_25h9",
+    "DICT_APRILTAG_36h10",
+    "DICT_APRILTAG_36h11",
+)
 Ids = NDArray[np.int64]
 SMALLEST = 40.0  # px, smallest perimeter of a marker
 MARGIN = 40  # px, around where the markers were
@@ -43,13 +50,17 @@ class MarkerDetector:
         self._camera = camera
         self._dictionary = cv2.aruco.getPredefinedDictionary(dictionary)
         self._last: Detection | None = None
-        self._doubled: frozenset[int] = frozenset()  # in the last search of a whole image
+        self._doubled: frozenset[int] = (
+            frozenset()
+        )  # in the last search of a whole image
         self._since_whole = 0
 
     def find(self, image: GreyImage) -> Detection:
         """The markers of a grey image (h, w); raises CameraError for another size or type."""
         if image.ndim != 2 or image.dtype != np.uint8:
-            raise CameraError(f"image of {image.dtype}, {image.shape}: expected grey of 8 bits")
+            raise CameraError(
+                f"image of {image.dtype}, {image.shape}: expected grey of 8 bits"
+            )
         self._camera.require_size(image.shape[1], image.shape[0])
         last, self._since_whole = self._last, self._since_whole + 1
         found = None
@@ -75,7 +86,9 @@ class MarkerDetector:
         small = (
             image
             if scale == 1.0
-            else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            else cv2.resize(
+                image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA
+            )
         )
         parameters = cv2.aruco.DetectorParameters()
         parameters.minMarkerPerimeterRate = scale * SMALLEST / max(small.shape)
@@ -93,7 +106,9 @@ class MarkerDetector:
         """
         if not len(ids):
             return Detection((), np.zeros((0, 4, 2)), np.zeros((0, 4, 2)))
-        rays, noise = refined_rays(image, corners, self._camera, self._dictionary.markerSize + 2)
+        rays, noise = refined_rays(
+            image, corners, self._camera, self._dictionary.markerSize + 2
+        )
         counts = Counter(ids.tolist())
         doubled = {i for i, n in counts.items() if n > 1 or i in self._doubled}
         single = np.array([i not in doubled for i in ids.tolist()])

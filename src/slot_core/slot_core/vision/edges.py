@@ -15,10 +15,15 @@ from slot_core.robot import Array
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera
 
-ALONG = np.linspace(0.1, 0.9, 24)  # places on an edge: the corners are rounded by the blur
+ALONG = np.linspace(
+    0.1, 0.9, 24
+)  # places on an edge: the corners are rounded by the blur
 ROUGHLY = ALONG[::4]
 ACROSS = np.linspace(-1.0, 1.0, 15)  # samples over the half width
-HALF_WIDTH = (2.0, 5.0)  # px, limits of the half width, which else is three quarters of a cell
+HALF_WIDTH = (
+    2.0,
+    5.0,
+)  # px, limits of the half width, which else is three quarters of a cell
 SHARE = 0.75
 STRONG = 0.1  # of the largest slope in the profile: below is noise
 OUTLIER = 3.0  # times the median distance
@@ -39,14 +44,18 @@ def refined_rays(
     return rays, distance * camera.focal
 
 
-def edge_points(image: GreyImage, corners: Array, along: Array, cells: int) -> tuple[Array, Array]:
+def edge_points(
+    image: GreyImage, corners: Array, along: Array, cells: int
+) -> tuple[Array, Array]:
     """Points (m, 4, n, 2) px on the edges of markers and their slopes (m, 4, n), zero: none.
 
     along: (n,) places on an edge as shares of its length.
     """
     edge = np.roll(corners, -1, axis=1) - corners
     length = np.linalg.norm(edge, axis=-1)
-    normal = np.stack([edge[..., 1], -edge[..., 0]], axis=-1) / length[..., None]  # outward
+    normal = (
+        np.stack([edge[..., 1], -edge[..., 0]], axis=-1) / length[..., None]
+    )  # outward
     half = np.clip(SHARE * length.min(axis=1) / cells, *HALF_WIDTH)[:, None]
     middle = corners[:, :, None] + along[:, None] * edge[:, :, None]
     offset = half[..., None] * ACROSS  # (m, 1, p)
@@ -56,13 +65,17 @@ def edge_points(image: GreyImage, corners: Array, along: Array, cells: int) -> t
     slope = np.where(slope > STRONG * slope.max(axis=-1, keepdims=True), slope, 0.0)
     total = slope.sum(axis=-1)
     between = (offset[..., 1:] + offset[..., :-1])[:, :, None] / 2
-    shift = np.divide((slope * between).sum(axis=-1), total, where=total > 0, out=total * 0)
+    shift = np.divide(
+        (slope * between).sum(axis=-1), total, where=total > 0, out=total * 0
+    )
     return middle + shift[..., None] * normal[:, :, None], np.maximum(total, 0.0)
 
 
 def crossings(points: Array, weight: Array) -> tuple[Array, Array]:
     """Crossings (m, 4, 2) of neighbouring edges through points (m, 4, n, 2), and RMS distances."""
-    weight = np.where(weight > 0.5 * np.median(weight, axis=-1, keepdims=True), 1.0, 0.0)
+    weight = np.where(
+        weight > 0.5 * np.median(weight, axis=-1, keepdims=True), 1.0, 0.0
+    )
     centre, normal, distance = _lines(points, weight)
     limit = OUTLIER * np.median(distance, axis=-1, keepdims=True) + 1e-12
     weight = weight * (distance <= limit)
@@ -87,7 +100,8 @@ def _lines(points: Array, weight: Array) -> tuple[Array, Array, Array]:
     centre = (weight[..., None] * points).sum(axis=-2) / total
     off = points - centre[..., None, :]
     xx, xy, yy = (
-        (weight * off[..., i] * off[..., j]).sum(axis=-1) for i, j in ((0, 0), (0, 1), (1, 1))
+        (weight * off[..., i] * off[..., j]).sum(axis=-1)
+        for i, j in ((0, 0), (0, 1), (1, 1))
     )
     angle = np.arctan2(2 * xy, xx - yy) / 2  # of the principal axis
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
@@ -97,5 +111,7 @@ def _lines(points: Array, weight: Array) -> tuple[Array, Array, Array]:
 def _sample(image: GreyImage, places: Array) -> NDArray[np.float64]:
     """Grey levels at places (..., 2) px, linear between pixels; the border beyond the image."""
     flat = places.reshape(-1, places.shape[-2], 2).astype(np.float32)
-    grey = cv2.remap(image, flat, np.empty(0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    grey = cv2.remap(
+        image, flat, np.empty(0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     return grey.reshape(places.shape[:-1]).astype(np.float64)

@@ -11,11 +11,22 @@ from numpy.typing import NDArray
 from slot_core.refusal import quoted
 from slot_core.vision.board import GreyImage
 
-CHANNELS = {"mono8": 1, "8UC1": 1, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgra8": 4, "rgba8": 4}
+CHANNELS = {
+    "mono8": 1,
+    "8UC1": 1,
+    "bgr8": 3,
+    "rgb8": 3,
+    "8UC3": 3,
+    "bgra8": 4,
+    "rgba8": 4,
+}
 TO_GREY = {
-    "bgr8": cv2.COLOR_BGR2GRAY, "8UC3": cv2.COLOR_BGR2GRAY, "rgb8": cv2.COLOR_RGB2GRAY,
-    "bgra8": cv2.COLOR_BGRA2GRAY, "rgba8": cv2.COLOR_RGBA2GRAY,
-}  # fmt: skip
+    "bgr8": cv2.COLOR_BGR2GRAY,
+    "8UC3": cv2.COLOR_BGR2GRAY,
+    "rgb8": cv2.COLOR_RGB2GRAY,
+    "bgra8": cv2.COLOR_BGRA2GRAY,
+    "rgba8": cv2.COLOR_RGBA2GRAY,
+}
 DEPTHS = ("16UC1", "mono16")
 
 
@@ -23,7 +34,9 @@ def grey(message: Any) -> GreyImage:
     """Grey image (h, w) of an Image; raises ValueError for other encodings, missing bytes."""
     if message.encoding not in CHANNELS:
         known = ", ".join(CHANNELS)
-        raise ValueError(f"encoding {quoted(message.encoding)}: expected one of {known}")
+        raise ValueError(
+            f"encoding {quoted(message.encoding)}: expected one of {known}"
+        )
     pixels = _pixels(message, CHANNELS[message.encoding], np.dtype(np.uint8))
     if message.encoding in TO_GREY:
         return np.asarray(cv2.cvtColor(pixels, TO_GREY[message.encoding]), np.uint8)
@@ -34,7 +47,9 @@ def depth(message: Any) -> NDArray[np.uint16]:
     """Depth (h, w), mm, of an Image; raises ValueError for other encodings, missing bytes."""
     if message.encoding not in DEPTHS:
         known = ", ".join(DEPTHS)
-        raise ValueError(f"encoding {quoted(message.encoding)}: expected one of {known}")
+        raise ValueError(
+            f"encoding {quoted(message.encoding)}: expected one of {known}"
+        )
     order: Literal["<", ">"] = ">" if message.is_bigendian else "<"
     pixels = _pixels(message, 1, np.dtype(np.uint16).newbyteorder(order))
     return pixels[..., 0].astype(np.uint16)

@@ -27,7 +27,9 @@ from slot_core.vision.detector import Detection, MarkerDetector, other_dictionar
 from slot_core.vision.pose import BoardPose, board_poses, nearest
 from slot_core.vision.settings import DetectionSettings, VisionSettings
 
-Known = tuple[int, Transform, Array]  # stamp, ns; base_link in odom; covariance (6, 6) of noise
+Known = tuple[
+    int, Transform, Array
+]  # stamp, ns; base_link in odom; covariance (6, 6) of noise
 WRONG = "wrong calibration, a bent print, or boards other than in vision.yaml"
 LONG = 10  # images without a marker, after which other dictionaries are tried
 
@@ -66,14 +68,25 @@ class NoFix:
     @property
     def odometry(self) -> tuple[int, Array, Array, Array, Array, Array]:
         """Lost odometry, which the estimator rejects: a quaternion of zeros, as of RTAB-Map."""
-        return self.stamp, np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3), np.zeros(12)
+        return (
+            self.stamp,
+            np.zeros(3),
+            np.zeros(4),
+            np.zeros(3),
+            np.zeros(3),
+            np.zeros(12),
+        )
 
 
 class MarkerLocalizer:
     """Poses of the torso from images, one after the other."""
 
     def __init__(
-        self, settings: VisionSettings, camera: Camera, mount: Transform, carrier: str | None = None
+        self,
+        settings: VisionSettings,
+        camera: Camera,
+        mount: Transform,
+        carrier: str | None = None,
     ) -> None:
         """mount: camera_link in base_link, used if the carrier (default: that set) is the torso.
 
@@ -81,7 +94,11 @@ class MarkerLocalizer:
         """
         on_torso = (carrier or settings.carrier) == "torso"
         placed = Transform.of(settings.world_camera.position, settings.world_camera.rpy)
-        self._settings, self._camera, self._on_torso = settings.detection, camera, on_torso
+        self._settings, self._camera, self._on_torso = (
+            settings.detection,
+            camera,
+            on_torso,
+        )
         self._fixed = optical(mount if on_torso else placed)
         boards = settings.boards_in(ODOM_FRAME if on_torso else BASE_FRAME)
         if not boards:
@@ -107,7 +124,9 @@ class MarkerLocalizer:
     def _locate(self, stamp: int, image: GreyImage) -> MarkerFix | NoFix:
         found = self._detector.find(image)
         self._without = 0 if found.ids else self._without + 1
-        seen = {name: _corners(board.corners, found) for name, board in self._boards.items()}
+        seen = {
+            name: _corners(board.corners, found) for name, board in self._boards.items()
+        }
         name = max(seen, key=lambda key: len(seen[key][0]))
         points, rays = seen[name]
         if not len(points):
@@ -115,7 +134,9 @@ class MarkerLocalizer:
         noise = self._settings.corner_noise / self._camera.focal
         pose = board_poses(points, rays, noise, self._camera)
         if pose is None:
-            return NoFix(stamp, f"{len(points) // 4} markers of {name}: no pose explains them")
+            return NoFix(
+                stamp, f"{len(points) // 4} markers of {name}: no pose explains them"
+            )
         expected = self._expected(stamp, self._boards[name].pose)
         ambiguous = pose.ratio < self._settings.ambiguity
         chosen = nearest(pose, expected) if ambiguous and expected else pose
@@ -165,7 +186,9 @@ class MarkerLocalizer:
         recent = self._last is not None and 0 < stamp - self._last[0] <= memory
         return self._last if recent else None
 
-    def _fix(self, stamp: int, board: Transform, pose: BoardPose, markers: int) -> MarkerFix:
+    def _fix(
+        self, stamp: int, board: Transform, pose: BoardPose, markers: int
+    ) -> MarkerFix:
         base = self._base(board, pose.transform)
         noise, calibration = (
             self._pose_covariance(board, pose.transform, part)
@@ -187,7 +210,9 @@ class MarkerLocalizer:
             unusual(error, self._settings),
         )
 
-    def _pose_covariance(self, board: Transform, seen: Transform, covariance: Array) -> Array:
+    def _pose_covariance(
+        self, board: Transform, seen: Transform, covariance: Array
+    ) -> Array:
         """Covariance (6, 6) of base_link in odom from that of the board in the optical frame.
 
         With d, the error of the rotation, and e, that of the position, of the board in the camera:
@@ -197,7 +222,11 @@ class MarkerLocalizer:
         """
         base = self._base(board, seen)
         if self._on_torso:
-            to_odom, centre, sign = board.rotation @ seen.rotation.T, board.position, -1.0
+            to_odom, centre, sign = (
+                board.rotation @ seen.rotation.T,
+                board.position,
+                -1.0,
+            )
         else:
             to_odom = self._fixed.rotation
             centre, sign = self._fixed.apply(seen.position), 1.0
@@ -206,7 +235,9 @@ class MarkerLocalizer:
         jacobian[:3, 3:] = -_cross(base.position - centre) @ (sign * to_odom)
         return jacobian @ covariance @ jacobian.T
 
-    def _twist(self, stamp: int, base: Transform, covariance: Array) -> tuple[Array, Array, Array]:
+    def _twist(
+        self, stamp: int, base: Transform, covariance: Array
+    ) -> tuple[Array, Array, Array]:
         """Velocity and rate in base_link with their covariance; unknown for the first pose."""
         s = self._settings
         if (last := self._recent(stamp)) is None:
@@ -232,7 +263,9 @@ def _corners(corners: dict[int, Array], found: Detection) -> tuple[Array, Array]
     if not ids:
         return np.zeros((0, 3)), np.zeros((0, 2))
     points = np.concatenate([corners[number] for number in ids])
-    return points, np.concatenate([found.rays[found.ids.index(number)] for number in ids])
+    return points, np.concatenate(
+        [found.rays[found.ids.index(number)] for number in ids]
+    )
 
 
 def _cross(v: Array) -> Array:

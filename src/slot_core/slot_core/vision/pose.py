@@ -35,7 +35,9 @@ class BoardPose:
 
     transform: Transform
     covariance: Array  # (6, 6) of the position (m) and of the rotation vector in the optical frame
-    calibration: Array  # (6, 6) the same by the calibration of the camera; zero: not known
+    calibration: (
+        Array  # (6, 6) the same by the calibration of the camera; zero: not known
+    )
     error: float  # RMS distance of the corners from where they should be, of focal length one
     other: BoardPose | None = None  # the second pose of the plane
     ratio: float = np.inf  # its error over this one's; infinite if there is none
@@ -60,7 +62,8 @@ def board_poses(
     tried = 1 if count > 1 and errors[1] > CERTAIN * max(errors[0], noise) else count
     for turn, place in zip(turns[:tried], places[:tried]):
         start = Transform(
-            np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.asarray(place, np.float64).ravel()
+            np.asarray(cv2.Rodrigues(turn)[0], np.float64),
+            np.asarray(place, np.float64).ravel(),
         )
         refined = _refined(start, points, rays)
         if refined is not None:
@@ -89,7 +92,9 @@ def _board_pose(
     return BoardPose(transform, deviation**2 * inverse, gain @ spread @ gain.T, error)
 
 
-def _refined(start: Transform, points: Array, rays: Array) -> tuple[float, Transform, Array] | None:
+def _refined(
+    start: Transform, points: Array, rays: Array
+) -> tuple[float, Transform, Array] | None:
     """RMS error, pose and Jacobian (2n, 6) after Gauss-Newton; None without a solution."""
     pose = start
     for _ in range(ITERATIONS):
@@ -132,7 +137,9 @@ def _residual(turned: Array, seen: Array, rays: Array) -> tuple[Array, Array]:
 
 def _angle(a: Transform, b: Transform) -> float:
     """Angle between two attitudes, rad."""
-    return float(np.arccos(np.clip((np.vdot(a.rotation, b.rotation) - 1) / 2, -1.0, 1.0)))
+    return float(
+        np.arccos(np.clip((np.vdot(a.rotation, b.rotation) - 1) / 2, -1.0, 1.0))
+    )
 
 
 def nearest(pose: BoardPose, expected: Transform) -> BoardPose:

@@ -86,7 +86,10 @@ class SyntheticCamera:
                 continue
             outline = np.round(self.camera.project(surface.corners)).astype(np.int32)
             low = np.maximum(outline.min(axis=0), 0)
-            part = (slice(low[1], outline[:, 1].max() + 1), slice(low[0], outline[:, 0].max() + 1))
+            part = (
+                slice(low[1], outline[:, 1].max() + 1),
+                slice(low[0], outline[:, 0].max() + 1),
+            )
             mask = np.zeros(depth[part].shape, np.uint8)
             if not mask.size:
                 continue
@@ -103,26 +106,39 @@ class SyntheticCamera:
         """Paint a surface on the canvas of samples, and blur it by its motion."""
         edge = np.linspace(0, 1, 9)[:-1, None]
         ahead = np.roll(surface.corners, -1, axis=0)
-        outline = np.concatenate([a + edge * (b - a) for a, b in zip(surface.corners, ahead)])
+        outline = np.concatenate(
+            [a + edge * (b - a) for a, b in zip(surface.corners, ahead)]
+        )
         pixels = SAMPLES * (self.camera.project(outline) + 0.5)
         blur = self._motion(surface)
         pad = PAD + int(np.ceil(np.abs(blur).max()))
         low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - pad, 0)
-        high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + pad, canvas.shape[::-1])
+        high = np.minimum(
+            np.ceil(pixels.max(axis=0)).astype(int) + pad, canvas.shape[::-1]
+        )
         if (high <= low).any():
             return
         place = (slice(low[1], high[1]), slice(low[0], high[0]))
         height, width = surface.print.shape
-        sheet = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32) - 0.5
+        sheet = (
+            np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
+            - 0.5
+        )
         rays = (surface.corners[:, :2] / surface.corners[:, 2:]).astype(np.float32)
         to_sheet = cv2.getPerspectiveTransform(rays, sheet.astype(np.float32))
-        places = cv2.perspectiveTransform(np.ascontiguousarray(self._rays[place]), to_sheet)
+        places = cv2.perspectiveTransform(
+            np.ascontiguousarray(self._rays[place]), to_sheet
+        )
         ink = BLACK + (WHITE - BLACK) / 255 * surface.print
         part = np.ascontiguousarray(canvas[place])
         cv2.remap(
-            ink.astype(np.uint8), places, np.empty(0), cv2.INTER_LINEAR, part,
+            ink.astype(np.uint8),
+            places,
+            np.empty(0),
+            cv2.INTER_LINEAR,
+            part,
             cv2.BORDER_TRANSPARENT,
-        )  # fmt: skip
+        )
         canvas[place] = _moved(part, blur)
 
     def _motion(self, surface: Surface) -> Array:

@@ -30,7 +30,11 @@ from slot_core.recording.bag_error import BagError, NoFieldError
 from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.message_types import Types, add_installed, types_inside
 from slot_core.recording.origin import Origin
-from slot_core.recording.record_settings import RecordedTopic, read_record_settings, root_of
+from slot_core.recording.record_settings import (
+    RecordedTopic,
+    read_record_settings,
+    root_of,
+)
 from slot_core.refusal import one_line
 from slot_lab.bags.repair import is_complete, read_origin, repaired
 
@@ -69,11 +73,16 @@ class Bag:
     """
 
     def __init__(
-        self, path: Path | str, namespace: str = "", remap: Mapping[str, str] | None = None
+        self,
+        path: Path | str,
+        namespace: str = "",
+        remap: Mapping[str, str] | None = None,
     ) -> None:
         self.path = Path(path)
         self._root = root_of(namespace)
-        self._remap = {_slashed(old): _slashed(new) for old, new in (remap or {}).items()}
+        self._remap = {
+            _slashed(old): _slashed(new) for old, new in (remap or {}).items()
+        }
         self._cache: dict[str, list[tuple[int, Any]]] = {}
         self._scratch: TemporaryDirectory[str] | None = None  # of mended files
         with self._readable():
@@ -82,7 +91,9 @@ class Bag:
             origin = read_origin(first) if first.suffix == ".mcap" else Origin()
             self.origin = origin if origin.about else Origin(custom, origin.files)
         with self._open() as readers:
-            connections = [(r, *entry) for r in readers for entry in self._connections(r)]
+            connections = [
+                (r, *entry) for r in readers for entry in self._connections(r)
+            ]
             self.topics = {topic: c.msgtype for _, topic, c in connections}
             self.counts = dict.fromkeys(self.topics, 0)
             for _, topic, connection in connections:
@@ -116,9 +127,13 @@ class Bag:
         """Write the readable part of the bag as a new, whole bag; raises BagError."""
         with BagWriter(path, read_record_settings(), self.origin) as copy:
             with self._open() as readers:
-                kinds = {t: c for reader in readers for t, c in self._connections(reader)}
+                kinds = {
+                    t: c for reader in readers for t, c in self._connections(reader)
+                }
             for topic, c in kinds.items():
-                copy.add_topic(topic, MessageType(c.msgtype, c.msgdef.data, digest=c.digest))
+                copy.add_topic(
+                    topic, MessageType(c.msgtype, c.msgdef.data, digest=c.digest)
+                )
             for topic, time, data in self.raw():
                 copy.write(topic, self.topics[topic], time, data)
 
@@ -139,7 +154,9 @@ class Bag:
     def _messages(
         self, reader: Reader, topics: tuple[str, ...]
     ) -> Iterator[tuple[str, int, bytes]]:
-        names = {c.id: t for t, c in self._connections(reader) if not topics or t in topics}
+        names = {
+            c.id: t for t, c in self._connections(reader) if not topics or t in topics
+        }
         wanted = [c for c in reader.connections if c.id in names]
         if wanted:
             for connection, time, data in reader.messages(wanted):
@@ -174,7 +191,13 @@ class Bag:
             yield
         except BagError:
             raise
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        except (
+            ArithmeticError,
+            AttributeError,
+            LookupError,
+            TypeError,
+            ValueError,
+        ) as error:
             raise BagError(f"{self.path}: {topic} cannot be used: {error}") from error
 
     def decode(self, topic: str, data: bytes) -> Any:
@@ -212,14 +235,18 @@ class Bag:
         with self.using(topic):
             return Series(
                 np.array([time for time, _ in entries], np.int64),
-                np.array([_stamp(message, time) for time, message in entries], np.int64),
+                np.array(
+                    [_stamp(message, time) for time, message in entries], np.int64
+                ),
                 {field: self._column(topic, field) for field in fields},
             )
 
     def _column(self, topic: str, field: str) -> NDArray[Any]:
         getter = operator.attrgetter(field)
         try:
-            return np.array([_plain(getter(message)) for _, message in self._cache[topic]])
+            return np.array(
+                [_plain(getter(message)) for _, message in self._cache[topic]]
+            )
         except AttributeError:
             raise NoFieldError(f"{self.path}: {topic} has no field {field}") from None
         except ValueError:
@@ -237,12 +264,19 @@ class Bag:
                     f"{self.path}: holds no metadata.yaml, .mcap or .db3 file: not a bag"
                 )
             files = [self._intact(file) for file in found]
-            self._scratch = self._scratch or TemporaryDirectory()  # it did not end, even if whole
+            self._scratch = (
+                self._scratch or TemporaryDirectory()
+            )  # it did not end, even if whole
             return files, {}
         content = config.parse(read_text(metadata, METADATA_MAX))
         information = content["rosbag2_bagfile_information"]
-        custom = {str(k): str(v) for k, v in (information.get("custom_data") or {}).items()}
-        listed = [self.path / PurePath(name).name for name in information["relative_file_paths"]]
+        custom = {
+            str(k): str(v) for k, v in (information.get("custom_data") or {}).items()
+        }
+        listed = [
+            self.path / PurePath(name).name
+            for name in information["relative_file_paths"]
+        ]
         if information.get("compression_mode", "").lower() not in ("", "none"):
             for file in listed:
                 require_regular(file)
@@ -274,8 +308,11 @@ class Bag:
         """Name within the namespace, and connection, of every topic in the namespace."""
         named = [(c, self._remap.get(c.topic)) for c in reader.connections]
         root, replaced = f"{self._root}/", set(self._remap.values())
-        inside = [(c.topic.removeprefix(self._root), c) for c, new in named
-                  if new is None and c.topic.startswith(root)]  # fmt: skip
+        inside = [
+            (c.topic.removeprefix(self._root), c)
+            for c, new in named
+            if new is None and c.topic.startswith(root)
+        ]
         kept = [(name, c) for name, c in inside if name not in replaced]
         return kept + [(new, c) for c, new in named if new is not None]
 
@@ -317,8 +354,14 @@ def _slashed(topic: str) -> str:
 
 def _stamp(message: Any, time: int) -> int:
     """Graph time of a message in ns: its stamp, a clock's value, else its time in the bag."""
-    stamp = message.header.stamp if hasattr(message, "header") else getattr(message, "clock", None)
-    return time if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    stamp = (
+        message.header.stamp
+        if hasattr(message, "header")
+        else getattr(message, "clock", None)
+    )
+    return (
+        time if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    )
 
 
 def _plain(value: Any) -> Any:

@@ -47,8 +47,12 @@ class StageComparison:
     first: Difference | None = None  # beyond the tolerance
     missing: tuple[str, ...] = ()  # topics that the bag lacks for the comparison
     why: str = ""  # nothing was compared, though the bag holds the topics
-    begin: int = 0  # ns, stamp of the first message compared where earlier ones are not; else 0
-    gaps: int = 0  # later messages that are not compared, because the bag lacks what they need
+    begin: int = (
+        0  # ns, stamp of the first message compared where earlier ones are not; else 0
+    )
+    gaps: int = (
+        0  # later messages that are not compared, because the bag lacks what they need
+    )
     lost: str = ""  # the first of what it lacks
     nodes: tuple[str, ...] = ()  # of a user's own, which published the topic
 
@@ -157,12 +161,15 @@ def compare(
                 at = int(np.argmax(distance > tolerance))
                 place = f"{name}[{at}]" if len(then) > 1 else name
                 values = (
-                    float(array[at]) if at < len(array) else math.nan for array in (then, now)
+                    float(array[at]) if at < len(array) else math.nan
+                    for array in (then, now)
                 )
                 first = Difference(topic, stamp, place, *values)
     if not compared and first is None:
         if not replayed.unknown:
-            raise BagError(f"{recorded.bag.path}: holds no {topic} together with its input")
+            raise BagError(
+                f"{recorded.bag.path}: holds no {topic} together with its input"
+            )
         return StageComparison(topic, why=MID_RUN)
     nodes = tuple(recorded.own_nodes(topic))
     return StageComparison(

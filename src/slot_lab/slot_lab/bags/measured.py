@@ -39,7 +39,9 @@ class TendonAngles:
     source: str  # topic, or columns of a CSV file
     t: Array  # (n,) s, graph time
     angle: Array  # (n, 4) rad
-    rate: Array | None = None  # (n, 4) rad/s, at which a command goes on; None: it stays
+    rate: Array | None = (
+        None  # (n, 4) rad/s, at which a command goes on; None: it stays
+    )
     measured: bool = True  # else they are commands
 
 
@@ -94,14 +96,20 @@ def sound(where: str, stamps: Stamps, values: Array) -> NDArray[np.intp]:
     """
     bad = ~np.isfinite(values).all(axis=1)
     if bad.any():
-        raise BagError(f"{where}: message {int(np.argmax(bad))} holds a value that is not finite")
+        raise BagError(
+            f"{where}: message {int(np.argmax(bad))} holds a value that is not finite"
+        )
     step = np.diff(stamps)
     if (step < 0).any():
         k = int(np.argmax(step < 0))
-        raise BagError(f"{where}: time goes back by {to_seconds(-step[k]):g} s after message {k}")
+        raise BagError(
+            f"{where}: time goes back by {to_seconds(-step[k]):g} s after message {k}"
+        )
     same = (values[1:] == values[:-1]).all(axis=1)
     if (clash := (step == 0) & ~same).any():
-        raise BagError(f"{where}: messages {int(np.argmax(clash))} and the next have one stamp")
+        raise BagError(
+            f"{where}: messages {int(np.argmax(clash))} and the next have one stamp"
+        )
     keep = np.flatnonzero(np.concatenate([[True], step > 0]))
     if len(keep) < 2:
         raise BagError(f"{where}: {len(keep)} samples, less than 2")
@@ -140,5 +148,7 @@ def _unit(where: str, quaternion: Array) -> Rotation:
     length = np.linalg.norm(quaternion, axis=1)
     if (off := np.abs(length - 1.0) > UNIT).any():
         k = int(np.argmax(off))
-        raise BagError(f"{where}: the quaternion of sample {k} has the length {length[k]:.4g}")
+        raise BagError(
+            f"{where}: the quaternion of sample {k} has the length {length[k]:.4g}"
+        )
     return Rotation.from_quat(quaternion)

@@ -39,8 +39,12 @@ class RecordedStages:
         self.sensors: list[tuple[str, Any]] = []  # topic and message
         self.messages: dict[str, list[Any]] = {topic: [] for topic in OUTPUTS}
         self.records: dict[str, list[Any]] = {node: [] for node in OUTPUTS.values()}
-        self.nodes: dict[str, list[str]] = {}  # that published a topic, as far as it is known
-        self._entries: list[tuple[str, Any]] = []  # node and record, or topic and stamp (ns)
+        self.nodes: dict[
+            str, list[str]
+        ] = {}  # that published a topic, as far as it is known
+        self._entries: list[
+            tuple[str, Any]
+        ] = []  # node and record, or topic and stamp (ns)
         topics = [t for t in (*SENSORS, *OUTPUTS, RECORDS, NODES) if bag.counts.get(t)]
         for topic, _, message in bag.merged(*topics) if topics else ():
             with bag.using(topic):
@@ -48,7 +52,9 @@ class RecordedStages:
 
     def _add(self, topic: str, message: Any) -> None:
         if topic == NODES:
-            self.nodes = {str(t): list(map(str, n)) for t, n in json.loads(message.data).items()}
+            self.nodes = {
+                str(t): list(map(str, n)) for t, n in json.loads(message.data).items()
+            }
         elif topic == RECORDS:
             if message.node in self.records:
                 self.records[message.node].append(message)
@@ -105,7 +111,9 @@ class RecordedStages:
     @cached_property
     def changes(self) -> dict[int, dict[str, Any]]:
         """Settings of the policy that were changed while it ran, by stamps of the plans."""
-        return self._by_stamp(PLANS, lambda m: json.loads(getattr(m, "settings", "") or "{}"))
+        return self._by_stamp(
+            PLANS, lambda m: json.loads(getattr(m, "settings", "") or "{}")
+        )
 
     def _by_stamp(self, topic: str, convert: Callable[[Any], Any]) -> dict[int, Any]:
         with self.bag.using(topic):
@@ -120,7 +128,9 @@ class RecordedStages:
         named = self.origin.about.get("policy", DEFAULT_POLICY)
         is_file = named.endswith(".py") or NETWORK in self.origin.files
         if is_file and not self.own_policy:
-            raise BagError(f"{self.bag.path}: its policy is a file, {named}: add --policy FILE")
+            raise BagError(
+                f"{self.bag.path}: its policy is a file, {named}: add --policy FILE"
+            )
         return self.own_policy or named
 
     def settings(self, node: str, settings: T) -> T:
@@ -131,7 +141,9 @@ class RecordedStages:
         if PARAMETERS not in self.origin.files:
             return settings
         found = parse_parameters(self.origin.files[PARAMETERS].decode(), PARAMETERS)
-        given = of_node(found, f"{root_of(self.origin.about.get('namespace', ''))}/{node}")
+        given = of_node(
+            found, f"{root_of(self.origin.about.get('namespace', ''))}/{node}"
+        )
         known = {name for name, _, _ in config.leaves(settings)} & given.keys()
         return config.replace(settings, {name: given[name] for name in known}, node)
 

@@ -14,7 +14,13 @@ from slot_core.robot import TENDON_JOINTS, Array
 from slot_lab.bags.bag import Bag, BagError, Series, Stamps
 from slot_lab.bags.topics import ESTIMATE, GROUND_TRUTH
 
-CHAIN = ("/odom", "/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles")
+CHAIN = (
+    "/odom",
+    "/mpc_state",
+    "/gait_preview",
+    "/tendon_plan",
+    "/desired_joint_angles",
+)
 STAGES = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
 
 
@@ -52,7 +58,9 @@ class TorsoTrack:
         keep = self.t >= t
         columns = (self.t, self.position, self.quaternion, self.velocity)
         time, position, quaternion, velocity = (column[keep] for column in columns)
-        return TorsoTrack(self.source, time, position, quaternion, velocity, self.left_out)
+        return TorsoTrack(
+            self.source, time, position, quaternion, velocity, self.left_out
+        )
 
 
 @dataclass(frozen=True)
@@ -90,7 +98,9 @@ def stride_mean(t: Array, values: Array, period: float) -> Array:
     Difference of the trapezoidal integral between half a period after and half a period before; NaN
     within half a period of either end.
     """
-    integral = np.concatenate([[0.0], np.cumsum(np.diff(t) * (values[1:] + values[:-1]) / 2)])
+    integral = np.concatenate(
+        [[0.0], np.cumsum(np.diff(t) * (values[1:] + values[:-1]) / 2)]
+    )
     before, after = t - period / 2, t + period / 2
     mean = (np.interp(after, t, integral) - np.interp(before, t, integral)) / period
     return np.where((before >= t[0]) & (after <= t[-1]), mean, np.nan)
@@ -127,13 +137,17 @@ def _true_motion(bag: Bag) -> TorsoTrack:
     series = bag.series(GROUND_TRUTH, *fields)
     position, quaternion, twist = (series[field] for field in fields)
     velocity = Rotation.from_quat(quaternion).apply(twist)
-    return TorsoTrack(GROUND_TRUTH, seconds(series.stamp), position, quaternion, velocity)
+    return TorsoTrack(
+        GROUND_TRUTH, seconds(series.stamp), position, quaternion, velocity
+    )
 
 
 def _estimated_motion(bag: Bag) -> TorsoTrack:
     series = bag.series(ESTIMATE, "position", "rpy", "linear_velocity", "lead")
     time, last = last_states(series)
-    time, order = np.unique(time, return_index=True)  # sorted, also where the clock was set
+    time, order = np.unique(
+        time, return_index=True
+    )  # sorted, also where the clock was set
     new = last[order]
     quaternion = Rotation.from_euler("xyz", series["rpy"][new]).as_quat()
     position, velocity = series["position"][new], series["linear_velocity"][new]
@@ -186,9 +200,15 @@ def joint_columns(bag: Bag, topic: str, quantity: str) -> tuple[Array, Array]:
     if not len(series):
         return t, np.zeros((0, len(TENDON_JOINTS)))
     count = (len(TENDON_JOINTS),)
-    if names.shape[1:] != count or np.any(np.sort(names, axis=1) != np.sort(TENDON_JOINTS)):
-        raise BagError(f"{bag.path}: {topic} does not name each of {', '.join(TENDON_JOINTS)} once")
+    if names.shape[1:] != count or np.any(
+        np.sort(names, axis=1) != np.sort(TENDON_JOINTS)
+    ):
+        raise BagError(
+            f"{bag.path}: {topic} does not name each of {', '.join(TENDON_JOINTS)} once"
+        )
     if values.shape != names.shape:
         raise BagError(f"{bag.path}: {topic} holds no {quantity} of every joint")
-    order = np.array([[list(row).index(joint) for joint in TENDON_JOINTS] for row in names])
+    order = np.array(
+        [[list(row).index(joint) for joint in TENDON_JOINTS] for row in names]
+    )
     return t, np.take_along_axis(values, order, axis=1)

@@ -42,7 +42,9 @@ def repaired(file: Path, directory: Path) -> Path:
             elif isinstance(record, Channel) and record.id not in topics:
                 schema = schemas[record.schema_id]
                 digest = record.metadata.get("topic_type_hash", "")
-                kind = MessageType(schema.name, schema.data.decode(), schema.encoding, digest)
+                kind = MessageType(
+                    schema.name, schema.data.decode(), schema.encoding, digest
+                )
                 topics[record.id] = record.topic, kind.name
                 bag.add_topic(record.topic, kind)
             elif isinstance(record, Message):
@@ -66,11 +68,15 @@ def read_origin(file: Path) -> Origin:
 def _whole_records(file: Path, emit_chunks: bool = False) -> Iterator[Any]:
     """Records up to the first truncated or damaged one."""
     with file.open("rb") as stream:
-        records = StreamReader(stream, emit_chunks=emit_chunks, validate_crcs=True).records
+        records = StreamReader(
+            stream, emit_chunks=emit_chunks, validate_crcs=True
+        ).records
         while True:
             try:
                 record = next(records)
-            except Exception:  # of the library, struct, zstd and lz4: where the recording ended
+            except (
+                Exception
+            ):  # of the library, struct, zstd and lz4: where the recording ended
                 return
             yield record
 

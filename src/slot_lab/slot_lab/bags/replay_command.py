@@ -40,7 +40,9 @@ def _tolerance(text: str) -> float:
 def _renaming(text: str) -> tuple[str, str]:
     old, separator, new = text.partition(":=")
     if not (separator and old.strip("/") and new.strip("/")):
-        raise argparse.ArgumentTypeError(f"{quoted(text)}: expected OLD:=NEW, names of topics")
+        raise argparse.ArgumentTypeError(
+            f"{quoted(text)}: expected OLD:=NEW, names of topics"
+        )
     return old, new
 
 
@@ -51,7 +53,14 @@ def add_bag_arguments(parser: argparse.ArgumentParser) -> None:
     add("bag", type=Path, metavar="BAG", help=place)
     add("--namespace", default="", metavar="NAME", help="of the recorded graph")
     new = "read the bag's topic OLD as NEW, for example /camera/odom:=/odom; may be repeated"
-    add("--remap", type=_renaming, action="append", default=[], metavar="OLD:=NEW", help=new)
+    add(
+        "--remap",
+        type=_renaming,
+        action="append",
+        default=[],
+        metavar="OLD:=NEW",
+        help=new,
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -62,7 +71,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog="With --live it plays the sensors into running nodes: scripts/replay --live --help",
     )
     add_bag_arguments(parser)
-    add, size = parser.add_argument, "largest difference, in SI units (default: %(default)g)"
+    add, size = (
+        parser.add_argument,
+        "largest difference, in SI units (default: %(default)g)",
+    )
     add("--tolerance", type=_tolerance, default=TOLERANCE, metavar="N", help=size)
     own = "file of the policy, if it is one of your own, or onnx:FILE"
     add("--policy", default="", metavar="FILE", help=own)
@@ -88,7 +100,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         chosen = options.only, options.skip
         with ProgressLine(parser.prog) as progress:
-            comparisons = check_bag(bag, options.tolerance, options.policy, *chosen, tell=progress)
+            comparisons = check_bag(
+                bag, options.tolerance, options.policy, *chosen, tell=progress
+            )
     except InputError as error:
         refuse(parser.prog, error)
         return 2

@@ -9,13 +9,22 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
 from slot_core.clock import to_ns, to_seconds
-from slot_core.control.force_map import ForceMap, make_force_map, read_force_map, read_springs
+from slot_core.control.force_map import (
+    ForceMap,
+    make_force_map,
+    read_force_map,
+    read_springs,
+)
 from slot_core.control.input_check import is_late
 from slot_core.control.policy import Status, policy_class
 from slot_core.control.tuned_policy import TunedPolicy
 from slot_core.estimation.estimate import Validity
 from slot_core.estimation.inertial_filter import EstimatorSettings
-from slot_core.estimation.state_estimator import BEFORE_ALL_TIMES, StateEstimator, read_estimator
+from slot_core.estimation.state_estimator import (
+    BEFORE_ALL_TIMES,
+    StateEstimator,
+    read_estimator,
+)
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.key_frame import restore
@@ -23,8 +32,18 @@ from slot_core.messages import decode
 from slot_lab.bags.recorded_stages import RecordedStages
 from slot_lab.bags.topics import ODOMETRY, OUTPUTS, PLANS, SENSORS
 
-PREVIEW = ("phase", "period", "dt", "contact", "friction", "normal_force", "tendon_angle",
-           "reference", "velocity_ahead", "corrected")  # fmt: skip
+PREVIEW = (
+    "phase",
+    "period",
+    "dt",
+    "contact",
+    "friction",
+    "normal_force",
+    "tendon_angle",
+    "reference",
+    "velocity_ahead",
+    "corrected",
+)
 PLAN = ("angle", "rate", "force", "pose", "status", "fallback_cycles")
 T = TypeVar("T")
 Fields = dict[str, Any]
@@ -36,7 +55,9 @@ class Replayed:
     """Output of a replayed stage, and the recorded outputs that cannot be compared with it."""
 
     fields: dict[int, Fields] = field(default_factory=dict)  # by stamp, ns
-    unknown: set[int] = field(default_factory=set)  # stamps, ns, of a state that is not known
+    unknown: set[int] = field(
+        default_factory=set
+    )  # stamps, ns, of a state that is not known
     lost: str = ""  # an input that the bag does not hold, though the stage has taken it
 
 
@@ -50,7 +71,9 @@ def estimates(recorded: RecordedStages) -> Replayed:
     if records:
         return _estimates_of_records(recorded, records, settings)
     found, estimator = Replayed(), StateEstimator(settings)
-    for topic, message in _as_they_arrived(recorded, to_ns(settings.timing.command_delay)):
+    for topic, message in _as_they_arrived(
+        recorded, to_ns(settings.timing.command_delay)
+    ):
         with suppress(ValueError):
             _take(estimator, topic, message)
         found.fields.update(_polled(estimator))
@@ -78,7 +101,10 @@ def _estimates_of_records(
         expected = record.number + 1
         for kind, stamp in zip(record.taken, record.stamp):
             waiting = readings.get((SENSORS[kind], int(stamp)), deque())
-            if not _take_next(estimator, SENSORS[kind], waiting) and estimator is not None:
+            if (
+                not _take_next(estimator, SENSORS[kind], waiting)
+                and estimator is not None
+            ):
                 estimator = None
                 lost = f"{SENSORS[kind]} at {to_seconds(int(stamp)):.6f} s is not in the bag"
                 found.lost = (found.lost or lost) if known else ""
@@ -91,12 +117,16 @@ def _estimates_of_records(
             restore(estimator, record.state)
         before = decode.stamp(record)
     found.unknown = {
-        stamp for stamp in recorded.estimates if not any(a < stamp <= b for a, b in known)
+        stamp
+        for stamp in recorded.estimates
+        if not any(a < stamp <= b for a, b in known)
     }
     return found
 
 
-def _by_topic_and_stamp(messages: list[tuple[str, Any]]) -> dict[tuple[str, int], deque[Any]]:
+def _by_topic_and_stamp(
+    messages: list[tuple[str, Any]],
+) -> dict[tuple[str, int], deque[Any]]:
     """Messages by topic and stamp (ns), in their order."""
     found: dict[tuple[str, int], deque[Any]] = {}
     for topic, message in messages:
@@ -104,7 +134,9 @@ def _by_topic_and_stamp(messages: list[tuple[str, Any]]) -> dict[tuple[str, int]
     return found
 
 
-def _take_next(estimator: StateEstimator | None, topic: str, waiting: deque[Any]) -> bool:
+def _take_next(
+    estimator: StateEstimator | None, topic: str, waiting: deque[Any]
+) -> bool:
     """Let the estimator take the first of the messages that its node does not refuse, if any."""
     while waiting:
         with suppress(ValueError):
@@ -152,8 +184,14 @@ def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str
     first = next(iter(recorded.estimates.values()), None)
     initial = first is not None and first.validity is Validity.INITIALISING
     begin = first.stamp if first is not None and initial else BEFORE_ALL_TIMES
-    imu = {decode.stamp(message) for topic, message in recorded.sensors if topic != ODOMETRY}
-    place: dict[int, int] = {}  # stamp of the odometry: stamp of the IMU sample before it
+    imu = {
+        decode.stamp(message)
+        for topic, message in recorded.sensors
+        if topic != ODOMETRY
+    }
+    place: dict[
+        int, int
+    ] = {}  # stamp of the odometry: stamp of the IMU sample before it
     for stamp, estimate in recorded.estimates.items():
         if estimate.validity != Validity.ODOMETRY_LOST and estimate.time - delay in imu:
             place[stamp] = estimate.time - delay
@@ -220,7 +258,9 @@ class _Starts:
 
     def __init__(self, records: list[Any], begins_mid_run: bool) -> None:
         self._second = {r.number: decode.stamp(r) for r in records}.get(1)
-        self.frame: tuple[int, str] | None = None  # stamp (ns) and text, "": the start; now
+        self.frame: tuple[int, str] | None = (
+            None  # stamp (ns) and text, "": the start; now
+        )
         self._waiting: tuple[int, str] | None = None  # for its output
         self._last = -1  # ns, stamp of the last output
         self._begins = not records and not begins_mid_run
@@ -255,9 +295,16 @@ def previews(recorded: RecordedStages) -> Replayed:
     gaits = recorded.settings("gait_scheduler", read_gaits())
 
     def make(stamp: int) -> GaitScheduler:
-        first = recorded.previews.get(stamp, next(iter(recorded.previews.values()))).command
+        first = recorded.previews.get(
+            stamp, next(iter(recorded.previews.values()))
+        ).command
         return GaitScheduler(
-            gaits, recorded.robot, read_springs(), first.gait, first.velocity, recorded.path
+            gaits,
+            recorded.robot,
+            read_springs(),
+            first.gait,
+            first.velocity,
+            recorded.path,
         )
 
     def step(scheduler: GaitScheduler, stamp: int) -> Fields:
@@ -324,7 +371,10 @@ def commands(recorded: RecordedStages) -> Replayed:
         return {"position": command.angle, "velocity": command.rate}
 
     def is_planned(stamp: int) -> bool:
-        return stamp in recorded.plans and recorded.plans[stamp].status is not Status.STOPPED
+        return (
+            stamp in recorded.plans
+            and recorded.plans[stamp].status is not Status.STOPPED
+        )
 
     return _stepped(
         recorded,
@@ -346,7 +396,9 @@ STAGES = {
     "/mpc_state": ReplayedStage(estimates, (ODOMETRY,)),
     "/gait_preview": ReplayedStage(previews, ("/mpc_state",)),
     PLANS: ReplayedStage(plans, ("/mpc_state", "/gait_preview")),
-    "/desired_joint_angles": ReplayedStage(commands, ("/mpc_state", "/gait_preview", PLANS)),
+    "/desired_joint_angles": ReplayedStage(
+        commands, ("/mpc_state", "/gait_preview", PLANS)
+    ),
 }
 """By their output, in the order of the graph."""
 REMEMBERING = ("/mpc_state", "/gait_preview", PLANS)

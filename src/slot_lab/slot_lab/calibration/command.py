@@ -46,10 +46,19 @@ def _parser() -> argparse.ArgumentParser:
     add("--plot", type=Path, metavar="FILE", help="plot to write")
     free = "parameters to fit (default: " + " ".join(FREE) + ")"
     add("--free", nargs="+", metavar="NAME", default=FREE, help=free)
-    add("--start", metavar="NAME", default="paper", help="set of config/parameters to start from")
+    add(
+        "--start",
+        metavar="NAME",
+        default="paper",
+        help="set of config/parameters to start from",
+    )
     starts = "starts of the fit, scattered about the first (default: 8)"
     add("--starts", type=positive_integer, metavar="N", default=8, help=starts)
-    add("--evaluate", action="store_true", help="evaluate the set of --start without a fit")
+    add(
+        "--evaluate",
+        action="store_true",
+        help="evaluate the set of --start without a fit",
+    )
     add("--note", default="", metavar="TEXT", help="text for the parameter file")
     return parser
 

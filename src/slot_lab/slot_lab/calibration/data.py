@@ -79,7 +79,9 @@ class Data:
     def validity(self) -> dict[str, list[float]]:
         """[least, largest] value of each condition, without `place`."""
         values = {
-            name: [getattr(row, name) for row in self.rows if name in CONDITIONS[row.kind]]
+            name: [
+                getattr(row, name) for row in self.rows if name in CONDITIONS[row.kind]
+            ]
             for name in BOUNDS
             if name not in {"place", "value", "sigma"}
         }
@@ -94,7 +96,9 @@ def read_data(path: Path) -> Data:
         raise TableError(f"{table.head}: column {missing[0]} is missing")
     if unknown := [name for name in columns if name not in COLUMNS]:
         known = ", ".join(COLUMNS)
-        raise TableError(f"{table.head}: column {quoted(unknown[0])} is unknown (known: {known})")
+        raise TableError(
+            f"{table.head}: column {quoted(unknown[0])} is unknown (known: {known})"
+        )
     if len(columns) > len(COLUMNS):
         raise TableError(f"{table.head}: a column is repeated")
     if not table.rows:
@@ -107,7 +111,9 @@ def _datum(row: CsvRow) -> Datum:
     kind = row.cells["kind"]
     if kind not in CONDITIONS:
         known = ", ".join(CONDITIONS)
-        raise TableError(f"{row.where}, kind: {quoted(kind)} is unknown (known: {known})")
+        raise TableError(
+            f"{row.where}, kind: {quoted(kind)} is unknown (known: {known})"
+        )
     needed = {*CONDITIONS[kind], "value", "sigma"}
     numbers = {name: _number(row, name, name in needed) for name in BOUNDS}
     return Datum(kind, line=row.line, **numbers)
@@ -118,7 +124,9 @@ def _number(row: CsvRow, name: str, needed: bool) -> float:
     if needed:
         value = row.number(name)
         if not low <= value <= high:
-            raise TableError(f"{row.where}, {name}: {text} is outside [{low:g}, {high:g}]")
+            raise TableError(
+                f"{row.where}, {name}: {text} is outside [{low:g}, {high:g}]"
+            )
         return value
     if text:
         kind = row.cells["kind"]

@@ -42,7 +42,9 @@ class ExperimentSettings:
         "of marker_range: T of theta sin(pi t / 2 T), t <= T", "s", 0.1, 100
     )
     hold_time: float = quantity("of marker_range: time at the full angle", "s", 0, 100)
-    pull_rate_deg: float = quantity("of force_angle: rate of the tendon angle", "deg/s", 0.1, 1000)
+    pull_rate_deg: float = quantity(
+        "of force_angle: rate of the tendon angle", "deg/s", 0.1, 1000
+    )
 
 
 class PredictionError(RuntimeError):
@@ -54,7 +56,9 @@ def read_settings() -> ExperimentSettings:
     return config.read(ExperimentSettings, "calibration")
 
 
-def predict(robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+def predict(
+    robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentSettings
+) -> Array:
     """(n,) predicted values of the measurements, in their units.
 
     Raises TableError for a tendon angle above the robot's largest, and PredictionError where the
@@ -67,15 +71,21 @@ def predict(robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentS
                 f" = {robot.tendon.angle_max_deg:g}"
             )
     out = np.full(len(rows), np.nan)
-    tests: dict[tuple[Any, ...], list[int]] = {}  # of rows of one kind with equal shared conditions
+    tests: dict[
+        tuple[Any, ...], list[int]
+    ] = {}  # of rows of one kind with equal shared conditions
     for i, row in enumerate(rows):
         _, *shared = TESTS[row.kind]
-        tests.setdefault((row.kind, *(getattr(row, name) for name in shared)), []).append(i)
+        tests.setdefault(
+            (row.kind, *(getattr(row, name) for name in shared)), []
+        ).append(i)
     for (kind, *_), members in tests.items():
         try:
             out[members] = TESTS[kind][0](robot, [rows[i] for i in members], settings)
         except (DivergenceError, NoEquilibriumError, ConfigError) as error:
-            raise PredictionError(f"{kind} of line {rows[members[0]].line}: {error}") from None
+            raise PredictionError(
+                f"{kind} of line {rows[members[0]].line}: {error}"
+            ) from None
     return out
 
 
@@ -103,10 +113,14 @@ def marker_ranges(
         sim.advance(steps, np.full(len(LEGS), math.radians(part * first.theta_deg)))
         heights.append(sim.nodes[0, :, 2])
     arc = sim.model.rod.arc
-    return np.array([np.ptp([_at(row.place, arc, height) for height in heights]) for row in rows])
+    return np.array(
+        [np.ptp([_at(row.place, arc, height) for height in heights]) for row in rows]
+    )
 
 
-def forces(robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentSettings) -> Array:
+def forces(
+    robot: RobotParameters, rows: Sequence[Datum], settings: ExperimentSettings
+) -> Array:
     """(n,) vertical forces of the floor on a leg whose clamp is held, N."""
     first = rows[0]
     leg = HeldLeg(robot, settings.nodes, first.friction, first.height_m)

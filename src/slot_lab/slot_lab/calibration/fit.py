@@ -36,19 +36,29 @@ from slot_core.robot import Array, RobotParameters
 from slot_lab.calibration.experiments import PredictionError
 
 LEVEL = 0.95  # of the intervals
-STEP = 0.01  # of a coordinate in central differences; wide, because predictions have kinks
+STEP = (
+    0.01  # of a coordinate in central differences; wide, because predictions have kinks
+)
 # A singular value of the scaled Jacobian below this part of the largest is taken as zero:
 # differences of simulated values have about four digits.
 RANK = 1e-4
-NULL_SHARE = 1e-3  # share of a parameter in a null direction above which it is undetermined
-FAILED_RESIDUAL = 1e6  # residual of a trial whose prediction fails, so that it is rejected
+NULL_SHARE = (
+    1e-3  # share of a parameter in a null direction above which it is undetermined
+)
+FAILED_RESIDUAL = (
+    1e6  # residual of a trial whose prediction fails, so that it is rejected
+)
 TOLERANCE = 1e-5  # of the last step of the coordinates and the last decrease of the sum of squares
 EDGE = 1e-6  # of a coordinate; the search stays off the bounds, a result this close is at its bound
 TRIALS = 60  # evaluations of a start, at most
-SCATTER = 1.0  # of the coordinates of further starts: a factor e, or the width of the bounds
+SCATTER = (
+    1.0  # of the coordinates of further starts: a factor e, or the width of the bounds
+)
 
 Predict = Callable[[Array], Array]  # values of the parameters (p,) to predictions (n,)
-PredictAll = Callable[[Sequence[Array]], Sequence[Array]]  # the same of several, in parallel
+PredictAll = Callable[
+    [Sequence[Array]], Sequence[Array]
+]  # the same of several, in parallel
 
 
 class FitError(RuntimeError):
@@ -115,7 +125,11 @@ class FitProblem:
         np.fill_diagonal(down, np.maximum(u - STEP, low))
         try:
             points = [self.allowed(point) for point in (*up, *down)]
-            found = self.predict_all(points) if self.predict_all else [*map(self.predict, points)]
+            found = (
+                self.predict_all(points)
+                if self.predict_all
+                else [*map(self.predict, points)]
+            )
         except PredictionError as error:
             raise FitError(f"no derivative: {error}") from None
         change = np.array(found[: len(u)]) - np.array(found[len(u) :])
@@ -154,7 +168,9 @@ class ParameterEstimate:
         return [name for name, at, low in found if at and not math.isnan(low)]
 
 
-def parameters_of(robot: RobotParameters, names: Sequence[str]) -> tuple[Parameter, ...]:
+def parameters_of(
+    robot: RobotParameters, names: Sequence[str]
+) -> tuple[Parameter, ...]:
     """Free parameters by dotted name, with start and bounds of their settings.
 
     Raises ConfigError for a name that is no number of the robot or is given twice.
@@ -162,11 +178,15 @@ def parameters_of(robot: RobotParameters, names: Sequence[str]) -> tuple[Paramet
     known = {name: (v, meta) for name, v, meta in leaves(robot) if isinstance(v, float)}
     for name in names:
         if name not in known:
-            raise ConfigError(f"{name} is not a number of the robot (known: {', '.join(known)})")
+            raise ConfigError(
+                f"{name} is not a number of the robot (known: {', '.join(known)})"
+            )
     if len(set(names)) < len(names):
         raise ConfigError(f"a parameter is named twice: {', '.join(names)}")
     chosen = [(name, *known[name]) for name in names]
-    return tuple(Parameter(name, v, meta["low"], meta["high"]) for name, v, meta in chosen)
+    return tuple(
+        Parameter(name, v, meta["low"], meta["high"]) for name, v, meta in chosen
+    )
 
 
 def fit(
@@ -220,7 +240,9 @@ def _trial(tell: Callable[[str], object], start: str, number: int) -> None:
     tell(f"{start}, trial {number} of at most {TRIALS}")
 
 
-def _fit_from(problem: FitProblem, start: Array, tell: Callable[[int], object]) -> FitResult:
+def _fit_from(
+    problem: FitProblem, start: Array, tell: Callable[[int], object]
+) -> FitResult:
     """Fit from coordinates `start`; raises FitError where prediction or derivative fails.
 
     tell: takes the number of each trial.
@@ -241,14 +263,21 @@ def _fit_from(problem: FitProblem, start: Array, tell: Callable[[int], object]) 
     low, high = problem.bounds()
     limits: dict[str, Any] = {"xtol": TOLERANCE, "ftol": TOLERANCE, "max_nfev": TRIALS}
     end = least_squares(
-        residuals, start, jac=problem.jacobian, bounds=(low, high), x_scale="jac", **limits
+        residuals,
+        start,
+        jac=problem.jacobian,
+        bounds=(low, high),
+        x_scale="jac",
+        **limits,
     )
     u = np.where(end.x - low < EDGE, low, np.where(high - end.x < EDGE, high, end.x))
     return FitResult(problem.allowed(u), float(2 * end.cost), bool(end.status))
 
 
 def estimate(
-    problem: FitProblem, values: Sequence[float] | Array, groups: NDArray[np.intp] | None = None
+    problem: FitProblem,
+    values: Sequence[float] | Array,
+    groups: NDArray[np.intp] | None = None,
 ) -> ParameterEstimate:
     """Intervals and correlation at given values (p,); raises PredictionError, FitError.
 
@@ -259,7 +288,9 @@ def estimate(
     length = np.linalg.norm(jacobian, axis=0)
     length[length == 0.0] = 1.0
     scaled = jacobian / length
-    left, singular, directions = np.linalg.svd(scaled, full_matrices=len(residual) < len(u))
+    left, singular, directions = np.linalg.svd(
+        scaled, full_matrices=len(residual) < len(u)
+    )
     singular = np.append(singular, np.zeros(len(u) - len(singular)))
     significant = singular > RANK * singular[0]
     chi_square, rank = float(residual @ residual), int(significant.sum())
@@ -269,7 +300,9 @@ def estimate(
         freedom = len(residual) - rank
         covariance = inverse @ inverse.T * (chi_square / max(freedom, 1))
     else:
-        moved = inverse @ (left[:, : len(u)].T[significant] * residual)  # (p, n), by each residual
+        moved = inverse @ (
+            left[:, : len(u)].T[significant] * residual
+        )  # (p, n), by each residual
         sums = np.array([moved[:, groups == k].sum(axis=1) for k in np.unique(groups)])
         freedom = max(len(sums) - rank, 0)
         covariance = sums.T @ sums * (len(sums) / max(freedom, 1))

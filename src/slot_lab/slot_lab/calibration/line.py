@@ -37,7 +37,9 @@ def fit_line(theta_deg: Array, force: Array, sigma: Array) -> ForceLine:
     """
     if np.ptp(theta_deg) == 0.0:
         raise ValueError("a line needs samples at two angles")
-    (slope, ordinate), covariance = np.polyfit(theta_deg, force, 1, w=1 / sigma, cov="unscaled")
+    (slope, ordinate), covariance = np.polyfit(
+        theta_deg, force, 1, w=1 / sigma, cov="unscaled"
+    )
     residuals = slope * theta_deg + ordinate - force
     freedom = len(force) - 2
     half = math.nan
@@ -45,7 +47,9 @@ def fit_line(theta_deg: Array, force: Array, sigma: Array) -> ForceLine:
         variance = np.sum((residuals / sigma) ** 2) / freedom
         half = student.ppf((1 + LEVEL) / 2, freedom) * np.sqrt(variance)
     b_half_width, a_half_width = (half * np.sqrt(np.diag(covariance))).tolist()
-    return ForceLine(float(-ordinate), float(slope), a_half_width, b_half_width, residuals)
+    return ForceLine(
+        float(-ordinate), float(slope), a_half_width, b_half_width, residuals
+    )
 
 
 def line_groups(rows: Sequence[Datum]) -> dict[tuple[float, float], list[int]]:
@@ -54,5 +58,7 @@ def line_groups(rows: Sequence[Datum]) -> dict[tuple[float, float], list[int]]:
     for i, row in enumerate(rows):
         if row.kind == "force_angle":
             groups.setdefault((row.height_m, row.friction), []).append(i)
-    angles = {key: {rows[i].theta_deg for i in members} for key, members in groups.items()}
+    angles = {
+        key: {rows[i].theta_deg for i in members} for key, members in groups.items()
+    }
     return {key: members for key, members in groups.items() if len(angles[key]) > 1}

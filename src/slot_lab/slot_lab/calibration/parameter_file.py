@@ -106,8 +106,12 @@ def _line(line: ForceLine) -> dict[str, Any]:
     return {
         "a_N": rounded(line.a),
         "b_N_per_deg": rounded(line.b),
-        "a_confidence": interval_of((line.a - line.a_half_width, line.a + line.a_half_width)),
-        "b_confidence": interval_of((line.b - line.b_half_width, line.b + line.b_half_width)),
+        "a_confidence": interval_of(
+            (line.a - line.a_half_width, line.a + line.a_half_width)
+        ),
+        "b_confidence": interval_of(
+            (line.b - line.b_half_width, line.b + line.b_half_width)
+        ),
         "residuals_N": [round(float(value), DIGITS) for value in line.residuals],
     }
 
@@ -115,7 +119,10 @@ def _line(line: ForceLine) -> dict[str, Any]:
 def write(path: Path, content: Mapping[str, Any], head: str = HEAD) -> None:
     """Write the file and create its directory if necessary; raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    values, rest = {"values": content["values"]}, {k: content[k] for k in content if k != "values"}
+    values, rest = (
+        {"values": content["values"]},
+        {k: content[k] for k in content if k != "values"},
+    )
     body = yaml.safe_dump(rest, sort_keys=False, default_flow_style=None, width=WIDTH)
     path.write_text(head + yaml.safe_dump(values, sort_keys=False) + body)
 
@@ -131,18 +138,26 @@ def table(content: Mapping[str, Any]) -> list[str]:
     out += ["", f"{'parameter':<28}{'value':>12}   95 % interval"]
     for name, interval in content["confidence"].items():
         limit = "   at its bound" if name in fit["at_limit"] else ""
-        out.append(f"{name:<28}{content['values'][name]:>12.6g}   {_bounds(interval)}{limit}")
+        out.append(
+            f"{name:<28}{content['values'][name]:>12.6g}   {_bounds(interval)}{limit}"
+        )
     out += ["", "correlation"]
     for name, row in zip(content["confidence"], content["correlation"]):
-        out.append(f"{name:<28}" + "".join("     -" if v is None else f"{v:6.2f}" for v in row))
-    return out + [text for line in content["force_angle_line"] for text in _line_table(line)]
+        out.append(
+            f"{name:<28}" + "".join("     -" if v is None else f"{v:6.2f}" for v in row)
+        )
+    return out + [
+        text for line in content["force_angle_line"] for text in _line_table(line)
+    ]
 
 
 def _residual_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     conditions = [[f"{k} {row[k]:g}" for k in row if k not in RESULTS] for row in rows]
     labels = [" ".join([row["kind"], *texts]) for row, texts in zip(rows, conditions)]
     width = max(map(len, labels)) + 1
-    out = [f"{'measurement':<{width}}{'measured':>11}{'predicted':>11}{'sigma':>9}{'off by':>8}"]
+    out = [
+        f"{'measurement':<{width}}{'measured':>11}{'predicted':>11}{'sigma':>9}{'off by':>8}"
+    ]
     for label, row in zip(labels, rows):
         out.append(
             f"{label:<{width}}{row['measured']:>11.5g}{row['predicted']:>11.5g}"
@@ -152,7 +167,11 @@ def _residual_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _bounds(interval: Sequence[float] | str) -> str:
-    return interval if isinstance(interval, str) else f"{interval[0]:.4g} to {interval[1]:.4g}"
+    return (
+        interval
+        if isinstance(interval, str)
+        else f"{interval[0]:.4g} to {interval[1]:.4g}"
+    )
 
 
 def _line_table(line: Mapping[str, Any]) -> list[str]:

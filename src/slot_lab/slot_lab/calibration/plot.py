@@ -16,23 +16,35 @@ from slot_lab.calibration.fit import ParameterEstimate
 from slot_lab.plot_file import write_plot
 
 DPI = 100
-UNITS = {"marker_range": (1e3, "mm"), "force_angle": (1.0, "N"), "deflection": (1e3, "mm")}
+UNITS = {
+    "marker_range": (1e3, "mm"),
+    "force_angle": (1.0, "N"),
+    "deflection": (1e3, "mm"),
+}
 
 
 def write_figure(
-    data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str, path: Path
+    data: Data,
+    names: Sequence[str],
+    estimate: ParameterEstimate,
+    title: str,
+    path: Path,
 ) -> None:
     """Write the figure as PNG and create its directory if necessary; raises OSError."""
     write_plot(figure(data, names, estimate, title), path, DPI)
 
 
-def figure(data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str) -> Figure:
+def figure(
+    data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str
+) -> Figure:
     """The figure; the label of each axes is a kind of measurement, `residuals` or `correlation`."""
     kinds = [kind for kind in CONDITIONS if any(row.kind == kind for row in data.rows)]
     out = Figure(figsize=(4.2 * (len(kinds) + 2), 4.4), dpi=DPI, layout="constrained")
     out.suptitle(title, fontsize=13, fontweight="bold")
     labels = [*kinds, "residuals", "correlation"]
-    axes = {n: out.add_subplot(1, len(labels), i, label=n) for i, n in enumerate(labels, 1)}
+    axes = {
+        n: out.add_subplot(1, len(labels), i, label=n) for i, n in enumerate(labels, 1)
+    }
     for kind in kinds:
         _predicted_over_measured(axes[kind], data, kind, estimate.predicted)
     _residuals(axes["residuals"], data, kinds, estimate.predicted)
@@ -49,7 +61,9 @@ def _predicted_over_measured(ax: Axes, data: Data, kind: str, predicted: Array) 
     both = np.concatenate([measured, model])
     ends = 1.05 * np.array([both.min(initial=0.0), both.max()])
     ax.plot(ends, ends, color=palette.PALE, lw=1.2, zorder=0)
-    ax.errorbar(measured, model, xerr=sigma, fmt="o", color=_colour(kind), ms=6, capsize=3)
+    ax.errorbar(
+        measured, model, xerr=sigma, fmt="o", color=_colour(kind), ms=6, capsize=3
+    )
     ax.set_title(kind.replace("_", " "), fontsize=11, color=palette.INK)
     ax.set(xlabel=f"measured, one sigma ({unit})", ylabel=f"predicted ({unit})")
     ax.set_aspect("equal", adjustable="datalim")

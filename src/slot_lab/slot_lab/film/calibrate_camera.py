@@ -34,7 +34,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     from slot_core.vision.camera import camera_text  # noqa: PLC0415
 
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it repeats our messages
+    cv2.utils.logging.setLogLevel(
+        cv2.utils.logging.LOG_LEVEL_SILENT
+    )  # it repeats our messages
     try:
         with ProgressLine(parser.prog) as progress:
             found = _calibrate(options, progress)
@@ -58,7 +60,9 @@ def _calibrate(options: argparse.Namespace, progress: ProgressLine) -> Calibrati
         progress(f"image {number}")
         shape = frame.grey.shape[1], frame.grey.shape[0]
         if number and shape != size:
-            raise FilmError(f"{options.film}: image {number} has another size: {shape}, {size}")
+            raise FilmError(
+                f"{options.film}: image {number} has another size: {shape}, {size}"
+            )
         size = shape
         if number % options.every == 0:
             view = find_view(board, f"image {number}", frame.grey)
@@ -91,8 +95,18 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("calibrate_camera", __doc__)
     add = parser.add_argument
     add("film", type=Path, metavar="RECORDING", help="folder of images, video, or bag")
-    add("--out", type=Path, metavar="FILE", required=True, help="calibration file to write")
-    add("--name", default="camera", help="name of the camera in the file (default: camera)")
+    add(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        required=True,
+        help="calibration file to write",
+    )
+    add(
+        "--name",
+        default="camera",
+        help="name of the camera in the file (default: camera)",
+    )
     every = "use every Nth image only, of a video for example every 15th (default: 1)"
     add("--every", type=positive_integer, default=1, metavar="N", help=every)
     topic = f"topic of the bag (default: {IMAGES})"

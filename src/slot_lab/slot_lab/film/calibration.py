@@ -47,12 +47,16 @@ def chessboard(settings: VisionSettings) -> cv2.aruco.CharucoBoard:
     return cv2.aruco.CharucoBoard(size, board.square, board.marker, dictionary)
 
 
-def find_view(board: cv2.aruco.CharucoBoard, name: str, image: GreyImage) -> BoardView | None:
+def find_view(
+    board: cv2.aruco.CharucoBoard, name: str, image: GreyImage
+) -> BoardView | None:
     """The board's corners in a grey image; None if fewer than CORNERS_MIN are found."""
     corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(image)
     if ids is None or len(ids) < CORNERS_MIN:
         return None
-    points = np.asarray(board.getChessboardCorners(), np.float64)[np.asarray(ids).ravel()]
+    points = np.asarray(board.getChessboardCorners(), np.float64)[
+        np.asarray(ids).ravel()
+    ]
     return BoardView(name, points, np.asarray(corners, np.float64).reshape(-1, 2))
 
 
@@ -64,7 +68,9 @@ def calibrate(views: list[BoardView], size: tuple[int, int]) -> Calibration:
     """
     covered = _covered(views, size)
     if len(views) < VIEWS_MIN:
-        raise CameraError(f"{len(views)} images show the board, at least {VIEWS_MIN} are needed")
+        raise CameraError(
+            f"{len(views)} images show the board, at least {VIEWS_MIN} are needed"
+        )
     if min(covered) < COVERED_MIN:
         raise CameraError(
             f"the board covers {100 * covered[0]:.0f} % of the width and {100 * covered[1]:.0f} %"
@@ -100,12 +106,15 @@ def _solve(
     pixels = [view.pixels.astype(np.float32) for view in views]
     start = np.eye(3), np.zeros(5)
     try:
-        error, matrix, distortion, turns, places, *_, errors = cv2.calibrateCameraExtended(
-            points, pixels, size, *start
+        error, matrix, distortion, turns, places, *_, errors = (
+            cv2.calibrateCameraExtended(points, pixels, size, *start)
         )
     except cv2.error as problem:
         raise CameraError(f"OpenCV finds no camera: {problem.err}") from None
-    k, d = np.asarray(matrix, np.float64), np.asarray(distortion, np.float64).ravel()[:5]
+    k, d = (
+        np.asarray(matrix, np.float64),
+        np.asarray(distortion, np.float64).ravel()[:5],
+    )
     poses = [
         (np.asarray(turn, np.float64), np.asarray(place, np.float64))
         for turn, place in zip(turns, places)
@@ -138,7 +147,9 @@ def _covariance(
     try:
         inverse = np.linalg.inv(scale[:, None] * normal * scale)
     except np.linalg.LinAlgError:
-        raise CameraError("the views do not determine the camera: tilt the board") from None
+        raise CameraError(
+            "the views do not determine the camera: tilt the board"
+        ) from None
     return np.asarray(variance * scale[:, None] * inverse * scale)
 
 

@@ -114,14 +114,18 @@ def _of_folder(path: Path, rate: float) -> Iterator[Frame]:
         yield Frame(number / rate, _grey(_read(file, cv2.IMREAD_COLOR)))
 
 
-def _with_depth(frames: Iterator[Frame], depths: list[Path], name: str) -> Iterator[Frame]:
+def _with_depth(
+    frames: Iterator[Frame], depths: list[Path], name: str
+) -> Iterator[Frame]:
     """The frames with the depth images of a folder, in order."""
     for number, frame in enumerate(frames):
         if number >= len(depths):
             raise FilmError(f"{name}: {len(depths)} depth images, fewer than images")
         depth = _read(depths[number], cv2.IMREAD_UNCHANGED)
         if depth.dtype != np.uint16 or depth.ndim != 2:
-            raise FilmError(f"{depths[number]}: {depth.dtype}, expected one 16-bit channel in mm")
+            raise FilmError(
+                f"{depths[number]}: {depth.dtype}, expected one 16-bit channel in mm"
+            )
         yield Frame(frame.time, frame.grey, depth.astype(np.uint16))
 
 
@@ -135,7 +139,11 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
             time = to_seconds(stamp(message))
             while after is not None and after[0] < time:
                 before, after = after, next(depths, None)
-            near = [d for d in (before, after) if d is not None and abs(d[0] - time) < SYNCHRONOUS]
+            near = [
+                d
+                for d in (before, after)
+                if d is not None and abs(d[0] - time) < SYNCHRONOUS
+            ]
             nearest = min(near, key=lambda d: abs(d[0] - time))[1] if near else None
             yield Frame(time, image_message.grey(message), nearest)
     except (BagError, ValueError, AttributeError) as error:
@@ -144,7 +152,9 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
 
 def _files(path: Path) -> list[Path]:
     """The images of a folder in the order of their names; raises FilmError if there are none."""
-    files = sorted(f for f in path.glob("*") if f.suffix.lower() in SUFFIXES and f.is_file())
+    files = sorted(
+        f for f in path.glob("*") if f.suffix.lower() in SUFFIXES and f.is_file()
+    )
     if not files:
         raise FilmError(f"{path}: a folder without images ({', '.join(SUFFIXES)})")
     return files

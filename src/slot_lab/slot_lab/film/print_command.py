@@ -24,7 +24,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     options = parser.parse_args(arguments)
     if options.out.suffix.lower() not in FORMATS:
-        parser.error(f"--out {options.out}: the name of a print ends in {' or '.join(FORMATS)}")
+        parser.error(
+            f"--out {options.out}: the name of a print ends in {' or '.join(FORMATS)}"
+        )
     from slot_lab.film.print_markers import print_sheet  # noqa: PLC0415 - heavy
 
     try:

@@ -38,13 +38,19 @@ def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
         return np.asarray(chessboard(settings).generateImage(size), np.uint8)
     if what == "points":
         markers = [
-            _named(image_of(single_marker(i, settings.points.size), number, dots), name, dots)
+            _named(
+                image_of(single_marker(i, settings.points.size), number, dots),
+                name,
+                dots,
+            )
             for i, name in settings.points.names.items()
         ]
         blank = np.full_like(markers[0], WHITE)
         rows = math.ceil(len(markers) / COLUMNS)
         markers += [blank] * (rows * COLUMNS - len(markers))
-        return np.vstack([np.hstack(markers[COLUMNS * r : COLUMNS * (r + 1)]) for r in range(rows)])
+        return np.vstack(
+            [np.hstack(markers[COLUMNS * r : COLUMNS * (r + 1)]) for r in range(rows)]
+        )
     if what not in settings.boards:
         known = ", ".join([*settings.boards, "points", "chessboard"])
         raise ConfigError(f"WHAT = {quoted(what)}: expected one of {known}")
@@ -66,7 +72,9 @@ def with_scale(sheet: GreyImage, name: str, dots: float) -> GreyImage:
 
 def _named(marker: GreyImage, name: str, dots: float) -> GreyImage:
     """A marker with its name above it."""
-    page = np.vstack([np.full((round(0.006 * dots), marker.shape[1]), WHITE, np.uint8), marker])
+    page = np.vstack(
+        [np.full((round(0.006 * dots), marker.shape[1]), WHITE, np.uint8), marker]
+    )
     _write(page, name, (round(0.003 * dots), round(0.006 * dots)), 0.0025 * dots)
     return page
 
@@ -74,4 +82,6 @@ def _named(marker: GreyImage, name: str, dots: float) -> GreyImage:
 def _write(page: GreyImage, text: str, place: tuple[int, int], height: float) -> None:
     """Write text of a height, px, at the left end of its base line."""
     scale = height / 21.0  # px of a capital at scale one
-    cv2.putText(page, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, max(1, int(scale)))
+    cv2.putText(
+        page, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, max(1, int(scale))
+    )

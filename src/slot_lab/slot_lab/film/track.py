@@ -36,13 +36,19 @@ def track(options: argparse.Namespace, progress: ProgressLine) -> list[str]:
     Raises FilmError, CameraError, ConfigError, OSError.
     """
     cv2.setNumThreads(1)
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it repeats our messages
+    cv2.utils.logging.setLogLevel(
+        cv2.utils.logging.LOG_LEVEL_SILENT
+    )  # it repeats our messages
     settings = read_vision()
     tracks = track_film(
-        options.film, _camera(options, settings, progress), settings,
-        rate=options.rate, depth=options.depth, topic=options.topic,
+        options.film,
+        _camera(options, settings, progress),
+        settings,
+        rate=options.rate,
+        depth=options.depth,
+        topic=options.topic,
         tell=partial(progress, f"tracking {options.film}"),
-    )  # fmt: skip
+    )
     samples = of_leg(tracks.samples, options.leg)
     if not samples:
         raise FilmError(f"{options.film}: no marker of leg {options.leg}")
@@ -55,7 +61,9 @@ def of_leg(samples: list[MarkerSample], leg: str | None) -> list[MarkerSample]:
     if leg is None:
         return samples
     mine = [s for s in samples if s.point == TORSO or s.point.startswith(f"{leg}_")]
-    return [MarkerSample(s.time, s.point.removeprefix(f"{leg}_"), s.position) for s in mine]
+    return [
+        MarkerSample(s.time, s.point.removeprefix(f"{leg}_"), s.position) for s in mine
+    ]
 
 
 def write_tracks(path: Path, samples: list[MarkerSample], frame: str) -> None:
@@ -65,7 +73,9 @@ def write_tracks(path: Path, samples: list[MarkerSample], frame: str) -> None:
         writer = csv.writer(file)
         writer.writerow(COLUMNS)
         for s in samples:
-            writer.writerow([f"{s.time:.6f}", s.point, *(f"{value:.6f}" for value in s.position)])
+            writer.writerow(
+                [f"{s.time:.6f}", s.point, *(f"{value:.6f}" for value in s.position)]
+            )
 
 
 def track_film(
@@ -89,17 +99,25 @@ def track_film(
         tell(min(1.0, number / claimed) if claimed else 0.0)
     tracks = tracker.tracks()
     if claimed > COMPLETE * tracks.images:
-        tracks.notes.append(f"the video says that it has {claimed} images: it is damaged")
+        tracks.notes.append(
+            f"the video says that it has {claimed} images: it is damaged"
+        )
     if not tracks.samples:
-        raise FilmError(f"{film}: no tracked marker in {_absence(tracks, settings, first)}")
+        raise FilmError(
+            f"{film}: no tracked marker in {_absence(tracks, settings, first)}"
+        )
     return tracks
 
 
 def _absence(tracks: Tracks, settings: VisionSettings, first: Frame) -> str:
     ids = settings.points.names
-    text = f"{tracks.images} images (ids {min(ids)} to {max(ids)} of {settings.dictionary}"
+    text = (
+        f"{tracks.images} images (ids {min(ids)} to {max(ids)} of {settings.dictionary}"
+    )
     other = other_dictionary(first.grey)
-    return text + (f"; the first shows {other})" if other else "; the first shows no marker)")
+    return text + (
+        f"; the first shows {other})" if other else "; the first shows no marker)"
+    )
 
 
 def _camera(
@@ -109,7 +127,9 @@ def _camera(
         return read_camera(options.camera)
     if is_bag(options.film):
         return bag_camera(options.film, options.topic)
-    progress.say("without --camera FILE: the nominal camera of config/vision.yaml is used")
+    progress.say(
+        "without --camera FILE: the nominal camera of config/vision.yaml is used"
+    )
     return nominal(settings.camera)
 
 
@@ -120,5 +140,7 @@ def _summary(tracks: Tracks, samples: list[MarkerSample]) -> list[str]:
     counts = Counter(s.point for s in samples)
     width = max(map(len, counts))
     for point, count in counts.items():
-        lines.append(f"{point:<{width}}  in {100 * count / tracks.images:5.1f} % of the images")
+        lines.append(
+            f"{point:<{width}}  in {100 * count / tracks.images:5.1f} % of the images"
+        )
     return lines

@@ -43,7 +43,12 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("film", type=Path, metavar="RECORDING", help="video, folder of images, or bag")
     add("--out", type=Path, metavar="FILE", required=True, help="file to write")
-    add("--camera", type=Path, metavar="FILE", help="calibration; default: that in the bag")
+    add(
+        "--camera",
+        type=Path,
+        metavar="FILE",
+        help="calibration; default: that in the bag",
+    )
     add("--leg", choices=LEGS, help="write the torso and this leg only")
     depth = "folder of 16-bit depth images (mm) registered to the images, or topic of the bag"
     add("--depth", default="", metavar="DIR|NAME", help=depth)

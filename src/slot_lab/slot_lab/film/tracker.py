@@ -70,12 +70,16 @@ class Tracker:
         self._detector = MarkerDetector(settings.dictionary_number, camera)
         self._noise = settings.detection.corner_noise / camera.focal
         self._seen: list[MarkerSample] = []  # in the optical frame
-        self._rays: dict[int, list[Array]] = {}  # (4, 2) of the boards' markers, which stand still
+        self._rays: dict[
+            int, list[Array]
+        ] = {}  # (4, 2) of the boards' markers, which stand still
         self._images = 0
         self._duplicates: set[int] = set()
         self._unusual = ""  # warning about the board's reprojection error
 
-    def add(self, time: float, image: GreyImage, depth: Depth | None = None) -> list[MarkerSample]:
+    def add(
+        self, time: float, image: GreyImage, depth: Depth | None = None
+    ) -> list[MarkerSample]:
         """Add the grey image (h, w) of a time (s); its points in the optical frame.
 
         depth: (h, w) mm along the optical axis, registered to the image; zero: unknown. Raises
@@ -103,16 +107,25 @@ class Tracker:
         if to_frame is None:
             frame, to_frame = CAMERA, Transform(OPTICAL, np.zeros(3))
         stacks = [np.array(seen) for seen in self._rays.values()]
-        off = [np.abs(seen - np.median(seen, axis=0)).mean(axis=(1, 2)) for seen in stacks]
+        off = [
+            np.abs(seen - np.median(seen, axis=0)).mean(axis=(1, 2)) for seen in stacks
+        ]
         motion = self._camera.focal * max((float(o.max()) for o in off), default=0.0)
-        samples = [MarkerSample(s.time, s.point, to_frame.apply(s.position)) for s in self._seen]
+        samples = [
+            MarkerSample(s.time, s.point, to_frame.apply(s.position))
+            for s in self._seen
+        ]
         notes = [f"board: {self._unusual}"] if self._unusual else []
         if self._duplicates:
             ids = ", ".join(map(str, sorted(self._duplicates)))
-            notes.append(f"ids {ids} were seen more than once in an image and left out there")
+            notes.append(
+                f"ids {ids} were seen more than once in an image and left out there"
+            )
         return Tracks(frame, samples, self._images, motion, notes)
 
-    def _locate(self, found: Detection, index: int, depth: Depth | None) -> Array | None:
+    def _locate(
+        self, found: Detection, index: int, depth: Depth | None
+    ) -> Array | None:
         """Middle of a marker (3,) m in the optical frame; None without a pose."""
         pose = board_poses(self._marker, found.rays[index], self._noise, self._camera)
         if pose is None or pose.error * self._camera.focal > self._settings.error_max:
@@ -123,7 +136,9 @@ class Tracker:
         measured = _depth(depth, found.pixels[index])
         variance = float(pose.covariance[2, 2] + pose.calibration[2, 2])
         noise = self._settings.depth_noise**2
-        if measured is None or (measured - place[2]) ** 2 > GROSS**2 * (variance + noise):
+        if measured is None or (measured - place[2]) ** 2 > GROSS**2 * (
+            variance + noise
+        ):
             return place
         z = (place[2] * noise + measured * variance) / (noise + variance)
         return np.asarray(place * (z / place[2]), float)
@@ -133,7 +148,9 @@ class Tracker:
         if not self._boards:
             return None
         rays = {number: np.median(seen, axis=0) for number, seen in self._rays.items()}
-        board = max(self._boards, key=lambda board: len(rays.keys() & board.corners.keys()))
+        board = max(
+            self._boards, key=lambda board: len(rays.keys() & board.corners.keys())
+        )
         ids = sorted(rays.keys() & board.corners.keys())
         if len(ids) < FEWEST:
             return None

@@ -33,7 +33,9 @@ from slot_lab.learning.vector_env import WalkVectorEnv
 from slot_lab.workers import gather, workers
 
 DECAYS, TINY = (0.9, 0.99), 1e-8  # of Adam
-TEST_SEEDS = 1_000_000 + np.arange(16)  # of the scenes in which the mean network is tested
+TEST_SEEDS = 1_000_000 + np.arange(
+    16
+)  # of the scenes in which the mean network is tested
 Fall = tuple[float, float]  # a value in the first generation, and in the last
 
 
@@ -84,7 +86,9 @@ def returns(walks: Walks) -> Array:
     going = np.ones(len(seeds), dtype=bool)
     steps = round(task.duration / task.gaits.dt)
     for _ in range(steps):
-        seen, reward, terminated, truncated, _ = env.step(shape.actions(parameters, seen))
+        seen, reward, terminated, truncated, _ = env.step(
+            shape.actions(parameters, seen)
+        )
         found += np.where(going, reward, 0.0)
         going &= ~(terminated | truncated)
     return found / steps
@@ -117,7 +121,11 @@ def learn(
 ) -> Iterator[Generation]:
     """Yield the result of every `test_every`-th generation; the first network's actions are zero."""
     e, size = evolution, shape_of(task).size
-    rng, centre, moments = np.random.default_rng(e.seed), np.zeros(size), np.zeros((2, size))
+    rng, centre, moments = (
+        np.random.default_rng(e.seed),
+        np.zeros(size),
+        np.zeros((2, size)),
+    )
     best, most, mean = centre.copy(), -np.inf, np.nan
     steps = round(task.duration / task.gaits.dt) * 2 * e.pairs  # of a generation
     for generation in range(e.generations + 1):
@@ -130,7 +138,9 @@ def learn(
         if generation == e.generations:
             return
         share = generation / e.generations
-        sigma, rate = (first * (last / first) ** share for first, last in (e.sigma, e.rate))
+        sigma, rate = (
+            first * (last / first) ** share for first, last in (e.sigma, e.rate)
+        )
         directions = rng.standard_normal((e.pairs, size))
         tried = centre + sigma * np.concatenate([directions, -directions])
         seeds = rng.integers(TEST_SEEDS[0], size=e.pairs)
@@ -138,7 +148,9 @@ def learn(
         mean = float(found.mean())
         better = found - np.tile(found.reshape(2, -1).mean(axis=0), 2)
         rank = better.argsort().argsort() / (len(found) - 1) - 0.5
-        gradient = (rank[: e.pairs] - rank[e.pairs :]) @ directions / (2 * e.pairs * sigma)
+        gradient = (
+            (rank[: e.pairs] - rank[e.pairs :]) @ directions / (2 * e.pairs * sigma)
+        )
         centre += rate * _adam(moments, gradient, generation + 1)
 
 

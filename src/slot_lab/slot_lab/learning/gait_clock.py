@@ -35,15 +35,21 @@ class GaitClock:
         self._height = stand.height + lift
         springs, robot = read_springs(), task.robot
         share = np.full(COUNT, robot.weight / COUNT)
-        rows = [springs.angle(share, robot.clamp_heights(h, 0.0, 0.0)) for h in self._height]
+        rows = [
+            springs.angle(share, robot.clamp_heights(h, 0.0, 0.0)) for h in self._height
+        ]
         self._standing = np.array(rows)  # (ticks, 4) rad
-        self._rates = s.dt * np.array([s.acceleration, s.acceleration, s.turn_acceleration])
+        self._rates = s.dt * np.array(
+            [s.acceleration, s.acceleration, s.turn_acceleration]
+        )
         self._tick = np.zeros(count, dtype=int)
         self._wanted = np.zeros((count, 3))
         self.velocity = np.zeros((count, 3))  # m/s, rad/s, heading frame
         self.phase = np.zeros(count)  # in [0, 1)
         self._place = np.zeros((count, 3))  # x, y, yaw
-        self._now = self._next = np.zeros((count, 20))  # rows of `stride_table`, blended
+        self._now = self._next = np.zeros(
+            (count, 20)
+        )  # rows of `stride_table`, blended
 
     def reset(self, which: NDArray[np.int64], velocity: Array, state: Array) -> None:
         """Start the robots `which` (k,) anew at states (k, 12), with velocities (k, 3)."""
@@ -60,8 +66,12 @@ class GaitClock:
         gap, turn = ahead[:, :2] - state[:, 3:5], wrapped(ahead[:, 2] - state[:, 2])
         share = np.minimum(1.0, self._gaits.lead / np.maximum(np.hypot(*gap.T), 1e-12))
         most = self._gaits.heading_lead
-        place = np.column_stack([state[:, 3:5] + share[:, None] * gap,
-                                 state[:, 2] + np.clip(turn, -most, most)])  # fmt: skip
+        place = np.column_stack(
+            [
+                state[:, 3:5] + share[:, None] * gap,
+                state[:, 2] + np.clip(turn, -most, most),
+            ]
+        )
         self._place = np.where(first[:, None], state[:, PLACE], place)
         self._now, self._next = self._next, self._rows(1)
 
@@ -78,7 +88,10 @@ class GaitClock:
         """Rows (M, 20) of the gait so many ticks ahead: angles, forces, motion of the torso."""
         velocity, phase, _ = self._ahead(ticks)
         tick = np.minimum(self._tick + ticks, len(self._weight) - 1)
-        rows, weight = self._stride.stride_table(phase, velocity), self._weight[tick][:, None]
+        rows, weight = (
+            self._stride.stride_table(phase, velocity),
+            self._weight[tick][:, None],
+        )
         rows[:, 13] += self._height[tick] - self._stride.height
         standing = np.zeros_like(rows)
         standing[:, :COUNT], standing[:, 13] = self._standing[tick], self._height[tick]

@@ -33,10 +33,14 @@ class StraightWalk(NamedTuple):
     yaw: float  # rad, mean after WARM_UP
 
 
-def export(file: Path | str, task: Task, shape: NetworkShape, parameters: Array) -> None:
+def export(
+    file: Path | str, task: Task, shape: NetworkShape, parameters: Array
+) -> None:
     """Write a network as a policy of the graph; raises ValueError for one that sees the servos."""
     if task.servos:
-        raise ValueError("servos: a policy of the graph is not given the servos' angles")
+        raise ValueError(
+            "servos: a policy of the graph is not given the servos' angles"
+        )
     write_onnx(Path(file), shape, parameters, {GAIT: task.gait, KIND: task.actions})
 
 
@@ -46,9 +50,16 @@ def draw(history: Sequence[Generation], file: Path | str) -> None:
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     ax = figure.subplots()
     test = [found.test for found in history]
-    ax.plot(steps, test, "o-", color=palette.TRUE, ms=4, label="learned, in 16 other scenes")
-    ax.plot(steps, [found.mean for found in history], "x", color=palette.SECONDARY,
-            label="tried, mean of a generation")  # fmt: skip
+    ax.plot(
+        steps, test, "o-", color=palette.TRUE, ms=4, label="learned, in 16 other scenes"
+    )
+    ax.plot(
+        steps,
+        [found.mean for found in history],
+        "x",
+        color=palette.SECONDARY,
+        label="tried, mean of a generation",
+    )
     ax.axhline(test[0], color=palette.INK, lw=1, ls="--", label="gait alone")
     ax.grid(visible=True, color=palette.PALE, lw=0.5)
     ax.set(xlabel="steps of the environment, millions", ylabel="reward per step")
@@ -58,12 +69,16 @@ def draw(history: Sequence[Generation], file: Path | str) -> None:
 
 def compare(*policies: str, level: str = "standard") -> str:
     """Table of straight walks on floors of low to high friction: the worst over SEEDS."""
-    lines = ["friction  policy            error of speed, mm/s  largest |y|, mm  mean yaw, deg"]
+    lines = [
+        "friction  policy            error of speed, mm/s  largest |y|, mm  mean yaw, deg"
+    ]
     for friction in FRICTION:
         for policy in policies:
             walks = [straight_walk(policy, friction, level, seed) for seed in SEEDS]
             speed, aside, yaw = np.abs(walks).max(axis=0)
-            values = f"{1e3 * speed:20.1f}  {1e3 * aside:15.1f}  {np.degrees(yaw):13.2f}"
+            values = (
+                f"{1e3 * speed:20.1f}  {1e3 * aside:15.1f}  {np.degrees(yaw):13.2f}"
+            )
             lines.append(f"{friction:8.1f}  {policy:16s}  {values}")
     return "\n".join(lines)
 
@@ -87,4 +102,6 @@ def straight_walk(policy: str, friction: float, level: str, seed: int) -> Straig
     time: Array = dt * np.arange(len(pose), dtype=float)
     speed = mean_velocity(time[first:], pose[first:])[0]
     yaw = np.unwrap(pose[:, 2])[first:].mean()
-    return StraightWalk(float(speed) - SPEED, float(np.abs(pose[:, 1]).max()), float(yaw))
+    return StraightWalk(
+        float(speed) - SPEED, float(np.abs(pose[:, 1]).max()), float(yaw)
+    )

@@ -66,7 +66,9 @@ def write_onnx(
     import onnx  # noqa: PLC0415 - not installed with the robot
     from onnx import helper, numpy_helper  # noqa: PLC0415
 
-    weights, bias = (values[0].astype(np.float32) for values in shape.layer(parameters[None]))
+    weights, bias = (
+        values[0].astype(np.float32) for values in shape.layer(parameters[None])
+    )
     kind = onnx.TensorProto.FLOAT
     graph = helper.make_graph(
         [
@@ -76,7 +78,10 @@ def write_onnx(
         "policy",
         [helper.make_tensor_value_info("observation", kind, [1, shape.inputs])],
         [helper.make_tensor_value_info("action", kind, [1, shape.outputs])],
-        [numpy_helper.from_array(weights, "weights"), numpy_helper.from_array(bias, "bias")],
+        [
+            numpy_helper.from_array(weights, "weights"),
+            numpy_helper.from_array(bias, "bias"),
+        ],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
     model.ir_version = IR_VERSION

@@ -32,9 +32,14 @@ LOAD = 0.7  # N m, half of what the servo can hold at 11.1 V
 WORST = -4.0
 COS_FALLEN = math.cos(0.5)  # of the tilt, `tilt_max` of config/supervisor.yaml
 WEIGHTS = {
-    "walking": 1.0, "speed": 0.3, "aside": 1.5, "yaw": 0.5, "tilt": 0.1, "load": 0.05,
+    "walking": 1.0,
+    "speed": 0.3,
+    "aside": 1.5,
+    "yaw": 0.5,
+    "tilt": 0.1,
+    "load": 0.05,
     "change": 0.3,
-}  # fmt: skip
+}
 
 
 class Transition(NamedTuple):
@@ -62,7 +67,10 @@ def reward_terms(walked: Transition) -> dict[str, Array]:
         "change": -np.abs(walked.change).mean(axis=1),
     }
     up = ~fallen(state)
-    return {name: np.where(up, np.maximum(values, WORST), 0.0) for name, values in terms.items()}
+    return {
+        name: np.where(up, np.maximum(values, WORST), 0.0)
+        for name, values in terms.items()
+    }
 
 
 def fallen(state: Array) -> NDArray[np.bool_]:

@@ -13,7 +13,9 @@ from slot_lab.learning.network import Mirror
 from slot_lab.learning.task import Task
 
 SERVO_SCALE = 0.1  # rad
-MIRRORED_STATE = np.array([-1.0, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1])  # factors, as in `Estimate`
+MIRRORED_STATE = np.array(
+    [-1.0, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1]
+)  # factors, as in `Estimate`
 MIRRORED_VELOCITY = np.array([1.0, -1.0, -1.0])
 HALF_STRIDE = -np.ones(2)  # factors of the phase's sine and cosine
 

@@ -43,9 +43,13 @@ class Task:
     velocity: Vector3 = (0.05, 0.0, 0.0)  # m/s, m/s, rad/s
     actions: str = "amplitudes"
     observations: str = "estimated"
-    servos: bool = True  # whether the servos' angles are observed; a policy of the graph sees none
+    servos: bool = (
+        True  # whether the servos' angles are observed; a policy of the graph sees none
+    )
     duration: float = 10.0  # s, of an episode
-    drawn: tuple[tuple[str, Range], ...] = ()  # names, and ends between which they are drawn
+    drawn: tuple[
+        tuple[str, Range], ...
+    ] = ()  # names, and ends between which they are drawn
 
     def __post_init__(self) -> None:
         """Check names and kinds."""
@@ -54,7 +58,9 @@ class Task:
         _require("observations", self.observations, SEEN)
         for name, _ in self.drawn:
             if name != VELOCITY and name.partition(".")[0] not in DRAWN:
-                raise ConfigError(f"drawn {name}: expected {VELOCITY} or a name below scene, servo")
+                raise ConfigError(
+                    f"drawn {name}: expected {VELOCITY} or a name below scene, servo"
+                )
         if not self.gaits.dt <= self.duration <= LONGEST:
             limits = f"[{self.gaits.dt:g}, {LONGEST:g}] s"
             raise ConfigError(f"duration = {self.duration:g}: outside {limits}")
@@ -86,7 +92,9 @@ class Task:
     def _base(self) -> tuple[Scene, ServoSettings]:
         """Scene at the task's level, and servos, before anything is drawn."""
         scene = read_scene(self.scene)
-        return config.replace(scene, level_changes(self.level)), read_servo(scene.parameters)
+        return config.replace(scene, level_changes(self.level)), read_servo(
+            scene.parameters
+        )
 
     def draw(self, rng: np.random.Generator) -> dict[str, Any]:
         """Values by dotted name, drawn between their ends."""
@@ -105,7 +113,9 @@ class Task:
         known |= {f"servo.{name}": value for name, value, _ in config.leaves(servo)}
         for name, value in values.items():
             if name != VELOCITY:
-                many = isinstance(known.get(name), tuple) and not isinstance(value, list)
+                many = isinstance(known.get(name), tuple) and not isinstance(
+                    value, list
+                )
                 found[name] = [value] * len(known[name]) if many else value
         return found
 
@@ -118,7 +128,9 @@ class Task:
 
 def make_task(drawn: Mapping[str, Range] | None = None, **arguments: Any) -> Task:
     """Task of keyword arguments, as `gymnasium.make` takes them."""
-    lists = {name: (_plain(low), _plain(high)) for name, (low, high) in (drawn or {}).items()}
+    lists = {
+        name: (_plain(low), _plain(high)) for name, (low, high) in (drawn or {}).items()
+    }
     if VELOCITY in arguments:
         arguments[VELOCITY] = tuple(map(float, arguments[VELOCITY]))
     return Task(drawn=tuple(lists.items()), **arguments)
@@ -136,4 +148,6 @@ def _plain(end: Any) -> Any:
 
 def _require(name: str, value: str, known: Any) -> None:
     if value not in known:
-        raise ConfigError(f"{name} = {quoted(value)}: expected one of {', '.join(known)}")
+        raise ConfigError(
+            f"{name} = {quoted(value)}: expected one of {', '.join(known)}"
+        )

@@ -43,9 +43,14 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - of the base class
 
     def __init__(
-        self, num_envs: int, task: Task | None = None, *, threads: int = 1, step: float = 0.0,
+        self,
+        num_envs: int,
+        task: Task | None = None,
+        *,
+        threads: int = 1,
+        step: float = 0.0,
         **arguments: Any,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Take a task, or its values. step: longest time step, s; 0: the level's.
 
         Raises ConfigError.
@@ -75,7 +80,10 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         self._ended = np.zeros(num_envs, dtype=bool)
 
     def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | list[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
         """Draw and build all robots anew."""
         super().reset(seed=seed if isinstance(seed, int) else None)
@@ -95,10 +103,12 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
             raise gymnasium.error.ResetNeeded("step before reset")
         again = np.flatnonzero(self._ended)
         action = np.clip(np.asarray(actions, dtype=float), -1.0, 1.0)
-        angles = np.stack([
-            angle + deviation(task.actions, action, task.stride, *ahead)
-            for angle, ahead in zip(clock.angles, clock.ahead())
-        ])  # fmt: skip
+        angles = np.stack(
+            [
+                angle + deviation(task.actions, action, task.stride, *ahead)
+                for angle, ahead in zip(clock.angles, clock.ahead())
+            ]
+        )
         share = (np.arange(CYCLES) / CYCLES)[:, None]
         goals = angles[0][:, None] + share * (angles[1] - angles[0])[:, None]
         goals = np.clip(goals, 0.0, task.robot.tendon.angle_max)
@@ -107,7 +117,10 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         safe = np.where(np.isfinite(motion), motion, 0.0)
         clock.step(safe[:, STATE])
         course.step(clock.velocity, safe[:, STATE])
-        state, torque = motion[:, STATE], motion[:, TENSION] * task.robot.tendon.spool_radius
+        state, torque = (
+            motion[:, STATE],
+            motion[:, TENSION] * task.robot.tendon.spool_radius,
+        )
         tilt, change = clock.reference[:, :2], action - self._action
         strayed = course.faster, course.aside, course.turn
         walked = Transition(state, *strayed, tilt, torque, change)
@@ -164,7 +177,9 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
             noise = np.array([stream.standard_normal(12) for stream in self._streams])
             state = state + ESTIMATE_NOISE * noise
         clock = self._clock
-        seen = observation(state, clock.reference, clock.phase, clock.velocity, self._action)
+        seen = observation(
+            state, clock.reference, clock.phase, clock.velocity, self._action
+        )
         if self.task.servos:
             seen = np.hstack([seen, servo_error(self._commanded, motion[:, ANGLE])])
         return seen.astype(np.float32)

@@ -52,11 +52,17 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         """Draw a scene; the robot stands in it."""
         super().reset(seed=seed, options=options)
         task, values = self.task, self.task.draw(self.np_random)
-        levels = {f"scene.{name}": value for name, value in level_changes(task.level).items()}
+        levels = {
+            f"scene.{name}": value for name, value in level_changes(task.level).items()
+        }
         self._loop = ClosedLoop(
-            task.scene, task.gait, task.commanded(values), int(self.np_random.integers(2**31)),
-            "gait_alone", changes=levels | task.changes(values),
-        )  # fmt: skip
+            task.scene,
+            task.gait,
+            task.commanded(values),
+            int(self.np_random.integers(2**31)),
+            "gait_alone",
+            changes=levels | task.changes(values),
+        )
         self._action = np.zeros((1, ACTIONS[task.actions]))
         self._angle = self._commanded = self._loop.plant.robot.tendon_angle
         self._ticks, self._course = 0, Course(task, 1)
@@ -91,17 +97,27 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         down = diverged or bool(fallen(state)[0])
         reward = 0.0 if diverged else float(total(found)[0])
         terms = {name: float(value[0]) for name, value in found.items()}
-        return self._observed(), reward, down, self._ticks >= self._limit and not down, terms
+        return (
+            self._observed(),
+            reward,
+            down,
+            self._ticks >= self._limit and not down,
+            terms,
+        )
 
     def _walked(self, taken: Array, state: Array) -> Transition:
         """The step for the reward: an action (1, n) that has led to a state (1, 12)."""
         assert self._loop is not None
         course = self._course
         return Transition(
-            state, course.faster, course.aside, course.turn,
-            self._preview.reference[:1, :2], self._loop.plant.robot.servo_torque[None],
+            state,
+            course.faster,
+            course.aside,
+            course.turn,
+            self._preview.reference[:1, :2],
+            self._loop.plant.robot.servo_torque[None],
             taken - self._action,
-        )  # fmt: skip
+        )
 
     @property
     def _controller(self) -> Controller:
@@ -140,15 +156,19 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         true = task.observations == "true"
         state = self._true_state() if true else np.asarray(self._estimate.state)[None]
         seen = observation(
-            np.nan_to_num(state), preview.reference[:1], preview.phases[:1],
-            preview.velocity_ahead[:1], self._action,
-        )  # fmt: skip
+            np.nan_to_num(state),
+            preview.reference[:1],
+            preview.phases[:1],
+            preview.velocity_ahead[:1],
+            self._action,
+        )
         if task.servos:
             seen = np.hstack([seen, servo_error(self._commanded, self._angle)[None]])
         return seen[0].astype(np.float32)
 
 
 gymnasium.register(
-    NAME, entry_point=WalkEnv,
+    NAME,
+    entry_point=WalkEnv,
     vector_entry_point="slot_lab.learning.vector_env:WalkVectorEnv",
-)  # fmt: skip
+)

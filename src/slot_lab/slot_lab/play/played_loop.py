@@ -28,7 +28,9 @@ class Wishes:
     """Requests of the player to the robot; legs FL FR RL RR."""
 
     gait: str = STAND
-    velocity: Array = field(default_factory=lambda: np.zeros(3))  # v_x, v_y m/s, yaw rate rad/s
+    velocity: Array = field(
+        default_factory=lambda: np.zeros(3)
+    )  # v_x, v_y m/s, yaw rate rad/s
     pose: Array | None = None  # (3,) height m, roll, pitch rad; None: the gait's own
     up: bool = True  # under torque; False after a fall, a fault or an emergency stop
 
@@ -39,12 +41,16 @@ class PlayedLoop(SupervisedLoop):
     The wishes are pursued at every report of the supervisor; `refusal` is why not, one line.
     """
 
-    def __init__(self, scene: str, seed: int, policy: str, wishes: Wishes, keep: Keep) -> None:
+    def __init__(
+        self, scene: str, seed: int, policy: str, wishes: Wishes, keep: Keep
+    ) -> None:
         """keep: called with the time on the robot's clock, ns. Raises ConfigError."""
         super().__init__(scene, STAND, None, seed, policy)
         self.wishes, self.refusal = wishes, ""
         self._keep = keep
-        self._asked: tuple[str, tuple[float, ...]] | None = None  # gait and pose, by the scheduler
+        self._asked: tuple[str, tuple[float, ...]] | None = (
+            None  # gait and pose, by the scheduler
+        )
 
     def receive(self, reading: Reading) -> None:
         """Keep a reading, unless it is an image, and give it to the state estimator."""
@@ -99,7 +105,9 @@ class PlayedLoop(SupervisedLoop):
         pose = () if wishes.pose is None else tuple(wishes.pose)
         gait, posed = self._asked or ("", ())
         try:
-            if wishes.gait != gait or (posed and not pose):  # the pose returns to the gait's own
+            if wishes.gait != gait or (
+                posed and not pose
+            ):  # the pose returns to the gait's own
                 scheduler.request(wishes.gait, np.zeros(3))
                 self._asked = wishes.gait, ()
             scheduler.set_velocity(self.plant.now, wishes.velocity)

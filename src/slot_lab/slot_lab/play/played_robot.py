@@ -42,7 +42,9 @@ class PlayedRobot:
     def __init__(self, scene: str = "flat", policy: str = DEFAULT_POLICY) -> None:
         """Raises ConfigError for an unknown scene or policy, and for legs that are no rods."""
         if (legs := read_scene(scene).solver.legs) != "spatial":
-            raise ConfigError(f"scene {scene}: legs of the model {legs!r}; only rods can change")
+            raise ConfigError(
+                f"scene {scene}: legs of the model {legs!r}; only rods can change"
+            )
         self.scene, self.policy = scene, policy
         self.wishes = Wishes()
         self.changes: dict[str, Any] = {}  # of robot, scene and servo, by dotted name
@@ -106,7 +108,9 @@ class PlayedRobot:
     def set_slope(self, degrees: float) -> None:
         """Incline the floor, uphill along +x; raises ConfigError."""
         angle = np.radians(degrees)
-        self.change({"scene.gravity": [-GRAVITY * np.sin(angle), 0.0, -GRAVITY * np.cos(angle)]})
+        self.change(
+            {"scene.gravity": [-GRAVITY * np.sin(angle), 0.0, -GRAVITY * np.cos(angle)]}
+        )
 
     def set_policy(self, policy: str) -> None:
         """Go on with another policy; raises ConfigError."""

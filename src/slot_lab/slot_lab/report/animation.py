@@ -23,7 +23,10 @@ SHOWN_WITHOUT_STRIDE = 1.5  # s, shown of a run without a stride
 SLOWER = 2.0  # times slower than the run
 SIZE, DPI = (6.4, 2.6), 100  # inches, dots per inch
 SIDE = Viewpoint(azimuth=np.radians(-90.0), elevation=np.radians(11.0))
-BELOW, ABOVE = 0.07, 0.14  # m shown below and above the point of the ground below the torso
+BELOW, ABOVE = (
+    0.07,
+    0.14,
+)  # m shown below and above the point of the ground below the torso
 SUFFIXES = (".gif", ".png", ".webp")
 
 
@@ -37,7 +40,9 @@ def animate(bag: Bag, path: Path, tell: Tell = untold) -> None:
     Raises AnimationError for another suffix, BagError if the bag holds no leg shapes, OSError.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise AnimationError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}")
+        raise AnimationError(
+            f"{path}: expected a name that ends in {', '.join(SUFFIXES)}"
+        )
     times, robot = frame_times(bag), read_robot()
     pause = round(1e3 * SLOWER * float(np.diff(times).mean()))  # ms
     with path.open("wb") as file:
@@ -46,7 +51,12 @@ def animate(bag: Bag, path: Path, tell: Tell = untold) -> None:
             tell(len(frames) / len(times))
             frames.append(draw_frame(pose, robot))
         frames[0].save(
-            file, path.suffix[1:], save_all=True, append_images=frames[1:], duration=pause, loop=0
+            file,
+            path.suffix[1:],
+            save_all=True,
+            append_images=frames[1:],
+            duration=pause,
+            loop=0,
         )
 
 
@@ -58,7 +68,9 @@ def frame_times(bag: Bag) -> Array:
     """
     t = seconds(bag.series(LEG_STATES).stamp)
     if len(t) < 2:
-        raise AnimationError(f"{bag.path}: {LEG_STATES} holds {len(t)} messages, less than 2")
+        raise AnimationError(
+            f"{bag.path}: {LEG_STATES} holds {len(t)} messages, less than 2"
+        )
     length = STRIDES * (stride_period(bag) or SHOWN_WITHOUT_STRIDE / STRIDES)
     return t[-max(2, round(length / float(np.median(np.diff(t))))) :]
 

@@ -67,14 +67,18 @@ class FigurePair:
         return math.inf if math.isnan(difference) else difference
 
     def __str__(self) -> str:
-        values = "".join(f"{_number(f.value):>{VALUE_WIDTH}}" for f in (self.first, self.second))
+        values = "".join(
+            f"{_number(f.value):>{VALUE_WIDTH}}" for f in (self.first, self.second)
+        )
         off = self.difference
         known = f"{off:+.4g}" if off else "="
         change = known if math.isfinite(off) and not self.unknown else ""
         return f"{self.first.name:<{NAME_WIDTH}}{values}{change:>{VALUE_WIDTH}} {self.first.unit}"
 
 
-def compare_figures(first: Sequence[Figure], second: Sequence[Figure]) -> list[FigurePair]:
+def compare_figures(
+    first: Sequence[Figure], second: Sequence[Figure]
+) -> list[FigurePair]:
     """The figures of two walks in pairs; a figure that one lacks, such as a stage, is a NaN."""
     from slot_lab.report.figures import Figure  # noqa: PLC0415 - heavy
 
@@ -95,7 +99,9 @@ def exceeded(pairs: Sequence[FigurePair], tolerances: Sequence[Tolerance]) -> li
     for tolerance in tolerances:
         if not fnmatch.filter(known, tolerance.pattern):
             names = ", ".join(UNITS)
-            raise CompareError(f"--tolerance {tolerance}: the bags hold no such figure of {names}")
+            raise CompareError(
+                f"--tolerance {tolerance}: the bags hold no such figure of {names}"
+            )
     lines = []
     for pair in pairs:
         name, unit = pair.first.name, pair.first.unit
@@ -117,7 +123,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     try:
         if options.plot and options.plot.suffix not in SUFFIXES:
-            raise CompareError(f"{options.plot}: the name of a plot ends in {', '.join(SUFFIXES)}")
+            raise CompareError(
+                f"{options.plot}: the name of a plot ends in {', '.join(SUFFIXES)}"
+            )
         with ProgressLine(parser.prog) as progress:
             progress("opening the bags")
             first, second = (Bag(path, options.namespace) for path in options.bags)
@@ -144,13 +152,17 @@ def _compare(
     from slot_lab.report.metrics import walk_metrics  # noqa: PLC0415
     from slot_lab.report.origin_changes import origin_lines  # noqa: PLC0415
 
-    warm_up = read_record_settings().warm_up if options.warm_up is None else options.warm_up
+    warm_up = (
+        read_record_settings().warm_up if options.warm_up is None else options.warm_up
+    )
     walks = []
     for bag in bags:
         progress(f"figures of {bag.path}")
         walks.append(walk_metrics(bag, warm_up, read_servo()))
     pairs = compare_figures(*map(figures, walks))
-    head = "".join(f"{name:>{VALUE_WIDTH}}" for name in ("first", "second", "difference"))
+    head = "".join(
+        f"{name:>{VALUE_WIDTH}}" for name in ("first", "second", "difference")
+    )
     named = list(zip(("first", "second"), bags))
     lines = [f"{which:<8}{bag.path}" for which, bag in named]
     lines += [f"{which:<8}{bag.remark}" for which, bag in named if bag.remark]
@@ -171,18 +183,38 @@ def _tolerance(text: str) -> Tolerance:
     except ValueError:
         largest = math.nan
     if not (separator and pattern and 0.0 <= largest < math.inf):
-        raise argparse.ArgumentTypeError(f"{quoted(text)}: expected FIGURE=N, N in [0, inf)")
+        raise argparse.ArgumentTypeError(
+            f"{quoted(text)}: expected FIGURE=N, N in [0, inf)"
+        )
     return Tolerance(pattern, largest)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("compare", f"{__doc__}\n{EXIT_CODES}")
     add = parser.add_argument
-    add("bags", nargs=2, type=Path, metavar="BAG", help="directory of a bag, or its file")
+    add(
+        "bags",
+        nargs=2,
+        type=Path,
+        metavar="BAG",
+        help="directory of a bag, or its file",
+    )
     most = "largest difference of a figure, in its unit, as height_mean=0.5; patterns of a shell"
     more = f"{most} for several, as '*drift*=2'; may be repeated, the last that matches counts"
-    add("--tolerance", type=_tolerance, action="append", default=[], metavar="FIGURE=N", help=more)
-    add("--plot", type=Path, metavar="FILE", help=f"draw both walks: {', '.join(SUFFIXES)}")
+    add(
+        "--tolerance",
+        type=_tolerance,
+        action="append",
+        default=[],
+        metavar="FIGURE=N",
+        help=more,
+    )
+    add(
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help=f"draw both walks: {', '.join(SUFFIXES)}",
+    )
     left_out = "left out at the start (default: warm_up of config/record.yaml)"
     add("--warm-up", type=within(0.0, 3600.0, "s"), metavar="S", help=left_out)
     add("--namespace", default="", metavar="NAME", help="of the recorded graphs")

@@ -35,7 +35,9 @@ def plot(first: Bag, second: Bag) -> Canvas:
     shared = times[0][times[0] <= times[1][-1]]
     for (both, difference), (title, then), now in zip(axes, a.items(), b.values()):
         both.plot(times[0], then, color=palette.TRUE, lw=1.4, label=first.path.name)
-        both.plot(times[1], now, color=palette.SECONDARY, lw=1.0, label=second.path.name)
+        both.plot(
+            times[1], now, color=palette.SECONDARY, lw=1.0, label=second.path.name
+        )
         change = np.interp(shared, times[1], now) - then[: len(shared)]
         difference.plot(shared, change, color=palette.INK, lw=1.0)
         both.set_ylabel(title)

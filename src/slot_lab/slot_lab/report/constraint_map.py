@@ -40,11 +40,18 @@ UNITS = {"angle": "rad", "rate": "rad/s"}  # of constraints whose slack is no fo
 OF_THE_ROBOT = {"slack_total": "total support", "slack_balance": "total balance"}
 TOLERANCE = 1e-4  # in the unit of a slack: the violation that is a solver's rounding
 COLOURS = LinearSegmentedColormap.from_list(
-    "slack", [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fbff"), (1.0, palette.TRUE)]
+    "slack",
+    [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fbff"), (1.0, palette.TRUE)],
 )
 """Red where a constraint is violated, pale blue where it is met with zero slack."""
-HATCHED: dict[str, Any] = {"facecolor": "none", "edgecolor": palette.INK, "hatch": "////"}
-CAPACITY = 1600  # columns of the plot; with more cycles each column shows its least slack
+HATCHED: dict[str, Any] = {
+    "facecolor": "none",
+    "edgecolor": palette.INK,
+    "hatch": "////",
+}
+CAPACITY = (
+    1600  # columns of the plot; with more cycles each column shows its least slack
+)
 
 
 @dataclass(frozen=True)
@@ -88,16 +95,23 @@ def read_map(bag: Bag) -> ConstraintMap:
         names += [f"{leg} {label}" for leg in LEGS] if field in PER_LEG else [label]
         rows.append(column.reshape(len(column), -1).T)
     if not rows:
-        raise BagError(f"{bag.path}: {TOPIC} has none of the fields {', '.join(missing)}")
+        raise BagError(
+            f"{bag.path}: {TOPIC} has none of the fields {', '.join(missing)}"
+        )
     series = bag.series(TOPIC, "status")
     begin = int(series.stamp[0])
     time = seconds(series.stamp, begin)
     slack = np.concatenate(rows).astype(float)
     slack[~np.isfinite(slack)] = np.nan  # infinite where the constraint is inactive
     return ConstraintMap(
-        bag.path.name, to_seconds(begin), time, tuple(names), slack, series["status"],
+        bag.path.name,
+        to_seconds(begin),
+        time,
+        tuple(names),
+        slack,
+        series["status"],
         tuple(missing),
-    )  # fmt: skip
+    )
 
 
 def unit(constraint: str) -> str:
@@ -109,7 +123,9 @@ def summary_lines(found: ConstraintMap) -> list[str]:
     """Cycles by status, and for each constraint its least slack, when, and how often violated."""
     lines = [f"{found.name}: {len(found.time)} cycles over {found.time[-1]:.2f} s"]
     counts = {status.name: int((found.status == status).sum()) for status in Status}
-    lines.append("  ".join(f"{name} {count}" for name, count in counts.items() if count))
+    lines.append(
+        "  ".join(f"{name} {count}" for name, count in counts.items() if count)
+    )
     lines.append(f"{'constraint':<18}{'least slack':>12}{'at':>14}{'violated':>10}")
     for name, slack, violated in zip(found.constraints, found.slack, found.violated):
         if np.isnan(slack).all():
@@ -132,7 +148,9 @@ def draw_map(found: ConstraintMap, path: Path) -> None:
 def map_figure(found: ConstraintMap) -> Figure:
     """Heat map: constraints down, time across; cycles without a solution are hatched."""
     shown = found.active
-    figure = Figure(figsize=(14, 1.2 + 0.36 * len(shown.constraints)), layout="constrained")
+    figure = Figure(
+        figsize=(14, 1.2 + 0.36 * len(shown.constraints)), layout="constrained"
+    )
     ax = figure.subplots()
     draw_slack(ax, shown)
     _mark(ax, shown)
@@ -152,14 +170,20 @@ def draw_slack(ax: Axes, found: ConstraintMap) -> Colorbar:
     rows = np.fmin.reduceat(found.slack, groups, axis=1)  # NaN only where all are
     rows[(rows < 0) & (rows >= -TOLERANCE)] = 0.0
     units = np.array([unit(name) for name in found.constraints])
-    of_legs = np.array([name not in OF_THE_ROBOT.values() for name in found.constraints])
+    of_legs = np.array(
+        [name not in OF_THE_ROBOT.values() for name in found.constraints]
+    )
     for kind in set(units):
         same = units == kind
         rows[same] /= np.nanmax(np.abs(rows[same & of_legs]), initial=TOLERANCE)
     mesh = ax.pcolormesh(
-        np.append(edges[groups], edges[-1]), np.arange(len(rows) + 1), rows, cmap=COLOURS,
-        norm=TwoSlopeNorm(0.0, -1.0, 1.0), rasterized=True,
-    )  # fmt: skip
+        np.append(edges[groups], edges[-1]),
+        np.arange(len(rows) + 1),
+        rows,
+        cmap=COLOURS,
+        norm=TwoSlopeNorm(0.0, -1.0, 1.0),
+        rasterized=True,
+    )
     label = "slack over the largest\nof its kind, red: violated"
     bar = ax.figure.colorbar(mesh, ax=ax, label=label, pad=0.01, extend="both")
     ax.set_yticks(np.arange(len(rows)) + 0.5, found.constraints)
@@ -179,7 +203,9 @@ def _edges(time: Array) -> Array:
 def _mark(ax: Axes, found: ConstraintMap) -> None:
     """Hatch the cycles that were not SOLVED, one span for consecutive ones."""
     edges, bad = _edges(found.time), found.status != Status.SOLVED
-    changes = np.flatnonzero(np.diff(np.concatenate([[False], bad, [False]]).astype(int)))
+    changes = np.flatnonzero(
+        np.diff(np.concatenate([[False], bad, [False]]).astype(int))
+    )
     for begin, end in changes.reshape(-1, 2):
         ax.axvspan(edges[begin], edges[end], lw=0.8, **HATCHED)
 
@@ -192,14 +218,19 @@ def _finish(ax: Axes, found: ConstraintMap) -> None:
     ax.set_title(
         f"Dynamic Constraint Map, {found.name}: {len(found.time)} cycles, "
         f"{violated} with a violation, {bad} not solved",
-        loc="left", fontsize=10,
-    )  # fmt: skip
+        loc="left",
+        fontsize=10,
+    )
     hatched = Patch(label="not solved", **HATCHED)
     grey = Patch(facecolor=palette.SHADE, edgecolor=palette.INK, label="inactive")
     ax.legend(
-        handles=[hatched, grey], ncols=2, loc="lower right", bbox_to_anchor=(1.0, 1.0),
-        fontsize=8, frameon=False,
-    )  # fmt: skip
+        handles=[hatched, grey],
+        ncols=2,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        fontsize=8,
+        frameon=False,
+    )
 
 
 def beside(bag: Path) -> Path:

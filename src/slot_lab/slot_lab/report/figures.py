@@ -15,22 +15,44 @@ from typing import Any
 from slot_core.robot import LEGS
 from slot_lab.report.metrics import Latency, WalkMetrics
 
-MM, MS, DEG, PERCENT = (1e3, "mm"), (1e3, "ms"), (math.degrees(1.0), "deg"), (100.0, "%")
+MM, MS, DEG, PERCENT = (
+    (1e3, "mm"),
+    (1e3, "ms"),
+    (math.degrees(1.0), "deg"),
+    (100.0, "%"),
+)
 COUNT, PLAIN = (1.0, ""), 1.0
 UNITS: dict[str, tuple[float, str]] = {
     "duration": (PLAIN, "s"),
-    "distance": (PLAIN, "m"), "mean_v_x": (PLAIN, "m/s"), "mean_v_y": (PLAIN, "m/s"),
-    "height_mean": MM, "height_std": MM,
-    "tilt_rms": DEG, "tilt_max": DEG,
-    "lateral_drift_max": MM, "lateral_drift_end": MM, "yaw_drift": DEG,
-    "period": MS, "ticks": COUNT, "deadline_misses": COUNT, "unanswered": COUNT,
+    "distance": (PLAIN, "m"),
+    "mean_v_x": (PLAIN, "m/s"),
+    "mean_v_y": (PLAIN, "m/s"),
+    "height_mean": MM,
+    "height_std": MM,
+    "tilt_rms": DEG,
+    "tilt_max": DEG,
+    "lateral_drift_max": MM,
+    "lateral_drift_end": MM,
+    "yaw_drift": DEG,
+    "period": MS,
+    "ticks": COUNT,
+    "deadline_misses": COUNT,
+    "unanswered": COUNT,
     "missed_ticks": COUNT,
-    "stages": MS, "end_to_end": MS, "real_time_factor": COUNT, "behind": MS,
-    "fallback_cycles": COUNT, "longest_fallback": COUNT, "violation_max": (PLAIN, "N"),
-    "saturated": PERCENT, "rejected_odometry": COUNT,
-    "servo_saturated": PERCENT, "servo_load": PERCENT, "supply_voltage": (PLAIN, "V"),
+    "stages": MS,
+    "end_to_end": MS,
+    "real_time_factor": COUNT,
+    "behind": MS,
+    "fallback_cycles": COUNT,
+    "longest_fallback": COUNT,
+    "violation_max": (PLAIN, "N"),
+    "saturated": PERCENT,
+    "rejected_odometry": COUNT,
+    "servo_saturated": PERCENT,
+    "servo_load": PERCENT,
+    "supply_voltage": (PLAIN, "V"),
     "continuous_load": PERCENT,
-}  # fmt: skip
+}
 """Scale from SI and unit of the fields of `WalkMetrics`."""
 
 

@@ -16,8 +16,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "bag", metavar="BAG", type=Path, help="directory of a bag, or its .mcap file"
     )
-    parser.add_argument("--namespace", metavar="NAME", default="", help="of the recorded graph")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="default: BAG_constraints.png")
+    parser.add_argument(
+        "--namespace", metavar="NAME", default="", help="of the recorded graph"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="default: BAG_constraints.png"
+    )
     options = parser.parse_args(arguments)
     if options.out and options.out.suffix != ".png":
         parser.error(f"--out {options.out}: the name of a plot ends in .png")

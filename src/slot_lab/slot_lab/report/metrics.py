@@ -61,7 +61,9 @@ class WalkMetrics:
     yaw_drift: float  # rad, last yaw minus the heading of the line
     period: float  # s, control period
     ticks: int  # odometry readings that require a command
-    deadline_misses: int  # ticks whose command came more than one period later, or never
+    deadline_misses: (
+        int  # ticks whose command came more than one period later, or never
+    )
     unanswered: int  # ticks without a command
     missed_ticks: int  # missing odometry readings: gaps in the stamps
     stages: dict[str, Latency]  # by node
@@ -71,12 +73,22 @@ class WalkMetrics:
     fallback_cycles: int | None  # MPC cycles without a solution
     longest_fallback: int | None  # consecutive ones
     violation_max: float  # N, largest constraint violation
-    saturated: tuple[float, ...]  # fraction of cycles, per leg: force map at an angle limit
+    saturated: tuple[
+        float, ...
+    ]  # fraction of cycles, per leg: force map at an angle limit
     rejected_odometry: int | None
-    servo_saturated: tuple[float, ...]  # fraction of samples, per leg: torque at its limit
-    servo_load: tuple[float, ...]  # mean of torque over stall torque at the supply voltage, per leg
-    supply_voltage: float  # V, mean of the servos; NaN: not known, the nominal one is assumed
-    continuous_load: float  # largest mean of torque over stall torque that the maker advises
+    servo_saturated: tuple[
+        float, ...
+    ]  # fraction of samples, per leg: torque at its limit
+    servo_load: tuple[
+        float, ...
+    ]  # mean of torque over stall torque at the supply voltage, per leg
+    supply_voltage: (
+        float  # V, mean of the servos; NaN: not known, the nominal one is assumed
+    )
+    continuous_load: (
+        float  # largest mean of torque over stall torque that the maker advises
+    )
 
 
 def walk_metrics(bag: Bag, warm_up: float, servo: ServoSettings) -> WalkMetrics:
@@ -90,7 +102,9 @@ def walk_metrics(bag: Bag, warm_up: float, servo: ServoSettings) -> WalkMetrics:
     motion = whole.after(start)
     if len(motion.t) < 2:
         span = whole.t[-1] - whole.t[0]
-        raise BagError(f"{bag.path}: holds {span:.1f} s, the warm-up leaves out {warm_up:.1f} s")
+        raise BagError(
+            f"{bag.path}: holds {span:.1f} s, the warm-up leaves out {warm_up:.1f} s"
+        )
     return WalkMetrics(
         source=motion.source,
         warm_up=warm_up,
@@ -173,7 +187,9 @@ def _behind(bag: Bag, start: float) -> Array:
 
 
 def _control(bag: Bag, start: float) -> dict[str, Any]:
-    solves = _after(bag, start, "/tendon_plan", "status", "violation", "fallback_cycles")
+    solves = _after(
+        bag, start, "/tendon_plan", "status", "violation", "fallback_cycles"
+    )
     states = _after(bag, start, "/mpc_state", "validity")
     maps = _after(bag, start, "/force_map/status", "saturated")
     violation = solves["violation"] if solves else np.zeros(0)
@@ -214,7 +230,9 @@ def _supply_voltage(bag: Bag, start: float) -> Array:
     if health is None:
         return np.array(NOT_KNOWN)
     known = [column[np.isfinite(column)] for column in health["voltage"].T]
-    return np.array([np.median(column) if len(column) else math.nan for column in known])
+    return np.array(
+        [np.median(column) if len(column) else math.nan for column in known]
+    )
 
 
 def _after(bag: Bag, start: float, topic: str, *fields: str) -> dict[str, Array] | None:

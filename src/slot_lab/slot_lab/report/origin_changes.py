@@ -25,7 +25,9 @@ def origin_lines(first: Bag, second: Bag) -> list[str]:
     changed = [name for name in names if a.get(name) != b.get(name)]
     shown = dict.fromkeys(["revision", "policy", *changed])
     lines = [_line(name, a.get(name, "-"), b.get(name, "-")) for name in shown]
-    same = one_line(", ".join(f"{name} {a[name]}" for name in names if name not in shown))
+    same = one_line(
+        ", ".join(f"{name} {a[name]}" for name in names if name not in shown)
+    )
     return [
         *lines,
         *([f"{'the same':<{WIDTH}}{same}"] if same else []),
@@ -42,13 +44,19 @@ def _about(bag: Bag) -> dict[str, str]:
 
 
 def _line(name: str, then: str, now: str) -> str:
-    return f"{one_line(name):<{WIDTH}}" + one_line(then if then == now else f"{then} -> {now}")
+    return f"{one_line(name):<{WIDTH}}" + one_line(
+        then if then == now else f"{then} -> {now}"
+    )
 
 
 def _tuning_lines(first: Bag, second: Bag) -> list[str]:
     """A line on settings of the policy that were changed while it ran, if they differ."""
     then, now = _tuned(first), _tuned(second)
-    return [] if then == now else [_line("changed in the run", then or "nothing", now or "nothing")]
+    return (
+        []
+        if then == now
+        else [_line("changed in the run", then or "nothing", now or "nothing")]
+    )
 
 
 def _tuned(bag: Bag) -> str:
@@ -56,16 +64,22 @@ def _tuned(bag: Bag) -> str:
     if not bag.counts.get(PLANS):
         return ""
     with bag.using(PLANS):
-        found = dict.fromkeys(getattr(m, "settings", "") for _, m in bag.messages(PLANS))
+        found = dict.fromkeys(
+            getattr(m, "settings", "") for _, m in bag.messages(PLANS)
+        )
         sets = [json.loads(text) for text in found if text]
-        return "; ".join(f"{name} {quoted(value)}" for s in sets for name, value in s.items())
+        return "; ".join(
+            f"{name} {quoted(value)}" for s in sets for name, value in s.items()
+        )
 
 
 def _file_lines(first: Origin, second: Origin) -> list[str]:
     """A line on each file that only one bag has, or that differs; without the configuration."""
     names = sorted((first.files.keys() | second.files.keys()) - {CONFIGURATION})
     files = [(name, first.files.get(name), second.files.get(name)) for name in names]
-    return [_line(name, *_states(then, now)) for name, then, now in files if then != now]
+    return [
+        _line(name, *_states(then, now)) for name, then, now in files if then != now
+    ]
 
 
 def _states(then: bytes | None, now: bytes | None) -> tuple[str, str]:
@@ -93,7 +107,9 @@ def _files(bag: Bag) -> dict[str, bytes]:
         raise BagError(f"{bag.path}: {error}") from None
 
 
-def _changed_values(then: Mapping[str, bytes], now: Mapping[str, bytes]) -> Iterator[str]:
+def _changed_values(
+    then: Mapping[str, bytes], now: Mapping[str, bytes]
+) -> Iterator[str]:
     for file in sorted(then.keys() | now.keys()):
         if then.get(file) == now.get(file):
             continue
@@ -101,13 +117,20 @@ def _changed_values(then: Mapping[str, bytes], now: Mapping[str, bytes]) -> Iter
             yield _line(file, *_states(then.get(file), now.get(file)))
             continue
         try:
-            before, after = (_values(content, file) for content in (then[file], now[file]))
+            before, after = (
+                _values(content, file) for content in (then[file], now[file])
+            )
         except (BagError, ConfigError, UnicodeDecodeError):
             yield _line(file, "one file", "another one")
             continue
-        names = [n for n in dict.fromkeys([*before, *after]) if before.get(n) != after.get(n)]
+        names = [
+            n for n in dict.fromkeys([*before, *after]) if before.get(n) != after.get(n)
+        ]
         for name in names:
-            texts = (quoted(values[name]) if name in values else "-" for values in (before, after))
+            texts = (
+                quoted(values[name]) if name in values else "-"
+                for values in (before, after)
+            )
             yield f"{file} {name}  {' -> '.join(texts)}"
         if not names:
             yield f"{file:<{WIDTH}}other comments"

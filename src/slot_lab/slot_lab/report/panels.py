@@ -41,7 +41,13 @@ def draw_path(ax: Axes, motion: TorsoTrack, measured: TorsoTrack) -> None:
     along = rotate(measured.position[:, :2] - start, -heading)[:, 0].max()
     end = start + rotate(np.array([along, 0.0]), heading)
     ax.plot(*motion.position[:, :2].T, color=palette.TRUE, lw=1.6, label="torso")
-    ax.plot(*np.array([start, end]).T, color=palette.INK, lw=1, ls="--", label="initial heading")
+    ax.plot(
+        *np.array([start, end]).T,
+        color=palette.INK,
+        lw=1,
+        ls="--",
+        label="initial heading",
+    )
     ax.plot(*motion.position[0, :2], "o", color=palette.TRUE, ms=6)
     ax.plot(*motion.position[-1, :2], ">", color=palette.SECONDARY, ms=8)
     ax.set_aspect("equal", adjustable="datalim")
@@ -56,21 +62,35 @@ def draw_states(ax: Axes, bag: Bag, start: float, end: float) -> None:
         time, states = seconds(series.stamp) - start, series["state"].astype(int)
         begins = np.flatnonzero(np.diff(states, prepend=-1))
         for begin, last in zip(begins, [*time[begins[1:]], end - start]):
-            state, first = State(states[begin]), max(time[begin], 0.0)  # it reports before it moves
+            state, first = (
+                State(states[begin]),
+                max(time[begin], 0.0),
+            )  # it reports before it moves
             ax.axvspan(first, last, color=STATE_COLOURS.get(state, palette.SHADE))
             if last - first > 0.08 * (end - start):
-                ax.text((first + last) / 2, 0.5, state.name, fontsize=7, ha="center", va="center")
+                ax.text(
+                    (first + last) / 2,
+                    0.5,
+                    state.name,
+                    fontsize=7,
+                    ha="center",
+                    va="center",
+                )
     ax.set(xlim=(0.0, end - start), ylim=(0.0, 1.0), xticks=[], yticks=[])
     ax.spines[:].set_visible(False)
 
 
 def draw_height(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
     """Height of the torso's centre."""
-    ax.plot(motion.t - motion.t[0], 1e3 * motion.position[:, 2], color=palette.TRUE, lw=1)
+    ax.plot(
+        motion.t - motion.t[0], 1e3 * motion.position[:, 2], color=palette.TRUE, lw=1
+    )
     _over_time(ax, motion, warm_up, "height of base_link", "z (mm)")
 
 
-def draw_speed(ax: Axes, motion: TorsoTrack, period: float | None, warm_up: float) -> None:
+def draw_speed(
+    ax: Axes, motion: TorsoTrack, period: float | None, warm_up: float
+) -> None:
     """Forward velocity along the heading, raw and averaged over the stride around each time."""
     v_x = motion.heading_velocity[:, 0]
     t = motion.t - motion.t[0]
@@ -85,7 +105,9 @@ def draw_speed(ax: Axes, motion: TorsoTrack, period: float | None, warm_up: floa
 
 def draw_tilt(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
     """Roll and pitch."""
-    for i, (name, colour) in enumerate((("roll", palette.TRUE), ("pitch", palette.SECONDARY))):
+    for i, (name, colour) in enumerate(
+        (("roll", palette.TRUE), ("pitch", palette.SECONDARY))
+    ):
         degrees = np.degrees(motion.rpy[:, i])
         ax.plot(motion.t - motion.t[0], degrees, color=colour, lw=1, label=name)
     _over_time(ax, motion, warm_up, "roll and pitch", "angle (deg)")
@@ -95,7 +117,10 @@ def draw_tilt(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
 
 def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
     """Tendon angles of each leg, desired and true, over the last strides."""
-    for topic, label in (("/desired_joint_angles", "desired"), ("/joint_states", "measured")):
+    for topic, label in (
+        ("/desired_joint_angles", "desired"),
+        ("/joint_states", "measured"),
+    ):
         if bag.counts.get(topic):
             t, angle = joint_columns(bag, topic, "position")
             _per_leg(axes, t - start, np.degrees(angle), label)
@@ -105,7 +130,10 @@ def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> Non
 def draw_forces(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
     """Normal forces of each leg, planned and true, over the last strides."""
     planned = ("/tendon_plan", "force", "planned")
-    for topic, field, label in (planned, ("/ground_truth/legs", "ground_force", "true")):
+    for topic, field, label in (
+        planned,
+        ("/ground_truth/legs", "ground_force", "true"),
+    ):
         if bag.counts.get(topic):
             series = bag.series(topic, field)
             first = series[field].reshape(len(series), -1, len(LEGS), 3)[:, 0]
@@ -123,10 +151,19 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
         high = max(high, 1e3 * ticks.period)
         bins = np.geomspace(low / 1.2, high * 1.2, LATENCY_BINS).tolist()
         for values, name, colour in zip(ms, (*STAGES, "end to end"), LATENCY_COLOURS):
-            ax.hist(values, bins, histtype="stepfilled", color=colour, alpha=0.75, label=name)
+            ax.hist(
+                values,
+                bins,
+                histtype="stepfilled",
+                color=colour,
+                alpha=0.75,
+                label=name,
+            )
         ax.set_xscale("log")
         ax.set_yscale("log")  # a single late tick stays visible
-    ax.axvline(1e3 * ticks.period, color=palette.INK, ls="--", lw=1, label="control period")
+    ax.axvline(
+        1e3 * ticks.period, color=palette.INK, ls="--", lw=1, label="control period"
+    )
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     _finish(ax, "", "ticks", "latency (ms, logarithmic)")
     ax.legend(**LEGEND | {"ncols": 2})
@@ -138,7 +175,10 @@ def draw_disturbance(ax: Axes, bag: Bag, start: float) -> None:
         with suppress(NoFieldError):  # a bag from before there was an observer
             series = bag.series("/tendon_plan", "wrench", "drift")
             found = disturbances(series["wrench"].T, series["drift"].T)
-            curve, time = PLOTS["disturbance"].curves["mpc"], seconds(series.stamp) - start
+            curve, time = (
+                PLOTS["disturbance"].curves["mpc"],
+                seconds(series.stamp) - start,
+            )
             for values, name, colour in zip(found, curve.names, curve.colours):
                 ax.plot(time, values, color=colour, lw=1, label=name)
             ax.legend(**LEGEND | {"ncols": 2})
@@ -149,7 +189,9 @@ def draw_constraints(ax: Axes, bag: Bag, start: float) -> None:
     """Dynamic Constraint Map: slack of each constraint of the plan's first stage over time."""
     if bag.counts.get(constraint_map.TOPIC, 0) > 1:
         found = constraint_map.read_map(bag).active
-        bar = constraint_map.draw_slack(ax, replace(found, time=found.time + found.begin - start))
+        bar = constraint_map.draw_slack(
+            ax, replace(found, time=found.time + found.begin - start)
+        )
         bar.ax.tick_params(labelsize=7)
         bar.ax.yaxis.label.set_fontsize(8)
     _finish(ax, "Dynamic Constraint Map", "", "time (s)")
@@ -158,21 +200,38 @@ def draw_constraints(ax: Axes, bag: Bag, start: float) -> None:
 
 
 LEGEND: dict[str, Any] = {
-    "fontsize": 7, "bbox_to_anchor": (1.0, 0.97), "borderpad": 0.0, "borderaxespad": 0.2,
-    "columnspacing": 1.2, "handlelength": 1.5,
-    "frameon": False, "loc": "lower right", "ncols": 3,
-}  # fmt: skip
+    "fontsize": 7,
+    "bbox_to_anchor": (1.0, 0.97),
+    "borderpad": 0.0,
+    "borderaxespad": 0.2,
+    "columnspacing": 1.2,
+    "handlelength": 1.5,
+    "frameon": False,
+    "loc": "lower right",
+    "ncols": 3,
+}
 STATE_COLOURS = {
-    State.WALKING: "#cfe3f1", State.STANDING: "#d6ebe4", State.HOLD: "#f8e3bd",
-    State.RELAX: "#f5cdb8", State.ESTOP: "#f5cdb8", State.FAULT: "#f5cdb8",
-}  # fmt: skip
+    State.WALKING: "#cfe3f1",
+    State.STANDING: "#d6ebe4",
+    State.HOLD: "#f8e3bd",
+    State.RELAX: "#f5cdb8",
+    State.ESTOP: "#f5cdb8",
+    State.FAULT: "#f5cdb8",
+}
 LATENCY_COLOURS = (*palette.STAGE_COLOURS, palette.INK)
 
 
 def _per_leg(axes: Sequence[Axes], t: Array, values: Array, label: str) -> None:
     for ax, leg, column in zip(axes, LEGS, values.T):
         if label in ("true", "measured"):
-            ax.plot(t, column, color=palette.LEG_COLOURS[leg], lw=1.8, alpha=0.75, label=label)
+            ax.plot(
+                t,
+                column,
+                color=palette.LEG_COLOURS[leg],
+                lw=1.8,
+                alpha=0.75,
+                label=label,
+            )
         else:
             ax.plot(t, column, color=palette.INK, ls="--", lw=1, label=label)
 
@@ -187,7 +246,9 @@ def _finish_legs(axes: Sequence[Axes], title: str, end: float) -> None:
         axes[0].legend(**LEGEND)
 
 
-def _over_time(ax: Axes, motion: TorsoTrack, warm_up: float, title: str, label: str) -> None:
+def _over_time(
+    ax: Axes, motion: TorsoTrack, warm_up: float, title: str, label: str
+) -> None:
     ax.axvspan(0.0, warm_up, color=palette.SHADE, zorder=0)
     ax.set_xlim(0.0, motion.t[-1] - motion.t[0])
     _finish(ax, title, label, "")

@@ -35,7 +35,9 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     """The dashboard; the label of each axes is the name of its panel."""
     figure = Figure(figsize=SIZE, dpi=SHARP, layout="constrained")
     figure.suptitle(bag.path.name, fontsize=14, fontweight="bold")
-    left, middle, right = cast(Any, figure.subfigures(1, 3, wspace=0.03, width_ratios=WIDTHS))
+    left, middle, right = cast(
+        Any, figure.subfigures(1, 3, wspace=0.03, width_ratios=WIDTHS)
+    )
     motion = read_motion(bag)
     names = ["path", "state", "height", "speed", "tilt"]
     path, state, height, speed, tilt = _stack(left, names, (1.3, 0.12, 1.0, 1.0, 1.0))
@@ -76,7 +78,9 @@ def filmstrip_figure(bag: Bag, stills: int) -> Figure:
         ax = figure.add_subplot(1, stills, i + 1, label=f"still {i}")
         draw_robot(ax, pose, robot, camera)
         ax.set_title(f"{pose.t:.2f} s", fontsize=11)
-    figure.supxlabel(f"arrows: force of the ground, {1e-2 / FORCE_SCALE:.2f} N per cm", fontsize=9)
+    figure.supxlabel(
+        f"arrows: force of the ground, {1e-2 / FORCE_SCALE:.2f} N per cm", fontsize=9
+    )
     return figure
 
 
@@ -108,6 +112,8 @@ def read_poses(bag: Bag, times: Array, robot: RobotParameters) -> list[Snapshot]
     return poses
 
 
-def _stack(figure: FigureBase, names: Sequence[str], heights: Sequence[float]) -> list[Axes]:
+def _stack(
+    figure: FigureBase, names: Sequence[str], heights: Sequence[float]
+) -> list[Axes]:
     grid = figure.add_gridspec(len(names), 1, height_ratios=heights)
     return [figure.add_subplot(grid[i], label=name) for i, name in enumerate(names)]

@@ -21,9 +21,20 @@ AMBIENT = 0.55  # brightness of a face turned away from the sun
 GROUND_HALF = (0.26, 0.22)  # m, of the ground drawn around the robot, along x and y
 GROUND_LINE = 0.1  # m between lines on the ground
 MARK: dict[str, Any] = {
-    "textcoords": "offset points", "ha": "center", "va": "top", "fontsize": 8, "color": palette.INK,
-}  # fmt: skip
-BOX_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+    "textcoords": "offset points",
+    "ha": "center",
+    "va": "top",
+    "fontsize": 8,
+    "color": palette.INK,
+}
+BOX_FACES = (
+    (0, 1, 3, 2),
+    (4, 6, 7, 5),
+    (0, 4, 5, 1),
+    (2, 3, 7, 6),
+    (0, 2, 6, 4),
+    (1, 5, 7, 3),
+)
 
 
 @dataclass(frozen=True)
@@ -49,13 +60,19 @@ class Viewpoint:
         """(3,) unit vector from the scene to the camera."""
         c = math.cos(self.elevation)
         return np.array(
-            [c * math.cos(self.azimuth), c * math.sin(self.azimuth), math.sin(self.elevation)]
+            [
+                c * math.cos(self.azimuth),
+                c * math.sin(self.azimuth),
+                math.sin(self.elevation),
+            ]
         )
 
     def project(self, points: Array) -> Array:
         """(..., 2) right and up in the plot of points (..., 3), m."""
         right = np.array([-math.sin(self.azimuth), math.cos(self.azimuth), 0.0])
-        return np.stack([points @ right, points @ np.cross(self.toward, right)], axis=-1)
+        return np.stack(
+            [points @ right, points @ np.cross(self.toward, right)], axis=-1
+        )
 
 
 @dataclass(frozen=True)
@@ -66,7 +83,9 @@ class Solid:
     colour: str
 
 
-def draw_robot(ax: Axes, pose: Snapshot, robot: RobotParameters, camera: Viewpoint) -> None:
+def draw_robot(
+    ax: Axes, pose: Snapshot, robot: RobotParameters, camera: Viewpoint
+) -> None:
     """Draw ground, shadow, legs, torso and ground forces into `ax`, whose unit is the metre.
 
     The plot's origin is the point of the ground below the torso. Lines on the ground are fixed
@@ -85,17 +104,23 @@ def draw_robot(ax: Axes, pose: Snapshot, robot: RobotParameters, camera: Viewpoi
 def torso_solid(pose: Snapshot, robot: RobotParameters) -> Solid:
     """The torso's box."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    corners = Rotation.from_quat(pose.quaternion).apply(signs * np.array(robot.torso.size) / 2)
+    corners = Rotation.from_quat(pose.quaternion).apply(
+        signs * np.array(robot.torso.size) / 2
+    )
     return Solid((pose.position + corners)[np.array(BOX_FACES)], palette.TORSO)
 
 
 def leg_solids(pose: Snapshot, robot: RobotParameters) -> list[Solid]:
     """The legs, with their width and their taper."""
     bars = leg_bars(pose.legs, robot)
-    return [Solid(faces, palette.LEG_COLOURS[leg]) for leg, faces in zip(LEGS, bars.faces)]
+    return [
+        Solid(faces, palette.LEG_COLOURS[leg]) for leg, faces in zip(LEGS, bars.faces)
+    ]
 
 
-def _draw_solids(ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint) -> None:
+def _draw_solids(
+    ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint
+) -> None:
     faces = np.concatenate([solid.faces for solid in solids])
     colours = np.concatenate([[to_rgb(s.colour)] * len(s.faces) for s in solids])
     normal = normals(faces)
@@ -105,10 +130,14 @@ def _draw_solids(ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint
     order = np.argsort(depth)[: int(seen.sum())]
     shaded = (colours * light[:, None])[order]
     polygons = camera.project(faces[order] - centre)
-    ax.add_collection(PolyCollection(list(polygons), color=shaded, linewidths=0.4, zorder=3))
+    ax.add_collection(
+        PolyCollection(list(polygons), color=shaded, linewidths=0.4, zorder=3)
+    )
 
 
-def _draw_shadow(ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint) -> None:
+def _draw_shadow(
+    ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint
+) -> None:
     faces = np.concatenate([solid.faces for solid in solids]) * [1.0, 1.0, 0.0]
     polygons = camera.project(faces - centre)
     ax.add_collection(PolyCollection(list(polygons), color="#d3d9df", zorder=2))
@@ -121,7 +150,9 @@ def _draw_ground(ax: Axes, centre: Array, camera: Viewpoint) -> None:
     ax.add_collection(PolyCollection([outline], facecolors=palette.SHADE, zorder=0))
     ends = np.array([centre[0] - half[0], centre[0] + half[0]]) / GROUND_LINE
     marks = GROUND_LINE * np.arange(math.ceil(ends[0]), math.floor(ends[1]) + 1)
-    lines = [np.array([[x, -half[1], 0.0], [x, half[1], 0.0]]) for x in marks - centre[0]]
+    lines = [
+        np.array([[x, -half[1], 0.0], [x, half[1], 0.0]]) for x in marks - centre[0]
+    ]
     shown = [camera.project(line) for line in lines]
     ax.add_collection(LineCollection(shown, colors="white", zorder=1))
     for x, line in zip(marks, shown):
@@ -132,7 +163,13 @@ def _draw_ground(ax: Axes, centre: Array, camera: Viewpoint) -> None:
 
 
 def _draw_forces(ax: Axes, pose: Snapshot, centre: Array, camera: Viewpoint) -> None:
-    arrow = {"arrowstyle": "-|>", "color": palette.INK, "lw": 1.6, "shrinkA": 0, "shrinkB": 0}
+    arrow = {
+        "arrowstyle": "-|>",
+        "color": palette.INK,
+        "lw": 1.6,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
     for foot, force in zip(pose.legs.nodes[:, -1] * [1.0, 1.0, 0.0], pose.force):
         if np.linalg.norm(force) > LEAST_FORCE:
             ends = np.array([foot, foot + FORCE_SCALE * force]) - centre

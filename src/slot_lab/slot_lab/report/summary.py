@@ -14,18 +14,28 @@ NAME_WIDTH = 20
 def summary_lines(metrics: WalkMetrics) -> list[str]:
     """Aligned lines `name  values`, with units; a dash where the bag lacks the data."""
     m = metrics
-    misses = f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms"
+    misses = (
+        f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms"
+    )
     unanswered = f"{m.unanswered} ticks, {m.missed_ticks} odometries missing"
     most = f"at most {m.longest_fallback} in a row"
-    fallback = "-" if m.fallback_cycles is None else f"{m.fallback_cycles} cycles, {most}"
+    fallback = (
+        "-" if m.fallback_cycles is None else f"{m.fallback_cycles} cycles, {most}"
+    )
     rows = [
         ("motion from", m.source),
         ("duration", f"{m.duration:.2f} s after {m.warm_up:.1f} s of warm-up"),
         ("distance", f"{m.distance:.3f} m"),
         ("mean v_x, v_y", f"{m.mean_v_x:.4f} m/s, {m.mean_v_y:+.4f} m/s"),
-        ("height", f"{_mm(m.height_mean)} mean, {_mm(m.height_std)} standard deviation"),
+        (
+            "height",
+            f"{_mm(m.height_mean)} mean, {_mm(m.height_std)} standard deviation",
+        ),
         ("tilt", f"{_deg(m.tilt_rms)} RMS, {_deg(m.tilt_max)} max"),
-        ("lateral drift", f"{_mm(m.lateral_drift_max)} max, {_mm(m.lateral_drift_end, '+')} end"),
+        (
+            "lateral drift",
+            f"{_mm(m.lateral_drift_max)} max, {_mm(m.lateral_drift_end, '+')} end",
+        ),
         ("yaw drift", _deg(m.yaw_drift, "+")),
         *((name, _latency(stage)) for name, stage in m.stages.items()),
         ("end to end", _latency(m.end_to_end)),
@@ -39,7 +49,10 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
         ("servo at stall", _per_leg(m.servo_saturated)),
         ("servo load", _per_leg(m.servo_load)),
         ("  all servos", _load(m)),
-        ("rejected odometry", "-" if m.rejected_odometry is None else str(m.rejected_odometry)),
+        (
+            "rejected odometry",
+            "-" if m.rejected_odometry is None else str(m.rejected_odometry),
+        ),
     ]
     return [f"{name:<{NAME_WIDTH}}{value}" for name, value in rows]
 
@@ -74,4 +87,6 @@ def _load(metrics: WalkMetrics) -> str:
 
 
 def _per_leg(fractions: Iterable[float]) -> str:
-    return "   ".join(f"{leg} {_number(100 * f, '{:.1f} %')}" for leg, f in zip(LEGS, fractions))
+    return "   ".join(
+        f"{leg} {_number(100 * f, '{:.1f} %')}" for leg, f in zip(LEGS, fractions)
+    )

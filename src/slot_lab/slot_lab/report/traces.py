@@ -64,7 +64,10 @@ PLOTS = {
     "pitch": Plot("pitch (deg)", _sources()),
     "angle": Plot(
         "tendon angle (deg)",
-        {"measured": _of_legs("measured"), "commanded": _of_legs("commanded", pale=True)},
+        {
+            "measured": _of_legs("measured"),
+            "commanded": _of_legs("commanded", pale=True),
+        },
     ),
     "force": Plot(
         "vertical force (N)",
@@ -80,9 +83,15 @@ PLOTS = {
             )
         },
     ),
-    "solve_time": Plot("solve time of the MPC (ms)", {"mpc": _one("solve time", palette.INK)}),
+    "solve_time": Plot(
+        "solve time of the MPC (ms)", {"mpc": _one("solve time", palette.INK)}
+    ),
 }
-STATES = {"supervisor": "supervisor", "mpc": "MPC", "gait": "gait"}  # by key of `states`: title
+STATES = {
+    "supervisor": "supervisor",
+    "mpc": "MPC",
+    "gait": "gait",
+}  # by key of `states`: title
 
 
 def values(topic: str, message: Any) -> Values:
@@ -95,7 +104,9 @@ def states(topic: str, message: Any) -> States:
     return _STATES[topic](message) if topic in _STATES else {}
 
 
-def _torso(source: str, forward: float, height: float, roll: float, pitch: float) -> Values:
+def _torso(
+    source: str, forward: float, height: float, roll: float, pitch: float
+) -> Values:
     scaled = {
         "velocity": forward,
         "height": 1e3 * height,
@@ -125,26 +136,36 @@ def _of_legs_truth(message: Any) -> Values:
 
 def disturbances(wrench: Array, drift: Array) -> Array:
     """Disturbances (4, ...) in the units of their plot, from wrench and drift (3, ...)."""
-    return np.array([-10.0 * wrench[0] / GRAVITY, *(100.0 * drift[:2]), np.degrees(drift[2])])
+    return np.array(
+        [-10.0 * wrench[0] / GRAVITY, *(100.0 * drift[:2]), np.degrees(drift[2])]
+    )
 
 
 def _of_plan(message: Any) -> Values:
     return {
-        "disturbance/mpc": disturbances(np.array(message.wrench), np.array(message.drift)),
+        "disturbance/mpc": disturbances(
+            np.array(message.wrench), np.array(message.drift)
+        ),
         "force/demanded": decode.plan(message)[1].force[0, :, 2],
         "solve_time/mpc": np.array([1e3 * message.solve_time]),
     }
 
 
 def _angle(source: str) -> Callable[[Any], Values]:
-    return lambda message: {f"angle/{source}": np.degrees(decode.joint_angles(message)[1])}
+    return lambda message: {
+        f"angle/{source}": np.degrees(decode.joint_angles(message)[1])
+    }
 
 
 _VALUES: dict[str, Callable[[Any], Values]] = {
     "/ground_truth/odom": _of_truth,
     "/ground_truth/legs": _of_legs_truth,
-    "/mpc_state": lambda message: _of_state("estimated", decode.estimate(message).state),
-    "/gait_preview": lambda message: _of_state("reference", decode.preview(message).reference[0]),
+    "/mpc_state": lambda message: _of_state(
+        "estimated", decode.estimate(message).state
+    ),
+    "/gait_preview": lambda message: _of_state(
+        "reference", decode.preview(message).reference[0]
+    ),
     "/tendon_plan": _of_plan,
     "/joint_states": _angle("measured"),
     "/desired_joint_angles": _angle("commanded"),

@@ -16,14 +16,21 @@ DECIMALS = 9  # of values; smaller ones are zero
 
 def write(path: Path, stride: Stride, head: Sequence[str]) -> None:
     """Write a stride; head: lines of the comment before it. Raises OSError."""
-    lines = [f"# {part}" for line in head for part in textwrap.wrap(line, WIDTH) or [""]]
+    lines = [
+        f"# {part}" for line in head for part in textwrap.wrap(line, WIDTH) or [""]
+    ]
     path.write_text("\n".join([*lines, *_lines(stride, "")]) + "\n")
 
 
 def _lines(settings: Any, indent: str) -> Iterator[str]:
     """Lines of a settings object: values first, then nested objects, rows of matrices in a line."""
-    fields = [(field.name, getattr(settings, field.name)) for field in dataclasses.fields(settings)]
-    for name, value in sorted(fields, key=lambda item: dataclasses.is_dataclass(item[1])):
+    fields = [
+        (field.name, getattr(settings, field.name))
+        for field in dataclasses.fields(settings)
+    ]
+    for name, value in sorted(
+        fields, key=lambda item: dataclasses.is_dataclass(item[1])
+    ):
         if dataclasses.is_dataclass(value):
             yield f"{indent}{name}:"
             yield from _lines(value, indent + "  ")
@@ -37,4 +44,8 @@ def _lines(settings: Any, indent: str) -> Iterator[str]:
 def _text(value: Any) -> str:
     if isinstance(value, tuple):
         return "[" + ", ".join(map(_text, value)) + "]"
-    return f"{round(value, DECIMALS) + 0.0:.4g}" if isinstance(value, float) else str(value)
+    return (
+        f"{round(value, DECIMALS) + 0.0:.4g}"
+        if isinstance(value, float)
+        else str(value)
+    )

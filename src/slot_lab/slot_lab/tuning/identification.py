@@ -12,7 +12,16 @@ from slot_core.geometry import rotate
 from slot_core.robot import Array
 from slot_lab.tuning import symmetry
 from slot_lab.tuning.settings import TuningSettings
-from slot_lab.tuning.stride_run import HEIGHT, HELD, PITCH, ROLL, YAW, Job, RunAll, StrideMotion
+from slot_lab.tuning.stride_run import (
+    HEIGHT,
+    HELD,
+    PITCH,
+    ROLL,
+    YAW,
+    Job,
+    RunAll,
+    StrideMotion,
+)
 
 V_X, V_Y, YAW_RATE, ROLL_MEAN = 0, 1, 2, 4  # in the means of a motion
 STEERED = [V_Y, YAW_RATE, ROLL_MEAN]
@@ -54,7 +63,9 @@ def find_steering(
         tried = Steering(probe, probe, symmetry.rows(symmetry.steering(step * column)))
         changed = replace(stride, forward_steering=tried)
         for sign in (1.0, -1.0):
-            jobs += [Job(changed, mu, (speed, 0.0, sign * probe)) for mu in settings.friction]
+            jobs += [
+                Job(changed, mu, (speed, 0.0, sign * probe)) for mu in settings.friction
+            ]
     means = np.array([motion.means[STEERED] for motion in run_jobs(run_all, jobs)])
     plus, minus = means.reshape(10, 2, size, 3).mean(axis=2).transpose(1, 0, 2)
     effect = (plus - minus).T / (2 * step)
@@ -69,7 +80,9 @@ def find_steering(
     return Steering(rate, rate_max, symmetry.rows(symmetry.steering(x))), change
 
 
-def tabulate(stride: Stride, settings: TuningSettings, run_all: RunAll) -> dict[str, Pattern]:
+def tabulate(
+    stride: Stride, settings: TuningSettings, run_all: RunAll
+) -> dict[str, Pattern]:
     """Patterns with speed, normal forces and sway at amplitude one, mean over the floors.
 
     The means of their tendon angles take the common offset that holds the height there.
@@ -78,7 +91,9 @@ def tabulate(stride: Stride, settings: TuningSettings, run_all: RunAll) -> dict[
     for axis, name in zip(np.eye(3), PATTERNS):
         velocity = tuple(axis * getattr(stride, name).speed)
         held = name in HELD
-        jobs += [Job(stride, mu, velocity, hold_height=held) for mu in settings.friction]
+        jobs += [
+            Job(stride, mu, velocity, hold_height=held) for mu in settings.friction
+        ]
     motions, size = run_jobs(run_all, jobs), len(settings.friction)
     found = {}
     for n, name in enumerate(PATTERNS):

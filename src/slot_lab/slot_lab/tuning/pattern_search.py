@@ -77,7 +77,9 @@ def jobs(stride: Stride, goal: Goal, x: Array, settings: TuningSettings) -> list
     speed = getattr(stride, goal.kind).speed * np.eye(3)[AXIS[goal.kind]]
     changed, floors = trial(stride, goal.kind, x), settings.friction
     hold = goal.kind in HELD
-    whole = [Job(changed, friction, tuple(speed), hold_height=hold) for friction in floors]
+    whole = [
+        Job(changed, friction, tuple(speed), hold_height=hold) for friction in floors
+    ]
     half = Job(changed, floors[len(floors) // 2], tuple(speed / 2), hold_height=hold)
     return [*whole, half]
 
@@ -86,7 +88,11 @@ def cost(
     outcomes: Sequence[Outcome], stride: Stride, goal: Goal, settings: TuningSettings
 ) -> tuple[float, Array]:
     """Cost of a candidate from the outcomes of its `jobs`, and its speed on each floor."""
-    axis, scale, floors = AXIS[goal.kind], np.array(settings.speed_scale), len(outcomes) - 1
+    axis, scale, floors = (
+        AXIS[goal.kind],
+        np.array(settings.speed_scale),
+        len(outcomes) - 1,
+    )
     speed, penalty = [], []
     for motion in outcomes:
         if motion is None:
@@ -99,7 +105,8 @@ def cost(
             + PER_TILT * max(0.0, np.sqrt(np.mean(tilt**2)) - settings.tilt_deg)
             + PER_LARGEST_TILT * max(0.0, tilt.max() - 2 * settings.tilt_deg)
             + PER_MEAN_TILT * np.abs(np.degrees(motion.means[4:])).sum()
-            + PER_DIP * (max(0.0, 1e3 * dip) + 1e3 * abs(motion.means[3] - stride.height))
+            + PER_DIP
+            * (max(0.0, 1e3 * dip) + 1e3 * abs(motion.means[3] - stride.height))
             + PER_TOP * max(0.0, 1e3 * (motion.top - goal.top_max))
             + PER_LOAD * max(0.0, motion.load - settings.load)
         )
@@ -109,14 +116,18 @@ def cost(
     return float(np.mean(penalty[:-1]) - gain / scale[axis]), v
 
 
-def start_of(stride: Stride, kind: str, settings: TuningSettings, seed: int | None = None) -> Array:
+def start_of(
+    stride: Stride, kind: str, settings: TuningSettings, seed: int | None = None
+) -> Array:
     """Numbers that a search starts from: the stride's own, or random ones if a seed is given.
 
     Raises ConfigError if a number of the stride is beyond the largest coefficient.
     """
     limit = settings.coefficient_max_deg
     if seed is not None:
-        drawn = np.random.default_rng(seed).normal(scale=settings.scatter_deg, size=NUMBERS[kind])
+        drawn = np.random.default_rng(seed).normal(
+            scale=settings.scatter_deg, size=NUMBERS[kind]
+        )
         return np.clip(drawn, -limit, limit)
     x = numbers(kind, np.array(getattr(stride, kind).angle_deg))
     n = int(np.abs(x).argmax())
@@ -133,25 +144,37 @@ class PatternSearch:
     """Generations of CMA-ES, with a record of their costs."""
 
     def __init__(
-        self, stride: Stride, goal: Goal, start: Array, settings: TuningSettings, seed: int
+        self,
+        stride: Stride,
+        goal: Goal,
+        start: Array,
+        settings: TuningSettings,
+        seed: int,
     ) -> None:
         """Start from the numbers of `start_of`; seed: positive."""
         import cma  # noqa: PLC0415 - not installed with the robot
 
         self._stride, self._goal, self._settings = stride, goal, settings
         self._head = {
-            "kind": goal.kind, "seed": seed, "start": start.tolist(), "cma": cma.__version__,
+            "kind": goal.kind,
+            "seed": seed,
+            "start": start.tolist(),
+            "cma": cma.__version__,
             "settings": repr((settings, goal, stride)),
-        }  # fmt: skip
+        }
         options: dict[str, Any] = {
-            "seed": seed, "popsize": settings.population, "verbose": -9,
+            "seed": seed,
+            "popsize": settings.population,
+            "verbose": -9,
             "bounds": [-settings.coefficient_max_deg, settings.coefficient_max_deg],
-        }  # fmt: skip
+        }
         self._strategy = cma.CMAEvolutionStrategy(start, settings.step_deg, options)
         self.best = Found(start, np.inf, np.full(len(settings.friction), np.nan))
         self.done = 0  # candidates, without the start
 
-    def run(self, run_all: RunAll, record: Path, progress: Callable[[str, float], None]) -> Found:
+    def run(
+        self, run_all: RunAll, record: Path, progress: Callable[[str, float], None]
+    ) -> Found:
         """Search to the end of the evaluations; the best candidate, the start included.
 
         Raises ConfigError if `record` is that of another search.
@@ -172,7 +195,11 @@ class PatternSearch:
         return self.best
 
     def _generation(
-        self, candidates: Sequence[Array], recorded: list[Any], run_all: RunAll, record: Path
+        self,
+        candidates: Sequence[Array],
+        recorded: list[Any],
+        run_all: RunAll,
+        record: Path,
     ) -> list[float]:
         """Costs of candidates, from the record or by simulation."""
         if recorded:
@@ -188,7 +215,10 @@ class PatternSearch:
 
     def _evaluate(self, candidates: Sequence[Array], run_all: RunAll) -> list[Any]:
         runs = len(self._settings.friction) + 1
-        todo = [jobs(self._stride, self._goal, np.array(x), self._settings) for x in candidates]
+        todo = [
+            jobs(self._stride, self._goal, np.array(x), self._settings)
+            for x in candidates
+        ]
         outcomes = list(run_all([job for each in todo for job in each]))
         rows = []
         for n in range(len(candidates)):
@@ -205,7 +235,9 @@ class PatternSearch:
         if not whole:
             whole = [head + "\n"]
         elif whole[0].strip() != head:
-            raise ConfigError(f"{record}: record of another search; remove it to start again")
+            raise ConfigError(
+                f"{record}: record of another search; remove it to start again"
+            )
         record.parent.mkdir(parents=True, exist_ok=True)
         record.write_text("".join(whole))
         return [json.loads(line) for line in whole[1:]]

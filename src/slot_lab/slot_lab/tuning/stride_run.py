@@ -27,7 +27,10 @@ from slot_lab.tuning.settings import TuningSettings
 OUTPUTS = ("v_x", "v_y", "yaw rate", "height", "roll", "pitch")
 RISE = 0.053  # m, of the torso per rad of all angles
 OFFSET_MAX = math.radians(15.0)  # of the height's correction
-HELD = ("forward", "lateral")  # patterns run at the stride's height; a turn finds its own
+HELD = (
+    "forward",
+    "lateral",
+)  # patterns run at the stride's height; a turn finds its own
 TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)  # columns of a track; s, m, rad
 
 
@@ -94,7 +97,10 @@ class _Run:
         offsets: list[float] = []
         for stride in range(first + count):
             if stride == first:
-                rows, self._top = rows[-1:], 0.0  # whole strides: from the end of the one before
+                rows, self._top = (
+                    rows[-1:],
+                    0.0,
+                )  # whole strides: from the end of the one before
             begin = len(rows)
             for phase, angle in self._commands(stride):
                 self._robot.advance(self._steps, angle)
@@ -105,16 +111,28 @@ class _Run:
         table = np.array(rows)
         track, rest = table[:, :7], table[:, 7:]
         means = stride_means(track)
-        offset, load = float(np.mean(offsets[first:])), float(rest[:, 7].mean() / self._stall)
+        offset, load = (
+            float(np.mean(offsets[first:])),
+            float(rest[:, 7].mean() / self._stall),
+        )
         return StrideMotion(
-            track, rest[:, 0], rest[:, 1:5], rest[:, 5:7], means, offset, self._top, load
+            track,
+            rest[:, 0],
+            rest[:, 1:5],
+            rest[:, 5:7],
+            means,
+            offset,
+            self._top,
+            load,
         )
 
     def _commands(self, number: int) -> list[tuple[float, Array]]:
         """Phases and tendon angles (4,) of the commands that fall into stride `number`."""
         period, dt = self._job.stride.period, self._settings.command_period
         first, last = (math.ceil(n * period / dt - 1e-9) for n in (number, number + 1))
-        phases = np.clip(np.arange(first, last) * dt / period - number, 0.0, 1.0 - 1e-12)
+        phases = np.clip(
+            np.arange(first, last) * dt / period - number, 0.0, 1.0 - 1e-12
+        )
         velocity = np.array(self._job.velocity)
         angles = self._job.stride.stride_table(phases, velocity, self._offset)[:, :4]
         return list(zip(phases.tolist(), np.clip(angles, 0.0, self._angle_max)))
@@ -122,7 +140,9 @@ class _Run:
     def _sample(self, phase: float) -> list[float]:
         robot, rotation = self._robot, self._robot.rotation
         position, velocity = robot.position, robot.velocity
-        self._top = max(self._top, float(position[2] + abs(rotation[2]) @ self._size / 2))
+        self._top = max(
+            self._top, float(position[2] + abs(rotation[2]) @ self._size / 2)
+        )
         # The sample belongs to the end of the command.
         later = (phase + self._settings.command_period / self._job.stride.period) % 1.0
         force = robot.ground_force[:, 2]

@@ -24,7 +24,10 @@ from slot_core.robot import Array
 
 DIAGONAL = [0, 2, 1, 3]  # legs after the reflection at the diagonal through FL and RR
 NUMBERS = {"forward": 10, "turn": 10}
-FREE_LEGS = {"forward": (0, 2), "turn": (0, 1)}  # rows of a pattern that are its numbers
+FREE_LEGS = {
+    "forward": (0, 2),
+    "turn": (0, 1),
+}  # rows of a pattern that are its numbers
 # Symmetry of the motion of each pattern: legs exchanged, and the sway that changes its sign.
 EXCHANGED = {"forward": LEFT_RIGHT, "lateral": FRONT_REAR, "turn": [3, 2, 1, 0]}
 REVERSED = {
@@ -43,7 +46,9 @@ def forward(x: Array) -> Array:
 def steering(x: Array) -> Array:
     """Coefficients (4, 5) of the numbers (10,): antisymmetric under forward's symmetry."""
     front, rear = x[:5], x[5:]
-    return np.stack([front, -front * HALF_STRIDE_LATER, rear, -rear * HALF_STRIDE_LATER])
+    return np.stack(
+        [front, -front * HALF_STRIDE_LATER, rear, -rear * HALF_STRIDE_LATER]
+    )
 
 
 def lateral(pattern: Array) -> Array:
@@ -71,8 +76,12 @@ def numbers(kind: str, pattern: Array) -> Array:
 
 def symmetrised(name: str, table: Array) -> Array:
     """Table (9, 5) of normal forces and sway; terms that the symmetry excludes become zero."""
-    sign = np.array([-1.0 if key in REVERSED[name] else 1.0 for key in TORSO_MOTION])[:, None]
-    image = np.vstack([table[:4][EXCHANGED[name]], sign * table[4:]]) * HALF_STRIDE_LATER
+    sign = np.array([-1.0 if key in REVERSED[name] else 1.0 for key in TORSO_MOTION])[
+        :, None
+    ]
+    image = (
+        np.vstack([table[:4][EXCHANGED[name]], sign * table[4:]]) * HALF_STRIDE_LATER
+    )
     return np.asarray((table + image) / 2)
 
 

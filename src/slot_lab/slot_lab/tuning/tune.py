@@ -30,9 +30,13 @@ LEAST_SPEED = 1e-3  # m/s, rad/s, of a pattern
 ERRORS = (ConfigError, IdentificationError, ModuleNotFoundError, OSError)
 
 
-def write_stride(options: argparse.Namespace, command: str, progress: ProgressLine) -> list[str]:
+def write_stride(
+    options: argparse.Namespace, command: str, progress: ProgressLine
+) -> list[str]:
     """Search and write the stride; returns the lines of the report. Raises ERRORS."""
-    out = options.out = options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
+    out = options.out = (
+        options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
+    )
     tuning = _Tuning(options, progress)
     call = functools.partial(simulate, settings=tuning.settings)
     with workers(options.scheduler, options.workers) as client:
@@ -89,32 +93,46 @@ class _Tuning:
         start, seed = self._starts[kind], self._options.seed
         search = PatternSearch(self.stride, goal, start, self.settings, seed)
         found = search.run(run_all, self._record(kind), self._progress)
-        angle = symmetry.forward(found.x) if kind == "forward" else symmetry.turn(found.x)
+        angle = (
+            symmetry.forward(found.x) if kind == "forward" else symmetry.turn(found.x)
+        )
         if not np.mean(found.speed) >= LEAST_SPEED:
-            raise IdentificationError(f"{kind}: no candidate moves; more evaluations are needed")
+            raise IdentificationError(
+                f"{kind}: no candidate moves; more evaluations are needed"
+            )
         pattern = replace(bare_pattern(angle), speed=float(np.mean(found.speed)))
         speeds = ", ".join(f"{v:.4f}" for v in found.speed)
         friction = ", ".join(f"{value:g}" for value in self.settings.friction)
         return pattern, f"{kind}: {speeds} at friction {friction}, open loop"
 
     def _steering(self, run_all: RunAll) -> list[str]:
-        steering, change = identification.find_steering(self.stride, self.settings, run_all)
+        steering, change = identification.find_steering(
+            self.stride, self.settings, run_all
+        )
         if steering.rate < self.settings.steering_rate / 4:
-            raise IdentificationError(f"steering: only {steering.rate:.4f} rad/s was found")
+            raise IdentificationError(
+                f"steering: only {steering.rate:.4f} rad/s was found"
+            )
         across = symmetry.lateral_steering(np.array(steering.angle_deg))
         self.stride = replace(
             self.stride,
             forward_steering=steering,
-            lateral_steering=Steering(steering.rate, steering.rate_max, symmetry.rows(across)),
+            lateral_steering=Steering(
+                steering.rate, steering.rate_max, symmetry.rows(across)
+            ),
         )
         stray = f"v_y {change[0]:+.4f} m/s, roll {np.degrees(change[2]):+.2f} deg"
         return [f"steering: {steering.rate:.4f} rad/s with {stray}"]
 
     def _identify(self, run_all: RunAll) -> list[str]:
         self._progress("identify: patterns")
-        tables: dict[str, Any] = identification.tabulate(self.stride, self.settings, run_all)
+        tables: dict[str, Any] = identification.tabulate(
+            self.stride, self.settings, run_all
+        )
         self.stride = replace(self.stride, **tables)
-        speeds = ", ".join(f"{name} {getattr(self.stride, name).speed:.4f}" for name in tables)
+        speeds = ", ".join(
+            f"{name} {getattr(self.stride, name).speed:.4f}" for name in tables
+        )
         return [f"speeds at amplitude one: {speeds}"]
 
     def _record(self, kind: str) -> Path:
@@ -123,9 +141,11 @@ class _Tuning:
 
 def _settings(options: argparse.Namespace) -> TuningSettings:
     given = {
-        "evaluations": options.evaluations, "friction": options.friction,
-        "tilt_deg": options.tilt, "scene": options.scene,
-    }  # fmt: skip
+        "evaluations": options.evaluations,
+        "friction": options.friction,
+        "tilt_deg": options.tilt,
+        "scene": options.scene,
+    }
     changes = dict(QUICK) if options.quick else {}
     changes |= {name: value for name, value in given.items() if value is not None}
     return config.replace(read_tuning(), changes, where="scripts/tune")
@@ -152,5 +172,7 @@ def _start(options: argparse.Namespace) -> Stride:
 
 def _rest(height: float) -> dict[str, object]:
     """Centre of a stride at a height (m): tendon angles of legs that carry a quarter each."""
-    angle = read_springs().angle(np.array([read_robot().weight / 4]), np.array([height]))[0]
+    angle = read_springs().angle(
+        np.array([read_robot().weight / 4]), np.array([height])
+    )[0]
     return {"centre_deg": [round(float(np.degrees(angle)), 1)] * 4}

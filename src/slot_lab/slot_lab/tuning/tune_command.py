@@ -20,7 +20,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import INTERRUPTED, command_parser, positive_integer, refuse, show
+from slot_core.command_line import (
+    INTERRUPTED,
+    command_parser,
+    positive_integer,
+    refuse,
+    show,
+)
 from slot_core.progress import ProgressLine
 from slot_core.refusal import quoted
 
@@ -33,13 +39,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options.stages = [stage for stage in STAGES if stage in (options.stages or STAGES)]
     from slot_lab.tuning.tune import ERRORS, write_stride  # noqa: PLC0415 - heavy
 
-    command = "scripts/tune " + shlex.join(sys.argv[1:] if arguments is None else arguments)
+    command = "scripts/tune " + shlex.join(
+        sys.argv[1:] if arguments is None else arguments
+    )
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with ProgressLine("scripts/tune") as progress:
             lines = write_stride(options, command, progress)
     except KeyboardInterrupt:
-        print("\nscripts/tune: interrupted; the same command continues", file=sys.stderr)
+        print(
+            "\nscripts/tune: interrupted; the same command continues", file=sys.stderr
+        )
         return INTERRUPTED
     except ERRORS as error:
         refuse("scripts/tune", error)
@@ -53,7 +63,11 @@ def _parser() -> argparse.ArgumentParser:
     add("gait", metavar="NAME", help="name of the stride that is written")
     add("stages", nargs="*", metavar="STAGE", type=_stage, help=", ".join(STAGES))
     add("--like", metavar="NAME", help="stride to start from (default: the same)")
-    add("--scratch", action="store_true", help="start the searches from a random pattern")
+    add(
+        "--scratch",
+        action="store_true",
+        help="start the searches from a random pattern",
+    )
     add("--out", type=Path, metavar="FILE", help="default: config/gait/NAME.yaml")
     add(
         "--seed",
@@ -65,21 +79,51 @@ def _parser() -> argparse.ArgumentParser:
     add("--evaluations", type=int, metavar="N", help="candidates of a search")
     add("--friction", type=float, nargs="+", metavar="N", help="friction of the floors")
     add("--tilt", type=float, metavar="DEG", help="tilt RMS that costs nothing")
-    add("--top", type=float, default=math.inf, metavar="M", help="height the torso stays below")
+    add(
+        "--top",
+        type=float,
+        default=math.inf,
+        metavar="M",
+        help="height the torso stays below",
+    )
     add("--height", type=float, metavar="M", help="height of base_link")
-    add("--height-range", type=float, nargs=2, metavar="M", help="heights that can be commanded")
+    add(
+        "--height-range",
+        type=float,
+        nargs=2,
+        metavar="M",
+        help="heights that can be commanded",
+    )
     add("--period", type=float, metavar="S", help="duration of a stride")
     add("--cruise", type=float, metavar="M/S", help="v_x if none is requested, m/s")
-    add("--scene", metavar="NAME", help="scene of config/scene; map is three times as fast")
-    add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
-    add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
-    add("--quick", action="store_true", help="one floor, 32 candidates: a demonstration")
+    add(
+        "--scene",
+        metavar="NAME",
+        help="scene of config/scene; map is three times as fast",
+    )
+    add(
+        "--scheduler",
+        default="",
+        metavar="ADDRESS",
+        help="of dask; default: this machine",
+    )
+    add(
+        "--workers",
+        type=positive_integer,
+        metavar="N",
+        help="local processes (default: cores)",
+    )
+    add(
+        "--quick", action="store_true", help="one floor, 32 candidates: a demonstration"
+    )
     return parser
 
 
 def _stage(text: str) -> str:
     if text not in STAGES:
-        raise argparse.ArgumentTypeError(f"{quoted(text)}: expected one of {', '.join(STAGES)}")
+        raise argparse.ArgumentTypeError(
+            f"{quoted(text)}: expected one of {', '.join(STAGES)}"
+        )
     return text
 
 

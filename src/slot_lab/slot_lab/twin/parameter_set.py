@@ -53,7 +53,8 @@ def record(
     return {
         "values": values,
         **{part: kept[part] | own[part] for part in own if kept[part] | own[part]},
-        "from": f"fit of the twin from {start}" + ("" if found.converged else ", not converged"),
+        "from": f"fit of the twin from {start}"
+        + ("" if found.converged else ", not converged"),
         **({"note": note} if note else {}),
         "data": {
             "recording": recorded.name,
@@ -67,7 +68,8 @@ def record(
             for name, pair in (("fit", found.seen), ("held_out", found.held_out))
         },
         "confidence": {
-            n: parameter_file.interval_of(row) for n, row in zip(found.names, result.interval)
+            n: parameter_file.interval_of(row)
+            for n, row in zip(found.names, result.interval)
         },
         "correlation": [[_number(v) for v in row] for row in result.correlation],
     }
@@ -92,9 +94,14 @@ def place_of(name: str) -> Path:
 
 def error_lines(columns: dict[str, StrideErrors]) -> list[str]:
     """Table of RMS errors by kind, a column for each prediction."""
-    lines = ["RMS of predicted minus measured".ljust(34) + "".join(f"{n:>16}" for n in columns)]
+    lines = [
+        "RMS of predicted minus measured".ljust(34)
+        + "".join(f"{n:>16}" for n in columns)
+    ]
     for key, (label, scale, unit) in UNITS.items():
-        cells = [f"{scale * errors.summary()[key]:.3f} {unit}" for errors in columns.values()]
+        cells = [
+            f"{scale * errors.summary()[key]:.3f} {unit}" for errors in columns.values()
+        ]
         lines.append(label.ljust(34) + "".join(f"{cell:>16}" for cell in cells))
     return lines
 
@@ -103,12 +110,16 @@ def fit_lines(found: TwinFit) -> list[str]:
     """Fitted values with intervals, and what the data do not determine."""
     result = found.estimate
     lines = [f"{'parameter':<28}{'start':>12}{'value':>12}   95 % interval"]
-    rows = zip(found.names, found.start, result.values, result.interval, result.at_limit)
+    rows = zip(
+        found.names, found.start, result.values, result.interval, result.at_limit
+    )
     for name, start, value, (low, high), limit in rows:
         interval = "undetermined" if math.isnan(low) else f"{low:.4g} to {high:.4g}"
         interval += ", at its bound" if limit else ""
         lines.append(f"{name:<28}{start:>12.5g}{value:>12.5g}   {interval}")
-    return lines + [f"not determined: {text}" for text in undetermined(found.names, result)]
+    return lines + [
+        f"not determined: {text}" for text in undetermined(found.names, result)
+    ]
 
 
 def undetermined(names: tuple[str, ...], result: ParameterEstimate) -> list[str]:
@@ -117,13 +128,17 @@ def undetermined(names: tuple[str, ...], result: ParameterEstimate) -> list[str]
     for i, row in enumerate(result.correlation):
         for j in range(i):
             if abs(row[j]) > CORRELATED:
-                out.append(f"{names[j]} apart from {names[i]} (correlation {row[j]:.3f})")
+                out.append(
+                    f"{names[j]} apart from {names[i]} (correlation {row[j]:.3f})"
+                )
     return out
 
 
 def _errors(errors: StrideErrors) -> dict[str, float]:
     found, units = errors.summary(), UNITS.items()
-    return {f"{key}_{unit}": round(scale * found[key], 4) for key, (_, scale, unit) in units}
+    return {
+        f"{key}_{unit}": round(scale * found[key], 4) for key, (_, scale, unit) in units
+    }
 
 
 def _number(value: float) -> float | None:

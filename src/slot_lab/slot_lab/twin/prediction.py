@@ -62,7 +62,9 @@ class PredictedTrack:
 
     def at(self, t: Array) -> PredictedTrack:
         """The motion at other times (m,), linear in between."""
-        moved = np.column_stack([np.interp(t, self.t, column) for column in self.columns.T])
+        moved = np.column_stack(
+            [np.interp(t, self.t, column) for column in self.columns.T]
+        )
         return PredictedTrack(t, moved[:, :3], moved[:, 3:])
 
 
@@ -85,7 +87,10 @@ def measured_track(motion: TorsoTrack) -> PredictedTrack:
 
 
 def simulate(
-    recorded: BagRecording, parts: ModelParts, settings: TwinSettings, tell: Tell = untold
+    recorded: BagRecording,
+    parts: ModelParts,
+    settings: TwinSettings,
+    tell: Tell = untold,
 ) -> Iterator[tuple[float, SimulatedRobot]]:
     """Yield (graph time, robot) at the start and after each hold; the robot is advanced in place.
 
@@ -113,10 +118,16 @@ def simulate(
 
 
 def predict(
-    recorded: BagRecording, parts: ModelParts, settings: TwinSettings, tell: Tell = untold
+    recorded: BagRecording,
+    parts: ModelParts,
+    settings: TwinSettings,
+    tell: Tell = untold,
 ) -> PredictedTrack:
     """The predicted motion after each hold; raises as `simulate`."""
-    rows = [(t, *sim.position, *sim.rpy) for t, sim in simulate(recorded, parts, settings, tell)]
+    rows = [
+        (t, *sim.position, *sim.rpy)
+        for t, sim in simulate(recorded, parts, settings, tell)
+    ]
     table = np.array(rows)
     table[:, 6] = np.unwrap(table[:, 6])
     return PredictedTrack(table[:, 0], table[:, 1:4], table[:, 4:])
@@ -124,12 +135,21 @@ def predict(
 
 def _imposed(servo: ServoSettings, hold: float) -> ServoSettings:
     """A servo whose spool follows given angles."""
-    changes = {"model": "ideal", "ideal_rpm": FREE_RPM, "lag": hold / 2, "backlash_deg": 0.0}
+    changes = {
+        "model": "ideal",
+        "ideal_rpm": FREE_RPM,
+        "lag": hold / 2,
+        "backlash_deg": 0.0,
+    }
     return config.replace(servo, changes)
 
 
 def _commands(
-    recorded: BagRecording, parts: ModelParts, settings: TwinSettings, begin: float, end: float
+    recorded: BagRecording,
+    parts: ModelParts,
+    settings: TwinSettings,
+    begin: float,
+    end: float,
 ) -> list[tuple[int, Array]]:
     """(last step, angles (4,)) of each hold, ordered by time; the first is for settling."""
     step, limit = parts.scene.solver.step, parts.robot.tendon.angle_max
@@ -146,7 +166,9 @@ def _commands(
         rows = _spline(angles)(at)
     else:
         effect = np.rint((angles.t + settings.command_delay - begin) / step).astype(int)
-        edges = np.unique(np.concatenate([edges, effect[(effect > 0) & (effect < edges[-1])]]))
+        edges = np.unique(
+            np.concatenate([edges, effect[(effect > 0) & (effect < edges[-1])]])
+        )
         # in effect before each edge
         newest = (np.searchsorted(effect, edges, side="left") - 1).clip(min=0)
         rows = angles.angle[newest]
@@ -159,7 +181,10 @@ def _commands(
 def _spline(angles: TendonAngles) -> CubicSpline:
     """Angles (rad) over time (s); straight across gaps, where a spline would overshoot."""
     gaps = np.flatnonzero(np.diff(angles.t) > LONGEST_GAP)
-    added = [np.arange(angles.t[k] + LONGEST_GAP / 2, angles.t[k + 1], LONGEST_GAP) for k in gaps]
+    added = [
+        np.arange(angles.t[k] + LONGEST_GAP / 2, angles.t[k + 1], LONGEST_GAP)
+        for k in gaps
+    ]
     t = np.union1d(angles.t, np.concatenate([angles.t[:0], *added]))
     straight = [np.interp(t, angles.t, column) for column in angles.angle.T]
     return CubicSpline(t, np.column_stack(straight))

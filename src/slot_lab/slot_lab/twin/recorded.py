@@ -64,7 +64,9 @@ def read_recorded(
         found = _from_table(path, measured=angles != COMMANDED)
     begin, end = found.span
     if end <= begin:
-        raise ConfigError(f"{path}: {found.angles.source} and {found.motion.source} do not overlap")
+        raise ConfigError(
+            f"{path}: {found.angles.source} and {found.motion.source} do not overlap"
+        )
     return found
 
 
@@ -90,8 +92,12 @@ def _columns(path: Path, table: Table, names: Sequence[str]) -> tuple[Array, Arr
     rows = [row for row in table.rows if any(row.cells[name] for name in names)]
     values = np.array([[row.number(name) for name in ("time", *names)] for row in rows])
     if len(rows) < 2:
-        raise TableError(f"{path}: {len(rows)} rows with {', '.join(names)}, less than 2")
+        raise TableError(
+            f"{path}: {len(rows)} rows with {', '.join(names)}, less than 2"
+        )
     step = np.diff(values[:, 0])
     if (step <= 0).any():
-        raise TableError(f"{rows[int(np.argmax(step <= 0)) + 1].where}, time: does not increase")
+        raise TableError(
+            f"{rows[int(np.argmax(step <= 0)) + 1].where}, time: does not increase"
+        )
     return values[:, 0], values[:, 1:]

@@ -128,7 +128,9 @@ def angle_period(recorded: BagRecording) -> float:
     """
     angles = recorded.angles
     t = np.arange(angles.t[0], angles.t[-1], GRID)
-    columns = np.column_stack([np.interp(t, angles.t, column) for column in angles.angle.T])
+    columns = np.column_stack(
+        [np.interp(t, angles.t, column) for column in angles.angle.T]
+    )
     columns -= columns.mean(axis=0)
     total = sum(correlate(c, c, method="fft")[len(t) - 1 :] for c in columns.T)
     assert isinstance(total, np.ndarray)
@@ -152,10 +154,14 @@ def stride_errors(
     moved = [_means(track, strides) for track in (predicted, measured)]
     first, second = (_displacements(means, 1) for means in moved)
     far = _displacements(moved[0], HORIZON) - _displacements(moved[1], HORIZON)
-    return StrideErrors(first, second, far[:, :2], (moved[0] - moved[1])[:, [Z, ROLL, PITCH]])
+    return StrideErrors(
+        first, second, far[:, :2], (moved[0] - moved[1])[:, [Z, ROLL, PITCH]]
+    )
 
 
-def error_growth(predicted: PredictedTrack, measured: PredictedTrack, strides: Strides) -> Array:
+def error_growth(
+    predicted: PredictedTrack, measured: PredictedTrack, strides: Strides
+) -> Array:
     """(k - 1, 3) RMS over all starts of the error after 1 .. k - 1 strides: m, and rad of heading.
 
     Columns: strides, error of the place, error of the heading.
@@ -169,7 +175,10 @@ def error_growth(predicted: PredictedTrack, measured: PredictedTrack, strides: S
 
 
 def residuals(
-    predicted: PredictedTrack, measured: PredictedTrack, strides: Strides, settings: TwinSettings
+    predicted: PredictedTrack,
+    measured: PredictedTrack,
+    strides: Strides,
+    settings: TwinSettings,
 ) -> list[Array]:
     """Residuals of each window, (n, 6) over their standard uncertainty; windows without samples
     are left out.
@@ -180,9 +189,14 @@ def residuals(
     out = []
     for first in range(0, strides.count, settings.window):
         last = min(first + settings.window, strides.count)
-        inside = (measured.t >= strides.edges[first]) & (measured.t < strides.edges[last])
+        inside = (measured.t >= strides.edges[first]) & (
+            measured.t < strides.edges[last]
+        )
         if inside.sum() >= 3:
-            out.append(_aligned(predicted.at(measured.t[inside]), measured.columns[inside]) / scale)
+            out.append(
+                _aligned(predicted.at(measured.t[inside]), measured.columns[inside])
+                / scale
+            )
     return out
 
 
@@ -220,7 +234,9 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def placed(predicted: PredictedTrack, measured: PredictedTrack, strides: Strides) -> PredictedTrack:
+def placed(
+    predicted: PredictedTrack, measured: PredictedTrack, strides: Strides
+) -> PredictedTrack:
     """The prediction over the strides, laid on the measured place and heading of the first one."""
     first = strides.part(0, 1)
     mine, given = (_means(track, first)[0] for track in (predicted, measured))

@@ -36,11 +36,19 @@ LAID_ON = 3  # numbers taken from the measurement in each window: x, y, heading
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 ERRORS = (
-    BagError, ConfigError, DivergenceError, FitError, PredictionError, TableError, OSError,
-)  # fmt: skip
+    BagError,
+    ConfigError,
+    DivergenceError,
+    FitError,
+    PredictionError,
+    TableError,
+    OSError,
+)
 
 
-def run(options: argparse.Namespace, progress: ProgressLine) -> tuple[list[str], Verdict]:
+def run(
+    options: argparse.Namespace, progress: ProgressLine
+) -> tuple[list[str], Verdict]:
     """Predict, fit if asked for, and write the files; returns the lines of the report."""
     settings, names = read_twin(), places([*filter(None, options.fit.split(","))])
     if options.set:
@@ -50,13 +58,19 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> tuple[list[str],
         parameter(parts, name)  # refused before anything is started
     start = parts.scene.parameters or load("robot")["parameters"]
     progress(f"reading {options.recording}")
-    recorded = read_recorded(options.recording, options.namespace, options.angles, options.motion)
+    recorded = read_recorded(
+        options.recording, options.namespace, options.angles, options.motion
+    )
     strides = find_strides(recorded, settings, options.period)
     out = options.out or Path("results", "twin", recorded.name)
     out.mkdir(parents=True, exist_ok=True)
     lost = recorded.motion.left_out
     left_out = f", without {lost} readings that were lost" if lost else ""
-    kind = "measured" if recorded.angles.measured else "commands, through the model of the servo"
+    kind = (
+        "measured"
+        if recorded.angles.measured
+        else "commands, through the model of the servo"
+    )
     lines = [
         f"{recorded.name}: {strides.count} strides of {strides.period:.3g} s",
         f"tendon angles       {recorded.angles.source} ({kind})",
@@ -72,15 +86,29 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> tuple[list[str],
             trial = (recorded, strides, parts, names, settings, options.starts)
             kept = _Trials(out / "trials", run_all, trial)
             found = fit_twin(
-                recorded, parts, names, strides, settings,
-                run_all=kept, starts=options.starts, say=progress.say, tell=progress,
-            )  # fmt: skip
+                recorded,
+                parts,
+                names,
+                strides,
+                settings,
+                run_all=kept,
+                starts=options.starts,
+                say=progress.say,
+                tell=progress,
+            )
         seen = len(found.seen[0].level)
         content = parameter_set.record(recorded, parts, start, found, options.note)
         written = parameter_set.write(options.set, content) if options.set else None
         columns = {"before": found.held_out[0], "after": found.held_out[1]}
-        lines += [f"fit to {seen} strides, judged on the {strides.count - seen} others", ""]
-        lines += [*parameter_set.error_lines(columns), "", *parameter_set.fit_lines(found)]
+        lines += [
+            f"fit to {seen} strides, judged on the {strides.count - seen} others",
+            "",
+        ]
+        lines += [
+            *parameter_set.error_lines(columns),
+            "",
+            *parameter_set.fit_lines(found),
+        ]
         lines += ["", f"written: {os.path.relpath(written)}"] if written else []
         tracks = {
             "model": predicted,
@@ -93,15 +121,23 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> tuple[list[str],
         verdict = judge(tracks["fitted"], measured, judged, settings, at_bound)
     else:
         seen, tracks = None, {"model": predicted}
-        lines += parameter_set.error_lines({"model": stride_errors(predicted, measured, strides)})
+        lines += parameter_set.error_lines(
+            {"model": stride_errors(predicted, measured, strides)}
+        )
         verdict = judge(predicted, measured, strides, settings)
     title = f"{recorded.name}: predicted and measured motion"
     progress("drawing")
-    twin_plot.draw(out / "twin.png", title, measured, tracks, strides=strides, seen=seen)
+    twin_plot.draw(
+        out / "twin.png", title, measured, tracks, strides=strides, seen=seen
+    )
     told = partial(progress, "predicting the points of the legs")
     leg_points.write(recorded, parts, settings, out / "predicted.csv", told)
     (out / "summary.txt").write_text("\n".join([*lines, "", verdict.line]) + "\n")
-    return [*lines, "", f"twin.png, predicted.csv and summary.txt are in {out}"], verdict
+    return [
+        *lines,
+        "",
+        f"twin.png, predicted.csv and summary.txt are in {out}",
+    ], verdict
 
 
 def judge(
@@ -133,7 +169,9 @@ class _Trials:
         self._directory = directory / hashlib.sha256(pickle.dumps(fit)).hexdigest()[:16]
         self._directory.mkdir(parents=True, exist_ok=True)
 
-    def __call__(self, call: Callable[[Array], Array], points: Sequence[Array]) -> list[Array]:
+    def __call__(
+        self, call: Callable[[Array], Array], points: Sequence[Array]
+    ) -> list[Array]:
         paths = [self._path(point) for point in points]
         todo = [n for n, path in enumerate(paths) if not path.exists()]
         for n, result in zip(todo, self._run_all(call, [points[n] for n in todo])):

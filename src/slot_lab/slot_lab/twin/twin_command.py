@@ -15,7 +15,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import INTERRUPTED, command_parser, positive_integer, show, within
+from slot_core.command_line import (
+    INTERRUPTED,
+    command_parser,
+    positive_integer,
+    show,
+    within,
+)
 from slot_core.progress import ProgressLine
 from slot_lab.bags.topics import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_lab.verdict import EXIT_CODES
@@ -32,7 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with ProgressLine(parser.prog) as progress:
             lines, verdict = run(options, progress)
     except KeyboardInterrupt:
-        print("\nscripts/twin: interrupted; the same command continues", file=sys.stderr)
+        print(
+            "\nscripts/twin: interrupted; the same command continues", file=sys.stderr
+        )
         return INTERRUPTED
     except ModuleNotFoundError as error:
         parser.error(f"{error}: run scripts/setup --bench, or give --workers 1")
@@ -45,8 +53,18 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("twin", f"{__doc__}\n{EXIT_CODES}")
     add = parser.add_argument
     add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
-    add("--scene", default="flat", metavar="NAME", help="scene of config/scene (default: flat)")
-    add("--parameters", default="", metavar="NAME", help="set of config/parameters in that scene")
+    add(
+        "--scene",
+        default="flat",
+        metavar="NAME",
+        help="scene of config/scene (default: flat)",
+    )
+    add(
+        "--parameters",
+        default="",
+        metavar="NAME",
+        help="set of config/parameters in that scene",
+    )
     angles = "tendon angles that are simulated; of a CSV file, what they are"
     add("--angles", default="", choices=[MEASURED, COMMANDED], help=angles)
     add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
@@ -54,13 +72,28 @@ def _parser() -> argparse.ArgumentParser:
     length = "length of a stride (default: the gait's)"
     add("--period", type=within(0.05, 60.0, "s"), metavar="S", help=length)
     add("--fit", default="", metavar="NAME,...", help="parameters to fit")
-    add("--set", default="", metavar="NAME", help="write the fit as config/parameters/NAME.yaml")
+    add(
+        "--set",
+        default="",
+        metavar="NAME",
+        help="write the fit as config/parameters/NAME.yaml",
+    )
     add("--note", default="", metavar="TEXT", help="text for that file")
     starts = "starts of the fit (default: 1)"
     add("--starts", type=positive_integer, default=1, metavar="N", help=starts)
     add("--out", type=Path, metavar="DIR", help="default: results/twin/RECORDING")
-    add("--scheduler", default="", metavar="ADDRESS", help="of dask; default: this machine")
-    add("--workers", type=positive_integer, metavar="N", help="local processes (default: cores)")
+    add(
+        "--scheduler",
+        default="",
+        metavar="ADDRESS",
+        help="of dask; default: this machine",
+    )
+    add(
+        "--workers",
+        type=positive_integer,
+        metavar="N",
+        help="local processes (default: cores)",
+    )
     return parser
 
 

@@ -23,7 +23,13 @@ from slot_core.divergence import DivergenceError
 from slot_core.progress import untold
 from slot_core.robot import LEGS, Array
 from slot_lab.calibration.experiments import PredictionError
-from slot_lab.calibration.fit import FitProblem, Parameter, ParameterEstimate, estimate, fit
+from slot_lab.calibration.fit import (
+    FitProblem,
+    Parameter,
+    ParameterEstimate,
+    estimate,
+    fit,
+)
 from slot_lab.twin.prediction import ModelParts, measured_track, predict
 from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings
@@ -51,7 +57,9 @@ class TwinFit:
     estimate: ParameterEstimate
     converged: bool
     parts: ModelParts  # with the fitted values
-    seen: tuple[StrideErrors, StrideErrors]  # of the strides of the fit, before and after
+    seen: tuple[
+        StrideErrors, StrideErrors
+    ]  # of the strides of the fit, before and after
     held_out: tuple[StrideErrors, StrideErrors]  # of those that it has not seen
 
 
@@ -72,7 +80,11 @@ def places(names: Sequence[str]) -> tuple[str, ...]:
 def parameter(parts: ModelParts, place: str) -> Parameter:
     """The free parameter of a place, with its value and bounds; raises ConfigError."""
     part, name, index = _split(place)
-    known = {n: (v, meta) for n, v, meta in leaves(getattr(parts, part)) if _is_number(v, meta)}
+    known = {
+        n: (v, meta)
+        for n, v, meta in leaves(getattr(parts, part))
+        if _is_number(v, meta)
+    }
     if name not in known:
         raise ConfigError(f"--fit {place}: {part} has no number {name}")
     value, meta = known[name]
@@ -81,11 +93,15 @@ def parameter(parts: ModelParts, place: str) -> Parameter:
     if isinstance(value, tuple):
         index = 0 if index is None and len(value) == len(LEGS) else index
         if index is None or index >= len(value):
-            raise ConfigError(f"--fit {place}: expected an index of {name}, 0 to {len(value) - 1}")
+            raise ConfigError(
+                f"--fit {place}: expected an index of {name}, 0 to {len(value) - 1}"
+            )
         value = value[index]
     low, high = BOUNDS.get(f"{part}.{name}", (meta["low"], meta["high"]))
     if not low <= value <= high:
-        raise ConfigError(f"--fit {place}: its value {value:g} is outside [{low:g}, {high:g}]")
+        raise ConfigError(
+            f"--fit {place}: its value {value:g} is outside [{low:g}, {high:g}]"
+        )
     return Parameter(place, value, low, high)
 
 
@@ -101,21 +117,28 @@ def changes(
         if not isinstance(old, (tuple, list)):
             out[part][name] = number
         else:
-            out[part][name] = [number if index in (None, k) else v for k, v in enumerate(old)]
+            out[part][name] = [
+                number if index in (None, k) else v for k, v in enumerate(old)
+            ]
     if "lag" in out["servo"]:
         out["servo"]["model"] = "torque_speed"  # the pid has none
     return out
 
 
-def changed(parts: ModelParts, names: Sequence[str], values: Sequence[float] | Array) -> ModelParts:
+def changed(
+    parts: ModelParts, names: Sequence[str], values: Sequence[float] | Array
+) -> ModelParts:
     """The model with other values; raises ConfigError."""
     given = changes(parts, names, values)
     return replace(
-        parts, **{k: config.replace(getattr(parts, k), v) for k, v in given.items() if v}
+        parts,
+        **{k: config.replace(getattr(parts, k), v) for k, v in given.items() if v},
     )
 
 
-def serially(call: Callable[[Array], Array], points: Sequence[Array]) -> Sequence[Array]:
+def serially(
+    call: Callable[[Array], Array], points: Sequence[Array]
+) -> Sequence[Array]:
     """Calls one after the other, in this process."""
     return [call(point) for point in points]
 
@@ -134,7 +157,9 @@ def fit_twin(
 ) -> TwinFit:
     """Fit the parameters at `names` (places); raises ConfigError, FitError, PredictionError."""
     if recorded.angles.measured and any(name.startswith("servo.") for name in names):
-        raise ConfigError("--fit of the servo needs its commands: --angles /desired_joint_angles")
+        raise ConfigError(
+            "--fit of the servo needs its commands: --angles /desired_joint_angles"
+        )
     seen, held_out = strides.split(settings.held_out)
     call = partial(stride_residuals, recorded, parts, tuple(names), (seen, settings))
     measured = measured_track(recorded.motion)
@@ -148,7 +173,11 @@ def fit_twin(
     free = tuple(parameter(parts, name) for name in names)
     zero, one = np.zeros(len(groups)), np.ones(len(groups))
     problem = FitProblem(
-        free, lambda values: run_all(call, [values])[0], zero, one, partial(run_all, call)
+        free,
+        lambda values: run_all(call, [values])[0],
+        zero,
+        one,
+        partial(run_all, call),
     )
     found = fit(problem, starts, say, tell)
     result = estimate(problem, found.values, groups)
@@ -161,7 +190,10 @@ def fit_twin(
         found.converged,
         best,
         (stride_errors(before, measured, seen), stride_errors(after, measured, seen)),
-        (stride_errors(before, measured, held_out), stride_errors(after, measured, held_out)),
+        (
+            stride_errors(before, measured, held_out),
+            stride_errors(after, measured, held_out),
+        ),
     )
 
 

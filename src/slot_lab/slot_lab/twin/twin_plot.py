@@ -12,7 +12,16 @@ from matplotlib.figure import Figure
 from slot_core.drawing import palette
 from slot_lab.plot_file import write_plot
 from slot_lab.twin.prediction import PredictedTrack
-from slot_lab.twin.strides import PITCH, ROLL, YAW, Strides, Z, error_growth, placed, stride_errors
+from slot_lab.twin.strides import (
+    PITCH,
+    ROLL,
+    YAW,
+    Strides,
+    Z,
+    error_growth,
+    placed,
+    stride_errors,
+)
 
 DPI = 100
 COLOURS = (palette.SECONDARY, palette.TRUE)
@@ -33,10 +42,16 @@ def draw(
     """
     figure = Figure(figsize=(9.0, 12.0), dpi=DPI, layout="constrained")
     figure.suptitle(title, fontsize=12, fontweight="bold")
-    path_of, forward, turned, growth, heading, height, roll, pitch = figure.subplots(4, 2).ravel()
-    laid = {name: placed(track, measured, strides) for name, track in predictions.items()}
+    path_of, forward, turned, growth, heading, height, roll, pitch = figure.subplots(
+        4, 2
+    ).ravel()
+    laid = {
+        name: placed(track, measured, strides) for name, track in predictions.items()
+    }
     keep = (measured.t >= strides.edges[0]) & (measured.t <= strides.edges[-1])
-    inside = PredictedTrack(measured.t[keep], measured.position[keep], measured.rpy[keep])
+    inside = PredictedTrack(
+        measured.t[keep], measured.position[keep], measured.rpy[keep]
+    )
     _path(path_of, inside, laid)
     for ax, column in ((forward, 0), (turned, 2)):
         _of_strides(ax, column, measured, predictions, strides)
@@ -45,13 +60,21 @@ def draw(
             ax.text(seen + 0.7, ax.get_ylim()[0], "held out", fontsize=8, va="bottom")
     _growth(growth, measured, predictions, strides)
     columns = ((heading, YAW, "heading (deg)"), (height, Z, "height of base_link (mm)"))
-    for ax, column, label in (*columns, (roll, ROLL, "roll (deg)"), (pitch, PITCH, "pitch (deg)")):
+    for ax, column, label in (
+        *columns,
+        (roll, ROLL, "roll (deg)"),
+        (pitch, PITCH, "pitch (deg)"),
+    ):
         _over_time(ax, inside, laid, column, label)
     write_plot(figure, path, DPI)
 
 
-def _path(ax: Axes, measured: PredictedTrack, predictions: Mapping[str, PredictedTrack]) -> None:
-    ax.plot(*1e3 * measured.position[:, :2].T, color=palette.INK, lw=1, label="measured")
+def _path(
+    ax: Axes, measured: PredictedTrack, predictions: Mapping[str, PredictedTrack]
+) -> None:
+    ax.plot(
+        *1e3 * measured.position[:, :2].T, color=palette.INK, lw=1, label="measured"
+    )
     for (name, track), colour in zip(predictions.items(), COLOURS):
         ax.plot(*1e3 * track.position[:, :2].T, color=colour, lw=1, label=name)
     _finish(ax, "path, laid on the first stride (scales differ)", "x (mm)", "y (mm)")
@@ -70,19 +93,30 @@ def _of_strides(
     for (name, track), colour in zip(predictions.items(), COLOURS):
         found = stride_errors(track, measured, strides)
         number = np.arange(1, len(found.measured) + 1)
-        ax.plot(number, factor * found.predicted[:, column], ".-", color=colour, label=name)
+        ax.plot(
+            number, factor * found.predicted[:, column], ".-", color=colour, label=name
+        )
     ax.plot(number, factor * found.measured[:, column], "o", color=palette.INK, ms=4)
     kind = "forward displacement" if column == 0 else "turn"
     _finish(ax, f"{kind} of each stride", "stride", "mm" if column == 0 else "deg")
 
 
 def _growth(
-    ax: Axes, measured: PredictedTrack, predictions: Mapping[str, PredictedTrack], strides: Strides
+    ax: Axes,
+    measured: PredictedTrack,
+    predictions: Mapping[str, PredictedTrack],
+    strides: Strides,
 ) -> None:
     for (name, track), colour in zip(predictions.items(), COLOURS):
         ahead, place, turned = error_growth(track, measured, strides).T
         ax.plot(ahead, 1e3 * place, color=colour, label=f"{name}: place (mm)")
-        ax.plot(ahead, np.degrees(turned), "--", color=colour, label=f"{name}: heading (deg)")
+        ax.plot(
+            ahead,
+            np.degrees(turned),
+            "--",
+            color=colour,
+            label=f"{name}: heading (deg)",
+        )
     ax.set_yscale("log")
     _finish(ax, "growth of the errors, RMS", "strides predicted", "")
     ax.legend(fontsize=8, frameon=False)
@@ -99,7 +133,12 @@ def _over_time(
     place = scale * measured.columns[:, column]
     ax.plot(measured.t - measured.t[0], place, ".", ms=2, color=palette.INK)
     for track, colour in zip(predictions.values(), COLOURS):
-        ax.plot(track.t - measured.t[0], scale * track.columns[:, column], color=colour, lw=1)
+        ax.plot(
+            track.t - measured.t[0],
+            scale * track.columns[:, column],
+            color=colour,
+            lw=1,
+        )
     _finish(ax, label, "time (s)", "")
 
 

@@ -42,9 +42,13 @@ class Comparison:
 
     time: TimeAlignment
     frame: FrameAlignment
-    series: Mapping[tuple[str, str], PointSeries]  # by point and axis: x y z, roll pitch yaw
+    series: Mapping[
+        tuple[str, str], PointSeries
+    ]  # by point and axis: x y z, roll pitch yaw
     only: tuple[str, ...]  # points of one recording alone
-    brief: tuple[str, ...] = ()  # with too few samples in the time of both, or seen too late
+    brief: tuple[
+        str, ...
+    ] = ()  # with too few samples in the time of both, or seen too late
 
     @property
     def points(self) -> list[str]:
@@ -82,16 +86,28 @@ def compare(
     pairs = [(measured.points[name], run.points[name]) for name in names]
     clock = align_times(pairs, frame, offset)
     joined = {name: _joined(pair, clock) for name, pair in zip(names, pairs)}
-    joined = {name: part for name, part in joined.items() if len(part[0]) >= LEAST_SAMPLES}
+    joined = {
+        name: part for name, part in joined.items() if len(part[0]) >= LEAST_SAMPLES
+    }
     if not joined:
-        raise RecordingError(f"no point has {LEAST_SAMPLES} samples in the time of both recordings")
+        raise RecordingError(
+            f"no point has {LEAST_SAMPLES} samples in the time of both recordings"
+        )
     until = min(float(t[0]) for t, _, _ in joined.values()) + frame_time
     joined = {name: part for name, part in joined.items() if part[0][0] <= until}
-    parts = [(p.position[p.t <= until], r.position[r.t <= until]) for _, r, p in joined.values()]
+    parts = [
+        (p.position[p.t <= until], r.position[r.t <= until])
+        for _, r, p in joined.values()
+    ]
     if zero:  # the turn from the motion alone
-        parts = [(theirs - theirs.mean(axis=0), mine - mine.mean(axis=0)) for theirs, mine in parts]
+        parts = [
+            (theirs - theirs.mean(axis=0), mine - mine.mean(axis=0))
+            for theirs, mine in parts
+        ]
     aligned = align_frames(
-        np.vstack([theirs for theirs, _ in parts]), np.vstack([mine for _, mine in parts]), frame
+        np.vstack([theirs for theirs, _ in parts]),
+        np.vstack([mine for _, mine in parts]),
+        frame,
     )
     series = {}
     for k, (name, (t, mine, theirs)) in enumerate(joined.items()):
@@ -99,9 +115,13 @@ def compare(
         size = max(1, round(block / float(np.median(np.diff(t)))))
         for axis, (r, m) in _coordinates(mine, theirs, aligned).items():
             shift = np.mean((r - m)[t <= until]) if zero else 0.0
-            series[name, axis] = PointSeries(t, r, m + shift, errors(r, m + shift, size))
+            series[name, axis] = PointSeries(
+                t, r, m + shift, errors(r, m + shift, size)
+            )
     only = tuple(sorted(set(run.points) ^ set(measured.points)))
-    return Comparison(clock, aligned, series, only, tuple(sorted(set(names) - joined.keys())))
+    return Comparison(
+        clock, aligned, series, only, tuple(sorted(set(names) - joined.keys()))
+    )
 
 
 def _coordinates(
@@ -113,13 +133,17 @@ def _coordinates(
     if run.rpy is None or measured.rpy is None:
         return columns
     turned = aligned.attitude(measured.rpy)
-    turned[:, 2] += 2 * np.pi * np.rint(np.mean(run.rpy[:, 2] - turned[:, 2]) / (2 * np.pi))
+    turned[:, 2] += (
+        2 * np.pi * np.rint(np.mean(run.rpy[:, 2] - turned[:, 2]) / (2 * np.pi))
+    )
     return columns | dict(zip(ATTITUDE, zip(run.rpy.T, turned.T)))
 
 
 def _with_leg(recording: PointRecording, leg: str) -> PointRecording:
     """The recording with the leg in the names of leg points."""
-    points = {f"{leg}_{k}" if k in LEG_POINTS else k: v for k, v in recording.points.items()}
+    points = {
+        f"{leg}_{k}" if k in LEG_POINTS else k: v for k, v in recording.points.items()
+    }
     return dataclasses.replace(recording, points=points)
 
 
@@ -132,7 +156,11 @@ def _joined(pair: Pair, clock: TimeAlignment) -> tuple[Array, PointTrack, PointT
     rpy = None if run.rpy is None else CubicSpline(run.t, run.rpy)(at)
     theirs = None if measured.rpy is None else measured.rpy[keep]
     place = CubicSpline(run.t, run.position)(at)
-    return at, PointTrack(at, place, rpy), PointTrack(at, measured.position[keep], theirs)
+    return (
+        at,
+        PointTrack(at, place, rpy),
+        PointTrack(at, measured.position[keep], theirs),
+    )
 
 
 def paper_points(comparison: Comparison) -> dict[str, dict[str, str]]:
@@ -140,6 +168,10 @@ def paper_points(comparison: Comparison) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
     for point in comparison.points:
         if point != TORSO:
-            leg, _, name = point.partition("_") if point not in LEG_POINTS else ("", "", point)
+            leg, _, name = (
+                point.partition("_") if point not in LEG_POINTS else ("", "", point)
+            )
             found.setdefault(leg, {})[name] = point
-    return {leg: points for leg, points in found.items() if set(points) == set(LEG_POINTS)}
+    return {
+        leg: points for leg, points in found.items() if set(points) == set(LEG_POINTS)
+    }

@@ -19,22 +19,32 @@ DPI = 100
 def draw(comparison: Comparison, title: str, out: Path) -> list[Path]:
     """Write `torso.png`, and `leg.png` or `FL_leg.png` for each leg; raises OSError."""
     written = []
-    torso = [(TORSO, axis) for axis in (*AXES, *ATTITUDE) if (TORSO, axis) in comparison.series]
+    torso = [
+        (TORSO, axis)
+        for axis in (*AXES, *ATTITUDE)
+        if (TORSO, axis) in comparison.series
+    ]
     if torso:
         written.append(_figure(comparison, torso, f"{title}: torso", out / "torso.png"))
     for leg, points in paper_points(comparison).items():
         keys = [(points[name], "z") for name in LEG_POINTS]
         name = "_".join(filter(None, (leg, "leg.png")))
-        written.append(_figure(comparison, keys, f"{title}: leg {leg}".rstrip(), out / name))
+        written.append(
+            _figure(comparison, keys, f"{title}: leg {leg}".rstrip(), out / name)
+        )
     return written
 
 
 def _figure(
     comparison: Comparison, keys: Sequence[tuple[str, str]], title: str, path: Path
 ) -> Path:
-    figure = Figure(figsize=(11.0, 1.9 * len(keys) + 0.8), dpi=DPI, layout="constrained")
+    figure = Figure(
+        figsize=(11.0, 1.9 * len(keys) + 0.8), dpi=DPI, layout="constrained"
+    )
     figure.suptitle(title, fontsize=12, fontweight="bold")
-    axes = figure.subplots(len(keys), 2, sharex=True, squeeze=False, width_ratios=(1.6, 1.0))
+    axes = figure.subplots(
+        len(keys), 2, sharex=True, squeeze=False, width_ratios=(1.6, 1.0)
+    )
     for (both, difference), (point, axis) in zip(axes, keys):
         found, factor = comparison.series[point, axis], scale(axis)
         run, measured = factor * found.run, factor * found.measured

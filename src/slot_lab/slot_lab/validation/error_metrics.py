@@ -45,7 +45,9 @@ class Errors:
 def errors(run: Array, measured: Array, block: int, seed: int = 0) -> Errors:
     """Errors of series (n,) with blocks of `block` samples; raises ValueError for other shapes."""
     if run.shape != measured.shape or run.ndim != 1 or not len(run):
-        raise ValueError(f"shapes differ or are empty: {run.shape} and {measured.shape}")
+        raise ValueError(
+            f"shapes differ or are empty: {run.shape} and {measured.shape}"
+        )
     off, span = run - measured, float(np.ptp(measured))
     rmse, mae, mean = (float(part[0]) for part in _parts(off[None]))
     value = metrics(rmse, mae, mean, span)
@@ -65,12 +67,18 @@ def errors(run: Array, measured: Array, block: int, seed: int = 0) -> Errors:
 def metrics(rmse: float, mae: float, mean: float, span: float) -> dict[str, float]:
     """Metrics by name from RMSE, MAE, mean error and range; NaN where the range is zero."""
     width, mean = (span if span > 0 else math.nan), abs(mean)
-    return dict(zip(NAMES, (rmse, mae, rmse / width, mean, mean / width, 1.0 - mean / width)))
+    return dict(
+        zip(NAMES, (rmse, mae, rmse / width, mean, mean / width, 1.0 - mean / width))
+    )
 
 
 def _parts(off: Array) -> tuple[Array, Array, Array]:
     """RMSE, MAE and mean error (with sign) of rows of errors (m, n): (m,) each."""
-    return np.sqrt(np.mean(off**2, axis=1)), np.mean(np.abs(off), axis=1), off.mean(axis=1)
+    return (
+        np.sqrt(np.mean(off**2, axis=1)),
+        np.mean(np.abs(off), axis=1),
+        off.mean(axis=1),
+    )
 
 
 def _drawn(off: Array, block: int, rng: np.random.Generator) -> Array:

@@ -89,12 +89,16 @@ def read_recording(
     return _from_csv(path)
 
 
-def write_points(path: Path, points: Mapping[str, Array], comments: Sequence[str]) -> None:
+def write_points(
+    path: Path, points: Mapping[str, Array], comments: Sequence[str]
+) -> None:
     """Write rows (n, 4) time, x, y, z of each point as CSV, ordered by time; raises OSError."""
     rows = [(row[0], name, row[1:]) for name, part in points.items() for row in part]
     lines = [f"# {comment}" for comment in comments] + [",".join(COLUMNS)]
     for time, name, place in sorted(rows, key=lambda row: row[0]):
-        lines.append(f"{time:.{DIGITS}f},{name}," + ",".join(f"{v:.{DIGITS}f}" for v in place))
+        lines.append(
+            f"{time:.{DIGITS}f},{name}," + ",".join(f"{v:.{DIGITS}f}" for v in place)
+        )
     path.write_text("\n".join(lines) + "\n")
 
 
@@ -102,12 +106,17 @@ def _from_bag(bag: Bag, topic: str) -> PointRecording:
     motion = measured_motion(bag, topic)
     tracks, notes = {TORSO: (motion.t, motion.position, motion.rpy)}, []
     if motion.left_out:
-        notes.append(f"{motion.source}: {motion.left_out} readings that were lost are left out")
+        notes.append(
+            f"{motion.source}: {motion.left_out} readings that were lost are left out"
+        )
     if bag.counts.get(LEG_STATES, 0) > 1:
         series = bag.series(LEG_STATES, "position")
         flat = series["position"].astype(float)
         keep = sound(f"{bag.path}: {LEG_STATES}", series.stamp, flat)
-        t, nodes = seconds(series.stamp[keep]), flat[keep].reshape(len(keep), len(LEGS), -1, 3)
+        t, nodes = (
+            seconds(series.stamp[keep]),
+            flat[keep].reshape(len(keep), len(LEGS), -1, 3),
+        )
         shaped = nodes.shape[2] >= LEAST_NODES
         if not shaped:
             notes.append(f"legs of {nodes.shape[2]} nodes: no points along them")
@@ -135,11 +144,19 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
     rows: dict[str, list[tuple[float, ...]]] = {}
     for sample in found.samples:
         rows.setdefault(sample.point, []).append((sample.time, *sample.position))
-    long = {name: np.array(part) for name, part in rows.items() if len(part) >= LEAST_SAMPLES}
+    long = {
+        name: np.array(part)
+        for name, part in rows.items()
+        if len(part) >= LEAST_SAMPLES
+    }
     if not long:
-        raise RecordingError(f"{path}: no marker in {LEAST_SAMPLES} plots; see scripts/track")
+        raise RecordingError(
+            f"{path}: no marker in {LEAST_SAMPLES} plots; see scripts/track"
+        )
     tracks = {name: PointTrack(part[:, 0], part[:, 1:]) for name, part in long.items()}
-    notes = [] if camera else ["without --camera: the nominal camera of config/vision.yaml"]
+    notes = (
+        [] if camera else ["without --camera: the nominal camera of config/vision.yaml"]
+    )
     return dataclasses.replace(
         _since_first(path.name, tracks),
         notes=(*notes, *found.warnings),
@@ -159,7 +176,9 @@ def _from_csv(path: Path) -> PointRecording:
     numbers = [name for name in columns if name != "point"]
     for row in table.rows:
         name = _point(row)
-        values = [row.number(n, "; leave out rows without a measurement") for n in numbers]
+        values = [
+            row.number(n, "; leave out rows without a measurement") for n in numbers
+        ]
         parts.setdefault(name, []).append((row.line, values))
     if not parts:
         raise TableError(f"{path}: no samples")
@@ -174,21 +193,31 @@ def _point(row: CsvRow) -> str:
     point = row.cells.get("point", TORSO)
     if point not in POINTS:
         known = f"{TORSO}, {', '.join(LEG_POINTS)}, FL_tip ..."
-        raise TableError(f"{row.where}, point: {quoted(point)} is unknown (known: {known})")
+        raise TableError(
+            f"{row.where}, point: {quoted(point)} is unknown (known: {known})"
+        )
     return point
 
 
-def _track(path: Path, name: str, rows: Sequence[tuple[int, list[float]]]) -> PointTrack:
+def _track(
+    path: Path, name: str, rows: Sequence[tuple[int, list[float]]]
+) -> PointTrack:
     values = np.array([row for _, row in rows])
     step = np.diff(values[:, 0])
     if (step <= 0).any():
         k = int(np.argmax(step <= 0))
         what = "repeats the time of" if step[k] == 0 else "is earlier than"
-        raise TableError(f"{path}, line {rows[k + 1][0]}: {name} {what} line {rows[k][0]}")
+        raise TableError(
+            f"{path}, line {rows[k + 1][0]}: {name} {what} line {rows[k][0]}"
+        )
     if len(values) < LEAST_SAMPLES:
-        raise TableError(f"{path}: {name} has {len(values)} samples, less than {LEAST_SAMPLES}")
+        raise TableError(
+            f"{path}: {name} has {len(values)} samples, less than {LEAST_SAMPLES}"
+        )
     rpy = values[:, 4:] if values.shape[1] > 4 else None
-    return PointTrack(values[:, 0], values[:, 1:4], None if rpy is None else np.unwrap(rpy, axis=0))
+    return PointTrack(
+        values[:, 0], values[:, 1:4], None if rpy is None else np.unwrap(rpy, axis=0)
+    )
 
 
 def _since_first(name: str, tracks: Mapping[str, PointTrack]) -> PointRecording:

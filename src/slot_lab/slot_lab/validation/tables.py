@@ -17,9 +17,13 @@ from slot_lab.validation.error_metrics import NAMES
 
 RIVAL = 1.05  # times the best shift's rest, up to which another shift is as good
 TITLES = {
-    "rmse": "RMSE", "mae": "MAE", "nrmse": "NRMSE", "mean_error": "avg error",
-    "error": "error", "accuracy": "accuracy",
-}  # fmt: skip
+    "rmse": "RMSE",
+    "mae": "MAE",
+    "nrmse": "NRMSE",
+    "mean_error": "avg error",
+    "error": "error",
+    "accuracy": "accuracy",
+}
 
 
 def report(comparison: Comparison, frame: str) -> list[str]:
@@ -53,7 +57,9 @@ def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
     if comparison.only:
         lines.append(f"points   only in one recording: {', '.join(comparison.only)}")
     if comparison.brief:
-        lines.append(f"points   seen too briefly or too late: {', '.join(comparison.brief)}")
+        lines.append(
+            f"points   seen too briefly or too late: {', '.join(comparison.brief)}"
+        )
     return lines
 
 
@@ -76,17 +82,25 @@ def coordinate_table(comparison: Comparison) -> list[str]:
 def leg_table(comparison: Comparison, leg: str, points: dict[str, str]) -> list[str]:
     """The paper's table of the single leg: z of four points, with 95 % intervals."""
     columns = ("fixed base", "1/3 length", "2/3 length", "tip")
-    lines = [f"single leg {leg}".rstrip() + ", z" + "".join(f"{c:>26}" for c in columns)]
+    lines = [
+        f"single leg {leg}".rstrip() + ", z" + "".join(f"{c:>26}" for c in columns)
+    ]
     width = len(lines[0]) - 26 * len(columns)
     for name in NAMES:
-        cells = [_with_interval(comparison.series[points[p], "z"], "z", name) for p in LEG_POINTS]
+        cells = [
+            _with_interval(comparison.series[points[p], "z"], "z", name)
+            for p in LEG_POINTS
+        ]
         lines.append(TITLES[name].ljust(width) + "".join(f"{c:>26}" for c in cells))
     return lines
 
 
 def torso_table(comparison: Comparison) -> list[str]:
     """The paper's table of the whole body: RMSE of x and z of the torso."""
-    cells = [_with_interval(comparison.series[TORSO, axis], axis, "rmse") for axis in ("x", "z")]
+    cells = [
+        _with_interval(comparison.series[TORSO, axis], axis, "rmse")
+        for axis in ("x", "z")
+    ]
     return [
         f"{'whole body':<14}{'RMSE in x':>26}{'RMSE in z':>26}",
         f"{'torso':<14}" + "".join(f"{c:>26}" for c in cells),

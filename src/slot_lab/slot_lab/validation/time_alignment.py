@@ -55,7 +55,9 @@ class TimeAlignment:
     drift: float
     offset_width: float = 0.0  # s; NaN: too few groups to tell
     drift_width: float = 0.0  # 0: not fitted
-    rest: float = 0.0  # m, RMS per coordinate of the differences without their moving mean
+    rest: float = (
+        0.0  # m, RMS per coordinate of the differences without their moving mean
+    )
     rival_rest: float = np.inf  # m, of the next best shift; infinite: there is none
     rival_offset: float = np.nan  # s
 
@@ -64,12 +66,16 @@ class TimeAlignment:
         return self.offset + (1.0 + self.drift) * t
 
 
-def align_times(pairs: Sequence[Pair], frame: str, offset: float | None = None) -> TimeAlignment:
+def align_times(
+    pairs: Sequence[Pair], frame: str, offset: float | None = None
+) -> TimeAlignment:
     """Alignment of points measured and run; offset: known to 0.1 s or so, else searched.
 
     Raises RecordingError for motion that is not enough to align.
     """
-    starts = candidates(*cross_correlation(pairs, frame)) if offset is None else [offset]
+    starts = (
+        candidates(*cross_correlation(pairs, frame)) if offset is None else [offset]
+    )
     found, refusals = [], []
     for start in starts:
         try:
@@ -100,31 +106,43 @@ def cross_correlation(pairs: Sequence[Pair], frame: str) -> tuple[Array, Array]:
     grids = [np.arange(a, b, GRID) for a, b in zip(first, last)]
     sizes = [len(grid) for grid in grids]
     if min(sizes) < 1.0 / GRID:
-        raise RecordingError(f"a recording of {min(sizes) * GRID:.2f} s is shorter than 1 s")
+        raise RecordingError(
+            f"a recording of {min(sizes) * GRID:.2f} s is shorter than 1 s"
+        )
     total = np.zeros((sum(sizes) - 1, 3, 3))
     energy = [np.zeros(size) for size in sizes]
     for pair in pairs:
         moved = [_velocity(track, grid) for track, grid in zip(pair, grids)]
         for i in range(3):
             for j in range(3):
-                total[:, i, j] += correlate(moved[1][:, j], moved[0][:, i], method="fft")
+                total[:, i, j] += correlate(
+                    moved[1][:, j], moved[0][:, i], method="fft"
+                )
         energy = [e + np.square(m).sum(axis=1) for e, m in zip(energy, moved)]
-    lags = np.arange(1 - sizes[0], sizes[1])  # of the measurement in the run, in samples
+    lags = np.arange(
+        1 - sizes[0], sizes[1]
+    )  # of the measurement in the run, in samples
     overlap = np.minimum(sizes[1], sizes[0] + lags) - np.maximum(0, lags)
     good = overlap >= OVERLAP * min(sizes)
     sums = [np.concatenate([[0.0], np.cumsum(each)]) for each in energy]
     begin, end = np.maximum(0, lags), np.minimum(sizes[1], sizes[0] + lags)
-    power = (sums[1][end] - sums[1][begin]) * (sums[0][end - lags] - sums[0][begin - lags])
+    power = (sums[1][end] - sums[1][begin]) * (
+        sums[0][end - lags] - sums[0][begin - lags]
+    )
     score = np.array([np.trace(best_rotation(h, frame) @ h) for h in total[good]])
     if not power[good].max() > 0:
-        raise RecordingError("nothing moves in one of the recordings: no alignment in time")
+        raise RecordingError(
+            "nothing moves in one of the recordings: no alignment in time"
+        )
     score /= np.sqrt(np.maximum(power[good], 1e-6 * power[good].max()))
     return first[1] - first[0] + lags[good] * GRID, score
 
 
 def _velocity(track: PointTrack, grid: Array) -> Array:
     """(n, 3) m/s, smoothed; zero where the point is not recorded, mean zero."""
-    place = np.column_stack([np.interp(grid, track.t, column) for column in track.position.T])
+    place = np.column_stack(
+        [np.interp(grid, track.t, column) for column in track.position.T]
+    )
     speed = gaussian_filter1d(np.gradient(place, GRID, axis=0), SMOOTH / GRID, axis=0)
     return np.asarray(speed - speed.mean(axis=0))
 
@@ -145,21 +163,36 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
 
     def residuals(u: Array) -> Array:
         """u: shift at the middle of the measurement, and drift times its duration, s."""
-        shift = [u[0] + (u[1] * (t - middle) / duration if size == 2 else 0.0) for t, _, _ in parts]
-        places = [spline(start + t + late) for (t, _, spline), late in zip(parts, shift)]
+        shift = [
+            u[0] + (u[1] * (t - middle) / duration if size == 2 else 0.0)
+            for t, _, _ in parts
+        ]
+        places = [
+            spline(start + t + late) for (t, _, spline), late in zip(parts, shift)
+        ]
         run = np.vstack([place - place.mean(axis=0) for place in places])
         off = measured @ best_rotation(measured.T @ run, frame).T - run
         ends = np.cumsum([len(t) for t, _, _ in parts])[:-1]
-        fast = [_without_slow(t, part) for (t, _, _), part in zip(parts, np.split(off, ends))]
+        fast = [
+            _without_slow(t, part)
+            for (t, _, _), part in zip(parts, np.split(off, ends))
+        ]
         return np.concatenate([part.ravel() for part in fast])
 
     limit = np.array([APART, DRIFT_MAX * duration])[:size]
     found = least_squares(
-        residuals, np.zeros(size), bounds=(-limit, limit), x_scale=0.01, xtol=1e-10, ftol=1e-10
+        residuals,
+        np.zeros(size),
+        bounds=(-limit, limit),
+        x_scale=0.01,
+        xtol=1e-10,
+        ftol=1e-10,
     )
     jacobian = np.asarray(found.jac)
     block = np.repeat(np.floor((times - times.min()) / SLOW), 3)
-    scores = np.array([jacobian[block == k].T @ found.fun[block == k] for k in np.unique(block)])
+    scores = np.array(
+        [jacobian[block == k].T @ found.fun[block == k] for k in np.unique(block)]
+    )
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     freedom = len(scores) - size
     covariance = inverse @ scores.T @ scores @ inverse * (len(scores) / max(freedom, 1))
@@ -169,7 +202,9 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
     widths = factor * np.sqrt(np.diag(to_result @ covariance @ to_result.T))
     rest = float(np.sqrt(np.mean(found.fun**2)))
     offset_width, drift_width = widths.tolist()
-    return TimeAlignment(start + float(offset), float(drift), offset_width, drift_width, rest)
+    return TimeAlignment(
+        start + float(offset), float(drift), offset_width, drift_width, rest
+    )
 
 
 def _inside(pair: Pair, start: float) -> tuple[Array, Array, CubicSpline]:
@@ -183,4 +218,6 @@ def _inside(pair: Pair, start: float) -> tuple[Array, Array, CubicSpline]:
 def _without_slow(t: Array, off: Array) -> Array:
     """Differences (n, 3) at times t without their moving mean over SLOW."""
     samples = max(1, round(SLOW / float(np.median(np.diff(t)))))
-    return np.asarray(off - uniform_filter1d(off, min(samples, len(t)), axis=0, mode="nearest"))
+    return np.asarray(
+        off - uniform_filter1d(off, min(samples, len(t)), axis=0, mode="nearest")
+    )

@@ -41,7 +41,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return verdict.code if show(parser.prog, [*lines, verdict.line]) else 2
 
 
-def _run(options: argparse.Namespace, progress: ProgressLine) -> tuple[list[str], Verdict]:
+def _run(
+    options: argparse.Namespace, progress: ProgressLine
+) -> tuple[list[str], Verdict]:
     from slot_lab.validation import curves, tables  # noqa: PLC0415 - heavy
     from slot_lab.validation.comparison import compare  # noqa: PLC0415
     from slot_lab.validation.frame_alignment import RIGID  # noqa: PLC0415
@@ -49,7 +51,9 @@ def _run(options: argparse.Namespace, progress: ProgressLine) -> tuple[list[str]
 
     tell = partial(progress, f"reading {options.run}")
     tell(0.0)
-    run = read_recording(options.run, options.namespace, options.camera, options.motion, tell)
+    run = read_recording(
+        options.run, options.namespace, options.camera, options.motion, tell
+    )
     tell = partial(progress, f"reading {options.measurement}")
     tell(0.0)
     measured = read_recording(options.measurement, camera=options.camera, tell=tell)
@@ -61,17 +65,24 @@ def _run(options: argparse.Namespace, progress: ProgressLine) -> tuple[list[str]
             )
     progress("aligning")
     found = compare(
-        run, measured,
-        frame=options.frame, frame_time=options.frame_time, zero=options.zero,
+        run,
+        measured,
+        frame=options.frame,
+        frame_time=options.frame_time,
+        zero=options.zero,
         offset=options.offset,
-        leg=options.leg, block=options.block, tell=partial(progress, "errors of the points"),
-    )  # fmt: skip
+        leg=options.leg,
+        block=options.block,
+        tell=partial(progress, "errors of the points"),
+    )
     lines = [f"run {run.name}, measurement {measured.name}"]
     lines += [f"{r.name}: {note}" for r in (run, measured) for note in r.notes]
     lines += tables.report(found, options.frame)
     verdict = judge(found, options.sigma, FREE[options.frame], options.zero)
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "summary.txt").write_text("\n".join([*lines, "", verdict.line]) + "\n")
+    (options.out / "summary.txt").write_text(
+        "\n".join([*lines, "", verdict.line]) + "\n"
+    )
     tables.write_csv(found, options.out / "errors.csv")
     progress("drawing")
     plots = curves.draw(found, f"{run.name} and {measured.name}", options.out)
@@ -111,7 +122,9 @@ def _parser() -> argparse.ArgumentParser:
     out = Path("results", "validate")
     add("--out", type=Path, metavar="DIR", default=out, help=f"default: {out}")
     free = "what is free between the frames: rotation and shift, turn about z and shift, nothing"
-    add("--frame", choices=tuple(FREE), default="level", help=f"{free} (default: level)")
+    add(
+        "--frame", choices=tuple(FREE), default="level", help=f"{free} (default: level)"
+    )
     begin = "align the frames by the first S seconds only, so that later errors show"
     time = within(1e-3, 1e6, "s")
     add("--frame-time", type=time, metavar="S", default=math.inf, help=begin)
@@ -121,8 +134,19 @@ def _parser() -> argparse.ArgumentParser:
     add("--offset", type=within(-1e6, 1e6, "s"), metavar="S", help=offset)
     certain = "standard uncertainty of the measured positions, for the verdict (default: 0.001 m)"
     add("--sigma", type=within(1e-6, 1.0, "m"), metavar="M", default=1e-3, help=certain)
-    add("--leg", choices=LEGS, default="FL", help="leg of points without one (default: FL)")
-    add("--block", type=time, metavar="S", default=1.0, help="of the bootstrap (default: 1 s)")
+    add(
+        "--leg",
+        choices=LEGS,
+        default="FL",
+        help="leg of points without one (default: FL)",
+    )
+    add(
+        "--block",
+        type=time,
+        metavar="S",
+        default=1.0,
+        help="of the bootstrap (default: 1 s)",
+    )
     add("--camera", type=Path, metavar="FILE", help="calibration of a video's camera")
     add("--namespace", metavar="NAME", default="", help="of the run's bag")
     first = "motion of the run's bag (default: the first of these that is recorded)"

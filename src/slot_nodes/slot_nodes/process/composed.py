@@ -31,14 +31,18 @@ class ComposedNodes:
         """Make the nodes named; raises ConfigError as they do, and for an unknown name."""
         if unknown := sorted(set(names) - {*CHAIN}):
             known = ", ".join(CHAIN)
-            raise ConfigError(f"{unknown[0]}: not a node of this process (known: {known})")
+            raise ConfigError(
+                f"{unknown[0]}: not a node of this process (known: {known})"
+            )
         self.nodes: list[Node] = []
         mailbox = Mailbox()
         self._executor = DirectExecutor(mailbox)
         try:
             with mailbox.in_use():
                 for name in (name for name in CHAIN if name in names):
-                    made = "".join(part.capitalize() for part in name.split("_")) + "Node"
+                    made = (
+                        "".join(part.capitalize() for part in name.split("_")) + "Node"
+                    )
                     node = getattr(import_module(f"slot_nodes.{name}_node"), made)()
                     self.nodes.append(node)
                     self._executor.add_node(node)

@@ -16,7 +16,13 @@ from rclpy.waitable import NumberOfEntities
 
 from slot_nodes.process.intra_process import Mailbox
 
-KINDS = ("subscription", "guard_condition", "timer", "client", "service")  # order of a wait set
+KINDS = (
+    "subscription",
+    "guard_condition",
+    "timer",
+    "client",
+    "service",
+)  # order of a wait set
 
 
 class PolledGroup(MutuallyExclusiveCallbackGroup):
@@ -44,7 +50,9 @@ class DirectExecutor(SingleThreadedExecutor):
     all that wait behind it, so that such a node gets one of them.
     """
 
-    def __init__(self, mailbox: Mailbox | None = None, *, context: Context | None = None) -> None:
+    def __init__(
+        self, mailbox: Mailbox | None = None, *, context: Context | None = None
+    ) -> None:
         self._entities_changed = True
         self._mailbox = mailbox or Mailbox()
         super().__init__(context=context)
@@ -77,7 +85,9 @@ class DirectExecutor(SingleThreadedExecutor):
         if self._context.ok() and self._has_others():
             self._entities_changed = True  # a node may have been added or removed
             super().spin_once(timeout_sec=0.0)
-            for _ in self._waiting_tasks():  # callbacks of an answer; nothing would wake them
+            for _ in (
+                self._waiting_tasks()
+            ):  # callbacks of an answer; nothing would wake them
                 super().spin_once(timeout_sec=0.0)
             # rclpy takes the trigger of a signal, but ends only if the context has ended by then
             if self._sigint_gc is not None and self._sigint_gc._executor_triggered:
@@ -100,7 +110,9 @@ class DirectExecutor(SingleThreadedExecutor):
             raise ExternalShutdownException
 
     def _is_triggered(self, guard: Any) -> bool:
-        return guard.handle.pointer in self._wait_set.get_ready_entities("guard_condition")
+        return guard.handle.pointer in self._wait_set.get_ready_entities(
+            "guard_condition"
+        )
 
     def _collect_entities(self) -> None:
         """Collect the entities of the nodes, and the guard conditions that wake the executor."""
@@ -118,23 +130,32 @@ class DirectExecutor(SingleThreadedExecutor):
         for waitable in self._waitables:
             count += waitable.get_num_entities()
         self._wait_set = rclpy_implementation.WaitSet(
-            *(getattr(count, name) for name in NumberOfEntities.__slots__), self._context.handle
+            *(getattr(count, name) for name in NumberOfEntities.__slots__),
+            self._context.handle,
         )
 
     def _ready(self, kind: str) -> list[Any]:
         ready = self._wait_set.get_ready_entities(kind)
-        return [e for e in self._entities[kind] if e.handle.pointer in ready] if ready else []
+        return (
+            [e for e in self._entities[kind] if e.handle.pointer in ready]
+            if ready
+            else []
+        )
 
     def _waiting_tasks(self) -> list[Any]:
         """Tasks of rclpy that have not begun, of which its spin runs one at a time."""
-        return [task for task, *_ in self._tasks if not (task.done() or task.executing())]
+        return [
+            task for task, *_ in self._tasks if not (task.done() or task.executing())
+        ]
 
     def _has_others(self) -> bool:
         """Whether anything but a message or a timer is ready."""
         return (
             self._is_triggered(self._guard)
             or any(map(self._wait_set.get_ready_entities, ("client", "service")))
-            or any(w.is_ready(self._wait_set) for w in filter(_is_awaited, self._waitables))
+            or any(
+                w.is_ready(self._wait_set) for w in filter(_is_awaited, self._waitables)
+            )
         )
 
 

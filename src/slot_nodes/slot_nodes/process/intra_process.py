@@ -50,7 +50,9 @@ class Mailbox:
         self._readers[topic].append(reader)
         return True
 
-    def add_early_reader(self, topic: str, reader: Reader, unsubscribe: Callable[[], Any]) -> None:
+    def add_early_reader(
+        self, topic: str, reader: Reader, unsubscribe: Callable[[], Any]
+    ) -> None:
         """Add a reader subscribed by DDS, until a node of the process publishes the topic."""
         self._early.setdefault(topic, []).append((reader, unsubscribe))
 
@@ -151,7 +153,9 @@ def subscribe(topic: str, receive: Receive, profile: QoSProfile) -> bool:
 
     With a depth of 1 the node receives the newest message only.
     """
-    return _present is not None and _present.add_reader(topic, (receive, profile.depth == 1))
+    return _present is not None and _present.add_reader(
+        topic, (receive, profile.depth == 1)
+    )
 
 
 def subscribe_later(

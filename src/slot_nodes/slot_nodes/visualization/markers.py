@@ -19,7 +19,9 @@ HEAD_WIDTH = 3.0  # of an arrow, in widths of its shaft
 def shapes_to_msg(stamp: int, shapes: Mapping[str, Shape]) -> MarkerArray:
     """Markers of shapes by name, which becomes the namespace; others stay as they are."""
     return MarkerArray(
-        markers=[m for name, shape in shapes.items() for m in _markers(stamp, name, shape)]
+        markers=[
+            m for name, shape in shapes.items() for m in _markers(stamp, name, shape)
+        ]
     )
 
 
@@ -37,11 +39,16 @@ def _markers(stamp: int, name: str, shape: Shape) -> list[Marker]:
 def _strips(stamp: int, name: str, strips: Strips) -> list[Marker]:
     return [
         _marker(
-            stamp, name, i, type=Marker.LINE_STRIP, scale=Vector3(x=strips.width),
-            color=_colour(colour), points=[_point(p) for p in points.tolist()],
+            stamp,
+            name,
+            i,
+            type=Marker.LINE_STRIP,
+            scale=Vector3(x=strips.width),
+            color=_colour(colour),
+            points=[_point(p) for p in points.tolist()],
         )
         for i, (points, colour) in enumerate(zip(strips.points, strips.colours))
-    ]  # fmt: skip
+    ]
 
 
 def _bars(stamp: int, name: str, bars: Bars) -> list[Marker]:
@@ -51,32 +58,52 @@ def _bars(stamp: int, name: str, bars: Bars) -> list[Marker]:
         points = [_point(p) for p in corners.reshape(-1, 3).tolist()]
         found.append(
             _marker(
-                stamp, name, i, type=Marker.TRIANGLE_LIST, scale=Vector3(x=1.0, y=1.0, z=1.0),
-                color=_colour(colour), points=[points[k] for k in triangles],
+                stamp,
+                name,
+                i,
+                type=Marker.TRIANGLE_LIST,
+                scale=Vector3(x=1.0, y=1.0, z=1.0),
+                color=_colour(colour),
+                points=[points[k] for k in triangles],
             )
-        )  # fmt: skip
+        )
     return found
 
 
 def _arrows(stamp: int, name: str, arrows: Arrows) -> list[Marker]:
-    ends = zip(arrows.tail.tolist(), (arrows.tail + arrows.vector).tolist(), arrows.colours)
+    ends = zip(
+        arrows.tail.tolist(), (arrows.tail + arrows.vector).tolist(), arrows.colours
+    )
     scale = Vector3(x=arrows.width, y=HEAD_WIDTH * arrows.width)
     return [
         _marker(
-            stamp, name, i, type=Marker.ARROW, scale=scale,
-            color=_colour(colour), points=[_point(tail), _point(head)],
+            stamp,
+            name,
+            i,
+            type=Marker.ARROW,
+            scale=scale,
+            color=_colour(colour),
+            points=[_point(tail), _point(head)],
         )
         for i, (tail, head, colour) in enumerate(ends)
-    ]  # fmt: skip
+    ]
 
 
 def _box(stamp: int, name: str, box: Box) -> Marker:
     x, y, z, w = box.quaternion.tolist()
-    pose = Pose(position=_point(box.centre.tolist()), orientation=Quaternion(x=x, y=y, z=z, w=w))
+    pose = Pose(
+        position=_point(box.centre.tolist()), orientation=Quaternion(x=x, y=y, z=z, w=w)
+    )
     x, y, z = box.size.tolist()
     size = Vector3(x=x, y=y, z=z)
     return _marker(
-        stamp, name, 0, type=Marker.CUBE, pose=pose, scale=size, color=_colour(box.colour)
+        stamp,
+        name,
+        0,
+        type=Marker.CUBE,
+        pose=pose,
+        scale=size,
+        color=_colour(box.colour),
     )
 
 

@@ -38,9 +38,13 @@ class VisualizerNode(Node):
         self._drawing = Drawing(read_robot(), loaded)
         self._changed: dict[str, Shape] = {}
         self._stamp = 0  # ns, of the newest input
-        self._markers = runtime.publisher(self, MarkerArray, "visualization", qos.SENSOR)
+        self._markers = runtime.publisher(
+            self, MarkerArray, "visualization", qos.SENSOR
+        )
         for topic, (kind, profile) in INPUTS.items():
-            inputs.subscribe(self, kind, topic, partial(self._on_message, topic), profile)
+            inputs.subscribe(
+                self, kind, topic, partial(self._on_message, topic), profile
+            )
         self._timer = runtime.wall_timer(self, PERIOD, self._publish)
 
     def _on_message(self, topic: str, message: Any) -> None:

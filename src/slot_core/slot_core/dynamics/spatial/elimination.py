@@ -60,7 +60,9 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     whole, beta = 1.0 + s.firm[0], rod.damping_time
     viscous = whole + beta * inv
     axial = viscous * rod.axial[k]
-    normal = rod.axial[k] * (whole * s.extension[k] + beta * s.extension_rate[k] + s.lag[k, 3])
+    normal = rod.axial[k] * (
+        whole * s.extension[k] + beta * s.extension_rate[k] + s.lag[k, 3]
+    )
     normal += leg.pull[0] * along
     before = (row(leg.frame, 0), row(leg.frame, 1), row(leg.frame, 2))
     if k > 0:
@@ -68,7 +70,9 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     hinge = bend(rod, s, k, before, viscous, normal, model.tendon, leg.pull[0])
     # Contact of the segment's begin moves with X_k and Phi_k.
     m = hinge.moment
-    begin = add_contact(model, leg, k, 0, inv, place, _spun(rod, leg, k, inv, form, hinge))
+    begin = add_contact(
+        model, leg, k, 0, inv, place, _spun(rod, leg, k, inv, form, hinge)
+    )
     moment, turn = begin.moment, begin.turn
     P, B = form.place, begin.place
     ax, ay, az = (
@@ -107,7 +111,11 @@ def _reduce(model, leg, k, inv, place, form, both, one):
         (turn.xz, turn.yz, turn.zz),
     )
     ft = (dot(fx, t), dot(fy, t), dot(fz, t))
-    ux, uy, uz = _arm(fx, t, per_length), _arm(fy, t, per_length), _arm(fz, t, per_length)
+    ux, uy, uz = (
+        _arm(fx, t, per_length),
+        _arm(fy, t, per_length),
+        _arm(fz, t, per_length),
+    )
     wx, wy, wz = (
         _arm((ux[0], uy[0], uz[0]), t, per_length),
         _arm((ux[1], uy[1], uz[1]), t, per_length),
@@ -128,12 +136,21 @@ def _reduce(model, leg, k, inv, place, form, both, one):
         P.xx + 2.0 * ax[0] + wx[0] + axial * p[0] * p[0] + 2.0 * t[0] * g[0] + own,
         P.xy + ax[1] + ay[0] + wx[1] + axial * p[0] * p[1] + t[0] * g[1] + t[1] * g[0],
         P.xz + ax[2] + az[0] + wx[2] + axial * p[0] * p[2] + t[0] * g[2] + t[2] * g[0],
-        dot(form.x, t) + turning[0] + axial * p[0] * pw + half * (moment[0] - mt * t[0]),
+        dot(form.x, t)
+        + turning[0]
+        + axial * p[0] * pw
+        + half * (moment[0] - mt * t[0]),
         P.yy + 2.0 * ay[1] + wy[1] + axial * p[1] * p[1] + 2.0 * t[1] * g[1] + own,
         P.yz + ay[2] + az[1] + wy[2] + axial * p[1] * p[2] + t[1] * g[2] + t[2] * g[1],
-        dot(form.y, t) + turning[1] + axial * p[1] * pw + half * (moment[1] - mt * t[1]),
+        dot(form.y, t)
+        + turning[1]
+        + axial * p[1] * pw
+        + half * (moment[1] - mt * t[1]),
         P.zz + 2.0 * az[2] + wz[2] + axial * p[2] * p[2] + 2.0 * t[2] * g[2] + own,
-        dot(form.z, t) + turning[2] + axial * p[2] * pw + half * (moment[2] - mt * t[2]),
+        dot(form.z, t)
+        + turning[2]
+        + axial * p[2] * pw
+        + half * (moment[2] - mt * t[2]),
         dot(ft, t) + axial * pw * pw + rod.spin[k] * inv * inv,
     )
     # Columns of Phi_{k-1} over u: P^T (-K - [m] / 2) - axial p bulge^T.
@@ -146,7 +163,9 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     r3 = _column(c3, t, per_length, p, pw, -axial * bulge[2])
     # Columns of lambda and of the gradient.
     force = plus(plus(form.force, normal, t), -inv * rod.coupling[k], _lag(leg, k))
-    rc = _lift(plus(form.pull, along, t), plus(form.twist, 1.0, hinge.tendon), t, per_length)
+    rc = _lift(
+        plus(form.pull, along, t), plus(form.twist, 1.0, hinge.tendon), t, per_length
+    )
     ro = _lift(force, moment, t, per_length)
     w1, w2, w3 = solve(pivot, x1), solve(pivot, x2), solve(pivot, x3)
     z1, z2, z3 = solve(pivot, r1), solve(pivot, r2), solve(pivot, r3)
@@ -155,8 +174,12 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     c, o, h = form.pull, form.force, hinge.tendon
     form = Form(
         Symmetric(
-            P.xx + B.xx - dot4(x1, w1), P.xy + B.xy - dot4(x1, w2), P.xz + B.xz - dot4(x1, w3),
-            P.yy + B.yy - dot4(x2, w2), P.yz + B.yz - dot4(x2, w3), P.zz + B.zz - dot4(x3, w3),
+            P.xx + B.xx - dot4(x1, w1),
+            P.xy + B.xy - dot4(x1, w2),
+            P.xz + B.xz - dot4(x1, w3),
+            P.yy + B.yy - dot4(x2, w2),
+            P.yz + B.yz - dot4(x2, w3),
+            P.zz + B.zz - dot4(x3, w3),
         ),
         (-dot4(x1, z1), -dot4(x1, z2), -dot4(x1, z3)),
         (-dot4(x2, z1), -dot4(x2, z2), -dot4(x2, z3)),
@@ -177,7 +200,7 @@ def _reduce(model, leg, k, inv, place, form, both, one):
             o[2] + begin.force[2] - dot4(x3, wo),
         ),
         (-m[0] - dot4(r1, wo), -m[1] - dot4(r2, wo), -m[2] - dot4(r3, wo)),
-    )  # fmt: skip
+    )
     return form, pivot.positive, both - dot4(rc, wc), one - dot4(rc, wo)
 
 
@@ -195,7 +218,11 @@ def _lag(leg, k):
 @helper
 def _spun(rod, leg, k, inv, form, hinge):
     """Form over (X_k, Phi_k) of the turn of segment k alone: beyond it, its hinge and its spin."""
-    t, before, inertia = row(leg.segments.direction, k), leg.spin_before, rod.spin[k] * inv
+    t, before, inertia = (
+        row(leg.segments.direction, k),
+        leg.spin_before,
+        rod.spin[k] * inv,
+    )
     o, m, own = form.moment, hinge.moment, leg.spin[k]
     zero = (0.0 * own, 0.0 * own, 0.0 * own)
     none = Symmetric(zero[0], zero[0], zero[0], zero[0], zero[0], zero[0])
@@ -219,7 +246,17 @@ def _add_node(model, leg, i, inv, form):
         o[2] + rate * (leg.velocity[i, 2] - leg.before[i, 2]) - mass * leg.field[3, 2],
     )
     place = Symmetric(P.xx + inertia, P.xy, P.xz, P.yy + inertia, P.yz, P.zz + inertia)
-    return Form(place, form.x, form.y, form.z, form.turn, form.pull, form.twist, force, form.moment)
+    return Form(
+        place,
+        form.x,
+        form.y,
+        form.z,
+        form.turn,
+        form.pull,
+        form.twist,
+        force,
+        form.moment,
+    )
 
 
 @helper
@@ -240,7 +277,12 @@ def _lift(force, moment, t, per_length):
 def _column(c, t, per_length, p, pw, share):
     """Right-hand side of u of a moment c on the segment, and share times the stretch (p, pw)."""
     a = _arm(c, t, per_length)
-    return a[0] + share * p[0], a[1] + share * p[1], a[2] + share * p[2], dot(t, c) + share * pw
+    return (
+        a[0] + share * p[0],
+        a[1] + share * p[1],
+        a[2] + share * p[2],
+        dot(t, c) + share * pw,
+    )
 
 
 @helper
@@ -256,8 +298,22 @@ def _store(back, w1, w2, w3, z1, z2, z3, wc, wo):
 def _write(F, form, both, one):
     """Write the form at the clamp to F (7, 8)."""
     P, T = form.place, form.turn
-    F[0, 0], F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 2] = P.xx, P.xy, P.xz, P.yy, P.yz, P.zz
-    F[3, 3], F[3, 4], F[3, 5], F[4, 4], F[4, 5], F[5, 5] = T.xx, T.xy, T.xz, T.yy, T.yz, T.zz
+    F[0, 0], F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 2] = (
+        P.xx,
+        P.xy,
+        P.xz,
+        P.yy,
+        P.yz,
+        P.zz,
+    )
+    F[3, 3], F[3, 4], F[3, 5], F[4, 4], F[4, 5], F[5, 5] = (
+        T.xx,
+        T.xy,
+        T.xz,
+        T.yy,
+        T.yz,
+        T.zz,
+    )
     for c in range(3):
         F[0, 3 + c], F[1, 3 + c], F[2, 3 + c] = form.x[c], form.y[c], form.z[c]
         F[c, 6], F[3 + c, 6] = form.pull[c], form.twist[c]
@@ -304,8 +360,14 @@ def _move(leg, i, X, inv, most):
 @helper
 def follow(leg, k, X, turn, tension):
     """Displacement of a segment's end, its rotation and its turn w, from those at its begin."""
-    a, b = _row(leg.back, k, 0, X, turn, tension), _row(leg.back, k, 1, X, turn, tension)
-    c, w = _row(leg.back, k, 2, X, turn, tension), _row(leg.back, k, 3, X, turn, tension)
+    a, b = (
+        _row(leg.back, k, 0, X, turn, tension),
+        _row(leg.back, k, 1, X, turn, tension),
+    )
+    c, w = (
+        _row(leg.back, k, 2, X, turn, tension),
+        _row(leg.back, k, 3, X, turn, tension),
+    )
     t, scale = row(leg.segments.direction, k), leg.segments.per_length[k]
     r = cross(t, (a, b, c))
     r = (scale * r[0] + w * t[0], scale * r[1] + w * t[1], scale * r[2] + w * t[2])
@@ -316,4 +378,9 @@ def follow(leg, k, X, turn, tension):
 def _row(back, k, r, X, turn, tension):
     value = back[k, r, 7] + back[k, r, 6] * tension
     value += back[k, r, 0] * X[0] + back[k, r, 1] * X[1] + back[k, r, 2] * X[2]
-    return -(value + back[k, r, 3] * turn[0] + back[k, r, 4] * turn[1] + back[k, r, 5] * turn[2])
+    return -(
+        value
+        + back[k, r, 3] * turn[0]
+        + back[k, r, 4] * turn[1]
+        + back[k, r, 5] * turn[2]
+    )

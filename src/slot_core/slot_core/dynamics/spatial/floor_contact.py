@@ -7,7 +7,12 @@ from __future__ import annotations
 
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cross, dot, plus, row
-from slot_core.dynamics.contact import coefficient, friction_force, normal_force, tangential
+from slot_core.dynamics.contact import (
+    coefficient,
+    friction_force,
+    normal_force,
+    tangential,
+)
 from slot_core.dynamics.lanes import any_lane, like, where
 from slot_core.dynamics.spatial.hinge import Symmetric
 from slot_core.dynamics.spatial.quadratic_form import Form, sum_of
@@ -22,7 +27,9 @@ def add_contact(model, leg, k, end, inv, place, form):
         return form
     for side in range(2):
         reach = floor.half_width if side else -floor.half_width
-        form = _add_corner(model, leg, k, i, 4 * k + 2 * end + side, reach, inv, place, form)
+        form = _add_corner(
+            model, leg, k, i, 4 * k + 2 * end + side, reach, inv, place, form
+        )
     return form
 
 
@@ -61,7 +68,9 @@ def _touch(floor, leg, k, i, p, a, gap, up, inv, form):
     v = plus(u, -vn, up)
     stiffness, damping = floor.stiffness[p], floor.damping[p]
     normal = normal_force(stiffness, damping, gap, vn)
-    mu = coefficient(floor, leg.friction[0], leg.friction[1], leg.rate[0], v[0], dot(v, v))
+    mu = coefficient(
+        floor, leg.friction[0], leg.friction[1], leg.rate[0], v[0], dot(v, v)
+    )
     bristle = v
     if floor.bristle > 0.0:
         leg.limit[p] = mu * normal
@@ -77,9 +86,13 @@ def _touch(floor, leg, k, i, p, a, gap, up, inv, form):
     )
     s = (stiff * up[0], stiff * up[1], stiff * up[2])
     C = Symmetric(
-        drag + s[0] * up[0], s[0] * up[1], s[0] * up[2], drag + s[1] * up[1], s[1] * up[2],
+        drag + s[0] * up[0],
+        s[0] * up[1],
+        s[0] * up[2],
+        drag + s[1] * up[1],
+        s[1] * up[2],
         drag + s[2] * up[2],
-    )  # fmt: skip
+    )
     bx, by, bz = (
         cross(a, (C.xx, C.xy, C.xz)),
         cross(a, (C.xy, C.yy, C.yz)),
@@ -120,4 +133,8 @@ def angular_velocity(leg, k):
     s, v = leg.segments, leg.velocity
     t, own, scale = row(s.direction, k), leg.spin[k], s.per_length[k]
     w = cross(t, (v[k + 1, 0] - v[k, 0], v[k + 1, 1] - v[k, 1], v[k + 1, 2] - v[k, 2]))
-    return scale * w[0] + own * t[0], scale * w[1] + own * t[1], scale * w[2] + own * t[2]
+    return (
+        scale * w[0] + own * t[0],
+        scale * w[1] + own * t[1],
+        scale * w[2] + own * t[2],
+    )

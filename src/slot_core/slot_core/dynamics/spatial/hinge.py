@@ -51,9 +51,15 @@ def bend(rod, s, k, before, viscous, normal, tendon, tension):
     t, d, b = before
     x, y, z, c, beta = s.twist[k], s.turn[k], s.side[k], s.curl[k], rod.damping_time
     # V = (t, d, b) (1 + [psi] / 2 + c [psi]^2), whose columns belong to the components of psi.
-    vt = _mapped(t, d, b, 1.0 - c * (y * y + z * z), c * x * y + 0.5 * z, c * x * z - 0.5 * y)
-    vd = _mapped(t, d, b, c * x * y - 0.5 * z, 1.0 - c * (x * x + z * z), c * y * z + 0.5 * x)
-    vb = _mapped(t, d, b, c * x * z + 0.5 * y, c * y * z - 0.5 * x, 1.0 - c * (x * x + y * y))
+    vt = _mapped(
+        t, d, b, 1.0 - c * (y * y + z * z), c * x * y + 0.5 * z, c * x * z - 0.5 * y
+    )
+    vd = _mapped(
+        t, d, b, c * x * y - 0.5 * z, 1.0 - c * (x * x + z * z), c * y * z + 0.5 * x
+    )
+    vb = _mapped(
+        t, d, b, c * x * z + 0.5 * y, c * y * z - 0.5 * x, 1.0 - c * (x * x + y * y)
+    )
     bend, q = y - rod.rest_angle[k], -2.0 * rod.shortening[k]
     around, along, geometric = tendon.around[k], tendon.along[k], q * normal
     twist, inner, outer = rod.torsion[k], rod.bending[k], rod.lateral[k]
@@ -66,7 +72,11 @@ def bend(rod, s, k, before, viscous, normal, tendon, tension):
     bulge = _mapped(vt, vd, vb, like(0.0, x), q * bend, q * z)
     psi = _mapped(t, d, b, x, y, z)
     level = -(psi[0] * m[0] + psi[1] * m[1] + psi[2] * m[2]) / 6.0
-    kt, kd, kb = viscous * twist, viscous * inner + geometric, viscous * outer + geometric
+    kt, kd, kb = (
+        viscous * twist,
+        viscous * inner + geometric,
+        viscous * outer + geometric,
+    )
     third = (psi[0] / 12.0, psi[1] / 12.0, psi[2] / 12.0)
     et, ed, eb = (
         (kt * vt[0], kt * vt[1], kt * vt[2]),
@@ -75,10 +85,22 @@ def bend(rod, s, k, before, viscous, normal, tendon, tension):
     )
     tangent = Symmetric(
         et[0] * vt[0] + ed[0] * vd[0] + eb[0] * vb[0] + 2.0 * third[0] * m[0] + level,
-        et[0] * vt[1] + ed[0] * vd[1] + eb[0] * vb[1] + third[0] * m[1] + third[1] * m[0],
-        et[0] * vt[2] + ed[0] * vd[2] + eb[0] * vb[2] + third[0] * m[2] + third[2] * m[0],
+        et[0] * vt[1]
+        + ed[0] * vd[1]
+        + eb[0] * vb[1]
+        + third[0] * m[1]
+        + third[1] * m[0],
+        et[0] * vt[2]
+        + ed[0] * vd[2]
+        + eb[0] * vb[2]
+        + third[0] * m[2]
+        + third[2] * m[0],
         et[1] * vt[1] + ed[1] * vd[1] + eb[1] * vb[1] + 2.0 * third[1] * m[1] + level,
-        et[1] * vt[2] + ed[1] * vd[2] + eb[1] * vb[2] + third[1] * m[2] + third[2] * m[1],
+        et[1] * vt[2]
+        + ed[1] * vd[2]
+        + eb[1] * vb[2]
+        + third[1] * m[2]
+        + third[2] * m[1],
         et[2] * vt[2] + ed[2] * vd[2] + eb[2] * vb[2] + 2.0 * third[2] * m[2] + level,
     )
     length = (

@@ -13,7 +13,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from slot_core.compiled import helper
-from slot_core.dynamics.algebra import cross, dot, plus, product, put, rotation, row, times
+from slot_core.dynamics.algebra import (
+    cross,
+    dot,
+    plus,
+    product,
+    put,
+    rotation,
+    row,
+    times,
+)
 from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.spatial.floor_contact import angular_velocity
@@ -77,7 +86,9 @@ class SpatialLeg(NamedTuple):
 def predict(model, state, leg, h, theta):
     """The servo's rate, V_n in step axes, and the stage positions without the part due to V."""
     torque = model.tendon.spool_radius * leg.tension[0]
-    leg.rate[0] = spool_rate(model.servo, leg.drive, leg.command[0], leg.angle[0], torque, h)
+    leg.rate[0] = spool_rate(
+        model.servo, leg.drive, leg.command[0], leg.angle[0], torque, h
+    )
     w = state.rate
     wx, wy, wz = times(leg.axes, w[0], w[1], w[2])
     leg.axis_rate[0], leg.axis_rate[1], leg.axis_rate[2] = wx, wy, wz
@@ -151,10 +162,14 @@ def advance_bristles(floor, leg, h):
             reach = -reach
         d = row(leg.segments.director, k)
         a = (reach * d[0], reach * d[1], reach * d[2])
-        u = plus(row(leg.velocity, k + (p // 2) % 2), 1.0, cross(angular_velocity(leg, k), a))
+        u = plus(
+            row(leg.velocity, k + (p // 2) % 2), 1.0, cross(angular_velocity(leg, k), a)
+        )
         x, y, z = times(f, u[0], u[1], u[2])
         bristle = leg.bristle[p]
-        advance_bristle(floor, bristle, leg.limit[p], floor.stiffness[p], leg.slope[p], h, x, y, z)
+        advance_bristle(
+            floor, bristle, leg.limit[p], floor.stiffness[p], leg.slope[p], h, x, y, z
+        )
 
 
 @helper

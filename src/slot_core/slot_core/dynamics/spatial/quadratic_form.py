@@ -44,7 +44,9 @@ class Pivot(NamedTuple):
 @helper
 def sum_of(a, b):
     """Sum of two symmetric matrices."""
-    return Symmetric(a.xx + b.xx, a.xy + b.xy, a.xz + b.xz, a.yy + b.yy, a.yz + b.yz, a.zz + b.zz)
+    return Symmetric(
+        a.xx + b.xx, a.xy + b.xy, a.xz + b.xz, a.yy + b.yy, a.yz + b.yz, a.zz + b.zz
+    )
 
 
 @helper

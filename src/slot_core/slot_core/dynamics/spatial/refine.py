@@ -46,7 +46,9 @@ class Refinement(NamedTuple):
     strain: Array  # (n, 3) 1/m, eta
     moment: Array  # (n, 3) N m, mu
     shift: Array  # (n, 3) 1/m^2, z
-    delta: Array  # (n, 3) N m, delta times the hinge's stiffness; zero where not `active`
+    delta: (
+        Array  # (n, 3) N m, delta times the hinge's stiffness; zero where not `active`
+    )
     active: bool
 
 
@@ -95,7 +97,10 @@ def _delta(r, rod, k, before, behind):
     per, square, slope = 1.0 / ((behind - before) * r.step), r.step**2, r.slope[k]
     eta, mu, z, c = row(r.strain, k), row(r.moment, k), row(r.shift, k), r.curvature[k]
     kappa = (eta[0], eta[1] + c, eta[2])
-    rate, push = _rate(r.strain, per, before, behind), _rate(r.moment, per, before, behind)
+    rate, push = (
+        _rate(r.strain, per, before, behind),
+        _rate(r.moment, per, before, behind),
+    )
     g = plus(push, 1.0, cross(kappa, mu))
     spread = plus(z, 1.0 / 12.0, (rate[0], rate[1] + 2.0 * slope, rate[2]))
     e, n = r.tilt[k, 0], r.tilt[k, 1]

@@ -103,7 +103,11 @@ def frame(s, k):
 def transported(d, a, t):
     """Vector d, normal to the unit vector a, turned with a to the unit vector t."""
     share = dot(d, t) / (1.0 + dot(a, t))
-    return d[0] - share * (a[0] + t[0]), d[1] - share * (a[1] + t[1]), d[2] - share * (a[2] + t[2])
+    return (
+        d[0] - share * (a[0] + t[0]),
+        d[1] - share * (a[1] + t[1]),
+        d[2] - share * (a[2] + t[2]),
+    )
 
 
 @helper
@@ -151,11 +155,20 @@ def measure(s, rod, velocity, spin, clamp, clamp_rate):
             beta[2] - 0.5 * across[2] + curl * again[2],
         )
         s.twist[k], s.turn[k], s.side[k], s.curl[k] = psi[0], psi[1], psi[2], curl
-        s.twist_rate[k], s.turn_rate[k], s.side_rate[k] = psi_rate[0], psi_rate[1], psi_rate[2]
+        s.twist_rate[k], s.turn_rate[k], s.side_rate[k] = (
+            psi_rate[0],
+            psi_rate[1],
+            psi_rate[2],
+        )
         bend, side, q = psi[1] - rod.rest_angle[k], psi[2], rod.shortening[k]
-        s.extension[k] = s.length[k] - rod.rest_length[k] - q * (bend * bend + side * side)
+        s.extension[k] = (
+            s.length[k] - rod.rest_length[k] - q * (bend * bend + side * side)
+        )
         s.extension_rate[k] = (
-            t[0] * ux + t[1] * uy + t[2] * uz - 2.0 * q * (bend * psi_rate[1] + side * psi_rate[2])
+            t[0] * ux
+            + t[1] * uy
+            + t[2] * uz
+            - 2.0 * q * (bend * psi_rate[1] + side * psi_rate[2])
         )
         before, rate = own, w
 

@@ -155,7 +155,9 @@ class EmulatedBus:
                 reply
                 for index, servo in receivers
                 if packet.id == servo.memory["id"]
-                for reply in self._answer(index, status(packet.id, servo.error | Error.CRC))
+                for reply in self._answer(
+                    index, status(packet.id, servo.error | Error.CRC)
+                )
             ]
         if packet.instruction == Instruction.STATUS:
             return []
@@ -174,20 +176,29 @@ class EmulatedBus:
             secondary = packet.id == servo.memory["secondary_id"] != NO_SECONDARY_ID
             if not (own or secondary or packet.id == BROADCAST):
                 continue
-            identity = servo.memory["id"]  # the answer has the id before the instruction
+            identity = servo.memory[
+                "id"
+            ]  # the answer has the id before the instruction
             level = servo.memory["status_return_level"]
             error, data = execute(servo, packet)
             ping = packet.instruction == Instruction.PING
             reads = packet.instruction == Instruction.READ
-            unanswered = not (ping or level == ANSWER_ALL or (reads and level >= ANSWER_READS))
+            unanswered = not (
+                ping or level == ANSWER_ALL or (reads and level >= ANSWER_READS)
+            )
             if unanswered or not (own or (ping and packet.id == BROADCAST)):
                 continue
             yield from self._answer(index, status(identity, error, data))
 
-    def _chain(self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]) -> Iterator[Reply]:
+    def _chain(
+        self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]
+    ) -> Iterator[Reply]:
         """Answers to a sync or bulk read, one servo after the other."""
         by_id = {servo.memory["id"]: (index, servo) for index, servo in receivers}
-        fast = packet.instruction in {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}
+        fast = packet.instruction in {
+            Instruction.FAST_SYNC_READ,
+            Instruction.FAST_BULK_READ,
+        }
         parts, delay = [], 0.0
         requests = list(_requests(packet))
         if fast and sum(size + FAST_OVERHEAD for _, _, size in requests) > PACKET_MAX:

@@ -11,7 +11,11 @@ import numpy as np
 from slot_core.clock import Clock
 from slot_core.dynamixel.checks import expected
 from slot_core.dynamixel.driver import Driver
-from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus, EmulatorSettings, read_emulator
+from slot_core.dynamixel.emulator.emulated_bus import (
+    EmulatedBus,
+    EmulatorSettings,
+    read_emulator,
+)
 from slot_core.dynamixel.emulator.memory_port import MemoryPort
 from slot_core.dynamixel.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.joints import joints
@@ -31,7 +35,9 @@ class EmulatedDynamixels:
     ) -> None:
         """Servos at tendon angles (4,), rad."""
         self.settings, self.joints = settings, joints(settings.joints)
-        shaft_angles = [j.servo_angle(float(angle)) for j, angle in zip(self.joints, angles)]
+        shaft_angles = [
+            j.servo_angle(float(angle)) for j, angle in zip(self.joints, angles)
+        ]
         self.bus = EmulatedBus(emulator, settings.joints.ids, shaft_angles)
         for joint, servo in zip(self.joints, self.bus.servos):
             for name, value in expected(settings, joint).items():
@@ -39,7 +45,9 @@ class EmulatedDynamixels:
             servo.reboot()
             servo.advance(emulator.servo.boot_time, 0.0)
 
-    def advance(self, dt: float, torques: Sequence[float] | Array = (0.0,) * 4) -> Array:
+    def advance(
+        self, dt: float, torques: Sequence[float] | Array = (0.0,) * 4
+    ) -> Array:
         """Advance the servos by dt (s) and return `angles`.
 
         torques: (4,) N m, of the tendons on their spools.
@@ -80,14 +88,18 @@ class EmulatedDynamixels:
 
     def connect(self, clock: Clock) -> Driver:
         """Driver of these servos in the same process, on a clock (s)."""
-        return Driver(MemoryPort(self.bus, self.settings.bus.baud, clock), self.settings, clock)
+        return Driver(
+            MemoryPort(self.bus, self.settings.bus.baud, clock), self.settings, clock
+        )
 
     def serve(self, link: Path | None) -> PseudoTerminal:
         """Pseudo-terminal of these servos; raises ConfigError if another file has its name."""
         return PseudoTerminal(self.bus, link)
 
 
-def read_emulated_legs(angles: Sequence[float] | Array, voltage: float) -> EmulatedDynamixels:
+def read_emulated_legs(
+    angles: Sequence[float] | Array, voltage: float
+) -> EmulatedDynamixels:
     """The servos of `config/` at tendon angles (4,), rad, and a supply voltage (V)."""
     emulator = read_emulator()
     supplied = dataclasses.replace(emulator.servo, voltage=voltage)

@@ -39,23 +39,33 @@ class ServoModel:
     shaft: ShaftSettings
     firmware: int = quantity("firmware version", "", 1, 255)
     loop_period: float = quantity("period of the control loop", "s", 1e-4, 0.01)
-    voltage: float = quantity("supply voltage; with a robot that of its scene", "V", 1.0, 20.0)
-    overload_share: float = quantity("load that counts as overload", "of stall", 0.0, 1.0)
-    overload_time: float = quantity("overload until the hardware error", "s", 0.0, 100.0)
+    voltage: float = quantity(
+        "supply voltage; with a robot that of its scene", "V", 1.0, 20.0
+    )
+    overload_share: float = quantity(
+        "load that counts as overload", "of stall", 0.0, 1.0
+    )
+    overload_time: float = quantity(
+        "overload until the hardware error", "s", 0.0, 100.0
+    )
     boot_time: float = quantity("time without answers after a reboot", "s", 0.0, 10.0)
 
 
 class EmulatedServo:
     """One emulated servo; its time passes only in `advance`."""
 
-    def __init__(self, identity: int, model: ServoModel, motor: Motor, angle: float) -> None:
+    def __init__(
+        self, identity: int, model: ServoModel, motor: Motor, angle: float
+    ) -> None:
         self.model = model
         self.memory = Memory()
         self.memory["id"] = identity
         self.memory["firmware_version"] = model.firmware
         self.shaft = Shaft(motor, model.shaft, angle)
         self.voltage, self.forced_temperature = model.voltage, math.nan
-        self.registered: tuple[int, bytes] | None = None  # address and data of a Reg Write
+        self.registered: tuple[int, bytes] | None = (
+            None  # address and data of a Reg Write
+        )
         self.time = 0.0  # s
         self.last_instruction = 0.0  # s, time of the last instruction on the bus
         self._boot_left = 0.0  # s
@@ -141,7 +151,9 @@ class EmulatedServo:
 
     def trip(self, error: HardwareError) -> None:
         """Set a hardware error; switch torque off if its bit is set in Shutdown."""
-        self.memory["hardware_error_status"] = self.memory["hardware_error_status"] | error
+        self.memory["hardware_error_status"] = (
+            self.memory["hardware_error_status"] | error
+        )
         if self.memory["shutdown"] & error:
             self._shut_down = True
             self.memory["torque_enable"] = 0
@@ -203,7 +215,11 @@ class EmulatedServo:
         limit = min(abs(memory["goal_pwm"]), memory["pwm_limit"]) / PWM_FULL
         if mode == Mode.VELOCITY:
             error = memory["goal_velocity"] - self._velocity()
-            gains = (memory["velocity_p_gain"] / 128, memory["velocity_i_gain"] / 65536, 0.0)
+            gains = (
+                memory["velocity_p_gain"] / 128,
+                memory["velocity_i_gain"] / 65536,
+                0.0,
+            )
         else:
             self._advance_profile(h)
             error = self._trajectory - self.position()
@@ -214,7 +230,9 @@ class EmulatedServo:
             )
         return self._pid(error, gains, limit, h)
 
-    def _pid(self, error: float, gains: tuple[float, ...], limit: float, h: float) -> float:
+    def _pid(
+        self, error: float, gains: tuple[float, ...], limit: float, h: float
+    ) -> float:
         change = self._velocity() * RAD_S_PER_UNIT * h / RAD_PER_COUNT
         integral = self._integral + gains[1] * error
         unlimited = (gains[0] * error + integral - gains[2] * change) / PWM_FULL
@@ -237,7 +255,9 @@ class EmulatedServo:
     def _protect(self, dt: float) -> None:
         memory, shaft = self.memory, self.shaft
         load = abs(shaft.torque) / shaft.motor.stall
-        self._overload_time = self._overload_time + dt if load > self.model.overload_share else 0.0
+        self._overload_time = (
+            self._overload_time + dt if load > self.model.overload_share else 0.0
+        )
         if self._overload_time > self.model.overload_time:
             self.trip(HardwareError.OVERLOAD)
         if self.temperature() > memory["temperature_limit"]:

@@ -40,7 +40,9 @@ def read_data(servo: EmulatedServo, address: int, size: int) -> tuple[int, bytes
 
 
 def _on_ping(servo: EmulatedServo, packet: Packet) -> bytes:
-    return MODEL_NUMBER.to_bytes(2, "little") + bytes([servo.memory["firmware_version"]])
+    return MODEL_NUMBER.to_bytes(2, "little") + bytes(
+        [servo.memory["firmware_version"]]
+    )
 
 
 def _on_read(servo: EmulatedServo, packet: Packet) -> bytes:

@@ -40,7 +40,9 @@ class Memory:
 
     def __init__(self) -> None:
         self._bytes = bytearray(TABLE_END)
-        self._values: dict[str, int] = {}  # what the bytes stand for: they are read all the time
+        self._values: dict[
+            str, int
+        ] = {}  # what the bytes stand for: they are read all the time
         for register in REGISTERS:
             self[register.name] = register.initial
 
@@ -69,7 +71,11 @@ class Memory:
         `keep`: names of registers that keep their values.
         """
         for register in REGISTERS:
-            if (eeprom or not register.eeprom) and register.writable and register.name not in keep:
+            if (
+                (eeprom or not register.eeprom)
+                and register.writable
+                and register.name not in keep
+            ):
                 self[register.name] = register.initial
 
     def restore(self, name: str) -> None:
@@ -101,7 +107,9 @@ class Memory:
             own = range(register.address, register.end)
             if any(target not in new for target in own):
                 raise RegisterError(Error.DATA_LENGTH)
-            values[register.name] = register.decode(bytes(new[target] for target in own))
+            values[register.name] = register.decode(
+                bytes(new[target] for target in own)
+            )
             self._check(register, values[register.name])
         return values
 

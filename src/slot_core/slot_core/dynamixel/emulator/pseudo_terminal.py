@@ -55,7 +55,9 @@ class PseudoTerminal:
         self.in_use = True  # until a released port is closed by the driver
         self.slave = ""  # device of the driver's side; empty while unplugged
         self._plug()
-        self._thread = threading.Thread(target=self._serve, name="emulated bus", daemon=True)
+        self._thread = threading.Thread(
+            target=self._serve, name="emulated bus", daemon=True
+        )
         self._thread.start()
 
     @property

@@ -29,10 +29,16 @@ from slot_core.config import quantity
 class ShaftSettings:
     """Gear and heat; the motor itself is in `servo.yaml`."""
 
-    friction: float = quantity("load torque that the gear holds with torque off", "N m", 0.0, 10.0)
-    resistance: float = quantity("electric resistance of the motor at stall", "ohm", 0.1, 1e3)
+    friction: float = quantity(
+        "load torque that the gear holds with torque off", "N m", 0.0, 10.0
+    )
+    resistance: float = quantity(
+        "electric resistance of the motor at stall", "ohm", 0.1, 1e3
+    )
     room: float = quantity("room temperature", "degC", -40.0, 60.0)
-    thermal_resistance: float = quantity("thermal resistance from motor to room", "K/W", 0.0, 100.0)
+    thermal_resistance: float = quantity(
+        "thermal resistance from motor to room", "K/W", 0.0, 100.0
+    )
     thermal_time: float = quantity("time constant of the temperature", "s", 1.0, 1e5)
 
 
@@ -54,7 +60,9 @@ class Shaft:
         self.temperature = settings.room
         self.torque = 0.0
 
-    def advance(self, duty: float | None, load: float, voltage: float, h: float) -> None:
+    def advance(
+        self, duty: float | None, load: float, voltage: float, h: float
+    ) -> None:
         """Advance by h s at a duty (None: torque off), supply voltage (V) and load torque (N m).
 
         A positive load lowers the angle.

@@ -33,13 +33,22 @@ from slot_lab.report.plots import read_poses
 from slot_lab.report.robot_drawing import Snapshot
 
 Integers: TypeAlias = NDArray[np.int64]
-Messages: TypeAlias = list[tuple[int, Any]]  # with their stamps, ns, in the order of these
-States: TypeAlias = dict[str, list[tuple[float, str]]]  # by title: s since the first frame, name
+Messages: TypeAlias = list[
+    tuple[int, Any]
+]  # with their stamps, ns, in the order of these
+States: TypeAlias = dict[
+    str, list[tuple[float, str]]
+]  # by title: s since the first frame, name
 MOST_FRAMES = 3000  # 100 s at 30 Hz; of a longer run every second, third, ... is left
 NO_VALUE = -(2**31)
 STEPS = {
-    "t": 1e-4, "position": 5e-5, "quaternion": 1e-4, "nodes": 5e-5, "across": 2.5e-3, "force": 0.01,
-}  # fmt: skip
+    "t": 1e-4,
+    "position": 5e-5,
+    "quaternion": 1e-4,
+    "nodes": 5e-5,
+    "across": 2.5e-3,
+    "force": 0.01,
+}
 """Steps of the columns of the robot, SI; those of a curve are four digits of its largest value."""
 ALONG = ("nodes", "across")  # columns (4, m, 3)
 
@@ -49,7 +58,9 @@ class RunFrames:
     """A run at n frames, with legs of m nodes."""
 
     name: str
-    columns: dict[str, Array]  # (n, k) by name: those of STEPS, and curves as `plot/curve`
+    columns: dict[
+        str, Array
+    ]  # (n, k) by name: those of STEPS, and curves as `plot/curve`
     thickness: Array  # (4, m) m, of the legs at their nodes
     states: States  # where they change
     known: bool  # whether the shapes of the legs are recorded
@@ -63,14 +74,19 @@ class RunFrames:
 
     def coded(self) -> dict[str, Any]:
         """The run as the page reads it."""
-        steps = {name: STEPS.get(name) or _step(values) for name, values in self.columns.items()}
+        steps = {
+            name: STEPS.get(name) or _step(values)
+            for name, values in self.columns.items()
+        }
         integers = {name: _integers(v, steps[name]) for name, v in self.columns.items()}
         for name in ALONG:
             integers[name] = _along(integers[name])
         return {
             "name": self.name,
             "frames": self.count,
-            "columns": [[name, v.shape[1], steps[name]] for name, v in self.columns.items()],
+            "columns": [
+                [name, v.shape[1], steps[name]] for name, v in self.columns.items()
+            ],
             "data": _packed(np.concatenate(list(integers.values()), axis=1)),
             "thickness": np.round(self.thickness, 6).tolist(),
             "states": self.states,
@@ -154,7 +170,10 @@ def _read_traces(
         try:
             with bag.using(topic):
                 found = sorted(
-                    ((decode.stamp(message), message) for _, message in bag.messages(topic)),
+                    (
+                        (decode.stamp(message), message)
+                        for _, message in bag.messages(topic)
+                    ),
                     key=operator.itemgetter(0),
                 )
                 curves |= _curves(topic, found, stamps)
@@ -180,7 +199,9 @@ def _curves(topic: str, found: Messages, stamps: Stamps) -> dict[str, Array]:
     """Values of the last message at or before each stamp; NaN before the first."""
     last = np.searchsorted([stamp for stamp, _ in found], stamps, side="right") - 1
     rows = [traces.values(topic, message) for _, message in found]
-    columns = {name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]}
+    columns = {
+        name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]
+    }
     return {n: np.where(last[:, None] < 0, np.nan, v[last]) for n, v in columns.items()}
 
 
@@ -196,7 +217,9 @@ def _integers(values: Array, step: float) -> Integers:
     with np.errstate(over="ignore"):
         scaled = values / step
     fits = np.isfinite(scaled) & (np.abs(scaled) < -NO_VALUE - 1)
-    return np.where(fits, np.rint(np.where(fits, scaled, 0.0)), NO_VALUE).astype(np.int64)
+    return np.where(fits, np.rint(np.where(fits, scaled, 0.0)), NO_VALUE).astype(
+        np.int64
+    )
 
 
 def _along(integers: Integers) -> Integers:
@@ -209,5 +232,7 @@ def _packed(table: Integers) -> str:
     """Text of integers (n, c)."""
     change = np.diff(table, axis=0, prepend=0).astype(np.int32)  # modulo 2^32
     signed = (change << 1) ^ (change >> 31)  # 0, -1, 1, -2 become 0, 1, 2, 3
-    planes = np.ascontiguousarray(signed.T).astype("<i4").view(np.uint8).reshape(-1, 4).T
+    planes = (
+        np.ascontiguousarray(signed.T).astype("<i4").view(np.uint8).reshape(-1, 4).T
+    )
     return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()

@@ -39,7 +39,10 @@ def write_page(
     if path.suffix.lower() != SUFFIX:
         raise PageError(f"{path}: expected a name that ends in {SUFFIX}")
     robot = read_robot()
-    runs = [read_frames(bag, robot, partial(progress, f"reading {bag.path}")) for bag in bags]
+    runs = [
+        read_frames(bag, robot, partial(progress, f"reading {bag.path}"))
+        for bag in bags
+    ]
     progress("writing", 0.0)
     text = page(content(runs, robot))
     path.write_text(text, encoding="utf-8")
@@ -59,7 +62,11 @@ def content(runs: Sequence[RunFrames], robot: RobotParameters) -> dict[str, Any]
         {
             "title": plot.title,
             "curves": [
-                {"column": f"{name}/{key}", "names": curve.names, "colours": curve.colours}
+                {
+                    "column": f"{name}/{key}",
+                    "names": curve.names,
+                    "colours": curve.colours,
+                }
                 for key, curve in plot.curves.items()
                 if f"{name}/{key}" in held
             ],
