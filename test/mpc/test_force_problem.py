@@ -13,15 +13,15 @@ from benchmarks.mpc.cases import hard_cases, random_case, standing, state, torso
 from slot_core import config
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate
+from slot_core.mpc.force_mpc import ForceMpc
 from slot_core.mpc.model import Horizon, HorizonQp, TorsoModel
-from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import read_mpc
 from slot_core.mpc.solver import QpSolver
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
-SETTINGS = config.replace(read_mpc("forces"), {"acceptance.time_budget": np.inf})
+SETTINGS = config.replace(read_mpc("force_mpc"), {"acceptance.time_budget": np.inf})
 H, F_MAX, DT = SETTINGS.horizon, SETTINGS.force_max, 0.033
 HOVER = ROBOT.weight / 4
 CASES = hard_cases(H + 1)
@@ -31,7 +31,7 @@ NEAR = [name for name in CASES if "1000 m" not in name]
 
 def new_mpc(**changes):
     names = {name.replace("__", "."): value for name, value in changes.items()}
-    return Mpc(ROBOT, config.replace(SETTINGS, names), lambda: 0.0)
+    return ForceMpc(ROBOT, config.replace(SETTINGS, names), lambda: 0.0)
 
 
 def preview(**changes):

@@ -15,7 +15,7 @@ from slot_core.mpc.model import FEET
 from slot_core.mpc.solver import MpcSolverSettings
 from slot_core.robot import Array
 
-FORCES = "forces"  # policy with the settings as they are
+FORCE_MPC = "force_mpc"  # policy with the settings as they are
 
 
 @dataclass(frozen=True)
@@ -134,10 +134,12 @@ class PaperMpcSettings(MpcSettings):
     terms: PaperTerms = text("terms of its problem")
 
 
-def read_mpc(policy: str = FORCES) -> MpcSettings:
+def read_mpc(policy: str = FORCE_MPC) -> MpcSettings:
     """The settings of `config/mpc.yaml`, or those of a policy of the paper; raises ConfigError."""
     return (
-        config.read(MpcSettings, "mpc") if policy == FORCES else read_paper_mpc(policy)
+        config.read(MpcSettings, "mpc")
+        if policy == FORCE_MPC
+        else read_paper_mpc(policy)
     )
 
 

@@ -1,4 +1,4 @@
-"""Predictive policy: MPC in the stride, which simulates the robot (`problem.py`).
+"""Rollout MPC: policy in the stride, which simulates the robot (`problem.py`).
 
 A tick has two phases. `step` rolls the plan out from the estimated state, solves the quadratic
 programme and searches along its step. `prepare`, called when the command has been sent, moves the
@@ -31,11 +31,11 @@ from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
 from slot_core.geometry import wrapped
 from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product
-from slot_core.predictive.disturbance_observer import PLACE, DisturbanceObserver
-from slot_core.predictive.nominal_robot import NominalRobot, NominalState, Rollouts
-from slot_core.predictive.problem import Linearisation, PlanProblem
-from slot_core.predictive.settings import PredictiveSettings, read_predictive
 from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
+from slot_core.rollout_mpc.disturbance_observer import PLACE, DisturbanceObserver
+from slot_core.rollout_mpc.nominal_robot import NominalRobot, NominalState, Rollouts
+from slot_core.rollout_mpc.problem import Linearisation, PlanProblem
+from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
 
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
@@ -58,7 +58,7 @@ class _Plan:
     linear: Linearisation | None = None
 
 
-class Predictive(Policy):
+class RolloutMpc(Policy):
     """Plans tendon angles over the next stride; `step` raises nothing for bad data."""
 
     STATE = StateParts(
@@ -77,7 +77,7 @@ class Predictive(Policy):
     )
 
     def __init__(
-        self, robot: RobotParameters, settings: PredictiveSettings, timer: Timer
+        self, robot: RobotParameters, settings: RolloutMpcSettings, timer: Timer
     ):
         """Take the nominal robot; raises ConfigError for one that the leg table does not cover."""
         self._robot, self._settings, self._timer = robot, settings, timer
@@ -87,9 +87,9 @@ class Predictive(Policy):
         self._begin(read_gaits().dt)
 
     @staticmethod
-    def read_settings(name: str) -> PredictiveSettings:
-        """`config/predictive.yaml`; raises ConfigError."""
-        return read_predictive()
+    def read_settings(name: str) -> RolloutMpcSettings:
+        """`config/rollout_mpc.yaml`; raises ConfigError."""
+        return read_rollout_mpc()
 
     @property
     def stage_time(self) -> float:

@@ -40,7 +40,7 @@ class _SolverReport:
     cost: float = math.nan
 
 
-class Mpc(Policy):
+class ForceMpc(Policy):
     """The MPC. `step` raises nothing for bad data; the solver's iterations are limited."""
 
     STATE = StateParts(

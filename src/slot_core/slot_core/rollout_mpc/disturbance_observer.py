@@ -30,9 +30,9 @@ from slot_core.arrays import checked
 from slot_core.geometry import rotate, wrapped
 from slot_core.key_frame import StateParts
 from slot_core.matrices import interpolated
-from slot_core.predictive.nominal_robot import NominalRobot, NominalState
-from slot_core.predictive.settings import ObserverSettings
 from slot_core.robot import LEGS, Array
+from slot_core.rollout_mpc.nominal_robot import NominalRobot, NominalState
+from slot_core.rollout_mpc.settings import ObserverSettings
 
 PLACE = [3, 4, 2]  # x, y and yaw in a state or a pose
 TILTS = [5, 0, 1]  # height, roll and pitch
