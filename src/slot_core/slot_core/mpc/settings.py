@@ -10,7 +10,6 @@ import numpy as np
 from slot_core import config
 from slot_core.config import choice, flag, quantity, text
 from slot_core.gait.gait import Vector3
-from slot_core.mpc.disturbance import DisturbanceSettings
 from slot_core.mpc.model import FEET
 from slot_core.mpc.solver import MpcSolverSettings
 from slot_core.robot import Array
@@ -76,7 +75,6 @@ class MpcSettings:
     """Settings of `config/mpc.yaml`."""
 
     weights: Weights
-    disturbance: DisturbanceSettings
     solver: MpcSolverSettings
     acceptance: Acceptance
     fallback: Fallback
