@@ -73,11 +73,13 @@ def test_a_drift_is_found_in_the_heading_frame(share):
 def test_a_steady_drift_is_no_misfit_but_a_robot_that_moves_otherwise_is():
     watch = Watch(drift=(0.03, 0.0, 0.05), wrench=(-3.0, 0.0, 0.0))
     observer = watch.go_on(120)
-    assert not observer.is_far
+    assert not observer.model_mismatch
     assert observer.misfit < 1.0
     found = observer.drift[0]
     watch.drift[:] = 0.0
-    far = [watch.go_on(1, 0.2 * (-1) ** k * (k < 60)).is_far for k in range(200)]
+    far = [
+        watch.go_on(1, 0.2 * (-1) ** k * (k < 60)).model_mismatch for k in range(200)
+    ]
     assert far.index(True) in range(3, 20)
     assert not far[-1]  # once it moves as the model again
     assert abs(observer.drift[0]) < 0.01 * found

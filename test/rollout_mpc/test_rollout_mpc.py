@@ -289,7 +289,7 @@ def test_on_legs_that_the_model_does_not_know_the_gait_takes_over():
     for seed in range(2, 5):
         way, last = soft_walk(seed, SETTINGS.observer.misfit_max)
         ways.append(way)
-        assert last.plan.status is Status.MODEL_FAR
+        assert last.plan.status is Status.MODEL_MISMATCH
         own = np.abs(
             last.plan.angle - last.preview.tendon_angle[: SETTINGS.stages]
         ).max()

@@ -8,7 +8,7 @@ neither, and every program would take a quarter of a second more to start. So a 
 one before Numba. A kernel of a user that calls BLAS loads SciPy then.
 """
 
-# ruff: noqa: E402, I001 - the order of the imports matters
+# ruff: noqa: E402 - the order of the imports matters
 
 from __future__ import annotations
 

@@ -25,6 +25,7 @@ from slot_core.mpc.settings import MpcSettings, PaperMpcSettings, read_mpc
 from slot_core.mpc.solver import Solution
 from slot_core.robot import GRAVITY, Array, RobotParameters
 
+NO_REPORT = PlanReport()
 _NONE = np.zeros(FEET)
 NO_STAGE = FirstStage(_NONE, _NONE, np.zeros((FEET, 3)), _NONE)
 
@@ -105,7 +106,7 @@ class ForceMpc(Policy):
         return self._plan(force, Status.SOLVED, "", report)
 
     def _fall_back(
-        self, cause: Status, fault: str, report: PlanReport = PlanReport()
+        self, cause: Status, fault: str, report: PlanReport = NO_REPORT
     ) -> TendonPlan:
         """The last feasible input, decayed; nothing without one or after `fallback.cycles`."""
         self._missed += 1
