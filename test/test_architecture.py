@@ -46,7 +46,7 @@ CORE = {
     "servos": "safety",
     "dynamixel": "dynamics servos",
     "simulation": "dynamics legs paper estimation gait control safety vision servos",
-    "predictive": "dynamics legs estimation gait control simulation",
+    "rollout_mpc": "dynamics legs estimation gait control simulation",
 }
 BRANDS = ("dynamixel",)  # of servos; only their registry imports them
 REGISTRY = "slot_core.servos.registry"

@@ -20,9 +20,9 @@ from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.mpc.settings import read_mpc
 from slot_core.paper.numbers import read_paper
-from slot_core.predictive.settings import read_predictive
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import read_robot
+from slot_core.rollout_mpc.settings import read_rollout_mpc
 from slot_core.safety.settings import read_supervisor
 from slot_core.servos.registry import read_servo_bus
 from slot_core.vision.settings import read_vision
@@ -47,7 +47,7 @@ FILES = {
     "mpc": read_mpc,
     "paper": read_paper,
     "place": lambda: PlaceFeedback.read_settings("place"),
-    "predictive": read_predictive,
+    "rollout_mpc": read_rollout_mpc,
     "record": read_record_settings,
     "robot": read_robot,
     "servo": read_servo,

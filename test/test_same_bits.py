@@ -23,7 +23,7 @@ ROOMS = (
     "estimation",
     "gait",
     "control",
-    "predictive",
+    "rollout_mpc",
     "mpc",
     "legs",
     "safety",

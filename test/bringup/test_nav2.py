@@ -8,7 +8,6 @@ import pytest
 import yaml
 
 from slot_core.gait.gait import read_gaits
-from slot_core.gait.reach import clipped
 from slot_core.robot import BASE_FRAME, ODOM_FRAME, read_robot
 
 FILE = Path(__file__).parents[2] / "slot_bringup/nav2/nav2_params.yaml"
@@ -30,7 +29,7 @@ FOLLOW, BEHAVIOR = NODES["controller_server"]["FollowPath"], NODES["behavior_ser
     ],
 )
 def test_the_gait_reaches_every_speed(velocity):
-    assert clipped(read_gaits(), "walk", velocity)[1] == ""
+    assert read_gaits().clipped("walk", velocity)[1] == ""
 
 
 def test_acceleration_and_progress_are_those_of_the_robot():

@@ -182,14 +182,6 @@ def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_imag
     np.testing.assert_allclose(back, signs * there, rtol=0, atol=1e-9)
 
 
-def test_the_mean_posture_is_the_mean_of_the_course_over_a_stride():
-    velocity = np.array([-0.04, 0.03, 0.02])
-    torso = WALK.stride_table(np.arange(200) / 200, velocity)[:, 8:]
-    mean = torso[:, [5, 0, 1]].mean(axis=0) - [WALK.height, 0.0, 0.0]
-    assert WALK.mean_posture(velocity) == pytest.approx(mean, abs=1e-12)
-    assert WALK.mean_posture(np.zeros(3)) == pytest.approx(np.zeros(3))
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_steering_alters_the_angles_in_proportion_to_the_yaw_rate(sign):
     plain = stride_table([0.05, 0, 0], stride=filled())

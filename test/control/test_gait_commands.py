@@ -8,7 +8,6 @@ from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_core.gait.gait import GaitCommand
 from slot_core.gait.gait_scheduler import SETTLING
-from slot_core.gait.reach import clipped
 from slot_core.gait.route import ARRIVED, LEAD, Route
 from slot_core.geometry import rotate
 
@@ -87,7 +86,7 @@ def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(gait
         rng.normal(size=(200, 3)) * [0.1, 0.1, 0.5],
     )
     for wanted in np.vstack([10.0 * axes, random, 1e6 * random[:3], [[0.5, 0.0, 1.0]]]):
-        given, remark = clipped(GAITS, gait, wanted)
+        given, remark = GAITS.clipped(gait, wanted)
         GAITS.require_velocity(gait, given)
         share = np.linalg.norm(given) / np.linalg.norm(wanted)
         assert given == pytest.approx(share * wanted, rel=1e-12)
@@ -97,7 +96,7 @@ def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(gait
                 GAITS.require_velocity(gait, 1.0001 * given)
         else:
             assert (given == wanted).all()
-        assert clipped(GAITS, gait, given)[1] == ""
+        assert GAITS.clipped(gait, given)[1] == ""
 
 
 def test_a_clipped_velocity_is_said_while_it_is_in_force():

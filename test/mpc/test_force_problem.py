@@ -1,8 +1,5 @@
 """MPC on forces against the matrix exponential, CVXPY with Clarabel, and a nonlinear torso."""
 
-import csv
-import dataclasses
-
 import cvxpy
 import numpy as np
 import pytest
@@ -12,16 +9,15 @@ from scipy.spatial.transform import Rotation
 from benchmarks.mpc.cases import hard_cases, random_case, standing, state, torso
 from slot_core import config
 from slot_core.control.policy import Status
-from slot_core.estimation.estimate import Estimate
+from slot_core.mpc.force_mpc import ForceMpc
 from slot_core.mpc.model import Horizon, HorizonQp, TorsoModel
-from slot_core.mpc.mpc import Mpc
 from slot_core.mpc.settings import read_mpc
 from slot_core.mpc.solver import QpSolver
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
-SETTINGS = config.replace(read_mpc("forces"), {"acceptance.time_budget": np.inf})
+SETTINGS = config.replace(read_mpc("force_mpc"), {"acceptance.time_budget": np.inf})
 H, F_MAX, DT = SETTINGS.horizon, SETTINGS.force_max, 0.033
 HOVER = ROBOT.weight / 4
 CASES = hard_cases(H + 1)
@@ -31,7 +27,7 @@ NEAR = [name for name in CASES if "1000 m" not in name]
 
 def new_mpc(**changes):
     names = {name.replace("__", "."): value for name, value in changes.items()}
-    return Mpc(ROBOT, config.replace(SETTINGS, names), lambda: 0.0)
+    return ForceMpc(ROBOT, config.replace(SETTINGS, names), lambda: 0.0)
 
 
 def preview(**changes):
@@ -216,48 +212,3 @@ def test_condition_number_is_that_of_the_condensed_hessian():
     new_mpc(horizon=1, acceptance__condition_max=bound * 1.001)
     with pytest.raises(config.ConfigError):
         new_mpc(horizon=1, acceptance__condition_max=bound * 0.999)
-
-
-def test_force_max_is_the_force_of_a_fully_pulled_leg_at_the_height_of_the_walk():
-    """The paper's line gives 5.532 N at any height; the walk's normal forces reach 11 N."""
-    with (config.config_dir() / "leg_map.csv").open() as file:
-        rows = [
-            {name: float(value) for name, value in row.items()}
-            for row in csv.DictReader(file)
-        ]
-    pulled = [
-        row for row in rows if row["theta_deg"] == max(r["theta_deg"] for r in rows)
-    ]
-    force = np.interp(
-        0.064, *zip(*((row["height_m"], row["force_N"]) for row in pulled))
-    )
-    assert SETTINGS.force_max == pytest.approx(force, abs=0.05)  # one decimal
-
-
-def ticks(mpc, true, seconds=6.0):
-    """Last 30 states (30, 12) and result of a torso of the `true` (mass, bias) under the MPC."""
-    model, dt = TorsoModel(ROBOT), DT
-    x, states = state(), []
-    for k in range(round(seconds / dt)):
-        stamp = round(k * dt * 1e9)
-        ahead = dataclasses.replace(preview(), stamp=stamp)
-        result = mpc.step(Estimate.exact(x, stamp), ahead)
-        assert result.status == Status.SOLVED
-        true_step = model.predict(x[2], x[5], dt, *true)
-        x = true_step.a @ x + true_step.b @ result.force[0].ravel() + true_step.drift
-        states.append(x)
-    return np.array(states[-30:]), result
-
-
-def test_the_observer_estimates_mass_and_bias_and_reduces_their_error():
-    bias = np.array([0.3, -0.2, 0.1, 0.05, -0.04, 0.0])
-    true = (1.2 * ROBOT.mass, bias)
-    without, _ = ticks(new_mpc(force_max=12.0), true)
-    observer = {"disturbance__time": 0.2, "disturbance__bias_angular": 20.0}
-    with_it, result = ticks(new_mpc(force_max=12.0, **observer), true)
-    assert result.report.mass == pytest.approx(true[0], rel=1e-3)
-    # without the observer the unknown weight lowers the height by millimetres
-    assert abs(without[-1, 5] - 0.04) > 1e-3
-    assert np.abs(with_it[:, 5] - 0.04).max() < 1e-4
-    # A tilt remains: the moment against the bias needs forces off the gait's, which are penalised.
-    assert np.abs(with_it[:, :2]).max() < 0.5 * np.abs(without[:, :2]).max()

@@ -12,14 +12,14 @@ from benchmarks.mpc.cvxpy_reference import CvxpyReference
 from benchmarks.mpc.oracle import optimum
 from slot_core import config
 from slot_core.control.policy import Status
-from slot_core.mpc.mpc import Mpc
+from slot_core.mpc.force_mpc import ForceMpc
 from slot_core.mpc.settings import read_mpc
 from slot_core.mpc.solver import QpSolver
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
-SETTINGS = config.replace(read_mpc("forces"), {"acceptance.time_budget": np.inf})
+SETTINGS = config.replace(read_mpc("force_mpc"), {"acceptance.time_budget": np.inf})
 H = SETTINGS.horizon
 # Where a limit is weakly active, an interior-point solution is off by about the root of its gap,
 # 1e-5 N. An error of 1e-3 N does not matter to the robot.
@@ -28,7 +28,7 @@ TOLERANCE = 1e-3
 
 def controller(**changes):
     others = {key.replace("__", "."): value for key, value in changes.items()}
-    return Mpc(ROBOT, config.replace(SETTINGS, others), lambda: 0.0)
+    return ForceMpc(ROBOT, config.replace(SETTINGS, others), lambda: 0.0)
 
 
 FOUND = {}  # first forces (4, 3) N of the optimum, by the problem

@@ -204,7 +204,7 @@ def test_after_an_emergency_stop_it_rises_only_on_request(walking):
 
 
 def test_it_goes_on_under_another_policy(walking):
-    for policy in ("forces", "gait_alone"):
+    for policy in ("force_mpc", "gait_alone"):
         walking.set_policy(policy)
         run(walking, 1.0)
         assert walking.loop.report.state is State.WALKING

@@ -320,7 +320,7 @@ def test_a_graph_that_is_silent_is_named_and_its_last_state_is_not_said_any_more
     "arguments",
     [
         ["--graph", "--scene", "flat"],
-        ["--graph", "--policy", "forces"],
+        ["--graph", "--policy", "force_mpc"],
         ["--namespace", "a"],
     ],
 )

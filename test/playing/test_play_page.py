@@ -216,7 +216,7 @@ def test_policy_and_operator(hand):
     hand.choose("policy", "gait_alone")
     hand.see(lambda h: "none are estimated" in h.browser.text())
     hand.browser.key("Y")  # after the last the first
-    hand.see(lambda h: h.robot.policy == "predictive")
+    hand.see(lambda h: h.robot.policy == "rollout_mpc")
     for button, state in (
         ("relax", State.IDLE),
         ("stand up", State.STANDING),

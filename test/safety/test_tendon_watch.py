@@ -237,7 +237,7 @@ def test_a_robot_that_is_told_of_its_broken_tendon_walks_on_three_legs(
     broken = [True, False, False, False]
     changes = {
         "supervisor": {"tendon.broken": broken},
-        "predictive": {"nominal.broken": broken},
+        "rollout_mpc": {"nominal.broken": broken},
         "scene/tendon_breaks": {"faults.fl.time": 0.0},
     }
     monkeypatch.setenv("SLOT_CONFIG", str(changed_config(tmp_path, changes)))

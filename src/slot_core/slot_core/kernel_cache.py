@@ -60,11 +60,6 @@ class KernelCache(NullCache):
         self._function = function
         self._start = 0.0
 
-    @property
-    def cache_path(self) -> str:
-        """Folder of the files."""
-        return str(folder())
-
     def path(self, signature: tuple[types.Type, ...], target: Any) -> Path:
         """File of the kernel for types of arguments, on the processor of a target."""
         key = (

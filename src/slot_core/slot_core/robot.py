@@ -21,7 +21,7 @@ from slot_core import config
 from slot_core.arrays import Array as Array  # noqa: PLC0414 - for those who import it from here
 from slot_core.config import ConfigError, quantity
 from slot_core.elementary import cos, exp, hypot, sin
-from slot_core.matrices import interpolated, product
+from slot_core.matrices import product
 from slot_core.names import LEGS as LEGS  # noqa: PLC0414 - as Array
 from slot_core.refusal import quoted
 
@@ -105,9 +105,9 @@ class Leg:
         cells = np.diff(x) / 6 * (begin + 4 * middle + end)
         return x, np.append(0.0, np.cumsum(cells))
 
-    def arc_length(self, x: float | None = None) -> float:
-        """Arc length of the natural shape from the clamp to x (default: the tip), m."""
-        return float(self.arc[1][-1] if x is None else interpolated(x, *self.arc))
+    def arc_length(self) -> float:
+        """Arc length of the natural shape from the clamp to the tip, m."""
+        return float(self.arc[1][-1])
 
     @property
     def shear_modulus(self) -> float:

@@ -1,4 +1,4 @@
-"""Problem of the MPC on ground reaction forces: torso model, disturbance observer and solver.
+"""Problem of the MPC on ground reaction forces: torso model, quadratic programme and solver.
 
 The paper's formulation, made well posed, for comparison. It takes the legs as ideal sources of
 force (`model.py`), which soft legs are not. As printed and as published: `paper_problem.py`.
@@ -7,18 +7,12 @@ force (`model.py`), which soft legs are not. As printed and as published: `paper
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from slot_core import config
-from slot_core.clock import to_seconds
 from slot_core.control.input_check import STAGE
-from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
-from slot_core.key_frame import StateParts
-from slot_core.matrices import product
-from slot_core.mpc.disturbance import Disturbance
 from slot_core.mpc.model import (
     FEET,
     FirstStage,
@@ -32,52 +26,24 @@ from slot_core.mpc.settings import MpcSettings
 from slot_core.mpc.solver import QpSolver, Solution
 from slot_core.robot import Array, RobotParameters
 
-LONGEST_GAP = 0.5  # s between ticks; after a longer one the acting forces are unknown
-
-
-@dataclass(frozen=True)
-class _LastTick:
-    """The last tick whose input was not rejected."""
-
-    stamp: int  # ns
-    state: Array  # (12,)
-    force: Array  # (4, 3) N, requested
-
 
 class ForceProblem:
-    """The problem with the values of the present tick, its observer and its solver."""
-
-    STATE = StateParts(
-        "_disturbance", "_solver", "_stamp", "_state", "_last", values=(_LastTick,)
-    )
+    """The problem with the values of the present tick, and its solver, which starts cold."""
 
     def __init__(self, robot: RobotParameters, settings: MpcSettings):
         """Set up problem and solver.
 
         Raises ConfigError if the weights leave the problem ill-conditioned.
         """
-        self._settings, self._mass = settings, robot.mass
+        self._settings, self.mass = settings, robot.mass
         self._model = TorsoModel(robot)
-        self._disturbance = Disturbance(robot.mass, settings.disturbance)
         weights, horizon = settings.weights, settings.horizon
         generic = self._model.predict(0.3, 0.1, STAGE[1])
         _check_condition(generic, settings)
         self.qp = HorizonQp(weights.q, weights.r, horizon, generic)
         self._solver = QpSolver(self.qp, settings.solver)
         self._solver.solve()  # the first solve is slow (page faults): not during operation
-        self._stamp, self._state = 0, np.zeros(12)
         self._ahead: Horizon | None = None
-        self._last: _LastTick | None = None
-
-    @property
-    def mass(self) -> float:
-        """Mass of the model, kg."""
-        return self._disturbance.mass
-
-    @property
-    def share(self) -> float:
-        """Estimated mass over the robot's nominal mass; scales the reference forces."""
-        return self._disturbance.mass / self._mass
 
     def read(self, preview: GaitPreview) -> FirstStage:
         """Take the limits and targets of a preview; returns those of its first stage.
@@ -87,10 +53,10 @@ class ForceProblem:
         now = np.arange(self._settings.horizon)
         following = np.minimum(now + 1, len(preview.reference) - 1)
         force = np.zeros((len(now), FEET, 3))
-        force[..., 2] = self.share * np.asarray(preview.normal_force)[now]
+        force[..., 2] = np.asarray(preview.normal_force)[now]
+        contact = np.asarray(preview.contact, dtype=float)[now]
         self._ahead = ahead = Horizon(
-            force_max=self._settings.force_max
-            * np.asarray(preview.contact, dtype=float)[now],
+            force_max=self._settings.force_max * contact,
             friction=np.asarray(preview.friction, dtype=float)[now],
             force_ref=force,
             state_ref=np.asarray(preview.reference, dtype=float)[following],
@@ -100,19 +66,12 @@ class ForceProblem:
     def update(self, state: Array, preview: GaitPreview) -> None:
         """Set the present state (12,), at stage 0 of the preview that was read."""
         assert self._ahead is not None
-        self._observe(state, preview.stamp)
-        self._stamp, self._state = preview.stamp, state
-        mass, bias = self._disturbance.mass, self._disturbance.bias
-        prediction = self._model.predict(state[2], state[5], preview.dt, mass, bias)
+        prediction = self._model.predict(state[2], state[5], preview.dt)
         self.qp.update(prediction, state, self._ahead)
 
     def solve(self) -> Solution:
         """Solve the problem with its present values; raises nothing."""
         return self._solver.solve()
-
-    def follow(self, plan: TendonPlan) -> None:
-        """Take the plan that the legs are commanded from this tick on."""
-        self._last = _LastTick(self._stamp, self._state, plan.force[0])
 
     def balance(self, force: Array) -> float:
         """Slack of the balance of forces (4, 3) with the weight: infinite, without such a limit."""
@@ -133,21 +92,6 @@ class ForceProblem:
     def residual(self, z: Array) -> float:
         """Largest error of the dynamics."""
         return self.qp.residual(z)
-
-    def _observe(self, state: Array, stamp: int) -> None:
-        """Update the disturbance observer, if it is on, with the state after the last tick."""
-        last = self._last
-        if last is None or self._settings.disturbance.time == 0.0:
-            return
-        dt = to_seconds(stamp - last.stamp)
-        if not 0.0 < dt <= LONGEST_GAP:
-            return
-        disturbance = self._disturbance
-        model = self._model.predict(
-            last.state[2], last.state[5], dt, disturbance.mass, disturbance.bias
-        )
-        predicted = product(model.a, last.state) + product(model.b, last.force.ravel())
-        disturbance.correct((predicted + model.drift)[6:], state[6:], dt)
 
 
 def _check_condition(prediction: Prediction, settings: MpcSettings) -> None:

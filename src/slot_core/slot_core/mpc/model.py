@@ -46,7 +46,7 @@ class Prediction:
 
     a: Array  # (12, 12)
     b: Array  # (12, 12)
-    drift: Array  # (12,) effect of gravity and bias in one stage
+    drift: Array  # (12,) effect of gravity in one stage
 
 
 @dataclass(frozen=True)
@@ -93,19 +93,10 @@ class TorsoModel:
         self._inverse_inertia = inverse(robot.inertia)
         self._mass = robot.mass
 
-    def predict(
-        self,
-        yaw: float,
-        height: float,
-        dt: float,
-        mass: float | None = None,
-        bias: Array | None = None,
-    ) -> Prediction:
+    def predict(self, yaw: float, height: float, dt: float) -> Prediction:
         """Discretise exactly, by zero-order hold over dt (s), at a yaw (rad) and height (m).
 
-        mass: kg, default the robot's. bias: (6,) additional angular and linear acceleration,
-        rad/s^2 and m/s^2. With q = [rpy, p] and w = [omega, v] the model is q' = J w,
-        w' = W u + g.
+        With q = [rpy, p] and w = [omega, v] the model is q' = J w, w' = W u + g.
         """
         rotation = rotation_z(yaw)
         jacobian = np.eye(6)
@@ -116,8 +107,9 @@ class TorsoModel:
         arms = lever_arms(levers)
         turned = product(product(rotation, self._inverse_inertia), rotation.T)
         gain[:3] = product(turned, arms)
-        gain[3:] = np.tile(np.eye(3) / (mass or self._mass), FEET)
-        acceleration = (np.zeros(6) if bias is None else bias) - GRAVITY * np.eye(6)[5]
+        gain[3:] = np.tile(np.eye(3) / self._mass, FEET)
+        acceleration = np.zeros(6)
+        acceleration[5] = -GRAVITY
         a, b, drift = np.eye(STATES), np.zeros((STATES, INPUTS)), np.zeros(STATES)
         a[:6, 6:] = dt * jacobian
         b[:6] = dt * dt / 2 * product(jacobian, gain)

@@ -30,10 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from slot_core.control.policy import TendonPlan
 from slot_core.elementary import cos, hypot, sin
 from slot_core.gait.gait import GaitPreview
-from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product, sparse_product
 from slot_core.mpc.model import (
     FEET,
@@ -104,8 +102,6 @@ class _Phase:
 class PaperProblem:
     """The problem with the values of the present tick; a second-order cone programme."""
 
-    STATE = StateParts()
-
     def __init__(self, robot: RobotParameters, settings: PaperMpcSettings):
         """Set up the phases: FL pulled, FR pulled, none."""
         self._settings, self._terms = settings, settings.terms
@@ -162,9 +158,6 @@ class PaperProblem:
         )
         parts = *objective, self._matrix, self._right, self._cones, settings
         return solution_of(clarabel.DefaultSolver(*parts))
-
-    def follow(self, plan: TendonPlan) -> None:
-        """Nothing: there is no observer."""
 
     def balance(self, force: Array) -> float:
         """Slack of the balance of forces (4, 3) N with the weight, N."""

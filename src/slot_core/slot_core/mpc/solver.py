@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from slot_core.config import quantity
-from slot_core.key_frame import StateParts
 from slot_core.mpc.model import HorizonQp
 from slot_core.robot import Array
 
@@ -67,13 +66,11 @@ def solution_of(solver: clarabel.DefaultSolver) -> Solution:
 
 
 class QpSolver:
-    """Solver of a `HorizonQp`.
+    """Solver of a `HorizonQp`, without a memory of earlier solves.
 
     Constraints C z + s = d, with s = 0 for equalities and s >= 0 otherwise; C = [A; G; -1 or 1 for
     each bounded side of a variable]. The set of bounded variables is that at construction.
     """
-
-    STATE = StateParts()  # it starts cold
 
     def __init__(self, qp: HorizonQp, settings: MpcSolverSettings):
         """Set up the factorisation for the sparsity of `qp`."""

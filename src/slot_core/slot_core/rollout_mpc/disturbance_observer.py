@@ -11,7 +11,7 @@ ticks. The differences e between the measured and the repeated motion change at 
 The wrench acts in the rollouts; the drift moves their poses on. Hence a payload of m kg is a wrench
 F_z = -m g, and a foot that slips more than expected is a drift.
 
-The misfit is what drift and wrench leave over: the root mean square, over some 20 ticks, of the
+The misfit is the residual after drift and wrench: the root mean square, over some 20 ticks, of the
 errors less T d, in units of the cost's scales. It is 1 to 2 in a walk, up to 3 after a push, and
 4 to 10 where the model does not hold: on legs softer by a fifth that stall, and on a floor whose
 friction is 1 instead of 0.4. Beyond `misfit_max` the model is not to be used until the misfit is
@@ -30,9 +30,9 @@ from slot_core.arrays import checked
 from slot_core.geometry import rotate, wrapped
 from slot_core.key_frame import StateParts
 from slot_core.matrices import interpolated
-from slot_core.predictive.nominal_robot import NominalRobot, NominalState
-from slot_core.predictive.settings import ObserverSettings
 from slot_core.robot import LEGS, Array
+from slot_core.rollout_mpc.nominal_robot import NominalRobot, NominalState
+from slot_core.rollout_mpc.settings import ObserverSettings
 
 PLACE = [3, 4, 2]  # x, y and yaw in a state or a pose
 TILTS = [5, 0, 1]  # height, roll and pitch
@@ -51,7 +51,12 @@ class DisturbanceObserver:
     """Estimates of drift and wrench."""
 
     STATE = StateParts(
-        "drift", "wrench", "is_far", "_misfit", "_past", values=(_Seen, NominalState)
+        "drift",
+        "wrench",
+        "model_mismatch",
+        "_misfit",
+        "_past",
+        values=(_Seen, NominalState),
     )
 
     def __init__(
@@ -64,7 +69,7 @@ class DisturbanceObserver:
         self._stiffness, self._drift_max, self._wrench_max = np.array(limits)
         self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame
         self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
-        self.is_far = False  # whether the model is too far from the robot to be used
+        self.model_mismatch = False  # whether the robot moves otherwise than the model
         self._misfit = np.zeros(6)  # mean squares, in units of the scales
         self._past: deque[_Seen] = deque()
 
@@ -80,10 +85,8 @@ class DisturbanceObserver:
         start: of the nominal robot, with the torso as measured. Once the estimates reach back over
         the window, correct drift and wrench. Raises ValueError for other shapes.
         """
-        state, angle = (
-            checked("state", state, (12,)),
-            checked("angle", angle, (len(LEGS),)),
-        )
+        state = checked("state", state, (12,))
+        angle = checked("angle", angle, (len(LEGS),))
         past, s, tick = self._past, self._settings, round(1e9 * self._dt)
         past.append(_Seen(time, start, state.copy(), angle.copy()))
         begin = time - s.window * tick
@@ -91,21 +94,16 @@ class DisturbanceObserver:
             past.popleft()
         if past[0].time > begin:
             return
-        known = [
-            (seen.time - past[0].time) / tick for seen in past
-        ]  # ticks after the first
+        # ticks after the first
+        known = [(seen.time - past[0].time) / tick for seen in past]
         passed = known[-1]
         ticks = np.arange(math.ceil(passed) + 1.0)
-        plan = [
-            interpolated(ticks, known, angles)
-            for angles in zip(*(seen.angle for seen in past))
-        ]
+        angles = np.array([seen.angle for seen in past])
+        plan = [interpolated(ticks, known, column) for column in angles.T]
         poses = self._model.roll_out(past[0].start, np.transpose(plan)[None]).pose[0]
         if np.isfinite(poses).all():
-            pose = [
-                interpolated(passed, ticks[1:], values)
-                for values in np.unwrap(poses, axis=0).T
-            ]
+            columns = np.unwrap(poses, axis=0).T
+            pose = [interpolated(passed, ticks[1:], column) for column in columns]
             self._correct(state, np.array(pose), self._dt * passed)
 
     def _correct(self, state: Array, pose: Array, span: float) -> None:
@@ -115,21 +113,21 @@ class DisturbanceObserver:
         drift = np.append(way, wrapped(state[2] - pose[2])) / span
         error = state[TILTS] - pose[TILTS]
         self._judge(np.concatenate([span * (drift - self.drift), error]))
-        if self.is_far:
+        if self.model_mismatch:
             drift, error = np.zeros(3), -self.wrench / self._stiffness
-        self.drift = _bounded(
-            self.drift + s.drift_gain * (drift - self.drift), self._drift_max
-        )
+        drift = self.drift + s.drift_gain * (drift - self.drift)
+        self.drift = _bounded(drift, self._drift_max)
         wrench = self.wrench + s.wrench_gain * self._stiffness * error
         self.wrench = _bounded(wrench, self._wrench_max)
 
-    def _judge(self, left_over: Array) -> None:
-        """Update the misfit by the errors (6,) that drift and wrench leave over."""
+    def _judge(self, residual: Array) -> None:
+        """Update the misfit by the residual (6,) of the errors after drift and wrench."""
         s = self._settings
-        self._misfit += s.misfit_gain * (
-            np.square(left_over / self._scale) - self._misfit
+        square = np.square(residual / self._scale)
+        self._misfit += s.misfit_gain * (square - self._misfit)
+        self.model_mismatch = self.misfit > s.misfit_max * (
+            0.5 if self.model_mismatch else 1.0
         )
-        self.is_far = self.misfit > s.misfit_max * (0.5 if self.is_far else 1.0)
 
     @property
     def misfit(self) -> float:

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from slot_core.predictive import problem as plan
-from slot_core.predictive.active_set import ActiveSet
+from slot_core.rollout_mpc import problem as plan
+from slot_core.rollout_mpc.active_set import ActiveSet
 from slot_core.simulation.closed_loop import ClosedLoop
 
 N, ROWS, SLACK = 25, 170, 1e-9

@@ -1,4 +1,4 @@
-"""Predictive policy: MPC in the stride, which simulates the robot (`problem.py`).
+"""Rollout MPC: policy in the stride, which simulates the robot (`problem.py`).
 
 A tick has two phases. `step` rolls the plan out from the estimated state, solves the quadratic
 programme and searches along its step. `prepare`, called when the command has been sent, moves the
@@ -11,13 +11,12 @@ is tried first whether the next one could be solved. An estimate that comes well
 stage gets the present plan between its stages. A cycle without a new plan moves the last one on and
 lets its deviations from the gait decay; after `limits.cycles` such cycles in a row the status is
 STOPPED. While the robot moves otherwise than its model the plan is the gait's too, to which the
-deviations decay, and the status is MODEL_FAR.
+deviations decay, and the status is MODEL_MISMATCH.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,19 +30,17 @@ from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
 from slot_core.geometry import wrapped
 from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product
-from slot_core.predictive.disturbance_observer import PLACE, DisturbanceObserver
-from slot_core.predictive.nominal_robot import NominalRobot, NominalState, Rollouts
-from slot_core.predictive.problem import Linearisation, PlanProblem
-from slot_core.predictive.settings import PredictiveSettings, read_predictive
 from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
+from slot_core.rollout_mpc.disturbance_observer import PLACE, DisturbanceObserver
+from slot_core.rollout_mpc.nominal_robot import NominalRobot, NominalState, Rollouts
+from slot_core.rollout_mpc.problem import Linearisation, PlanProblem
+from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
 
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
 EARLY = 0.8  # of a stage: an estimate before that gets the present plan
-JUMP, TURN = (
-    0.05,
-    0.2,
-)  # m, rad beyond the nominal robot's motion: the odometry has jumped
+# m, rad beyond the nominal robot's motion: the odometry has jumped
+JUMP, TURN = 0.05, 0.2
 
 
 @dataclass(frozen=True)
@@ -55,10 +52,12 @@ class _Plan:
     nominal: Array  # (K + 2, 4) rad, of the gait, with the payload
     sag: float  # m, by which the torso sinks since the legs cannot carry more
     deviation: Array  # (K + 1, 4) rad
+    # predicted: poses and feet at the stages 1 .. K, forces at 0 .. K-1
+    motion: Rollouts
     linear: Linearisation | None = None
 
 
-class Predictive(Policy):
+class RolloutMpc(Policy):
     """Plans tendon angles over the next stride; `step` raises nothing for bad data."""
 
     STATE = StateParts(
@@ -68,16 +67,15 @@ class Predictive(Policy):
         "_plan",
         "_next",
         "_state",
-        "_prediction",
         "_stiffness",
         "_missed",
         "_disturbances",
-        "_far",
-        values=(_Plan, NominalState, Linearisation, Rollouts),
+        "_model_mismatch",
+        values=(_Plan, NominalState, Linearisation, Rollouts, PlanReport),
     )
 
     def __init__(
-        self, robot: RobotParameters, settings: PredictiveSettings, timer: Timer
+        self, robot: RobotParameters, settings: RolloutMpcSettings, timer: Timer
     ):
         """Take the nominal robot; raises ConfigError for one that the leg table does not cover."""
         self._robot, self._settings, self._timer = robot, settings, timer
@@ -87,9 +85,9 @@ class Predictive(Policy):
         self._begin(read_gaits().dt)
 
     @staticmethod
-    def read_settings(name: str) -> PredictiveSettings:
-        """`config/predictive.yaml`; raises ConfigError."""
-        return read_predictive()
+    def read_settings(name: str) -> RolloutMpcSettings:
+        """`config/rollout_mpc.yaml`; raises ConfigError."""
+        return read_rollout_mpc()
 
     @property
     def stage_time(self) -> float:
@@ -100,15 +98,6 @@ class Predictive(Policy):
     def stage_time(self, dt: float) -> None:
         if dt != self._dt:
             self._begin(dt)
-
-    @property
-    def _prediction(self) -> list[Rollouts]:
-        """Predicted motion of the plan, for key frames: its arrays grow with the first plan."""
-        return [self._seen]
-
-    @_prediction.setter
-    def _prediction(self, one: Sequence[Rollouts]) -> None:
-        (self._seen,) = one
 
     def reset(self) -> None:
         """Begin anew, without a plan and without disturbances."""
@@ -123,11 +112,8 @@ class Predictive(Policy):
         self.observer = DisturbanceObserver(self._model, settings.observer, scale, dt)
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
-        self._state: Array | None = (
-            None  # (12,) that the plan is for; None after a fallback
-        )
-        # predicted: poses and feet at the stages 1 .. K, forces at 0 .. K-1
-        self._seen = _empty(settings.stages)
+        # (12,) that the plan is for; None after a fallback
+        self._state: Array | None = None
         self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
         self._missed = 0  # consecutive cycles without a new plan
         self._note_disturbances()
@@ -144,15 +130,12 @@ class Predictive(Policy):
                 return self._gait_plan(preview)
         if fault := fault or state_fault(estimate.state, limits.input_max):
             return self._fall_back(Status.REJECTED, fault)
-        if (
-            self._plan is not None
-            and 0 <= (share := self._share(estimate.time)) < EARLY
-        ):
-            return self._published(share=share)
+        present = self._plan
+        if present is not None and 0 <= self._share(estimate.time) < EARLY:
+            return self._published(present, share=self._share(estimate.time))
         state = np.asarray(estimate.state, dtype=float)
-        plan, rollout, fault = self._improved(
-            self._ready(estimate.time, state, preview), state, preview
-        )
+        ready = self._ready(estimate.time, state, preview)
+        plan, rollout, fault = self._improved(ready, state, preview)
         cause = Status.NOT_SOLVED if fault else Status.LATE
         if fault := fault or time_fault(self._timer() - begin, limits.time_budget):
             return self._fall_back(cause, fault)
@@ -163,14 +146,13 @@ class Predictive(Policy):
         moved = self._problem.moved(self.observer.drift, float(state[2]))
         pose[:, PLACE] += moved
         foot[..., :2] += moved[:, None, :2]
-        now = (
-            force[:1] if self._plan is None else self._seen.force[1:2]
-        )  # as predicted before
-        self._plan, self._next = replace(plan, linear=None), None
-        self._seen = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
-        self._state = state
+        # forces at stage 0: as predicted a stage before
+        now = force[:1] if present is None else present.motion.force[1:2]
+        motion = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
+        self._plan = replace(plan, motion=motion, linear=None)
+        self._next, self._state = None, state
         self._note_disturbances()
-        return self._published(preview=preview)
+        return self._published(self._plan, preview=preview)
 
     def _gait_plan(self, preview: GaitPreview) -> TendonPlan:
         """The gait's angles and forces over as many stages as a plan."""
@@ -183,26 +165,27 @@ class Predictive(Policy):
         if plan is None or self._next is not None:
             return
         self._next = self._linearised(self._moved_on(plan))
-        self._stiffness = self._stiffness_of(self._next.nominal[1:-1], self._seen.pose)
+        self._stiffness = self._stiffness_of(self._next.nominal[1:-1], plan.motion.pose)
         if self._state is not None:
-            self.observer.observe(
-                plan.time, plan.start, self._state, self._angles(plan)[0]
-            )
+            angle = self._angles(plan)[0]
+            self.observer.observe(plan.time, plan.start, self._state, angle)
 
     def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
         """The plan for the state (12,) at `time` (ns), linearised near it."""
         found = self._found(time, state)
         if found is None:
             self.observer.forget()
+            stages = self._settings.stages
             angle, pose = (
-                np.asarray(rows, dtype=float)[: self._settings.stages + 2]
+                np.asarray(rows, dtype=float)[: stages + 2]
                 for rows in (preview.tendon_angle, preview.reference)
             )
             self._stiffness = self._stiffness_of(angle, pose)
             nominal, sag = self._nominal(preview)
             start = self._model.at_rest(state, nominal[0])
-            still = np.zeros((self._settings.stages + 1, len(LEGS)))
-            return self._linearised(_Plan(time, start, nominal, sag, still))
+            still = np.zeros((stages + 1, len(LEGS)))
+            new = _Plan(time, start, nominal, sag, still, _no_motion(stages))
+            return self._linearised(new)
         self._model.set_wrench(self.observer.wrench, state[2])
         start = self._model.measured(found.start, state)
         nominal, sag = self._nominal(preview)
@@ -236,9 +219,8 @@ class Predictive(Policy):
 
         The torso sags by the mean force that the largest tendon angle does not give.
         """
-        angle = np.asarray(preview.tendon_angle, dtype=float)[
-            : self._settings.stages + 2
-        ]
+        gait = np.asarray(preview.tendon_angle, dtype=float)
+        angle = gait[: self._settings.stages + 2]
         carried = angle - product(self._shares, self.observer.wrench) / self._stiffness
         nominal = np.clip(carried, 0.0, self._robot.tendon.angle_max)
         missing = float(product(carried - nominal, self._stiffness).mean())  # N
@@ -262,6 +244,7 @@ class Predictive(Policy):
             _shifted(plan.nominal),
             plan.sag,
             _shifted(plan.deviation),
+            plan.motion,
         )
 
     def _linearised(self, plan: _Plan) -> _Plan:
@@ -270,16 +253,12 @@ class Predictive(Policy):
         basis, most = self._problem.basis, self._robot.tendon.angle_max
         beyond = (angle + step * basis > most).any(axis=(1, 2))
         steps = np.where(beyond, -step, step)[:, None, None]
-        pose = self._model.roll_out(
-            plan.start, np.vstack([angle[None], angle + steps * basis])
-        ).pose
-        slopes = self._problem.errors(
-            pose[1:], pose[0], self._model.place(plan.start)[2]
-        )
-        slopes /= steps[:, 0]
-        slopes[~np.isfinite(slopes).all(axis=1)] = (
-            0.0  # no change where a rollout diverges
-        )
+        plans = np.vstack([angle[None], angle + steps * basis])
+        pose = self._model.roll_out(plan.start, plans).pose
+        yaw = self._model.place(plan.start)[2]
+        slopes = self._problem.errors(pose[1:], pose[0], yaw) / steps[:, 0]
+        diverged = ~np.isfinite(slopes).all(axis=1)
+        slopes[diverged] = 0.0  # no change along them
         return replace(plan, linear=self._problem.linearised(slopes))
 
     def _improved(
@@ -289,13 +268,13 @@ class Predictive(Policy):
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
         wanted = problem.reference(rows, place, observer.drift, plan.sag)
-        if observer.is_far:
+        if observer.model_mismatch:
             plan = replace(plan, deviation=self._settings.limits.decay * plan.deviation)
         before = self._model.roll_out(plan.start, self._angles(plan)[None])
         error = problem.errors(before.pose, wanted, yaw)[0]
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
-        if observer.is_far:
+        if observer.model_mismatch:
             return plan, before, ""
         assert plan.linear is not None
         change = problem.change(error, plan.linear, plan.deviation, plan.nominal[:-1])
@@ -317,7 +296,7 @@ class Predictive(Policy):
         if self._plan is None or self._missed > limits.cycles:
             used_up = f"fallback used up after {limits.cycles} cycles"
             why = "no plan yet" if self._plan is None else used_up
-            force = _empty(self._settings.stages).force
+            force = _no_motion(self._settings.stages).force
             plan = TendonPlan(np.zeros((0, len(LEGS))), np.zeros(len(LEGS)), force)
             cause, fault = Status.STOPPED, f"{why}; {fault}"
         else:
@@ -326,25 +305,24 @@ class Predictive(Policy):
             self._next = self._state = None
             self.observer.forget()
             self._note_disturbances()
-            plan = self._published()
+            plan = self._published(self._plan)
         return replace(plan, status=cause, message=fault, fallback_cycles=self._missed)
 
     def _published(
-        self, preview: GaitPreview | None = None, share: float = 0.0
+        self, plan: _Plan, preview: GaitPreview | None = None, share: float = 0.0
     ) -> TendonPlan:
-        """The present plan from `share` of a stage on."""
-        assert self._plan is not None
-        angle, seen = self._angles(self._plan), self._seen
+        """The present plan from `share` of a stage on; its preview, if it is new."""
+        angle, motion = self._angles(plan), plan.motion
         rate, later = first_rate(angle, self._dt), _shifted(angle, share)[:-1]
         return TendonPlan(
             later,
             rate,
-            seen.force,
-            pose=seen.pose,
-            foot=seen.foot,
-            status=Status.MODEL_FAR if self._far else Status.SOLVED,
-            message=self._far,
-            report=self._report(later[0], rate, preview),
+            motion.force,
+            pose=motion.pose,
+            foot=motion.foot,
+            status=Status.MODEL_MISMATCH if self._model_mismatch else Status.SOLVED,
+            message=self._model_mismatch,
+            report=self._report(plan, later[0], rate, preview),
         )
 
     def _note_disturbances(self) -> None:
@@ -353,34 +331,29 @@ class Predictive(Policy):
         The observer goes on in `prepare`, at a time that does not depend on the messages.
         """
         observer, limit = self.observer, self._settings.observer.misfit_max
-        mass = self._robot.mass - observer.wrench[0] / GRAVITY
-        self._disturbances = mass, observer.drift.copy(), observer.wrench.copy()
-        far = (
-            f"misfit {observer.misfit:.1f}, limit {limit:g}" if observer.is_far else ""
+        self._disturbances = PlanReport(
+            mass=self._robot.mass - observer.wrench[0] / GRAVITY,
+            drift=observer.drift.copy(),
+            wrench=observer.wrench.copy(),
         )
-        self._far = far and f"the robot moves otherwise than its model: {far}"
+        misfit = f"model mismatch: misfit {observer.misfit:.1f}, limit {limit:g}"
+        self._model_mismatch = misfit if observer.model_mismatch else ""
 
     def _report(
-        self, angle: Array, rate: Array, preview: GaitPreview | None
+        self, plan: _Plan, angle: Array, rate: Array, preview: GaitPreview | None
     ) -> PlanReport:
-        """Margins of the first stage and the disturbances."""
-        assert self._plan is not None
-        (mass, drift, wrench), (fx, fy, normal) = (
-            self._disturbances,
-            self._seen.force[0].T,
-        )
+        """Disturbances, and margins of the first stage of a plan."""
+        fx, fy, normal = plan.motion.force[0].T
         friction = np.full(len(LEGS), math.nan)
         if preview is not None:
             friction = preview.friction[0] * normal - np.maximum(np.abs(fx), np.abs(fy))
-        least, largest = self._problem.range(self._plan.nominal)
-        return PlanReport(
+        least, largest = self._problem.range(plan.nominal)
+        return replace(
+            self._disturbances,
             slack_normal_min=normal,
             slack_friction=friction,
             slack_angle=np.minimum(angle - least, largest - angle),
             slack_rate=self._settings.limits.rate - np.abs(rate),
-            mass=mass,
-            drift=drift,
-            wrench=wrench,
         )
 
 
@@ -389,7 +362,7 @@ def _shares(balance: Array) -> Array:
     return np.asarray(product(balance.T, inverse(product(balance, balance.T))))
 
 
-def _empty(stages: int) -> Rollouts:
+def _no_motion(stages: int) -> Rollouts:
     """No prediction: no poses, no places of the feet, and forces of zero."""
     force = np.zeros((stages, len(LEGS), 3))
     return Rollouts(np.zeros((0, 6)), force, force[:0])

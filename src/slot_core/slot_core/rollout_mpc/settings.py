@@ -1,4 +1,4 @@
-"""Settings of the predictive policy: `config/predictive.yaml`."""
+"""Settings of the rollout MPC: `config/rollout_mpc.yaml`."""
 
 from __future__ import annotations
 
@@ -97,8 +97,8 @@ class LimitSettings:
 
 
 @dataclass(frozen=True)
-class PredictiveSettings:
-    """Settings of `config/predictive.yaml`."""
+class RolloutMpcSettings:
+    """Settings of `config/rollout_mpc.yaml`."""
 
     nominal: NominalSettings
     cost: CostSettings
@@ -122,6 +122,6 @@ class PredictiveSettings:
             )
 
 
-def read_predictive() -> PredictiveSettings:
-    """The settings of `config/predictive.yaml`; raises ConfigError."""
-    return config.read(PredictiveSettings, "predictive")
+def read_rollout_mpc() -> RolloutMpcSettings:
+    """The settings of `config/rollout_mpc.yaml`; raises ConfigError."""
+    return config.read(RolloutMpcSettings, "rollout_mpc")

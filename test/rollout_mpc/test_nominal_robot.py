@@ -7,12 +7,12 @@ import pytest
 from nominal_walk import torso_of
 
 from slot_core.dynamics.servo import read_servo
-from slot_core.predictive.nominal_robot import NominalRobot, nominal_scene
-from slot_core.predictive.settings import read_predictive
 from slot_core.robot import read_robot
+from slot_core.rollout_mpc.nominal_robot import NominalRobot, nominal_scene
+from slot_core.rollout_mpc.settings import read_rollout_mpc
 from slot_core.simulation.tabulated_robot import TabulatedRobot
 
-ROBOT, SETTINGS = read_robot(), read_predictive().nominal
+ROBOT, SETTINGS = read_robot(), read_rollout_mpc().nominal
 DT, STAGES = 0.033, 22
 STANDING = np.array([0.02, -0.01, 0.4, 0.1, -0.2, 0.055, 0, 0, 0, 0, 0, 0])
 

@@ -1,4 +1,4 @@
-"""The predictive policy: its phases, its faults, and what it does for a robot."""
+"""The rollout MPC: its phases, its faults, and what it does for a robot."""
 
 import dataclasses
 import math
@@ -9,8 +9,8 @@ from nominal_walk import ROBOT, SETTINGS, WALK
 
 from slot_core.control.policy import Status, make_policy
 from slot_core.gait.route import Route
-from slot_core.predictive.predictive import Predictive
 from slot_core.robot import GRAVITY
+from slot_core.rollout_mpc.rollout_mpc import RolloutMpc
 from slot_core.simulation.closed_loop import ClosedLoop
 
 LIMITS = SETTINGS.limits
@@ -43,7 +43,7 @@ def later(tick, seconds):
 
 
 def test_a_step_prepares_itself_if_nobody_has(policy, walking):
-    again = make_policy("predictive", ROBOT, lambda: 0.0)
+    again = make_policy("rollout_mpc", ROBOT, lambda: 0.0)
     for one, two in zip(follow(policy, walking), follow(again, walking, prepare=False)):
         np.testing.assert_array_equal(one.angle, two.angle)
         np.testing.assert_array_equal(one.pose, two.pose)
@@ -91,7 +91,7 @@ def test_the_robot_walks_uphill_with_odometry_of_another_rate(period):
         np.array([0.04, 0.0, 0.0]),
         {"scene.sensors.odometry.period": period},
     )
-    loop = ClosedLoop("slope5", "walk", uphill, 1, "predictive", changes=changes)
+    loop = ClosedLoop("slope5", "walk", uphill, 1, "rollout_mpc", changes=changes)
     place = [loop.plant.robot.position[0] for _ in loop.run(round(12.0 / period))]
     assert (place[-1] - place[round(4.0 / period)]) / 8.0 == pytest.approx(
         0.04, abs=0.008
@@ -116,7 +116,7 @@ def _parts(tick):
 
 
 def _after(ticks):
-    policy = Predictive(ROBOT, SETTINGS, lambda: 0.0)
+    policy = RolloutMpc(ROBOT, SETTINGS, lambda: 0.0)
     follow(policy, ticks)
     return policy
 
@@ -124,7 +124,7 @@ def _after(ticks):
 def test_a_missed_estimate_moves_the_plan_on(walking):
     skipped = _after(walking[:38]).step(*_parts(walking[39]))
     every = _after(walking[:39]).step(*_parts(walking[39]))
-    anew = Predictive(ROBOT, SETTINGS, lambda: 0.0).step(*_parts(walking[39]))
+    anew = RolloutMpc(ROBOT, SETTINGS, lambda: 0.0).step(*_parts(walking[39]))
     assert skipped.status == Status.SOLVED
     off, begun = (np.abs(plan.angle - every.angle).mean() for plan in (skipped, anew))
     assert off < 0.5 * begun
@@ -193,7 +193,7 @@ def test_a_late_plan_a_rollout_that_diverges_and_an_unsolved_problem_are_faults(
     walking, monkeypatch
 ):
     clock = iter(np.arange(0.0, 100.0, LIMITS.time_budget * 1.1))
-    late = Predictive(ROBOT, SETTINGS, lambda: next(clock))
+    late = RolloutMpc(ROBOT, SETTINGS, lambda: next(clock))
     assert (
         late.step(*_parts(walking[0])).status == Status.STOPPED
     )  # no plan to fall back on
@@ -229,16 +229,16 @@ def place_errors(policy, path):
 
 def test_a_corner_is_followed_closer_than_by_the_gait_alone():
     path = [(0.0, 0.0), (0.2, 0.0), (0.2, 0.3)]
-    alone, predictive = (
+    alone, rolled = (
         place_errors("gait_alone", path),
-        place_errors("predictive", path),
+        place_errors("rollout_mpc", path),
     )
-    assert np.sqrt((predictive**2).mean()) < 0.4 * np.sqrt((alone**2).mean())
+    assert np.sqrt((rolled**2).mean()) < 0.4 * np.sqrt((alone**2).mean())
 
 
 def test_a_payload_does_not_lower_a_standing_robot():
     heights = {}
-    for policy in ("gait_alone", "predictive"):
+    for policy in ("gait_alone", "rollout_mpc"):
         changes = {"scene.payload.mass": 0.4}
         loop = ClosedLoop("flat", "stand", None, 1, policy, changes=changes)
         rows = [
@@ -247,7 +247,7 @@ def test_a_payload_does_not_lower_a_standing_robot():
         ]
         heights[policy] = 1e3 * np.mean(rows[-60:])
     assert heights["gait_alone"] < -6.0  # mm
-    assert abs(heights["predictive"]) < 2.5
+    assert abs(heights["rollout_mpc"]) < 2.5
     assert loop.controller.policy.observer.wrench[0] == pytest.approx(
         -0.4 * GRAVITY, rel=0.3
     )
@@ -264,7 +264,7 @@ def test_a_torso_that_the_legs_cannot_carry_sinks_and_walks_on(policy, walking):
     assert 1e-3 < sag < 8.0 / SETTINGS.observer.stiffness[0]
     soft = {"robot.leg.young_modulus": 0.8 * ROBOT.leg.young_modulus}
     last = list(
-        ClosedLoop("flat", "walk", WALK, 3, "predictive", changes=soft).run(300)
+        ClosedLoop("flat", "walk", WALK, 3, "rollout_mpc", changes=soft).run(300)
     )[-1]
     assert last.estimate.state[3] > 0.6 * WALK[0] * 300 * 0.033
 
@@ -273,7 +273,7 @@ def soft_walk(seed, limit):
     """Way (m) in 15 s on legs softer by 30 %, with a limit of the misfit; also its last tick."""
     soft = {"robot.leg.young_modulus": 0.7 * ROBOT.leg.young_modulus}
     changes = soft | {"policy.observer.misfit_max": limit}
-    loop = ClosedLoop("flat", "walk", WALK, seed, "predictive", changes=changes)
+    loop = ClosedLoop("flat", "walk", WALK, seed, "rollout_mpc", changes=changes)
     last = list(loop.run(450))[-1]
     return float(loop.plant.robot.position[0]), last
 
@@ -289,7 +289,7 @@ def test_on_legs_that_the_model_does_not_know_the_gait_takes_over():
     for seed in range(2, 5):
         way, last = soft_walk(seed, SETTINGS.observer.misfit_max)
         ways.append(way)
-        assert last.plan.status is Status.MODEL_FAR
+        assert last.plan.status is Status.MODEL_MISMATCH
         own = np.abs(
             last.plan.angle - last.preview.tendon_angle[: SETTINGS.stages]
         ).max()

@@ -18,9 +18,9 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.elementary import atan2
 from slot_core.geometry import rotate
 from slot_core.key_frame import StateParts
-from slot_core.predictive.rollout_kernels import roll_out, set_torso
-from slot_core.predictive.settings import NominalSettings
 from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.rollout_mpc.rollout_kernels import roll_out, set_torso
+from slot_core.rollout_mpc.settings import NominalSettings
 from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 SETTLING = 10  # stages in which legs and servos come to rest at a constant command
@@ -159,4 +159,4 @@ def nominal_scene(settings: NominalSettings, step: float) -> Scene:
         "floor.friction_other": friction,
         "tendons.broken": settings.broken,
     }
-    return config.replace(read_scene("flat"), changes, "predictive")
+    return config.replace(read_scene("flat"), changes, "rollout_mpc")

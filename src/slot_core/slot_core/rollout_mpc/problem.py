@@ -1,4 +1,4 @@
-"""Problem of the predictive policy: tendon angles over one stride, by one Gauss-Newton step a tick.
+"""Problem of the rollout MPC: tendon angles over one stride, by one Gauss-Newton step a tick.
 
 The gait gives angles theta_k at the stages k = 0 .. K. The plan deviates from them by b_k; the step
 changes it by hat functions h_j, linear between the knots, of one leg each and of all legs together:
@@ -34,10 +34,10 @@ import numpy as np
 from slot_core.arrays import checked
 from slot_core.geometry import rotate
 from slot_core.matrices import interpolated, inverse, product
-from slot_core.predictive.active_set import ActiveSet
-from slot_core.predictive.problem_kernels import set_errors, set_limits, set_reference
-from slot_core.predictive.settings import PredictiveSettings
 from slot_core.robot import LEGS, Array
+from slot_core.rollout_mpc.active_set import ActiveSet
+from slot_core.rollout_mpc.problem_kernels import set_errors, set_limits, set_reference
+from slot_core.rollout_mpc.settings import RolloutMpcSettings
 
 LEG_COUNT = len(LEGS)
 MODES = np.vstack(
@@ -56,7 +56,7 @@ class Linearisation(NamedTuple):
 class PlanProblem:
     """Basis, errors and steps of the plan."""
 
-    def __init__(self, settings: PredictiveSettings, angle_max: float, dt: float):
+    def __init__(self, settings: RolloutMpcSettings, angle_max: float, dt: float):
         self._settings, self._dt, self._angle_max = settings, dt, angle_max
         stages, cost = settings.stages, settings.cost
         steps, each = np.arange(stages + 1), np.eye(len(settings.knots))

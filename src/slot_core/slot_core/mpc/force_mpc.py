@@ -9,8 +9,7 @@ accepted again.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,26 +25,15 @@ from slot_core.mpc.settings import MpcSettings, PaperMpcSettings, read_mpc
 from slot_core.mpc.solver import Solution
 from slot_core.robot import GRAVITY, Array, RobotParameters
 
+NO_REPORT = PlanReport()
 _NONE = np.zeros(FEET)
 NO_STAGE = FirstStage(_NONE, _NONE, np.zeros((FEET, 3)), _NONE)
 
 
-@dataclass(frozen=True)
-class _SolverReport:
-    """Quality of the solver's solution, accepted or not."""
-
-    iterations: int = 0
-    violation: float = math.nan  # N
-    residual: float = math.nan
-    cost: float = math.nan
-
-
-class Mpc(Policy):
+class ForceMpc(Policy):
     """The MPC. `step` raises nothing for bad data; the solver's iterations are limited."""
 
-    STATE = StateParts(
-        "_problem", "_stage", "_last", "_missed", values=(FirstStage, PaperStage)
-    )
+    STATE = StateParts("_stage", "_last", "_missed", values=(FirstStage, PaperStage))
 
     def __init__(self, robot: RobotParameters, settings: MpcSettings, timer: Timer):
         """Set up problem and solver; `timer` returns seconds.
@@ -61,7 +49,7 @@ class Mpc(Policy):
         return read_mpc(name)
 
     def reset(self) -> None:
-        """Set up the problem afresh, without an earlier input and without a disturbance."""
+        """Set up the problem afresh, without an earlier input."""
         settings, robot = self._settings, self._robot
         self._problem: ForceProblem | PaperProblem = (
             PaperProblem(robot, settings)
@@ -69,9 +57,8 @@ class Mpc(Policy):
             else ForceProblem(robot, settings)
         )
         self._stage = NO_STAGE
-        self._last: Array | None = (
-            None  # last feasible input of the first stage minus u_ref
-        )
+        # last feasible input of the first stage minus u_ref
+        self._last: Array | None = None
         self._missed = 0  # consecutive cycles without an accepted solution
 
     @property
@@ -93,17 +80,17 @@ class Mpc(Policy):
         if fault := state_fault(state, most):
             return self._fall_back(Status.REJECTED, fault)
         self._problem.update(np.asarray(state, dtype=float), preview)
-        plan = self._accept(self._problem.solve(), start)
-        if plan.status is not Status.STOPPED:  # else the last angles are held
-            self._problem.follow(plan)
-        return plan
+        return self._accept(self._problem.solve(), start)
 
     def _accept(self, solution: Solution, start: float) -> TendonPlan:
         """The solution's plan if it is accepted, else the fallback's; `start`: of the tick, s."""
         limits, problem, z = self._settings.acceptance, self._problem, solution.z
         violation = problem.violation(z)
-        report = _SolverReport(
-            solution.iterations, violation, problem.residual(z), problem.cost(z)
+        report = PlanReport(
+            cost=problem.cost(z),
+            iterations=solution.iterations,
+            violation=violation,
+            residual=problem.residual(z),
         )
         force, elapsed = problem.forces(z), self._timer() - start
         fault = solution.fault
@@ -119,7 +106,7 @@ class Mpc(Policy):
         return self._plan(force, Status.SOLVED, "", report)
 
     def _fall_back(
-        self, cause: Status, fault: str, report: _SolverReport = _SolverReport()
+        self, cause: Status, fault: str, report: PlanReport = NO_REPORT
     ) -> TendonPlan:
         """The last feasible input, decayed; nothing without one or after `fallback.cycles`."""
         self._missed += 1
@@ -138,9 +125,9 @@ class Mpc(Policy):
         )
 
     def _plan(
-        self, force: Array, status: Status, message: str, report: _SolverReport
+        self, force: Array, status: Status, message: str, report: PlanReport
     ) -> TendonPlan:
-        """The plan with the slacks of its first stage."""
+        """The plan with the slacks of its first stage; report: of the solver."""
         stage, first = self._stage, force[0]
         above_least, below_max, friction = stage.slacks(first)
         return TendonPlan(
@@ -151,11 +138,8 @@ class Mpc(Policy):
             message=message,
             map=self._settings.map,
             fallback_cycles=self._missed,
-            report=PlanReport(
-                cost=report.cost,
-                iterations=report.iterations,
-                violation=report.violation,
-                residual=report.residual,
+            report=replace(
+                report,
                 slack_normal_min=above_least,
                 slack_normal_max=below_max,
                 slack_friction=friction,

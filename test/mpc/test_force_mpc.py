@@ -11,20 +11,20 @@ from benchmarks.mpc.cases import random_case, standing, torso
 from slot_core import config
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate
-from slot_core.mpc.mpc import Mpc
+from slot_core.mpc.force_mpc import ForceMpc
 from slot_core.mpc.settings import read_mpc
 from slot_core.mpc.solver import Solution
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
-SETTINGS = config.replace(read_mpc("forces"), {"acceptance.time_budget": np.inf})
+SETTINGS = config.replace(read_mpc("force_mpc"), {"acceptance.time_budget": np.inf})
 H, HOVER = SETTINGS.horizon, ROBOT.weight / 4
 
 
 def new_mpc(**changes):
     names = {name.replace("__", "."): value for name, value in changes.items()}
-    return Mpc(ROBOT, config.replace(SETTINGS, names), lambda: 0.0)
+    return ForceMpc(ROBOT, config.replace(SETTINGS, names), lambda: 0.0)
 
 
 def preview(stages=H + 1, **changes):
@@ -107,7 +107,11 @@ GAIT_FORCE = np.tile([5.4, 5.2, 5.1, 5.3], (H + 1, 1))  # N, normal forces of th
 
 def late():
     settings = config.replace(SETTINGS, {"acceptance.time_budget": 0.5})
-    return Mpc(ROBOT, settings, LateFrom(1)), torso(), preview(normal_force=GAIT_FORCE)
+    return (
+        ForceMpc(ROBOT, settings, LateFrom(1)),
+        torso(),
+        preview(normal_force=GAIT_FORCE),
+    )
 
 
 def iteration_limit():

@@ -4,11 +4,11 @@ import cvxpy as cp
 import numpy as np
 import pytest
 
-from slot_core.predictive.problem import PlanProblem
-from slot_core.predictive.settings import read_predictive
 from slot_core.robot import read_robot
+from slot_core.rollout_mpc.problem import PlanProblem
+from slot_core.rollout_mpc.settings import read_rollout_mpc
 
-SETTINGS, ANGLE_MAX, DT = read_predictive(), read_robot().tendon.angle_max, 0.033
+SETTINGS, ANGLE_MAX, DT = read_rollout_mpc(), read_robot().tendon.angle_max, 0.033
 K = SETTINGS.stages
 
 

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from nominal_walk import WALK, torso_of
 
-from slot_core.predictive.disturbance_observer import DisturbanceObserver
-from slot_core.predictive.nominal_robot import NominalRobot
-from slot_core.predictive.settings import read_predictive
 from slot_core.robot import GRAVITY, read_robot
+from slot_core.rollout_mpc.disturbance_observer import DisturbanceObserver
+from slot_core.rollout_mpc.nominal_robot import NominalRobot
+from slot_core.rollout_mpc.settings import read_rollout_mpc
 from slot_core.simulation.closed_loop import ClosedLoop
 
-SETTINGS, DT, ANGLE = read_predictive(), 0.033, 1.3
+SETTINGS, DT, ANGLE = read_rollout_mpc(), 0.033, 1.3
 SCALE = np.array([0.02, 0.02, 0.007, 0.002, 0.002, 0.002])
 
 
@@ -73,11 +73,13 @@ def test_a_drift_is_found_in_the_heading_frame(share):
 def test_a_steady_drift_is_no_misfit_but_a_robot_that_moves_otherwise_is():
     watch = Watch(drift=(0.03, 0.0, 0.05), wrench=(-3.0, 0.0, 0.0))
     observer = watch.go_on(120)
-    assert not observer.is_far
+    assert not observer.model_mismatch
     assert observer.misfit < 1.0
     found = observer.drift[0]
     watch.drift[:] = 0.0
-    far = [watch.go_on(1, 0.2 * (-1) ** k * (k < 60)).is_far for k in range(200)]
+    far = [
+        watch.go_on(1, 0.2 * (-1) ** k * (k < 60)).model_mismatch for k in range(200)
+    ]
     assert far.index(True) in range(3, 20)
     assert not far[-1]  # once it moves as the model again
     assert abs(observer.drift[0]) < 0.01 * found
@@ -95,10 +97,10 @@ def test_a_forgotten_motion_leaves_the_estimates():
 def test_a_payload_of_the_walking_robot_is_weighed(mass):
     changes = {"scene.payload.mass": mass}
     last = list(
-        ClosedLoop("flat", "walk", WALK, 1, "predictive", changes=changes).run(200)
+        ClosedLoop("flat", "walk", WALK, 1, "rollout_mpc", changes=changes).run(200)
     )[-60:]
     weight = np.mean([-tick.plan.report.wrench[0] for tick in last])
-    empty = list(ClosedLoop("flat", "walk", WALK, 1, "predictive").run(200))[-60:]
+    empty = list(ClosedLoop("flat", "walk", WALK, 1, "rollout_mpc").run(200))[-60:]
     weight += np.mean(
         [tick.plan.report.wrench[0] for tick in empty]
     )  # of the model's own error

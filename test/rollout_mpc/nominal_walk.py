@@ -1,12 +1,12 @@
-"""The robot, the settings and the walk of the tests of the predictive policy."""
+"""The robot, the settings and the walk of the tests of the rollout MPC."""
 
 import numpy as np
 
 from slot_core.geometry import rpy_of
-from slot_core.predictive.settings import read_predictive
 from slot_core.robot import read_robot
+from slot_core.rollout_mpc.settings import read_rollout_mpc
 
-ROBOT, SETTINGS = read_robot(), read_predictive()
+ROBOT, SETTINGS = read_robot(), read_rollout_mpc()
 WALK = np.array([0.05, 0.0, 0.0])
 
 
