@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from slot_core.hardware_error import hardware_errors
+from slot_core.faults import hardware_errors
 from slot_nodes import messages
 
 if TYPE_CHECKING:  # a node imports only the core modules that it runs

@@ -36,11 +36,11 @@ from std_msgs.msg import Bool
 from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
 from slot_core.control.pace import Speed
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.joint_reading import JointReading
 from slot_core.messages import decode
+from slot_core.refusal import DivergenceError
 from slot_core.robot import read_robot
 from slot_core.safety.commands import Action
 from slot_core.servos.registry import read_brand

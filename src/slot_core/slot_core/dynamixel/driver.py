@@ -23,7 +23,7 @@ from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT, Mode
-from slot_core.hardware_error import hardware_errors
+from slot_core.faults import hardware_errors
 from slot_core.robot import LEGS, Array
 from slot_core.servos.servo_errors import PortError, RefusedError, ServoError
 from slot_core.servos.servo_state import (

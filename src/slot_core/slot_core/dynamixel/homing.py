@@ -13,7 +13,7 @@ from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import RAD_PER_COUNT
-from slot_core.files import read_text
+from slot_core.refusal import read_text
 from slot_core.robot import LEGS
 from slot_core.servos.servo_errors import RefusedError
 

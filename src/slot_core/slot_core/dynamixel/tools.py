@@ -23,7 +23,7 @@ from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings, read_settings
 from slot_core.dynamixel.table import BAUD_RATES, VOLTAGE_UNIT
-from slot_core.hardware_error import hardware_errors
+from slot_core.faults import hardware_errors
 from slot_core.robot import LEGS
 from slot_core.servos.servo_errors import RefusedError, ServoError
 

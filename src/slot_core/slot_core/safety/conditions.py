@@ -13,7 +13,7 @@ import numpy as np
 from slot_core.clock import to_ns, to_seconds
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
-from slot_core.hardware_error import hardware_errors
+from slot_core.faults import hardware_errors
 from slot_core.robot import LEGS, Array
 from slot_core.safety.commands import Action
 from slot_core.safety.emergency_stop import EmergencyStop

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slot_core.hardware_error import hardware_errors
+from slot_core.faults import hardware_errors
 from slot_core.joint_reading import JointReading
 from slot_core.robot import Array
 

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 
 from slot_core.clock import to_ns, to_seconds
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.servo import read_servo
+from slot_core.refusal import DivergenceError
 from slot_core.robot import LEGS, Array
 from slot_core.safety.commands import AT_REST, Action
 from slot_core.safety.rate_limiter import unchanged

@@ -35,8 +35,7 @@ from slot_core.dynamixel.packet import (
     status,
 )
 from slot_core.dynamixel.table import BAUD_RATES, NO_SECONDARY_ID, RETURN_DELAY_UNIT
-from slot_core.faults import Fault
-from slot_core.hardware_error import HardwareError
+from slot_core.faults import Fault, HardwareError
 from slot_core.robot import LEGS
 
 ANSWER_READS, ANSWER_ALL = 1, 2  # values of Status Return Level (68); 0: ping only
