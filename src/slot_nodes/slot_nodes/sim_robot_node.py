@@ -42,7 +42,7 @@ from slot_core.joint_reading import JointReading
 from slot_core.messages import decode
 from slot_core.refusal import DivergenceError
 from slot_core.robot import read_robot
-from slot_core.safety.commands import Action
+from slot_core.safety.states import Action
 from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_errors import RefusedError
 from slot_core.simulation.clocks import PATIENCE, BusClock, LockstepClock, RealTimeClock

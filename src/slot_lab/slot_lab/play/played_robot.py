@@ -23,7 +23,7 @@ from slot_core.gait.gait import STAND
 from slot_core.geometry import rotate
 from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY, Array
-from slot_core.safety.requests import LATCHED, Request, no_change
+from slot_core.safety.states import LATCHED, Request, no_change
 from slot_core.safety.supervisor import PERIOD
 from slot_core.simulation.plant import TrueState
 from slot_core.simulation.rod_robot import RodRobot
