@@ -44,7 +44,7 @@ from slot_core.refusal import DivergenceError
 from slot_core.robot import read_robot
 from slot_core.safety.states import Action
 from slot_core.servos.registry import read_brand
-from slot_core.servos.servo_errors import RefusedError
+from slot_core.servos.servo_bus import RefusedError
 from slot_core.simulation.clocks import PATIENCE, BusClock, LockstepClock, RealTimeClock
 from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth, TrueState
 from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading

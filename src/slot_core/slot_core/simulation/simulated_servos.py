@@ -32,7 +32,7 @@ from slot_core.safety.states import Action
 from slot_core.safety.supervisor import PERIOD
 from slot_core.safety.watchdog import Permission, ServoHealth, Watchdog
 from slot_core.servos.brand import EmulatedPort, EmulatedServos
-from slot_core.servos.servo_errors import PortError, RefusedError
+from slot_core.servos.servo_bus import PortError, RefusedError
 from slot_core.servos.session import ServoSession
 from slot_core.simulation.plant import CYCLE, Reading, RobotSimulator, StampedHealth
 
