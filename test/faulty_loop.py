@@ -10,8 +10,7 @@ from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.dynamixel.emulator.memory import TRIPPED
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
-from slot_core.safety.commands import Action
-from slot_core.safety.states import State
+from slot_core.safety.states import Action, State
 from slot_core.simulation.plant import CYCLE
 from slot_core.simulation.sensors import ImuReading, OdometryReading
 from slot_core.simulation.simulated_servos import BusServos

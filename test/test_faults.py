@@ -7,10 +7,10 @@ import pytest
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.faults import Fault
+from slot_core.refusal import DivergenceError
 from slot_core.robot import read_robot
 from slot_core.servos.registry import read_brand
 from slot_core.simulation.plant import RobotSimulator

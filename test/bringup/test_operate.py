@@ -14,9 +14,8 @@ from slot_bringup.operator_screen import SILENCE, Motion, OperatorView, lines
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.robot import LEGS, TENDON_JOINTS
-from slot_core.safety.requests import Request
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.states import State
+from slot_core.safety.states import Request, State
 from slot_msgs.msg import GaitPreview, RobotState, ServoHealth
 
 NOW = 100.0  # s, on the terminal's clock

@@ -9,10 +9,10 @@ import pytest
 
 from slot_bringup.servos import main
 from slot_core.config import ConfigError
+from slot_core.dynamixel.checks import write_zero
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.emulator.pseudo_terminal import PseudoTerminal
-from slot_core.dynamixel.homing import write_zero
 from slot_core.dynamixel.port import UDEV_RULE
 from slot_core.dynamixel.settings import read_settings
 

@@ -8,14 +8,11 @@ from driver_rig import ONE_COUNT, STANDING, DriverRig
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.dynamixel.errors import (
-    CommunicationError,
-    InstructionError,
-)
+from slot_core.dynamixel.bus import CommunicationError, InstructionError
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.faults import Fault
-from slot_core.servos.servo_errors import RefusedError
+from slot_core.servos.servo_bus import RefusedError
 
 
 @pytest.fixture

@@ -14,8 +14,7 @@ from slot_core.dynamixel import packet
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.driver import FAST
 from slot_core.dynamixel.emulator.emulated_bus import Reply, read_emulator
-from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
-from slot_core.dynamixel.emulator.memory_port import MemoryPort
+from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels, MemoryPort
 from slot_core.dynamixel.packet import BROADCAST, HEADER, Instruction, build
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import REGISTERS, TABLE, span

@@ -6,8 +6,7 @@ import pytest
 from slot_core.config import ConfigError
 from slot_core.control.controller import Tick
 from slot_core.robot import LEGS
-from slot_core.safety.requests import Request
-from slot_core.safety.states import State
+from slot_core.safety.states import Request, State
 from slot_lab.play.played_robot import FRAME, KEPT, PlayedRobot
 
 UP = 3.0  # s, to stand up and settle

@@ -13,8 +13,7 @@ from slot_bringup.playing.graph_robot import TRIES, WAIT, GraphRobot
 from slot_bringup.playing.main_page import main, start_server
 from slot_core.config import ConfigError
 from slot_core.messages import decode
-from slot_core.safety.requests import LATCHED, Request
-from slot_core.safety.states import State
+from slot_core.safety.states import LATCHED, Request, State
 from slot_msgs.msg import GaitPreview, RobotState
 
 VELOCITY = np.array([0.03, 0.0, 0.0])

@@ -18,7 +18,7 @@ from slot_core.mpc.settings import read_mpc
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
 from slot_core.safety.supervisor import PERIOD
-from slot_core.servos.servo_errors import RefusedError
+from slot_core.servos.servo_bus import RefusedError
 from slot_core.simulation import supervised_loop
 from slot_core.simulation.plant import CYCLE
 from slot_core.simulation.supervised_loop import SupervisedLoop

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from slot_core.divergence import DivergenceError
 from slot_core.messages import decode
+from slot_core.refusal import DivergenceError
 from slot_core.simulation.plant import RobotSimulator
 from slot_msgs.srv import InjectFault
 

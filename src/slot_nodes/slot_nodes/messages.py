@@ -53,9 +53,9 @@ if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.estimation.estimate import Estimate
     from slot_core.estimation.inertial_filter import Mount
     from slot_core.joint_reading import JointReading
-    from slot_core.safety.servo_health import ServoHealth
     from slot_core.safety.settings import ServoLimits
     from slot_core.safety.supervisor import Report
+    from slot_core.safety.watchdog import ServoHealth
     from slot_core.simulation.plant import TrueState
     from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading
     from slot_core.vision.camera import Camera

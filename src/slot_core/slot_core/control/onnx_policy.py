@@ -27,10 +27,10 @@ from slot_core.control.walk_actions import (
     observation_size,
 )
 from slot_core.estimation.estimate import Estimate
-from slot_core.files import ONNX, read_bytes
 from slot_core.gait.gait import GaitPreview, read_gaits
 from slot_core.key_frame import StateParts
-from slot_core.refusal import quoted
+from slot_core.names import ONNX
+from slot_core.refusal import quoted, read_bytes
 from slot_core.robot import Array, RobotParameters
 
 SIZE_MAX = 10_000_000  # bytes

@@ -23,10 +23,10 @@ import numpy as np
 from slot_core.config import ConfigError
 from slot_core.control.policies import POLICIES, RENAMED
 from slot_core.estimation.estimate import Estimate
-from slot_core.files import ONNX, require_regular
 from slot_core.gait.gait import GaitPreview
 from slot_core.key_frame import StateParts
-from slot_core.refusal import quoted
+from slot_core.names import ONNX
+from slot_core.refusal import quoted, require_regular
 from slot_core.robot import LEGS, Array, RobotParameters
 
 Timer = Callable[[], float]  # s

@@ -18,16 +18,27 @@ from typing import Any
 
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, GroupSyncWrite, PacketHandler
 
-from slot_core.dynamixel.errors import CommunicationError, InstructionError
 from slot_core.dynamixel.packet import ALERT, BROADCAST, FAST_OVERHEAD, OVERHEAD, Error
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import BusSettings
 from slot_core.dynamixel.table import TABLE, decode_span, span
+from slot_core.servos.servo_bus import ServoError
 
 PROTOCOL = 2.0
 STATUS_BYTES = (
     OVERHEAD + 4
 )  # of a status packet without data: instruction, error and CRC
+
+
+class CommunicationError(ServoError):
+    """No valid answer of a servo after all retries; the message has the SDK's text."""
+
+
+class InstructionError(ServoError):
+    """A servo answered with an error number (it has not executed the instruction).
+
+    Also: a register holds another value than the one written.
+    """
 
 
 @dataclass(frozen=True)

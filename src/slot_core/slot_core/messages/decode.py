@@ -19,11 +19,9 @@ from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import matrix_of_quaternion, rpy_of
 from slot_core.refusal import quoted
 from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, Array
-from slot_core.safety.commands import Action
-from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import GateSettings, ServoLimits
-from slot_core.safety.states import State
-from slot_core.safety.watchdog import Permission
+from slot_core.safety.states import Action, State
+from slot_core.safety.watchdog import Permission, ServoHealth
 
 LONGEST_SOURCE = 60  # characters of a name in lines
 ACTION_NUMBERS = (

@@ -66,7 +66,6 @@ import numpy as np
 
 from slot_core.arrays import checked
 from slot_core.config import ConfigError
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
@@ -81,6 +80,7 @@ from slot_core.paper.numbers import (
     torso_model,
     torso_state,
 )
+from slot_core.refusal import DivergenceError
 from slot_core.robot import LEGS, Array, RobotParameters
 
 

@@ -29,8 +29,8 @@ from slot_core.faults import (
 from slot_core.joint_reading import JointReading
 from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, Array, RobotParameters
-from slot_core.safety.commands import AT_REST, extrapolated
-from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.rate_limiter import AT_REST, extrapolated
+from slot_core.safety.watchdog import ServoHealth
 from slot_core.servos.brand import Emulate, EmulatedServos
 from slot_core.simulation.kernel_robot import KernelRobot
 from slot_core.simulation.rest import bring_to_rest

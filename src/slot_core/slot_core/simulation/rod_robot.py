@@ -8,7 +8,6 @@ import numpy as np
 
 from slot_core.arrays import checked
 from slot_core.config import ConfigError
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
@@ -26,6 +25,7 @@ from slot_core.dynamics.simulated_robot import require_steps
 from slot_core.dynamics.spatial.strain import segments
 from slot_core.geometry import Transform
 from slot_core.matrices import product
+from slot_core.refusal import DivergenceError
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.simulation.kernel_robot import KernelRobot
 

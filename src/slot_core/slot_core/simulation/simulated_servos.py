@@ -24,16 +24,15 @@ from typing import Any
 import numpy as np
 
 from slot_core.clock import to_ns, to_seconds
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.servo import read_servo
+from slot_core.refusal import DivergenceError
 from slot_core.robot import LEGS, Array
-from slot_core.safety.commands import AT_REST, Action
-from slot_core.safety.rate_limiter import unchanged
-from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.rate_limiter import AT_REST, unchanged
+from slot_core.safety.states import Action
 from slot_core.safety.supervisor import PERIOD
-from slot_core.safety.watchdog import Permission, Watchdog
+from slot_core.safety.watchdog import Permission, ServoHealth, Watchdog
 from slot_core.servos.brand import EmulatedPort, EmulatedServos
-from slot_core.servos.servo_errors import PortError, RefusedError
+from slot_core.servos.servo_bus import PortError, RefusedError
 from slot_core.servos.session import ServoSession
 from slot_core.simulation.plant import CYCLE, Reading, RobotSimulator, StampedHealth
 

@@ -18,8 +18,7 @@ import numpy as np
 import yaml
 
 from slot_core import config
-from slot_core.files import read_text
-from slot_core.refusal import InputError, quoted
+from slot_core.refusal import InputError, quoted, read_text
 from slot_core.robot import Array
 from slot_core.vision.settings import Intrinsics
 

@@ -13,8 +13,7 @@ from slot_core.control.controller import Tick
 from slot_core.gait.gait import STAND, Posture
 from slot_core.joint_reading import JointReading
 from slot_core.robot import Array
-from slot_core.safety.requests import TO_RISE, TO_STAND, TO_WALK, Request
-from slot_core.safety.states import RELEASED, State
+from slot_core.safety.states import RELEASED, TO_RISE, TO_STAND, TO_WALK, Request, State
 from slot_core.safety.supervisor import Report
 from slot_core.simulation.plant import Reading, StampedHealth
 from slot_core.simulation.sensors import ImageReading

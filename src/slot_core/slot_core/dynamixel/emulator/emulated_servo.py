@@ -29,7 +29,7 @@ from slot_core.dynamixel.table import (
     WATCHDOG_UNIT,
     Mode,
 )
-from slot_core.hardware_error import HardwareError
+from slot_core.faults import HardwareError
 
 
 @dataclass(frozen=True)
