@@ -18,11 +18,11 @@ from slot_bringup.arguments import parse
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.control.policies import POLICIES
-from slot_core.legs import tabulate_leg
 from slot_core.mpc.settings import read_mpc
 from slot_lab.bags import replay_command as replay
 from slot_lab.calibration import command as calibrate
 from slot_lab.film import calibrate_camera, print_command, track_command
+from slot_lab.leg_tests import tabulate_leg
 from slot_lab.report import compare, map_command
 from slot_lab.tuning import tune_command
 from slot_lab.twin import twin_command

@@ -42,9 +42,6 @@ GROUND = (
 )
 # Files of these rooms that no node of the graph and no simulation of it runs, or that use OpenCV.
 OUTSIDE = {
-    "legs/held_leg.py": "tabulates a leg at the desk",
-    "legs/leg_map.py": "tabulates a leg at the desk",
-    "legs/sticking_leg.py": "tabulates a leg at the desk",
     "simulation/camera_sensor.py": "draws images with OpenCV",
     "control/onnx_policy.py": "runs a network by ONNX Runtime",
 }

@@ -15,7 +15,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.gait.gait import FRONT_REAR, LEFT_RIGHT, Posture, read_gaits
 from slot_core.gait.reference import limited, places_ahead, reference
 from slot_core.robot import read_robot
-from slot_core.simulation.plant import make_robot
+from slot_core.simulation.make_robot import make_robot
 
 ROBOT, GAITS = read_robot(), read_gaits()
 WALK = GAITS.strides["walk"]

@@ -16,11 +16,9 @@ from slot_core.estimation.inertial_filter import InertialFilter, OdometryMotion
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
-from slot_core.legs.held_leg import HeldLeg
-from slot_core.legs.leg_map import StaticLeg
 from slot_core.legs.leg_springs import LegSprings, read_leg_springs
 from slot_core.legs.leg_table import LegTable
-from slot_core.legs.sticking_leg import StickingLeg
+from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.paper.numbers import read_paper
 from slot_core.paper.paper_robot import PaperLeg, PaperRobot
 from slot_core.robot import read_robot
@@ -32,10 +30,12 @@ from slot_core.rollout_mpc.problem import PlanProblem
 from slot_core.rollout_mpc.settings import read_rollout_mpc
 from slot_core.simulation.many_robots import ManyRobots
 from slot_core.simulation.rod_robot import RodRobot
-from slot_core.simulation.tabulated_robot import TabulatedRobot
 from slot_core.vision.camera import nominal
 from slot_core.vision.detector import MarkerDetector
 from slot_core.vision.settings import read_vision
+from slot_lab.leg_tests.held_leg import HeldLeg
+from slot_lab.leg_tests.leg_map import StaticLeg
+from slot_lab.leg_tests.sticking_leg import StickingLeg
 
 NODES, DT = 8, 1 / 30
 ANY_NUMBER = ("no element", "one more")  # of rows

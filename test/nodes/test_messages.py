@@ -14,8 +14,7 @@ from slot_core.estimation.inertial_filter import Mount
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import Transform, matrix_of_quaternion
 from slot_core.messages import decode
-from slot_core.simulation.plant import TrueState
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.readings import ImuReading, OdometryReading, TrueState
 from slot_nodes import messages
 
 STAMP = 1_234_567_890_123_456_789

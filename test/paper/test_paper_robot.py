@@ -16,7 +16,7 @@ from slot_core.paper.paper_robot import PaperLeg, PaperRobot
 from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation import plant
-from slot_core.simulation.sensors import OdometryReading
+from slot_core.simulation.readings import OdometryReading
 
 ROBOT = read_robot()
 PRINTED = read_paper()

@@ -7,10 +7,10 @@ import pytest
 from nominal_walk import torso_of
 
 from slot_core.dynamics.servo import read_servo
+from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.robot import read_robot
 from slot_core.rollout_mpc.nominal_robot import NominalRobot, nominal_scene
 from slot_core.rollout_mpc.settings import read_rollout_mpc
-from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 ROBOT, SETTINGS = read_robot(), read_rollout_mpc().nominal
 DT, STAGES = 0.033, 22

@@ -9,12 +9,12 @@ from real_graph import changed_config
 from supervisor_bench import HEIGHT, LOAD, ROBOT
 
 from slot_core.gait.gait import read_gaits
-from slot_core.legs.leg_map import StaticLeg
 from slot_core.robot import LEGS
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.simulation.supervised_loop import SupervisedLoop
+from slot_lab.leg_tests.leg_map import StaticLeg
 
 LIMITS = read_supervisor().tendon
 RADIUS = ROBOT.tendon.spool_radius

@@ -18,8 +18,8 @@ from slot_core.simulation.clocks import (
     LockstepClock,
     RealTimeClock,
 )
-from slot_core.simulation.plant import RobotSimulator, StampedHealth
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import ImuReading, OdometryReading, StampedHealth
 from slot_core.simulation.simulated_servos import DirectServos
 
 SCENE = config.replace(read_scene("map"), {"start.settle": 0.1})

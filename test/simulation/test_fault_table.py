@@ -260,7 +260,7 @@ def test_a_servo_with_a_wrong_id_is_refused_and_named_without_torque(monkeypatch
 
     def make(*arguments):
         plants.append(supervised_loop.make_bus_plant(*arguments))
-        plants[0].inject(Fault("wrong_id", "FL", 0.0, 0.0, 9))
+        plants[0].faults.inject(Fault("wrong_id", "FL", 0.0, 0.0, 9))
         return plants[0]
 
     monkeypatch.setitem(supervised_loop.MAKERS, "fake_bus", make)

@@ -33,7 +33,7 @@ from slot_core.estimation.inertial_filter import EstimatorSettings
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.geometry import wrapped
 from slot_core.robot import Array
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.readings import ImuReading, OdometryReading
 
 DELAYS = ((0.0, 0.0), (0.02, 0.01), (0.05, 0.02), (0.08, 0.02))  # s, with jitter
 ERRORS = {"roll_pitch_mrad": (0, 2), "position_mm": (3, 6), "rate_mrad_s": (6, 9)}

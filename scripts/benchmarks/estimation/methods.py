@@ -19,7 +19,7 @@ from slot_core.estimation.inertial_filter import EstimatorSettings
 from slot_core.estimation.state_estimator import StateEstimator
 from slot_core.geometry import rpy_of
 from slot_core.robot import Array
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.readings import ImuReading, OdometryReading
 
 Use = tuple[int, Array]
 USABLE = (Validity.VALID, Validity.ODOMETRY_LOST, Validity.ODOMETRY_REJECTED)

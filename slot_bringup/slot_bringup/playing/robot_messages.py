@@ -19,8 +19,12 @@ from slot_core.recording.message_types import message_types
 from slot_core.recording.origin import origin_here
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.safety.supervisor import Report
-from slot_core.simulation.plant import StampedHealth, TrueState
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.readings import (
+    ImuReading,
+    OdometryReading,
+    StampedHealth,
+    TrueState,
+)
 from slot_lab.play.played_robot import Happened, PlayedRobot
 from slot_nodes import messages
 

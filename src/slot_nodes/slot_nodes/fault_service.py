@@ -25,9 +25,9 @@ def _inject(
 ) -> InjectFault.Response:
     try:
         if request.clear:
-            plant.clear(request.kind, request.leg)
+            plant.faults.clear(request.kind, request.leg)
         else:
-            plant.inject(decode.fault(request))
+            plant.faults.inject(decode.fault(request))
     except ValueError as error:
         response.message = str(error)
         return response

@@ -56,8 +56,12 @@ if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.safety.settings import ServoLimits
     from slot_core.safety.supervisor import Report
     from slot_core.safety.watchdog import ServoHealth
-    from slot_core.simulation.plant import TrueState
-    from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading
+    from slot_core.simulation.readings import (
+        ImageReading,
+        ImuReading,
+        OdometryReading,
+        TrueState,
+    )
     from slot_core.vision.camera import Camera
     from slot_core.vision.localizer import MarkerFix, NoFix
 

@@ -46,8 +46,15 @@ from slot_core.safety.states import Action
 from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_bus import RefusedError
 from slot_core.simulation.clocks import PATIENCE, BusClock, LockstepClock, RealTimeClock
-from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth, TrueState
-from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import (
+    ImageReading,
+    ImuReading,
+    OdometryReading,
+    Reading,
+    StampedHealth,
+    TrueState,
+)
 from slot_core.simulation.simulated_servos import (
     BusServos,
     DirectServos,

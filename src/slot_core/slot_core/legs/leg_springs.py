@@ -1,6 +1,6 @@
 """Legs as springs: normal force of a leg at rest over tendon angle and clamp height.
 
-From the table `config/leg_map.csv` (`legs/leg_map.py`), by bilinear interpolation.
+From the table `config/leg_map.csv` (`slot_lab.leg_tests.leg_map`), by bilinear interpolation.
 """
 
 from __future__ import annotations

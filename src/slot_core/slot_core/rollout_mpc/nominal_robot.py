@@ -1,6 +1,6 @@
 """Nominal robot: the simulated robot on tabulated legs, rolled out from any state.
 
-It is the robot of `simulation/tabulated_robot.py` on a flat floor at long steps. Its legs have no
+It is the robot of `legs/tabulated_robot.py` on a flat floor at long steps. Its legs have no
 mass, so that its state is the torso's, which the state estimator gives, and that of legs and
 servos, which follows from the commands: tendon angles, servo loops, and the feet's displacements.
 """
@@ -18,10 +18,10 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.elementary import atan2
 from slot_core.geometry import rotate
 from slot_core.key_frame import StateParts
+from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.robot import LEGS, Array, RobotParameters
 from slot_core.rollout_mpc.rollout_kernels import roll_out, set_torso
 from slot_core.rollout_mpc.settings import NominalSettings
-from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 SETTLING = 10  # stages in which legs and servos come to rest at a constant command
 

@@ -11,7 +11,7 @@ from slot_core.compiled import helper, kernel
 from slot_core.dynamics.handle import contents
 from slot_core.elementary import cos, sin
 from slot_core.geometry import roll_pitch_yaw
-from slot_core.simulation.tabulated_kernels import divergence_of, one_step
+from slot_core.legs.tabulated_kernels import divergence_of, one_step
 
 
 @kernel

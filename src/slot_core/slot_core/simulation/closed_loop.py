@@ -17,8 +17,13 @@ from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.route import Route
 from slot_core.robot import Array, RobotParameters, read_robot
-from slot_core.simulation.plant import Reading, RobotSimulator
-from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import (
+    ImageReading,
+    ImuReading,
+    OdometryReading,
+    Reading,
+)
 
 if TYPE_CHECKING:
     from slot_core.vision.localizer import MarkerLocalizer

@@ -34,7 +34,8 @@ from slot_core.safety.watchdog import Permission, ServoHealth, Watchdog
 from slot_core.servos.brand import EmulatedPort, EmulatedServos
 from slot_core.servos.servo_bus import PortError, RefusedError
 from slot_core.servos.session import ServoSession
-from slot_core.simulation.plant import CYCLE, Reading, RobotSimulator, StampedHealth
+from slot_core.simulation.plant import CYCLE, RobotSimulator
+from slot_core.simulation.readings import Reading, StampedHealth
 
 CYCLES = round(PERIOD / CYCLE)  # between two reports
 CLOSE_TIMEOUT = 3.0  # s, for the driver to switch the servos off
@@ -101,7 +102,7 @@ class SimulatedServos(ABC):
 
     def start(self) -> None:
         """Begin the cycles in lockstep; the robot's clock has started."""
-        self._plant.every(CYCLE, self._cycle)
+        self._plant.timeline.every(CYCLE, self._cycle)
 
     def report(self) -> StampedHealth:
         """The health now, with the newest command, in lockstep."""

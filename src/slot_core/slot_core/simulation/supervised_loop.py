@@ -26,7 +26,8 @@ from slot_core.safety.ticked_supervisor import StartUp, TickedSupervisor
 from slot_core.safety.watchdog import Permission
 from slot_core.servos.registry import read_brand
 from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
-from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import Reading, StampedHealth
 from slot_core.simulation.simulated_servos import make_servos
 
 

@@ -15,8 +15,7 @@ from slot_core.joint_reading import JointReading
 from slot_core.robot import Array
 from slot_core.safety.states import RELEASED, TO_RISE, TO_STAND, TO_WALK, Request, State
 from slot_core.safety.supervisor import Report
-from slot_core.simulation.plant import Reading, StampedHealth
-from slot_core.simulation.sensors import ImageReading
+from slot_core.simulation.readings import ImageReading, Reading, StampedHealth
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 Keep = Callable[[int, Any], None]

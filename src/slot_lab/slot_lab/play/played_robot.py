@@ -25,7 +25,7 @@ from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY, Array
 from slot_core.safety.states import LATCHED, Request, no_change
 from slot_core.safety.supervisor import PERIOD
-from slot_core.simulation.plant import TrueState
+from slot_core.simulation.readings import TrueState
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.play.played_loop import PlayedLoop, Wishes
 
@@ -132,10 +132,10 @@ class PlayedRobot:
         """Break a tendon, or mend it."""
         (self.broken.add if broken else self.broken.discard)(leg)
         if broken:
-            self.loop.plant.inject(Fault(BROKEN, leg, 0.0, 0.0, 0.0))
+            self.loop.plant.faults.inject(Fault(BROKEN, leg, 0.0, 0.0, 0.0))
             return
         with suppress(ValueError):  # it is not broken
-            self.loop.plant.clear(BROKEN, leg)
+            self.loop.plant.faults.clear(BROKEN, leg)
 
     @property
     def model(self) -> Model:

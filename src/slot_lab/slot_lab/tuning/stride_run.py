@@ -21,7 +21,7 @@ from slot_core.gait.gait import Stride
 from slot_core.gait.reference import mean_velocity
 from slot_core.refusal import DivergenceError
 from slot_core.robot import Array, RobotParameters, read_robot
-from slot_core.simulation.plant import make_robot
+from slot_core.simulation.make_robot import make_robot
 from slot_lab.tuning.settings import TuningSettings
 
 OUTPUTS = ("v_x", "v_y", "yaw rate", "height", "roll", "pitch")

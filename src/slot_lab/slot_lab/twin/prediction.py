@@ -26,7 +26,7 @@ from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.progress import Tell, untold
 from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
 from slot_core.safety.rate_limiter import extrapolated
-from slot_core.simulation.plant import make_robot
+from slot_core.simulation.make_robot import make_robot
 from slot_lab.bags.measured import TendonAngles
 from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.twin.recorded import BagRecording

@@ -54,20 +54,19 @@ from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import build_model, build_scheme, state_space, work_space
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import require_steps
+from slot_core.dynamics.simulated_robot import KernelRobot, require_steps
 from slot_core.geometry import Transform
 from slot_core.legs.leg_table import LegTable, read_leg_table
-from slot_core.matrices import interpolated
-from slot_core.refusal import DivergenceError, quoted
-from slot_core.robot import Array, RobotParameters
-from slot_core.simulation.kernel_robot import KernelRobot
-from slot_core.simulation.tabulated_kernels import (
+from slot_core.legs.tabulated_kernels import (
     TILT_MAX_DEG,
     TOO_TILTED,
     Feet,
     MapLegs,
     advance,
 )
+from slot_core.matrices import interpolated
+from slot_core.refusal import DivergenceError, quoted
+from slot_core.robot import Array, RobotParameters
 
 COLUMNS = (
     "force_N",

@@ -5,10 +5,10 @@ import pytest
 from planar_energy import leg_energy
 
 from slot_core import config
-from slot_core.legs.held_leg import HeldLeg
-from slot_core.legs.leg_map import StaticLeg
-from slot_core.legs.level_leg import NoEquilibriumError, at_nodes
 from slot_core.robot import read_robot
+from slot_lab.leg_tests.held_leg import HeldLeg
+from slot_lab.leg_tests.leg_map import StaticLeg
+from slot_lab.leg_tests.level_leg import NoEquilibriumError, at_nodes
 
 # Without damping, a slowly moving leg has the forces of a leg at rest.
 ROBOT = config.replace(

@@ -17,9 +17,14 @@ import numpy as np
 from slot_core.arrays import checked
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import put, row
-from slot_core.legs.leg_map import StaticLeg
-from slot_core.legs.level_leg import NoEquilibriumError, at_nodes, level_leg, take_step
 from slot_core.robot import Array, RobotParameters
+from slot_lab.leg_tests.leg_map import StaticLeg
+from slot_lab.leg_tests.level_leg import (
+    NoEquilibriumError,
+    at_nodes,
+    level_leg,
+    take_step,
+)
 
 STEP = 1e-3  # s; half of it changes the force by less than 1e-3 N
 ITERATIONS = 50  # of a step, at most

@@ -30,9 +30,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out = parser.parse_args(arguments).out
     if out.is_dir() or not out.parent.is_dir():  # known before the long computation
         parser.error(f"--out {out}: not a file in an existing directory")
-    from slot_core.legs.leg_map import LegMapSettings, tabulate, write  # noqa: PLC0415 - heavy
-    from slot_core.legs.level_leg import NoEquilibriumError  # noqa: PLC0415
     from slot_core.robot import read_robot  # noqa: PLC0415
+    from slot_lab.leg_tests.leg_map import LegMapSettings, tabulate, write  # noqa: PLC0415 - heavy
+    from slot_lab.leg_tests.level_leg import NoEquilibriumError  # noqa: PLC0415
 
     try:
         robot, grid = read_robot(), config.read(LegMapSettings, "leg_map")

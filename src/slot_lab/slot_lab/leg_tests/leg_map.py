@@ -23,10 +23,15 @@ from slot_core.arrays import checked
 from slot_core.compiled import kernel
 from slot_core.config import quantity
 from slot_core.dynamics.spatial.elimination import follow
-from slot_core.legs.level_leg import NoEquilibriumError, at_nodes, level_leg, take_step
-from slot_core.legs.sticking_leg import StickingLeg
 from slot_core.progress import Tell, untold
 from slot_core.robot import Array, RobotParameters
+from slot_lab.leg_tests.level_leg import (
+    NoEquilibriumError,
+    at_nodes,
+    level_leg,
+    take_step,
+)
+from slot_lab.leg_tests.sticking_leg import StickingLeg
 
 COLUMNS = (
     "theta_deg",

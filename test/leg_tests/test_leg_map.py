@@ -10,10 +10,10 @@ from scipy.optimize import minimize
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.legs.leg_map import COLUMNS, LegMapSettings, StaticLeg, tabulate
-from slot_core.legs.level_leg import NoEquilibriumError
 from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
+from slot_lab.leg_tests.leg_map import COLUMNS, LegMapSettings, StaticLeg, tabulate
+from slot_lab.leg_tests.level_leg import NoEquilibriumError
 
 ROBOT = read_robot()
 

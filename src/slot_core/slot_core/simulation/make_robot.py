@@ -1,4 +1,4 @@
-"""Rest of a simulated robot before time zero."""
+"""Simulated robot of a scene: choice of the model of its legs, and rest before time zero."""
 
 from __future__ import annotations
 
@@ -7,15 +7,40 @@ import math
 import numpy as np
 
 from slot_core.config import ConfigError
+from slot_core.dynamics.scene import Scene
+from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
+from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.matrices import norm, product
-from slot_core.robot import LEGS
+from slot_core.paper.paper_robot import PaperRobot
+from slot_core.robot import LEGS, RobotParameters
+from slot_core.simulation.rod_robot import RodRobot
 
+MODELS: dict[str, type[SimulatedRobot]] = {
+    "spatial": RodRobot,
+    "map": TabulatedRobot,
+    "paper": PaperRobot,
+}
 SPEED_AT_REST = (
     0.01  # m/s, of the torso; settled in config/scene: at most 4 mm/s, 0.14 m/s^2
 )
 ACCELERATION_AT_REST = 0.5  # m/s^2
 SETTLE_PIECE, SETTLE_MAX = 0.1, 10.0  # s, of settling beyond `start.settle`
+
+
+def make_robot(
+    robot: RobotParameters, scene: Scene, servo: ServoSettings
+) -> SimulatedRobot:
+    """Simulated robot with the model of the legs `scene.solver.legs`, settled at its start.
+
+    Raises ConfigError for legs that relax of another model than `spatial`.
+    """
+    if robot.leg.relaxes and scene.solver.legs != "spatial":
+        raise ConfigError(
+            f"leg.relaxation_share = {list(robot.leg.relaxation_share)}: legs of the model"
+            f" {scene.solver.legs!r} cannot relax; those of 'spatial' can"
+        )
+    return MODELS[scene.solver.legs](robot, scene, servo)
 
 
 def bring_to_rest(robot: SimulatedRobot) -> None:

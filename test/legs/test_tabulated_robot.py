@@ -13,10 +13,10 @@ from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY, read_robot
-from slot_core.simulation.plant import make_robot
-from slot_core.simulation.tabulated_robot import TabulatedRobot
+from slot_core.simulation.make_robot import make_robot
 
 ROBOT = read_robot()
 # A servo that holds its angle under load; the bus's position loop yields.

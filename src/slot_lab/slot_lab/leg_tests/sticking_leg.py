@@ -18,8 +18,8 @@ from __future__ import annotations
 
 from slot_core.arrays import checked
 from slot_core.compiled import kernel
-from slot_core.legs.level_leg import level_leg, linearise
 from slot_core.robot import Array, RobotParameters
+from slot_lab.leg_tests.level_leg import level_leg, linearise
 
 # 1/s, reciprocal of a step so long that inertia and damping, some kg and some N s/m times powers
 # of it, are below the rounding of the stiffness.

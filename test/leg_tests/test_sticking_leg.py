@@ -7,9 +7,9 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.dynamics.rod import sections
-from slot_core.legs.leg_map import StaticLeg
-from slot_core.legs.sticking_leg import StickingLeg
 from slot_core.robot import read_robot
+from slot_lab.leg_tests.leg_map import StaticLeg
+from slot_lab.leg_tests.sticking_leg import StickingLeg
 
 ROBOT = read_robot()
 # Natural shapes: that of the robot, and parabolas that turn by 21 and 49 deg.
