@@ -522,7 +522,7 @@ def test_a_leg_map_without_its_configuration_is_refused(
         (tmp_path / "leg_map.yaml").write_text(text)
     out = tmp_path / "map.csv"
     line = refusal(tabulate_leg.main, "--out", out)
-    assert line.startswith("scripts/tabulate_leg: ")
+    assert line.startswith("scripts/calibrate --leg-map: ")
     assert not out.exists()
 
 

@@ -180,7 +180,7 @@ def test_the_reference_has_every_settings_class_and_file_of_the_configuration():
     [
         (
             ["--output", "x"],
-            "unknown arguments: --output x; expected --out DIR or --tables",
+            "unknown arguments: --output x; expected --out DIR, --tables or --pictures",
         ),
         (["--out", "/dev/null"], "--out /dev/null: not a directory that can be made"),
     ],

@@ -1,6 +1,6 @@
 """Tabulated statics of a leg, `config/leg_map.csv`: reader and bilinear interpolation.
 
-The file is written by `scripts/tabulate_leg`; its columns are defined in `leg_map.py`.
+The file is written by `scripts/calibrate --leg-map`; its columns are defined in `leg_map.py`.
 """
 
 from __future__ import annotations
