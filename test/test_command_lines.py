@@ -323,7 +323,7 @@ HELPS = {
     "calibrate --leg-map": "leg_map.csv",
     "tune": "--friction",
     "report": "--results",
-    "bench": "graph",
+    "bench": "--quick",
     "bench graph": "--endurance",
     "docs": "--tables",
     "docs --pictures": "--list",
