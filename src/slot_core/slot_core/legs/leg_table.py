@@ -1,6 +1,6 @@
 """Tabulated statics of a leg, `config/leg_map.csv`: reader and bilinear interpolation.
 
-The file is written by `scripts/tabulate_leg`; its columns are defined in `slot_lab.leg_tests.leg_map`.
+`scripts/calibrate --leg-map` writes the file; `slot_lab.leg_tests.leg_map` defines its columns.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ mass at that of the torso.
 The table is interpolated bilinearly. Below the lowest and above the highest height, force and
 tension are extrapolated linearly from the cell at the edge, down to zero; the other columns are
 constant there. The table belongs to the robot of `config/robot.yaml`: after a change there run
-`scripts/tabulate_leg`.
+`scripts/calibrate --leg-map`.
 """
 
 from __future__ import annotations

@@ -148,7 +148,7 @@ def from_camera_info(  # noqa: PLR0917
         raise CameraError(f"K has {matrix.size} values, expected 9")
     if matrix[0] == 0.0:
         raise CameraError(
-            "K[0] = 0: the camera is not calibrated, see scripts/calibrate_camera"
+            "K[0] = 0: the camera is not calibrated, see scripts/calibrate --camera"
         )
     if not distortion.size:
         distortion, model = np.zeros(5), "plumb_bob"

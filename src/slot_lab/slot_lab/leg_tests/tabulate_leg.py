@@ -17,8 +17,8 @@ from slot_core.progress import ProgressLine
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/tabulate_leg`: writes the map of config/leg_map.yaml as CSV."""
-    parser = CommandParser(prog="scripts/tabulate_leg", description=__doc__)
+    """Command line of `scripts/calibrate --leg-map`: writes the map of config/leg_map.yaml."""
+    parser = CommandParser(prog="scripts/calibrate --leg-map", description=__doc__)
     default = config.config_dir() / "leg_map.csv"
     parser.add_argument(
         "--out",

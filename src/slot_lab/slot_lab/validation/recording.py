@@ -7,7 +7,7 @@ headers:
     time,point,x,y,z               one point a row, as above; of a single leg without `FL_`
     time,x,y,z[,roll,pitch,yaw]    the torso
 
-The markers of a video are tracked as scripts/track does, with its defaults; that command also takes
+The markers of a video are tracked as by scripts/validate --track, with its defaults; it also takes
 folders of plots, bags with plots, and depth.
 """
 
@@ -151,7 +151,7 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
     }
     if not long:
         raise RecordingError(
-            f"{path}: no marker in {LEAST_SAMPLES} plots; see scripts/track"
+            f"{path}: no marker in {LEAST_SAMPLES} plots; see scripts/validate --track"
         )
     tracks = {name: PointTrack(part[:, 0], part[:, 1:]) for name, part in long.items()}
     notes = (
