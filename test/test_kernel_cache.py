@@ -137,7 +137,7 @@ def test_change_of_an_imported_module_compiles_anew_and_one_of_another_does_not(
     root = tmp_path_factory.mktemp("copy")
     package = root / "slot_core"
     package.mkdir()
-    source = kernel_cache.PACKAGE
+    source = Path(kernel_cache.__file__).parent
     for name in ("compiled.py", "kernel_cache.py", "__init__.py"):
         (package / name).write_text((source / name).read_text())
     (package / "shared.py").write_text("SHARED = 2.0\n")
