@@ -11,7 +11,7 @@ taken for the answer to another.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -61,24 +61,6 @@ class _Status:
         return self.error & ~ALERT
 
 
-class Quality:
-    """Count of the exchanges with one servo and of the failures among the last `window` of them."""
-
-    def __init__(self, window: int) -> None:
-        self._failed: deque[bool] = deque(maxlen=window)
-        self.exchanges = 0  # since the start
-
-    def add(self, failed: bool) -> None:
-        """Count one exchange."""
-        self._failed.append(failed)
-        self.exchanges += 1
-
-    @property
-    def error_rate(self) -> float:
-        """Fraction of failed exchanges within the window; 0 before the first exchange."""
-        return sum(self._failed) / len(self._failed) if self._failed else 0.0
-
-
 class Bus:
     """All exchanges with the servos on one port; `names`: servo names for messages, by id."""
 
@@ -93,11 +75,18 @@ class Bus:
         self._handler: Any = PacketHandler(PROTOCOL)
         self._names = dict(names or {})
         self._silent: set[int] = set()
-        self.quality: dict[int, Quality] = {}
+        self._failed: dict[int, deque[bool]] = defaultdict(
+            lambda: deque(maxlen=settings.window)
+        )
 
     def name(self, identity: int) -> str:
         """Name of a servo in messages."""
         return self._names.get(identity, f"servo id {identity}")
+
+    def error_rate(self, identity: int) -> float:
+        """Share of the last `window` exchanges with a servo that failed; 0 before the first."""
+        failed = self._failed[identity]
+        return sum(failed) / len(failed) if failed else 0.0
 
     def ping(self, identity: int) -> tuple[int, int]:
         """Model number and firmware version; raises CommunicationError, InstructionError."""
@@ -198,7 +187,7 @@ class Bus:
         if not fast:
             found = self._sync_read(order, address, size)
         for identity in order:
-            self._count(identity, identity not in found)
+            self._failed[identity].append(identity not in found)
             if identity not in found and identity not in self._silent:
                 found |= self._read_alone(identity, address, size)
         self._silent = (self._silent - set(order)) | (set(order) - set(found))
@@ -208,10 +197,6 @@ class Bus:
             )
             for identity, status in found.items()
         }
-
-    def clear_silent(self) -> None:
-        """Clear the set of servos that did not answer: all are read with retries again."""
-        self._silent.clear()
 
     def _fast_read(self, ids: list[int], address: int, size: int) -> dict[int, _Status]:
         result = self._handler.syncReadTx(self.port, address, size, ids, len(ids), True)
@@ -252,7 +237,7 @@ class Bus:
             self._handler.readTx(self.port, identity, address, size)
             found, _ = self._receive([identity], size)
             usable = identity in found and not found[identity].number
-            self._count(identity, not usable)
+            self._failed[identity].append(not usable)
             if usable:
                 return found
         return {}
@@ -267,7 +252,7 @@ class Bus:
             result = send()
             if result == COMM_SUCCESS:
                 found, result = self._receive([identity], size)
-            self._count(identity, identity not in found)
+            self._failed[identity].append(identity not in found)
             status = found.get(identity)
             if status is not None and not status.number:
                 return status.data
@@ -314,11 +299,6 @@ class Bus:
         if len(found) < len(ids):
             self.port.drain(self._settings.quiet)
         return found, result
-
-    def _count(self, identity: int, failed: bool) -> None:
-        if identity not in self.quality:
-            self.quality[identity] = Quality(self._settings.window)
-        self.quality[identity].add(failed)
 
     def _result_text(self, result: int) -> str:
         return str(self._handler.getTxRxResult(result))

@@ -312,8 +312,7 @@ class Driver:
 
     def _update_quality(self, index: int, reading: ServoReading | None) -> None:
         """Update error rate and time of the last answer."""
-        quality = self.bus.quality.get(self.joints[index].id)
-        rate = 0.0 if quality is None else quality.error_rate
+        rate = self.bus.error_rate(self.joints[index].id)
         health = replace(self.health[index], error_rate=rate)
         if reading is not None:
             health = replace(health, last_answer=reading.time)

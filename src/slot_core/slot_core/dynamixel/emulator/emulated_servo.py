@@ -122,11 +122,6 @@ class EmulatedServo:
         self.memory.reset(eeprom=True, keep=keep)
         self.reboot()
 
-    def load_image(self, image: bytes) -> None:
-        """Load a memory image; end booting and shutdown, discard a registered write."""
-        self.memory.load(image)
-        self._boot_left, self._shut_down, self.registered = 0.0, False, None
-
     def clear_turns(self) -> None:
         """Reset the turn count: the position is within one turn again."""
         self._turns = math.floor(self.shaft.angle / math.tau)
