@@ -25,9 +25,8 @@ ANGLE_MAX = 0.35  # rad
 AMPLITUDE_MAX = np.array([0.05, 0.05, 0.1])  # m/s, m/s, rad/s
 ACTIONS = {"tendons": len(LEGS), "amplitudes": 3}
 """Number of values of an action, by its kind."""
-SCALE = np.array(
-    [0.05, 0.05, 0.1, *[0.02] * 2, 0.01, *[0.5] * 3, *[0.05] * 3]
-)  # rad, m, SI
+# rad, m, SI
+SCALE = np.array([0.05, 0.05, 0.1, *[0.02] * 2, 0.01, *[0.5] * 3, *[0.05] * 3])
 CLIP = 5.0  # largest magnitude in an observation
 
 

@@ -41,10 +41,8 @@ from slot_core.matrices import (
 from slot_core.robot import GRAVITY, Array
 
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = range(0, 15, 3)
-ERROR, MEASURED = (
-    15,
-    9,
-)  # sizes of the error state and of a reading's angle, position, velocity
+# sizes of the error state and of a reading's angle, position, velocity
+ERROR, MEASURED = 15, 9
 COS_PITCH_MIN = 1e-3  # keeps the covariance of roll and yaw finite at a pitch of 90 deg
 
 
