@@ -28,10 +28,11 @@ from benchmarks.mpc.cvxpy_reference import CvxpyReference, restated
 from benchmarks.mpc.oracle import optimum
 from benchmarks.mpc.plots import draw
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.mpc.force_mpc import ForceMpc
 from slot_core.mpc.settings import MpcSettings, read_mpc
-from slot_core.robot import Array, read_robot
+from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
 REQUIRES = ("cvxpy", "quadprog")

@@ -3,8 +3,8 @@
 import numpy as np
 import quadprog
 
+from slot_core.arrays import Array
 from slot_core.mpc.model import INPUTS, HorizonQp
-from slot_core.robot import Array
 
 STAGE = INPUTS + 12
 

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 
 STATES, FEET = 12, len(LEGS)
 EXCEED = " ms exceed "

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.clock import to_ns
 from slot_core.config import quantity, text
 from slot_core.elementary import atan2
@@ -37,7 +37,7 @@ from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.geometry import matrix_of_quaternion
 from slot_core.key_frame import StateParts
 from slot_core.matrices import norm, product
-from slot_core.robot import GRAVITY, Array
+from slot_core.robot import GRAVITY
 
 UP = np.array([0.0, 0.0, GRAVITY])  # specific force at rest, in odom
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = (slice(i, i + 3) for i in range(0, 15, 3))

@@ -25,6 +25,7 @@ from itertools import pairwise
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.elementary import atan2
 from slot_core.estimation.estimate import Estimate, Validity
@@ -45,7 +46,6 @@ from slot_core.geometry import (
 )
 from slot_core.key_frame import StateParts
 from slot_core.matrices import norm, product
-from slot_core.robot import Array
 
 BEFORE_ALL_TIMES = -(2**62)  # ns
 # SI, to which the variances of a message are clipped

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.control.input_check import STAGE
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.model import (
@@ -24,7 +25,7 @@ from slot_core.mpc.model import (
 )
 from slot_core.mpc.settings import MpcSettings
 from slot_core.mpc.solver import QpSolver, Solution
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 
 
 class ForceProblem:

@@ -26,9 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from slot_core.arrays import Array
 from slot_core.elementary import cos, sin
 from slot_core.matrices import inverse, product, sparse_product
-from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
+from slot_core.robot import GRAVITY, LEGS, RobotParameters
 
 FEET = len(LEGS)
 STATES = 12

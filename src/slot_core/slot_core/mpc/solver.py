@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from slot_core.arrays import Array
 from slot_core.config import quantity
 from slot_core.mpc.model import HorizonQp
-from slot_core.robot import Array
 
 
 @dataclass(frozen=True)

@@ -31,10 +31,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.geometry import rotate
 from slot_core.matrices import interpolated, inverse, product
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.rollout_mpc.active_set import ActiveSet
 from slot_core.rollout_mpc.problem_kernels import set_errors, set_limits, set_reference
 from slot_core.rollout_mpc.settings import RolloutMpcSettings
