@@ -1,8 +1,5 @@
 """MPC on forces against the matrix exponential and CVXPY; infeasible and invalid problems."""
 
-import copy
-import dataclasses
-
 import cvxpy
 import numpy as np
 import pytest
@@ -13,9 +10,8 @@ from benchmarks.mpc.cases import hard_cases, random_case, standing, state, torso
 from slot_core import config
 from slot_core.control.policy import Status
 from slot_core.mpc.force_mpc import ForceMpc
-from slot_core.mpc.model import Horizon, HorizonQp, TorsoModel
+from slot_core.mpc.model import TorsoModel
 from slot_core.mpc.settings import read_mpc
-from slot_core.mpc.solver import QpSolver
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
@@ -127,24 +123,10 @@ def test_a_horizon_of_any_length_gives_the_optimum(horizon):
         np.testing.assert_allclose(force, u[0], rtol=0, atol=1e-3)
 
 
-def solve_whole_horizon(known, ahead):
-    """Forces (H, 4, 3) N by the problem and solver of the controller."""
-    model, x0 = TorsoModel(ROBOT), known.state
-    generic, weights = model.predict(0.3, 0.1, DT), SETTINGS.weights
-    qp = HorizonQp(weights.q, weights.r, H, generic)
-    solver = QpSolver(qp, SETTINGS.solver)
-    force_ref = np.zeros((H, 4, 3))
-    force_ref[..., 2] = ahead.normal_force[:H]
-    limits = F_MAX * ahead.contact[:H]
-    stages = Horizon(limits, ahead.friction[:H], force_ref, ahead.reference[1 : H + 1])
-    qp.update(model.predict(x0[2], x0[5], ahead.dt), x0, stages)
-    return qp.forces(solver.solve().z)
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_the_forces_of_every_stage_are_within_their_limits(name):
     known, ahead = CASES[name]
-    f = solve_whole_horizon(known, ahead)
+    f = new_mpc().step(known, ahead).force
     limit = 1e-6  # N; the solver's absolute residual is 1e-8 in scaled units
     assert np.all(f[..., 2] >= -limit)
     assert np.all(f[..., 2] <= F_MAX * ahead.contact[:H] + limit)
@@ -256,35 +238,17 @@ def test_a_failed_case_does_not_affect_the_next():
         np.testing.assert_allclose(result.force[0], expected, rtol=0, atol=1e-3)
 
 
-def problem_of_standing():
-    """A copy of the controller's problem for a standing robot, to be changed."""
+def test_infeasible_limits_are_a_fault_of_their_cycle_alone():
     mpc = new_mpc()
-    mpc.step(torso(p=(0, 0, 0.03)), standing(H + 1))
-    return copy.deepcopy(mpc.problem.qp)
-
-
-def test_infeasible_limits_are_a_fault():
-    qp = problem_of_standing()
-    instance = QpSolver(qp, SETTINGS.solver)
-    assert instance.solve().fault == ""
-    qp.upper[3, 2] = -1.0  # below the lower limit of zero
-    assert instance.solve().fault
-    qp.upper[3, 2] = 1.0
-    assert instance.solve().fault == ""
-
-
-@pytest.mark.parametrize("iterations", [1, 2])
-def test_reaching_the_iteration_limit_is_a_fault(iterations):
-    few = dataclasses.replace(SETTINGS.solver, iterations=iterations)
-    found = QpSolver(problem_of_standing(), few).solve()
-    assert found.fault
-    assert "\n" not in found.fault
-    assert found.iterations <= iterations
+    mpc.step(torso(), preview())
+    for force_max, solved in ((F_MAX, True), (-1.0, False), (1.0, True)):
+        mpc.problem.right[-1] = force_max  # of the last stage; f_z >= 0
+        assert (mpc.problem.solve().fault == "") == solved
 
 
 def test_a_nan_in_the_problem_gives_a_fault_or_a_nan_solution():
-    qp = problem_of_standing()
-    instance = QpSolver(qp, SETTINGS.solver)
-    qp.b.ravel()[5] = np.nan  # the height at the end of the first stage
-    found = instance.solve()
+    mpc = new_mpc()
+    mpc.step(torso(), preview())
+    mpc.problem.right[5] = np.nan  # the height at the end of the first stage
+    found = mpc.problem.solve()
     assert found.fault or not np.isfinite(found.z).all()

@@ -94,7 +94,7 @@ def optima(settings: MpcSettings, cases: Sequence[Case]) -> Array:
     mpc, found = controller(settings, 1e-6), []
     for case in cases:
         mpc.step(*case)
-        found.append(optimum(mpc.problem.qp)[0])
+        found.append(optimum(mpc.problem)[0])
     return np.array(found)
 
 
