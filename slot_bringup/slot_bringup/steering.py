@@ -14,9 +14,10 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.gait.gait import read_gaits
-from slot_core.robot import BASE_FRAME, Array
+from slot_core.robot import BASE_FRAME
 from slot_msgs.msg import GaitPreview
 from slot_nodes import messages, qos
 

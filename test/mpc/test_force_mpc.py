@@ -176,15 +176,9 @@ def test_a_nan_solution_reported_as_solved_is_not_accepted(monkeypatch):
     ]  # a feasible input, then not
     solutions[0].reshape(H, 8, 3)[..., :2] = 0.0
 
-    class FaultySolver:
-        def __init__(self, *_):
-            self.count = -2  # the first call is made at construction
-
-        def solve(self):
-            self.count += 1
-            return Solution(solutions[max(self.count, 0)], fault="", iterations=1)
-
-    monkeypatch.setattr("slot_core.mpc.force_problem.QpSolver", FaultySolver)
+    answers = iter([solutions[0], *solutions])  # the first solve is at construction
+    solve = lambda _: Solution(next(answers), fault="", iterations=1)  # noqa: E731
+    monkeypatch.setattr("slot_core.mpc.force_problem.ForceProblem.solve", solve)
     mpc = new_mpc()
     assert mpc.step(torso(), preview()).status == Status.SOLVED
     result = mpc.step(torso(), preview())

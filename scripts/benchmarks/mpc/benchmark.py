@@ -28,10 +28,11 @@ from benchmarks.mpc.cvxpy_reference import CvxpyReference, restated
 from benchmarks.mpc.oracle import optimum
 from benchmarks.mpc.plots import draw
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.mpc.force_mpc import ForceMpc
 from slot_core.mpc.settings import MpcSettings, read_mpc
-from slot_core.robot import Array, read_robot
+from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
 REQUIRES = ("cvxpy", "quadprog")
@@ -93,7 +94,7 @@ def optima(settings: MpcSettings, cases: Sequence[Case]) -> Array:
     mpc, found = controller(settings, 1e-6), []
     for case in cases:
         mpc.step(*case)
-        found.append(optimum(mpc.problem.qp)[0])
+        found.append(optimum(mpc.problem)[0])
     return np.array(found)
 
 

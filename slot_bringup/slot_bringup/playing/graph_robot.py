@@ -13,11 +13,11 @@ from std_srvs.srv import Trigger
 
 from slot_bringup.playing.robot_display import TOPICS, Named
 from slot_bringup.steering import SteeringPublisher
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.gait.gait import STAND, Posture, read_gaits
 from slot_core.messages import decode
 from slot_core.recording.record_settings import read_record_settings
-from slot_core.robot import Array
 from slot_core.safety.states import (
     LATCHED,
     TO_RISE,

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slot_core.arrays import Array
 from slot_core.control.policy import Status
 from slot_core.messages import decode
-from slot_core.robot import Array, read_robot
+from slot_core.robot import read_robot
 from slot_core.rollout_mpc.settings import read_rollout_mpc
 from slot_lab.play.played_robot import FRAME
 

@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.elementary import atan2, cos, hypot, sin
 from slot_core.matrices import norm, product
-from slot_core.robot import Array
 
 Angle = TypeVar("Angle", float, Array)
 # Axes of a camera's optical frame (z forward, x to the right of the image, y down) in camera_link

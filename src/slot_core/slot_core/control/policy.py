@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.control.policies import POLICIES, RENAMED
 from slot_core.estimation.estimate import Estimate
@@ -27,7 +28,7 @@ from slot_core.gait.gait import GaitPreview
 from slot_core.key_frame import StateParts
 from slot_core.names import ONNX
 from slot_core.refusal import quoted, require_regular
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import LEGS, RobotParameters
 
 Timer = Callable[[], float]  # s
 

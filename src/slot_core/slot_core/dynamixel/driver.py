@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.clock import Clock
 from slot_core.dynamixel.bus import Bus, RegisterValues
 from slot_core.dynamixel.checks import (
@@ -29,7 +30,7 @@ from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT, Mode
 from slot_core.faults import hardware_errors
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.servos.servo_bus import (
     BusFacts,
     Cycle,

@@ -29,11 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import choice, flag, quantity
 from slot_core.elementary import cos, sin
 from slot_core.matrices import norm
 from slot_core.refusal import quoted
-from slot_core.robot import Array
 
 STAND = "stand"  # name of the posture at the start
 Harmonics = tuple[float, float, float, float, float]

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
 from slot_core.gait.gait import (
@@ -24,7 +25,7 @@ from slot_core.geometry import wrapped
 from slot_core.key_frame import StateParts
 from slot_core.legs.leg_springs import LegSprings
 from slot_core.matrices import norm
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 
 LEAST_VELOCITY = 1e-4  # m/s, rad/s: below it a stride stands
 LONGEST_GAP = 0.5  # s between states; after a longer one the commands do not move

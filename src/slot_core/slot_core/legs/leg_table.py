@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core import config
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, kernel
 from slot_core.refusal import read_text
-from slot_core.robot import Array
 
 SIZE_MAX = 10_000_000  # bytes of the file
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from slot_core.arrays import Array
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import dot, plus, solve, times
 from slot_core.dynamics.contact import (
@@ -25,7 +26,6 @@ from slot_core.dynamics.integrator import (
 )
 from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.torso import add_row, at
-from slot_core.robot import Array
 
 TOO_FAST, TOO_TILTED = range(2)  # kinds of divergence
 TILT_MAX_DEG, COS_TILT_MAX = 60.0, 0.5  # largest tilt of the torso

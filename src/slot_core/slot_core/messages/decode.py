@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.faults import Fault
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import matrix_of_quaternion, rpy_of
 from slot_core.refusal import quoted
-from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, Array
+from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS
 from slot_core.safety.settings import GateSettings, ServoLimits
 from slot_core.safety.states import Action, State
 from slot_core.safety.watchdog import Permission, ServoHealth

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.control.input_check import preview_fault, state_fault, time_fault
 from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Timer
 from slot_core.estimation.estimate import Estimate
@@ -23,7 +24,7 @@ from slot_core.mpc.model import FEET, FirstStage
 from slot_core.mpc.paper_problem import PaperProblem, PaperStage
 from slot_core.mpc.settings import MpcSettings, PaperMpcSettings, read_mpc
 from slot_core.mpc.solver import Solution
-from slot_core.robot import GRAVITY, Array, RobotParameters
+from slot_core.robot import GRAVITY, RobotParameters
 
 NO_REPORT = PlanReport()
 _NONE = np.zeros(FEET)

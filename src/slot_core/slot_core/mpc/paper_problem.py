@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from slot_core.arrays import Array
 from slot_core.elementary import cos, hypot, sin
 from slot_core.gait.gait import GaitPreview
 from slot_core.matrices import inverse, norm, product, sparse_product
@@ -46,7 +47,7 @@ from slot_core.mpc.model import (
 )
 from slot_core.mpc.settings import PaperMpcSettings
 from slot_core.mpc.solver import Solution, options, solution_of
-from slot_core.robot import GRAVITY, Array, RobotParameters
+from slot_core.robot import GRAVITY, RobotParameters
 
 AXES = 3
 FRONT = (0, 1)

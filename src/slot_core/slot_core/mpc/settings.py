@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import choice, flag, quantity, text
 from slot_core.gait.gait import Vector3
 from slot_core.mpc.model import FEET
 from slot_core.mpc.solver import MpcSolverSettings
-from slot_core.robot import Array
 
 FORCE_MPC = "force_mpc"  # policy with the settings as they are
 

@@ -64,7 +64,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.scene import Scene
@@ -81,7 +81,7 @@ from slot_core.paper.numbers import (
     torso_state,
 )
 from slot_core.refusal import DivergenceError
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import LEGS, RobotParameters
 
 
 class PaperLeg:

@@ -18,10 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, kernel
 from slot_core.matrices import cholesky, solve_cholesky
-from slot_core.robot import Array
 
 PARALLEL = (
     1e-11  # share of a normal outside of those in force, below which it depends on them

@@ -26,11 +26,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.geometry import rotate, wrapped
 from slot_core.key_frame import StateParts
 from slot_core.matrices import interpolated
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.rollout_mpc.nominal_robot import NominalRobot, NominalState
 from slot_core.rollout_mpc.settings import ObserverSettings
 

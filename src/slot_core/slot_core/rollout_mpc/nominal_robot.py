@@ -55,9 +55,8 @@ class NominalRobot:
         self._initial = NominalState(
             self.robot.state.buffer.copy(), np.zeros(len(LEGS))
         )
-        self.measured(
-            self._initial, np.zeros(12)
-        )  # compiles the kernels, as does the next line
+        # compile the kernels
+        self.measured(self._initial, np.zeros(12))
         self.after(self._initial, np.zeros((2, len(LEGS))))
 
     @property
@@ -77,17 +76,14 @@ class NominalRobot:
 
     def at_rest(self, state: Array, angle: Array) -> NominalState:
         """State with the torso of `state` (12,) and legs and servos that have reached `angle`."""
-        state, angle = (
-            checked("state", state, (12,)),
-            checked("angle", angle, (len(LEGS),)),
-        )
+        state = checked("state", state, (12,))
+        angle = checked("angle", angle, (len(LEGS),))
         self.robot.state.buffer[:] = self._initial.buffer
         self.robot.state.tendon_angle[:] = angle
         start = NominalState(self.robot.state.buffer.copy(), self._initial.side_rate)
         still = np.concatenate([state[:6], np.zeros(6)])
-        settled = self.after(
-            self.measured(start, still), np.tile(angle, (SETTLING + 1, 1))
-        )
+        plan = np.tile(angle, (SETTLING + 1, 1))
+        settled = self.after(self.measured(start, still), plan)
         return self.measured(settled, state)
 
     def measured(self, known: NominalState, state: Array) -> NominalState:
@@ -113,11 +109,8 @@ class NominalRobot:
             raise ValueError(f"plans: {plans.shape[1]} stages, expected two or more")
         buffer, side_rate = self._checked(start)
         count, stages = plans.shape[0], plans.shape[1] - 1
-        pose, of_feet = (
-            np.empty((count, stages, 6)),
-            np.empty((2, count, stages, len(LEGS), 3)),
-        )
-        found = Rollouts(pose, *of_feet)
+        of_feet = np.empty((2, count, stages, len(LEGS), 3))
+        found = Rollouts(np.empty((count, stages, 6)), *of_feet)
         roll_out(
             self.robot.handle,
             buffer,

@@ -31,18 +31,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.geometry import rotate
 from slot_core.matrices import interpolated, inverse, product
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.rollout_mpc.active_set import ActiveSet
 from slot_core.rollout_mpc.problem_kernels import set_errors, set_limits, set_reference
 from slot_core.rollout_mpc.settings import RolloutMpcSettings
 
 LEG_COUNT = len(LEGS)
-MODES = np.vstack(
-    [np.eye(LEG_COUNT), np.ones(LEG_COUNT)]
-)  # FL FR RL RR, and all together
+# FL FR RL RR, and all together
+MODES = np.vstack([np.eye(LEG_COUNT), np.ones(LEG_COUNT)])
 QP_TOLERANCE = 1e-6  # of the limits, as a share of the largest deviation
 
 
@@ -70,19 +69,15 @@ class PlanProblem:
         self.scale = np.array(scale)  # (6,) of the errors of a pose
         self._weight = 1.0 / (np.sqrt(stages) * self.scale)
         pulls = np.array([self._pull(b).ravel() for b in self.basis])
-        self._damped = product(self._flat, pulls.T) + np.eye(
-            len(self.basis)
-        ) / np.square(cost.change)
+        damping = np.eye(len(self.basis)) / np.square(cost.change)
+        self._damped = product(self._flat, pulls.T) + damping
         self._solver = ActiveSet(len(self.basis))
         nowhere = np.zeros(3)
         wanted = self.reference(np.zeros((stages + 1, 12)), nowhere, nowhere, 0.0)
-        error = self.errors(wanted[None], wanted, 0.0)[
-            0
-        ]  # compiles the kernels, as does the step
-        slopes, angle = (
-            np.zeros((len(self.basis), error.size)),
-            np.zeros((stages + 1, LEG_COUNT)),
-        )
+        # compiles the kernels, as does the step
+        error = self.errors(wanted[None], wanted, 0.0)[0]
+        slopes = np.zeros((len(self.basis), error.size))
+        angle = np.zeros((stages + 1, LEG_COUNT))
         self.change(error, self.linearised(slopes), angle, angle)
 
     def reference(self, rows: Array, place: Array, drift: Array, sag: float) -> Array:
@@ -124,9 +119,8 @@ class PlanProblem:
         """Half the gradient (K + 1, 4) of the cost of deviations (K + 1, 4)."""
         cost, mean = self._settings.cost, deviation.sum(axis=0) / len(deviation)
         swing = (deviation - mean) / np.square(cost.swing)
-        return np.asarray(
-            (swing + mean / np.square(cost.deviation)) / self._settings.stages
-        )
+        pull = swing + mean / np.square(cost.deviation)
+        return np.asarray(pull / self._settings.stages)
 
     def linearised(self, slopes: Array) -> Linearisation:
         """Linearisation with the slopes (n, 6 K) of the weighted errors, per rad."""
@@ -144,24 +138,18 @@ class PlanProblem:
         shape = (self._settings.stages + 1, LEG_COUNT)
         nominal = checked("nominal", nominal, shape)
         deviation = checked("deviation", deviation, shape)
-        gradient = product(linear.slopes, error) + product(
-            self._flat, self._pull(deviation).ravel()
-        )
+        pull = product(self._flat, self._pull(deviation).ravel())
+        gradient = product(linear.slopes, error) + pull
         limits, low, high = self._settings.limits, *np.empty((2, len(self._rows)))
         step = self._dt * limits.rate
-        set_limits(
-            nominal, deviation, *self.range(nominal), limits.deviation, step, low, high
-        )
+        least, most = self.range(nominal)
+        set_limits(nominal, deviation, least, most, limits.deviation, step, low, high)
         slack = QP_TOLERANCE * limits.deviation
-        delta = self._solver.solve(
-            linear.inverse, gradient, self._rows, low, high, slack
-        )
-        return (
-            None if delta is None else product(delta, self._flat).reshape(nominal.shape)
-        )
+        solve = self._solver.solve
+        delta = solve(linear.inverse, gradient, self._rows, low, high, slack)
+        return None if delta is None else product(delta, self._flat).reshape(shape)
 
     def range(self, nominal: Array) -> tuple[float, float]:
         """Least and largest tendon angle of a plan around the nominal angles, rad."""
-        return min(
-            self._settings.limits.angle_min, float(nominal.min())
-        ), self._angle_max
+        least = min(self._settings.limits.angle_min, float(nominal.min()))
+        return least, self._angle_max

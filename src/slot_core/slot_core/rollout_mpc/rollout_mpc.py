@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.control.force_map import read_springs
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.input_check import preview_fault, state_fault, time_fault
@@ -30,7 +31,7 @@ from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
 from slot_core.geometry import wrapped
 from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product
-from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
+from slot_core.robot import GRAVITY, LEGS, RobotParameters
 from slot_core.rollout_mpc.disturbance_observer import PLACE, DisturbanceObserver
 from slot_core.rollout_mpc.nominal_robot import NominalRobot, NominalState, Rollouts
 from slot_core.rollout_mpc.problem import Linearisation, PlanProblem

@@ -15,9 +15,9 @@ from collections import deque
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import SECOND
 from slot_core.matrices import norm
-from slot_core.robot import Array
 from slot_core.safety.settings import MotionLimits
 
 

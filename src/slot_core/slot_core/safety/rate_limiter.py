@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_seconds
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.safety.settings import GateSettings
 from slot_core.safety.states import Action
 

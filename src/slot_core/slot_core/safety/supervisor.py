@@ -14,9 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.estimation.estimate import Estimate
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import LEGS, RobotParameters
 from slot_core.safety.conditions import Conditions, OptionalNodes
 from slot_core.safety.motion_watch import MotionWatch
 from slot_core.safety.rate_limiter import AT_REST, command_fault

@@ -23,8 +23,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_seconds
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.safety.rate_limiter import AT_REST, Goals, RateLimiter, unchanged
 from slot_core.safety.settings import ServoLimits
 from slot_core.safety.states import Action

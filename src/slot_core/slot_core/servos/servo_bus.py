@@ -13,10 +13,19 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import Clock
 from slot_core.faults import hardware_errors
-from slot_core.joint_reading import JointReading
-from slot_core.robot import Array
+
+
+@dataclass(frozen=True)
+class JointReading:
+    """Tendon angles (rad), rates (rad/s) and servo torques (N m), each (4,), at `stamp` (ns)."""
+
+    stamp: int
+    angle: Array
+    rate: Array
+    torque: Array
 
 
 class ServoError(Exception):

@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import to_ns, to_seconds
 from slot_core.config import ConfigError
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.safety.rate_limiter import AT_REST
 from slot_core.safety.states import Action
 from slot_core.safety.watchdog import NO_LIMITS, Permission, ServoHealth, Watchdog

@@ -23,10 +23,11 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import to_ns, to_seconds
 from slot_core.dynamics.servo import read_servo
 from slot_core.refusal import DivergenceError
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.safety.rate_limiter import AT_REST, unchanged
 from slot_core.safety.states import Action
 from slot_core.safety.supervisor import PERIOD

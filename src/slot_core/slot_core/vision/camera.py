@@ -18,8 +18,8 @@ import numpy as np
 import yaml
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.refusal import InputError, quoted, read_text
-from slot_core.robot import Array
 from slot_core.vision.settings import Intrinsics
 
 MODELS = {"plumb_bob": 5, "rational_polynomial": 8}  # coefficients by name in ROS

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.geometry import Transform
-from slot_core.robot import Array
 from slot_core.vision.camera import Camera
 
 ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-9)

@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import ConfigError, quantity
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.refusal import DivergenceError
-from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
+from slot_core.robot import GRAVITY, LEGS, RobotParameters
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.calibration.data import Datum
 from slot_lab.csv_table import TableError

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import dot, plus, put, row
 from slot_core.dynamics.clamp import couple
@@ -29,7 +30,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.spatial.elimination import eliminate, substitute
 from slot_core.dynamics.spatial.leg import SpatialLeg, hold_clamp, load_leg
 from slot_core.dynamics.spatial.strain import point_along
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 
 HELD = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # increments of the torso
 

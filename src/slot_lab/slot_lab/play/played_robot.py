@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import LOCKSTEP_START, SECOND, to_seconds
 from slot_core.config import ConfigError
 from slot_core.control.controller import Tick
@@ -22,7 +23,7 @@ from slot_core.faults import BROKEN, Fault
 from slot_core.gait.gait import STAND
 from slot_core.geometry import rotate
 from slot_core.refusal import DivergenceError
-from slot_core.robot import GRAVITY, Array
+from slot_core.robot import GRAVITY
 from slot_core.safety.states import LATCHED, Request, no_change
 from slot_core.safety.supervisor import PERIOD
 from slot_core.simulation.readings import TrueState

@@ -20,18 +20,20 @@ from pathlib import Path
 
 import numpy as np
 
-from slot_core.body_points import (
+from slot_core.arrays import Array
+from slot_core.progress import Tell, untold
+from slot_core.refusal import InputError, quoted
+from slot_core.robot import (
     BODY_POINTS,
-    COLUMNS,
-    FRAME,
     LEAST_NODES,
     LEG_POINTS,
+    LEGS,
+    ODOM_FRAME,
+    POINT_COLUMNS,
+    POINT_FRAME,
     TORSO,
     at_shares,
 )
-from slot_core.progress import Tell, untold
-from slot_core.refusal import InputError, quoted
-from slot_core.robot import LEGS, ODOM_FRAME, Array
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.measured import measured_motion, sound
 from slot_lab.bags.recorded_walk import seconds
@@ -94,7 +96,7 @@ def write_points(
 ) -> None:
     """Write rows (n, 4) time, x, y, z of each point as CSV, ordered by time; raises OSError."""
     rows = [(row[0], name, row[1:]) for name, part in points.items() for row in part]
-    lines = [f"# {comment}" for comment in comments] + [",".join(COLUMNS)]
+    lines = [f"# {comment}" for comment in comments] + [",".join(POINT_COLUMNS)]
     for time, name, place in sorted(rows, key=lambda row: row[0]):
         lines.append(
             f"{time:.{DIGITS}f},{name}," + ",".join(f"{v:.{DIGITS}f}" for v in place)
@@ -167,9 +169,9 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
 def _from_csv(path: Path) -> PointRecording:
     table = read_table(path)
     columns = table.columns
-    if columns not in (COLUMNS, WIDE, WIDE + ATTITUDE):
+    if columns not in (POINT_COLUMNS, WIDE, WIDE + ATTITUDE):
         raise TableError(
-            f"{table.head}: columns {','.join(columns)[:80]}: expected {','.join(COLUMNS)}"
+            f"{table.head}: columns {','.join(columns)[:80]}: expected {','.join(POINT_COLUMNS)}"
             f" or {','.join(WIDE)}[,{','.join(ATTITUDE)}]"
         )
     parts: dict[str, list[tuple[int, list[float]]]] = {}
@@ -183,7 +185,9 @@ def _from_csv(path: Path) -> PointRecording:
     if not parts:
         raise TableError(f"{path}: no samples")
     tracks = {name: _track(path, name, part) for name, part in parts.items()}
-    frames = [c.removeprefix(FRAME) for c in table.comments if c.startswith(FRAME)]
+    frames = [
+        c.removeprefix(POINT_FRAME) for c in table.comments if c.startswith(POINT_FRAME)
+    ]
     tilted = bool(frames) and frames[0] != ODOM_FRAME
     return dataclasses.replace(_since_first(path.name, tracks), tilted=tilted)
 

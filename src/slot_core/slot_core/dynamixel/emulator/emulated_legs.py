@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import Clock
 from slot_core.dynamixel.checks import expected
 from slot_core.dynamixel.driver import Driver
@@ -25,7 +26,7 @@ from slot_core.dynamixel.joints import joints
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import DynamixelSettings, read_settings
 from slot_core.faults import Fault
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.servos.servo_bus import PortError
 
 
