@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import MechanicalState, Model, Work
@@ -16,7 +16,7 @@ from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.geometry import quaternion_of, rpy_of
 from slot_core.refusal import quoted
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 
 SNAPSHOT = (
     "time",

@@ -48,7 +48,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import build_model, build_scheme, state_space, work_space
@@ -66,7 +66,7 @@ from slot_core.legs.tabulated_kernels import (
 )
 from slot_core.matrices import interpolated
 from slot_core.refusal import DivergenceError, quoted
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 
 COLUMNS = (
     "force_N",

@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core import config
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.dynamics.scene import NO_SENSORS, Scene, level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.elementary import atan2
 from slot_core.geometry import rotate
 from slot_core.key_frame import StateParts
 from slot_core.legs.tabulated_robot import TabulatedRobot
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import LEGS, RobotParameters
 from slot_core.rollout_mpc.rollout_kernels import roll_out, set_torso
 from slot_core.rollout_mpc.settings import NominalSettings
 

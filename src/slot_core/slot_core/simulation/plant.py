@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import to_ns, to_seconds
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Push, Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.joint_reading import JointReading
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 from slot_core.safety.rate_limiter import AT_REST, extrapolated
 from slot_core.servos.brand import Emulate, EmulatedServos
+from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.fault_injection import FaultInjection
 from slot_core.simulation.make_robot import bring_to_rest, make_robot
 from slot_core.simulation.readings import (

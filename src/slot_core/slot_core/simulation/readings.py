@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_core.joint_reading import JointReading
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_core.safety.watchdog import ServoHealth
+from slot_core.servos.servo_bus import JointReading
 
 
 @dataclass(frozen=True)

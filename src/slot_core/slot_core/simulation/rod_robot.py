@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.config import ConfigError
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.handle import Handle
@@ -26,7 +26,7 @@ from slot_core.dynamics.spatial.strain import segments
 from slot_core.geometry import Transform
 from slot_core.matrices import product
 from slot_core.refusal import DivergenceError
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import LEGS, RobotParameters
 
 
 class RodRobot(KernelRobot):

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.dynamics.scene import CameraSettings, ImuSettings, OdometrySettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.elementary import cos, log
 from slot_core.geometry import quaternion_of_vector, quaternion_product, rotate
 from slot_core.matrices import product
-from slot_core.robot import Array
 from slot_core.simulation.readings import ImuReading, OdometryReading, lost_odometry
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ import math
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import put, row
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 from slot_lab.leg_tests.leg_map import StaticLeg
 from slot_lab.leg_tests.level_leg import (
     NoEquilibriumError,

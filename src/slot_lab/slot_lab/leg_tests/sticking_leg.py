@@ -16,9 +16,9 @@ stiffness with its lowest node stuck, which is the limit for a leg that just tou
 
 from __future__ import annotations
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.compiled import kernel
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 from slot_lab.leg_tests.level_leg import level_leg, linearise
 
 # 1/s, reciprocal of a step so long that inertia and damping, some kg and some N s/m times powers
