@@ -59,7 +59,7 @@ def compile_rod():
 
 def compile_mpc():
     """The solver of ground reaction forces."""
-    ForceMpc(ROBOT, read_mpc("force_mpc"), time.perf_counter)
+    ForceMpc(ROBOT, read_mpc(), time.perf_counter)
 
 
 if __name__ == "__main__":

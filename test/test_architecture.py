@@ -14,6 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = {
     "slot_core": ROOT / "src" / "slot_core",
     "slot_lab": ROOT / "src" / "slot_lab",
+    "slot_paper": ROOT / "src" / "slot_paper",
     "slot_nodes": ROOT / "src" / "slot_nodes",
     "slot_bringup": ROOT / "slot_bringup",
 }
@@ -23,6 +24,7 @@ GROUND = "ground"  # the files of a package beside its folders
 ABOVE = {
     "slot_core": set(),
     "slot_lab": {"slot_core"},
+    "slot_paper": {"slot_core"},
     "slot_nodes": {"slot_core", "slot_msgs"},
     "slot_bringup": {"slot_core", "slot_lab", "slot_nodes", "slot_msgs"},
 }
@@ -33,7 +35,6 @@ CORE = {
     "dynamics": "",
     "rod": "dynamics",
     "legs": "dynamics",
-    "paper": "dynamics",
     "estimation": "",
     "gait": "legs",
     "control": "legs estimation gait",
@@ -45,11 +46,12 @@ CORE = {
     "vision": "",
     "servos": "safety",
     "dynamixel": "dynamics servos",
-    "simulation": "dynamics legs paper estimation gait control safety vision servos",
+    "simulation": "dynamics legs estimation gait control safety vision servos",
     "rollout_mpc": "dynamics legs estimation gait control",
 }
 BRANDS = ("dynamixel",)  # of servos; only their registry imports them
 REGISTRY = "slot_core.servos.registry"
+PAPER_REGISTRIES = {"slot_core.control.policies", "slot_core.simulation.make_robot"}
 LAB = {
     GROUND: "",
     "bags": "",
@@ -66,8 +68,12 @@ LAB = {
 # File names that occur in several folders, with the reason.
 REPEATED = {
     "__init__.py": "subject of the folder",
+    "leg.py": "a leg of rods, and a leg of the paper",
+    "robot.py": "parameters of the robot, and the robot of the paper",
+    "problem.py": "problem of a policy: of the rollout MPC, and of the paper",
+    "force_map.py": "the force map, and the paper's",
+    "tables.py": "tables of a validation, and of the paper",
     "model.py": "numerical form of the equations of the folder's subject",
-    "kernels.py": "the compiled functions of the folder's subject",
     "options.py": "options of each benchmark that has some",
     "settings.py": "settings class of the folder's YAML file",
     "statics.py": "equilibria of the rod, and those of its benchmark",
@@ -138,7 +144,7 @@ def test_core_imports_nothing_of_ros():
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_package_imports_only_packages_below_it(package):
     files = [path for name, path in modules().items() if room(name)[0] == package]
-    assert len(files) > 10
+    assert len(files) > 5
     ours = {*PACKAGES, "slot_msgs", "benchmarks", "documentation", "examples"} - {
         package
     }
@@ -180,6 +186,17 @@ def test_only_the_registry_imports_a_brand_of_servos():
         and any(n.startswith(brands) for n in imports_of(path))
     }
     assert users == {REGISTRY}
+
+
+def test_only_the_registries_of_policies_and_levels_name_the_papers_package():
+    """In text: it is imported when one of its parts is used."""
+    naming = {
+        name
+        for name, path in modules().items()
+        if room(name)[0] != "slot_paper" and '"slot_paper.' in path.read_text()
+    }
+    assert naming == PAPER_REGISTRIES
+    assert not any("slot_paper" in tops(modules()[name]) for name in naming)
 
 
 def test_a_contract_is_at_most_50_lines():

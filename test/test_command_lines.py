@@ -16,7 +16,6 @@ from slot_bringup.arguments import parse
 from slot_bringup.playing import main_page
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.mpc.settings import read_mpc
 from slot_lab.bags import replay_command as replay
 from slot_lab.calibration import command as calibrate
 from slot_lab.film import calibrate_camera, print_command, track_command
@@ -25,6 +24,7 @@ from slot_lab.report import compare, map_command
 from slot_lab.tuning import tune_command
 from slot_lab.twin import twin_command
 from slot_lab.validation import validate
+from slot_paper.problem import read_paper_mpc
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent
@@ -565,4 +565,4 @@ def test_a_replay_whose_output_cannot_be_written_says_so():
 def test_a_profile_of_the_mpc_that_is_no_mapping_is_refused(own_config, text):
     (own_config / "mpc" / "own.yaml").write_text(text)
     with pytest.raises(ConfigError, match=r"mpc/own\.yaml: terms: expected a mapping"):
-        read_mpc("own")
+        read_paper_mpc("own")

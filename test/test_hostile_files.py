@@ -17,7 +17,6 @@ from slot_core.dynamixel.settings import read_settings as read_dynamixel
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.mpc.settings import read_mpc
-from slot_core.paper.numbers import read_paper
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import read_robot
 from slot_core.rollout_mpc.settings import read_rollout_mpc
@@ -27,10 +26,12 @@ from slot_core.vision.settings import read_vision
 from slot_lab.calibration.experiments import read_settings as read_experiments
 from slot_lab.tuning.settings import read_tuning
 from slot_lab.twin.settings import read_twin
+from slot_paper.leg import read_paper
+from slot_paper.problem import read_paper_mpc
 
 FOLDERS = {  # of config/, and what reads a file of it by its name
     "gait": lambda name: read_gaits(),
-    "mpc": read_mpc,
+    "mpc": read_paper_mpc,
     "parameters": lambda name: (read_robot(name), read_servo(name)),
     "scene": read_scene,
     "solver": lambda name: [read_scene(scene) for scene in ("flat", "map", "paper")],

@@ -18,7 +18,9 @@ from slot_core.control.policies import POLICIES
 from slot_core.kernel_cache import KernelCache
 from slot_core.simulation.closed_loop import ClosedLoop
 
-CORE = Path(__file__).resolve().parents[1] / "src" / "slot_core" / "slot_core"
+SOURCES = Path(__file__).resolve().parents[1] / "src"
+CORE = SOURCES / "slot_core" / "slot_core"
+PAPER = SOURCES / "slot_paper" / "slot_paper"
 ROOMS = (
     "estimation",
     "gait",
@@ -40,6 +42,7 @@ GROUND = (
     "section",
     "clock",
 )
+OF_THE_PAPER = ("problem", "gaits", "force_map")  # its policies
 # Files of these rooms that no node of the graph and no simulation of it runs, or that use OpenCV.
 OUTSIDE = {
     "simulation/camera_sensor.py": "draws images with OpenCV",
@@ -124,7 +127,7 @@ LIBRARIES = {"scipy", "piqp", "cvxpy", "clarabel", "cv2"}
 # matrices, which are only laid out.
 MAY_IMPORT = {
     "mpc/solver.py": {"clarabel"},
-    "mpc/paper_problem.py": {"clarabel", "scipy.sparse"},
+    "slot_paper/problem.py": {"clarabel", "scipy.sparse"},
     "mpc/force_problem.py": {"clarabel", "scipy.sparse"},
 }
 # Functions that may call anything, and why.
@@ -142,11 +145,12 @@ DRAWS = {
 
 
 def files():
-    """Files of the control path and the plant by their names in slot_core."""
+    """Files of the control path and the plant by their names in slot_core, or in slot_paper."""
     found = [CORE / f"{name}.py" for name in GROUND]
     for room in ROOMS:
         found += (CORE / room).rglob("*.py")
     names = {path.relative_to(CORE).as_posix(): path for path in sorted(found)}
+    names |= {f"slot_paper/{name}.py": PAPER / f"{name}.py" for name in OF_THE_PAPER}
     assert set(OUTSIDE) <= set(names)
     return {name: path for name, path in names.items() if name not in OUTSIDE}
 

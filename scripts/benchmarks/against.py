@@ -12,7 +12,7 @@ from typing import Any
 from benchmarks.harness import Check, Row, at_most
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("src/slot_core", "src/slot_lab")
+PACKAGES = ("src/slot_core", "src/slot_lab", "src/slot_paper")
 LARGEST = 1.1  # CPU over that of the other checkout
 REPEATS = 5
 # Prints s of CPU: of the policy in 150 ticks of a walk, and of 2000 steps of the robot.

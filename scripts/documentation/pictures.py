@@ -176,7 +176,7 @@ def named(function: str) -> Draw:
 
 def read_rows(results: Path, benchmark: str) -> Rows:
     """Rows of a benchmark, with NaN in the place of null; raises PictureError, ReportError."""
-    found = read_benchmark(results, benchmark, {})
+    found = read_benchmark(results, benchmark)
     if found is None:
         raise PictureError(_missing(results, benchmark, f"{benchmark}.json"))
     blank = float("nan")

@@ -1,18 +1,16 @@
 """Report of results: one page in Markdown that says where every figure is from."""
 
 import json
-import math
 import re
 
 import pytest
 
 from benchmarks.harness import known
 from benchmarks.locomotion.rows import rows as locomotion_rows
-from benchmarks.report import claims, paper_figures
-from benchmarks.report.report import BENCHMARKS, CAPTIONS, main
-from benchmarks.report.results import bench_command
-from documentation.markdown import plain
-from slot_core.robot import read_robot
+from benchmarks.report.report import main
+from benchmarks.report.results import BENCHMARKS, RUNS, bench_command
+from slot_paper import claims
+from slot_paper.tables import TABLES
 
 HOSTILE = "<script>|`x`"
 ESCAPED = r"\<script\>\|\`x\`"
@@ -68,11 +66,6 @@ def write_results(directory):
     (folder / "more.png").touch()
     write(directory, result("perturbations", options={"seed": 7, "scheduler": ""}))
     write(directory, result("locomotion", LOCOMOTION))
-    (directory / "mpc.json").write_text(
-        json.dumps(result("mpc"))
-    )  # not in a folder of its own
-    (directory / "mpc.png").touch()
-    (directory / "others.png").touch()
     (directory / "walk").mkdir()
     (directory / "walk" / "walk.png").touch()
     (directory / "single_leg").mkdir()
@@ -105,9 +98,8 @@ def test_a_page_links_to_the_pictures_of_its_results_and_to_nothing_else(made):
     directory, page = made
     found = re.findall(r"!\[.*\]\((.*)\)", page)
     there = [
-        "rod/rod.png",
         "rod/more.png",
-        "mpc.png",
+        "rod/rod.png",
         "walk/walk.png",
         "single_leg/leg.png",
     ]
@@ -127,7 +119,7 @@ def test_a_result_stands_with_its_command_revision_and_machine(page):
     (section,) = re.findall(r"### perturbations\n(.*?)\n### ", page, re.DOTALL)
     assert "```bash\nscripts/bench perturbations --quick --seed 7\n```" in section
     assert "revision v1-g1234 with changes; Z80, z80, 1 cores" in section
-    assert "| fast | m/s | \\>= 0.08 | 0 | 0 | 0.07 | **missed** |" in page
+    assert "| fast | m/s | \\>= 0.08 | 0 | 0 | 0.07 |" in page
 
 
 def test_what_is_missing_is_named_with_the_command_that_makes_it(made):
@@ -136,7 +128,6 @@ def test_what_is_missing_is_named_with_the_command_that_makes_it(made):
         "rod",
         "perturbations",
         "locomotion",
-        "mpc",
     }:
         assert f"scripts/bench {name} --out {made[0] / name}" in missing
     assert f"scripts/run --lockstep --gait crawl --bag {made[0] / 'crawl'}" in missing
@@ -165,81 +156,24 @@ def test_a_command_repeats_the_options_of_its_result():
     )
 
 
-@pytest.mark.parametrize(
-    ("judged", "paper", "ours", "verdict"),
-    [
-        ("equal", 2.0, 2.009, "reproduced"),
-        ("equal", 2.0, 2.011, "not reproduced"),
-        ("equal", 0.0, 0.0, "reproduced"),
-        ("smaller", 2.0, 1.0, "better"),
-        ("smaller", 2.0, 2.009, "equal"),
-        ("smaller", 2.0, 3.0, "worse"),
-        ("larger", 2.0, 3.0, "better"),
-        ("larger", 0.08, 0.08, "equal"),
-        ("larger", "never", 3.0, ""),
-        ("", 2.0, 2.0, ""),
-    ],
-)
-def test_a_figure_is_judged_by_its_number(judged, paper, ours, verdict):
-    assert paper_figures.judge(judged, paper, ours) == verdict
-
-
 def test_figures_are_looked_up_under_names_that_the_benchmarks_use():
     wanted = [
         ours
-        for table in paper_figures.comparisons()
+        for table in TABLES
         for line in table.lines
         for ours in line.ours
         if ours is not None
     ]
-    runs = {run.folder for run in paper_figures.RUNS}
-    assert {ours.result for ours in wanted} <= known(BENCHMARKS).keys() | runs
+    assert {ours.result for ours in wanted} <= known(BENCHMARKS).keys() | RUNS.keys()
     found = {ours.match["row"] for ours in wanted if ours.result == "locomotion"}
     assert found <= {row.name for row in locomotion_rows(quick=False)}
-    assert CAPTIONS.keys() <= known(BENCHMARKS).keys()
 
 
-@pytest.mark.parametrize(
-    "about",
-    [
-        "1.4 cm",
-        "22.374 and 61.875 s",
-        "crawl's centre of mass",
-        "real time",
-        "below 2 mm",
-        "less than 5 mm",
-        "1.5 N m; servos of 1.4 N m",
-        "out-of-plane",
-        "gyroscopic term",
-        "Velocity settles in 10.098 s",
-        "0.08 m/s at a height of 0.04 m",
-        "4.792 of Pitch",
-    ],
-)
-def test_a_claim_of_the_paper_has_one_verdict_and_a_reason(page, about):
-    (claim,) = [claim for claim in claims.CLAIMS if about in claim.text]
-    assert claim.verdict in claims.VERDICTS
-    assert f"{plain(claim.text)} | {claim.verdict} | {plain(claim.reason)} |" in page
-
-
-def test_every_claim_is_counted_once_under_its_verdict(page):
-    count = [
-        sum(c.verdict == verdict for c in claims.CLAIMS) for verdict in claims.VERDICTS
-    ]
-    assert sum(count) == len(claims.CLAIMS) > 40
-    for number, verdict in zip(count, claims.VERDICTS):
+def test_the_claims_stand_on_the_page_with_the_number_of_each_verdict(page):
+    for verdict in claims.VERDICTS:
+        number = sum(claim.verdict == verdict for claim in claims.CLAIMS)
         assert f"{number} {verdict}" in page
-
-
-def test_what_the_papers_own_numbers_refute_is_so():
-    weight, line = read_robot().weight, (6.0 + 6.91) / 0.107
-    assert pytest.approx(1.58) == 4 * 0.35 + 0.18  # ms, of a step of 0.1 ms
-    assert 3 * 6.0 < weight < 4 * 6.0
-    assert line == pytest.approx(120.65, abs=0.01)
-    assert pytest.approx(5.532, abs=1e-3) == 0.107 * 116.28 - 6.91
-    assert (weight / 4 + 6.91) / 0.107 == pytest.approx(114.1, abs=0.1)
-    assert math.hypot(0.052, 0.09) == pytest.approx(0.104, abs=1e-4)
-    assert pytest.approx(0.495) == 15 * 0.033
+        assert page.count(f" | {verdict} | ") == number
 
 
 NONSENSE = {
@@ -247,8 +181,6 @@ NONSENSE = {
     "no mapping": "[1, 2]",
     "another name": json.dumps(result("mpc")),
     "no checks": json.dumps({"name": "rod", "quick": False, "options": {}}),
-    "NaN": json.dumps(result("rod", checks=[("a", float("nan"), "", "", True)])),
-    "huge value": json.dumps(result("rod", checks=[("a", 10**400, "", "", True)])),
     "rows of text": json.dumps(result("rod", ["a"])),
     "no revision": json.dumps(result("rod", revision=None)),
     "nested": "[" * 100_000,

@@ -18,7 +18,6 @@ HEIGHT = 0.06
 THETA = np.radians([0.0, 60.0, 120.0])
 HEIGHTS = np.array([0.02, 0.06, 0.10])
 SLOPES = np.array([[5.0, 6.0, 7.0], [8.0, 9.0, 10.0], [11.0, 12.0, 13.0]])
-MAPS = ("incremental", "paper")
 
 
 def preview(angle_deg=60.0):
@@ -61,21 +60,6 @@ def test_planned_angles_and_rates_are_passed_on_to_the_last_bit(make):
     assert not command.saturated.any()
 
 
-def test_the_paper_map_is_the_line_of_the_paper(make):
-    command = make().step(of_forces("paper", 0.0, 2.0, 4.0, 5.0), preview(), state())
-    expected = (np.array([0.0, 2.0, 4.0, 5.0]) + 6.91) / 0.107
-    assert np.degrees(command.angle) == pytest.approx(expected)
-    assert not command.saturated.any()
-
-
-def test_the_paper_map_saturates_at_the_limit_of_the_servo(make):
-    """6 N, the paper's bound, needs 120.65 deg; the servo's limit of 116.28 deg is 5.532 N."""
-    command = make().step(of_forces("paper", 5.53, 5.54, 6.0, 1.0), preview(), state())
-    assert command.saturated.tolist() == [False, True, True, False]
-    assert command.angle[1:3] == pytest.approx(ROBOT.tendon.angle_max)
-    assert np.degrees(command.angle_unclamped[2]) == pytest.approx(120.65, abs=0.01)
-
-
 def test_a_deviation_from_the_force_of_the_gait_is_divided_by_the_slope(make):
     plan = of_forces("incremental", 5.3, 5.8, 4.8, 6.3)
     command = make().step(plan, preview(), state())
@@ -101,14 +85,13 @@ def test_the_incremental_correction_is_bounded(make):
     assert np.degrees(command.angle) == pytest.approx([50.0, 70.0, 60.0, 60.0])
 
 
-@pytest.mark.parametrize("name", MAPS)
-def test_angles_stay_within_their_limits_for_any_force(make, name):
+def test_angles_stay_within_their_limits_for_any_force(make):
     rng = np.random.default_rng(1)
     force_map, limit = make(correction_max_deg=120.0), ROBOT.tendon.angle_max
     for _ in range(200):
         demand, plan = (
             preview(rng.uniform(0, 116)),
-            of_forces(name, *rng.normal(5, 20, 4)),
+            of_forces("incremental", *rng.normal(5, 20, 4)),
         )
         command = force_map.step(plan, demand, state(rng.uniform(0, 0.2)))
         assert command.angle.min() >= 0.0
@@ -125,16 +108,17 @@ def test_a_planned_angle_beyond_the_limit_is_clipped_and_reported(make):
     assert command.saturated.tolist() == [True, False, True, False]
 
 
-@pytest.mark.parametrize("name", MAPS)
-def test_a_plan_that_has_stopped_holds_the_last_angles(make, name):
+def test_a_plan_that_has_stopped_holds_the_last_angles(make):
     force_map, stopped = (
         make(),
-        of_forces(name, 1.0, 2.0, 3.0, 4.0, status=Status.STOPPED),
+        of_forces("incremental", 1.0, 2.0, 3.0, 4.0, status=Status.STOPPED),
     )
     assert np.degrees(
         force_map.step(stopped, preview(70.0), state()).angle
     ) == pytest.approx(70.0)
-    last = force_map.step(of_forces(name, 5.0, 5.3, 5.1, 4.9), preview(), state())
+    last = force_map.step(
+        of_forces("incremental", 5.0, 5.3, 5.1, 4.9), preview(), state()
+    )
     held = force_map.step(stopped, preview(70.0), state())
     assert held.map == "hold"
     assert (held.angle == last.angle).all()
@@ -142,16 +126,12 @@ def test_a_plan_that_has_stopped_holds_the_last_angles(make, name):
 
 
 def test_an_unknown_map_is_refused(make):
-    with pytest.raises(
-        ValueError, match="map 'cubic': expected one of incremental, paper"
-    ):
+    with pytest.raises(ValueError, match="map 'cubic': expected incremental"):
         make().step(of_forces("cubic", *[5.3] * 4), preview(), state())
 
 
-@pytest.mark.parametrize("name", MAPS)
-def test_a_command_goes_on_at_the_rate_of_the_gait_but_for_the_papers(make, name):
+def test_a_command_goes_on_at_the_rate_of_the_gait(make):
     demand = preview()
     demand.tendon_angle[1] += 0.033 * np.array([1.0, -2.0, 0.5, 0.0])
-    command = make().step(of_forces(name, *[5.3] * 4), demand, state())
-    wanted = [0.0] * 4 if name == "paper" else [1.0, -2.0, 0.5, 0.0]
-    assert command.rate == pytest.approx(wanted)
+    command = make().step(of_forces("incremental", *[5.3] * 4), demand, state())
+    assert command.rate == pytest.approx([1.0, -2.0, 0.5, 0.0])

@@ -17,6 +17,7 @@ PACKAGES = {
         "slot_core": "src/slot_core",
         "slot_lab": "src/slot_lab",
         "slot_nodes": "src/slot_nodes",
+        "slot_paper": "src/slot_paper",
         "slot_bringup": "slot_bringup",
     }.items()
 }
@@ -45,12 +46,13 @@ OPTIONAL = {  # of the extras --bench, --play and --learn of scripts/setup
     "viser",
     "websockets",
 }
-STARTED = {  # by the launch files, or part of the build
+STARTED = {  # by the launch files, part of the build, or named in a registry
     "slot_bringup": {
         "robot_state_publisher",
         "ros2bag",
         "ros2launch",
         "rosbag2_storage_mcap",
+        "slot_paper",
     },
 }
 CONFIG = ROOT / "config"
@@ -96,7 +98,8 @@ def test_a_package_names_every_dependency_and_no_other(package):
     needed = {KEYS.get(name, name) for name in imported(folder, package)}
     assert named == needed | STARTED.get(package, set())
     tests = {element.text for element in manifest.findall("test_depend")}
-    drawn = set() if package == "slot_nodes" else {"python3-hypothesis"}
+    plain = package in ("slot_nodes", "slot_paper")
+    drawn = set() if plain else {"python3-hypothesis"}
     assert tests == {"python3-pytest", "python3-pytest-timeout"} | drawn
 
 

@@ -19,8 +19,6 @@ from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.legs.leg_springs import LegSprings, read_leg_springs
 from slot_core.legs.leg_table import LegTable
 from slot_core.legs.tabulated_robot import TabulatedRobot
-from slot_core.paper.numbers import read_paper
-from slot_core.paper.paper_robot import PaperLeg, PaperRobot
 from slot_core.robot import read_robot
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import Geometry, Loads, Material, Pose, Rectangle, Support
@@ -36,6 +34,8 @@ from slot_core.vision.settings import read_vision
 from slot_lab.leg_tests.held_leg import HeldLeg
 from slot_lab.leg_tests.leg_map import StaticLeg
 from slot_lab.leg_tests.sticking_leg import StickingLeg
+from slot_paper.leg import PaperLegs, read_paper
+from slot_paper.robot import PaperRobot
 
 NODES, DT = 8, 1 / 30
 ANY_NUMBER = ("no element", "one more")  # of rows
@@ -84,12 +84,12 @@ def _robots():
     rods = RodRobot(robot, scene(), servo)
     flat = config.replace(read_scene("map"), {"start.settle": 0.0})
     tabulated = TabulatedRobot(robot, flat, servo)
-    leg, vector = PaperLeg(robot, read_paper()), np.zeros(3)
+    leg, vector = PaperLegs(robot, read_paper()), np.zeros(3)
     paper = PaperRobot(
         robot, config.replace(read_scene("paper"), {"start.settle": 0.0}), servo
     )
     cases = {
-        "PaperLeg.advance": Case(leg.advance, (1, 0.0)),
+        "PaperLegs.advance": Case(lambda pull: leg.advance(1, pull), (np.zeros(1),)),
         "PaperRobot.advance": Case(
             paper.advance, (0, np.full(4, 0.5))
         ),  # 1 may diverge

@@ -18,7 +18,7 @@ from slot_core.robot import read_robot
 
 ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
-SETTINGS = config.replace(read_mpc("force_mpc"), {"acceptance.time_budget": np.inf})
+SETTINGS = config.replace(read_mpc(), {"acceptance.time_budget": np.inf})
 H, HOVER = SETTINGS.horizon, ROBOT.weight / 4
 
 

@@ -16,7 +16,7 @@ from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
-SETTINGS = config.replace(read_mpc("force_mpc"), {"acceptance.time_budget": np.inf})
+SETTINGS = config.replace(read_mpc(), {"acceptance.time_budget": np.inf})
 H, F_MAX, DT = SETTINGS.horizon, SETTINGS.force_max, 0.033
 HOVER = ROBOT.weight / 4
 CASES = hard_cases(H + 1)

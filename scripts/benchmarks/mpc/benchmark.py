@@ -51,7 +51,7 @@ Solved = tuple[Sequence[Case], Array]  # cases, and the first forces of their op
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
     """Run all measurements; the plot goes to `out/mpc.png`."""
     settings = config.replace(
-        read_mpc("force_mpc"),
+        read_mpc(),
         {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0},
     )
     progress("walk")
@@ -152,7 +152,7 @@ def plans(mpc: ForceMpc, cases: Sequence[Case]) -> tuple[list[TendonPlan], list[
 
 def accepted(result: TendonPlan) -> bool:
     """Whether the controller accepts the result with its configured limit of the violation."""
-    limit = read_mpc("force_mpc").acceptance.violation_max
+    limit = read_mpc().acceptance.violation_max
     return result.status == Status.SOLVED and result.report.violation <= limit
 
 

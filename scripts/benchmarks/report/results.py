@@ -1,4 +1,4 @@
-"""Results of benchmarks and runs: read from their files, checked, with the command behind each."""
+"""Results of benchmarks and runs: read from their files, each with the command behind it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,55 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import Check
+from benchmarks.harness import ROOT, Check, about, known
 from slot_core.recording.bag_error import BagError
 from slot_core.refusal import InputError, quoted
+
+BENCHMARKS = ROOT / "scripts" / "benchmarks"
+CAPTIONS = {
+    "rod.png": "speed against error of the public rod, MuJoCo and PyElastica",
+    "robot.png": "speed against error of the whole robot",
+    "other_engine.png": "speeds of the gaits here and in MuJoCo",
+    "mpc.png": "speed against error of the solvers, and time over the horizon",
+    "estimation.png": "error of the state over the delay of the odometry",
+    "table.png": "every row in units of its goal",
+    "velocity.png": "commanded and achieved velocity in all directions",
+    "top.png": "square and 60 deg path from above",
+    "margins.png": "the walk over friction and the servos' supply voltage",
+    "gaits.png": "every gait in stills: postures, then strides over their phase",
+    "perturbations.png": "maximum cost beside the paper's, motion of the robot",
+    "graph.png": "latency, CPU time and memory of the nodes",
+    "servo_step.png": "a step of an emulated servo",
+    "walk.png": "path, height, velocities, tilt, tendon angles, forces and latencies of the run",
+    "constraint_map.png": "constraint map: slack of every constraint over time; red is violated",
+    "leg.png": "height of four points of a leg: simulated, and a synthetic measurement",
+    "torso.png": "the torso: predicted by the model, and a synthetic measurement",
+}
+"""Captions of images by the names of their files; others stand with their name."""
+
+EXAMPLE = "slot_bringup/example"
+MAP = "scripts/constraint_map {} --out {}/constraint_map.png"
+RUNS = {
+    "walk": ("Walk", "scripts/run --lockstep --bag {}", MAP),
+    "crawl": ("Crawl", "scripts/run --lockstep --gait crawl --bag {}", MAP),
+    "diagonal": (
+        "Walk at 60 degrees",
+        "scripts/run --lockstep --vx 0.025 --vy 0.043 --bag {}",
+        MAP,
+    ),
+    "single_leg": (
+        "Single leg, compared with the synthetic example",
+        f"scripts/validate {EXAMPLE}/single_leg_run.csv {EXAMPLE}/single_leg_markers.csv"
+        " --out {}",
+    ),
+    "walk_validated": (
+        "Walk, compared with the synthetic example",
+        f"scripts/twin {EXAMPLE}/walk --out {{}}",
+        f"scripts/validate {{}}/predicted.csv {EXAMPLE}/walk_markers.csv --frame-time 1.5"
+        " --out {}",
+    ),
+}
+"""Title and command lines of runs by folder of the results, for which {} stands."""
 
 
 class ReportError(InputError):
@@ -27,55 +73,75 @@ class Result:
 
     command: str
     origin: str  # revision and machine, or what is known of them
-    quick: bool
     rows: Sequence[Mapping[str, Any]]
-    checks: Sequence[Check]
-    images: Sequence[tuple[Path, str]]  # with captions
+    images: Sequence[Path]
+    checks: Sequence[Check] = ()
+    quick: bool = False
     text: str = ""  # summary
-    absent: Sequence[str] = ()  # images that are not there
 
 
 @dataclass(frozen=True)
-class Run:
-    """Files of a run, a comparison or a fit in `folder` of the results."""
+class ReportSection:
+    """A benchmark or a run on the page: its subject, its commands and its result, if there is one."""
 
-    folder: str
-    title: str
-    commands: Sequence[str]  # {} stands for the folder
-    images: Mapping[str, str]  # captions by file; the first one has to exist
+    about: str
+    commands: Sequence[str]
+    result: Result | None
 
 
-def read_benchmark(
-    directory: Path, name: str, captions: Mapping[str, str]
-) -> Result | None:
-    """`directory/name/name.json` or `directory/name.json` with its images; None if not there.
+def read_benchmarks(directory: Path) -> dict[str, ReportSection]:
+    """All benchmarks by name; raises ReportError for a file that scripts/bench did not write."""
+    return {
+        name: ReportSection(
+            about(path),
+            [shlex.join(["scripts/bench", name, "--out", str(directory / name)])],
+            read_benchmark(directory, name),
+        )
+        for name, path in known(BENCHMARKS).items()
+    }
+
+
+def read_runs(directory: Path) -> dict[str, ReportSection]:
+    """All runs by folder; raises ReportError for a damaged bag or table."""
+    found = {}
+    for name, (title, *lines) in RUNS.items():
+        folder = directory / name
+        commands = [line.replace("{}", shlex.quote(str(folder))) for line in lines]
+        found[name] = ReportSection(
+            title, commands, read_run(folder, "\n".join(commands))
+        )
+    return found
+
+
+def read_benchmark(directory: Path, name: str) -> Result | None:
+    """`directory/name/name.json` with its images; None if not there.
 
     Raises ReportError for a file that scripts/bench did not write so.
     """
-    places = (directory / name / f"{name}.json", directory / f"{name}.json")
-    path = next((place for place in places if place.is_file()), None)
-    if path is None:
+    path = directory / name / f"{name}.json"
+    if not path.is_file():
         return None
-    found, images = _load(path), _images(path, name, captions)
     try:
+        found = json.loads(_read_text(path))
         if found["name"] != name:
             raise ValueError(f"name: expected {name!r}, got {quoted(found['name'])}")
-        quick, command = (
-            found["quick"],
+        return Result(
             bench_command(name, found["quick"], found["options"]),
-        )
-        origin = _origin(found["revision"], found["machine"])
-        rows, checks = (
+            _origin(found["revision"], found["machine"]),
             [dict(row) for row in found["rows"]],
-            list(map(_check, found["checks"])),
+            sorted(path.parent.glob("*.png")),
+            [_check(check) for check in found["checks"]],
+            found["quick"],
         )
-        return Result(command, origin, quick, rows, checks, images)
-    except KeyError as error:
-        raise ReportError(
-            f"{path}: not a result of scripts/bench: no {error}"
-        ) from None
-    except (TypeError, ValueError, AttributeError) as error:
-        raise ReportError(f"{path}: not a result of scripts/bench: {error}") from None
+    except (
+        LookupError,
+        TypeError,
+        ValueError,
+        AttributeError,
+        RecursionError,
+    ) as error:
+        why = f"no {error}" if isinstance(error, KeyError) else error
+        raise ReportError(f"{path}: not a result of scripts/bench: {why}") from None
 
 
 def bench_command(name: str, quick: bool, options: Mapping[str, Any]) -> str:
@@ -90,47 +156,21 @@ def bench_command(name: str, quick: bool, options: Mapping[str, Any]) -> str:
     return shlex.join(words)
 
 
-def read_run(directory: Path, run: Run) -> Result | None:
-    """Result of `run` in its folder of `directory`; None if its first image is not there.
-
-    Raises ReportError for a damaged bag or table.
-    """
-    folder = directory / run.folder
-    if not (folder / next(iter(run.images))).is_file():
+def read_run(folder: Path, command: str) -> Result | None:
+    """Result of a run in its folder; None without images. Raises ReportError."""
+    images = sorted(folder.glob("*.png"))
+    if not images:
         return None
-    there = [file for file in run.images if (folder / file).is_file()]
-    summary, errors = folder / "summary.txt", folder / "errors.csv"
-    rows = _read_errors(errors) if errors.is_file() else []
-    images = [(folder / file, run.images[file]) for file in there]
+    summary = folder / "summary.txt"
     text = _read_text(summary) if summary.is_file() else ""
-    absent = [file for file in run.images if file not in there]
-    command, origin = "\n".join(commands(directory, run)), _bag_origin(folder)
-    return Result(command, origin, False, rows, [], images, text, absent)
-
-
-def commands(directory: Path, run: Run) -> list[str]:
-    """Command lines of a run, whose results go below `directory`."""
-    return [
-        line.replace("{}", shlex.quote(str(directory / run.folder)))
-        for line in run.commands
-    ]
+    rows = _read_errors(folder / "errors.csv")
+    return Result(command, _bag_origin(folder), rows, images, text=text)
 
 
 def number(value: Any) -> float | None:
     """`value` if it is a finite number; else None, as where a benchmark found none."""
     numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
     return float(value) if numeric and abs(value) <= sys.float_info.max else None
-
-
-def _load(path: Path) -> Mapping[str, Any]:
-    text = _read_text(path)
-    try:
-        found = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ReportError(f"{path}: not JSON: {error}") from None
-    if not isinstance(found, dict):
-        raise ReportError(f"{path}: not a result of scripts/bench: no mapping")
-    return found
 
 
 def _read_text(path: Path) -> str:
@@ -144,10 +184,6 @@ def _read_text(path: Path) -> str:
 
 def _check(found: Mapping[str, Any]) -> Check:
     value = number(found["value"])
-    if value is None and found["value"] is not None:
-        raise TypeError(
-            f"value: expected a finite number, got {quoted(found['value'])}"
-        )
     return Check(**{**found, "value": math.nan if value is None else value})
 
 
@@ -172,32 +208,18 @@ def _bag_origin(folder: Path) -> str:
     except BagError as error:
         raise ReportError(error) from None
     revision = about.pop("revision", "not recorded")
-    values = ", ".join(f"{name} {value}" for name, value in about.items() if value)
-    return f"revision {revision}" + (f"; {values}" if values else "")
-
-
-def _images(
-    path: Path, name: str, captions: Mapping[str, str]
-) -> list[tuple[Path, str]]:
-    """Images beside a result: those with a caption first, in a folder of its own all others."""
-    files = [path.parent / file for file in captions if (path.parent / file).is_file()]
-    if path.parent.name == name:
-        files += sorted(set(path.parent.glob("*.png")) - set(files))
-    return [(file, captions.get(file.name, file.stem)) for file in files]
+    values = [f"{name} {value}" for name, value in about.items() if value]
+    return "; ".join([f"revision {revision}", *values])
 
 
 def _read_errors(path: Path) -> list[dict[str, Any]]:
-    """Rows of the errors.csv of scripts/validate: point, axis, and numbers."""
-    rows = []
-    for row in csv.DictReader(_read_text(path).splitlines()):
-        try:
-            numbers = {
-                k: float(v) for k, v in row.items() if k not in ("point", "axis")
-            }
-            labels = {"point": row["point"], "axis": row["axis"]}
-        except (TypeError, ValueError, KeyError) as error:
-            raise ReportError(
-                f"{path}: not a table of scripts/validate: {error}"
-            ) from None
-        rows.append(labels | numbers)
-    return rows
+    """Rows of the errors.csv of scripts/validate, if it is there: point, axis, and numbers."""
+    if not path.is_file():
+        return []
+    try:
+        return [
+            {k: v if k in ("point", "axis") else float(v) for k, v in row.items()}
+            for row in csv.DictReader(_read_text(path).splitlines())
+        ]
+    except (TypeError, ValueError) as error:
+        raise ReportError(f"{path}: not a table of scripts/validate: {error}") from None

@@ -1,17 +1,15 @@
 """Force map: the tendon angles of a plan, from its forces where it has no angles.
 
-    incremental    theta = theta_gait + (f_z - f_gait) / F_theta
-    paper          theta = (f_z + line_offset) / line_slope, the paper's force-angle fit
+    theta = theta_gait + (f_z - f_gait) / F_theta
 
 theta_gait and f_gait are the gait's nominal angle and normal force, F_theta the slope of a leg at
 rest at that angle and its present height (`legs/leg_springs.py`); that the leg is a spring is
-neglected. Until the next command the angle goes on at the rate of theta_gait (`incremental`) or
-stays (`paper`). A planned angle is passed on. All angles are clipped to [0, angle_max].
+neglected. Until the next command the angle goes on at the rate of theta_gait. A planned angle is
+passed on. All angles are clipped to [0, angle_max].
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +25,7 @@ from slot_core.legs.leg_springs import LegSprings, read_leg_springs
 from slot_core.refusal import quoted
 from slot_core.robot import LEGS, RobotParameters
 
+INCREMENTAL = "incremental"
 PLANNED, HELD = "planned", "hold"  # names where no map is applied
 
 
@@ -34,15 +33,11 @@ PLANNED, HELD = "planned", "hold"  # names where no map is applied
 class ForceMapSettings:
     """Settings of `config/force_map.yaml`."""
 
-    line_offset: float = quantity(
-        "paper's line: force at angle zero, negated", "N", 0, 50
-    )
-    line_slope: float = quantity("paper's line: slope", "N/deg", 1e-3, 10)
     slope_min: float = quantity(
         "least slope of a leg's force over its angle", "N/rad", 0.1, 100
     )
     correction_max_deg: float = quantity(
-        "largest correction of map incremental", "deg", 0, 120
+        "largest correction of the gait's angle", "deg", 0, 120
     )
 
 
@@ -68,10 +63,6 @@ class ForceMap:
         self, robot: RobotParameters, settings: ForceMapSettings, springs: LegSprings
     ):
         self._robot, self._settings, self._springs = robot, settings, springs
-        self._maps: dict[str, Callable[..., tuple[Array, Array, Array]]] = {
-            "incremental": self._incremental,
-            "paper": self._paper,
-        }
         self._last: Array | None = None
 
     def step(
@@ -93,12 +84,10 @@ class ForceMap:
         normal = plan.force[0, :, 2]
         if len(plan.angle):
             found = plan.angle[0], np.zeros(len(LEGS)), plan.rate
-        elif plan.map in self._maps:
-            found = self._maps[plan.map](normal, preview, state)
+        elif plan.map == INCREMENTAL:
+            found = self._incremental(normal, preview, state)
         else:
-            raise ValueError(
-                f"map {quoted(plan.map)}: expected one of {', '.join(self._maps)}"
-            )
+            raise ValueError(f"map {quoted(plan.map)}: expected {INCREMENTAL}")
         angle, slope, rate = found
         self._last = clipped = self._clip(angle)
         name = plan.map or PLANNED
@@ -116,11 +105,6 @@ class ForceMap:
         limit = np.radians(self._settings.correction_max_deg)
         correction = np.clip((normal - preview.normal_force[0]) / slope, -limit, limit)
         return nominal + correction, slope, preview.rate
-
-    def _paper(self, normal: Array, *_: object) -> tuple[Array, Array, Array]:
-        """Angle, slope and rate for normal forces (4,) N."""
-        slope = np.full(len(LEGS), np.degrees(self._settings.line_slope))
-        return (normal + self._settings.line_offset) / slope, slope, np.zeros(len(LEGS))
 
     def _hold(self, preview: GaitPreview) -> TendonCommand:
         """The last angles; before the first of them, the nominal angles of the preview."""

@@ -1,13 +1,16 @@
-"""Registry of the policies by name."""
+"""Registry of the policies by name.
+
+The paper's are in the package `slot_paper`, which is imported only when one is used.
+"""
 
 DEFAULT_POLICY = "rollout_mpc"
-MPC = "slot_core.mpc.force_mpc:ForceMpc"
+PAPER = "slot_paper.problem:PaperMpc"
 POLICIES = {
     DEFAULT_POLICY: "slot_core.rollout_mpc.rollout_mpc:RolloutMpc",  # MPC that simulates the robot
     "place": "slot_core.control.place_feedback:PlaceFeedback",  # amplitudes from the place's error
-    "force_mpc": MPC,  # MPC on ground reaction forces
-    "paper_text": MPC,  # the same as printed in the paper
-    "paper_code": MPC,  # and as in the authors' published scripts
+    "force_mpc": "slot_core.mpc.force_mpc:ForceMpc",  # MPC on ground reaction forces
+    "paper_text": PAPER,  # the same as printed in the paper
+    "paper_code": PAPER,  # and as in the authors' published scripts
     "gait_alone": "slot_core.control.gait_alone:GaitAlone",
 }
 """Module and class by name."""

@@ -9,9 +9,9 @@ network is `onnx:FILE` (`onnx_policy.py`).
 from __future__ import annotations
 
 import enum
-import importlib
 import importlib.util
 import math
+import pkgutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -142,22 +142,18 @@ def policy_class(name: str) -> type[Policy]:
     if name.endswith(".py"):
         return _class_in_file(Path(name))
     if name.startswith(ONNX):
-        return _class_of("slot_core.control.onnx_policy:OnnxPolicy")
-    if name in RENAMED:
+        place = "slot_core.control.onnx_policy:OnnxPolicy"
+    elif name in POLICIES:
+        place = POLICIES[name]
+    elif name in RENAMED:
         raise ConfigError(f"policy {quoted(name)}: it is named {RENAMED[name]} now")
-    if name not in POLICIES:
+    else:
         known = ", ".join(POLICIES)
         raise ConfigError(
             f"policy {quoted(name)}: expected one of {known}, a file that ends with .py, or"
             f" {ONNX}FILE"
         )
-    return _class_of(POLICIES[name])
-
-
-def _class_of(place: str) -> type[Policy]:
-    """Class at `module:name`."""
-    module, _, kind = place.partition(":")
-    found: type[Policy] = getattr(importlib.import_module(module), kind)
+    found: type[Policy] = pkgutil.resolve_name(place)
     return found
 
 

@@ -1,7 +1,6 @@
 """Convex MPC: the policy that solves one quadratic programme per tick.
 
-As in the paper it is on the ground reaction forces (`force_problem.py`), for the paper's policies
-on those of its own problem (`paper_problem.py`). The policy checks the inputs and the solution. A
+It plans ground reaction forces (`force_problem.py`) and checks the inputs and the solution. A
 cycle without an accepted solution returns the last feasible forces, decayed towards those of the
 gait. After `fallback.cycles` such cycles in a row the status is STOPPED until a solution is
 accepted again.
@@ -10,10 +9,12 @@ accepted again.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from slot_core.arrays import Array
+from slot_core.control.force_map import INCREMENTAL
 from slot_core.control.input_check import preview_fault, state_fault, time_fault
 from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Timer
 from slot_core.estimation.estimate import Estimate
@@ -21,8 +22,7 @@ from slot_core.gait.gait import GaitPreview
 from slot_core.key_frame import StateParts
 from slot_core.mpc.force_problem import ForceProblem
 from slot_core.mpc.model import FEET, FirstStage
-from slot_core.mpc.paper_problem import PaperProblem, PaperStage
-from slot_core.mpc.settings import MpcSettings, PaperMpcSettings, read_mpc
+from slot_core.mpc.settings import MpcSettings, read_mpc
 from slot_core.mpc.solver import Solution
 from slot_core.robot import GRAVITY, RobotParameters
 
@@ -34,7 +34,7 @@ NO_STAGE = FirstStage(_NONE, _NONE, np.zeros((FEET, 3)), _NONE)
 class ForceMpc(Policy):
     """The MPC. `step` raises nothing for bad data; the solver's iterations are limited."""
 
-    STATE = StateParts("_stage", "_last", "_missed", values=(FirstStage, PaperStage))
+    STATE = StateParts("_stage", "_last", "_missed", values=(FirstStage,))
 
     def __init__(self, robot: RobotParameters, settings: MpcSettings, timer: Timer):
         """Set up problem and solver; `timer` returns seconds.
@@ -46,24 +46,23 @@ class ForceMpc(Policy):
 
     @staticmethod
     def read_settings(name: str) -> MpcSettings:
-        """`config/mpc.yaml`, or the settings of a policy of the paper; raises ConfigError."""
-        return read_mpc(name)
+        """`config/mpc.yaml`; raises ConfigError."""
+        return read_mpc()
+
+    def make_problem(self) -> Any:
+        """The problem on forces; another one has the methods of `ForceProblem`."""
+        return ForceProblem(self._robot, self._settings)
 
     def reset(self) -> None:
         """Set up the problem afresh, without an earlier input."""
-        settings, robot = self._settings, self._robot
-        self._problem: ForceProblem | PaperProblem = (
-            PaperProblem(robot, settings)
-            if isinstance(settings, PaperMpcSettings)
-            else ForceProblem(robot, settings)
-        )
+        self._problem = self.make_problem()
         self._stage = NO_STAGE
         # last feasible input of the first stage minus u_ref
         self._last: Array | None = None
         self._missed = 0  # consecutive cycles without an accepted solution
 
     @property
-    def problem(self) -> ForceProblem | PaperProblem:
+    def problem(self) -> Any:
         """The problem of the last step; read only."""
         return self._problem
 
@@ -137,7 +136,7 @@ class ForceMpc(Policy):
             force=force,
             status=status,
             message=message,
-            map=self._settings.map,
+            map=INCREMENTAL,
             fallback_cycles=self._missed,
             report=replace(
                 report,

@@ -1,7 +1,7 @@
 """Problem of the MPC on ground reaction forces: its quadratic programme and solver.
 
 The paper's formulation, made well posed, for comparison. It takes the legs as ideal sources of
-force (`model.py`), which soft legs are not. As printed and as published: `paper_problem.py`.
+force (`model.py`), which soft legs are not. As printed and as published: `slot_paper`.
 """
 
 from __future__ import annotations

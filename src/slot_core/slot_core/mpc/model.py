@@ -15,7 +15,7 @@ gait preview the MPC minimises
     with  0 <= f_z <= contact f_max   and   |f_x|, |f_y| <= mu f_z   for every leg and stage,
 
 with u_ref the gait's normal forces. u = 0 is always allowed: the problem is feasible from every
-state. That of the paper, which balances the weight in every stage, is in `paper_problem.py`.
+state.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Settings of the MPC: `config/mpc.yaml`, and the paper's policies in `config/mpc/`."""
+"""Settings of the MPC: `config/mpc.yaml`."""
 
 from __future__ import annotations
 
@@ -9,12 +9,10 @@ import numpy as np
 
 from slot_core import config
 from slot_core.arrays import Array
-from slot_core.config import choice, flag, quantity, text
+from slot_core.config import quantity
 from slot_core.gait.gait import Vector3
 from slot_core.mpc.model import FEET
 from slot_core.mpc.solver import MpcSolverSettings
-
-FORCE_MPC = "force_mpc"  # policy with the settings as they are
 
 
 @dataclass(frozen=True)
@@ -78,80 +76,10 @@ class MpcSettings:
     solver: MpcSolverSettings
     acceptance: Acceptance
     fallback: Fallback
-    map: str = choice("force map", "incremental", "paper")
     horizon: int = quantity("number of stages of the horizon", "", 1, 100)
     force_max: float = quantity("largest normal force of a leg", "N", 0, 100)
 
 
-@dataclass(frozen=True)
-class PaperTerms:
-    """Terms of the paper's problem (`paper_problem.py`) beside weights and limits."""
-
-    mass: float = quantity(
-        "mass of the box, whose weight the normal forces balance", "kg", 0.1, 100
-    )
-    lever: Vector3 = quantity(
-        "end of a leg's lever beyond its attachment: outward along x and y, downward",
-        "m",
-        0,
-        1,
-    )
-    turning: bool = flag("whether levers, inertia and rates turn with the present yaw")
-    drag: Vector3 = quantity("drag of the velocity", "1/s", 0, 10)
-    balance_band: float = quantity(
-        "largest imbalance of the normal forces", "N", 0, 100
-    )
-    friction: Vector3 = quantity(
-        "friction of the pulled front leg, the released one, and the rear legs",
-        "",
-        0,
-        2,
-    )
-    leg_axes: bool = flag(
-        "whether friction is limited in the legs' axes, at the rear by a cone"
-    )
-    least_normal: float = quantity(
-        "least normal force of all legs but the pulled one", "N", 0, 100
-    )
-    least_pull: float = quantity(
-        "least force of the pulled leg along its axis", "N", 0, 10
-    )
-    pull: float = quantity("target of that force", "N", 0, 10)
-    pull_weight: float = quantity(
-        "weight of the front legs' forces along their axes; 0: without least_pull too",
-        "1/N^2",
-        0,
-        1,
-    )
-
-
-@dataclass(frozen=True)
-class PaperMpcSettings(MpcSettings):
-    """Settings of a policy of the paper."""
-
-    terms: PaperTerms = text("terms of its problem")
-
-
-def read_mpc(policy: str = FORCE_MPC) -> MpcSettings:
-    """The settings of `config/mpc.yaml`, or those of a policy of the paper; raises ConfigError."""
-    return (
-        config.read(MpcSettings, "mpc")
-        if policy == FORCE_MPC
-        else read_paper_mpc(policy)
-    )
-
-
-def read_paper_mpc(policy: str) -> PaperMpcSettings:
-    """The settings of a policy of the paper; raises ConfigError.
-
-    `config/mpc/<policy>.yaml` holds the terms of its problem and, by dotted name, what differs from
-    `config/mpc.yaml`.
-    """
-    profile, where = config.load(f"mpc/{policy}"), f"mpc/{policy}.yaml"
-    changes = dict(profile) if isinstance(profile, dict) else {}
-    terms = changes.pop("terms", None)
-    config.read(MpcSettings, "mpc")  # refused under its own name
-    settings = config.build(
-        PaperMpcSettings, {**config.load("mpc"), "terms": terms}, where
-    )
-    return config.replace(settings, changes, where)
+def read_mpc() -> MpcSettings:
+    """The settings of `config/mpc.yaml`; raises ConfigError."""
+    return config.read(MpcSettings, "mpc")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pkgutil
 
 import numpy as np
 
@@ -10,17 +11,15 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
-from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.matrices import norm, product
-from slot_core.paper.paper_robot import PaperRobot
 from slot_core.robot import LEGS, RobotParameters
-from slot_core.simulation.rod_robot import RodRobot
 
-MODELS: dict[str, type[SimulatedRobot]] = {
-    "spatial": RodRobot,
-    "map": TabulatedRobot,
-    "paper": PaperRobot,
+MODELS = {
+    "spatial": "slot_core.simulation.rod_robot:RodRobot",
+    "map": "slot_core.legs.tabulated_robot:TabulatedRobot",
+    "paper": "slot_paper.robot:PaperRobot",
 }
+"""Module and class of the simulated robot by the model of its legs."""
 SPEED_AT_REST = (
     0.01  # m/s, of the torso; settled in config/scene: at most 4 mm/s, 0.14 m/s^2
 )
@@ -40,7 +39,8 @@ def make_robot(
             f"leg.relaxation_share = {list(robot.leg.relaxation_share)}: legs of the model"
             f" {scene.solver.legs!r} cannot relax; those of 'spatial' can"
         )
-    return MODELS[scene.solver.legs](robot, scene, servo)
+    kind: type[SimulatedRobot] = pkgutil.resolve_name(MODELS[scene.solver.legs])
+    return kind(robot, scene, servo)
 
 
 def bring_to_rest(robot: SimulatedRobot) -> None:
