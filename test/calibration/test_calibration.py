@@ -15,7 +15,7 @@ from slot_lab.calibration.calibrate import build_problem
 from slot_lab.calibration.command import FREE, main
 from slot_lab.calibration.data import COLUMNS, Data, Datum, read_data
 from slot_lab.calibration.fit import FitProblem, Parameter, estimate
-from slot_lab.calibration.line import fit_line
+from slot_lab.calibration.parameter_file import fit_line
 from slot_lab.csv_table import TableError
 from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED
 
@@ -149,20 +149,6 @@ def test_a_prediction_is_independent_of_the_other_measurements():
     alone = [experiments.predict(ROBOT, [row], SETTINGS)[0] for row in rows]
     # A pull in two parts has other time steps.
     np.testing.assert_allclose(together, alone, rtol=1e-4)
-
-
-def test_marker_ranges_decrease_toward_the_tip_and_with_the_load():
-    def ranges(load):
-        shared = {"theta_deg": 116.0, "load_N": load, "friction": 0.3}
-        rows = [
-            datum("marker_range", place=place, **shared)
-            for place in (0.0, 1 / 3, 2 / 3, 1.0)
-        ]
-        return experiments.predict(ROBOT, rows, SETTINGS)
-
-    light, heavy = ranges(4.0), ranges(6.0)
-    assert np.all(np.diff(light) < 0)
-    assert np.all(heavy[:3] < light[:3])
 
 
 def test_a_tendon_angle_above_the_robots_largest_is_refused():
@@ -421,19 +407,6 @@ def test_a_shipped_set_matches_its_evaluation(name, tmp_path, capsys):
             old["predicted"], abs=0.02 * old["sigma"]
         )
     assert set(again["confidence"]) == set(shipped["values"])
-
-
-def test_the_verdict_of_the_command_names_what_is_at_its_bound(monkeypatch, capsys):
-    monkeypatch.setattr(
-        fit.ParameterEstimate, "at_bound", lambda _, names: list(names[:1])
-    )
-    data = SHIPPED / "paper_single_leg.csv"
-    assert main([str(data), "--start", "calibrated", "--evaluate"]) == NOT_EXPLAINED
-    assert (
-        capsys.readouterr()
-        .out.splitlines()[-1]
-        .endswith("at its bound: leg.young_modulus")
-    )
 
 
 def test_the_command_fits_and_writes_file_and_figure(tmp_path, capsys):

@@ -9,8 +9,9 @@ from slot_core.recording import message_types
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.topics import PLANS
 from slot_lab.report import constraint_map
-from slot_lab.report.constraint_map import TOPIC, map_figure, read_map
+from slot_lab.report.constraint_map import map_figure, read_map
 from slot_lab.report.map_command import main
 
 TYPE = "slot_msgs/msg/TendonPlan"
@@ -20,8 +21,8 @@ def write_cycles(path, cycles):
     """A bag of cycles given by their fields, 30 a second."""
     with BagWriter(path, read_record_settings()) as bag:
         for k, fields in enumerate(cycles):
-            built = message(TOPIC, 10.0 + k / 30, **fields)
-            bag.write(TOPIC, TYPE, WALL + k, encode(TOPIC, built))
+            built = message(PLANS, 10.0 + k / 30, **fields)
+            bag.write(PLANS, TYPE, WALL + k, encode(PLANS, built))
     return path
 
 

@@ -13,8 +13,7 @@ from slot_core.clock import to_seconds
 from slot_core.messages import decode
 from slot_core.progress import untold
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.recorded_stages import RecordedStages
-from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, Replayed
+from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, RecordedStages, Replayed
 from slot_lab.bags.topics import OUTPUTS
 
 MID_RUN = "the bag begins mid-run, after what the state depends on"

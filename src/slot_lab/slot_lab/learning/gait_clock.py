@@ -14,7 +14,7 @@ from slot_core.gait.gait import STAND, Posture
 from slot_core.gait.reference import moved, reference
 from slot_core.geometry import wrapped
 from slot_core.robot import LEGS
-from slot_lab.learning.course import PLACE
+from slot_lab.learning.rewards import PLACE
 from slot_lab.learning.task import Task
 
 COUNT = len(LEGS)

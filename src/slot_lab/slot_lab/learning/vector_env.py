@@ -27,11 +27,21 @@ from slot_core.dynamics.simulated_robot import KernelRobot
 from slot_core.robot import LEGS
 from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
-from slot_lab.learning.course import Course
 from slot_lab.learning.gait_clock import GaitClock
-from slot_lab.learning.rewards import Transition, fallen, reward_terms, total
-from slot_lab.learning.spaces import action_space, observation_space, servo_error
-from slot_lab.learning.task import Task, make_task
+from slot_lab.learning.rewards import (
+    Course,
+    Transition,
+    fallen,
+    reward_terms,
+    total,
+)
+from slot_lab.learning.task import (
+    Task,
+    action_space,
+    make_task,
+    observation_space,
+    servo_error,
+)
 
 Flags = NDArray[np.bool_]
 CYCLES = 3  # goals of the servos in a step

@@ -25,10 +25,20 @@ from slot_core.gait.gait import GaitPreview
 from slot_core.refusal import DivergenceError
 from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_lab.learning.course import Course
-from slot_lab.learning.rewards import Transition, fallen, reward_terms, total
-from slot_lab.learning.spaces import action_space, observation_space, servo_error
-from slot_lab.learning.task import Task, make_task
+from slot_lab.learning.rewards import (
+    Course,
+    Transition,
+    fallen,
+    reward_terms,
+    total,
+)
+from slot_lab.learning.task import (
+    Task,
+    action_space,
+    make_task,
+    observation_space,
+    servo_error,
+)
 
 NAME = "SLOT-Walk-v0"
 

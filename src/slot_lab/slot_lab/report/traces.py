@@ -88,11 +88,8 @@ PLOTS = {
         "solve time of the MPC (ms)", {"mpc": _one("solve time", palette.INK)}
     ),
 }
-STATES = {
-    "supervisor": "supervisor",
-    "mpc": "MPC",
-    "gait": "gait",
-}  # by key of `states`: title
+STATES = {"supervisor": "supervisor", "mpc": "MPC", "gait": "gait"}
+"""Titles by key of `states`."""
 
 
 def values(topic: str, message: Any) -> Values:
