@@ -118,11 +118,8 @@ def learn(
 ) -> Iterator[Generation]:
     """Yield the result of every `test_every`-th generation; the first network's actions are zero."""
     e, size = evolution, shape_of(task).size
-    rng, centre, moments = (
-        np.random.default_rng(e.seed),
-        np.zeros(size),
-        np.zeros((2, size)),
-    )
+    rng = np.random.default_rng(e.seed)
+    centre, moments = np.zeros(size), np.zeros((2, size))
     best, most, mean = centre.copy(), -np.inf, np.nan
     steps = round(task.duration / task.gaits.dt) * 2 * e.pairs  # of a generation
     for generation in range(e.generations + 1):

@@ -76,10 +76,10 @@ def compare(*policies: str, level: str = "standard") -> str:
         for policy in policies:
             walks = [straight_walk(policy, friction, level, seed) for seed in SEEDS]
             speed, aside, yaw = np.abs(walks).max(axis=0)
-            values = (
-                f"{1e3 * speed:20.1f}  {1e3 * aside:15.1f}  {np.degrees(yaw):13.2f}"
+            lines.append(
+                f"{friction:8.1f}  {policy:16s}  {1e3 * speed:20.1f}"
+                f"  {1e3 * aside:15.1f}  {np.degrees(yaw):13.2f}"
             )
-            lines.append(f"{friction:8.1f}  {policy:16s}  {values}")
     return "\n".join(lines)
 
 

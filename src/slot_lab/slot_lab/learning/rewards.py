@@ -60,17 +60,17 @@ class Transition(NamedTuple):
     change: Array  # (M, n) of the action
 
 
-def reward_terms(walked: Transition) -> dict[str, Array]:
+def reward_terms(step: Transition) -> dict[str, Array]:
     """Terms (M,) by name; a robot that has fallen gives zeros."""
-    state = walked.state
+    state = step.state
     terms = {
         "walking": np.ones(len(state)),
-        "speed": -((walked.faster / SPEED) ** 2),
-        "aside": -((walked.aside / ASIDE) ** 2),
-        "yaw": -((walked.turn / TURN) ** 2),
-        "tilt": -((state[:, :2] - walked.tilt) ** 2).sum(axis=1) / TILT**2,
-        "load": -((walked.torque.mean(axis=1) / LOAD) ** 2),
-        "change": -np.abs(walked.change).mean(axis=1),
+        "speed": -((step.faster / SPEED) ** 2),
+        "aside": -((step.aside / ASIDE) ** 2),
+        "yaw": -((step.turn / TURN) ** 2),
+        "tilt": -((state[:, :2] - step.tilt) ** 2).sum(axis=1) / TILT**2,
+        "load": -((step.torque.mean(axis=1) / LOAD) ** 2),
+        "change": -np.abs(step.change).mean(axis=1),
     }
     up = ~fallen(state)
     return {

@@ -128,14 +128,12 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         safe = np.where(np.isfinite(motion), motion, 0.0)
         clock.step(safe[:, STATE])
         course.step(clock.velocity, safe[:, STATE])
-        state, torque = (
-            motion[:, STATE],
-            motion[:, TENSION] * task.robot.tendon.spool_radius,
-        )
+        state = motion[:, STATE]
+        torque = motion[:, TENSION] * task.robot.tendon.spool_radius
         tilt, change = clock.reference[:, :2], action - self._action
         strayed = course.faster, course.aside, course.turn
-        walked = Transition(state, *strayed, tilt, torque, change)
-        terms, self._action = reward_terms(walked), action
+        terms = reward_terms(Transition(state, *strayed, tilt, torque, change))
+        self._action = action
         self._ticks += 1
         terminated, truncated = fallen(state), self._ticks >= self._limit
         reward = total(terms)
