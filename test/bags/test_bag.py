@@ -20,7 +20,7 @@ from synthetic_walk import (
     Walk,
     encode,
     message,
-    write_old_legs,
+    write_old,
     write_walk,
 )
 
@@ -261,9 +261,9 @@ def test_error_names_the_missing_topic_or_field(walk_bag):
 
 def test_legs_recorded_before_they_had_directors_are_read_without_them(tmp_path):
     recorded = np.arange(24.0).reshape(4, 2, 3)
-    ((_, received),) = Bag(write_old_legs(tmp_path / "bag", recorded)).messages(
-        LEG_STATES
-    )
+    legs = message(LEG_STATES, 1.0, nodes=2, position=recorded)
+    bag = Bag(write_old(tmp_path / "bag", LEG_STATES, legs))
+    ((_, received),) = bag.messages(LEG_STATES)
     assert not hasattr(received, "director")
     _, _, _, nodes, directors = decode.legs(received)
     assert np.array_equal(nodes, recorded)

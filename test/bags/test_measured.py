@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from synthetic_walk import TOPICS, encode, message
+from synthetic_walk import message, write_messages
 
-from slot_core.recording.bag_writer import BagWriter
-from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import TENDON_JOINTS
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_walk import read_motion, tendon_angles
@@ -29,10 +27,8 @@ def bag(tmp_path):
     """Writes a bag of (topic, message) and opens it."""
 
     def write(*entries):
-        with BagWriter(tmp_path / "bag", read_record_settings()) as out:
-            for n, (topic, built) in enumerate(entries):
-                out.write(topic, TOPICS[topic], n, encode(topic, built))
-        return Bag(tmp_path / "bag")
+        stamped = [(n, *entry) for n, entry in enumerate(entries)]
+        return Bag(write_messages(tmp_path / "bag", stamped))
 
     return write
 

@@ -4,10 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_walk import TOPICS, encode, message
+from synthetic_walk import message, write_messages
 
-from slot_core.recording.bag_writer import BagWriter
-from slot_core.recording.record_settings import read_record_settings
+from slot_lab.bags.topics import ESTIMATE, LEG_STATES
 from slot_lab.csv_table import TableError, write_points
 from slot_lab.validation import validate
 from slot_lab.validation.recording import read_recording
@@ -129,13 +128,8 @@ def test_legs_of_two_nodes_have_no_points(tmp_path):
     """The tabulated robot's clamp and foot say nothing about the leg between them."""
     entries = []
     for n in range(12):
-        legs = message("/ground_truth/legs", n / 30, nodes=2)
-        legs.position = np.zeros(24, np.float32)
-        state = message("/mpc_state", n / 30)
-        entries += [("/ground_truth/legs", legs), ("/mpc_state", state)]
-    with BagWriter(tmp_path / "bag", read_record_settings()) as out:
-        for n, (topic, built) in enumerate(entries):
-            out.write(topic, TOPICS[topic], n, encode(topic, built))
-    found = read_recording(tmp_path / "bag")
+        legs = message(LEG_STATES, n / 30, nodes=2, position=np.zeros(24))
+        entries += [(n, LEG_STATES, legs), (n, ESTIMATE, message(ESTIMATE, n / 30))]
+    found = read_recording(write_messages(tmp_path / "bag", entries))
     assert set(found.points) == {"torso"}
     assert found.notes == ["legs of 2 nodes: no points along them"]
