@@ -202,16 +202,6 @@ def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):
     assert "holds no stage together with its input" in capsys.readouterr().err
 
 
-def test_topics_of_other_names_are_replayed_by_their_new_ones(tmp_path, capsys):
-    names = {"/odom": "/visual_slam/odometry", "/imu": "/camera/imu"}
-    path = partly(tmp_path / "bag", STATES, names=names)
-    remaps = [
-        word for new, old in names.items() for word in ("--remap", f"{old}:={new}")
-    ]
-    assert replay_command.main([str(path), *remaps]) == 0
-    assert re.match(r"/mpc_state +4\d compared", capsys.readouterr().out)
-
-
 def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
     own_config, tmp_path, capsys
 ):
@@ -243,13 +233,3 @@ def test_a_path_that_the_bag_lacks_leaves_out_the_gait_by_name(tmp_path, capsys)
     )
     assert replay_command.main([str(path)]) == 0
     assert "left out: the bag holds no way.csv" in capsys.readouterr().out
-
-
-def test_what_is_left_of_a_cut_off_bag_is_replayed(tmp_path, capsys):
-    whole = partly(tmp_path / "whole", STATES)
-    data = (whole / "whole.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(data[:-20])
-    assert replay_command.main([str(tmp_path / "cut.mcap")]) == 0
-    first, second, *_ = capsys.readouterr().out.splitlines()
-    assert re.fullmatch(r"unfinished   what is left of it: \d\.\d\d s", first)
-    assert second.startswith("/mpc_state")

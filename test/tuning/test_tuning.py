@@ -16,7 +16,6 @@ from slot_lab.tuning.pattern_search import (
     PatternSearch,
     cost,
     start_of,
-    trial,
 )
 from slot_lab.tuning.settings import read_tuning
 from slot_lab.tuning.stride_run import TIME, Job, StrideMotion, simulate
@@ -166,20 +165,6 @@ def test_the_record_of_another_search_is_refused(tmp_path):
 
 def simulated(jobs):
     return [simulate(job, SETTINGS) for job in jobs]
-
-
-def test_two_generations_on_the_simulated_robot_are_no_worse_than_the_start(tmp_path):
-    start = symmetry.numbers("forward", np.array(WALK.forward.angle_deg))
-    settings = config.replace(SETTINGS, {"evaluations": 8})
-    found = PatternSearch(WALK, Goal("forward"), start, settings, 1).run(
-        simulated, tmp_path / "record", print
-    )
-    job = Job(trial(WALK, "forward", start), 0.4, (WALK.forward.speed, 0.0, 0.0))
-    slow = Job(job.stride, 0.4, (WALK.forward.speed / 2, 0.0, 0.0))
-    assert (
-        found.cost <= cost(simulated([job, slow]), WALK, Goal("forward"), settings)[0]
-    )
-    assert found.speed[0] > 0.05
 
 
 def test_the_means_are_those_of_whole_strides():

@@ -229,7 +229,7 @@ class Bag:
     def series(self, topic: str, *fields: str) -> Series:
         """Fields (dotted, as `pose.pose.position`) as arrays over the messages of a topic.
 
-        A field that is a message becomes the vector of its own fields, so a Vector3[4] is (n, 4, 3)
+        A field that is a message becomes the vector of its fields, so a Vector3[4] is (n, 4, 3)
         and a quaternion (n, 4) in the order x y z w. Raises NoFieldError if the type lacks a
         field, BagError if the field's shape changes.
         """

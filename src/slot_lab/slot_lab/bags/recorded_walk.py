@@ -106,7 +106,7 @@ class Ticks:
 
     @property
     def latency(self) -> Array:
-        """(n, 4) s, from the publication of each stage's input to that of its output.
+        """(n, 4) s, between the publications of each stage's input and output.
 
         NaN where an output precedes its input: nodes in one process publish after the
         command.
@@ -116,7 +116,7 @@ class Ticks:
 
     @property
     def end_to_end(self) -> Array:
-        """(n,) s, from the publication of the odometry to that of its command."""
+        """(n,) s, between the publications of the odometry and its command."""
         return self.time[:, -1] - self.time[:, 0]
 
     def after(self, t: float) -> Ticks:

@@ -170,7 +170,7 @@ class RecordedStages:
     def settings(self, node: str, settings: T) -> T:
         """Settings of a node, as the parameter file in the bag has changed them.
 
-        Raises ConfigError for one that does not fit them.
+        Raises ConfigError for a value that does not fit them.
         """
         if PARAMETERS not in self.origin.files:
             return settings
@@ -232,7 +232,7 @@ def _estimates_of_records(
 ) -> Replayed:
     """Estimates from the readings in the order in which the node has taken them.
 
-    The estimator is that of the node's start or of a key frame. Where a record or a reading is
+    The estimator starts as its node does, or at a key frame. Where a record or a reading is
     missing, the estimates are unknown up to the next key frame.
     """
     found, readings = Replayed(), _by_topic_and_stamp(recorded.sensors)
@@ -325,7 +325,7 @@ def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str
 
     The recorder may have received odometry and IMU in another order. A recorded state tells the
     newest IMU sample it was predicted with, at header.stamp + lead - `delay` (ns), and its odometry
-    follows that sample. Other readings keep their order. Odometry before that of a first state
+    follows that sample. Other readings keep their order. Odometry before a first state
     that is initialising is left out: the estimator did not listen yet.
     """
     first = next(iter(recorded.estimates.values()), None)

@@ -1,6 +1,6 @@
 """Predictions of the measurements: the single-leg tests of `data.py` on the simulated leg.
 
-The floor is that of the scene `flat`, with the friction of the measurement. The tests are
+The scene is `flat`, with the friction of the measurement. The tests are
 quasi-static: inertia is negligible and friction has its Coulomb value. The result depends on the
 history of the motion, so the simulation follows it from rest. The tests load a leg in its plane
 alone, which it does not leave.

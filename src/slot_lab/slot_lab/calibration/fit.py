@@ -8,7 +8,7 @@ and covariance C = s^2 (J^T J)^-1, the interval of a coordinate is u +- t sqrt(C
 Student's distribution at n - rank degrees of freedom (Seber and Wild, Nonlinear Regression, 1989,
 ch. 5). It linearises the model and neglects the bounds: at a bound it is a rough estimate.
 
-Residuals that belong together, as those of a stride, form one of K groups. With g_k = J_k^T r_k,
+Residuals that belong together, as a stride's, form one of K groups. With g_k = J_k^T r_k,
 
     C = K / (K - rank) (J^T J)^-1 (sum_k g_k g_k^T) (J^T J)^-1
 
@@ -150,7 +150,7 @@ class FitResult:
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """Parameters with intervals and correlation; those of undetermined parameters are NaN.
+    """Parameters with intervals and correlation; NaN for undetermined parameters.
 
     A parameter is undetermined if the data do not depend on it, or if its interval contains both
     of its bounds.
@@ -275,7 +275,7 @@ def estimate(
 ) -> ParameterEstimate:
     """Intervals and correlation at given values (p,); raises PredictionError, FitError.
 
-    groups: (n,) number of the group of each residual; by default each is one of its own.
+    groups: (n,) number of the group of each residual; by default each is a group.
     """
     u, (low, high) = problem.coordinates(values), problem.bounds()
     residual, jacobian = problem.residuals(u), problem.jacobian(u)

@@ -47,7 +47,7 @@ def record(  # noqa: PLR0917
 ) -> dict[str, Any]:
     """Content of the file.
 
-    names: the fitted parameters. values: those of the whole set, by dotted name. origin, note:
+    names: the fitted parameters. values: of the whole set, by dotted name. origin, note:
     text.
     """
     return {
@@ -112,7 +112,7 @@ def fit_line(theta_deg: Array, force: Array, sigma: Array) -> ForceLine:
     """Fit the line to samples (n,): angle, deg, force and its sigma, N.
 
     Weighted linear regression; with the residual variance, the weighted sum of squares
-    over n - 2, the intervals are those of Student's distribution with n - 2 degrees of
+    over n - 2, the intervals follow Student's distribution with n - 2 degrees of
     freedom. Raises ValueError unless two angles differ.
     """
     if np.ptp(theta_deg) == 0.0:

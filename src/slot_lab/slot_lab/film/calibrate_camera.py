@@ -3,7 +3,7 @@
 Print the board (scripts/calibrate --print chessboard --out chessboard.pdf), glue it to something
 flat, and film it: near and far, in all corners of the image, tilted by up to 45 degrees to every
 side, 20 to 40 views. RECORDING is a folder of images, a video, or a bag. The file has the format of ROS's
-camera_info and, beside it, the covariance of the calibration, which enters that of every pose.
+camera_info and, beside it, the covariance of the calibration, which enters every pose's.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ less the mean of the pair,
 and a step of Adam along g. Both networks of a pair walk in the same drawn scene, whose difficulty
 the mean takes out. Sigma and the step fall geometrically over the generations: large ones learn
 quickly, with small ones the network comes to rest where it walks best without disturbance. All
-pairs walk at once, each network on a robot of its own, in one vector environment or in several
+pairs walk at once, each network on another robot, in one vector environment or in several
 processes.
 """
 

@@ -36,7 +36,7 @@ class StraightWalk(NamedTuple):
 def export(
     file: Path | str, task: Task, shape: NetworkShape, parameters: Array
 ) -> None:
-    """Write a network as a policy of the graph; raises ValueError for one that sees the servos."""
+    """Write a network as a policy of the graph; raises ValueError if it sees the servos."""
     if task.servos:
         raise ValueError(
             "servos: a policy of the graph is not given the servos' angles"
@@ -86,7 +86,7 @@ def compare(*policies: str, level: str = "standard") -> str:
 def straight_walk(policy: str, friction: float, level: str, seed: int) -> StraightWalk:
     """Walk for DURATION at SPEED, after STANDING.
 
-    The reference that a policy follows begins with the error of one estimate: that of the first is
+    The reference that a policy follows begins with the error of one estimate: the first's is
     1.9 mrad and 0.8 mm (RMS), which leads 3 mm aside in 1 m; after STANDING 0.5 mrad and 0.3 mm.
     """
     changes = {"scene.floor.friction": [friction] * 4}

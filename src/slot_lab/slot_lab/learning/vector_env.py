@@ -2,9 +2,9 @@
 
 It is `WalkEnv` without the parts that cost most there. The observations named `estimated` are the
 true states with independent noise as large as the errors of the state estimator (ESTIMATE_NOISE).
-The gait is that of a start from the posture `stand` (`gait_clock.py`), the servos get a goal three
-times in a step, as on the bus. The time step divides the time between two goals; it is at most that
-of the level, or the one that is given.
+The gait starts from the posture `stand` (`gait_clock.py`), the servos get a goal three
+times in a step, as on the bus. The time step divides the time between two goals; it is at most
+the level's, or the given one.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ ESTIMATE_NOISE = np.repeat([1e-3, 4e-4, 0.01, 2e-3], 3)  # rad, m, rad/s, m/s
 
 
 class WalkVectorEnv(VectorEnv[Any, Any, Any]):
-    """M robots; one that has fallen or walked its time is reset by the next step."""
+    """M robots; the next step resets a robot that has fallen or walked its time."""
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - of the base class
 

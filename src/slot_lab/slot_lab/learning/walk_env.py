@@ -3,7 +3,7 @@
     gymnasium.make("slot_lab.learning.walk_env:SLOT-Walk-v0", level="standard", scene="slope5")
 
 Between two actions lies the controller of the robot as it is: sensors on their own clocks, state
-estimator, gait scheduler, force map and servos. The arguments are those of `Task`. An
+estimator, gait scheduler, force map and servos. The arguments are `Task`'s. An
 episode ends when the robot has fallen, or after `duration`.
 """
 

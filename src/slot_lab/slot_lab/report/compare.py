@@ -1,8 +1,8 @@
 """Compares two runs: their origins, and every figure of their summaries side by side.
 
 First what differs in revision, policy, arguments, attached files and the values of the
-configuration, then the figures, named as in `walk_metrics`: those of the first bag, those of the
-second, and second minus first. A dash stands where a bag lacks the data.
+configuration, then the figures, named as in `walk_metrics`: of the first bag, of the second, and
+second minus first. A dash stands where a bag lacks the data.
 """
 
 from __future__ import annotations

@@ -377,7 +377,7 @@ def _latency(stage: Latency) -> str:
 
 
 def _load(metrics: WalkMetrics) -> str:
-    """Mean load of the servos beside the one that the maker advises."""
+    """Mean load of the servos beside the load that the maker advises."""
     load, voltage = sum(metrics.servo_load) / len(LEGS), metrics.supply_voltage
     if not math.isfinite(load):
         return "-"

@@ -123,7 +123,7 @@ def compare_figures(
 def exceeded(
     pairs: Sequence[FigurePair], tolerances: Sequence[tuple[str, float]]
 ) -> list[str]:
-    """A line on each figure beyond its tolerance: the last one that matches its name.
+    """A line on each figure beyond its tolerance: the last that matches its name.
 
     tolerances: patterns of a shell for names, with the largest difference in their unit.
     Raises CompareError for a tolerance that matches no figure that is known of a run.

@@ -34,7 +34,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Plot:
-    """Curves that share their axes; the keys are those of `values`, after the plot's own."""
+    """Curves that share their axes, by the second part of the names of `values`."""
 
     title: str
     curves: dict[str, Curve] = field(default_factory=dict)

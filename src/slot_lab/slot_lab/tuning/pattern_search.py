@@ -174,7 +174,7 @@ class PatternSearch:
     ) -> Found:
         """Search to the end of the evaluations; the best candidate, the start included.
 
-        Raises ConfigError if `record` is that of another search.
+        Raises ConfigError if another search has written `record`.
         """
         recorded = self._open(record)
         self._generation([self._strategy.x0], recorded, run_all, record)

@@ -36,7 +36,7 @@ REVERSED = {
 
 
 def forward(x: Array) -> Array:
-    """Coefficients (4, 5) of the numbers (10,): those of FL, then those of RL."""
+    """Coefficients (4, 5) of the numbers (10,): FL's, then RL's."""
     front, rear = x[:5], x[5:]
     return np.stack([front, front * HALF_STRIDE_LATER, rear, rear * HALF_STRIDE_LATER])
 
@@ -61,7 +61,7 @@ def lateral_steering(change: Array) -> Array:
 
 
 def turn(x: Array) -> Array:
-    """Coefficients (4, 5) of the numbers (10,): those of FL, then those of FR."""
+    """Coefficients (4, 5) of the numbers (10,): FL's, then FR's."""
     left, right = x[:5], x[5:]
     return np.stack([left, right, right * HALF_STRIDE_LATER, left * HALF_STRIDE_LATER])
 

@@ -190,7 +190,7 @@ class _Trials:
         return [np.load(path) for path in paths]
 
     def forget(self) -> None:
-        """Delete the results that were kept; those of other fits stay."""
+        """Delete the results of this fit; other fits keep theirs."""
         shutil.rmtree(self._directory)
         with suppress(OSError):  # not empty
             self._directory.parent.rmdir()

@@ -7,8 +7,8 @@ taken over the strides of the fit, the last strides are held out.
 
 The parameter set has, beside the keys of slot_lab/calibration/parameter_file.py:
 
-robot, scene, servo  values by dotted name instead of those of robot.yaml, of the scene that names
-                     the set, and of servo.yaml
+robot, scene, servo  values by dotted name; they replace the values of robot.yaml, of the scene that
+                     names the set, and of servo.yaml
 data                 recording, its topics or columns, strides of the fit and strides held out
 errors               RMS of predicted minus measured, before and after, of both
 confidence           95 % intervals by place; strides are taken as independent of each other

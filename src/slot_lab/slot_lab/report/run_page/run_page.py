@@ -51,7 +51,7 @@ STEPS = {
     "across": 2.5e-3,
     "force": 0.01,
 }
-"""Steps of the columns of the robot, SI; those of a curve are four digits of its largest value."""
+"""Steps of the columns of the robot, SI; a curve has four digits of its largest value."""
 ALONG = ("nodes", "across")  # columns (4, m, 3)
 HERE = Path(__file__).resolve().parent
 SCRIPTS = ("frames.js", "scene.js", "plots.js", "page.js")  # in this order
