@@ -13,7 +13,6 @@ from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_parameters, read_robot
 from slot_lab.bags.recorded_walk import TendonAngles, TorsoTrack
 from slot_lab.bags.topics import COMMANDED, MEASURED
-from slot_lab.calibration.fit import serially
 from slot_lab.csv_table import TableError
 from slot_lab.twin import twin, twin_command, twin_fit
 from slot_lab.twin.prediction import predict, read_parts
@@ -33,6 +32,7 @@ from slot_lab.twin.twin_fit import (
     places,
 )
 from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED
+from slot_lab.workers import serially
 
 SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
 PARTS = read_parts("flat")

@@ -34,6 +34,7 @@ from slot_core.config import ConfigError, leaves
 from slot_core.progress import untold
 from slot_core.refusal import InputError
 from slot_core.robot import RobotParameters
+from slot_lab.workers import serially
 
 LEVEL = 0.95  # of the intervals
 STEP = 0.01  # of a coordinate in central differences; wide: predictions have kinks
@@ -64,11 +65,6 @@ class FitError(InputError):
 
 class PredictionError(InputError):
     """The simulation of a measurement failed; the message names the test and the cause."""
-
-
-def serially(call: Predict, points: Sequence[Array]) -> Sequence[Array]:
-    """Calls one after the other, in this process."""
-    return [call(point) for point in points]
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from slot_lab.tuning.identification import IdentificationError
 from slot_lab.tuning.pattern_search import Goal, PatternSearch, bare_pattern, start_of
 from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import RunAll, simulate
-from slot_lab.workers import gather, workers
+from slot_lab.workers import mapper
 
 RECORDS = Path("results", "tune")
 QUICK = {"friction": [0.4], "strides": 3, "evaluations": 32, "population": 8}
@@ -44,8 +44,8 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     options.out = options.out or place
     tuning = _Tuning(options, progress)
     call = functools.partial(simulate, settings=tuning.settings)
-    with workers(options.scheduler, options.workers) as client:
-        notes = tuning.run(functools.partial(gather, client, call))
+    with mapper(options.scheduler, options.workers) as run_all:
+        notes = tuning.run(functools.partial(run_all, call))
     write_gait(options.out, tuning.stride, [options.command, *notes])
     tuning.forget()
     return [*notes, str(options.out)], 0

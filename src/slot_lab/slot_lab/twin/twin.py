@@ -7,8 +7,8 @@ import hashlib
 import os
 import pickle
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from slot_core.config import load
 from slot_core.drawing import palette
 from slot_core.progress import ProgressLine
 from slot_lab.bags.recorded_walk import TorsoTrack
-from slot_lab.calibration.fit import RunAll, serially
+from slot_lab.calibration.fit import RunAll
 from slot_lab.desk_command import Outcome
 from slot_lab.plot_file import write_plot
 from slot_lab.twin.prediction import predict, read_parts, write_predicted_points
@@ -51,7 +51,7 @@ from slot_lab.twin.twin_fit import (
     write_set,
 )
 from slot_lab.verdict import Verdict
-from slot_lab.workers import gather, workers
+from slot_lab.workers import mapper
 
 ALIGNED = 3  # numbers taken from the measurement in each window: x, y, heading
 COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -101,7 +101,7 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     predicting = partial(progress, "predicting the motion")
     tracks = {"model": predict(recorded, parts, settings, predicting)}
     if names:
-        with _runner(options) as run_all:
+        with mapper(options.scheduler, options.workers) as run_all:
             trial = (recorded, strides, parts, names, settings, options.starts)
             kept = _Trials(out / "trials", run_all, trial)
             found = fit_twin(
@@ -198,16 +198,6 @@ class _Trials:
     def _path(self, point: Array) -> Path:
         name = hashlib.sha256(np.asarray(point).tobytes()).hexdigest()[:32]
         return self._directory / f"{name}.npy"
-
-
-@contextmanager
-def _runner(options: argparse.Namespace) -> Iterator[RunAll]:
-    """Runs the trials: in this process, in local ones or on a cluster."""
-    if options.workers == 1 and not options.scheduler:
-        yield serially
-        return
-    with workers(options.scheduler, options.workers) as client:
-        yield partial(gather, client)
 
 
 def draw(

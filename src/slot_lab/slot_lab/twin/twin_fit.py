@@ -42,12 +42,12 @@ from slot_lab.calibration.fit import (
     RunAll,
     estimate,
     fit,
-    serially,
 )
 from slot_lab.twin.prediction import ModelParts, predict
 from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings
 from slot_lab.twin.strides import StrideErrors, Strides, residuals, stride_errors
+from slot_lab.workers import serially
 
 SHORT = {
     "friction": ("scene.floor.friction",),
