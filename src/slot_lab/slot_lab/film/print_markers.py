@@ -1,4 +1,9 @@
-"""Boards and markers to print, at their true size."""
+"""Boards and markers to print, at their true size.
+
+A sheet is a grey image of `dots` px per m. A PDF or PNG carries its resolution, so that a
+printer which does not scale gives the true size; a line of known length below the sheet
+tells whether it did.
+"""
 
 from __future__ import annotations
 
@@ -55,7 +60,10 @@ def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
 
 
 def with_scale(sheet: GreyImage, name: str, dots: float) -> GreyImage:
-    """The sheet with white around it, and below it a line of SCALE with its name."""
+    """The sheet with white around it, and below it a line of SCALE with its name.
+
+    The margin is 5 mm, the foot with line and text 12 mm high.
+    """
     edge, height, width = round(0.005 * dots), *sheet.shape
     foot = round(0.012 * dots)
     y, length = height + 2 * edge, round(SCALE * dots)

@@ -108,7 +108,9 @@ def _stack(
 def draw_path(ax: Axes, motion: TorsoTrack, counted: TorsoTrack) -> None:
     """Top view of the torso's path, and the straight line from which drift is measured.
 
-    `counted` is the motion after the warm-up.
+    `counted` is the motion after the warm-up. The line starts there, along the heading at
+    the start of the bag, and is as long as the way along it. A circle marks the start, a
+    triangle the end.
     """
     start, heading = counted.position[0, :2], motion.rpy[0, 2]
     along = rotate(counted.position[:, :2] - start, -heading)[:, 0].max()
@@ -129,7 +131,10 @@ def draw_path(ax: Axes, motion: TorsoTrack, counted: TorsoTrack) -> None:
 
 
 def draw_states(ax: Axes, bag: Bag, start: float, end: float) -> None:
-    """States of the supervisor over time, by their names; a short one without."""
+    """States of the supervisor from graph time `start` to `end` (s), as coloured spans.
+
+    A state has its name if it lasts for 8 % of the time.
+    """
     if bag.counts.get("/robot_state"):
         series = bag.series("/robot_state", "state")
         time, states = seconds(series.stamp) - start, series["state"].astype(int)
@@ -189,7 +194,7 @@ def draw_tilt(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
 
 
 def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
-    """Tendon angles of each leg, desired and true, over the last strides."""
+    """Tendon angles of each leg, desired and measured, over the last WINDOW seconds."""
     for topic, label in (
         ("/desired_joint_angles", "desired"),
         ("/joint_states", "measured"),
@@ -201,7 +206,10 @@ def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> Non
 
 
 def draw_forces(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
-    """Normal forces of each leg, planned and true, over the last strides."""
+    """Normal forces of each leg, planned and true, over the last WINDOW seconds.
+
+    The planned ones are of the plan's first stage; only a simulator publishes true ones.
+    """
     planned = ("/tendon_plan", "force", "planned")
     for topic, field, label in (
         planned,
@@ -216,7 +224,11 @@ def draw_forces(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> Non
 
 
 def draw_latency(ax: Axes, ticks: Ticks) -> None:
-    """Histogram of every stage's latency and of the whole chain's, over a logarithmic axis."""
+    """Histogram of every stage's latency and of the whole chain's.
+
+    Both axes are logarithmic: a single late tick stays visible beside thousands. Latencies
+    that are not positive, of nodes in one process, are left out.
+    """
     columns = [*ticks.latency.T, ticks.end_to_end]
     ms = [1e3 * column[np.isfinite(column) & (column > 0)] for column in columns]
     if measured := [values for values in ms if len(values)]:
@@ -243,7 +255,10 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
 
 
 def draw_disturbance(ax: Axes, bag: Bag, start: float) -> None:
-    """Draw the disturbances that the policy estimates: payload, slip and turning."""
+    """Disturbances that the policy estimates: payload, slip and turning.
+
+    The panel stays empty for a bag whose plans have none.
+    """
     if bag.counts.get("/tendon_plan"):
         with suppress(NoFieldError):  # a bag from before there was an observer
             series = bag.series("/tendon_plan", "wrench", "drift")

@@ -142,7 +142,11 @@ def align_times(
 
 
 def candidates(shifts: Array, score: Array) -> list[float]:
-    """Shifts (s) of the highest peaks of the cross-correlation."""
+    """Shifts (s) of the highest peaks of the cross-correlation.
+
+    At most PEAKS of them, each higher than PEAK times the highest; the highest value
+    counts as a peak also at an end.
+    """
     peaks = np.append(find_peaks(score)[0], np.argmax(score))
     peaks = peaks[score[peaks] > PEAK * score.max()]
     best = peaks[np.argsort(-score[peaks])][:PEAKS]
@@ -150,7 +154,13 @@ def candidates(shifts: Array, score: Array) -> list[float]:
 
 
 def cross_correlation(pairs: Sequence[Pair], frame: str) -> tuple[Array, Array]:
-    """Shifts (n,) in s, and their normalised cross-correlation (n,)."""
+    """Shifts (n,) in s, and their normalised cross-correlation (n,).
+
+    score(k) = max_R trace(R H_k) / sqrt(E_m(k) E_r(k)) with the cross-covariance H_k of the
+    velocities at the shift k, and the energies E of measurement and run where they
+    overlap. Shifts whose overlap is below OVERLAP of the shorter recording are left out.
+    Raises RecordingError for a recording shorter than 1 s or without motion.
+    """
     first = [min(pair[k].t[0] for pair in pairs) for k in (0, 1)]
     last = [max(pair[k].t[-1] for pair in pairs) for k in (0, 1)]
     grids = [np.arange(a, b, GRID) for a, b in zip(first, last)]
@@ -193,7 +203,12 @@ def _velocity(track: PointTrack, grid: Array) -> Array:
 
 
 def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
-    """Alignment by least squares about a start, s."""
+    """Alignment by least squares about a start, s.
+
+    Residuals are the differences of the places in the run's axes, from their mean and
+    without their moving mean. Covariance of the estimate from the scores of the groups, as
+    in slot_lab/calibration/fit.py. Raises RecordingError for too few samples.
+    """
     parts = [part for pair in pairs if len((part := _inside(pair, start))[0]) > 1]
     count = sum(len(t) for t, _, _ in parts)
     if count < LEAST_SAMPLES:
