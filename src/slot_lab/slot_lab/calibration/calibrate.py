@@ -116,7 +116,7 @@ def figure(
     }
     for kind in kinds:
         _predicted_over_measured(axes[kind], data, kind, estimate.predicted)
-    _residuals(axes["residuals"], data, kinds, estimate.predicted)
+    _residuals(axes["residuals"], data, estimate.predicted)
     _correlation(axes["correlation"], names, estimate.correlation)
     return out
 
@@ -139,7 +139,7 @@ def _predicted_over_measured(ax: Axes, data: Data, kind: str, predicted: Array) 
     ax.grid(color=palette.SHADE)
 
 
-def _residuals(ax: Axes, data: Data, kinds: Sequence[str], predicted: Array) -> None:
+def _residuals(ax: Axes, data: Data, predicted: Array) -> None:
     off = [(p - row.value) / row.sigma for p, row in zip(predicted, data.rows)]
     ax.axhspan(-1, 1, color=palette.SHADE, zorder=0)
     ax.bar(range(1, len(off) + 1), off, color=[_colour(row.kind) for row in data.rows])
