@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from scipy import stats
-from scipy.integrate import quad
+from scipy.integrate import cumulative_trapezoid, quad
 
 from slot_core import config
 from slot_core.robot import read_robot
@@ -116,19 +116,16 @@ def test_a_small_deflection_matches_beam_theory(place):
     stiff = config.replace(ROBOT, {"leg.young_modulus": 1e9, "leg.density": 1.0})
     leg, force, fine = stiff.leg, 0.05, dataclasses.replace(SETTINGS, nodes=201)
     slope, length = leg.shape.deriv(), leg.arc_length()
-    at = np.interp(
-        place,
-        [leg.arc_length(x) / length for x in np.linspace(0, leg.reach, 400)],
-        np.linspace(0, leg.reach, 400),
-    )
+    x = np.linspace(0.0, leg.reach, 4000)
+    share = cumulative_trapezoid(np.hypot(1.0, slope(x)), x, initial=0) / length
+    at = np.interp(place, share, x)
 
-    def density(x):
-        ds = np.hypot(1.0, slope(x))
-        thickness = np.interp(
-            leg.arc_length(x) / length, [0, 1], [leg.thickness_clamp, leg.thickness_tip]
-        )
-        area, sine = leg.width * thickness, slope(x) / ds
-        bending = (leg.reach - x) * (at - x) / (area * thickness**2 / 12)
+    def density(z):
+        ends = [leg.thickness_clamp, leg.thickness_tip]
+        thickness = np.interp(np.interp(z, x, share), [0, 1], ends)
+        ds = np.hypot(1.0, slope(z))
+        area, sine = leg.width * thickness, slope(z) / ds
+        bending = (leg.reach - z) * (at - z) / (area * thickness**2 / 12)
         return force / leg.young_modulus * (bending + sine**2 / area) * ds
 
     expected = quad(density, 0.0, at)[0]
