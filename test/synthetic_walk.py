@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -133,8 +134,13 @@ def write_walk(path: Path, walk: Walk) -> Path:
         entries += _truth(walk)
     if walk.lockstep:
         entries.append((WALL, "/clock", blank(TOPICS["/clock"])))
+    return write_messages(path, sorted(entries, key=lambda entry: entry[0]))
+
+
+def write_messages(path: Path, entries: Iterable[tuple[int, str, Any]]) -> Path:
+    """Write a bag of messages, each after its time (ns) and topic."""
     with BagWriter(path, read_record_settings()) as bag:
-        for time, topic, built in sorted(entries, key=lambda entry: entry[0]):
+        for time, topic, built in entries:
             bag.write(topic, TOPICS[topic], time, encode(topic, built))
     return path
 
@@ -225,16 +231,19 @@ def _status(walk: Walk, t: float) -> Any:
     )
 
 
+def swing(t: float) -> Array:
+    """(4,) a sine per leg, each at another phase."""
+    return np.sin(2 * np.pi * t / STRIDE + np.pi * np.array([0.0, 1.0, 0.5, -0.5]))
+
+
 def angles(t: float) -> Array:
-    """(4,) rad, plausible tendon angles: a sine per leg, each at another phase."""
-    phase = 2 * np.pi * t / STRIDE + np.array([0.0, np.pi, np.pi / 2, -np.pi / 2])
-    return np.radians(65.0 + 38.0 * np.sin(phase))
+    """(4,) rad, plausible tendon angles."""
+    return np.radians(65.0 + 38.0 * swing(t))
 
 
 def normal_forces(t: float) -> Array:
     """(4,) N, plausible normal forces whose sum is the weight."""
-    phase = 2 * np.pi * t / STRIDE + np.array([0.0, np.pi, np.pi / 2, -np.pi / 2])
-    return ROBOT.weight / 4 * (1 + 0.5 * np.sin(phase))
+    return ROBOT.weight / 4 * (1 + 0.5 * swing(t))
 
 
 def _truth(walk: Walk) -> list[tuple[int, str, Any]]:
@@ -292,22 +301,14 @@ def _legs(walk: Walk, t: float) -> Any:
     )
 
 
-def write_old_legs(path: Path, nodes: Array) -> Path:
-    """Write a bag of one leg state, nodes (4, n, 3) m, whose type has no directors yet."""
-    topic = "/ground_truth/legs"
-    return write_old(
-        path, topic, message(topic, 1.0, nodes=nodes.shape[1], position=nodes)
-    )
-
-
-def write_old(path: Path, topic: str, now: Any) -> Path:
-    """Write a bag of one message, whose type does not have its last field yet."""
+def write_old(path: Path, topic: str, now: Any, field: str = "") -> Path:
+    """Write a bag of one message, whose type ends before a field (default: the last)."""
     kind = TOPICS[topic]
-    lines = (MESSAGES / f"{Path(kind).name}.msg").read_text().splitlines(keepends=True)
-    *known, last = (name for name, _ in TYPES.fielddefs[kind][1])
-    definition = "".join(
-        lines[: next(i for i, line in enumerate(lines) if f" {last} " in line)]
-    )
+    names = [name for name, _ in TYPES.fielddefs[kind][1]]
+    field = field or names[-1]
+    known = names[: names.index(field)]
+    text = (MESSAGES / f"{Path(kind).name}.msg").read_text()
+    definition = text[: text.rindex("\n", 0, text.index(f" {field} "))] + "\n"
     types = types_inside(((kind, definition),))
     old = types.types[kind](*(getattr(now, name) for name in known))
     with BagWriter(path, read_record_settings()) as bag:

@@ -558,7 +558,8 @@ def test_a_replay_whose_output_cannot_be_written_says_so():
             command, stdout=full, stderr=subprocess.PIPE, text=True, check=False
         )
     assert ended.returncode == 2
-    assert ended.stderr == "scripts/replay: output: No space left on device\n"
+    last = ended.stderr.splitlines()[-1]  # after progress on a slow machine
+    assert last == "scripts/replay: output: No space left on device"
 
 
 @pytest.mark.parametrize("text", ["", "[1]\n", "horizon\n"])

@@ -7,7 +7,8 @@ import matplotlib as mpl
 import numpy as np
 
 from slot_lab.bags.bag import Bag
-from slot_lab.bags.measured import measured_motion, tendon_angles
+from slot_lab.bags.recorded_walk import read_motion, tendon_angles
+from slot_lab.bags.topics import MOTION_TOPICS
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
@@ -17,9 +18,7 @@ SHIPPED = Path(__file__).parents[2] / "slot_bringup/example/walk"
 bag = Bag(sys.argv[1] if len(sys.argv) > 1 else SHIPPED)
 for topic, count in sorted(bag.counts.items()):
     print(f"{count:6d}  {topic}  {bag.topics[topic]}")
-motion = measured_motion(
-    bag
-)  # the exact one if it was recorded, else odometry or estimate
+motion = read_motion(bag, *MOTION_TOPICS)  # truth, else odometry, else estimate
 way = motion.position[-1] - motion.position[0]
 print(f"{motion.t[-1] - motion.t[0]:.2f} s, way {way.round(3)} m, from {motion.source}")
 

@@ -26,8 +26,9 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.topics import LEG_STATES
-from slot_lab.report import metrics, plots
-from slot_lab.report.summary import summary_lines
+from slot_lab.report import plots
+from slot_lab.report.metrics import summary_lines, walk_metrics
+from slot_lab.report.robot_drawing import filmstrip
 
 TO_WALK = "with --attended it waits for scripts/operate: r ready, s stand, w walk"
 
@@ -113,7 +114,7 @@ def report(
     bag = Bag(directory, namespace)
     if not bag.counts.get("/mpc_state"):
         raise BagError(f"the robot never stood; {TO_WALK}")
-    figures = metrics.walk_metrics(bag, read_record_settings().warm_up, read_servo())
+    figures = walk_metrics(bag, read_record_settings().warm_up, read_servo())
     lines = [*summary_lines(figures), *filter(None, [bag.remark]), *remarks]
     shown = show(PROGRAM, lines)
     if keep:
@@ -121,7 +122,7 @@ def report(
         plots.dashboard(bag, figures, directory / "walk.png")
         written = "bag, summary.txt, walk.png"
         if bag.counts.get(LEG_STATES):  # of simulated legs
-            plots.filmstrip(bag, directory / "robot.png")
+            filmstrip(bag, directory / "robot.png")
             written += ", robot.png"
         shown = shown and show(PROGRAM, ["", f"{written} and log/ are in {directory}"])
     return shown

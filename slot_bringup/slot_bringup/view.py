@@ -61,7 +61,7 @@ def view(options: argparse.Namespace) -> None:
     check_place(options.namespace)
     bags = [Bag(path, options.namespace) for path in options.bags or [newest_bag(BAGS)]]
     if options.animate:
-        from slot_lab.report.animation import animate  # noqa: PLC0415 - heavy
+        from slot_lab.report.robot_drawing import animate  # noqa: PLC0415 - heavy
 
         with ProgressLine(PROGRAM) as progress:
             animate(bags[0], options.animate, partial(progress, "drawing"))

@@ -17,7 +17,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 from geometry_msgs.msg import TwistStamped
 from real_graph import changed_config
 
@@ -26,14 +25,12 @@ from slot_bringup.arguments import parse
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import RunError, listener
 from slot_core.clock import SECOND
-from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.origin import CONFIGURATION, Origin
 from slot_core.recording.record_settings import read_record_settings
-from slot_core.safety.states import State
 from slot_lab.bags.bag import Bag
-from slot_lab.report.metrics import walk_metrics
+from slot_lab.report import compare
 from slot_msgs.msg import MpcState
 from slot_nodes import qos
 
@@ -150,40 +147,9 @@ def thinned(bag: Bag, path: Path, case: Case) -> Path:
     return path
 
 
-def figures(path: Path) -> dict[str, str]:
-    """Figures of a bag, by name."""
-    bag = Bag(path)
-    m = walk_metrics(bag, 0.0, read_servo())
-    shown = {
-        "duration": f"{m.duration:.3f} s",
-        "ticks": str(m.ticks),
-        "mean v_x": f"{1e3 * m.mean_v_x:.2f} mm/s",
-        "height": f"{1e3 * m.height_mean:.2f} mm",
-        "tilt": f"{np.degrees(m.tilt_rms):.3f} deg RMS",
-        "yaw drift": f"{np.degrees(m.yaw_drift):+.3f} deg",
-        "MPC fallback": str(m.fallback_cycles),
-        "size": f"{size(path)} bytes",
-    }
-    if bag.counts.get("/robot_state"):
-        states = bag.series("/robot_state", "state")["state"]
-        order = states[np.flatnonzero(np.r_[True, np.diff(states) != 0])]
-        shown["states"] = " ".join(State(int(state)).name for state in order)
-    return shown
-
-
 def size(path: Path) -> int:
     """Bytes of a bag's files."""
     return sum(file.stat().st_size for file in path.iterdir())
-
-
-def compare(name: str, before: Path, after: Path) -> list[str]:
-    """Lines of the figures of two bags; `before` may not exist."""
-    old = figures(before) if before.exists() else {}
-    lines = []
-    for key, value in figures(after).items():
-        sign = "=" if old.get(key) == value else "->"
-        lines.append(f"{name:<15}{key:<14}{old.get(key, '-'):>20} {sign} {value}")
-    return lines
 
 
 def main() -> int:
@@ -196,7 +162,8 @@ def main() -> int:
     for name in parser.parse_args().names or CASES:
         with tempfile.TemporaryDirectory() as scratch:
             bag = record(name, CASES[name], Path(scratch))
-            print("\n".join(compare(name, BAGS / name, bag)))
+            if (BAGS / name).exists():
+                compare.main([str(BAGS / name), str(bag), "--warm-up", "0"])
             if size(bag) >= SIZE_MAX:
                 print(
                     f"{name}: {size(bag)} bytes, limit {SIZE_MAX}: not kept",

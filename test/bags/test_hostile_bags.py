@@ -21,10 +21,9 @@ from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import read_robot
 from slot_lab.bags import replay_command
 from slot_lab.bags.bag import Bag
-from slot_lab.bags.measured import measured_motion, tendon_angles
+from slot_lab.bags.recorded_walk import read_motion, tendon_angles
 from slot_lab.report import compare, map_command
-from slot_lab.report.run_page.run_frames import read_frames
-from slot_lab.report.run_page.run_page import content
+from slot_lab.report.run_page.run_page import content, read_frames
 from slot_lab.twin.recorded import read_recorded
 from slot_lab.validation.recording import read_recording
 
@@ -56,7 +55,7 @@ def tool(main, *words):
 READERS = [
     read_all,
     read_recording,
-    lambda path: measured_motion(Bag(path)),
+    lambda path: read_motion(Bag(path), "/odom"),
     lambda path: tendon_angles(Bag(path)),
     lambda path: read_recorded(path, "", "", ""),
     tool(replay_command.main, "{}"),

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from synthetic_walk import TOPICS, encode, message
+from synthetic_walk import message, write_messages
 
-from slot_core.recording.bag_writer import BagWriter
-from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import TENDON_JOINTS
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.measured import measured_motion, tendon_angles
+from slot_lab.bags.recorded_walk import read_motion, tendon_angles
 
 UNIT = (0.0, 0.0, 0.0, 1.0)
 
@@ -29,16 +27,14 @@ def bag(tmp_path):
     """Writes a bag of (topic, message) and opens it."""
 
     def write(*entries):
-        with BagWriter(tmp_path / "bag", read_record_settings()) as out:
-            for n, (topic, built) in enumerate(entries):
-                out.write(topic, TOPICS[topic], n, encode(topic, built))
-        return Bag(tmp_path / "bag")
+        stamped = [(n, *entry) for n, entry in enumerate(entries)]
+        return Bag(write_messages(tmp_path / "bag", stamped))
 
     return write
 
 
 def test_equal_messages_of_one_stamp_count_once(bag):
-    moved = measured_motion(bag(odometry(1.0), odometry(1.0), odometry(2.0, 0.5)))
+    moved = read_motion(bag(odometry(1.0), odometry(1.0), odometry(2.0, 0.5)), "/odom")
     assert moved.t.tolist() == [1.0, 2.0]
     assert moved.position[:, 0].tolist() == [0.0, 0.5]
 
@@ -62,14 +58,14 @@ def test_equal_messages_of_one_stamp_count_once(bag):
 )
 def test_an_odometry_that_is_not_sound_is_refused(bag, entries, message):
     with pytest.raises(BagError, match=message) as refusal:
-        measured_motion(bag(*(odometry(*entry) for entry in entries)))
+        read_motion(bag(*(odometry(*entry) for entry in entries)), "/odom")
     assert "/odom: " in str(refusal.value)
 
 
 def test_readings_that_say_that_they_are_lost_are_left_out_and_counted(bag):
     lost = (0.0, 0.0, 0.0, 0.0)
-    moved = measured_motion(
-        bag(odometry(1.0), odometry(2.0, 0.0, lost), odometry(3.0, 0.5))
+    moved = read_motion(
+        bag(odometry(1.0), odometry(2.0, 0.0, lost), odometry(3.0, 0.5)), "/odom"
     )
     assert moved.t.tolist() == [1.0, 3.0]
     assert moved.left_out == 1
@@ -84,7 +80,7 @@ def test_of_two_states_of_one_time_the_second_counts(bag):
             (1.1, 0, 0.3),
         )
     ]
-    moved = measured_motion(bag(*states), "/mpc_state")
+    moved = read_motion(bag(*states), "/mpc_state")
     assert moved.t == pytest.approx([1.03, 1.1])
     assert moved.position[:, 0].tolist() == [0.2, 0.3]
 

@@ -11,14 +11,13 @@ from record_bags import SIZE_MAX
 from rosbags.rosbag2 import Reader
 from synthetic_walk import TYPES
 
-from slot_core.estimation.estimate import Validity
 from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.origin import FILES, Origin, origin_here
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags import check_bag as replay
 from slot_lab.bags import replay_command
 from slot_lab.bags.bag import Bag
-from slot_lab.bags.recorded_stages import RECORDS
+from slot_lab.bags.replayed_stages import RECORDS
 
 HERE = Path(__file__).parent
 BAGS = ["walk", "turn", "path", "fault", "lost_odometry"]
@@ -198,33 +197,9 @@ def test_a_bag_that_begins_mid_run_without_the_force_map_is_refused(tmp_path, re
     assert line.endswith("; no stage can be compared")
 
 
-def test_what_a_bag_says_of_itself_cannot_command_the_terminal(tmp_path, capsys):
-    about, files = (
-        {"revision": "\x1b]0;x\x07", "gait": "\x9b2J"},
-        {"config.zip": b"no zip"},
-    )
-    path = partly(tmp_path / "bag", STATES, origin=Origin(about, files))
-    assert replay_command.main([str(path)]) == 0
-    first, second, *_ = capsys.readouterr().out.splitlines()
-    assert first == r"recorded by  revision \x1b]0;x\x07, gait \x9b2J"
-    assert (
-        "its configuration cannot be read: config.zip: File is not a zip file" in second
-    )
-
-
 def test_a_bag_without_any_stage_is_refused(tmp_path, capsys):
     assert replay_command.main([str(partly(tmp_path / "bag", ["/odom", "/imu"]))]) == 2
     assert "holds no stage together with its input" in capsys.readouterr().err
-
-
-def test_topics_of_other_names_are_replayed_by_their_new_ones(tmp_path, capsys):
-    names = {"/odom": "/visual_slam/odometry", "/imu": "/camera/imu"}
-    path = partly(tmp_path / "bag", STATES, names=names)
-    remaps = [
-        word for new, old in names.items() for word in ("--remap", f"{old}:={new}")
-    ]
-    assert replay_command.main([str(path), *remaps]) == 0
-    assert re.match(r"/mpc_state +4\d compared", capsys.readouterr().out)
 
 
 def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
@@ -258,30 +233,3 @@ def test_a_path_that_the_bag_lacks_leaves_out_the_gait_by_name(tmp_path, capsys)
     )
     assert replay_command.main([str(path)]) == 0
     assert "left out: the bag holds no way.csv" in capsys.readouterr().out
-
-
-def test_what_is_left_of_a_cut_off_bag_is_replayed(tmp_path, capsys):
-    whole = partly(tmp_path / "whole", STATES)
-    data = (whole / "whole.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(data[:-20])
-    assert replay_command.main([str(tmp_path / "cut.mcap")]) == 0
-    first, second, *_ = capsys.readouterr().out.splitlines()
-    assert re.fullmatch(r"unfinished   what is left of it: \d\.\d\d s", first)
-    assert second.startswith("/mpc_state")
-
-
-def test_the_bags_hold_what_they_are_named_after():
-    """Else a bag recorded afresh could replay without the case that it is there for."""
-    turn = Bag(HERE / "turn").series("/gait_preview", "velocity", "reference")
-    assert turn["velocity"][-1, 2] == pytest.approx(0.11)
-    assert turn["reference"][-1, 2] > 0.05  # rad, yaw of the reference at the end
-    assert "path.csv" in Bag(HERE / "path").origin.files
-    validity = Bag(HERE / "lost_odometry").series("/mpc_state", "validity")["validity"]
-    assert (
-        np.count_nonzero(validity == Validity.ODOMETRY_REJECTED) > 15
-    )  # marked as lost
-    torque = Bag(HERE / "fault").series("/joint_states", "effort")["effort"]
-    assert not torque[-20:, 0].any()  # FL's tendon
-    assert torque[-20:, 1:].all()
-    *_, (_, last) = Bag(HERE / "fault").messages("/robot_state")
-    assert "broken tendon FL" in last.reason

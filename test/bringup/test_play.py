@@ -15,7 +15,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from synthetic_walk import Walk, message, write_old, write_old_legs, write_walk
+from synthetic_walk import Walk, message, write_old, write_walk
 
 from slot_bringup import monitor, play
 from slot_bringup.monitor import listener
@@ -75,7 +75,9 @@ def test_every_sensor_message_arrives_as_it_was_recorded(received):
 def test_a_message_of_before_its_last_field_arrives_in_a_form_that_nodes_can_read(
     tmp_path,
 ):
-    old_legs = write_old_legs(tmp_path / "legs", np.arange(24.0).reshape(4, 2, 3))
+    shape = {"nodes": 2, "position": np.arange(24.0)}
+    legs = message("/ground_truth/legs", 1.0, **shape)
+    old_legs = write_old(tmp_path / "legs", "/ground_truth/legs", legs)
     (entry,) = play.entries(Bag(old_legs), 0.0)
     legs = deserialize_message(entry.data, LegStates)
     assert (legs.nodes, [*legs.position], [*legs.director]) == (2, [*range(24)], [])

@@ -6,7 +6,7 @@ import pytest
 from slot_core.gait.reference import moved
 
 pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
-from slot_lab.learning.course import PLACE, Course
+from slot_lab.learning.rewards import PLACE, Course
 from slot_lab.learning.task import make_task
 
 TASK = make_task()

@@ -15,8 +15,7 @@ from slot_bringup.playing.main_page import address, start_server
 from slot_bringup.playing.play_page import PlayPage
 from slot_bringup.playing.robot_display import TALL, WIDE
 from slot_core.safety.states import State
-from slot_lab.play.played_loop import Wishes
-from slot_lab.play.played_robot import PlayedRobot
+from slot_lab.play.played_robot import PlayedRobot, Wishes
 
 pytestmark = [
     pytest.mark.skipif(not PROGRAM, reason="no Chromium: scripts/setup --test has one"),

@@ -6,8 +6,8 @@ from synthetic_walk import STRIDE, Walk, write_walk
 
 from slot_core.recording.bag_error import BagError
 from slot_lab.bags.bag import Bag
-from slot_lab.report import animation
-from slot_lab.report.animation import AnimationError, animate, frame_times
+from slot_lab.report import robot_drawing
+from slot_lab.report.robot_drawing import animate, frame_times
 
 RATE = 30  # Hz, of the leg shapes
 
@@ -20,12 +20,12 @@ def bag(tmp_path_factory):
 def test_it_shows_the_last_strides_without_repeating_its_first_frame(bag):
     times = frame_times(bag)
     assert times[-1] == pytest.approx(Walk().start + 1.6)
-    assert len(times) == round(animation.STRIDES * STRIDE * RATE)
-    assert times[-1] - times[0] < animation.STRIDES * STRIDE
+    assert len(times) == round(robot_drawing.STRIDES * STRIDE * RATE)
+    assert times[-1] - times[0] < robot_drawing.STRIDES * STRIDE
 
 
 def test_the_file_moves_in_a_loop_at_half_the_speed(bag, tmp_path, monkeypatch):
-    monkeypatch.setattr(animation, "frame_times", lambda bag: frame_times(bag)[:3])
+    monkeypatch.setattr(robot_drawing, "frame_times", lambda bag: frame_times(bag)[:3])
     animate(bag, tmp_path / "walk.gif")
     with Image.open(tmp_path / "walk.gif") as plot:
         assert plot.n_frames == 3
@@ -35,11 +35,7 @@ def test_the_file_moves_in_a_loop_at_half_the_speed(bag, tmp_path, monkeypatch):
         )  # GIF: in 10 ms
 
 
-def test_another_kind_of_file_and_a_bag_without_leg_shapes_are_refused(bag, tmp_path):
-    with pytest.raises(
-        AnimationError, match=r"walk\.mp4: expected a name that ends in \.gif"
-    ):
-        animate(bag, tmp_path / "walk.mp4")
+def test_a_bag_without_leg_shapes_is_refused(tmp_path):
     blind = Bag(write_walk(tmp_path / "blind", Walk(duration=0.2, truth=False)))
     with pytest.raises(BagError, match="no topic /ground_truth/legs"):
         animate(blind, tmp_path / "walk.gif")

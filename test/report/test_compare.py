@@ -14,11 +14,8 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.recording.origin import Origin, origin_here
 from slot_lab.bags.bag import Bag
 from slot_lab.report import compare
-from slot_lab.report.compare import Tolerance, compare_figures, exceeded
-from slot_lab.report.compare_plot import plot
-from slot_lab.report.figures import UNITS, figures
-from slot_lab.report.metrics import WalkMetrics, walk_metrics
-from slot_lab.report.origin_changes import origin_lines
+from slot_lab.report.metrics import UNITS, WalkMetrics, figures, walk_metrics
+from slot_lab.report.run_comparison import compare_figures, exceeded, origin_lines, plot
 
 BAGS = Path(__file__).parents[1] / "bags"
 FLAT = Walk(duration=2 * STRIDE)
@@ -59,13 +56,13 @@ def test_differences_of_two_synthetic_walks_are_those_of_their_speeds(walks):
     ("tolerances", "beyond"),
     [
         ((), []),
-        ((Tolerance("mean_v_?", 0.0101),), []),
+        ((("mean_v_?", 0.0101),), []),
         (
-            (Tolerance("mean_v_x", 0.0099),),
+            (("mean_v_x", 0.0099),),
             ["mean_v_x +0.01 m/s, more than 0.0099 m/s"],
         ),
-        ((Tolerance("*", 0.0), Tolerance("*", 0.1)), []),  # the last one counts
-        ((Tolerance("height*", 0.0),), []),
+        ((("*", 0.0), ("*", 0.1)), []),  # the last one counts
+        ((("height*", 0.0),), []),
     ],
 )
 def test_figures_beyond_their_tolerance_are_named(walks, tolerances, beyond):
@@ -80,7 +77,7 @@ def test_a_figure_of_one_bag_only_exceeds_every_tolerance(walks, tmp_path):
     assert math.isinf(
         next(p for p in pairs if p.first.name == "servo_load.FL").difference
     )
-    line = exceeded(pairs, [Tolerance("servo_load.FL", 100.0)])
+    line = exceeded(pairs, [("servo_load.FL", 100.0)])
     assert line == ["beyond the tolerance: servo_load.FL is in one bag only"]
 
 

@@ -2,27 +2,19 @@
 
 import numpy as np
 import pytest
-import synthetic_walk
-from synthetic_walk import WALL, encode, message
+from synthetic_walk import WALL, message, write_messages, write_old
 
-from slot_core.recording import message_types
-from slot_core.recording.bag_writer import BagWriter
-from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.topics import PLANS
 from slot_lab.report import constraint_map
-from slot_lab.report.constraint_map import TOPIC, map_figure, read_map
+from slot_lab.report.constraint_map import map_figure, read_map
 from slot_lab.report.map_command import main
-
-TYPE = "slot_msgs/msg/TendonPlan"
 
 
 def write_cycles(path, cycles):
     """A bag of cycles given by their fields, 30 a second."""
-    with BagWriter(path, read_record_settings()) as bag:
-        for k, fields in enumerate(cycles):
-            built = message(TOPIC, 10.0 + k / 30, **fields)
-            bag.write(TOPIC, TYPE, WALL + k, encode(TOPIC, built))
-    return path
+    plans = [message(PLANS, 10.0 + k / 30, **each) for k, each in enumerate(cycles)]
+    return write_messages(path, [(WALL + k, PLANS, p) for k, p in enumerate(plans)])
 
 
 def cycle(friction=1.0, status=0, balance=np.inf):
@@ -83,34 +75,17 @@ def test_a_single_violated_cycle_shows_in_a_long_walk(tmp_path, monkeypatch):
     assert (shown < 0).sum() == 1
 
 
-@pytest.fixture
-def older_messages(tmp_path, monkeypatch):
-    """The installed message definitions without the field slack_balance."""
-    folder = tmp_path / "share" / "slot_msgs" / "msg"
-    folder.mkdir(parents=True)
-    for path in message_types._message_files():
-        lines = path.read_text().splitlines(keepends=True)
-        kept = [line for line in lines if "slack_balance" not in line]
-        (folder / path.name).write_text("".join(kept))
-    monkeypatch.setenv("AMENT_PREFIX_PATH", str(tmp_path))
-    monkeypatch.setattr(synthetic_walk, "TYPES", message_types.message_types())
-
-
-@pytest.mark.usefixtures("older_messages")
 def test_fields_missing_from_older_messages_are_listed_and_left_out(tmp_path):
-    fields = cycle()
-    del fields["slack_balance"]
-    found = read_map(Bag(write_cycles(tmp_path / "older", [fields] * 30)))
-    assert found.missing == ("slack_balance",)
+    plan = message(PLANS, 1.0, **cycle())
+    found = read_map(Bag(write_old(tmp_path / "older", PLANS, plan, "slack_balance")))
+    assert "slack_balance" in found.missing
     assert not any("balance" in name for name in found.constraints)
 
 
 def test_a_bag_without_forces_is_refused(tmp_path):
-    with BagWriter(tmp_path / "bag", read_record_settings()) as bag:
-        built = message("/odom", 1.0)
-        bag.write("/odom", "nav_msgs/msg/Odometry", WALL, encode("/odom", built))
+    path = write_messages(tmp_path / "bag", [(WALL, "/odom", message("/odom", 1.0))])
     with pytest.raises(BagError, match="holds no messages"):
-        read_map(Bag(tmp_path / "bag"))
+        read_map(Bag(path))
 
 
 def test_the_command_draws_a_bag_and_its_exit_code_reports_violations(

@@ -10,7 +10,7 @@ from synthetic_walk import RATE, STRIDE, Walk, write_walk
 from slot_core.dynamics.servo import read_servo
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_walk import Ticks, TorsoTrack, stride_mean
-from slot_lab.report.metrics import latency, walk_metrics
+from slot_lab.report.metrics import walk_metrics
 
 COURSE = 0.01  # rad
 WALK = Walk(duration=4 * STRIDE + 1.0, course=COURSE, roll=0.1, bounce=0.004)
@@ -108,14 +108,6 @@ def test_injected_latencies_come_out_per_stage(metrics_of):
         "mpc_controller",
         "force_mapper",
     ]
-
-
-def test_percentiles_interpolate_and_ignore_ticks_without_a_message():
-    values = np.append(np.arange(1, 102) / 1e3, np.nan)  # 1 ... 101 ms
-    figures = latency(values)
-    assert (figures.count, figures.max) == (101, 0.101)
-    assert figures.p50 == pytest.approx(0.051)
-    assert figures.p99 == pytest.approx(0.100)
 
 
 def test_late_and_missing_commands_are_misses(metrics_of):

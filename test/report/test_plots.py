@@ -16,14 +16,12 @@ from synthetic_walk import (
     write_walk,
 )
 
-from slot_core.drawing.shapes import bent_legs
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import LEGS
 from slot_core.safety.states import State
-from slot_lab.bags.bag import Bag, BagError, Series
-from slot_lab.report import panels, plots, robot_drawing
+from slot_lab.bags.bag import Bag, Series
+from slot_lab.report import plots, robot_drawing
 from slot_lab.report.metrics import walk_metrics
-from slot_lab.report.robot_drawing import Snapshot, Viewpoint
 
 WALK = Walk(duration=5.0, course=0.02, roll=0.1, bounce=0.004, late=(50,))
 WARM_UP = 1.0
@@ -88,7 +86,7 @@ def test_states_of_the_supervisor_are_named_where_there_is_room():
     series = Series(stamps, stamps, {"state": states})
     bag = SimpleNamespace(counts={"/robot_state": 4}, series=lambda *_: series)
     ax = Figure().subplots()
-    panels.draw_states(ax, bag, 0.0, 10.0)
+    plots.draw_states(ax, bag, 0.0, 10.0)
     assert [text.get_text() for text in ax.texts] == ["IDLE", "WALKING"]
     assert [patch.get_x() for patch in ax.patches] == [0.0, 2.0, 9.9]
 
@@ -103,18 +101,8 @@ def test_slack_map_has_a_row_per_constraint_and_zero_in_the_middle_of_its_colour
     assert mesh.norm(0.0) == pytest.approx(0.5)
 
 
-def test_walk_without_ground_truth_is_plotted_from_the_estimate(tmp_path):
-    bag = Bag(write_walk(tmp_path / "walk", Walk(duration=2.0, truth=False)))
-    figure = plots.dashboard_figure(bag, walk_metrics(bag, 0.5, read_servo()))
-    (path,) = [
-        ax for sub in figure.subfigs for ax in sub.axes if ax.get_label() == "path"
-    ]
-    assert path.get_title(loc="left") == "path, top view (/mpc_state)"
-    assert line(path, "torso")[0][-1] == pytest.approx(0.1, abs=ROUNDING)
-
-
 def test_filmstrip_shows_the_last_stride(bag):
-    times = plots.still_times(bag, 5)
+    times = robot_drawing.still_times(bag, 5)
     assert np.allclose(np.diff(times), STRIDE / 4, atol=1e-6)
     assert times[-1] == pytest.approx(WALK.start + WALK.duration, abs=0.05)
 
@@ -123,62 +111,18 @@ def test_filmstrip_shows_the_last_stride(bag):
 def test_a_plot_is_neither_empty_nor_flooded(bag, metrics, tmp_path, name):
     draw = {
         "dashboard": lambda path: plots.dashboard(bag, metrics, path),
-        "filmstrip": lambda path: plots.filmstrip(bag, path),
+        "filmstrip": lambda path: robot_drawing.filmstrip(bag, path),
     }[name]
     draw(tmp_path / "new" / "walk.png")
     pixels = matplotlib.image.imread(tmp_path / "new" / "walk.png")[..., :3]
     assert 0.03 < float((pixels.min(axis=2) < 0.9).mean()) < 0.6
 
 
-def test_filmstrip_needs_the_leg_shapes(tmp_path):
-    bag = Bag(write_walk(tmp_path / "walk", Walk(duration=0.5, truth=False)))
-    with pytest.raises(BagError, match="no topic /ground_truth/legs"):
-        plots.filmstrip(bag, tmp_path / "robot.png")
-
-
 def test_poses_are_the_recorded_shapes(bag):
-    (pose,) = plots.read_poses(bag, np.array([WALK.start + 2.0]), ROBOT)
+    (pose,) = robot_drawing.read_poses(bag, np.array([WALK.start + 2.0]), ROBOT)
     assert pose.t == pytest.approx(2.0)
     assert np.allclose(pose.position, WALK.position(2.0))
     assert np.allclose(
         pose.legs.nodes, leg_nodes(WALK, 2.0), atol=1e-7
     )  # recorded as float32
     assert pose.force.shape == (4, 3)
-
-
-@pytest.fixture
-def pose():
-    walk, still = Walk(), np.array([0, 0, 0, 1.0])
-    legs = bent_legs(leg_nodes(walk, 0.1), np.zeros((4, 0, 3)), still, ROBOT)
-    return Snapshot(0.0, walk.position(0.0), still, legs, np.eye(4, 3))
-
-
-def area_and_volume(faces):
-    """Vector area and volume inside, by the divergence theorem over two triangles per face."""
-    a, b, c, d = np.moveaxis(faces, 1, 0)
-    area = (np.cross(b - a, c - a) + np.cross(c - a, d - a)).sum(axis=0) / 2
-    six = np.einsum("mi,mi", a, np.cross(b, c)) + np.einsum("mi,mi", a, np.cross(c, d))
-    return area, six / 6
-
-
-def test_solids_are_closed_face_outward_and_have_the_robots_volume(pose):
-    area, volume = area_and_volume(robot_drawing.torso_solid(pose, ROBOT).faces)
-    assert np.allclose(area, 0.0, atol=1e-15)  # closed
-    assert volume == pytest.approx(np.prod(ROBOT.torso.size), rel=1e-12)
-    for nodes, solid in zip(pose.legs.nodes, robot_drawing.leg_solids(pose, ROBOT)):
-        area, volume = area_and_volume(solid.faces)
-        assert np.allclose(area, 0.0, atol=1e-15)
-        length = np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum()
-        thickness = (ROBOT.leg.thickness_clamp + ROBOT.leg.thickness_tip) / 2
-        # Unevenly spaced nodes on a bend: sections are neither equally far apart nor parallel.
-        assert volume == pytest.approx(length * ROBOT.leg.width * thickness, rel=0.1)
-
-
-def test_camera_keeps_lengths_across_its_view_and_drops_those_along_it():
-    camera = Viewpoint(azimuth=-np.pi / 2, elevation=0.0)
-    shown = camera.project(np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0]]))
-    assert np.allclose(shown, [[1, 0], [0, 0], [0, 1]], atol=1e-15)
-    tilted = Viewpoint()
-    basis = tilted.project(np.eye(3))
-    assert np.allclose(basis.T @ basis, np.eye(2), atol=1e-15)  # orthographic
-    assert np.allclose(tilted.project(tilted.toward), 0.0, atol=1e-15)

@@ -15,9 +15,15 @@ from synthetic_walk import NODES, ROBOT, Walk, leg_nodes, normal_forces, write_w
 
 from slot_core.drawing.drawing import NATURAL_NODES
 from slot_lab.bags.bag import Bag
-from slot_lab.report.run_page import run_frames, run_page
-from slot_lab.report.run_page.run_frames import ALONG, NO_VALUE, read_frames
-from slot_lab.report.run_page.run_page import content, page, write_page
+from slot_lab.report.run_page import run_page
+from slot_lab.report.run_page.run_page import (
+    ALONG,
+    NO_VALUE,
+    content,
+    page,
+    read_frames,
+    write_page,
+)
 
 ROOT = Path(__file__).parents[2]
 WALK = Walk(duration=1.0, roll=0.1, bounce=0.004, speed=0.2)
@@ -105,9 +111,9 @@ def test_a_page_holds_every_column_to_half_a_step(frames):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e300, 2.0**31])
 def test_a_value_that_is_not_finite_or_too_large_is_no_value(value):
-    integers = run_frames._integers(np.array([[1.0], [value], [-2.0]]), 1.0)
+    integers = run_page._integers(np.array([[1.0], [value], [-2.0]]), 1.0)
     assert integers[:, 0].tolist() == [1, NO_VALUE, -2]
-    assert unpacked(run_frames._packed(integers), 3, 1)[:, 0].tolist() == [
+    assert unpacked(run_page._packed(integers), 3, 1)[:, 0].tolist() == [
         1,
         NO_VALUE,
         -2,
@@ -118,11 +124,11 @@ def test_quaternions_do_not_change_sides():
     q = np.array(
         [[0.0, 0.0, 0.6, 0.8], [0.0, 0.0, -0.61, -0.79], [0.0, 0.0, 0.62, 0.78]]
     )
-    assert (run_frames._continuous(q)[:, 3] > 0).all()
+    assert (run_page._continuous(q)[:, 3] > 0).all()
 
 
 def test_a_long_run_is_thinned_and_that_is_said(bag, tmp_path, monkeypatch):
-    monkeypatch.setattr(run_frames, "MOST_FRAMES", 10)
+    monkeypatch.setattr(run_page, "MOST_FRAMES", 10)
     line, *_ = write_page([bag], tmp_path / "walk.html")
     assert re.search(r"walk\.html: walk 8 frames \(one of 4\), \d+ kB$", line)
 
@@ -130,9 +136,7 @@ def test_a_long_run_is_thinned_and_that_is_said(bag, tmp_path, monkeypatch):
 def test_curves_that_cannot_be_read_are_left_out_and_that_is_said(bag, tmp_path):
     """The previews of the synthetic walk have no stages."""
     _, line = write_page([bag], tmp_path / "walk.html")
-    assert line.startswith(
-        f"left out: {bag.path}: /gait_preview cannot be used: reference has 0 "
-    )
+    assert line.startswith(f"left out: {bag.path}: /gait_preview cannot be used: ")
 
 
 def test_legs_of_unknown_shape_are_those_without_stress(tmp_path):
@@ -173,19 +177,6 @@ def test_the_name_of_a_bag_cannot_leave_its_place(frames, bag, tmp_path):
     assert text.count("<script") == 4
     shown = json.loads(Elements(text).inside["content"])
     assert shown["runs"][0]["name"] == name
-
-
-def test_the_walk_of_the_documentation_is_a_page_of_today():
-    """Else make it again: scripts/view BAG --html slot_bringup/doc/walk.html."""
-    text = (ROOT / "slot_bringup/doc/walk.html").read_text()
-    shown = json.loads(Elements(text).inside["content"])
-    packed = r'(id="three-\w+">)[^<]*'  # which another zlib packs otherwise
-    now, then = (re.sub(packed, r"\1", html) for html in (page(shown), text))
-    assert now == then
-    for name in ("core", "module"):
-        kept = base64.b64decode(Elements(text).inside[f"three-{name}"])
-        file = run_page.HERE / "three" / f"three.{name}.min.js"
-        assert zlib.decompress(kept) == file.read_bytes()
 
 
 def browsed(path, place, tmp_path):

@@ -31,33 +31,12 @@ def straight_legs(turn):
     return shapes.Legs(np.tile(nodes, (4, 1, 1)), np.tile(directors, (4, 1, 1)))
 
 
-def test_edges_of_a_box_are_its_twelve_and_turn_with_it():
-    size = np.array([1.0, 2.0, 4.0])
-    drawn = shapes.box_edges(PLACE, TURN.as_quat(), size, shapes.SLACK)
-    (points,) = TURN.inv().apply(drawn.points[0] - PLACE)[None]
-    assert np.allclose(np.abs(points), size / 2)
-    steps = np.diff(points, axis=0)
-    assert np.all(
-        (np.abs(steps) > 1e-9).sum(axis=1) == 1
-    )  # along an edge, never across a face
-    middles = (points[1:] + points[:-1]) / 2
-    assert len(np.unique(middles.round(9), axis=0)) == 12
-
-
 def test_stress_free_legs_start_at_the_clamps_and_end_at_the_feet():
     nodes = shapes.natural_legs(PLACE, TURN.as_quat(), ROBOT, 30).nodes
     assert np.allclose(nodes[:, 0], PLACE + TURN.apply(ROBOT.clamps))
     assert np.allclose(nodes[:, -1], PLACE + TURN.apply(ROBOT.feet))
     length = np.linalg.norm(np.diff(nodes, axis=1), axis=2).sum(axis=1)
     assert np.allclose(length, ROBOT.leg.arc_length(), rtol=1e-3)  # 29 chords of an arc
-
-
-def test_legs_are_drawn_around_their_nodes_and_pale_if_the_shape_is_not_known(legs):
-    bars = shapes.leg_bars(legs, ROBOT)
-    assert np.allclose(bars.corners.mean(axis=2), legs.nodes)
-    assert np.array_equal(bars.colours, shapes.LEG_COLOURS)
-    pale = shapes.leg_bars(legs, ROBOT, known=False)
-    assert np.array_equal(pale.colours, np.tile(shapes.SLACK, (4, 1)))
 
 
 def test_a_straight_leg_turned_about_itself_by_90_deg_is_wide_upward_and_thick_sideways():
@@ -72,15 +51,6 @@ def test_a_straight_leg_turned_about_itself_by_90_deg_is_wide_upward_and_thick_s
         assert np.allclose(
             corners[..., 2], 0.01 * np.array([1, -1, -1, 1])
         )  # 20 mm wide
-
-
-def test_a_twisted_leg_turns_its_width_from_node_to_node():
-    bars = shapes.leg_bars(straight_legs(np.linspace(0.0, np.pi / 2, 5)), ROBOT)
-    width = bars.corners[0, :, 1] - bars.corners[0, :, 0]
-    assert np.allclose(np.linalg.norm(width, axis=1), 0.02)
-    angle = np.degrees(np.arctan2(-width[:, 2], -width[:, 1]))
-    # at the ends that of the segment, 90 deg / 8 from the node
-    assert np.allclose(angle, [11.25, 22.5, 45.0, 67.5, 78.75])
 
 
 def test_without_directors_a_leg_is_wide_across_the_plane_of_its_azimuth():
@@ -107,13 +77,6 @@ def test_a_tendon_runs_below_its_leg_at_the_offset_up_to_the_anchor():
     share = along / ROBOT.leg.arc_length()
     # to one node; a line below a leg that bends downwards is shorter than the leg
     assert np.allclose(share, ROBOT.tendon.end_fraction, atol=1.5 / NODES)
-
-
-def test_the_colour_of_a_tendon_goes_with_its_tension_up_to_the_largest(legs):
-    tension = np.array([0.0, 5.0, 10.0, 30.0])
-    colours = shapes.tendon_strips(legs, tension, ROBOT, 10.0).colours
-    middle = (shapes.SLACK + shapes.LOADED) / 2
-    assert np.allclose(colours, [shapes.SLACK, middle, shapes.LOADED, shapes.LOADED])
 
 
 def test_a_force_is_an_arrow_to_scale_from_the_tip_and_a_small_one_is_not_drawn(legs):

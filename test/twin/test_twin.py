@@ -11,12 +11,11 @@ from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_parameters, read_robot
-from slot_lab.bags.measured import TendonAngles
-from slot_lab.bags.recorded_walk import TorsoTrack
+from slot_lab.bags.recorded_walk import TendonAngles, TorsoTrack
 from slot_lab.bags.topics import COMMANDED, MEASURED
 from slot_lab.csv_table import TableError
-from slot_lab.twin import parameter_set, twin, twin_command
-from slot_lab.twin.prediction import PredictedTrack, measured_track, predict, read_parts
+from slot_lab.twin import twin, twin_command, twin_fit
+from slot_lab.twin.prediction import predict, read_parts
 from slot_lab.twin.recorded import COLUMNS, BagRecording, read_recorded
 from slot_lab.twin.settings import read_twin
 from slot_lab.twin.strides import (
@@ -31,9 +30,9 @@ from slot_lab.twin.twin_fit import (
     fit_twin,
     parameter,
     places,
-    serially,
 )
 from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED
+from slot_lab.workers import serially
 
 SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
 PARTS = read_parts("flat")
@@ -58,30 +57,28 @@ def walking_angles():
     return TendonAngles(MEASURED, t, np.clip(angle, 0.0, PARTS.robot.tendon.angle_max))
 
 
-def motion_of(track, noise=0.0):
+def track_of(t, pose, noise=0.0):
+    """Motion with poses (n, 6) at times (n,)."""
+    position, rpy = np.split(np.asarray(pose), 2, axis=1)
     rng = np.random.default_rng(2)
-    position = track.position + rng.normal(scale=noise, size=track.position.shape)
-    rpy = track.rpy + rng.normal(scale=2 * noise, size=track.rpy.shape)
-    quaternion = Rotation.from_euler("ZYX", rpy[:, ::-1]).as_quat()
-    return TorsoTrack("/odom", track.t, position, quaternion, np.zeros_like(position))
+    position = position + rng.normal(scale=noise, size=position.shape)
+    rpy = rpy + rng.normal(scale=2 * noise, size=rpy.shape)
+    quaternion = Rotation.from_euler("xyz", rpy).as_quat()
+    return TorsoTrack("/odom", t, position, quaternion, np.zeros_like(position))
 
 
 def still(t):
-    place, rpy = (
-        np.tile(row, (len(t), 1)) for row in ([0.3, -0.2, 0.04], [0.0, 0.0, 0.5])
-    )
-    return PredictedTrack(t, place, rpy)
+    return track_of(t, np.tile([0.3, -0.2, 0.04, 0.0, 0.0, 0.5], (len(t), 1)))
 
 
 @pytest.fixture(scope="module")
 def recorded():
     """A recorded walk of OTHER that starts somewhere."""
     angles = walking_angles()
-    blank = BagRecording(
-        "walked", angles, motion_of(still(np.arange(0.0, SECONDS, 0.033))), None
-    )
-    moved = predict(blank, OTHER, SETTINGS).at(blank.motion.t[:-1])
-    return dataclasses.replace(blank, motion=motion_of(moved, noise=1e-3))
+    t = np.arange(0.0, SECONDS, 0.033)
+    blank = BagRecording("walked", angles, still(t), None)
+    moved = predict(blank, OTHER, SETTINGS).pose_at(t[:-1])
+    return dataclasses.replace(blank, motion=track_of(t[:-1], moved, noise=1e-3))
 
 
 @pytest.fixture
@@ -100,17 +97,17 @@ def test_measured_angles_are_imposed_whatever_the_load(recorded):
         PARTS, servo=config.replace(PARTS.servo, {"stall_torque": [0.05] * 3})
     )
     first, second = (predict(recorded, parts, SETTINGS) for parts in (PARTS, weak))
-    assert second.columns == pytest.approx(first.columns)
+    assert second.pose == pytest.approx(first.pose)
 
 
 @pytest.mark.parametrize(("angles", "source"), [("", MEASURED), (COMMANDED, COMMANDED)])
 def test_a_recorded_walk_is_predicted_from_its_own_angles(angles, source):
     """Measured ones, else the commands through the servo, whose lag of 0.1 s makes 10 mm."""
     recorded = read_recorded(WALK, angles=angles)
-    measured = measured_track(recorded.motion)
-    found = predict(recorded, PARTS, SETTINGS).at(measured.t)
+    measured = recorded.motion
+    found = predict(recorded, PARTS, SETTINGS).pose_at(measured.t)
     assert recorded.angles.source == source
-    off = np.linalg.norm(found.position - measured.position, axis=1)
+    off = np.linalg.norm(found[:, :3] - measured.position, axis=1)
     # The recording may end before a command.
     inside = measured.t <= (recorded.angles.t[-1] if angles else np.inf)
     assert inside.sum() > 40
@@ -125,8 +122,8 @@ def write_walk(path, recorded):
     angles = [
         (t, *row, *[""] * 6) for t, row in zip(recorded.angles.t, recorded.angles.angle)
     ]
-    pose = measured_track(recorded.motion)
-    poses = [(t, *[""] * 4, *row) for t, row in zip(pose.t, pose.columns)]
+    pose = recorded.motion
+    poses = [(t, *[""] * 4, *row) for t, row in zip(pose.t, pose.pose)]
     rows = [
         ",".join(map(str, row))
         for row in sorted(angles + poses, key=lambda row: row[0])
@@ -140,9 +137,7 @@ def test_a_csv_file_is_the_walk_that_it_holds(recorded, tmp_path):
     assert found.angles.measured
     assert found.angles.t == pytest.approx(recorded.angles.t)
     assert found.angles.angle == pytest.approx(recorded.angles.angle)
-    assert measured_track(found.motion).columns == pytest.approx(
-        measured_track(recorded.motion).columns
-    )
+    assert found.motion.pose == pytest.approx(recorded.motion.pose)
     assert not read_recorded(tmp_path / "walk.csv", angles=COMMANDED).angles.measured
     with pytest.raises(ConfigError, match="--namespace and --motion are of bags"):
         read_recorded(tmp_path / "walk.csv", motion="/odom")
@@ -156,7 +151,7 @@ def test_a_csv_file_is_predicted_and_compared(recorded, tmp_path, capsys):
     text = capsys.readouterr().out
     assert text.splitlines()[-1].startswith("verdict: not explained: chi-square")
     assert "tendon angles       FL, FR, RL, RR (measured)" in text
-    found, of_bag = read_recorded(walk), measured_track(recorded.motion)
+    found, of_bag = read_recorded(walk), recorded.motion
     strides = find_strides(found, read_twin())
     error = stride_errors(predict(found, PARTS, read_twin()), of_bag, strides).summary()
     assert f"{1e3 * error['place']:.3f} mm" in text
@@ -197,26 +192,6 @@ def test_a_csv_file_that_holds_no_walk_is_refused(tmp_path, lines, reason):
     assert reason in str(refusal.value)
 
 
-def test_a_start_that_is_not_recorded_is_forgotten_within_the_run_in(
-    recorded, monkeypatch
-):
-    first = predict(recorded, PARTS, SETTINGS)
-    from slot_lab.twin import prediction  # noqa: PLC0415 - its function is replaced
-
-    place = prediction._place
-
-    def kick(sim, *rest):
-        place(sim, *rest)
-        sim.state.velocity[:] += [0.02, 0.03, -0.02]
-        sim.state.position[2] += 0.004
-
-    monkeypatch.setattr(prediction, "_place", kick)
-    second = predict(recorded, PARTS, SETTINGS)
-    late = first.t > first.t[0] + 5.0
-    off = np.abs(second.columns - first.columns)[late, 2:5]
-    assert off.max() < 5e-4  # m, rad, of a kick of 4 mm
-
-
 def test_strides_begin_with_the_motion_and_have_the_period_of_the_angles(strides):
     period = read_gaits().find("fast_walk").period
     assert strides.period == pytest.approx(period, abs=0.01)
@@ -232,7 +207,7 @@ def test_standing_before_and_after_the_walk_is_no_stride(recorded):
     stands = np.tile(angles.angle[-1], (3000, 1))
     whole = np.vstack([low, waits, angles.angle, stands])
     t = 0.01 * np.arange(len(whole))
-    motion = motion_of(still(t))
+    motion = still(t)
     long = dataclasses.replace(
         recorded, angles=TendonAngles(MEASURED, t, whole), motion=motion, period=0.7
     )
@@ -255,8 +230,7 @@ def test_angles_without_a_period_are_refused(recorded):
 def test_errors_of_strides_are_those_of_the_closed_form(strides):
     t = np.arange(0.0, SECONDS, 0.033)
     slow, fast = (
-        PredictedTrack(t, np.outer(t, [v, 0.0, 0.0]), np.zeros((len(t), 3)))
-        for v in (0.05, 0.06)
+        track_of(t, np.outer(t, [v, 0.0, 0.0, 0.0, 0.0, 0.0])) for v in (0.05, 0.06)
     )
     found = stride_errors(fast, slow, strides).summary()
     assert found["displacement"] == pytest.approx(0.01 * strides.period)
@@ -283,7 +257,7 @@ def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(
 
 def test_the_verdict_knows_the_robot_that_walked_from_another(recorded, strides):
     """The noise of the recording is the uncertainty of the settings."""
-    measured = measured_track(recorded.motion)
+    measured = recorded.motion
     tracks = [predict(recorded, parts, SETTINGS) for parts in (OTHER, PARTS)]
     same, other = (twin.judge(track, measured, strides, SETTINGS) for track in tracks)
     assert same.code == EXPLAINED
@@ -293,13 +267,6 @@ def test_the_verdict_knows_the_robot_that_walked_from_another(recorded, strides)
         tracks[0], measured, strides, SETTINGS, ["scene.floor.friction"]
     )
     assert at_bound.code == NOT_EXPLAINED
-
-
-def test_a_parameter_without_influence_is_named_as_undetermined(recorded, strides):
-    names = places(["scene.floor.torso_friction"])
-    found = fit_twin(recorded, PARTS, names, strides, SETTINGS)
-    assert np.isnan(found.estimate.interval).all()
-    assert parameter_set.undetermined(found.names, found.estimate) == list(names)
 
 
 def test_a_change_for_one_leg_leaves_the_others():
@@ -342,7 +309,7 @@ def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(own_config):
             "tendons.slack": [0.0, -0.0005, 0.0, 0.0],
         },
     }
-    parameter_set.write("mine", content)
+    twin_fit.write_set("mine", content)
     (own_config / "scene" / "mine.yaml").write_text(
         "like: flat\nparameters: mine\nfloor.friction: [0.2, 0.2, 0.2, 0.2]\n"
     )
@@ -354,7 +321,7 @@ def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(own_config):
     assert found.scene.tendons.slack[1] == -0.0005
     assert read_robot().torso.mass == 2.0
     with pytest.raises(ConfigError, match=r"--set mine: .* exists; it stays as it is"):
-        parameter_set.place_of("mine")
+        twin_fit.place_of("mine")
 
 
 def test_a_fit_that_ends_deletes_its_own_trials_only(tmp_path):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slot_lab.validation import time_alignment
+from slot_lab.validation import alignment
+from slot_lab.validation.alignment import align_frames
 from slot_lab.validation.comparison import compare
-from slot_lab.validation.frame_alignment import align_frames
 from slot_lab.validation.recording import PointRecording, PointTrack, RecordingError
 from slot_lab.validation.tables import alignment_lines, report
 
@@ -65,10 +65,10 @@ def test_a_film_too_short_to_tell_has_no_interval():
 
 def test_of_all_candidates_that_overlap_enough_none_a_stride_off_is_taken(monkeypatch):
     measured, _ = film(1.0, 0.0, Rotation.identity())
-    of_motion = time_alignment.candidates
-    monkeypatch.setattr(time_alignment, "candidates", lambda *a: [1e3, *of_motion(*a)])
+    of_motion = alignment.candidates
+    monkeypatch.setattr(alignment, "candidates", lambda *a: [1e3, *of_motion(*a)])
     assert compare(run(), measured).time.offset == pytest.approx(1.0, abs=0.01)
-    monkeypatch.setattr(time_alignment, "candidates", lambda *_: [1e3])
+    monkeypatch.setattr(alignment, "candidates", lambda *_: [1e3])
     with pytest.raises(RecordingError, match="only 0 samples of the measurement"):
         compare(run(), measured)
 

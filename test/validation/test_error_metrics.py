@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slot_lab.validation.error_metrics import errors
+from slot_lab.validation.comparison import errors
 
 T = np.arange(3000) / 100.0
 

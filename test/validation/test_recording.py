@@ -4,21 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_walk import TOPICS, encode, message
+from synthetic_walk import message, write_messages
 
-from slot_core.recording.bag_writer import BagWriter
-from slot_core.recording.record_settings import read_record_settings
-from slot_lab.csv_table import TableError
-from slot_lab.film.track import write_tracks
-from slot_lab.film.tracker import MarkerSample
+from slot_lab.bags.topics import ESTIMATE, LEG_STATES
+from slot_lab.csv_table import TableError, write_points
 from slot_lab.validation import validate
-from slot_lab.validation.recording import read_recording, write_points
+from slot_lab.validation.recording import read_recording
 from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED
 
 EXAMPLE = Path(__file__).parents[2] / "slot_bringup" / "example"
 ROWS = [f"{n / 30:.4f},0.1,0.0,{0.01 * n}" for n in range(10)]
 HEAD = "time,x,y,z"
-LATER = np.array([0.01, 0.0, 0.0, 0.0])
 
 
 @pytest.fixture
@@ -47,16 +43,15 @@ def test_an_attitude_is_read_and_yaw_unwrapped(csv):
 
 
 def test_written_points_are_read_again(tmp_path):
-    rows = np.column_stack(
-        [np.arange(10) / 30, np.ones(10), np.zeros(10), np.arange(10) / 100]
-    )
-    write_points(
-        tmp_path / "p.csv", {"torso": rows, "FL_tip": rows + LATER}, ["a", "b"]
-    )
+    rows = [(n / 30, "torso", np.array([1.0, 0.0, n / 100])) for n in range(10)]
+    rows += [(t + 0.01, "FL_tip", place) for t, _, place in rows]
+    write_points(tmp_path / "p.csv", rows, ["a", "b"])
     points = read_recording(tmp_path / "p.csv").points
     assert set(points) == {"torso", "FL_tip"}
     assert points["FL_tip"].t[0] == pytest.approx(0.01)
-    assert points["torso"].position == pytest.approx(rows[:, 1:])
+    assert points["torso"].position == pytest.approx(
+        np.array([place for _, _, place in rows[:10]])
+    )
 
 
 @pytest.mark.parametrize(
@@ -72,8 +67,8 @@ def test_written_points_are_read_again(tmp_path):
         ([HEAD, *ROWS, "0.4,nan,0,0"], r"line 12, x: 'nan' is not a finite number"),
         ([HEAD, *ROWS, "0.4,,0,0"], r"line 12, x: '' is not a finite number"),
         ([HEAD, *ROWS, "0.4,0,0"], "line 12: 3 cells, 4 columns"),
-        ([HEAD, *ROWS, ROWS[-1]], "line 12: torso repeats the time of line 11"),
-        ([HEAD, *ROWS, ROWS[4]], "line 12: torso is earlier than line 11"),
+        ([HEAD, *ROWS, ROWS[-1]], "line 12, time: does not increase after line 11"),
+        ([HEAD, *ROWS, ROWS[4]], "line 12, time: does not increase after line 11"),
         (["time,point,x,y,z", "0,nose,1,2,3"], r"line 2, point: 'nose' is unknown"),
     ],
 )
@@ -114,12 +109,9 @@ def test_tracks_in_the_axes_of_a_camera_are_only_compared_with_a_free_rotation(
     tmp_path, capsys, refusal
 ):
     t = np.arange(60) / 30
-    samples = [
-        MarkerSample(x, "torso", np.array([0.05 * x, 0.0, 0.01 * np.sin(9 * x)]))
-        for x in t
-    ]
+    samples = [(x, "torso", np.array([0.05 * x, 0.0, 0.01 * np.sin(9 * x)])) for x in t]
     for frame in ("odom", "camera_link"):
-        write_tracks(tmp_path / f"{frame}.csv", samples, frame)
+        write_points(tmp_path / f"{frame}.csv", samples, [f"frame: {frame}"])
     odom, camera = (str(tmp_path / f"{frame}.csv") for frame in ("odom", "camera_link"))
     out = ["--out", str(tmp_path / "out")]
     line = refusal(validate.main, odom, camera, *out)
@@ -136,13 +128,8 @@ def test_legs_of_two_nodes_have_no_points(tmp_path):
     """The tabulated robot's clamp and foot say nothing about the leg between them."""
     entries = []
     for n in range(12):
-        legs = message("/ground_truth/legs", n / 30, nodes=2)
-        legs.position = np.zeros(24, np.float32)
-        state = message("/mpc_state", n / 30)
-        entries += [("/ground_truth/legs", legs), ("/mpc_state", state)]
-    with BagWriter(tmp_path / "bag", read_record_settings()) as out:
-        for n, (topic, built) in enumerate(entries):
-            out.write(topic, TOPICS[topic], n, encode(topic, built))
-    found = read_recording(tmp_path / "bag")
+        legs = message(LEG_STATES, n / 30, nodes=2, position=np.zeros(24))
+        entries += [(n, LEG_STATES, legs), (n, ESTIMATE, message(ESTIMATE, n / 30))]
+    found = read_recording(write_messages(tmp_path / "bag", entries))
     assert set(found.points) == {"torso"}
-    assert found.notes == ("legs of 2 nodes: no points along them",)
+    assert found.notes == ["legs of 2 nodes: no points along them"]

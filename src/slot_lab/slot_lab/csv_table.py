@@ -6,14 +6,17 @@ Lines that begin with # are comments. Errors name file, line, column and cause.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.refusal import InputError, quoted, read_text
+from slot_core.robot import POINT_COLUMNS
 
+PointRow = tuple[float, str, Array]  # time, s; name of a point; place (3,), m
 SIZE_MAX = 200_000_000  # bytes of a file
 
 
@@ -53,6 +56,22 @@ class Table:
     rows: tuple[CsvRow, ...]
 
 
+def increasing_numbers(
+    rows: Sequence[CsvRow], names: Sequence[str], hint: str = ""
+) -> Array:
+    """Numbers (n, m) of the columns `names`, the first of which has to increase.
+
+    Raises TableError for another order, and for a cell without a finite number.
+    """
+    cells = [[row.number(name, hint) for name in names] for row in rows]
+    values = np.reshape(cells, (len(rows), len(names)))
+    for before, row, step in zip(rows, rows[1:], np.diff(values[:, 0])):
+        if step <= 0.0:
+            after = f"does not increase after line {before.line}"
+            raise TableError(f"{row.where}, {names[0]}: {after}")
+    return values
+
+
 def read_table(path: Path) -> Table:
     """Read a file; raises TableError, also for a row with more or fewer cells than columns."""
     try:
@@ -78,6 +97,16 @@ def read_table(path: Path) -> Table:
             raise TableError(f"{where}: {len(cells)} cells, {len(columns)} columns")
         rows.append(CsvRow(number, where, dict(zip(columns, cells))))
     return Table(tuple(comments), head, tuple(columns), tuple(rows))
+
+
+def write_points(path: Path, rows: Iterable[PointRow], comments: Sequence[str]) -> None:
+    """Write places of points as CSV: time, point, x, y, z, in s and m; raises OSError."""
+    with path.open("w", newline="") as file:
+        file.writelines(f"# {comment}\n" for comment in comments)
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(POINT_COLUMNS)
+        for time, name, place in rows:
+            writer.writerow([f"{time:.6f}", name, *(f"{v:.6f}" for v in place)])
 
 
 def _lines(path: Path, text: str) -> Iterator[tuple[int, str, list[str]]]:

@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, TypeVar
 
 LOOPBACK = "127.0.0.1"
@@ -51,3 +52,18 @@ def gather(
 ) -> list[Result]:
     """Results of a call for each of the items, in their order."""
     return list(client.gather(client.map(call, list(items), pure=False)))
+
+
+def serially(call: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+    """As `gather`, one after the other in this process."""
+    return [call(item) for item in items]
+
+
+@contextmanager
+def mapper(scheduler: str, count: int | None) -> Iterator[Callable[..., list[Any]]]:
+    """`gather` by `workers`, or `serially` for one local process."""
+    if count == 1 and not scheduler:
+        yield serially
+        return
+    with workers(scheduler, count) as client:
+        yield partial(gather, client)

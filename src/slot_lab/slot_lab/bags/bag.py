@@ -1,7 +1,8 @@
 """Bags: rosbag2 recordings in MCAP or SQLite, read as NumPy arrays.
 
 A bag contains its message definitions, so it stays readable when slot_msgs changes. The time of a
-message is its publisher's wall clock at publication; its stamp is graph time.
+message is its publisher's wall clock at publication; its stamp is graph time. A recording that did
+not end is mended: its intact part is copied, and gets an index.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import dataclasses
 import functools
 import heapq
 import operator
+import shutil
+import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -18,6 +21,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader, storage_mcap
@@ -28,14 +33,13 @@ from slot_core.clock import to_seconds
 from slot_core.recording.bag_error import BagError, NoFieldError
 from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.message_types import Types, add_installed, types_inside
-from slot_core.recording.origin import Origin
+from slot_core.recording.origin import ORIGIN, Origin
 from slot_core.recording.record_settings import (
     RecordedTopic,
     read_record_settings,
     root_of,
 )
 from slot_core.refusal import one_line, read_text, require_regular
-from slot_lab.bags.repair import is_complete, read_origin, repaired
 
 __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 
@@ -46,6 +50,7 @@ METADATA_MAX = 10_000_000  # bytes of metadata.yaml
 _mcap: Any = storage_mcap
 _mcap.parse_qos = functools.lru_cache(64)(_mcap.parse_qos)
 SPARE = 64  # bytes at the end of a message, beyond its own, at most
+MAGIC = b"\x89MCAP0\r\n"  # at both ends of a whole file
 
 
 @dataclass(frozen=True)
@@ -224,7 +229,7 @@ class Bag:
     def series(self, topic: str, *fields: str) -> Series:
         """Fields (dotted, as `pose.pose.position`) as arrays over the messages of a topic.
 
-        A field that is a message becomes the vector of its own fields, so a Vector3[4] is (n, 4, 3)
+        A field that is a message becomes the vector of its fields, so a Vector3[4] is (n, 4, 3)
         and a quaternion (n, 4) in the order x y z w. Raises NoFieldError if the type lacks a
         field, BagError if the field's shape changes.
         """
@@ -371,3 +376,81 @@ def _plain(value: Any) -> Any:
         names = [f.name for f in dataclasses.fields(value) if f.name != "__msgtype__"]
         return [_plain(getattr(value, name)) for name in names]
     return value
+
+
+def is_complete(file: Path) -> bool:
+    """Whether a file of a bag was finished; true if it was never an MCAP or SQLite file."""
+    if file.suffix == ".db3":
+        return not _write_ahead_log(file).exists()
+    with file.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            return True
+        stream.seek(-len(MAGIC), 2)
+        return stream.read() == MAGIC
+
+
+def repaired(file: Path, directory: Path) -> Path:
+    """Whole copy of an unfinished file, in a new directory; raises OSError."""
+    if file.suffix == ".db3":
+        return _mended_database(file, directory)
+    with BagWriter(directory, read_record_settings(), read_origin(file)) as bag:
+        topics: dict[int, tuple[str, str]] = {}
+        schemas: dict[int, Schema] = {}
+        for record in _whole_records(file):
+            if isinstance(record, Schema):
+                schemas[record.id] = record
+            elif isinstance(record, Channel) and record.id not in topics:
+                schema = schemas[record.schema_id]
+                digest = record.metadata.get("topic_type_hash", "")
+                kind = MessageType(
+                    schema.name, schema.data.decode(), schema.encoding, digest
+                )
+                topics[record.id] = record.topic, kind.name
+                bag.add_topic(record.topic, kind)
+            elif isinstance(record, Message):
+                bag.write(*topics[record.channel_id], record.log_time, record.data)
+    return directory / f"{directory.name}.mcap"
+
+
+def read_origin(file: Path) -> Origin:
+    """Origin in an MCAP file, finished or not: the metadata before its first chunk."""
+    about, files = {}, {}
+    for record in _whole_records(file, emit_chunks=True):
+        if isinstance(record, Metadata) and record.name == ORIGIN:
+            about = record.metadata
+        elif isinstance(record, Attachment):
+            files[record.name] = record.data
+        elif not isinstance(record, (Metadata, Header)):
+            break
+    return Origin(about, files)
+
+
+def _whole_records(file: Path, emit_chunks: bool = False) -> Iterator[Any]:
+    """Records up to the first truncated or damaged one."""
+    with file.open("rb") as stream:
+        records = StreamReader(
+            stream, emit_chunks=emit_chunks, validate_crcs=True
+        ).records
+        while True:
+            try:
+                record = next(records)
+            except (
+                Exception
+            ):  # of the library, struct, zstd and lz4: where the recording ended
+                return
+            yield record
+
+
+def _mended_database(file: Path, directory: Path) -> Path:
+    """Copy of a database with the messages that are still in its write-ahead log."""
+    directory.mkdir()
+    copy = Path(shutil.copy(file, directory))
+    shutil.copy(_write_ahead_log(file), _write_ahead_log(copy))
+    database = sqlite3.connect(copy)
+    database.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    database.close()
+    return copy
+
+
+def _write_ahead_log(file: Path) -> Path:
+    return file.with_name(f"{file.name}-wal")

@@ -13,10 +13,10 @@ from slot_core.clock import to_seconds
 from slot_core.messages import decode
 from slot_core.progress import untold
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.recorded_stages import RecordedStages
-from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, Replayed
+from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, RecordedStages, Replayed
 from slot_lab.bags.topics import OUTPUTS
 
+LACKING = "the bag holds no"
 MID_RUN = "the bag begins mid-run, after what the state depends on"
 
 
@@ -42,29 +42,18 @@ class StageComparison:
     """Result of comparing recorded and replayed messages of one topic."""
 
     topic: str
+    why: str = ""  # nothing was compared
     compared: int = 0
     largest: float = 0.0  # largest difference of any field
     first: Difference | None = None  # beyond the tolerance
-    missing: tuple[str, ...] = ()  # topics that the bag lacks for the comparison
-    why: str = ""  # nothing was compared, though the bag holds the topics
-    begin: int = (
-        0  # ns, stamp of the first message compared where earlier ones are not; else 0
-    )
-    gaps: int = (
-        0  # later messages that are not compared, because the bag lacks what they need
-    )
-    lost: str = ""  # the first of what it lacks
-    nodes: tuple[str, ...] = ()  # of a user's own, which published the topic
-
-    @property
-    def left_out(self) -> str:
-        """Why nothing was compared; empty if it was."""
-        lacking = f"the bag holds no {', '.join(self.missing)}" if self.missing else ""
-        return lacking or self.why
+    begin: int = 0  # ns, stamp of the first message compared; 0: the bag's first
+    gaps: int = 0  # later messages whose inputs the bag lacks
+    lost: str = ""  # the first of these inputs
+    nodes: Sequence[str] = ()  # of a user, which published the topic
 
     def __str__(self) -> str:
-        if self.left_out:
-            return f"{self.topic:<25}    - left out: {self.left_out}"
+        if self.why:
+            return f"{self.topic:<25}    - left out: {self.why}"
         line = f"{self.topic:<25}{self.compared:5d} compared, largest difference {self.largest:.1e}"
         if self.begin:
             line += f", from {to_seconds(self.begin):.3f} s on"
@@ -93,17 +82,14 @@ def check_bag(
     comparisons = []
     for topic, stage in STAGES.items():
         tell(topic)
-        missing = [name for name in (topic, *stage.inputs) if not bag.counts.get(name)]
-        if topic == "/gait_preview" and recorded.lost_path:
-            missing.append(recorded.lost_path)
-        why = _reason(recorded, topic, only, skip)
-        found = StageComparison(topic, missing=tuple(missing), why=why)
-        if not found.left_out:
-            found = compare(recorded, topic, stage.replay(recorded), tolerance)
-        comparisons.append(found)
-    if all(comparison.missing for comparison in comparisons):
+        if why := _reason(recorded, topic, only, skip):
+            comparisons.append(StageComparison(topic, why))
+        else:
+            replayed = stage.replay(recorded)
+            comparisons.append(compare(recorded, topic, replayed, tolerance))
+    if all(c.why.startswith(LACKING) for c in comparisons):
         raise BagError(f"{bag.path}: holds no stage together with its input")
-    if all(comparison.left_out for comparison in comparisons):
+    if all(c.why for c in comparisons):
         why = MID_RUN if any(c.why == MID_RUN for c in comparisons) else "left out"
         raise BagError(f"{bag.path}: {why}; no stage can be compared")
     return comparisons
@@ -112,14 +98,20 @@ def check_bag(
 def _reason(
     recorded: RecordedStages, topic: str, only: Collection[str], skip: Collection[str]
 ) -> str:
-    """Reason why a stage is not compared though the bag may hold its inputs; else empty."""
+    """Reason why a stage is not compared; else empty."""
+    inputs = (topic, *STAGES[topic].inputs)
+    lacking = [name for name in inputs if not recorded.bag.counts.get(name)]
+    if topic == "/gait_preview" and recorded.lost_path:
+        lacking.append(recorded.lost_path)
+    if lacking:
+        return f"{LACKING} {', '.join(lacking)}"
     node = OUTPUTS[topic]
     if node in skip or (only and node not in only):
         return f"--{'only' if only else 'skip'} {' '.join(only or skip)}"
-    if not only and (own := recorded.own_nodes(topic)):
-        return f"published by {', '.join(own)}, not by our {node}"
+    if not only and (others := recorded.own_nodes(topic)):
+        return f"published by {', '.join(others)}, not by our {node}"
     if not only and any(recorded.records.values()) and not recorded.records[node]:
-        return f"the bag holds no record of {node}, as if another node had published it"
+        return f"no record of {node} in the bag, as if another node had published it"
     return MID_RUN if topic in REMEMBERING and recorded.begins_mid_run else ""
 
 
@@ -170,10 +162,16 @@ def compare(
             raise BagError(
                 f"{recorded.bag.path}: holds no {topic} together with its input"
             )
-        return StageComparison(topic, why=MID_RUN)
-    nodes = tuple(recorded.own_nodes(topic))
+        return StageComparison(topic, MID_RUN)
     return StageComparison(
-        topic, compared, largest, first, (), "", begin, gaps, replayed.lost, nodes
+        topic,
+        compared=compared,
+        largest=largest,
+        first=first,
+        begin=begin,
+        gaps=gaps,
+        lost=replayed.lost,
+        nodes=recorded.own_nodes(topic),
     )
 
 

@@ -20,10 +20,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import CommandParser, refuse, show
+from slot_core.command_line import CommandParser
 from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError, quoted
 from slot_lab.bags.topics import OUTPUTS
+from slot_lab.desk_command import Outcome, run_command
 
 TOLERANCE = 1e-6
 """Default of the largest difference, in the field's SI unit. Equal versions give none, on every
@@ -49,17 +50,21 @@ def _renaming(text: str) -> tuple[str, str]:
 def add_bag_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the bag, its namespace and the new names of its topics."""
     add = parser.add_argument
-    place = "directory of the bag, or one .mcap or .db3 file"
-    add("bag", type=Path, metavar="BAG", help=place)
+    add(
+        "bag",
+        type=Path,
+        metavar="BAG",
+        help="directory of the bag, or one .mcap or .db3 file",
+    )
     add("--namespace", default="", metavar="NAME", help="of the recorded graph")
-    new = "read the bag's topic OLD as NEW, for example /camera/odom:=/odom; may be repeated"
     add(
         "--remap",
         type=_renaming,
         action="append",
         default=[],
         metavar="OLD:=NEW",
-        help=new,
+        help="read the bag's topic OLD as NEW, for example /camera/odom:=/odom; may be"
+        " repeated",
     )
 
 
@@ -71,13 +76,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog="With --live it plays the sensors into running nodes: scripts/replay --live --help",
     )
     add_bag_arguments(parser)
-    add, size = (
-        parser.add_argument,
-        "largest difference, in SI units (default: %(default)g)",
+    add = parser.add_argument
+    add(
+        "--tolerance",
+        type=_tolerance,
+        default=TOLERANCE,
+        metavar="N",
+        help="largest difference, in SI units (default: %(default)g)",
     )
-    add("--tolerance", type=_tolerance, default=TOLERANCE, metavar="N", help=size)
-    own = "file of the policy, if it is one of your own, or onnx:FILE"
-    add("--policy", default="", metavar="FILE", help=own)
+    add(
+        "--policy",
+        default="",
+        metavar="FILE",
+        help="file of the policy, if it is a user's, or onnx:FILE",
+    )
     some = parser.add_mutually_exclusive_group()
     for name, text in (("--skip", "leave out"), ("--only", "compare nothing but")):
         some.add_argument(
@@ -87,34 +99,37 @@ def main(arguments: Sequence[str] | None = None) -> int:
             default=[],
             help=f"{text} this stage; may be repeated",
         )
-    left = "only write what is left of it as a new bag in DIR"
-    add("--mend", type=Path, metavar="DIR", help=left)
-    options = parser.parse_args(arguments)
-    from slot_lab.bags.bag import Bag  # noqa: PLC0415 - heavy
+    add(
+        "--mend",
+        type=Path,
+        metavar="DIR",
+        help="only write what is left of it as a new bag in DIR",
+    )
+    return run_command(parser, parser.parse_args(arguments), _replay)
+
+
+def _replay(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
+    """Replay a bag, or mend it; raises BagError, ConfigError."""
+    from slot_lab.bags.bag import Bag, BagError  # noqa: PLC0415 - heavy
     from slot_lab.bags.check_bag import check_bag  # noqa: PLC0415
 
+    bag = Bag(options.bag, options.namespace, dict(options.remap))
+    if options.mend:
+        bag.save(options.mend)
+        return [f"wrote {options.mend}"], 0
+    chosen = options.only, options.skip
     try:
-        bag = Bag(options.bag, options.namespace, dict(options.remap))
-        if options.mend:
-            bag.save(options.mend)
-            return 0
-        chosen = options.only, options.skip
-        with ProgressLine(parser.prog) as progress:
-            comparisons = check_bag(
-                bag, options.tolerance, options.policy, *chosen, tell=progress
-            )
-    except InputError as error:
-        refuse(parser.prog, error)
-        return 2
+        comparisons = check_bag(
+            bag, options.tolerance, options.policy, *chosen, tell=progress
+        )
+    except InputError:
+        raise
     except ValueError as error:  # a recorded message that its node has rejected
-        refuse(parser.prog, f"{options.bag}: cannot be replayed: {error}")
-        return 2
+        raise BagError(f"{options.bag}: cannot be replayed: {error}") from None
     differences = [c.first for c in comparisons if c.first is not None]
     lines = [*bag.lines(), *map(str, comparisons)]
-    lines += [f"first difference: {differences[0]}"] if differences else []
-    if not show(parser.prog, lines):
-        return 2
-    return 1 if differences else 0
+    lines += [f"first difference: {found}" for found in differences[:1]]
+    return lines, 1 if differences else 0
 
 
 if __name__ == "__main__":

@@ -17,30 +17,25 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import command_parser, positive_integer, show
-from slot_core.progress import ProgressLine
+from slot_core.command_line import command_parser, positive_integer
+from slot_lab.desk_command import run_command
 from slot_lab.verdict import EXIT_CODES
 
 FREE = ("leg.young_modulus", "tendon.offset", "tendon.cable_stiffness", "tendon.slack")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/calibrate`: prints a table and the verdict, returns its exit code.
+    """Command line of `scripts/calibrate`: prints a table and the verdict.
 
-    Ends with exit code 2 and one line of error for invalid data, settings or arguments.
+    Returns its exit code, 2 for invalid data, settings or arguments.
     """
     parser = _parser()
     options = parser.parse_args(arguments)
     if options.plot and options.plot.suffix != ".png":
         parser.error(f"--plot {options.plot}: the name of a plot ends in .png")
-    from slot_lab.calibration.calibrate import ERRORS, run  # noqa: PLC0415 - heavy
+    from slot_lab.calibration.calibrate import run  # noqa: PLC0415 - heavy
 
-    try:
-        with ProgressLine(parser.prog) as progress:
-            lines, verdict = run(options, progress)
-    except ERRORS as error:
-        parser.error(str(error))
-    return verdict.code if show(parser.prog, [*lines, "", verdict.line]) else 2
+    return run_command(parser, options, run)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -49,16 +44,26 @@ def _parser() -> argparse.ArgumentParser:
     add("data", type=Path, metavar="FILE", help="measurements")
     add("--out", type=Path, metavar="FILE", help="parameter file to write (YAML)")
     add("--plot", type=Path, metavar="FILE", help="plot to write")
-    free = "parameters to fit (default: " + " ".join(FREE) + ")"
-    add("--free", nargs="+", metavar="NAME", default=FREE, help=free)
+    add(
+        "--free",
+        nargs="+",
+        metavar="NAME",
+        default=FREE,
+        help=f"parameters to fit (default: {' '.join(FREE)})",
+    )
     add(
         "--start",
         metavar="NAME",
         default="paper",
         help="set of config/parameters to start from",
     )
-    starts = "starts of the fit, scattered about the first (default: 8)"
-    add("--starts", type=positive_integer, metavar="N", default=8, help=starts)
+    add(
+        "--starts",
+        type=positive_integer,
+        metavar="N",
+        default=8,
+        help="starts of the fit, scattered about the first (default: 8)",
+    )
     add(
         "--evaluate",
         action="store_true",

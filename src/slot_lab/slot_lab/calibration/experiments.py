@@ -1,6 +1,6 @@
 """Predictions of the measurements: the single-leg tests of `data.py` on the simulated leg.
 
-The floor is that of the scene `flat`, with the friction of the measurement. The tests are
+The scene is `flat`, with the friction of the measurement. The tests are
 quasi-static: inertia is negligible and friction has its Coulomb value. The result depends on the
 history of the motion, so the simulation follows it from rest. The tests load a leg in its plane
 alone, which it does not leave.
@@ -24,6 +24,7 @@ from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY, LEGS, RobotParameters
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.calibration.data import Datum
+from slot_lab.calibration.fit import PredictionError
 from slot_lab.csv_table import TableError
 from slot_lab.leg_tests.held_leg import HeldLeg
 from slot_lab.leg_tests.leg_map import StaticLeg
@@ -46,10 +47,6 @@ class ExperimentSettings:
     pull_rate_deg: float = quantity(
         "of force_angle: rate of the tendon angle", "deg/s", 0.1, 1000
     )
-
-
-class PredictionError(RuntimeError):
-    """The simulation of a measurement failed; the message names the test and the cause."""
 
 
 def read_settings() -> ExperimentSettings:

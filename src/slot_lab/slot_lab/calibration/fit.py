@@ -8,7 +8,7 @@ and covariance C = s^2 (J^T J)^-1, the interval of a coordinate is u +- t sqrt(C
 Student's distribution at n - rank degrees of freedom (Seber and Wild, Nonlinear Regression, 1989,
 ch. 5). It linearises the model and neglects the bounds: at a bound it is a rough estimate.
 
-Residuals that belong together, as those of a stride, form one of K groups. With g_k = J_k^T r_k,
+Residuals that belong together, as a stride's, form one of K groups. With g_k = J_k^T r_k,
 
     C = K / (K - rank) (J^T J)^-1 (sum_k g_k g_k^T) (J^T J)^-1
 
@@ -23,7 +23,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,37 +32,39 @@ from scipy.stats import t as student
 from slot_core.arrays import Array
 from slot_core.config import ConfigError, leaves
 from slot_core.progress import untold
+from slot_core.refusal import InputError
 from slot_core.robot import RobotParameters
-from slot_lab.calibration.experiments import PredictionError
+from slot_lab.workers import serially
 
 LEVEL = 0.95  # of the intervals
-STEP = (
-    0.01  # of a coordinate in central differences; wide, because predictions have kinks
-)
+STEP = 0.01  # of a coordinate in central differences; wide: predictions have kinks
 # A singular value of the scaled Jacobian below this part of the largest is taken as zero:
 # differences of simulated values have about four digits.
 RANK = 1e-4
-NULL_SHARE = (
-    1e-3  # share of a parameter in a null direction above which it is undetermined
-)
-FAILED_RESIDUAL = (
-    1e6  # residual of a trial whose prediction fails, so that it is rejected
-)
-TOLERANCE = 1e-5  # of the last step of the coordinates and the last decrease of the sum of squares
-EDGE = 1e-6  # of a coordinate; the search stays off the bounds, a result this close is at its bound
+NULL_SHARE = 1e-3  # share of a parameter in a null direction that makes it undetermined
+FAILED_RESIDUAL = 1e6  # of a trial whose prediction fails, so that it is rejected
+TOLERANCE = 1e-5  # of the last step of the coordinates and the last decrease of the sum
+EDGE = 1e-6  # of a coordinate; a result this close to a bound is at its bound
 TRIALS = 60  # evaluations of a start, at most
-SCATTER = (
-    1.0  # of the coordinates of further starts: a factor e, or the width of the bounds
+BEST_CONVERGED = (
+    "well: the best start converged; a start that was stopped found nothing better"
 )
+BEST_STOPPED = (
+    "not well: the best start was stopped while its sum of squares still fell; give more"
+    " --starts, or continue the fit from the parameters that it found"
+)
+SCATTER = 1.0  # of further starts: a factor e, or the width of the bounds
 
 Predict = Callable[[Array], Array]  # values of the parameters (p,) to predictions (n,)
-PredictAll = Callable[
-    [Sequence[Array]], Sequence[Array]
-]  # the same of several, in parallel
+RunAll = Callable[[Predict, Sequence[Array]], Sequence[Array]]  # of several points
 
 
-class FitError(RuntimeError):
+class FitError(InputError):
     """The fit failed; the message names the cause."""
+
+
+class PredictionError(InputError):
+    """The simulation of a measurement failed; the message names the test and the cause."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ class FitProblem:
     predict: Predict
     measured: Array  # (n,)
     sigma: Array  # (n,)
-    predict_all: PredictAll | None = None  # by default one after the other
+    run_all: RunAll = serially
 
     def coordinates(self, values: Sequence[float] | Array) -> Array:
         """(p,) coordinates of values (p,)."""
@@ -111,7 +112,8 @@ class FitProblem:
 
     def residuals(self, u: Array) -> Array:
         """(n,) residuals (predicted - measured) / sigma at u (p,); raises PredictionError."""
-        return (self.predict(self.allowed(u)) - self.measured) / self.sigma
+        (predicted,) = self.run_all(self.predict, [self.allowed(u)])
+        return (predicted - self.measured) / self.sigma
 
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,) of the coordinates."""
@@ -126,11 +128,7 @@ class FitProblem:
         np.fill_diagonal(down, np.maximum(u - STEP, low))
         try:
             points = [self.allowed(point) for point in (*up, *down)]
-            found = (
-                self.predict_all(points)
-                if self.predict_all
-                else [*map(self.predict, points)]
-            )
+            found = self.run_all(self.predict, points)
         except PredictionError as error:
             raise FitError(f"no derivative: {error}") from None
         change = np.array(found[: len(u)]) - np.array(found[len(u) :])
@@ -148,7 +146,7 @@ class FitResult:
 
 @dataclass(frozen=True)
 class ParameterEstimate:
-    """Parameters with intervals and correlation; those of undetermined parameters are NaN.
+    """Parameters with intervals and correlation; NaN for undetermined parameters.
 
     A parameter is undetermined if the data do not depend on it, or if its interval contains both
     of its bounds.
@@ -204,40 +202,30 @@ def fit(
     """
     rng = np.random.default_rng(0)
     first = problem.coordinates([p.start for p in problem.parameters])
-    low, high = problem.bounds()
     best, reason, stopped = None, "", 0
     for k in range(starts):
+        name = f"start {k + 1} of {starts}"
         shift = SCATTER * rng.uniform(-1.0, 1.0, len(first)) if k else 0.0
+        start = np.clip(first + shift, *problem.bounds())
         try:
-            trial = partial(_trial, tell, f"start {k + 1} of {starts}")
-            found = _fit_from(problem, np.clip(first + shift, low, high), trial)
+            found = _fit_from(problem, start, partial(_tell_trial, tell, name))
         except FitError as error:
             reason = str(error)
-            say(f"start {k + 1} of {starts}: {error}")
+            say(f"{name}: {error}")
             continue
         end = "converged" if found.converged else f"stopped after {TRIALS} trials"
-        say(f"start {k + 1} of {starts}: sum of squares {found.chi_square:.6g}, {end}")
+        say(f"{name}: sum of squares {found.chi_square:.6g}, {end}")
         stopped += not found.converged
         if best is None or found.chi_square < best.chi_square:
             best = found
     if best is None:
         raise FitError(reason)
     if stopped:
-        say(_on_stopped(best))
+        say(BEST_CONVERGED if best.converged else BEST_STOPPED)
     return best
 
 
-def _on_stopped(best: FitResult) -> str:
-    """Whether the result holds although starts were stopped before they converged."""
-    if best.converged:
-        return "well: the best start converged; a start that was stopped found nothing better"
-    return (
-        "not well: the best start was stopped while its sum of squares still fell; give more"
-        " --starts, or fit on from the parameters that it found"
-    )
-
-
-def _trial(tell: Callable[[str], object], start: str, number: int) -> None:
+def _tell_trial(tell: Callable[[str], object], start: str, number: int) -> None:
     tell(f"{start}, trial {number} of at most {TRIALS}")
 
 
@@ -262,14 +250,15 @@ def _fit_from(
             return np.full(len(problem.measured), FAILED_RESIDUAL)
 
     low, high = problem.bounds()
-    limits: dict[str, Any] = {"xtol": TOLERANCE, "ftol": TOLERANCE, "max_nfev": TRIALS}
     end = least_squares(
         residuals,
         start,
         jac=problem.jacobian,
         bounds=(low, high),
         x_scale="jac",
-        **limits,
+        xtol=TOLERANCE,
+        ftol=TOLERANCE,
+        max_nfev=TRIALS,
     )
     u = np.where(end.x - low < EDGE, low, np.where(high - end.x < EDGE, high, end.x))
     return FitResult(problem.allowed(u), float(2 * end.cost), bool(end.status))
@@ -282,7 +271,7 @@ def estimate(
 ) -> ParameterEstimate:
     """Intervals and correlation at given values (p,); raises PredictionError, FitError.
 
-    groups: (n,) number of the group of each residual; by default each is one of its own.
+    groups: (n,) number of the group of each residual; by default each is a group.
     """
     u, (low, high) = problem.coordinates(values), problem.bounds()
     residual, jacobian = problem.residuals(u), problem.jacobian(u)

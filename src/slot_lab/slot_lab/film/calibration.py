@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import argparse
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from slot_core.arrays import Array
+from slot_core.progress import ProgressLine
 from slot_core.vision.board import GreyImage
-from slot_core.vision.camera import Camera, CameraError
-from slot_core.vision.settings import VisionSettings
+from slot_core.vision.camera import Camera, CameraError, camera_text
+from slot_core.vision.settings import VisionSettings, read_vision
+from slot_lab.desk_command import Outcome
+from slot_lab.film.images import FilmError, read_film, silence_opencv
 
+NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
 CORNERS_MIN = 8  # of a view that counts
 VIEWS_MIN = 8
 COVERED_MIN = 0.5  # share of the image's width and height that the corners span
@@ -37,6 +43,51 @@ class Calibration:
     errors: dict[str, float]  # px, of each view used, by name
     left_out: tuple[str, ...]  # views with gross errors
     covered: tuple[float, float]  # share of the width and height that the corners span
+
+
+def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
+    """Calibrate from the views of a film and write the file; returns lines on it.
+
+    Raises FilmError, CameraError, ConfigError, OSError.
+    """
+    silence_opencv()
+    board, size = chessboard(read_vision()), (0, 0)
+    views: list[BoardView] = []
+    for number, frame in enumerate(read_film(options.film, topic=options.topic)):
+        progress(f"image {number}")
+        shape = frame.grey.shape[1], frame.grey.shape[0]
+        if number and shape != size:
+            raise FilmError(
+                f"{options.film}: image {number} has another size: {shape}, {size}"
+            )
+        size = shape
+        if number % options.every == 0:
+            view = find_view(board, f"image {number}", frame.grey)
+            views += [view] if view else []
+    progress("calibrating")
+    found = calibrate(views, size)
+    options.out.write_text(camera_text(found.camera, options.name))
+    return [*report(found), f"wrote {options.out}"], 0
+
+
+def report(found: Calibration) -> list[str]:
+    """Lines: error, parameters with their standard deviations, and what the views cover."""
+    camera = found.camera
+    values = [*camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *camera.distortion]
+    worst = max(found.errors, key=lambda name: found.errors[name])
+    lines = [
+        f"{len(found.errors)} views, reprojection error {found.error:.3f} px"
+        f" (largest {found.errors[worst]:.3f} px, {worst})",
+        f"corners span {100 * found.covered[0]:.0f} % of the width,"
+        f" {100 * found.covered[1]:.0f} % of the height",
+    ]
+    if found.left_out:
+        lines.append(f"left out for gross errors: {', '.join(found.left_out)}")
+    assert camera.covariance is not None
+    variances = camera.covariance.diagonal()
+    for name, value, variance in zip(NAMES, values, variances):
+        lines.append(f"{name:<4} {value:10.4f} +- {math.sqrt(variance):.4f}")
+    return lines
 
 
 def chessboard(settings: VisionSettings) -> cv2.aruco.CharucoBoard:
@@ -106,19 +157,13 @@ def _solve(
     pixels = [view.pixels.astype(np.float32) for view in views]
     start = np.eye(3), np.zeros(5)
     try:
-        error, matrix, distortion, turns, places, *_, errors = (
-            cv2.calibrateCameraExtended(points, pixels, size, *start)
-        )
+        found = cv2.calibrateCameraExtended(points, pixels, size, *start)
     except cv2.error as problem:
         raise CameraError(f"OpenCV finds no camera: {problem.err}") from None
-    k, d = (
-        np.asarray(matrix, np.float64),
-        np.asarray(distortion, np.float64).ravel()[:5],
-    )
-    poses = [
-        (np.asarray(turn, np.float64), np.asarray(place, np.float64))
-        for turn, place in zip(turns, places)
-    ]
+    error, matrix, distortion, turns, places, *_, errors = found
+    k = np.asarray(matrix, np.float64)
+    d = np.asarray(distortion, np.float64).ravel()[:5]
+    poses = [*zip(*(np.asarray(part, np.float64) for part in (turns, places)))]
     covariance = _covariance(views, poses, k, d, float(error))
     return float(error), k, d, covariance, np.asarray(errors, np.float64).ravel()
 

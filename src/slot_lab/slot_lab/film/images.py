@@ -54,6 +54,11 @@ def read_film(
     return _with_depth(frames, _files(Path(depth)), depth) if depth else frames
 
 
+def silence_opencv() -> None:
+    """Keep OpenCV from printing what our messages say."""
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+
+
 def claimed_length(path: Path) -> int:
     """Number of images that a video says it has; zero if it says none, and for other films."""
     if path.is_dir() or is_bag(path):

@@ -1,18 +1,24 @@
-"""Boards and markers to print, at their true size."""
+"""Boards and markers to print, at their true size.
+
+A sheet is a grey image of `dots` px per m. A PDF or PNG carries its resolution, so that a
+printer which does not scale gives the true size; a line of known length below the sheet
+tells whether it did.
+"""
 
 from __future__ import annotations
 
-import math
-from pathlib import Path
+import argparse
 
 import cv2
 import numpy as np
 from PIL import Image
 
 from slot_core.config import ConfigError
+from slot_core.progress import ProgressLine
 from slot_core.refusal import quoted
 from slot_core.vision.board import WHITE, GreyImage, image_of, make_board, single_marker
 from slot_core.vision.settings import VisionSettings, read_vision
+from slot_lab.desk_command import Outcome
 from slot_lab.film.calibration import chessboard
 
 INCH = 0.0254  # m
@@ -20,13 +26,16 @@ SCALE = 0.1  # m, of the line to measure
 COLUMNS = 4  # single markers beside each other
 
 
-def print_sheet(what: str, out: Path, dpi: int) -> str:
-    """Write what is printed; returns its size. Raises ConfigError, OSError."""
+def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
+    """Write the sheet; returns a line with its size. Raises ConfigError, OSError."""
+    progress("drawing")
+    what, dpi = options.what, options.dpi
     dots = dpi / INCH  # px per m
     sheet = with_scale(sheet_of(what, read_vision(), dots), what, dots)
-    Image.fromarray(sheet).save(out, dpi=(dpi,) * 2, resolution=dpi)
+    Image.fromarray(sheet).save(options.out, dpi=(dpi,) * 2, resolution=dpi)
     height, width = (1e3 * edge / dots for edge in sheet.shape)
-    return f"{width:.0f} x {height:.0f} mm at {dpi} dots per inch"
+    size = f"{width:.0f} x {height:.0f} mm at {dpi} dots per inch"
+    return [f"{options.out}: {size}"], 0
 
 
 def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
@@ -37,28 +46,24 @@ def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
         size = [round(dots * board.square * n) for n in (board.columns, board.rows)]
         return np.asarray(chessboard(settings).generateImage(size), np.uint8)
     if what == "points":
-        markers = [
-            _named(
-                image_of(single_marker(i, settings.points.size), number, dots),
-                name,
-                dots,
-            )
-            for i, name in settings.points.names.items()
-        ]
-        blank = np.full_like(markers[0], WHITE)
-        rows = math.ceil(len(markers) / COLUMNS)
-        markers += [blank] * (rows * COLUMNS - len(markers))
-        return np.vstack(
-            [np.hstack(markers[COLUMNS * r : COLUMNS * (r + 1)]) for r in range(rows)]
-        )
+        markers = []
+        for i, name in settings.points.names.items():
+            marker = image_of(single_marker(i, settings.points.size), number, dots)
+            markers.append(_named(marker, name, dots))
+        markers += [np.full_like(markers[0], WHITE)] * (-len(markers) % COLUMNS)
+        rows = [markers[k : k + COLUMNS] for k in range(0, len(markers), COLUMNS)]
+        return np.vstack([np.hstack(row) for row in rows])
     if what not in settings.boards:
         known = ", ".join([*settings.boards, "points", "chessboard"])
-        raise ConfigError(f"WHAT = {quoted(what)}: expected one of {known}")
+        raise ConfigError(f"NAME = {quoted(what)}: expected one of {known}")
     return image_of(make_board(settings.boards[what]), number, dots)
 
 
 def with_scale(sheet: GreyImage, name: str, dots: float) -> GreyImage:
-    """The sheet with white around it, and below it a line of SCALE with its name."""
+    """The sheet with white around it, and below it a line of SCALE with its name.
+
+    The margin is 5 mm, the foot with line and text 12 mm high.
+    """
     edge, height, width = round(0.005 * dots), *sheet.shape
     foot = round(0.012 * dots)
     y, length = height + 2 * edge, round(SCALE * dots)

@@ -1,38 +1,57 @@
 """Marker tracker: 3-D tracks of the markers on torso and legs, seen by a camera at rest.
 
-A point is the middle of its marker. Its place along the line of sight is that of the marker's pose
-or, with a depth image, the mean of both by their variances. Where a board of `config/vision.yaml`
-that is fixed in odom is seen, the tracks are in odom; the pose of the camera is then that of the
-board's median corners over all images. Else they are in camera_link, z up if the camera is level.
+A point is the middle of its marker. Its place along the line of sight is given by the marker's pose
+or, with a depth image, by the mean of both weighted by their variances. Where a board of
+`config/vision.yaml` that is fixed in odom is seen, the tracks are in odom; the pose of the camera
+then comes from the board's median corners over all images. Else they are in camera_link, z up if
+the camera is level.
 """
 
 from __future__ import annotations
 
+import argparse
+import itertools
+from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.geometry import OPTICAL, Transform
-from slot_core.robot import ODOM_FRAME
+from slot_core.progress import ProgressLine, Tell, untold
+from slot_core.robot import ODOM_FRAME, POINT_FRAME, TORSO
 from slot_core.vision.board import GreyImage, make_board, single_marker
-from slot_core.vision.camera import Camera, CameraError
-from slot_core.vision.detector import Detection, MarkerDetector
+from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
+from slot_core.vision.detector import Detection, MarkerDetector, other_dictionary
 from slot_core.vision.localizer import unusual
 from slot_core.vision.pose import board_poses
-from slot_core.vision.settings import VisionSettings
-from slot_lab.film.images import Depth
+from slot_core.vision.settings import VisionSettings, read_vision
+from slot_lab.bags.topics import IMAGES
+from slot_lab.csv_table import write_points
+from slot_lab.desk_command import Outcome
+from slot_lab.film.images import (
+    Depth,
+    FilmError,
+    bag_camera,
+    claimed_length,
+    is_bag,
+    read_film,
+    silence_opencv,
+)
 
 DEPTH_PIXELS = 9  # fewest in a marker for its depth to count
 FEWEST = 2  # markers of a board that place the camera
 GROSS = 5.0  # standard deviations, beyond which the depth is another object's
 CAMERA = "camera_link"
 MOVED = 1.0  # px, of the board before a camera that stands still
+COMPLETE = 1.02  # images that a video says over those read: some estimate their length
 
 
-@dataclass(frozen=True)
-class MarkerSample:
+class MarkerSample(NamedTuple):
     """A point at one time."""
 
     time: float  # s
@@ -181,3 +200,85 @@ def _depth(depth: Depth, corners: Array) -> float | None:
     cv2.fillConvexPoly(mask, inner - low.astype(np.int32), 1)
     values = part[(mask > 0) & (part > 0)]
     return 1e-3 * float(np.median(values)) if len(values) >= DEPTH_PIXELS else None
+
+
+def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
+    """Track a film and write the tracks; returns lines on them.
+
+    Raises FilmError, CameraError, ConfigError, OSError.
+    """
+    cv2.setNumThreads(1)
+    silence_opencv()
+    settings = read_vision()
+    tracks = track_film(
+        options.film,
+        _camera(options, settings, progress),
+        settings,
+        rate=options.rate,
+        depth=options.depth,
+        topic=options.topic,
+        tell=partial(progress, f"tracking {options.film}"),
+    )
+    samples = of_leg(tracks.samples, options.leg) if options.leg else tracks.samples
+    if not samples:
+        raise FilmError(f"{options.film}: no marker of leg {options.leg}")
+    write_points(options.out, samples, [f"{POINT_FRAME}{tracks.frame}"])
+    lines = [f"{tracks.images} images, tracks in {tracks.frame}", *tracks.warnings]
+    counts = Counter(s.point for s in samples)
+    width = max(map(len, counts))
+    for point, count in counts.items():
+        share = 100 * count / tracks.images
+        lines.append(f"{point:<{width}}  in {share:5.1f} % of the images")
+    return lines, 0
+
+
+def of_leg(samples: list[MarkerSample], leg: str) -> list[MarkerSample]:
+    """The samples of the torso and of one leg, its points without its name."""
+    mine = [s for s in samples if s.point == TORSO or s.point.startswith(f"{leg}_")]
+    return [s._replace(point=s.point.removeprefix(f"{leg}_")) for s in mine]
+
+
+def track_film(
+    film: Path,
+    camera: Camera,
+    settings: VisionSettings,
+    *,
+    rate: float | None = None,
+    depth: str = "",
+    topic: str = IMAGES,
+    tell: Tell = untold,
+) -> Tracks:
+    """Tracks of the markers of a film, as for `read_film`; raises FilmError, CameraError."""
+    frames = read_film(film, rate, depth, topic)
+    first = next(frames, None)
+    if first is None:
+        raise FilmError(f"{film}: no image on {topic}")
+    tracker, claimed = Tracker(settings, camera), claimed_length(film)
+    for number, frame in enumerate(itertools.chain([first], frames)):
+        tracker.add(frame.time, frame.grey, frame.depth)
+        tell(min(1.0, number / claimed) if claimed else 0.0)
+    tracks = tracker.tracks()
+    if claimed > COMPLETE * tracks.images:
+        tracks.notes.append(
+            f"the video says that it has {claimed} images: it is damaged"
+        )
+    if not tracks.samples:
+        ids, other = settings.points.names, other_dictionary(first.grey)
+        raise FilmError(
+            f"{film}: no tracked marker in {tracks.images} images (ids {min(ids)} to"
+            f" {max(ids)} of {settings.dictionary}; the first shows {other or 'no marker'})"
+        )
+    return tracks
+
+
+def _camera(
+    options: argparse.Namespace, settings: VisionSettings, progress: ProgressLine
+) -> Camera:
+    if options.camera:
+        return read_camera(options.camera)
+    if is_bag(options.film):
+        return bag_camera(options.film, options.topic)
+    progress.say(
+        "without --camera FILE: the nominal camera of config/vision.yaml is used"
+    )
+    return nominal(settings.camera)

@@ -9,7 +9,7 @@ less the mean of the pair,
 and a step of Adam along g. Both networks of a pair walk in the same drawn scene, whose difficulty
 the mean takes out. Sigma and the step fall geometrically over the generations: large ones learn
 quickly, with small ones the network comes to rest where it walks best without disturbance. All
-pairs walk at once, each network on a robot of its own, in one vector environment or in several
+pairs walk at once, each network on another robot, in one vector environment or in several
 processes.
 """
 
@@ -27,16 +27,13 @@ from numpy.typing import NDArray
 from slot_core.arrays import Array
 from slot_core.control.walk_actions import ACTIONS
 from slot_lab.learning.network import NetworkShape
-from slot_lab.learning.spaces import mirror_of
-from slot_lab.learning.task import Task
+from slot_lab.learning.task import Task, mirror_of
 from slot_lab.learning.vector_env import WalkVectorEnv
 from slot_lab.workers import gather, workers
 
 DECAYS, TINY = (0.9, 0.99), 1e-8  # of Adam
-TEST_SEEDS = 1_000_000 + np.arange(
-    16
-)  # of the scenes in which the mean network is tested
-Fall = tuple[float, float]  # a value in the first generation, and in the last
+TEST_SEEDS = 1_000_000 + np.arange(16)  # of the scenes that test the mean network
+Schedule = tuple[float, float]  # a value in the first generation, and in the last
 
 
 @dataclass(frozen=True)
@@ -45,8 +42,8 @@ class Evolution:
 
     generations: int = 60
     pairs: int = 16
-    sigma: Fall = (0.02, 0.007)
-    rate: Fall = (0.006, 0.0005)
+    sigma: Schedule = (0.02, 0.007)
+    rate: Schedule = (0.006, 0.0005)
     seed: int = 0
     step: float = 0.0  # s, longest time step of the simulation; 0: the level's
     threads: int = 1  # of a process
@@ -121,11 +118,8 @@ def learn(
 ) -> Iterator[Generation]:
     """Yield the result of every `test_every`-th generation; the first network's actions are zero."""
     e, size = evolution, shape_of(task).size
-    rng, centre, moments = (
-        np.random.default_rng(e.seed),
-        np.zeros(size),
-        np.zeros((2, size)),
-    )
+    rng = np.random.default_rng(e.seed)
+    centre, moments = np.zeros(size), np.zeros((2, size))
     best, most, mean = centre.copy(), -np.inf, np.nan
     steps = round(task.duration / task.gaits.dt) * 2 * e.pairs  # of a generation
     for generation in range(e.generations + 1):

@@ -1,6 +1,15 @@
 """Gait of many robots that start to walk from the posture `stand`, as the gait scheduler's.
 
-Beside the scheduler it knows one gait, no path, no stop and two stages, and costs little per robot.
+It costs little per robot: it knows one gait and two stages, no path and no stop. At the tick
+k since a robot's start, t = k dt:
+
+    velocity   v_k = v_k-1 + clip(v_wanted - v_k-1, -a dt, a dt)
+    phase      p_k = p_k-1 + dt / period, modulo 1
+    place      advanced by v_k; at most `lead` and `heading_lead` ahead of the robot
+    rows       (1 - w) standing + w stride_table(p_k, v_k), w = t / transition, at most 1
+
+The stance height rises from the posture's to the stride's at `lift_speed`. A row has angles
+(4, rad), normal forces (4, N) and the motion of the torso (12).
 """
 
 from __future__ import annotations
@@ -14,20 +23,24 @@ from slot_core.gait.gait import STAND, Posture
 from slot_core.gait.reference import moved, reference
 from slot_core.geometry import wrapped
 from slot_core.robot import LEGS
-from slot_lab.learning.course import PLACE
+from slot_lab.learning.rewards import PLACE
 from slot_lab.learning.task import Task
 
 COUNT = len(LEGS)
 
 
 class GaitClock:
-    """Phases, velocities and reference places of M robots; a step takes `dt` of the gaits."""
+    """Phases, velocities and reference places of M robots.
+
+    A step takes `dt` of the gaits. `velocity` (M, 3) is in m/s, m/s, rad/s in the heading
+    frame, `phase` (M,) in [0, 1).
+    """
 
     def __init__(self, task: Task, count: int) -> None:
         self._stride, self._gaits = task.stride, task.gaits
         s, stand = task.gaits, task.gaits.find(STAND)
         assert isinstance(stand, Posture)
-        # what depends on the time since the start alone, up to the end of blend and lift
+        # Tables over the time since the start, up to the end of blend and lift.
         rise = task.stride.height - stand.height
         longest = max(s.transition, abs(rise) / s.lift_speed)
         time = s.dt * np.arange(3 + round(longest / s.dt))
@@ -48,31 +61,29 @@ class GaitClock:
         self.velocity = np.zeros((count, 3))  # m/s, rad/s, heading frame
         self.phase = np.zeros(count)  # in [0, 1)
         self._place = np.zeros((count, 3))  # x, y, yaw
-        self._now = self._next = np.zeros(
-            (count, 20)
-        )  # rows of `stride_table`, blended
+        self._now = self._next = np.zeros((count, 20))  # blended rows
 
     def reset(self, which: NDArray[np.int64], velocity: Array, state: Array) -> None:
-        """Start the robots `which` (k,) anew at states (k, 12), with velocities (k, 3)."""
+        """Start robots anew.
+
+        which: (k,) indices; velocity: (k, 3) that they shall reach; state: (k, 12), as in
+        `Estimate`.
+        """
         self._tick[which], self._wanted[which] = 0, velocity
         self.velocity[which], self.phase[which] = 0.0, 0.0
         self._place[which] = state[:, PLACE]
         self._now, self._next = self._rows(0), self._rows(1)
 
     def step(self, state: Array) -> None:
-        """Go on by a step, with the robots at states (M, 12)."""
+        """Advance by a step, with the robots at states (M, 12)."""
         self.velocity, self.phase, ahead = self._ahead(1)
         first = self._tick == 0
         self._tick += 1
         gap, turn = ahead[:, :2] - state[:, 3:5], wrapped(ahead[:, 2] - state[:, 2])
         share = np.minimum(1.0, self._gaits.lead / np.maximum(np.hypot(*gap.T), 1e-12))
         most = self._gaits.heading_lead
-        place = np.column_stack(
-            [
-                state[:, 3:5] + share[:, None] * gap,
-                state[:, 2] + np.clip(turn, -most, most),
-            ]
-        )
+        heading = state[:, 2] + np.clip(turn, -most, most)
+        place = np.column_stack([state[:, 3:5] + share[:, None] * gap, heading])
         self._place = np.where(first[:, None], state[:, PLACE], place)
         self._now, self._next = self._next, self._rows(1)
 
@@ -89,10 +100,8 @@ class GaitClock:
         """Rows (M, 20) of the gait so many ticks ahead: angles, forces, motion of the torso."""
         velocity, phase, _ = self._ahead(ticks)
         tick = np.minimum(self._tick + ticks, len(self._weight) - 1)
-        rows, weight = (
-            self._stride.stride_table(phase, velocity),
-            self._weight[tick][:, None],
-        )
+        weight = self._weight[tick][:, None]
+        rows = self._stride.stride_table(phase, velocity)
         rows[:, 13] += self._height[tick] - self._stride.height
         standing = np.zeros_like(rows)
         standing[:, :COUNT], standing[:, 13] = self._standing[tick], self._height[tick]

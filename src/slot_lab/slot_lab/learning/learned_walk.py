@@ -36,7 +36,7 @@ class StraightWalk(NamedTuple):
 def export(
     file: Path | str, task: Task, shape: NetworkShape, parameters: Array
 ) -> None:
-    """Write a network as a policy of the graph; raises ValueError for one that sees the servos."""
+    """Write a network as a policy of the graph; raises ValueError if it sees the servos."""
     if task.servos:
         raise ValueError(
             "servos: a policy of the graph is not given the servos' angles"
@@ -76,17 +76,17 @@ def compare(*policies: str, level: str = "standard") -> str:
         for policy in policies:
             walks = [straight_walk(policy, friction, level, seed) for seed in SEEDS]
             speed, aside, yaw = np.abs(walks).max(axis=0)
-            values = (
-                f"{1e3 * speed:20.1f}  {1e3 * aside:15.1f}  {np.degrees(yaw):13.2f}"
+            lines.append(
+                f"{friction:8.1f}  {policy:16s}  {1e3 * speed:20.1f}"
+                f"  {1e3 * aside:15.1f}  {np.degrees(yaw):13.2f}"
             )
-            lines.append(f"{friction:8.1f}  {policy:16s}  {values}")
     return "\n".join(lines)
 
 
 def straight_walk(policy: str, friction: float, level: str, seed: int) -> StraightWalk:
     """Walk for DURATION at SPEED, after STANDING.
 
-    The reference that a policy follows begins with the error of one estimate: that of the first is
+    The reference that a policy follows begins with the error of one estimate: the first's is
     1.9 mrad and 0.8 mm (RMS), which leads 3 mm aside in 1 m; after STANDING 0.5 mrad and 0.3 mm.
     """
     changes = {"scene.floor.friction": [friction] * 4}

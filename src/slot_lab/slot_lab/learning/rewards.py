@@ -1,4 +1,4 @@
-"""Reward of a step of the walk: a weighted sum of documented terms.
+"""Course of the walk, and the reward of a step: a weighted sum of documented terms.
 
     term      value
     walking   1 while the robot has not fallen
@@ -9,9 +9,11 @@
     load      -(mean torque of the servos as a share of LOAD)^2
     change    -mean |change of the action since the last step|
 
-The course is that of `course.py`. The mean of a stride leaves out the gait's own swing of 2 deg in
-yaw, so that nothing is won by working against it, which sways the robot to the sides. No term is
-below WORST. A robot that has fallen gets zero.
+The course is where the commanded velocity leads. Unlike the reference that a policy sees, it
+does not follow a robot that falls behind or turns away, and it has no sway of the gait. The
+mean of a stride leaves out the gait's own swing of 2 deg in yaw, so that nothing is won by
+working against it, which sways the robot to the sides. No term is below WORST. A robot that
+has fallen gets zero.
 """
 
 from __future__ import annotations
@@ -24,7 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.arrays import Array
+from slot_core.gait.reference import moved
+from slot_core.geometry import rotate, wrapped
+from slot_lab.learning.task import Task
 
+PLACE = [3, 4, 2]  # x, y, yaw in a state
 SPEED = 0.005  # m/s
 ASIDE = 0.005  # m
 TURN, TILT = 0.01, 0.1  # rad
@@ -54,17 +60,17 @@ class Transition(NamedTuple):
     change: Array  # (M, n) of the action
 
 
-def reward_terms(walked: Transition) -> dict[str, Array]:
+def reward_terms(step: Transition) -> dict[str, Array]:
     """Terms (M,) by name; a robot that has fallen gives zeros."""
-    state = walked.state
+    state = step.state
     terms = {
         "walking": np.ones(len(state)),
-        "speed": -((walked.faster / SPEED) ** 2),
-        "aside": -((walked.aside / ASIDE) ** 2),
-        "yaw": -((walked.turn / TURN) ** 2),
-        "tilt": -((state[:, :2] - walked.tilt) ** 2).sum(axis=1) / TILT**2,
-        "load": -((walked.torque.mean(axis=1) / LOAD) ** 2),
-        "change": -np.abs(walked.change).mean(axis=1),
+        "speed": -((step.faster / SPEED) ** 2),
+        "aside": -((step.aside / ASIDE) ** 2),
+        "yaw": -((step.turn / TURN) ** 2),
+        "tilt": -((state[:, :2] - step.tilt) ** 2).sum(axis=1) / TILT**2,
+        "load": -((step.torque.mean(axis=1) / LOAD) ** 2),
+        "change": -np.abs(step.change).mean(axis=1),
     }
     up = ~fallen(state)
     return {
@@ -82,3 +88,40 @@ def fallen(state: Array) -> NDArray[np.bool_]:
 def total(terms: Mapping[str, Array]) -> Array:
     """Reward (M,) of terms (M,)."""
     return np.sum([weight * terms[name] for name, weight in WEIGHTS.items()], axis=0)
+
+
+class Course:
+    """Courses of M robots, and their gaps over the last stride; a step takes `dt` of the gaits."""
+
+    def __init__(self, task: Task, count: int) -> None:
+        self._dt = task.gaits.dt
+        self.place = np.zeros((count, 3))  # x, y (m), yaw (rad)
+        ticks = round(task.stride.period / self._dt)
+        self._gaps = np.zeros((ticks + 1, count, 3))  # the last is the newest
+
+    def reset(self, which: NDArray[np.int64], state: Array) -> None:
+        """Begin anew for the robots `which` (k,), at states (k, 12)."""
+        self.place[which], self._gaps[:, which] = state[:, PLACE], 0.0
+
+    def step(self, velocity: Array, state: Array) -> None:
+        """Go on at velocities (M, 3), heading frame of the course, with the robots at (M, 12)."""
+        self.place = moved(self.place, velocity, self._dt)
+        gap = state[:, PLACE] - self.place
+        xy, turn = rotate(gap[:, :2], -self.place[:, 2]), wrapped(gap[:, 2])
+        self._gaps = np.concatenate([self._gaps[1:], np.column_stack([xy, turn])[None]])
+
+    @property
+    def aside(self) -> Array:
+        """(M,) m, of the robots from the course to the left."""
+        return np.asarray(self._gaps[-1, :, 1])
+
+    @property
+    def turn(self) -> Array:
+        """(M,) rad, of the robots from the course, mean of the last stride."""
+        return np.asarray(self._gaps[1:, :, 2].mean(axis=0))
+
+    @property
+    def faster(self) -> Array:
+        """(M,) m/s along the course, of the robots less the course, mean of the last stride."""
+        gained = self._gaps[-1, :, 0] - self._gaps[0, :, 0]
+        return np.asarray(gained / (self._dt * (len(self._gaps) - 1)))

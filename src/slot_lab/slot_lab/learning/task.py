@@ -14,18 +14,27 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from gymnasium.spaces import Box
+from scipy.linalg import block_diag
 
 from slot_core import config
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
-from slot_core.control.walk_actions import ACTIONS, observation_size
+from slot_core.control.walk_actions import ACTIONS, CLIP, observation_size
 from slot_core.dynamics.scene import Scene, level_changes, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
-from slot_core.gait.gait import GaitSettings, Stride, read_gaits
+from slot_core.gait.gait import LEFT_RIGHT, GaitSettings, Stride, read_gaits
 from slot_core.refusal import quoted
 from slot_core.robot import LEGS, RobotParameters, read_robot
 from slot_core.simulation.closed_loop import changed
+from slot_lab.learning.network import Mirror
 
+SERVO_SCALE = 0.1  # rad
+# Factors of the mirror image of a state as in `Estimate`, of a velocity, and of the phase's
+# sine and cosine.
+MIRRORED_STATE = np.tile([-1.0, 1.0], 6)
+MIRRORED_VELOCITY = np.array([1.0, -1.0, -1.0])
+HALF_STRIDE = -np.ones(2)
 VELOCITY = "velocity"
 LONGEST = 3600.0  # s, of an episode
 SEEN = ("estimated", "true")  # kinds of observations
@@ -44,13 +53,9 @@ class Task:
     velocity: Vector3 = (0.05, 0.0, 0.0)  # m/s, m/s, rad/s
     actions: str = "amplitudes"
     observations: str = "estimated"
-    servos: bool = (
-        True  # whether the servos' angles are observed; a policy of the graph sees none
-    )
+    servos: bool = True  # observes the servos' angles, which a policy cannot see
     duration: float = 10.0  # s, of an episode
-    drawn: tuple[
-        tuple[str, Range], ...
-    ] = ()  # names, and ends between which they are drawn
+    drawn: tuple[tuple[str, Range], ...] = ()  # names, and ends of their values
 
     def __post_init__(self) -> None:
         """Check names and kinds."""
@@ -152,3 +157,26 @@ def _require(name: str, value: str, known: Any) -> None:
         raise ConfigError(
             f"{name} = {quoted(value)}: expected one of {', '.join(known)}"
         )
+
+
+def observation_space(task: Task) -> Box:
+    """Observations of `walk_actions.py`, and the servos' errors (4) where the task has them."""
+    return Box(-CLIP, CLIP, (task.observed,), np.float32)
+
+
+def action_space(task: Task) -> Box:
+    """Actions of the task's kind."""
+    return Box(-1.0, 1.0, (ACTIONS[task.actions],), np.float32)
+
+
+def mirror_of(task: Task) -> Mirror:
+    """Left and right exchanged, half a stride later, which is the same gait on the same robot."""
+    legs = np.eye(len(LEGS))[LEFT_RIGHT]
+    action = {"tendons": legs, "amplitudes": np.diag(MIRRORED_VELOCITY)}[task.actions]
+    factors = np.concatenate([MIRRORED_STATE, HALF_STRIDE, MIRRORED_VELOCITY])
+    return Mirror(block_diag(np.diag(factors), action, *[legs] * task.servos), action)
+
+
+def servo_error(commanded: Array, angle: Array) -> Array:
+    """Observed errors (m, 4) of the servos' angles (m, 4), rad, by their scale."""
+    return np.clip((commanded - angle) / SERVO_SCALE, -CLIP, CLIP)

@@ -2,9 +2,9 @@
 
 It is `WalkEnv` without the parts that cost most there. The observations named `estimated` are the
 true states with independent noise as large as the errors of the state estimator (ESTIMATE_NOISE).
-The gait is that of a start from the posture `stand` (`gait_clock.py`), the servos get a goal three
-times in a step, as on the bus. The time step divides the time between two goals; it is at most that
-of the level, or the one that is given.
+The gait starts from the posture `stand` (`gait_clock.py`), the servos get a goal three
+times in a step, as on the bus. The time step divides the time between two goals; it is at most
+the level's, or the given one.
 """
 
 from __future__ import annotations
@@ -27,11 +27,21 @@ from slot_core.dynamics.simulated_robot import KernelRobot
 from slot_core.robot import LEGS
 from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
-from slot_lab.learning.course import Course
 from slot_lab.learning.gait_clock import GaitClock
-from slot_lab.learning.rewards import Transition, fallen, reward_terms, total
-from slot_lab.learning.spaces import action_space, observation_space, servo_error
-from slot_lab.learning.task import Task, make_task
+from slot_lab.learning.rewards import (
+    Course,
+    Transition,
+    fallen,
+    reward_terms,
+    total,
+)
+from slot_lab.learning.task import (
+    Task,
+    action_space,
+    make_task,
+    observation_space,
+    servo_error,
+)
 
 Flags = NDArray[np.bool_]
 CYCLES = 3  # goals of the servos in a step
@@ -39,7 +49,7 @@ ESTIMATE_NOISE = np.repeat([1e-3, 4e-4, 0.01, 2e-3], 3)  # rad, m, rad/s, m/s
 
 
 class WalkVectorEnv(VectorEnv[Any, Any, Any]):
-    """M robots; one that has fallen or walked its time is reset by the next step."""
+    """M robots; the next step resets a robot that has fallen or walked its time."""
 
     metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - of the base class
 
@@ -118,14 +128,12 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         safe = np.where(np.isfinite(motion), motion, 0.0)
         clock.step(safe[:, STATE])
         course.step(clock.velocity, safe[:, STATE])
-        state, torque = (
-            motion[:, STATE],
-            motion[:, TENSION] * task.robot.tendon.spool_radius,
-        )
+        state = motion[:, STATE]
+        torque = motion[:, TENSION] * task.robot.tendon.spool_radius
         tilt, change = clock.reference[:, :2], action - self._action
         strayed = course.faster, course.aside, course.turn
-        walked = Transition(state, *strayed, tilt, torque, change)
-        terms, self._action = reward_terms(walked), action
+        terms = reward_terms(Transition(state, *strayed, tilt, torque, change))
+        self._action = action
         self._ticks += 1
         terminated, truncated = fallen(state), self._ticks >= self._limit
         reward = total(terms)

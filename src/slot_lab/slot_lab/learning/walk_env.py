@@ -3,7 +3,7 @@
     gymnasium.make("slot_lab.learning.walk_env:SLOT-Walk-v0", level="standard", scene="slope5")
 
 Between two actions lies the controller of the robot as it is: sensors on their own clocks, state
-estimator, gait scheduler, force map and servos. The arguments are those of `Task`. An
+estimator, gait scheduler, force map and servos. The arguments are `Task`'s. An
 episode ends when the robot has fallen, or after `duration`.
 """
 
@@ -16,7 +16,6 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.clock import LOCKSTEP_START
-from slot_core.control.controller import Controller
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.walk_actions import ACTIONS, deviation, observation
 from slot_core.dynamics.scene import level_changes
@@ -25,10 +24,20 @@ from slot_core.gait.gait import GaitPreview
 from slot_core.refusal import DivergenceError
 from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_lab.learning.course import Course
-from slot_lab.learning.rewards import Transition, fallen, reward_terms, total
-from slot_lab.learning.spaces import action_space, observation_space, servo_error
-from slot_lab.learning.task import Task, make_task
+from slot_lab.learning.rewards import (
+    Course,
+    Transition,
+    fallen,
+    reward_terms,
+    total,
+)
+from slot_lab.learning.task import (
+    Task,
+    action_space,
+    make_task,
+    observation_space,
+    servo_error,
+)
 
 NAME = "SLOT-Walk-v0"
 
@@ -44,7 +53,7 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         self.observation_space = observation_space(self.task)
         self.action_space = action_space(self.task)
         self._limit = round(self.task.duration / self.task.gaits.dt)
-        self._loop: ClosedLoop | None = None
+        self._made: ClosedLoop | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -55,7 +64,7 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         levels = {
             f"scene.{name}": value for name, value in level_changes(task.level).items()
         }
-        self._loop = ClosedLoop(
+        self._made = ClosedLoop(
             task.scene,
             task.gait,
             task.commanded(values),
@@ -74,16 +83,14 @@ class WalkEnv(gymnasium.Env[Any, Any]):
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Walk to the next estimate of the state, some 33 ms."""
-        if self._loop is None:
-            raise gymnasium.error.ResetNeeded("step before reset")
-        task, preview = self.task, self._preview
+        plant, task, preview = self._loop.plant, self.task, self._preview
         taken = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)[None]
         ahead = preview.velocity_ahead
         change = deviation(task.actions, taken, task.stride, preview.phases, ahead)
-        command = self._controller.force_map.step(
+        command = self._loop.controller.force_map.step(
             gait_plan(preview, change), preview, self._estimate.state
         )
-        self._loop.plant.command(command.angle, command.rate)
+        plant.command(command.angle, command.rate)
         self._commanded = command.angle
         diverged = False
         try:
@@ -92,7 +99,18 @@ class WalkEnv(gymnasium.Env[Any, Any]):
             diverged = True
         state = self._true_state()
         self._course.step(self._preview.velocity_ahead[:1], state)
-        found = reward_terms(self._walked(taken, state))
+        course = self._course
+        found = reward_terms(
+            Transition(
+                state,
+                course.faster,
+                course.aside,
+                course.turn,
+                self._preview.reference[:1, :2],
+                plant.robot.servo_torque[None],
+                taken - self._action,
+            )
+        )
         self._action, self._ticks = taken, self._ticks + 1
         down = diverged or bool(fallen(state)[0])
         reward = 0.0 if diverged else float(total(found)[0])
@@ -105,28 +123,14 @@ class WalkEnv(gymnasium.Env[Any, Any]):
             terms,
         )
 
-    def _walked(self, taken: Array, state: Array) -> Transition:
-        """The step for the reward: an action (1, n) that has led to a state (1, 12)."""
-        assert self._loop is not None
-        course = self._course
-        return Transition(
-            state,
-            course.faster,
-            course.aside,
-            course.turn,
-            self._preview.reference[:1, :2],
-            self._loop.plant.robot.servo_torque[None],
-            taken - self._action,
-        )
-
     @property
-    def _controller(self) -> Controller:
-        assert self._loop is not None
-        return self._loop.controller
+    def _loop(self) -> ClosedLoop:
+        if self._made is None:
+            raise gymnasium.error.ResetNeeded("step before reset")
+        return self._made
 
     def _advance(self) -> None:
         """Advance to the next estimate; odometry may be lost meanwhile."""
-        assert self._loop is not None
         while True:
             for reading in self._loop.plant.advance_to_odometry():
                 if isinstance(reading, JointReading):
@@ -137,16 +141,15 @@ class WalkEnv(gymnasium.Env[Any, Any]):
 
     def _take_estimate(self) -> bool:
         """Take the newest estimate and the gait's preview; False without one."""
-        found: list[Estimate] = list(iter(self._controller.estimator.poll, None))
+        found: list[Estimate] = list(iter(self._loop.controller.estimator.poll, None))
         for self._estimate in found:
-            self._preview: GaitPreview = self._controller.scheduler.step(
+            self._preview: GaitPreview = self._loop.controller.scheduler.step(
                 self._estimate.time, self._estimate.state
             )
         return bool(found)
 
     def _true_state(self) -> Array:
         """State (1, 12) of the simulated robot, as in `Estimate`."""
-        assert self._loop is not None
         robot = self._loop.plant.robot
         turn = robot.rotation @ robot.angular_velocity
         return np.concatenate([robot.rpy, robot.position, turn, robot.velocity])[None]

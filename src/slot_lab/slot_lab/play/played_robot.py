@@ -1,13 +1,15 @@
-"""The robot as it is played with: its loop, changes of robot and scene, pushes, and events.
+"""The robot as it is played with: wishes, changes of robot and scene, pushes, and events.
 
-The clock is the robot's: `advance` moves it on by a frame, however long that takes.
+Its closed loop follows the wishes of a player through the supervisor, as an operator's. The
+clock is the robot's: `advance` moves it on by a frame, however long that takes.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -20,21 +22,129 @@ from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.dynamics.model import Model
 from slot_core.dynamics.scene import Push, read_scene
 from slot_core.faults import BROKEN, Fault
-from slot_core.gait.gait import STAND
+from slot_core.gait.gait import STAND, Posture
 from slot_core.geometry import rotate
 from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY
-from slot_core.safety.states import LATCHED, Request, no_change
-from slot_core.safety.supervisor import PERIOD
-from slot_core.simulation.readings import TrueState
+from slot_core.safety.states import (
+    LATCHED,
+    RELEASED,
+    TO_RISE,
+    TO_STAND,
+    TO_WALK,
+    Request,
+    State,
+    no_change,
+)
+from slot_core.safety.supervisor import PERIOD, Report
+from slot_core.servos.servo_bus import JointReading
+from slot_core.simulation.readings import (
+    ImageReading,
+    Reading,
+    StampedHealth,
+    TrueState,
+)
 from slot_core.simulation.rod_robot import RodRobot
-from slot_lab.play.played_loop import PlayedLoop, Wishes
+from slot_core.simulation.supervised_loop import SupervisedLoop
 
 FRAME = 2 * PERIOD  # s, of the robot's clock
 KEPT = 120.0  # s of the robot's clock that can be saved
 SEED = 0
 Happened: TypeAlias = tuple[int, Any]
 """Time on the robot's clock, ns; a reading, tick or report."""
+Keep = Callable[[int, Any], None]
+
+
+@dataclass
+class Wishes:
+    """Requests of the player to the robot; legs FL FR RL RR."""
+
+    gait: str = STAND
+    velocity: Array = field(default_factory=lambda: np.zeros(3))  # m/s, m/s, rad/s
+    pose: Array | None = None  # (3,) height m, roll, pitch rad; None: the gait's own
+    up: bool = True  # under torque; False after a fall, a fault or an emergency stop
+
+
+class PlayedLoop(SupervisedLoop):
+    """Supervised loop under wishes, of which `keep` gets every reading, tick and report.
+
+    The wishes are pursued at every report of the supervisor; `refusal` is why not, one line.
+    """
+
+    def __init__(
+        self, scene: str, seed: int, policy: str, wishes: Wishes, keep: Keep
+    ) -> None:
+        """keep: called with the time on the robot's clock, ns. Raises ConfigError."""
+        super().__init__(scene, STAND, None, seed, policy)
+        self.wishes, self.refusal = wishes, ""
+        self._keep = keep
+        self._asked: tuple[str, tuple[float, ...]] | None = None  # gait and pose
+
+    def receive(self, reading: Reading) -> None:
+        """Keep a reading, unless it is an image, and give it to the state estimator."""
+        if not isinstance(reading, ImageReading):
+            self._keep(self.plant.now, reading)
+        super().receive(reading)
+
+    def receive_joints(self, reading: JointReading) -> None:
+        """Keep the joints and give them to the supervisor."""
+        self._keep(self.plant.now, reading)
+        super().receive_joints(reading)
+
+    def control(self, tick: Tick) -> None:
+        """Keep a tick and take its command."""
+        self._keep(self.plant.now, tick)
+        super().control(tick)
+
+    def supervise(self, report: StampedHealth) -> Report | None:
+        """Step the supervisor, then pursue the wishes."""
+        self._keep(self.plant.now, report)
+        before, found = self.report, super().supervise(report)
+        if found is not None:
+            self._keep(self.plant.now, found)
+            if found.state in RELEASED and not (before and before.state is found.state):
+                self.wishes.up = False
+            self.refusal = self._pursue(found.state)
+        return found
+
+    def request(self, request: Request) -> None:
+        """Make a request of the operator now."""
+        self.refusal = self.supervisor.request(self.plant.now, request)
+
+    def _request_gait(self, report: Report) -> None:
+        """Stand in a new state, until the wishes are pursued."""
+        if not report.keeps_gait:
+            self._asked = None
+            self.loop.controller.scheduler.request(STAND, np.zeros(3))
+
+    def _pursue(self, state: State) -> str:
+        """Make the next request; returns why it is refused, or ""."""
+        stands = isinstance(self.loop.gaits.find(self.wishes.gait), Posture)
+        if state is (State.STANDING if stands else State.WALKING):
+            return self._ask()
+        wanted = TO_RISE.get(state) or (TO_STAND if stands else TO_WALK).get(state)
+        if wanted is None or not self.wishes.up:
+            return ""
+        return self.supervisor.request(self.plant.now, wanted)
+
+    def _ask(self) -> str:
+        """Give gait, pose and velocity to the scheduler; returns why one is refused, or ""."""
+        scheduler, wishes = self.loop.controller.scheduler, self.wishes
+        pose = () if wishes.pose is None else tuple(wishes.pose)
+        gait, posed = self._asked or ("", ())
+        try:
+            if wishes.gait != gait or (
+                posed and not pose
+            ):  # the pose returns to the gait's own
+                scheduler.request(wishes.gait, np.zeros(3))
+                self._asked = wishes.gait, ()
+            scheduler.set_velocity(self.plant.now, wishes.velocity)
+            if pose and self._asked != (wishes.gait, pose):
+                scheduler.set_pose(np.array(pose))
+                self._asked = wishes.gait, pose
+        except ConfigError as error:
+            return str(error)
+        return ""
 
 
 class PlayedRobot:

@@ -8,8 +8,8 @@ hatched. Fields that the messages of an older bag lack are listed and left out.
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,12 +24,14 @@ from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.control.policy import Status
 from slot_core.drawing import palette
+from slot_core.progress import ProgressLine
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
 from slot_lab.bags.recorded_walk import seconds
+from slot_lab.bags.topics import PLANS
+from slot_lab.desk_command import Outcome
 from slot_lab.plot_file import write_plot
 
-TOPIC = "/tendon_plan"
 PER_LEG = {
     "slack_normal_min": "least normal",
     "slack_normal_max": "largest normal",
@@ -50,9 +52,7 @@ HATCHED: dict[str, Any] = {
     "edgecolor": palette.INK,
     "hatch": "////",
 }
-CAPACITY = (
-    1600  # columns of the plot; with more cycles each column shows its least slack
-)
+CAPACITY = 1600  # columns of the plot; of more cycles each shows its least slack
 
 
 @dataclass(frozen=True)
@@ -80,16 +80,30 @@ class ConstraintMap:
         return replace(self, constraints=names, slack=self.slack[rows])
 
 
+def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
+    """Draw the map of a bag; exit code 1 if a constraint is violated.
+
+    Raises BagError, OSError.
+    """
+    progress("reading the bag")
+    found = read_map(Bag(options.bag, options.namespace))
+    bag = options.bag.resolve()
+    stem = bag.name if bag.is_dir() else bag.stem  # a directory v0.05 has no suffix
+    out = options.out or bag.with_name(f"{stem}_constraints.png")
+    write_plot(map_figure(found), out, dpi=110)
+    return [*summary_lines(found), str(out)], int(found.violated.any())
+
+
 def read_map(bag: Bag) -> ConstraintMap:
     """The map of a bag; raises BagError if it holds no forces or none of the slacks."""
-    if not bag.counts.get(TOPIC):
-        raise BagError(f"{bag.path}: {TOPIC} holds no messages")
+    if not bag.counts.get(PLANS):
+        raise BagError(f"{bag.path}: {PLANS} holds no messages")
     names: list[str] = []
     rows: list[Array] = []
     missing: list[str] = []
     for field, label in (PER_LEG | OF_THE_ROBOT).items():
         try:
-            column = bag.series(TOPIC, field)[field]
+            column = bag.series(PLANS, field)[field]
         except NoFieldError:
             missing.append(field)
             continue
@@ -97,21 +111,19 @@ def read_map(bag: Bag) -> ConstraintMap:
         rows.append(column.reshape(len(column), -1).T)
     if not rows:
         raise BagError(
-            f"{bag.path}: {TOPIC} has none of the fields {', '.join(missing)}"
+            f"{bag.path}: {PLANS} has none of the fields {', '.join(missing)}"
         )
-    series = bag.series(TOPIC, "status")
+    series = bag.series(PLANS, "status")
     begin = int(series.stamp[0])
-    time = seconds(series.stamp, begin)
     slack = np.concatenate(rows).astype(float)
-    slack[~np.isfinite(slack)] = np.nan  # infinite where the constraint is inactive
     return ConstraintMap(
-        bag.path.name,
-        to_seconds(begin),
-        time,
-        tuple(names),
-        slack,
-        series["status"],
-        tuple(missing),
+        name=bag.path.name,
+        begin=to_seconds(begin),
+        time=seconds(series.stamp, begin),
+        constraints=tuple(names),
+        slack=np.where(np.isfinite(slack), slack, np.nan),  # infinite: inactive
+        status=series["status"],
+        missing=tuple(missing),
     )
 
 
@@ -141,21 +153,36 @@ def summary_lines(found: ConstraintMap) -> list[str]:
     return lines
 
 
-def draw_map(found: ConstraintMap, path: Path) -> None:
-    """Write the heat map as a PNG."""
-    write_plot(map_figure(found), path, dpi=110)
-
-
 def map_figure(found: ConstraintMap) -> Figure:
     """Heat map: constraints down, time across; cycles without a solution are hatched."""
     shown = found.active
-    figure = Figure(
-        figsize=(14, 1.2 + 0.36 * len(shown.constraints)), layout="constrained"
-    )
+    height = 1.2 + 0.36 * len(shown.constraints)
+    figure = Figure(figsize=(14, height), layout="constrained")
     ax = figure.subplots()
     draw_slack(ax, shown)
-    _mark(ax, shown)
-    _finish(ax, shown)
+    bad, edges = shown.status != Status.SOLVED, _edges(shown.time)
+    steps = np.diff(bad.astype(int), prepend=0, append=0)
+    for begin, end in np.flatnonzero(steps).reshape(-1, 2):
+        ax.axvspan(edges[begin], edges[end], lw=0.8, **HATCHED)
+    ax.tick_params(axis="y", labelsize=8)
+    ax.set(xlabel="time (s)")
+    violated = int(shown.violated.any(axis=0).sum())
+    ax.set_title(
+        f"Dynamic Constraint Map, {shown.name}: {len(shown.time)} cycles, "
+        f"{violated} with a violation, {int(bad.sum())} not solved",
+        loc="left",
+        fontsize=10,
+    )
+    hatched = Patch(label="not solved", **HATCHED)
+    grey = Patch(facecolor=palette.SHADE, edgecolor=palette.INK, label="inactive")
+    ax.legend(
+        handles=[hatched, grey],
+        ncols=2,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        fontsize=8,
+        frameon=False,
+    )
     return figure
 
 
@@ -199,41 +226,3 @@ def _edges(time: Array) -> Array:
     """Begins of the cycles and the end of the last one, s."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     return np.append(time, time[-1] + period)
-
-
-def _mark(ax: Axes, found: ConstraintMap) -> None:
-    """Hatch the cycles that were not SOLVED, one span for consecutive ones."""
-    edges, bad = _edges(found.time), found.status != Status.SOLVED
-    changes = np.flatnonzero(
-        np.diff(np.concatenate([[False], bad, [False]]).astype(int))
-    )
-    for begin, end in changes.reshape(-1, 2):
-        ax.axvspan(edges[begin], edges[end], lw=0.8, **HATCHED)
-
-
-def _finish(ax: Axes, found: ConstraintMap) -> None:
-    ax.tick_params(axis="y", labelsize=8)
-    ax.set(xlabel="time (s)")
-    bad = int((found.status != Status.SOLVED).sum())
-    violated = int(found.violated.any(axis=0).sum())
-    ax.set_title(
-        f"Dynamic Constraint Map, {found.name}: {len(found.time)} cycles, "
-        f"{violated} with a violation, {bad} not solved",
-        loc="left",
-        fontsize=10,
-    )
-    hatched = Patch(label="not solved", **HATCHED)
-    grey = Patch(facecolor=palette.SHADE, edgecolor=palette.INK, label="inactive")
-    ax.legend(
-        handles=[hatched, grey],
-        ncols=2,
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        fontsize=8,
-        frameon=False,
-    )
-
-
-def beside(bag: Path) -> Path:
-    """Default file of the map of a bag; a directory v0.05 has no suffix."""
-    return bag.with_name(f"{bag.name if bag.is_dir() else bag.stem}_constraints.png")

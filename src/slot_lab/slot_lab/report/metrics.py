@@ -1,8 +1,15 @@
-"""Metrics of a recorded walk: motion, timing, MPC and servos."""
+"""Metrics of a recorded walk: motion, timing, MPC and servos; as figures, and as text.
+
+A figure is a number with a name and a unit, for comparing two runs. Its name is a field of
+`WalkMetrics`; the parts of a field follow after a dot, as in `end_to_end.p99`,
+`servo_load.FL` and `stages.mpc_controller.max`.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +34,41 @@ from slot_lab.bags.recorded_walk import (
 from slot_lab.bags.topics import GROUND_TRUTH
 
 NOT_KNOWN = (math.nan,) * len(LEGS)
+NAME_WIDTH = 20
+MM, MS, DEG = (1e3, "mm"), (1e3, "ms"), (math.degrees(1.0), "deg")
+PERCENT, COUNT = (100.0, "%"), (1.0, "")
+UNITS: dict[str, tuple[float, str]] = {
+    "duration": (1.0, "s"),
+    "distance": (1.0, "m"),
+    "mean_v_x": (1.0, "m/s"),
+    "mean_v_y": (1.0, "m/s"),
+    "height_mean": MM,
+    "height_std": MM,
+    "tilt_rms": DEG,
+    "tilt_max": DEG,
+    "lateral_drift_max": MM,
+    "lateral_drift_end": MM,
+    "yaw_drift": DEG,
+    "period": MS,
+    "ticks": COUNT,
+    "deadline_misses": COUNT,
+    "unanswered": COUNT,
+    "missed_ticks": COUNT,
+    "stages": MS,
+    "end_to_end": MS,
+    "real_time_factor": COUNT,
+    "behind": MS,
+    "fallback_cycles": COUNT,
+    "longest_fallback": COUNT,
+    "violation_max": (1.0, "N"),
+    "saturated": PERCENT,
+    "rejected_odometry": COUNT,
+    "servo_saturated": PERCENT,
+    "servo_load": PERCENT,
+    "supply_voltage": (1.0, "V"),
+    "continuous_load": PERCENT,
+}
+"""Scale from SI and unit of the fields of `WalkMetrics`."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +104,7 @@ class WalkMetrics:
     yaw_drift: float  # rad, last yaw minus the heading of the line
     period: float  # s, control period
     ticks: int  # odometry readings that require a command
-    deadline_misses: (
-        int  # ticks whose command came more than one period later, or never
-    )
+    deadline_misses: int  # ticks whose command came over a period later, or never
     unanswered: int  # ticks without a command
     missed_ticks: int  # missing odometry readings: gaps in the stamps
     stages: dict[str, Latency]  # by node
@@ -74,22 +114,12 @@ class WalkMetrics:
     fallback_cycles: int | None  # MPC cycles without a solution
     longest_fallback: int | None  # consecutive ones
     violation_max: float  # N, largest constraint violation
-    saturated: tuple[
-        float, ...
-    ]  # fraction of cycles, per leg: force map at an angle limit
+    saturated: tuple[float, ...]  # share of cycles, per leg, with an angle at its limit
     rejected_odometry: int | None
-    servo_saturated: tuple[
-        float, ...
-    ]  # fraction of samples, per leg: torque at its limit
-    servo_load: tuple[
-        float, ...
-    ]  # mean of torque over stall torque at the supply voltage, per leg
-    supply_voltage: (
-        float  # V, mean of the servos; NaN: not known, the nominal one is assumed
-    )
-    continuous_load: (
-        float  # largest mean of torque over stall torque that the maker advises
-    )
+    servo_saturated: tuple[float, ...]  # share of samples, per leg, at the stall torque
+    servo_load: tuple[float, ...]  # mean torque over stall torque, per leg
+    supply_voltage: float  # V, mean of the servos; NaN: the nominal one is assumed
+    continuous_load: float  # largest mean load that the maker advises
 
 
 def walk_metrics(bag: Bag, warm_up: float, servo: ServoSettings) -> WalkMetrics:
@@ -100,7 +130,7 @@ def walk_metrics(bag: Bag, warm_up: float, servo: ServoSettings) -> WalkMetrics:
     """
     whole = read_motion(bag)
     start = whole.t[0] + warm_up
-    motion = whole.after(start)
+    motion = whole.between(start)
     if len(motion.t) < 2:
         span = whole.t[-1] - whole.t[0]
         raise BagError(
@@ -247,3 +277,116 @@ def _after(bag: Bag, start: float, topic: str, *fields: str) -> dict[str, Array]
 
 def _mean(rows: NDArray[Any]) -> tuple[float, ...]:
     return tuple(float(f) for f in rows.mean(axis=0)) if len(rows) else NOT_KNOWN
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One number of a summary; NaN where the bag lacks the data."""
+
+    name: str
+    value: float
+    unit: str
+
+
+def figures(metrics: WalkMetrics) -> list[Figure]:
+    """The figures of a walk in the order of its metrics."""
+    return [
+        Figure(name, scale * value, unit)
+        for field, (scale, unit) in UNITS.items()
+        for name, value in _parts(field, getattr(metrics, field))
+    ]
+
+
+def _parts(name: str, value: Any) -> Iterator[tuple[str, float]]:
+    """Numbers in a field, with their names; the number of a latency's samples is left out."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _parts(f"{name}.{key}", inner)
+    elif isinstance(value, Latency):
+        parts = dataclasses.asdict(value)
+        yield from ((f"{name}.{part}", parts[part]) for part in ("p50", "p99", "max"))
+    elif isinstance(value, tuple):
+        yield from ((f"{name}.{leg}", float(part)) for leg, part in zip(LEGS, value))
+    else:
+        yield name, math.nan if value is None else float(value)
+
+
+def summary_lines(metrics: WalkMetrics) -> list[str]:
+    """Aligned lines `name  values`, with units; a dash where the bag lacks the data."""
+    m = metrics
+    misses = (
+        f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms"
+    )
+    unanswered = f"{m.unanswered} ticks, {m.missed_ticks} odometries missing"
+    most = f"at most {m.longest_fallback} in a row"
+    fallback = (
+        "-" if m.fallback_cycles is None else f"{m.fallback_cycles} cycles, {most}"
+    )
+    rows = [
+        ("motion from", m.source),
+        ("duration", f"{m.duration:.2f} s after {m.warm_up:.1f} s of warm-up"),
+        ("distance", f"{m.distance:.3f} m"),
+        ("mean v_x, v_y", f"{m.mean_v_x:.4f} m/s, {m.mean_v_y:+.4f} m/s"),
+        (
+            "height",
+            f"{_mm(m.height_mean)} mean, {_mm(m.height_std)} standard deviation",
+        ),
+        ("tilt", f"{_deg(m.tilt_rms)} RMS, {_deg(m.tilt_max)} max"),
+        (
+            "lateral drift",
+            f"{_mm(m.lateral_drift_max)} max, {_mm(m.lateral_drift_end, '+')} end",
+        ),
+        ("yaw drift", _deg(m.yaw_drift, "+")),
+        *((name, _latency(stage)) for name, stage in m.stages.items()),
+        ("end to end", _latency(m.end_to_end)),
+        ("deadline misses", misses),
+        ("  never answered", unanswered),
+        ("real-time factor", _number(m.real_time_factor, "{:.2f}")),
+        ("  behind real time", _latency(m.behind)),
+        ("MPC fallback", fallback),
+        ("largest violation", _number(m.violation_max, "{:.1e} N")),
+        ("map saturated", _per_leg(m.saturated)),
+        ("servo at stall", _per_leg(m.servo_saturated)),
+        ("servo load", _per_leg(m.servo_load)),
+        ("  all servos", _load(m)),
+        (
+            "rejected odometry",
+            "-" if m.rejected_odometry is None else str(m.rejected_odometry),
+        ),
+    ]
+    return [f"{name:<{NAME_WIDTH}}{value}" for name, value in rows]
+
+
+def _mm(metres: float, sign: str = "") -> str:
+    return f"{1e3 * metres:{sign}.1f} mm"
+
+
+def _deg(radians: float, sign: str = "") -> str:
+    return f"{math.degrees(radians):{sign}.2f} deg"
+
+
+def _number(value: float, form: str) -> str:
+    return form.format(value) if math.isfinite(value) else "-"
+
+
+def _latency(stage: Latency) -> str:
+    if not stage.count:
+        return "-"
+    p50, p99, largest = (1e3 * value for value in (stage.p50, stage.p99, stage.max))
+    return f"p50 {p50:6.2f}   p99 {p99:6.2f}   max {largest:6.2f} ms"
+
+
+def _load(metrics: WalkMetrics) -> str:
+    """Mean load of the servos beside the load that the maker advises."""
+    load, voltage = sum(metrics.servo_load) / len(LEGS), metrics.supply_voltage
+    if not math.isfinite(load):
+        return "-"
+    stall = f"stall at {voltage:.1f} V" if math.isfinite(voltage) else "nominal stall"
+    advised = f"{100 * metrics.continuous_load:.0f} %"
+    return f"{100 * load:.1f} % of {stall}; the maker advises {advised}"
+
+
+def _per_leg(fractions: Iterable[float]) -> str:
+    return "   ".join(
+        f"{leg} {_number(100 * f, '{:.1f} %')}" for leg, f in zip(LEGS, fractions)
+    )

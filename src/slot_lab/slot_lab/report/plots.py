@@ -1,30 +1,66 @@
-"""Plots of a walk: the dashboard, and a filmstrip of the robot."""
+"""Plots of a walk: the dashboard, a function for each of its panels."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
+from matplotlib.ticker import FuncFormatter
 
 from slot_core.arrays import Array
-from slot_core.drawing.shapes import FORCE_SCALE, bent_legs
-from slot_core.messages import decode
-from slot_core.robot import LEGS, RobotParameters, read_robot
-from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.recorded_walk import read_motion, read_ticks, seconds, stride_period
-from slot_lab.bags.topics import LEG_STATES
+from slot_core.drawing import palette
+from slot_core.geometry import rotate
+from slot_core.robot import LEGS
+from slot_core.safety.states import State
+from slot_lab.bags.bag import Bag, NoFieldError
+from slot_lab.bags.recorded_walk import (
+    STAGES,
+    Ticks,
+    TorsoTrack,
+    joint_columns,
+    read_motion,
+    read_ticks,
+    seconds,
+    stride_mean,
+    stride_period,
+)
+from slot_lab.bags.topics import PLANS
 from slot_lab.plot_file import write_plot
-from slot_lab.report import panels
+from slot_lab.report.constraint_map import draw_slack, read_map
 from slot_lab.report.metrics import WalkMetrics
-from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
+from slot_lab.report.traces import PLOTS, disturbances
 
-DPI = 100
 SIZE, SHARP = (11.5, 9.2), 140  # inches, dots per inch: legible at the width of a page
 WIDTHS = (1.0, 1.0, 1.2)  # of its columns, relative
+WINDOW = 4.0  # s at the end of the walk, shown in the panels of the legs
+LATENCY_BINS = 60
+TITLE_PAD = 12.0  # points, above the legend
+LEGEND: dict[str, Any] = {
+    "fontsize": 7,
+    "bbox_to_anchor": (1.0, 0.97),
+    "borderpad": 0.0,
+    "borderaxespad": 0.2,
+    "columnspacing": 1.2,
+    "handlelength": 1.5,
+    "frameon": False,
+    "loc": "lower right",
+    "ncols": 3,
+}
+STATE_COLOURS = {
+    State.WALKING: "#cfe3f1",
+    State.STANDING: "#d6ebe4",
+    State.HOLD: "#f8e3bd",
+    State.RELAX: "#f5cdb8",
+    State.ESTOP: "#f5cdb8",
+    State.FAULT: "#f5cdb8",
+}
+LATENCY_COLOURS = (*palette.STAGE_COLOURS, palette.INK)
 
 
 def dashboard(bag: Bag, metrics: WalkMetrics, path: Path) -> None:
@@ -42,75 +78,24 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     motion = read_motion(bag)
     names = ["path", "state", "height", "speed", "tilt"]
     path, state, height, speed, tilt = _stack(left, names, (1.3, 0.12, 1.0, 1.0, 1.0))
-    panels.draw_path(path, motion, motion.after(motion.t[0] + metrics.warm_up))
-    panels.draw_states(state, bag, motion.t[0], motion.t[-1])
-    panels.draw_height(height, motion, metrics.warm_up)
-    panels.draw_speed(speed, motion, stride_period(bag), metrics.warm_up)
-    panels.draw_tilt(tilt, motion, metrics.warm_up)
+    draw_path(path, motion, motion.between(motion.t[0] + metrics.warm_up))
+    draw_states(state, bag, motion.t[0], motion.t[-1])
+    draw_height(height, motion, metrics.warm_up)
+    draw_speed(speed, motion, stride_period(bag), metrics.warm_up)
+    draw_tilt(tilt, motion, metrics.warm_up)
 
     names = [f"{kind} {leg}" for kind in ("angle", "force") for leg in LEGS]
     axes = _stack(middle, names, (1.0,) * len(names))
-    panels.draw_angles(axes[:4], bag, motion.t[0], motion.t[-1])
-    panels.draw_forces(axes[4:], bag, motion.t[0], motion.t[-1])
+    draw_angles(axes[:4], bag, motion.t[0], motion.t[-1])
+    draw_forces(axes[4:], bag, motion.t[0], motion.t[-1])
 
     latency, slack, disturbance = _stack(
         right, ["latency", "slack", "disturbance"], (1.0, 1.6, 1.0)
     )
-    panels.draw_latency(latency, read_ticks(bag).after(motion.t[0] + metrics.warm_up))
-    panels.draw_constraints(slack, bag, motion.t[0])
-    panels.draw_disturbance(disturbance, bag, motion.t[0])
+    draw_latency(latency, read_ticks(bag).after(motion.t[0] + metrics.warm_up))
+    draw_constraints(slack, bag, motion.t[0])
+    draw_disturbance(disturbance, bag, motion.t[0])
     return figure
-
-
-def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
-    """Write a PNG with stills of the robot over its last stride.
-
-    Raises BagError if the bag holds no leg shapes (only the simulator publishes them).
-    """
-    write_plot(filmstrip_figure(bag, stills), path, DPI)
-
-
-def filmstrip_figure(bag: Bag, stills: int) -> Figure:
-    """The filmstrip; its axes are the stills in the order of time."""
-    robot, camera = read_robot(), Viewpoint()
-    poses = read_poses(bag, still_times(bag, stills), robot)
-    figure = Figure(figsize=(3.6 * stills, 2.2), dpi=DPI, layout="constrained")
-    for i, pose in enumerate(poses):
-        ax = figure.add_subplot(1, stills, i + 1, label=f"still {i}")
-        draw_robot(ax, pose, robot, camera)
-        ax.set_title(f"{pose.t:.2f} s", fontsize=11)
-    figure.supxlabel(
-        f"arrows: force of the ground, {1e-2 / FORCE_SCALE:.2f} N per cm", fontsize=9
-    )
-    return figure
-
-
-def still_times(bag: Bag, stills: int) -> Array:
-    """(stills,) s of graph time, evenly over the last stride; without a stride, over the run.
-
-    Raises BagError if the bag holds no leg shapes.
-    """
-    t = seconds(bag.series(LEG_STATES).stamp)
-    if not len(t):
-        raise BagError(f"{bag.path}: {LEG_STATES} holds no messages")
-    period = stride_period(bag) or np.inf
-    return np.linspace(max(t[0], t[-1] - period), t[-1], stills)
-
-
-def read_poses(bag: Bag, times: Array, robot: RobotParameters) -> list[Snapshot]:
-    """The robot at the recorded leg states nearest to `times` (s of graph time)."""
-    states = [message for _, message in bag.messages(LEG_STATES)]
-    motion = read_motion(bag)
-    t = seconds(np.array([decode.stamp(message) for message in states]))
-    poses = []
-    for time in times:
-        k = int(np.abs(t - time).argmin())
-        m = int(np.abs(motion.t - t[k]).argmin())
-        _, _, force, nodes, directors = decode.legs(states[k])
-        place = motion.position[m], motion.quaternion[m]
-        legs = bent_legs(nodes, directors, motion.quaternion[m], robot)
-        poses.append(Snapshot(float(t[k] - motion.t[0]), *place, legs, force))
-    return poses
 
 
 def _stack(
@@ -118,3 +103,226 @@ def _stack(
 ) -> list[Axes]:
     grid = figure.add_gridspec(len(names), 1, height_ratios=heights)
     return [figure.add_subplot(grid[i], label=name) for i, name in enumerate(names)]
+
+
+def draw_path(ax: Axes, motion: TorsoTrack, counted: TorsoTrack) -> None:
+    """Top view of the torso's path, and the straight line from which drift is measured.
+
+    `counted` is the motion after the warm-up. The line starts there, along the heading at
+    the start of the bag, and is as long as the way along it. A circle marks the start, a
+    triangle the end.
+    """
+    start, heading = counted.position[0, :2], motion.rpy[0, 2]
+    along = rotate(counted.position[:, :2] - start, -heading)[:, 0].max()
+    end = start + rotate(np.array([along, 0.0]), heading)
+    ax.plot(*motion.position[:, :2].T, color=palette.TRUE, lw=1.6, label="torso")
+    ax.plot(
+        *np.array([start, end]).T,
+        color=palette.INK,
+        lw=1,
+        ls="--",
+        label="initial heading",
+    )
+    ax.plot(*motion.position[0, :2], "o", color=palette.TRUE, ms=6)
+    ax.plot(*motion.position[-1, :2], ">", color=palette.SECONDARY, ms=8)
+    ax.set_aspect("equal", adjustable="datalim")
+    _finish(ax, f"path, top view ({motion.source})", "y (m)", "x (m)")
+    ax.legend(**LEGEND)
+
+
+def draw_states(ax: Axes, bag: Bag, start: float, end: float) -> None:
+    """States of the supervisor from graph time `start` to `end` (s), as coloured spans.
+
+    A state has its name if it lasts for 8 % of the time.
+    """
+    if bag.counts.get("/robot_state"):
+        series = bag.series("/robot_state", "state")
+        time, states = seconds(series.stamp) - start, series["state"].astype(int)
+        begins = np.flatnonzero(np.diff(states, prepend=-1))
+        for begin, last in zip(begins, [*time[begins[1:]], end - start]):
+            state, first = (
+                State(states[begin]),
+                max(time[begin], 0.0),
+            )  # it reports before it moves
+            ax.axvspan(first, last, color=STATE_COLOURS.get(state, palette.SHADE))
+            if last - first > 0.08 * (end - start):
+                ax.text(
+                    (first + last) / 2,
+                    0.5,
+                    state.name,
+                    fontsize=7,
+                    ha="center",
+                    va="center",
+                )
+    ax.set(xlim=(0.0, end - start), ylim=(0.0, 1.0), xticks=[], yticks=[])
+    ax.spines[:].set_visible(False)
+
+
+def draw_height(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
+    """Height of the torso's centre."""
+    ax.plot(
+        motion.t - motion.t[0], 1e3 * motion.position[:, 2], color=palette.TRUE, lw=1
+    )
+    _over_time(ax, motion, warm_up, "height of base_link", "z (mm)")
+
+
+def draw_speed(
+    ax: Axes, motion: TorsoTrack, period: float | None, warm_up: float
+) -> None:
+    """Forward velocity along the heading, raw and averaged over the stride around each time."""
+    v_x = motion.heading_velocity[:, 0]
+    t = motion.t - motion.t[0]
+    ax.plot(t, v_x, color=palette.PALE, lw=0.8, label="momentary")
+    if period is not None:
+        mean, label = stride_mean(t, v_x, period), f"mean over a stride, {period:.2f} s"
+        ax.plot(t, mean, color=palette.SECONDARY, lw=1.8, label=label)
+    ax.axhline(0.0, color=palette.INK, lw=0.6)
+    _over_time(ax, motion, warm_up, "forward velocity", "v_x (m/s)")
+    ax.legend(**LEGEND)
+
+
+def draw_tilt(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
+    """Roll and pitch."""
+    for i, (name, colour) in enumerate(
+        (("roll", palette.TRUE), ("pitch", palette.SECONDARY))
+    ):
+        degrees = np.degrees(motion.rpy[:, i])
+        ax.plot(motion.t - motion.t[0], degrees, color=colour, lw=1, label=name)
+    _over_time(ax, motion, warm_up, "roll and pitch", "angle (deg)")
+    ax.set_xlabel("time (s)")
+    ax.legend(**LEGEND)
+
+
+def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
+    """Tendon angles of each leg, desired and measured, over the last WINDOW seconds."""
+    for topic, label in (
+        ("/desired_joint_angles", "desired"),
+        ("/joint_states", "measured"),
+    ):
+        if bag.counts.get(topic):
+            t, angle = joint_columns(bag, topic, "position")
+            _per_leg(axes, t - start, np.degrees(angle), label)
+    _finish_legs(axes, "tendon angles (deg)", end - start)
+
+
+def draw_forces(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
+    """Normal forces of each leg, planned and true, over the last WINDOW seconds.
+
+    The planned ones are of the plan's first stage; only a simulator publishes true ones.
+    """
+    planned = ("/tendon_plan", "force", "planned")
+    for topic, field, label in (
+        planned,
+        ("/ground_truth/legs", "ground_force", "true"),
+    ):
+        if bag.counts.get(topic):
+            series = bag.series(topic, field)
+            first = series[field].reshape(len(series), -1, len(LEGS), 3)[:, 0]
+            _per_leg(axes, seconds(series.stamp) - start, first[..., 2], label)
+    _finish_legs(axes, "normal forces (N)", end - start)
+    axes[-1].set_xlabel("time (s)")
+
+
+def draw_latency(ax: Axes, ticks: Ticks) -> None:
+    """Histogram of every stage's latency and of the whole chain's.
+
+    Both axes are logarithmic: a single late tick stays visible beside thousands. Latencies
+    that are not positive, of nodes in one process, are left out.
+    """
+    columns = [*ticks.latency.T, ticks.end_to_end]
+    ms = [1e3 * column[np.isfinite(column) & (column > 0)] for column in columns]
+    if measured := [values for values in ms if len(values)]:
+        low, high = min(v.min() for v in measured), max(v.max() for v in measured)
+        high = max(high, 1e3 * ticks.period)
+        bins = np.geomspace(low / 1.2, high * 1.2, LATENCY_BINS).tolist()
+        for values, name, colour in zip(ms, (*STAGES, "end to end"), LATENCY_COLOURS):
+            ax.hist(
+                values,
+                bins,
+                histtype="stepfilled",
+                color=colour,
+                alpha=0.75,
+                label=name,
+            )
+        ax.set_xscale("log")
+        ax.set_yscale("log")  # a single late tick stays visible
+    ax.axvline(
+        1e3 * ticks.period, color=palette.INK, ls="--", lw=1, label="control period"
+    )
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    _finish(ax, "", "ticks", "latency (ms, logarithmic)")
+    ax.legend(**LEGEND | {"ncols": 2})
+
+
+def draw_disturbance(ax: Axes, bag: Bag, start: float) -> None:
+    """Disturbances that the policy estimates: payload, slip and turning.
+
+    The panel stays empty for a bag whose plans have none.
+    """
+    if bag.counts.get("/tendon_plan"):
+        with suppress(NoFieldError):  # a bag from before there was an observer
+            series = bag.series("/tendon_plan", "wrench", "drift")
+            found = disturbances(series["wrench"].T, series["drift"].T)
+            curve, time = (
+                PLOTS["disturbance"].curves["mpc"],
+                seconds(series.stamp) - start,
+            )
+            for values, name, colour in zip(found, curve.names, curve.colours):
+                ax.plot(time, values, color=colour, lw=1, label=name)
+            ax.legend(**LEGEND | {"ncols": 2})
+    _finish(ax, "", "disturbance", "time (s)")
+
+
+def draw_constraints(ax: Axes, bag: Bag, start: float) -> None:
+    """Dynamic Constraint Map: slack of each constraint of the plan's first stage over time."""
+    if bag.counts.get(PLANS, 0) > 1:
+        found = read_map(bag).active
+        bar = draw_slack(ax, replace(found, time=found.time + found.begin - start))
+        bar.ax.tick_params(labelsize=7)
+        bar.ax.yaxis.label.set_fontsize(8)
+    _finish(ax, "Dynamic Constraint Map", "", "time (s)")
+    ax.tick_params(axis="y", labelsize=7)
+    ax.grid(visible=False)
+
+
+def _per_leg(axes: Sequence[Axes], t: Array, values: Array, label: str) -> None:
+    for ax, leg, column in zip(axes, LEGS, values.T):
+        if label in ("true", "measured"):
+            ax.plot(
+                t,
+                column,
+                color=palette.LEG_COLOURS[leg],
+                lw=1.8,
+                alpha=0.75,
+                label=label,
+            )
+        else:
+            ax.plot(t, column, color=palette.INK, ls="--", lw=1, label=label)
+
+
+def _finish_legs(axes: Sequence[Axes], title: str, end: float) -> None:
+    for ax, leg in zip(axes, LEGS):
+        _finish(ax, "", leg, "")
+        ax.set_xlim(max(0.0, end - WINDOW), end)
+        ax.tick_params(labelbottom=ax is axes[-1])
+    axes[0].set_title(title, fontsize=9, loc="left", pad=TITLE_PAD)
+    if axes[0].lines:
+        axes[0].legend(**LEGEND)
+
+
+def _over_time(
+    ax: Axes, motion: TorsoTrack, warm_up: float, title: str, label: str
+) -> None:
+    ax.axvspan(0.0, warm_up, color=palette.SHADE, zorder=0)
+    ax.set_xlim(0.0, motion.t[-1] - motion.t[0])
+    _finish(ax, title, label, "")
+
+
+def _finish(ax: Axes, title: str, y_label: str, x_label: str) -> None:
+    ax.set_title(title, fontsize=9, loc="left", pad=TITLE_PAD)
+    ax.set_ylabel(y_label, fontsize=8)
+    ax.set_xlabel(x_label, fontsize=8)
+    ax.tick_params(labelsize=7)
+    ax.grid(color="#e3e7eb", lw=0.6)
+    ax.set_axisbelow(True)
+    ax.spines[["top", "right"]].set_visible(False)

@@ -1,21 +1,44 @@
-"""Drawings of the robot: solids in an orthographic view, painted from far to near."""
+"""Drawings of the robot at recorded times: as stills in a strip, or moving.
+
+Solids in an orthographic view, painted from far to near.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from slot_core.arrays import Array
 from slot_core.drawing import palette
-from slot_core.drawing.shapes import FORCE_SCALE, LEAST_FORCE, Legs, leg_bars, normals
-from slot_core.robot import LEGS, RobotParameters
+from slot_core.drawing.drawing import NATURAL_NODES
+from slot_core.drawing.shapes import (
+    FORCE_SCALE,
+    LEAST_FORCE,
+    Legs,
+    bent_legs,
+    leg_bars,
+    natural_legs,
+    normals,
+)
+from slot_core.messages import decode
+from slot_core.progress import Tell, untold
+from slot_core.refusal import InputError
+from slot_core.robot import LEGS, RobotParameters, read_robot
+from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.recorded_walk import read_motion, seconds, stride_period
+from slot_lab.bags.topics import LEG_STATES
+from slot_lab.plot_file import write_plot
 
 SUN = np.array([0.25, -0.45, 0.86]) / np.linalg.norm([0.25, -0.45, 0.86])
 AMBIENT = 0.55  # brightness of a face turned away from the sun
@@ -36,6 +59,12 @@ BOX_FACES = (
     (0, 2, 6, 4),
     (1, 5, 7, 3),
 )
+STRIDES = 2  # the last ones, of an animation
+SHOWN_WITHOUT_STRIDE = 1.5  # s, shown of a run without a stride
+SLOWER = 2.0  # times slower than the run
+SIZE, DPI = (6.4, 2.6), 100  # inches, dots per inch
+BELOW, ABOVE = 0.07, 0.14  # m shown below and above the ground below the torso
+SUFFIXES = (".gif", ".png", ".webp")
 
 
 @dataclass(frozen=True)
@@ -74,6 +103,9 @@ class Viewpoint:
         return np.stack(
             [points @ right, points @ np.cross(self.toward, right)], axis=-1
         )
+
+
+SIDE = Viewpoint(azimuth=np.radians(-90.0), elevation=np.radians(11.0))
 
 
 @dataclass(frozen=True)
@@ -176,3 +208,120 @@ def _draw_forces(ax: Axes, pose: Snapshot, centre: Array, camera: Viewpoint) -> 
             ends = np.array([foot, foot + FORCE_SCALE * force]) - centre
             tail, head = camera.project(ends).tolist()
             ax.annotate("", head, tail, zorder=4, arrowprops=arrow)
+
+
+class AnimationError(InputError):
+    """An animation cannot be made; the message is one line."""
+
+
+def animate(bag: Bag, path: Path, tell: Tell = untold) -> None:
+    """Write the last STRIDES of a walk as a GIF, PNG or WebP that moves, in a loop.
+
+    Raises AnimationError for another suffix, BagError if the bag holds no leg shapes, OSError.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise AnimationError(
+            f"{path}: expected a name that ends in {', '.join(SUFFIXES)}"
+        )
+    times, robot = frame_times(bag), read_robot()
+    pause = round(1e3 * SLOWER * float(np.diff(times).mean()))  # ms
+    with path.open("wb") as file:
+        frames: list[Image.Image] = []
+        for pose in read_poses(bag, times, robot):
+            tell(len(frames) / len(times))
+            frames.append(draw_frame(pose, robot))
+        frames[0].save(
+            file,
+            path.suffix[1:],
+            save_all=True,
+            append_images=frames[1:],
+            duration=pause,
+            loop=0,
+        )
+
+
+def frame_times(bag: Bag) -> Array:
+    """Graph times (n,) s of the leg shapes in the last STRIDES; a loop repeats no frame.
+
+    Without a stride, of the last SHOWN_WITHOUT_STRIDE. Raises AnimationError for less than
+    two.
+    """
+    t = seconds(bag.series(LEG_STATES).stamp)
+    if len(t) < 2:
+        raise AnimationError(
+            f"{bag.path}: {LEG_STATES} holds {len(t)} messages, less than 2"
+        )
+    length = STRIDES * (stride_period(bag) or SHOWN_WITHOUT_STRIDE / STRIDES)
+    return t[-max(2, round(length / float(np.median(np.diff(t))))) :]
+
+
+def draw_frame(pose: Snapshot, robot: RobotParameters) -> Image.Image:
+    """The robot from the side."""
+    figure = Figure(figsize=SIZE, dpi=DPI)
+    canvas = FigureCanvasAgg(figure)
+    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    draw_robot(ax, pose, robot, SIDE)
+    ax.set_ylim(-BELOW, ABOVE)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+
+
+def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
+    """Write a PNG with stills of the robot over its last stride.
+
+    Raises BagError if the bag holds no leg shapes (only the simulator publishes them).
+    """
+    write_plot(filmstrip_figure(bag, stills), path, DPI)
+
+
+def filmstrip_figure(bag: Bag, stills: int) -> Figure:
+    """The filmstrip; its axes are the stills in the order of time."""
+    robot, camera = read_robot(), Viewpoint()
+    poses = read_poses(bag, still_times(bag, stills), robot)
+    figure = Figure(figsize=(3.6 * stills, 2.2), dpi=DPI, layout="constrained")
+    for i, pose in enumerate(poses):
+        ax = figure.add_subplot(1, stills, i + 1, label=f"still {i}")
+        draw_robot(ax, pose, robot, camera)
+        ax.set_title(f"{pose.t:.2f} s", fontsize=11)
+    figure.supxlabel(
+        f"arrows: force of the ground, {1e-2 / FORCE_SCALE:.2f} N per cm", fontsize=9
+    )
+    return figure
+
+
+def still_times(bag: Bag, stills: int) -> Array:
+    """(stills,) s of graph time, evenly over the last stride; without a stride, over the run.
+
+    Raises BagError if the bag holds no leg shapes.
+    """
+    t = seconds(bag.series(LEG_STATES).stamp)
+    if not len(t):
+        raise BagError(f"{bag.path}: {LEG_STATES} holds no messages")
+    period = stride_period(bag) or np.inf
+    return np.linspace(max(t[0], t[-1] - period), t[-1], stills)
+
+
+def read_poses(bag: Bag, times: Array, robot: RobotParameters) -> list[Snapshot]:
+    """The robot at the recorded states nearest to `times` (s of graph time).
+
+    Without recorded leg states it has stress-free legs and no forces.
+    """
+    motion, states = read_motion(bag), []
+    if bag.counts.get(LEG_STATES):
+        states = [message for _, message in bag.messages(LEG_STATES)]
+        t = seconds(np.array([decode.stamp(message) for message in states]))
+    poses = []
+    for time in times:
+        if states:
+            state = states[k := int(np.abs(t - time).argmin())]
+            time = t[k]  # noqa: PLW2901 - of the state
+        m = int(np.abs(motion.t - time).argmin())
+        place = motion.position[m], motion.quaternion[m]
+        if states:
+            _, _, force, nodes, directors = decode.legs(state)
+            legs = bent_legs(nodes, directors, motion.quaternion[m], robot)
+        else:
+            force = np.zeros((len(LEGS), 3))
+            legs = natural_legs(*place, robot, NATURAL_NODES)
+        poses.append(Snapshot(float(time - motion.t[0]), *place, legs, force))
+    return poses

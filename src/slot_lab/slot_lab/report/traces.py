@@ -34,7 +34,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Plot:
-    """Curves that share their axes; the keys are those of `values`, after the plot's own."""
+    """Curves that share their axes, by the second part of the names of `values`."""
 
     title: str
     curves: dict[str, Curve] = field(default_factory=dict)
@@ -88,11 +88,8 @@ PLOTS = {
         "solve time of the MPC (ms)", {"mpc": _one("solve time", palette.INK)}
     ),
 }
-STATES = {
-    "supervisor": "supervisor",
-    "mpc": "MPC",
-    "gait": "gait",
-}  # by key of `states`: title
+STATES = {"supervisor": "supervisor", "mpc": "MPC", "gait": "gait"}
+"""Titles by key of `states`."""
 
 
 def values(topic: str, message: Any) -> Values:

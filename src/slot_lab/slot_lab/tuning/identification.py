@@ -10,6 +10,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.gait.gait import TORSO_MOTION, HarmonicBasis, Pattern, Steering, Stride
 from slot_core.geometry import rotate
+from slot_core.refusal import InputError
 from slot_lab.tuning import symmetry
 from slot_lab.tuning.settings import TuningSettings
 from slot_lab.tuning.stride_run import (
@@ -29,7 +30,7 @@ STEERED_AMPLITUDE = 0.8
 PATTERNS = ("forward", "lateral", "turn")
 
 
-class IdentificationError(RuntimeError):
+class IdentificationError(InputError):
     """A run of the identification has diverged."""
 
 

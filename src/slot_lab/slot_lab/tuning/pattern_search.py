@@ -88,11 +88,8 @@ def cost(
     outcomes: Sequence[Outcome], stride: Stride, goal: Goal, settings: TuningSettings
 ) -> tuple[float, Array]:
     """Cost of a candidate from the outcomes of its `jobs`, and its speed on each floor."""
-    axis, scale, floors = (
-        AXIS[goal.kind],
-        np.array(settings.speed_scale),
-        len(outcomes) - 1,
-    )
+    axis, floors = AXIS[goal.kind], len(outcomes) - 1
+    scale = np.array(settings.speed_scale)
     speed, penalty = [], []
     for motion in outcomes:
         if motion is None:
@@ -177,7 +174,7 @@ class PatternSearch:
     ) -> Found:
         """Search to the end of the evaluations; the best candidate, the start included.
 
-        Raises ConfigError if `record` is that of another search.
+        Raises ConfigError if another search has written `record`.
         """
         recorded = self._open(record)
         self._generation([self._strategy.x0], recorded, run_all, record)

@@ -28,10 +28,7 @@ from slot_lab.tuning.settings import TuningSettings
 OUTPUTS = ("v_x", "v_y", "yaw rate", "height", "roll", "pitch")
 RISE = 0.053  # m, of the torso per rad of all angles
 OFFSET_MAX = math.radians(15.0)  # of the height's correction
-HELD = (
-    "forward",
-    "lateral",
-)  # patterns run at the stride's height; a turn finds its own
+HELD = ("forward", "lateral")  # run at the stride's height; a turn finds its own
 TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)  # columns of a track; s, m, rad
 
 
@@ -98,10 +95,8 @@ class _Run:
         offsets: list[float] = []
         for stride in range(first + count):
             if stride == first:
-                rows, self._top = (
-                    rows[-1:],
-                    0.0,
-                )  # whole strides: from the end of the one before
+                rows = rows[-1:]  # whole strides: from the end of the one before
+                self._top = 0.0
             begin = len(rows)
             for phase, angle in self._commands(stride):
                 self._robot.advance(self._steps, angle)
@@ -111,20 +106,15 @@ class _Run:
                 self._correct(float(np.mean([row[HEIGHT] for row in rows[begin:]])))
         table = np.array(rows)
         track, rest = table[:, :7], table[:, 7:]
-        means = stride_means(track)
-        offset, load = (
-            float(np.mean(offsets[first:])),
-            float(rest[:, 7].mean() / self._stall),
-        )
         return StrideMotion(
-            track,
-            rest[:, 0],
-            rest[:, 1:5],
-            rest[:, 5:7],
-            means,
-            offset,
-            self._top,
-            load,
+            track=track,
+            phase=rest[:, 0],
+            force=rest[:, 1:5],
+            velocity=rest[:, 5:7],
+            means=stride_means(track),
+            offset=float(np.mean(offsets[first:])),
+            top=self._top,
+            load=float(rest[:, 7].mean() / self._stall),
         )
 
     def _commands(self, number: int) -> list[tuple[float, Array]]:

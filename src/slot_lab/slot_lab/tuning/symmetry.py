@@ -24,10 +24,8 @@ from slot_core.gait.gait import (
 
 DIAGONAL = [0, 2, 1, 3]  # legs after the reflection at the diagonal through FL and RR
 NUMBERS = {"forward": 10, "turn": 10}
-FREE_LEGS = {
-    "forward": (0, 2),
-    "turn": (0, 1),
-}  # rows of a pattern that are its numbers
+FREE_LEGS = {"forward": (0, 2), "turn": (0, 1)}
+"""Rows of a pattern that are its numbers."""
 # Symmetry of the motion of each pattern: legs exchanged, and the sway that changes its sign.
 EXCHANGED = {"forward": LEFT_RIGHT, "lateral": FRONT_REAR, "turn": [3, 2, 1, 0]}
 REVERSED = {
@@ -38,7 +36,7 @@ REVERSED = {
 
 
 def forward(x: Array) -> Array:
-    """Coefficients (4, 5) of the numbers (10,): those of FL, then those of RL."""
+    """Coefficients (4, 5) of the numbers (10,): FL's, then RL's."""
     front, rear = x[:5], x[5:]
     return np.stack([front, front * HALF_STRIDE_LATER, rear, rear * HALF_STRIDE_LATER])
 
@@ -63,7 +61,7 @@ def lateral_steering(change: Array) -> Array:
 
 
 def turn(x: Array) -> Array:
-    """Coefficients (4, 5) of the numbers (10,): those of FL, then those of FR."""
+    """Coefficients (4, 5) of the numbers (10,): FL's, then FR's."""
     left, right = x[:5], x[5:]
     return np.stack([left, right, right * HALF_STRIDE_LATER, left * HALF_STRIDE_LATER])
 
@@ -76,12 +74,9 @@ def numbers(kind: str, pattern: Array) -> Array:
 
 def symmetrised(name: str, table: Array) -> Array:
     """Table (9, 5) of normal forces and sway; terms that the symmetry excludes become zero."""
-    sign = np.array([-1.0 if key in REVERSED[name] else 1.0 for key in TORSO_MOTION])[
-        :, None
-    ]
-    image = (
-        np.vstack([table[:4][EXCHANGED[name]], sign * table[4:]]) * HALF_STRIDE_LATER
-    )
+    sign = [[-1.0 if key in REVERSED[name] else 1.0] for key in TORSO_MOTION]
+    exchanged = np.vstack([table[:4][EXCHANGED[name]], sign * table[4:]])
+    image = exchanged * HALF_STRIDE_LATER
     return np.asarray((table + image) / 2)
 
 

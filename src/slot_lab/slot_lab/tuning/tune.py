@@ -1,9 +1,12 @@
-"""Search of a stride on the simulated robot: its stages, and their files."""
+"""Search of a stride on the simulated robot: its stages, and the file of `config/gait`."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import functools
+import textwrap
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,37 +20,39 @@ from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
 from slot_core.progress import ProgressLine
 from slot_core.refusal import quoted
 from slot_core.robot import read_robot
-from slot_lab.tuning import gait_file, identification, symmetry
+from slot_lab.desk_command import Outcome
+from slot_lab.tuning import identification, symmetry
 from slot_lab.tuning.identification import IdentificationError
 from slot_lab.tuning.pattern_search import Goal, PatternSearch, bare_pattern, start_of
 from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import RunAll, simulate
-from slot_lab.workers import gather, workers
+from slot_lab.workers import mapper
 
 RECORDS = Path("results", "tune")
 QUICK = {"friction": [0.4], "strides": 3, "evaluations": 32, "population": 8}
 LEAST_SPEED = 1e-3  # m/s, rad/s, of a pattern
-ERRORS = (ConfigError, IdentificationError, ModuleNotFoundError, OSError)
+COMMENT_WIDTH = 98
+DECIMALS = 9  # of written values; smaller ones are zero
 
 
-def write_stride(
-    options: argparse.Namespace, command: str, progress: ProgressLine
-) -> list[str]:
-    """Search and write the stride; returns the lines of the report. Raises ERRORS."""
-    out = options.out = (
-        options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
-    )
+def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
+    """Search and write the stride; returns the lines of the report.
+
+    Raises ConfigError, IdentificationError, ModuleNotFoundError, OSError.
+    """
+    place = config.config_dir() / "gait" / f"{options.gait}.yaml"
+    options.out = options.out or place
     tuning = _Tuning(options, progress)
     call = functools.partial(simulate, settings=tuning.settings)
-    with workers(options.scheduler, options.workers) as client:
-        notes = tuning.run(functools.partial(gather, client, call))
-    gait_file.write(out, tuning.stride, [command, *notes])
+    with mapper(options.scheduler, options.workers) as run_all:
+        notes = tuning.run(functools.partial(run_all, call))
+    write_gait(options.out, tuning.stride, [options.command, *notes])
     tuning.forget()
-    return [*notes, str(out)]
+    return [*notes, str(options.out)], 0
 
 
 class _Tuning:
-    """A run of `scripts/tune`: its options, settings and stages."""
+    """Search by `scripts/tune`: its options, settings and stages."""
 
     def __init__(self, options: argparse.Namespace, progress: ProgressLine) -> None:
         """Read the configuration; raises ConfigError."""
@@ -157,17 +162,13 @@ def _start(options: argparse.Namespace) -> Stride:
     stride = read_gaits().find(name)
     if not isinstance(stride, Stride):
         raise ConfigError(f"gait {quoted(name)} is a posture, not a stride")
-    changes: dict[str, object] = {}
+    names = ("height_range", "period", "cruise")
+    changes = {name: getattr(options, name) for name in names}
     if options.height is not None:
         changes |= _rest(options.height) | {"height": options.height}
         changes["height_range"] = options.height_range or [options.height] * 2
-    elif options.height_range:
-        changes["height_range"] = options.height_range
-    if options.period is not None:
-        changes["period"] = options.period
-    if options.cruise is not None:
-        changes["cruise"] = options.cruise
-    return config.replace(stride, changes, where="scripts/tune")
+    given = {name: value for name, value in changes.items() if value is not None}
+    return config.replace(stride, given, where="scripts/tune")
 
 
 def _rest(height: float) -> dict[str, object]:
@@ -176,3 +177,37 @@ def _rest(height: float) -> dict[str, object]:
         np.array([read_robot().weight / 4]), np.array([height])
     )[0]
     return {"centre_deg": [round(float(np.degrees(angle)), 1)] * 4}
+
+
+def write_gait(path: Path, stride: Stride, head: Sequence[str]) -> None:
+    """Write a stride; head: lines of the comment before it. Raises OSError."""
+    lines = [
+        f"# {part}"
+        for line in head
+        for part in textwrap.wrap(line, COMMENT_WIDTH) or [""]
+    ]
+    path.write_text("\n".join([*lines, *_lines(stride, "")]) + "\n")
+
+
+def _lines(settings: Any, indent: str) -> Iterator[str]:
+    """Lines of a settings object: values first, then nested objects, rows of matrices in a line."""
+    values = {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
+    nested = [name for name, value in values.items() if dataclasses.is_dataclass(value)]
+    for name in [*(name for name in values if name not in nested), *nested]:
+        value = values[name]
+        if name in nested:
+            yield f"{indent}{name}:"
+            yield from _lines(value, indent + "  ")
+        elif isinstance(value, tuple) and isinstance(value[0], tuple):
+            yield f"{indent}{name}:"
+            yield from (f"{indent}  - {_text(row)}" for row in value)
+        else:
+            yield f"{indent}{name}: {_text(value)}"
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, tuple):
+        return "[" + ", ".join(map(_text, value)) + "]"
+    if isinstance(value, float):
+        return f"{round(value, DECIMALS) + 0.0:.4g}"
+    return str(value)

@@ -15,46 +15,27 @@ from __future__ import annotations
 import argparse
 import math
 import shlex
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import (
-    INTERRUPTED,
-    command_parser,
-    positive_integer,
-    refuse,
-    show,
-)
-from slot_core.progress import ProgressLine
+from slot_core.command_line import command_parser, positive_integer
 from slot_core.refusal import quoted
+from slot_lab.desk_command import run_command
 
 STAGES = ("forward", "turn", "steering", "identify")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/tune`; returns the exit code."""
-    options = _parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    parser = _parser()
+    options = parser.parse_args(words)
     options.stages = [stage for stage in STAGES if stage in (options.stages or STAGES)]
-    from slot_lab.tuning.tune import ERRORS, write_stride  # noqa: PLC0415 - heavy
+    options.command = f"scripts/tune {shlex.join(words)}"
+    from slot_lab.tuning.tune import run  # noqa: PLC0415 - heavy
 
-    command = "scripts/tune " + shlex.join(
-        sys.argv[1:] if arguments is None else arguments
-    )
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        with ProgressLine("scripts/tune") as progress:
-            lines = write_stride(options, command, progress)
-    except KeyboardInterrupt:
-        print(
-            "\nscripts/tune: interrupted; the same command continues", file=sys.stderr
-        )
-        return INTERRUPTED
-    except ERRORS as error:
-        refuse("scripts/tune", error)
-        return 2
-    return 0 if show("scripts/tune", lines) else 2
+    return run_command(parser, options, run, resumable=True)
 
 
 def _parser() -> argparse.ArgumentParser:

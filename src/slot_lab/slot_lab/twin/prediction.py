@@ -1,18 +1,19 @@
 """Prediction: recorded tendon angles on the simulated robot, from the recorded start.
 
-Measured angles are imposed: the spool follows a cubic spline through them, whatever the load. Each
-value is held for h and reached with the lag h / 2, which makes up for giving it h / 2 too early.
-Commands go on at their rate until the next one and pass through the model of the servo.
+Measured angles are imposed: the spool follows a cubic spline through them, whatever the
+load. Each value is held for h and reached with the lag h / 2, which makes up for giving it
+h / 2 too early. Commands are extrapolated at their rate until the next one and pass through
+the model of the servo.
 
-The robot settles under the first angles and is moved to the recorded place and heading. The shapes
-of the legs are not measured; those of another start are forgotten within the run-in.
+The robot settles under the first angles and is moved to the recorded place and heading. The
+shapes of the legs are not measured; the run-in forgets the shapes of another start.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -25,17 +26,27 @@ from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.progress import Tell, untold
-from slot_core.robot import RobotParameters, read_parameters, read_robot
+from slot_core.robot import (
+    LEAST_NODES,
+    LEG_POINTS,
+    LEGS,
+    TORSO,
+    RobotParameters,
+    at_shares,
+    read_parameters,
+    read_robot,
+)
 from slot_core.safety.rate_limiter import extrapolated
 from slot_core.simulation.make_robot import make_robot
-from slot_lab.bags.measured import TendonAngles
-from slot_lab.bags.recorded_walk import TorsoTrack
+from slot_lab.bags.recorded_walk import TendonAngles, TorsoTrack
+from slot_lab.csv_table import PointRow, write_points
 from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings
 
 LEAST_SETTLING = 1.0  # s
 LONGEST_GAP = 0.06  # s, between two angles, across which a spline is drawn
 BEYOND = 0.1  # rad, by which a measured angle may exceed the range of the tendons
+POINT_PERIOD = 1 / 30  # s, between two written rows of a point
 FREE_RPM = 1000.0  # of a spool whose angle is imposed
 
 
@@ -46,27 +57,6 @@ class ModelParts:
     robot: RobotParameters
     scene: Scene
     servo: ServoSettings
-
-
-@dataclass(frozen=True)
-class PredictedTrack:
-    """The torso's motion over n times."""
-
-    t: Array  # (n,) s, graph time
-    position: Array  # (n, 3) m, odom
-    rpy: Array  # (n, 3) rad, yaw unwrapped
-
-    @cached_property
-    def columns(self) -> Array:
-        """(n, 6): position, rpy."""
-        return np.hstack([self.position, self.rpy])
-
-    def at(self, t: Array) -> PredictedTrack:
-        """The motion at other times (m,), linear in between."""
-        moved = np.column_stack(
-            [np.interp(t, self.t, column) for column in self.columns.T]
-        )
-        return PredictedTrack(t, moved[:, :3], moved[:, 3:])
 
 
 def read_parts(scene: str, parameters: str = "") -> ModelParts:
@@ -80,11 +70,6 @@ def read_parts(scene: str, parameters: str = "") -> ModelParts:
         values = read_parameters(parameters, "scene") | {"parameters": parameters}
         floor = config.replace(floor, values, f"parameters/{parameters}.yaml: scene")
     return ModelParts(read_robot(named), floor, read_servo(named))
-
-
-def measured_track(motion: TorsoTrack) -> PredictedTrack:
-    """The recorded motion."""
-    return PredictedTrack(motion.t, motion.position, motion.rpy)
 
 
 def simulate(
@@ -123,15 +108,42 @@ def predict(
     parts: ModelParts,
     settings: TwinSettings,
     tell: Tell = untold,
-) -> PredictedTrack:
+) -> TorsoTrack:
     """The predicted motion after each hold; raises as `simulate`."""
     rows = [
-        (t, *sim.position, *sim.rpy)
+        (t, *sim.position, *sim.velocity, *sim.rpy)
         for t, sim in simulate(recorded, parts, settings, tell)
     ]
-    table = np.array(rows)
-    table[:, 6] = np.unwrap(table[:, 6])
-    return PredictedTrack(table[:, 0], table[:, 1:4], table[:, 4:])
+    t, position, velocity, rpy = np.split(np.array(rows), [1, 4, 7], axis=1)
+    quaternion = Rotation.from_euler("xyz", rpy).as_quat()
+    return TorsoTrack("prediction", t[:, 0], position, quaternion, velocity)
+
+
+def write_predicted_points(
+    recorded: BagRecording,
+    parts: ModelParts,
+    settings: TwinSettings,
+    path: Path,
+    tell: Tell = untold,
+) -> None:
+    """Write the predicted places of torso and leg points at 30 Hz; raises OSError.
+
+    The CSV file has the columns time,point,x,y,z, as scripts/validate reads it. Legs of
+    fewer than LEAST_NODES nodes have no points.
+    """
+    rows: list[PointRow] = []
+    due = -np.inf
+    for t, sim in simulate(recorded, parts, settings, tell):
+        if t < due:
+            continue
+        due = t + POINT_PERIOD - settings.hold / 2
+        rows.append((t, TORSO, sim.position))
+        if sim.nodes.shape[1] < LEAST_NODES:
+            continue
+        for leg, nodes in zip(LEGS, sim.nodes):
+            places = zip(LEG_POINTS, at_shares(nodes))
+            rows += [(t, f"{leg}_{name}", place) for name, place in places]
+    write_points(path, rows, ["Predicted by scripts/twin"])
 
 
 def _imposed(servo: ServoSettings, hold: float) -> ServoSettings:

@@ -21,10 +21,15 @@ from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import STORAGES, Bag
-from slot_lab.bags.measured import TendonAngles, measured_motion, tendon_angles
-from slot_lab.bags.recorded_walk import TorsoTrack, stride_period
-from slot_lab.bags.topics import COMMANDED
-from slot_lab.csv_table import Table, TableError, read_table
+from slot_lab.bags.recorded_walk import (
+    TendonAngles,
+    TorsoTrack,
+    read_motion,
+    stride_period,
+    tendon_angles,
+)
+from slot_lab.bags.topics import COMMANDED, MOTION_TOPICS
+from slot_lab.csv_table import Table, TableError, increasing_numbers, read_table
 
 POSE = ("x", "y", "z", "roll", "pitch", "yaw")
 COLUMNS = ("time", *LEGS, *POSE)
@@ -57,7 +62,8 @@ def read_recorded(
     """
     if path.is_dir() or path.suffix in STORAGES:
         bag = Bag(path, namespace)
-        turned, moved = tendon_angles(bag, angles), measured_motion(bag, motion)
+        turned = tendon_angles(bag, *filter(None, [angles]))
+        moved = read_motion(bag, *([motion] if motion else MOTION_TOPICS))
         found = BagRecording(path.name, turned, moved, stride_period(bag))
     elif namespace or motion:
         raise ConfigError(f"{path}: --namespace and --motion are of bags")
@@ -91,14 +97,9 @@ def _from_table(path: Path, measured: bool) -> BagRecording:
 def _columns(path: Path, table: Table, names: Sequence[str]) -> tuple[Array, Array]:
     """Times (n,) and values (n, m) of the rows in which the columns are not all empty."""
     rows = [row for row in table.rows if any(row.cells[name] for name in names)]
-    values = np.array([[row.number(name) for name in ("time", *names)] for row in rows])
+    values = increasing_numbers(rows, ["time", *names])
     if len(rows) < 2:
         raise TableError(
             f"{path}: {len(rows)} rows with {', '.join(names)}, less than 2"
-        )
-    step = np.diff(values[:, 0])
-    if (step <= 0).any():
-        raise TableError(
-            f"{rows[int(np.argmax(step <= 0)) + 1].where}, time: does not increase"
         )
     return values[:, 0], values[:, 1:]

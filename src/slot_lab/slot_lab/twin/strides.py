@@ -1,12 +1,12 @@
 """Comparison of predicted and measured motion stride by stride.
 
-Place x, y and heading of a walk are the sum of all that was before, errors included; height, roll
-and pitch are not: the legs' springs bring them back. So a prediction is compared over windows of a
-few strides, each predicted from the measured place and heading: within a window both motions are
-laid on each other in the plane, by the turn and the shift that make their means equal.
+Place x, y and heading of a walk accumulate all earlier errors; height, roll and pitch do not:
+the legs' springs bring them back. So a prediction is compared over windows of a few strides,
+each predicted from the measured place and heading: within a window both motions are aligned
+in the plane, by the turn and the shift that make their means equal.
 
-A stride's displacement is that of the mean place over a stride to the mean over the next, in the
-frame of the mean heading: in the mean of 21 readings at 30 Hz their noise is a fifth.
+A stride's displacement leads from the mean place over a stride to the mean over the next, in
+the frame of the mean heading: in the mean of 21 readings at 30 Hz their noise is a fifth.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from scipy.signal import correlate, find_peaks
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.geometry import rotate
-from slot_lab.twin.prediction import PredictedTrack
+from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings
 
@@ -148,7 +148,7 @@ def angle_period(recorded: BagRecording) -> float:
 
 
 def stride_errors(
-    predicted: PredictedTrack, measured: PredictedTrack, strides: Strides
+    predicted: TorsoTrack, measured: TorsoTrack, strides: Strides
 ) -> StrideErrors:
     """Errors of each stride."""
     moved = [_means(track, strides) for track in (predicted, measured)]
@@ -160,7 +160,7 @@ def stride_errors(
 
 
 def error_growth(
-    predicted: PredictedTrack, measured: PredictedTrack, strides: Strides
+    predicted: TorsoTrack, measured: TorsoTrack, strides: Strides
 ) -> Array:
     """(k - 1, 3) RMS over all starts of the error after 1 .. k - 1 strides: m, and rad of heading.
 
@@ -175,36 +175,31 @@ def error_growth(
 
 
 def residuals(
-    predicted: PredictedTrack,
-    measured: PredictedTrack,
+    predicted: TorsoTrack,
+    measured: TorsoTrack,
     strides: Strides,
     settings: TwinSettings,
 ) -> list[Array]:
-    """Residuals of each window, (n, 6) over their standard uncertainty; windows without samples
-    are left out.
+    """Residuals of each window, (n, 6) over their standard uncertainty.
 
-    x and y in the frame of the mean heading.
+    x and y are in the frame of the mean heading. Windows without samples are left out.
     """
     scale = np.repeat([settings.position_sigma, settings.angle_sigma], 3)
     out = []
     for first in range(0, strides.count, settings.window):
         last = min(first + settings.window, strides.count)
-        inside = (measured.t >= strides.edges[first]) & (
-            measured.t < strides.edges[last]
-        )
+        begin, end = strides.edges[[first, last]]
+        inside = (measured.t >= begin) & (measured.t < end)
         if inside.sum() >= 3:
-            out.append(
-                _aligned(predicted.at(measured.t[inside]), measured.columns[inside])
-                / scale
-            )
+            moved = predicted.pose_at(measured.t[inside])
+            out.append(_aligned(moved, measured.pose[inside]) / scale)
     return out
 
 
-def _aligned(predicted: PredictedTrack, measured: Array) -> Array:
-    """Predicted minus measured (n, 6), laid on each other in the plane."""
-    moved = predicted.columns
-    off = moved - measured
-    off[:, :2] = _in_plane(moved) - _in_plane(measured)
+def _aligned(predicted: Array, measured: Array) -> Array:
+    """Predicted minus measured poses (n, 6), aligned in the plane."""
+    off = predicted - measured
+    off[:, :2] = _in_plane(predicted) - _in_plane(measured)
     off[:, YAW] -= off[:, YAW].mean()
     return off
 
@@ -215,11 +210,11 @@ def _in_plane(track: Array) -> Array:
     return np.asarray(local - local.mean(axis=0))
 
 
-def _means(track: PredictedTrack, strides: Strides) -> Array:
+def _means(track: TorsoTrack, strides: Strides) -> Array:
     """(k, 6) means over the strides."""
     share = (np.arange(PER_STRIDE) + 0.5) / PER_STRIDE
     t = strides.edges[:-1, None] + share * strides.period
-    moved = track.at(t.ravel()).columns.reshape(strides.count, PER_STRIDE, 6)
+    moved = track.pose_at(t.ravel()).reshape(strides.count, PER_STRIDE, 6)
     return np.asarray(moved.mean(axis=1))
 
 
@@ -235,14 +230,16 @@ def _rms(values: Array) -> float:
 
 
 def placed(
-    predicted: PredictedTrack, measured: PredictedTrack, strides: Strides
-) -> PredictedTrack:
-    """The prediction over the strides, laid on the measured place and heading of the first one."""
+    predicted: TorsoTrack, measured: TorsoTrack, strides: Strides
+) -> tuple[Array, Array]:
+    """The prediction over the strides: times (n,), s, and poses (n, 6).
+
+    It is aligned with the measured place and heading of the first stride.
+    """
     first = strides.part(0, 1)
     mine, given = (_means(track, first)[0] for track in (predicted, measured))
-    keep = (predicted.t >= strides.edges[0]) & (predicted.t <= strides.edges[-1])
-    position, rpy = predicted.position[keep].copy(), predicted.rpy[keep].copy()
-    turned = given[YAW] - mine[YAW]
-    position[:, :2] = given[:2] + rotate(position[:, :2] - mine[:2], turned)
-    rpy[:, 2] += turned
-    return PredictedTrack(predicted.t[keep], position, rpy)
+    inside = predicted.between(strides.edges[0], strides.edges[-1])
+    pose, turned = inside.pose.copy(), given[YAW] - mine[YAW]
+    pose[:, :2] = given[:2] + rotate(pose[:, :2] - mine[:2], turned)
+    pose[:, YAW] += turned
+    return inside.t, pose

@@ -7,52 +7,75 @@ import hashlib
 import os
 import pickle
 import shutil
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from slot_core.arrays import Array
-from slot_core.config import ConfigError, load
+from slot_core.config import load
+from slot_core.drawing import palette
 from slot_core.progress import ProgressLine
-from slot_core.refusal import DivergenceError
-from slot_lab.bags.bag import BagError
-from slot_lab.calibration.experiments import PredictionError
-from slot_lab.calibration.fit import FitError
-from slot_lab.csv_table import TableError
-from slot_lab.twin import leg_points, parameter_set, twin_plot
-from slot_lab.twin.prediction import PredictedTrack, measured_track, predict, read_parts
+from slot_lab.bags.recorded_walk import TorsoTrack
+from slot_lab.calibration.fit import RunAll
+from slot_lab.desk_command import Outcome
+from slot_lab.plot_file import write_plot
+from slot_lab.twin.prediction import predict, read_parts, write_predicted_points
 from slot_lab.twin.recorded import read_recorded
 from slot_lab.twin.settings import TwinSettings, read_twin
-from slot_lab.twin.strides import Strides, find_strides, residuals, stride_errors
-from slot_lab.twin.twin_fit import RunAll, fit_twin, parameter, places, serially
-from slot_lab.verdict import Verdict
-from slot_lab.workers import gather, workers
-
-LAID_ON = 3  # numbers taken from the measurement in each window: x, y, heading
-COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
-
-ERRORS = (
-    BagError,
-    ConfigError,
-    DivergenceError,
-    FitError,
-    PredictionError,
-    TableError,
-    OSError,
+from slot_lab.twin.strides import (
+    PITCH,
+    ROLL,
+    YAW,
+    Strides,
+    Z,
+    error_growth,
+    find_strides,
+    placed,
+    residuals,
+    stride_errors,
 )
+from slot_lab.twin.twin_fit import (
+    error_lines,
+    fit_lines,
+    fit_twin,
+    parameter,
+    place_of,
+    places,
+    record_fit,
+    write_set,
+)
+from slot_lab.verdict import Verdict
+from slot_lab.workers import mapper
+
+ALIGNED = 3  # numbers taken from the measurement in each window: x, y, heading
+COORDINATES = ("x", "y", "z", "roll", "pitch", "yaw")
+DPI = 100
+COLOURS = (palette.SECONDARY, palette.TRUE)
+OVER_TIME = {
+    YAW: "heading (deg)",
+    Z: "height of base_link (mm)",
+    ROLL: "roll (deg)",
+    PITCH: "pitch (deg)",
+}
+"""Labels of the panels over time, by column of a pose."""
+Aligned = tuple[Array, Array]  # times (n,), s, and poses (n, 6)
 
 
-def run(
-    options: argparse.Namespace, progress: ProgressLine
-) -> tuple[list[str], Verdict]:
-    """Predict, fit if asked for, and write the files; returns the lines of the report."""
+def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
+    """Predict, fit if asked for, and write the files; returns the report and exit code.
+
+    Raises BagError, ConfigError, DivergenceError, FitError, PredictionError, TableError,
+    OSError.
+    """
     settings, names = read_twin(), places([*filter(None, options.fit.split(","))])
     if options.set:
-        parameter_set.place_of(options.set)
+        place_of(options.set)
     parts = read_parts(options.scene, options.parameters)
     for name in names:
         parameter(parts, name)  # refused before anything is started
@@ -64,25 +87,21 @@ def run(
     strides = find_strides(recorded, settings, options.period)
     out = options.out or Path("results", "twin", recorded.name)
     out.mkdir(parents=True, exist_ok=True)
-    lost = recorded.motion.left_out
+    angles, measured = recorded.angles, recorded.motion
+    lost = measured.left_out
     left_out = f", without {lost} readings that were lost" if lost else ""
-    kind = (
-        "measured"
-        if recorded.angles.measured
-        else "commands, through the model of the servo"
-    )
+    kind = "measured" if angles.measured else "commands, through the model of the servo"
     lines = [
         f"{recorded.name}: {strides.count} strides of {strides.period:.3g} s",
-        f"tendon angles       {recorded.angles.source} ({kind})",
-        f"motion              {recorded.motion.source}{left_out}",
+        f"tendon angles       {angles.source} ({kind})",
+        f"motion              {measured.source}{left_out}",
         f"model               scene {options.scene}, parameters {start}",
         "",
     ]
-    measured = measured_track(recorded.motion)
     predicting = partial(progress, "predicting the motion")
-    predicted = predict(recorded, parts, settings, predicting)
+    tracks = {"model": predict(recorded, parts, settings, predicting)}
     if names:
-        with _runner(options) as run_all:
+        with mapper(options.scheduler, options.workers) as run_all:
             trial = (recorded, strides, parts, names, settings, options.starts)
             kept = _Trials(out / "trials", run_all, trial)
             found = fit_twin(
@@ -96,61 +115,51 @@ def run(
                 say=progress.say,
                 tell=progress,
             )
-        seen = len(found.seen[0].level)
-        content = parameter_set.record(recorded, parts, start, found, options.note)
-        written = parameter_set.write(options.set, content) if options.set else None
-        columns = {"before": found.held_out[0], "after": found.held_out[1]}
+        seen, judged = strides.split(settings.held_out)
         lines += [
-            f"fit to {seen} strides, judged on the {strides.count - seen} others",
+            f"fit to {seen.count} strides, judged on the {judged.count} others",
             "",
-        ]
-        lines += [
-            *parameter_set.error_lines(columns),
+            *error_lines(dict(zip(("before", "after"), found.held_out))),
             "",
-            *parameter_set.fit_lines(found),
+            *fit_lines(found),
         ]
-        lines += ["", f"written: {os.path.relpath(written)}"] if written else []
-        tracks = {
-            "model": predicted,
-            "fitted": predict(recorded, found.parts, settings, predicting),
-        }
+        if options.set:
+            content = record_fit(recorded, parts, start, found, options.note)
+            written = write_set(options.set, content)
+            lines += ["", f"written: {os.path.relpath(written)}"]
         parts = found.parts
+        tracks["fitted"] = predict(recorded, parts, settings, predicting)
         kept.forget()
-        judged = strides.split(settings.held_out)[1]
         at_bound = found.estimate.at_bound(found.names)
         verdict = judge(tracks["fitted"], measured, judged, settings, at_bound)
     else:
-        seen, tracks = None, {"model": predicted}
-        lines += parameter_set.error_lines(
-            {"model": stride_errors(predicted, measured, strides)}
-        )
-        verdict = judge(predicted, measured, strides, settings)
-    title = f"{recorded.name}: predicted and measured motion"
+        seen = None
+        errors = stride_errors(tracks["model"], measured, strides)
+        lines += error_lines({"model": errors})
+        verdict = judge(tracks["model"], measured, strides, settings)
     progress("drawing")
-    twin_plot.draw(
-        out / "twin.png", title, measured, tracks, strides=strides, seen=seen
-    )
+    title = f"{recorded.name}: predicted and measured motion"
+    split = seen.count if seen else None
+    place = out / "twin.png"
+    draw(place, title, measured, tracks, strides=strides, seen=split)
     told = partial(progress, "predicting the points of the legs")
-    leg_points.write(recorded, parts, settings, out / "predicted.csv", told)
+    write_predicted_points(recorded, parts, settings, out / "predicted.csv", told)
     (out / "summary.txt").write_text("\n".join([*lines, "", verdict.line]) + "\n")
-    return [
-        *lines,
-        "",
-        f"twin.png, predicted.csv and summary.txt are in {out}",
-    ], verdict
+    place = f"twin.png, predicted.csv and summary.txt are in {out}"
+    return [*lines, "", place, verdict.line], verdict.code
 
 
 def judge(
-    predicted: PredictedTrack,
-    measured: PredictedTrack,
+    predicted: TorsoTrack,
+    measured: TorsoTrack,
     strides: Strides,
     settings: TwinSettings,
     at_bound: Sequence[str] = (),
 ) -> Verdict:
-    """Verdict by the residuals of strides, those that a fit has not seen."""
+    """Verdict by the residuals of strides that a fit has not seen."""
     blocks = residuals(predicted, measured, strides, settings)
     chi_square = sum(float((block**2).sum()) for block in blocks)
-    freedom = sum(block.size - LAID_ON for block in blocks)
+    freedom = sum(block.size - ALIGNED for block in blocks)
     rms = np.sqrt(np.mean(np.vstack(blocks) ** 2, axis=0))
     worst = int(rms.argmax())
     largest = f"largest: {COORDINATES[worst]}, {rms[worst]:.3g} times the uncertainty"
@@ -160,8 +169,8 @@ def judge(
 class _Trials:
     """Runs trials of a fit and keeps their residuals until it is done.
 
-    They are in a folder of the directory that is the fit's own. fit: all on which the residuals
-    depend besides the point.
+    Each fit has a folder in the directory. fit: all on which the residuals depend besides
+    the point.
     """
 
     def __init__(self, directory: Path, run_all: RunAll, fit: Any) -> None:
@@ -181,7 +190,7 @@ class _Trials:
         return [np.load(path) for path in paths]
 
     def forget(self) -> None:
-        """Delete the results that were kept; those of other fits stay."""
+        """Delete the results of this fit; other fits keep theirs."""
         shutil.rmtree(self._directory)
         with suppress(OSError):  # not empty
             self._directory.parent.rmdir()
@@ -191,11 +200,106 @@ class _Trials:
         return self._directory / f"{name}.npy"
 
 
-@contextmanager
-def _runner(options: argparse.Namespace) -> Iterator[RunAll]:
-    """Runs the trials: in this process, in local ones or on a cluster."""
-    if options.workers == 1 and not options.scheduler:
-        yield serially
-        return
-    with workers(options.scheduler, options.workers) as client:
-        yield partial(gather, client)
+def draw(
+    path: Path,
+    title: str,
+    measured: TorsoTrack,
+    predictions: Mapping[str, TorsoTrack],
+    *,
+    strides: Strides,
+    seen: int | None,
+) -> None:
+    """Write the figure of predictions by name (at most two) as PNG; raises OSError.
+
+    seen: number of strides that a fit has seen.
+    """
+    figure = Figure(figsize=(9.0, 12.0), dpi=DPI, layout="constrained")
+    figure.suptitle(title, fontsize=12, fontweight="bold")
+    path_of, forward, turned, growth, *over_time = figure.subplots(4, 2).ravel()
+    aligned = {n: placed(p, measured, strides) for n, p in predictions.items()}
+    inside = measured.between(strides.edges[0], strides.edges[-1])
+    _path(path_of, inside, aligned)
+    for ax, column in ((forward, 0), (turned, 2)):
+        _of_strides(ax, column, measured, predictions, strides)
+        if seen is not None:
+            ax.axvspan(seen + 0.5, strides.count, color=palette.SHADE, zorder=0)
+            ax.text(seen + 0.7, ax.get_ylim()[0], "held out", fontsize=8, va="bottom")
+    _growth(growth, measured, predictions, strides)
+    for ax, (column, label) in zip(over_time, OVER_TIME.items()):
+        _over_time(ax, inside, aligned, column, label)
+    write_plot(figure, path, DPI)
+
+
+def _path(ax: Axes, measured: TorsoTrack, aligned: Mapping[str, Aligned]) -> None:
+    x, y = 1e3 * measured.position[:, :2].T
+    ax.plot(x, y, color=palette.INK, lw=1, label="measured")
+    for (name, (_, pose)), colour in zip(aligned.items(), COLOURS):
+        x, y = 1e3 * pose[:, :2].T
+        ax.plot(x, y, color=colour, lw=1, label=name)
+    title = "path, aligned with the first stride (scales differ)"
+    _finish(ax, title, "x (mm)", "y (mm)")
+    ax.legend(fontsize=8, frameon=False)
+
+
+def _of_strides(
+    ax: Axes,
+    column: int,
+    measured: TorsoTrack,
+    predictions: Mapping[str, TorsoTrack],
+    strides: Strides,
+) -> None:
+    """Displacement forward (column 0) or turn (column 2) of each stride."""
+    factor = 1e3 if column == 0 else 180.0 / np.pi
+    for (name, track), colour in zip(predictions.items(), COLOURS):
+        found = stride_errors(track, measured, strides)
+        number = np.arange(1, len(found.measured) + 1)
+        ax.plot(
+            number, factor * found.predicted[:, column], ".-", color=colour, label=name
+        )
+    ax.plot(number, factor * found.measured[:, column], "o", color=palette.INK, ms=4)
+    kind = "forward displacement" if column == 0 else "turn"
+    _finish(ax, f"{kind} of each stride", "stride", "mm" if column == 0 else "deg")
+
+
+def _growth(
+    ax: Axes,
+    measured: TorsoTrack,
+    predictions: Mapping[str, TorsoTrack],
+    strides: Strides,
+) -> None:
+    for (name, track), colour in zip(predictions.items(), COLOURS):
+        ahead, place, turned = error_growth(track, measured, strides).T
+        ax.plot(ahead, 1e3 * place, color=colour, label=f"{name}: place (mm)")
+        ax.plot(
+            ahead,
+            np.degrees(turned),
+            "--",
+            color=colour,
+            label=f"{name}: heading (deg)",
+        )
+    ax.set_yscale("log")
+    _finish(ax, "growth of the errors, RMS", "strides predicted", "")
+    ax.legend(fontsize=8, frameon=False)
+
+
+def _over_time(
+    ax: Axes,
+    measured: TorsoTrack,
+    aligned: Mapping[str, Aligned],
+    column: int,
+    label: str,
+) -> None:
+    scale, begin = (1e3 if column < 3 else 180.0 / np.pi), measured.t[0]
+    place = scale * measured.pose[:, column]
+    ax.plot(measured.t - begin, place, ".", ms=2, color=palette.INK)
+    for (t, pose), colour in zip(aligned.values(), COLOURS):
+        ax.plot(t - begin, scale * pose[:, column], color=colour, lw=1)
+    _finish(ax, label, "time (s)", "")
+
+
+def _finish(ax: Axes, title: str, x_label: str, y_label: str) -> None:
+    ax.set_title(title, fontsize=10, loc="left")
+    ax.set_xlabel(x_label, fontsize=9)
+    ax.set_ylabel(y_label, fontsize=9)
+    ax.tick_params(labelsize=8)
+    ax.grid(color=palette.SHADE)

@@ -10,20 +10,13 @@ continues when the same command is given again.
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import (
-    INTERRUPTED,
-    command_parser,
-    positive_integer,
-    show,
-    within,
-)
-from slot_core.progress import ProgressLine
+from slot_core.command_line import command_parser, positive_integer, within
 from slot_lab.bags.topics import COMMANDED, MEASURED, MOTION_TOPICS
+from slot_lab.desk_command import run_command
 from slot_lab.verdict import EXIT_CODES
 
 
@@ -31,22 +24,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/twin`; returns the exit code."""
     parser = _parser()
     options = parser.parse_args(arguments)
-    from slot_lab.twin.twin import ERRORS, run  # noqa: PLC0415 - heavy
+    from slot_lab.twin.twin import run  # noqa: PLC0415 - heavy
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        with ProgressLine(parser.prog) as progress:
-            lines, verdict = run(options, progress)
-    except KeyboardInterrupt:
-        print(
-            "\nscripts/twin: interrupted; the same command continues", file=sys.stderr
-        )
-        return INTERRUPTED
-    except ModuleNotFoundError as error:
-        parser.error(f"{error}: run scripts/setup --bench, or give --workers 1")
-    except ERRORS as error:
-        parser.error(str(error))
-    return verdict.code if show(parser.prog, [*lines, verdict.line]) else 2
+    return run_command(parser, options, run, resumable=True)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -65,12 +45,20 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="set of config/parameters in that scene",
     )
-    angles = "tendon angles that are simulated; of a CSV file, what they are"
-    add("--angles", default="", choices=[MEASURED, COMMANDED], help=angles)
+    add(
+        "--angles",
+        default="",
+        choices=[MEASURED, COMMANDED],
+        help="tendon angles that are simulated; of a CSV file, what they are",
+    )
     add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
     add("--namespace", metavar="NAME", default="", help="of the recorded graph")
-    length = "length of a stride (default: the gait's)"
-    add("--period", type=within(0.05, 60.0, "s"), metavar="S", help=length)
+    add(
+        "--period",
+        type=within(0.05, 60.0, "s"),
+        metavar="S",
+        help="length of a stride (default: the gait's)",
+    )
     add("--fit", default="", metavar="NAME,...", help="parameters to fit")
     add(
         "--set",
@@ -79,8 +67,13 @@ def _parser() -> argparse.ArgumentParser:
         help="write the fit as config/parameters/NAME.yaml",
     )
     add("--note", default="", metavar="TEXT", help="text for that file")
-    starts = "starts of the fit (default: 1)"
-    add("--starts", type=positive_integer, default=1, metavar="N", help=starts)
+    add(
+        "--starts",
+        type=positive_integer,
+        default=1,
+        metavar="N",
+        help="starts of the fit (default: 1)",
+    )
     add("--out", type=Path, metavar="DIR", help="default: results/twin/RECORDING")
     add(
         "--scheduler",
@@ -92,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         "--workers",
         type=positive_integer,
         metavar="N",
-        help="local processes (default: cores)",
+        help="local processes (default: cores); with 1, this process",
     )
     return parser
 

@@ -8,12 +8,11 @@ headers:
     time,x,y,z[,roll,pitch,yaw]    the torso
 
 The markers of a video are tracked as by scripts/validate --track, with its defaults; it also takes
-folders of plots, bags with plots, and depth.
+folders of images, bags with images, and depth.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,17 +34,16 @@ from slot_core.robot import (
     at_shares,
 )
 from slot_lab.bags.bag import STORAGES, Bag
-from slot_lab.bags.measured import measured_motion, sound
-from slot_lab.bags.recorded_walk import seconds
-from slot_lab.bags.topics import LEG_STATES
-from slot_lab.csv_table import CsvRow, TableError, read_table
+from slot_lab.bags.recorded_walk import read_legs, read_motion
+from slot_lab.bags.topics import LEG_STATES, MOTION_TOPICS
+from slot_lab.csv_table import CsvRow, TableError, increasing_numbers, read_table
 
 POINTS = (*BODY_POINTS, *LEG_POINTS)
 WIDE = ("time", "x", "y", "z")
 ATTITUDE = ("roll", "pitch", "yaw")
 VIDEOS = {".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg"}
 LEAST_SAMPLES = 8
-DIGITS = 5  # decimals of written values: 10 us, 10 um
+MISSING = "; leave out rows without a measurement"
 
 
 class RecordingError(InputError):
@@ -67,7 +65,7 @@ class PointRecording:
 
     name: str
     points: Mapping[str, PointTrack]
-    notes: tuple[str, ...] = ()  # what limits its use, one line each
+    notes: Sequence[str] = ()  # what limits its use, one line each
     tilted: bool = False  # whether it is in the axes of a camera, not in odom
 
 
@@ -87,47 +85,28 @@ def read_recording(
     if path.suffix.lower() in VIDEOS:
         return _from_video(path, camera, tell)
     if path.is_dir() or path.suffix in STORAGES:
-        return _from_bag(Bag(path, namespace), motion)
+        return _from_bag(Bag(path, namespace), [motion] if motion else MOTION_TOPICS)
     return _from_csv(path)
 
 
-def write_points(
-    path: Path, points: Mapping[str, Array], comments: Sequence[str]
-) -> None:
-    """Write rows (n, 4) time, x, y, z of each point as CSV, ordered by time; raises OSError."""
-    rows = [(row[0], name, row[1:]) for name, part in points.items() for row in part]
-    lines = [f"# {comment}" for comment in comments] + [",".join(POINT_COLUMNS)]
-    for time, name, place in sorted(rows, key=lambda row: row[0]):
-        lines.append(
-            f"{time:.{DIGITS}f},{name}," + ",".join(f"{v:.{DIGITS}f}" for v in place)
-        )
-    path.write_text("\n".join(lines) + "\n")
-
-
-def _from_bag(bag: Bag, topic: str) -> PointRecording:
-    motion = measured_motion(bag, topic)
-    tracks, notes = {TORSO: (motion.t, motion.position, motion.rpy)}, []
+def _from_bag(bag: Bag, topics: Sequence[str]) -> PointRecording:
+    motion = read_motion(bag, *topics)
+    tracks = {TORSO: PointTrack(motion.t, motion.position, motion.rpy)}
+    notes = []
     if motion.left_out:
         notes.append(
             f"{motion.source}: {motion.left_out} readings that were lost are left out"
         )
     if bag.counts.get(LEG_STATES, 0) > 1:
-        series = bag.series(LEG_STATES, "position")
-        flat = series["position"].astype(float)
-        keep = sound(f"{bag.path}: {LEG_STATES}", series.stamp, flat)
-        t, nodes = (
-            seconds(series.stamp[keep]),
-            flat[keep].reshape(len(keep), len(LEGS), -1, 3),
-        )
-        shaped = nodes.shape[2] >= LEAST_NODES
-        if not shaped:
-            notes.append(f"legs of {nodes.shape[2]} nodes: no points along them")
-        for k, leg in enumerate(LEGS if shaped else ()):
-            places = np.array([at_shares(shape[k]) for shape in nodes])
-            for n, name in enumerate(LEG_POINTS):
-                tracks[f"{leg}_{name}"] = (t, places[:, n], None)  # type: ignore[assignment]
-    found = _since_first(bag.path.name, {k: PointTrack(*v) for k, v in tracks.items()})
-    return dataclasses.replace(found, notes=tuple(notes))
+        t, shapes = read_legs(bag)
+        if (count := shapes.shape[2]) < LEAST_NODES:
+            notes.append(f"legs of {count} nodes: no points along them")
+        else:
+            for k, leg in enumerate(LEGS):
+                places = np.array([at_shares(nodes) for nodes in shapes[:, k]])
+                for n, name in enumerate(LEG_POINTS):
+                    tracks[f"{leg}_{name}"] = PointTrack(t, places[:, n])
+    return _since_first(bag.path.name, tracks, notes)
 
 
 def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
@@ -135,7 +114,7 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
     from slot_core.vision.camera import CameraError, nominal, read_camera  # noqa: PLC0415
     from slot_core.vision.settings import read_vision  # noqa: PLC0415
     from slot_lab.film.images import FilmError  # noqa: PLC0415
-    from slot_lab.film.track import track_film  # noqa: PLC0415
+    from slot_lab.film.tracker import track_film  # noqa: PLC0415
 
     settings = read_vision()
     try:
@@ -146,24 +125,18 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
     rows: dict[str, list[tuple[float, ...]]] = {}
     for sample in found.samples:
         rows.setdefault(sample.point, []).append((sample.time, *sample.position))
-    long = {
-        name: np.array(part)
+    tracks = {
+        name: PointTrack(np.array(part)[:, 0], np.array(part)[:, 1:])
         for name, part in rows.items()
         if len(part) >= LEAST_SAMPLES
     }
-    if not long:
+    if not tracks:
         raise RecordingError(
-            f"{path}: no marker in {LEAST_SAMPLES} plots; see scripts/validate --track"
+            f"{path}: no marker in {LEAST_SAMPLES} images; see scripts/validate --track"
         )
-    tracks = {name: PointTrack(part[:, 0], part[:, 1:]) for name, part in long.items()}
-    notes = (
-        [] if camera else ["without --camera: the nominal camera of config/vision.yaml"]
-    )
-    return dataclasses.replace(
-        _since_first(path.name, tracks),
-        notes=(*notes, *found.warnings),
-        tilted=found.frame != ODOM_FRAME,
-    )
+    unknown = "without --camera: the nominal camera of config/vision.yaml"
+    notes = [*([] if camera else [unknown]), *found.warnings]
+    return _since_first(path.name, tracks, notes, tilted=found.frame != ODOM_FRAME)
 
 
 def _from_csv(path: Path) -> PointRecording:
@@ -174,57 +147,43 @@ def _from_csv(path: Path) -> PointRecording:
             f"{table.head}: columns {','.join(columns)[:80]}: expected {','.join(POINT_COLUMNS)}"
             f" or {','.join(WIDE)}[,{','.join(ATTITUDE)}]"
         )
-    parts: dict[str, list[tuple[int, list[float]]]] = {}
-    numbers = [name for name in columns if name != "point"]
+    parts: dict[str, list[CsvRow]] = {}
     for row in table.rows:
-        name = _point(row)
-        values = [
-            row.number(n, "; leave out rows without a measurement") for n in numbers
-        ]
-        parts.setdefault(name, []).append((row.line, values))
+        name = row.cells.get("point", TORSO)
+        if name not in POINTS:
+            known = f"{TORSO}, {', '.join(LEG_POINTS)}, FL_tip ..."
+            raise TableError(
+                f"{row.where}, point: {quoted(name)} is unknown (known: {known})"
+            )
+        parts.setdefault(name, []).append(row)
     if not parts:
         raise TableError(f"{path}: no samples")
-    tracks = {name: _track(path, name, part) for name, part in parts.items()}
+    numbers = [name for name in columns if name != "point"]
+    tracks = {}
+    for name, rows in parts.items():
+        values = increasing_numbers(rows, numbers, MISSING)
+        if len(values) < LEAST_SAMPLES:
+            raise TableError(
+                f"{path}: {name} has {len(values)} samples, less than {LEAST_SAMPLES}"
+            )
+        t, position, rpy = np.split(values, [1, 4], axis=1)
+        attitude = np.unwrap(rpy, axis=0) if rpy.size else None
+        tracks[name] = PointTrack(t[:, 0], position, attitude)
     frames = [
         c.removeprefix(POINT_FRAME) for c in table.comments if c.startswith(POINT_FRAME)
     ]
-    tilted = bool(frames) and frames[0] != ODOM_FRAME
-    return dataclasses.replace(_since_first(path.name, tracks), tilted=tilted)
+    tilted = frames[:1] not in ([], [ODOM_FRAME])
+    return _since_first(path.name, tracks, tilted=tilted)
 
 
-def _point(row: CsvRow) -> str:
-    """Name of the point of a row."""
-    point = row.cells.get("point", TORSO)
-    if point not in POINTS:
-        known = f"{TORSO}, {', '.join(LEG_POINTS)}, FL_tip ..."
-        raise TableError(
-            f"{row.where}, point: {quoted(point)} is unknown (known: {known})"
-        )
-    return point
-
-
-def _track(
-    path: Path, name: str, rows: Sequence[tuple[int, list[float]]]
-) -> PointTrack:
-    values = np.array([row for _, row in rows])
-    step = np.diff(values[:, 0])
-    if (step <= 0).any():
-        k = int(np.argmax(step <= 0))
-        what = "repeats the time of" if step[k] == 0 else "is earlier than"
-        raise TableError(
-            f"{path}, line {rows[k + 1][0]}: {name} {what} line {rows[k][0]}"
-        )
-    if len(values) < LEAST_SAMPLES:
-        raise TableError(
-            f"{path}: {name} has {len(values)} samples, less than {LEAST_SAMPLES}"
-        )
-    rpy = values[:, 4:] if values.shape[1] > 4 else None
-    return PointTrack(
-        values[:, 0], values[:, 1:4], None if rpy is None else np.unwrap(rpy, axis=0)
-    )
-
-
-def _since_first(name: str, tracks: Mapping[str, PointTrack]) -> PointRecording:
+def _since_first(
+    name: str,
+    tracks: Mapping[str, PointTrack],
+    notes: Sequence[str] = (),
+    *,
+    tilted: bool = False,
+) -> PointRecording:
+    """The recording with times since its first sample."""
     first = min(float(track.t[0]) for track in tracks.values())
     moved = {k: PointTrack(v.t - first, v.position, v.rpy) for k, v in tracks.items()}
-    return PointRecording(name, moved)
+    return PointRecording(name, moved, notes, tilted)

@@ -1,4 +1,4 @@
-"""Tables of a validation: alignment, errors of every coordinate, and the paper's two tables."""
+"""Tables and plots of a validation: alignment, errors, and the paper's two tables."""
 
 from __future__ import annotations
 
@@ -8,14 +8,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 
 from slot_core.arrays import Array
+from slot_core.drawing import palette
 from slot_core.robot import LEG_POINTS, TORSO
-from slot_lab.validation.comparison import AXES, Comparison, PointSeries, paper_points
-from slot_lab.validation.error_metrics import NAMES
+from slot_lab.validation.comparison import (
+    AXES,
+    NAMES,
+    Comparison,
+    PointSeries,
+    paper_points,
+)
 
+DPI = 100
 RIVAL = 1.05  # times the best shift's rest, up to which another shift is as good
+SHARES = ("nrmse", "error", "accuracy")  # metrics that are parts of one
 TITLES = {
     "rmse": "RMSE",
     "mae": "MAE",
@@ -43,23 +52,23 @@ def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
     lines = [
         f"clock    first sample of the measurement at {time.offset:.4f} s of the run"
         f" (+- {_width(1e3 * time.offset_width, 1)} ms), drift {1e6 * time.drift:.0f} ppm"
-        f" (+- {_width(1e6 * time.drift_width, 0)})",
-        f"frame    {frame}: turn about x y z {_numbers(turned, 2)} deg, shift"
-        f" {_numbers(1e3 * placed.shift, 1)} mm",
+        f" (+- {_width(1e6 * time.drift_width, 0)})"
     ]
     if time.rival_rest < RIVAL * time.rest:
         rests = f"{1e3 * time.rival_rest:.2f} mm of rest, here {1e3 * time.rest:.2f}"
-        lines.insert(
-            1,
-            f"         {time.rival_offset:.3f} s is nearly as good ({rests}): periodic motion; if"
-            " that is right, give --offset",
+        lines.append(
+            f"         {time.rival_offset:.3f} s is nearly as good ({rests}): periodic"
+            " motion; if that is right, give --offset"
         )
+    lines.append(
+        f"frame    {frame}: turn about x y z {_numbers(turned, 2)} deg, shift"
+        f" {_numbers(1e3 * placed.shift, 1)} mm"
+    )
     if comparison.only:
         lines.append(f"points   only in one recording: {', '.join(comparison.only)}")
     if comparison.brief:
-        lines.append(
-            f"points   seen too briefly or too late: {', '.join(comparison.brief)}"
-        )
+        names = ", ".join(comparison.brief)
+        lines.append(f"points   seen too briefly or too late: {names}")
     return lines
 
 
@@ -82,28 +91,23 @@ def coordinate_table(comparison: Comparison) -> list[str]:
 def leg_table(comparison: Comparison, leg: str, points: dict[str, str]) -> list[str]:
     """The paper's table of the single leg: z of four points, with 95 % intervals."""
     columns = ("fixed base", "1/3 length", "2/3 length", "tip")
-    lines = [
-        f"single leg {leg}".rstrip() + ", z" + "".join(f"{c:>26}" for c in columns)
-    ]
-    width = len(lines[0]) - 26 * len(columns)
+    title = f"single leg {leg}".rstrip() + ", z"
+    lines = [title + "".join(f"{c:>26}" for c in columns)]
     for name in NAMES:
-        cells = [
-            _with_interval(comparison.series[points[p], "z"], "z", name)
-            for p in LEG_POINTS
-        ]
-        lines.append(TITLES[name].ljust(width) + "".join(f"{c:>26}" for c in cells))
+        series = [comparison.series[points[p], "z"] for p in LEG_POINTS]
+        cells = (f"{_with_interval(each, 'z', name):>26}" for each in series)
+        lines.append(TITLES[name].ljust(len(title)) + "".join(cells))
     return lines
 
 
 def torso_table(comparison: Comparison) -> list[str]:
     """The paper's table of the whole body: RMSE of x and z of the torso."""
-    cells = [
-        _with_interval(comparison.series[TORSO, axis], axis, "rmse")
-        for axis in ("x", "z")
-    ]
+    x, z = (
+        _with_interval(comparison.series[TORSO, axis], axis, "rmse") for axis in "xz"
+    )
     return [
         f"{'whole body':<14}{'RMSE in x':>26}{'RMSE in z':>26}",
-        f"{'torso':<14}" + "".join(f"{c:>26}" for c in cells),
+        f"{'torso':<14}{x:>26}{z:>26}",
     ]
 
 
@@ -132,19 +136,66 @@ def unit(axis: str) -> str:
 
 def cell(series: PointSeries, axis: str, name: str) -> str:
     """A metric with its unit."""
-    value = series.errors.value[name]
-    if name in ("nrmse", "error", "accuracy"):
-        return "-" if math.isnan(value) else f"{100 * value:.2f} %"
-    return f"{scale(axis) * value:.2f} {unit(axis)}"
+    value = _factor(axis, name) * series.errors.value[name]
+    if name not in SHARES:
+        return f"{value:.2f} {unit(axis)}"
+    return "-" if math.isnan(value) else f"{value:.2f} %"
 
 
 def _with_interval(series: PointSeries, axis: str, name: str) -> str:
-    factor = 100.0 if name in ("nrmse", "error", "accuracy") else scale(axis)
-    low, high = (factor * v for v in series.errors.interval[name])
-    if math.isnan(low):
-        return cell(series, axis, name)
-    return f"{cell(series, axis, name)} ({low:.2f}, {high:.2f})"
+    low, high = (_factor(axis, name) * v for v in series.errors.interval[name])
+    shown = cell(series, axis, name)
+    return shown if math.isnan(low) else f"{shown} ({low:.2f}, {high:.2f})"
+
+
+def _factor(axis: str, name: str) -> float:
+    return 100.0 if name in SHARES else scale(axis)
 
 
 def _numbers(values: Array | Sequence[float], digits: int) -> str:
     return " ".join(f"{round(float(v), digits) + 0.0:.{digits}f}" for v in values)
+
+
+def draw(comparison: Comparison, title: str, out: Path) -> list[Path]:
+    """Write `torso.png`, and `leg.png` or `FL_leg.png` for each leg; raises OSError."""
+    written = []
+    torso = [key for key in comparison.series if key[0] == TORSO]
+    if torso:
+        written.append(_figure(comparison, torso, f"{title}: torso", out / "torso.png"))
+    for leg, points in paper_points(comparison).items():
+        keys = [(points[name], "z") for name in LEG_POINTS]
+        name = "_".join(filter(None, (leg, "leg.png")))
+        written.append(
+            _figure(comparison, keys, f"{title}: leg {leg}".rstrip(), out / name)
+        )
+    return written
+
+
+def _figure(
+    comparison: Comparison, keys: Sequence[tuple[str, str]], title: str, path: Path
+) -> Path:
+    figure = Figure(
+        figsize=(11.0, 1.9 * len(keys) + 0.8), dpi=DPI, layout="constrained"
+    )
+    figure.suptitle(title, fontsize=12, fontweight="bold")
+    axes = figure.subplots(
+        len(keys), 2, sharex=True, squeeze=False, width_ratios=(1.6, 1.0)
+    )
+    for (both, difference), (point, axis) in zip(axes, keys):
+        found, factor = comparison.series[point, axis], scale(axis)
+        run, measured = factor * found.run, factor * found.measured
+        both.plot(found.t, measured, ".", ms=2.5, color=palette.INK, label="measured")
+        both.plot(found.t, run, color=palette.SECONDARY, lw=1.2, label="run")
+        both.set_title(f"{point} {axis} ({unit(axis)})", fontsize=9, loc="left")
+        difference.plot(found.t, run - measured, color=palette.TRUE, lw=0.8)
+        difference.axhline(0.0, color=palette.INK, lw=0.6)
+        rmse = f"RMSE {factor * found.errors.value['rmse']:.2f} {unit(axis)}"
+        difference.set_title(f"run - measured, {rmse}", fontsize=9, loc="left")
+    for ax in axes.flat:
+        ax.tick_params(labelsize=8)
+        ax.grid(color=palette.SHADE)
+    axes[0][0].legend(fontsize=8, frameon=False, ncols=2)
+    for ax in axes[-1]:
+        ax.set_xlabel("time of the run (s)", fontsize=9)
+    figure.savefig(path, dpi=DPI)
+    return path

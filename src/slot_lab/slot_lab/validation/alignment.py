@@ -1,6 +1,15 @@
-"""Alignment of a measurement's clock with the clock of a run.
+"""Alignment of a measurement with a run, in time and space.
 
-    t_run = offset + (1 + drift) t_measurement
+Frame: the rotation R and shift d minimise sum |R m_i + d - r_i|^2 over the samples of all points
+(W. Kabsch, Acta Cryst. A 34, 1978, 827; det R = 1). What is free:
+
+    rigid   R and d: the measurement has another frame, as of a camera
+    level   turn about z, and d: both have z upwards
+    none    nothing: both are in one frame
+
+The alignment removes errors in what it fits: with `rigid` place, heading and inclination.
+
+Clock: t_run = offset + (1 + drift) t_measurement
 
 1. Cross-correlation of the points' velocities over all shifts of a grid. The frames may differ: of
    the cross-covariance H of a shift (3 x 3, summed over the points, by FFT) the score is the
@@ -10,11 +19,11 @@
    wrong by and by is not taken for a drift of the clock.
 
 The intervals take the differences of every `SLOW` as one group (as the fit of the calibration
-does): a run that differs from the measurement in shape is not aligned as exactly as noise alone
-would let it.
+does): where the run differs from the measurement in shape, noise alone would promise too
+narrow ones.
 
 Periodic motion fits nearly as well a period later: the shifts of the highest peaks are all refined,
-and that with the least rest is taken. `rival_rest` says what the next best one leaves.
+and the one with the least rest is taken. `rival_rest` is the rest of the next best one.
 """
 
 from __future__ import annotations
@@ -26,13 +35,15 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 from scipy.optimize import least_squares
-from scipy.signal import correlate, find_peaks
+from scipy.signal import correlate, correlation_lags, find_peaks
+from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
 from slot_core.arrays import Array
-from slot_lab.validation.frame_alignment import best_rotation
+from slot_core.geometry import rpy_of
 from slot_lab.validation.recording import PointTrack, RecordingError
 
+RIGID = "rigid"
 GRID = 0.01  # s
 SMOOTH = 0.04  # s, of the velocities
 PEAK = 0.85  # height of a peak that is refined, of the highest
@@ -45,6 +56,45 @@ DRIFT_MAX = 5e-3  # of a clock; a quartz has 1e-4
 LEAST_FOR_DRIFT = 5.0  # s, of a recording whose drift is fitted
 LEVEL = 0.95  # of the intervals
 Pair = tuple[PointTrack, PointTrack]  # of the measurement and of the run
+
+
+@dataclass(frozen=True)
+class FrameAlignment:
+    """x_run = rotation x_measurement + shift."""
+
+    rotation: Array  # (3, 3)
+    shift: Array  # (3,) m
+
+    def apply(self, points: Array) -> Array:
+        """Points (n, 3) of the measurement in the frame of the run."""
+        return np.asarray(points @ self.rotation.T + self.shift)
+
+    def attitude(self, rpy: Array) -> Array:
+        """Attitudes (n, 3) of the measurement in the frame of the run, yaw unwrapped."""
+        turned = Rotation.from_matrix(self.rotation) * Rotation.from_euler("xyz", rpy)
+        return np.unwrap(rpy_of(turned.as_matrix()), axis=0)
+
+
+def align_frames(measured: Array, run: Array, frame: str) -> FrameAlignment:
+    """Alignment of points (n, 3) with points (n, 3) of the run."""
+    if frame == "none":
+        return FrameAlignment(np.eye(3), np.zeros(3))
+    centre, target = measured.mean(axis=0), run.mean(axis=0)
+    rotation = best_rotation((measured - centre).T @ (run - target), frame)
+    return FrameAlignment(rotation, target - rotation @ centre)
+
+
+def best_rotation(covariance: Array, frame: str) -> Array:
+    """(3, 3) rotation R with the largest trace(R H) of a cross-covariance H = sum m r^T (3, 3)."""
+    if frame == "none":
+        return np.eye(3)
+    if frame == "level":
+        h = covariance
+        angle = np.arctan2(h[0, 1] - h[1, 0], h[0, 0] + h[1, 1])
+        return np.asarray(Rotation.from_euler("z", angle).as_matrix())
+    left, _, right = np.linalg.svd(covariance)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    return np.asarray((left * sign @ right).T)
 
 
 @dataclass(frozen=True)
@@ -92,7 +142,11 @@ def align_times(
 
 
 def candidates(shifts: Array, score: Array) -> list[float]:
-    """Shifts (s) of the highest peaks of the cross-correlation."""
+    """Shifts (s) of the highest peaks of the cross-correlation.
+
+    At most PEAKS of them, each higher than PEAK times the highest; the highest value
+    counts as a peak also at an end.
+    """
     peaks = np.append(find_peaks(score)[0], np.argmax(score))
     peaks = peaks[score[peaks] > PEAK * score.max()]
     best = peaks[np.argsort(-score[peaks])][:PEAKS]
@@ -100,7 +154,13 @@ def candidates(shifts: Array, score: Array) -> list[float]:
 
 
 def cross_correlation(pairs: Sequence[Pair], frame: str) -> tuple[Array, Array]:
-    """Shifts (n,) in s, and their normalised cross-correlation (n,)."""
+    """Shifts (n,) in s, and their normalised cross-correlation (n,).
+
+    score(k) = max_R trace(R H_k) / sqrt(E_m(k) E_r(k)) with the cross-covariance H_k of the
+    velocities at the shift k, and the energies E of measurement and run where they
+    overlap. Shifts whose overlap is below OVERLAP of the shorter recording are left out.
+    Raises RecordingError for a recording shorter than 1 s or without motion.
+    """
     first = [min(pair[k].t[0] for pair in pairs) for k in (0, 1)]
     last = [max(pair[k].t[-1] for pair in pairs) for k in (0, 1)]
     grids = [np.arange(a, b, GRID) for a, b in zip(first, last)]
@@ -110,31 +170,26 @@ def cross_correlation(pairs: Sequence[Pair], frame: str) -> tuple[Array, Array]:
             f"a recording of {min(sizes) * GRID:.2f} s is shorter than 1 s"
         )
     total = np.zeros((sum(sizes) - 1, 3, 3))
+    ones = [np.ones(size) for size in sizes]
     energy = [np.zeros(size) for size in sizes]
     for pair in pairs:
         moved = [_velocity(track, grid) for track, grid in zip(pair, grids)]
-        for i in range(3):
-            for j in range(3):
-                total[:, i, j] += correlate(
-                    moved[1][:, j], moved[0][:, i], method="fft"
-                )
+        for i, mine in enumerate(moved[0].T):
+            for j, run in enumerate(moved[1].T):
+                total[:, i, j] += correlate(run, mine, method="fft")
         energy = [e + np.square(m).sum(axis=1) for e, m in zip(energy, moved)]
-    lags = np.arange(
-        1 - sizes[0], sizes[1]
-    )  # of the measurement in the run, in samples
-    overlap = np.minimum(sizes[1], sizes[0] + lags) - np.maximum(0, lags)
+    lags = correlation_lags(sizes[1], sizes[0])  # of the measurement in the run
+    overlap = np.rint(correlate(ones[1], ones[0], method="fft"))
+    power = correlate(energy[1], ones[0], method="fft")  # in the overlap
+    power *= correlate(ones[1], energy[0], method="fft")
     good = overlap >= OVERLAP * min(sizes)
-    sums = [np.concatenate([[0.0], np.cumsum(each)]) for each in energy]
-    begin, end = np.maximum(0, lags), np.minimum(sizes[1], sizes[0] + lags)
-    power = (sums[1][end] - sums[1][begin]) * (
-        sums[0][end - lags] - sums[0][begin - lags]
-    )
     score = np.array([np.trace(best_rotation(h, frame) @ h) for h in total[good]])
-    if not power[good].max() > 0:
+    most = power[good].max()
+    if not most > 0:
         raise RecordingError(
             "nothing moves in one of the recordings: no alignment in time"
         )
-    score /= np.sqrt(np.maximum(power[good], 1e-6 * power[good].max()))
+    score /= np.sqrt(np.maximum(power[good], 1e-6 * most))
     return first[1] - first[0] + lags[good] * GRID, score
 
 
@@ -148,7 +203,12 @@ def _velocity(track: PointTrack, grid: Array) -> Array:
 
 
 def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
-    """Alignment by least squares about a start, s."""
+    """Alignment by least squares about a start, s.
+
+    Residuals are the differences of the places in the run's axes, from their mean and
+    without their moving mean. Covariance of the estimate from the scores of the groups, as
+    in slot_lab/calibration/fit.py. Raises RecordingError for too few samples.
+    """
     parts = [part for pair in pairs if len((part := _inside(pair, start))[0]) > 1]
     count = sum(len(t) for t, _, _ in parts)
     if count < LEAST_SAMPLES:
@@ -161,22 +221,19 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
     size = 2 if duration >= LEAST_FOR_DRIFT else 1
     measured = np.vstack([place - place.mean(axis=0) for _, place, _ in parts])
 
+    ends = np.cumsum([len(t) for t, _, _ in parts])[:-1]
+    late = (times - middle) / duration
+
     def residuals(u: Array) -> Array:
         """u: shift at the middle of the measurement, and drift times its duration, s."""
-        shift = [
-            u[0] + (u[1] * (t - middle) / duration if size == 2 else 0.0)
-            for t, _, _ in parts
-        ]
+        drifted = u[1] * late if size == 2 else np.zeros(len(late))
+        shift = np.split(u[0] + drifted, ends)
         places = [
-            spline(start + t + late) for (t, _, spline), late in zip(parts, shift)
+            spline(start + t + moved) for (t, _, spline), moved in zip(parts, shift)
         ]
         run = np.vstack([place - place.mean(axis=0) for place in places])
         off = measured @ best_rotation(measured.T @ run, frame).T - run
-        ends = np.cumsum([len(t) for t, _, _ in parts])[:-1]
-        fast = [
-            _without_slow(t, part)
-            for (t, _, _), part in zip(parts, np.split(off, ends))
-        ]
+        fast = [_fast(t, part) for (t, _, _), part in zip(parts, np.split(off, ends))]
         return np.concatenate([part.ravel() for part in fast])
 
     limit = np.array([APART, DRIFT_MAX * duration])[:size]
@@ -215,7 +272,7 @@ def _inside(pair: Pair, start: float) -> tuple[Array, Array, CubicSpline]:
     return measured.t[keep], measured.position[keep], CubicSpline(run.t, run.position)
 
 
-def _without_slow(t: Array, off: Array) -> Array:
+def _fast(t: Array, off: Array) -> Array:
     """Differences (n, 3) at times t without their moving mean over SLOW."""
     samples = max(1, round(SLOW / float(np.median(np.diff(t)))))
     return np.asarray(
