@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_bringup.playing.main_page import address, start_server
+from slot_bringup.playing.page_server import address, start_server
 from slot_bringup.playing.play_page import PlayPage
 from slot_lab.play.played_robot import PlayedRobot
 

@@ -57,9 +57,8 @@ TOPICS = {
     "visual_slam/camera_info_1": "/camera/infra2/camera_info",
     "visual_slam/imu": "/camera/imu",
 }
-EMITTER = SetParameter(
-    name="depth_module.emitter_enabled", value=0
-)  # its dots move along
+# its dots move along
+EMITTER = SetParameter(name="depth_module.emitter_enabled", value=0)
 SLOT = {
     "hardware": "real",
     "odometry_topic": "/visual_slam/tracking/odometry",
@@ -104,7 +103,7 @@ def _launch_file(package: str, name: str) -> PathJoinSubstitution:
 
 
 def _include(source: Any, arguments: dict[str, str], *before: Any) -> GroupAction:
-    """Include a launch file in a scope of its own: namespace and others are named in several."""
+    """Include a launch file in a new scope, as several have arguments such as namespace."""
     launch_file = PythonLaunchDescriptionSource(source)
     given = list(arguments.items())
     return GroupAction(

@@ -70,7 +70,7 @@ def _launch_file(package: str, name: str) -> PathJoinSubstitution:
 
 
 def _include(source: Any, arguments: dict[str, str], *before: Any) -> GroupAction:
-    """Include a launch file in a scope of its own: namespace and others are named in several."""
+    """Include a launch file in a new scope, as several have arguments such as namespace."""
     launch_file = PythonLaunchDescriptionSource(source)
     given = list(arguments.items())
     return GroupAction(

@@ -30,10 +30,8 @@ from slot_bringup.stock_recorder import record_command
 from slot_core.config import ConfigError
 
 GRAPH = read_graph()
-STOCK_RECORDER, MODEL = (
-    "ros2bag",
-    "robot_state_publisher",
-)  # processes of this file alone
+# processes of this file alone
+STOCK_RECORDER, MODEL = ("ros2bag", "robot_state_publisher")
 ADDED = {STOCK_RECORDER: GO_ON, MODEL: RESTART}
 # Arguments of this file alone: default, what it chooses, choices.
 OWN = {
@@ -129,9 +127,8 @@ def _require_known(words: list[str]) -> None:
     known = [*(argument.name for argument in GRAPH.arguments), *OWN, *OF_LAUNCH]
     for name in (word.partition(":=")[0] for word in words):
         if name not in known:
-            near = (
-                ", ".join(get_close_matches(name, known, cutoff=0.7)) or "none"
-            )  # all: too long
+            # all: too long
+            near = ", ".join(get_close_matches(name, known, cutoff=0.7)) or "none"
             raise ConfigError(
                 f"no argument {name!r} (similar: {near}; --show-args lists all)"
             )

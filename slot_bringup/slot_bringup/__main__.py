@@ -15,7 +15,6 @@ except KeyboardInterrupt:
     print("scripts/run: interrupted", file=sys.stderr)
     code = 130
 for number in INTERRUPTS:
-    signal.signal(
-        number, signal.SIG_IGN
-    )  # else one during finalisation would kill the interpreter
+    # else one during finalisation would kill the interpreter
+    signal.signal(number, signal.SIG_IGN)
 sys.exit(code)

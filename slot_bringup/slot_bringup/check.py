@@ -74,7 +74,9 @@ def check(values: Mapping[str, Any]) -> None:
         for fault in scene.faults.values():
             require_simulated_legs(fault)
     _check_ranges(values)
-    _check_port(hardware, values["port"])
+    port = values["port"]
+    if hardware == "fake_bus" and port is not None and not Path(port).parent.is_dir():
+        raise ConfigError(f"port {port}: not in an existing directory")
     check_place(values["namespace"])
     if values["params_file"]:
         _check_parameters(values)
@@ -164,16 +166,6 @@ def _check_keys() -> None:
             f" {reason}; set a keystore, or unset both"
         ) from None
     context.try_shutdown()
-
-
-def _check_port(hardware: str, port: str | None) -> None:
-    """Raise ConfigError for a port of emulated servos that is not in a directory."""
-    if (
-        hardware == "fake_bus"
-        and port is not None
-        and not os.path.isdir(Path(port).parent)
-    ):
-        raise ConfigError(f"port {port}: not in an existing directory")
 
 
 def _check_prefix(prefix: str) -> None:

@@ -21,7 +21,7 @@ from slot_core.robot import GRAVITY, read_robot
 SETTLING, MEASURED = 4, 16  # ticks
 TORSO_HEIGHT = 0.04  # m, of the standing robot
 NODES_OVER_CORE = (
-    2.0  # M, CPU of the four nodes in a walk over that of the core within them
+    2.0  # M, CPU time of the four nodes in a walk over that within the core
 )
 # M, of a core: at loads of 0.58 and 0.73 the 99th percentile from odometry to command is 5 and 8 ms
 # in one process, 9 and 10 ms in four; at 0.97 and 1.16 it is 15 and 23 ms in one, 11 ms in four.
@@ -49,7 +49,7 @@ def choose(values: Mapping[str, Any]) -> tuple[bool, str]:
         load = NODES_OVER_CORE * core_load(values["policy"], values["gait"])
     except ConfigError:
         raise
-    except Exception as error:  # of a policy of the user's own, which ends its node too
+    except Exception as error:  # of a user's policy, which ends its node too
         found = f"its policy fails, {type(error).__name__}: {error}"
         return False, f"controller in four processes: {found}"
     found = f"its load is {load:.2f} of a core, limit {LOAD_MAX:g}"

@@ -1,6 +1,6 @@
 """Imported by the fork server alone: signals of the terminal do not reach it, it ends with its parent.
 
-Its forks are ended by a SIGINT from the beginning, before they have a handler of their own.
+A SIGINT ends its forks from the beginning, before they have set a handler.
 """
 
 import os

@@ -1,6 +1,6 @@
 """Start of a node as a fork of a process that has imported all of them.
 
-A node that starts as a program of its own imports Numba, rclpy and the core first. Python's fork
+A node that is started from the shell imports Numba, rclpy and the core first. Python's fork
 server (multiprocessing) imports them once, on the first start, and each node is a fork of it: its
 own process, session, command line and log, as if it had been started from the shell.
 """
@@ -82,9 +82,8 @@ def _become(
     """Turn this process into the process of a node, and run it to its end."""
     os.setsid()  # Ctrl-C reaches only the launcher, which ends the nodes
     end_with_parent()
-    setproctitle(
-        " ".join(command)
-    )  # before the environment, next to whose memory it is
+    # before the environment, next to whose memory it is
+    setproctitle(" ".join(command))
     setthreadtitle(spec.name)
     program = command[0].encode()  # of which rcl makes the name of its log file
     ctypes.c_char_p.in_dll(C_LIBRARY, "program_invocation_name").value = program

@@ -18,11 +18,8 @@ from slot_core.dynamics.scene import read_scene
 
 CONTROLLER = "controller"  # executable of the nodes in one process
 ALWAYS, LOCKSTEP = "always", "lockstep"  # when a node can share that process
-END, GO_ON, RESTART = (
-    "end",
-    "go_on",
-    "restart",
-)  # what the graph does when a process ends
+# what the graph does when a process ends
+END, GO_ON, RESTART = ("end", "go_on", "restart")
 RESTARTS = 3  # of a process
 REFUSED = 2  # exit code of a node whose configuration is refused
 CORES = 2  # least number for a real-time priority that nobody has asked for
@@ -42,15 +39,14 @@ class NodeSpec:
     namespace: str = ""
     remappings: Mapping[str, str] = field(default_factory=dict)
     nodes: tuple[str, ...] = ()  # of a process with several
-    params_file: str = ""  # of parameters; those of `parameters` prevail
-    environment: Mapping[str, str] = field(
-        default_factory=dict
-    )  # beside that of its parent
+    params_file: str = ""  # of parameters; `parameters` prevail
+    # in addition to its parent's
+    environment: Mapping[str, str] = field(default_factory=dict)
     if_it_ends: str = END
 
     @property
     def node_name(self) -> str | None:
-        """Name of the only node in the process; None if there are several, which have their own."""
+        """Name of the only node in the process; None if there are several."""
         return None if self.nodes else self.name
 
 
@@ -66,14 +62,10 @@ class Graph:
     def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
         """Nodes to start; `values` holds the value of every argument by name.
 
-        `composed` is that of `composition.choose`; None stands for false.
+        `composed` comes from `composition.choose`; None stands for false.
         """
-        values = {
-            **values,
-            **_ports(values["hardware"], values["port"]),
-            **_start_up(values),
-        }
-        values |= _camera(values) | {"about": self.about(values)}
+        values = {**values, **_computed(values)}
+        values["about"] = self.about(values)
         remappings = self.remappings(values)
         first = _priority(values)
         specs = [
@@ -118,9 +110,9 @@ class Graph:
         return json.dumps(arguments)
 
     def _composed(self, specs: list[NodeSpec], when: Sequence[str]) -> list[NodeSpec]:
-        """The nodes with those that are composable then in one process.
+        """The nodes, of which the ones composable at `when` share a process.
 
-        Their parameters become those of the process: a parameter of one name has one value.
+        The process has the parameters of all: a parameter of one name has one value.
         """
         inside = [
             spec for spec in specs if self._nodes[spec.name].get("composable") in when
@@ -151,18 +143,31 @@ def _value(value: Any, values: Mapping[str, Any]) -> Any:
     )
 
 
-def _camera(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Whether images are localised, and the frame that carries the camera: None as configured.
+def _computed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of `graph.yaml` that are no arguments; None: as the node is configured.
 
-    The camera of a scene replaces its odometry.
+    Unattended, the supervisor starts to walk by itself and needs no e-stop source; attended, it
+    waits for requests. The driver and the emulated servos share a port. A camera of the scene
+    replaces its odometry, and says what carries it.
     """
-    if not is_simulated(values):
-        return {"carrier": None}
-    camera = read_scene(values["scene"]).sensors.camera
-    return {
-        "markers": values["markers"] or camera.enabled,
-        "carrier": camera.carrier if camera.enabled else None,
+    attended, port = is_attended(values), values["port"]
+    emulated = values["hardware"] == "fake_bus"
+    if emulated and not port:
+        port = str(Path(tempfile.gettempdir(), f"slot_bus_{os.getpid()}"))
+    computed = {
+        "driver_port": port,
+        "emulated_port": port if emulated else None,
+        "autostart": not attended,
+        "estop_required": None if attended else False,
+        "best_effort_sensors": values["hardware"] == "real",
+        "simulated_time": values["lockstep"] or values["hardware"] == "none",
+        "carrier": None,
     }
+    if is_simulated(values):
+        camera = read_scene(values["scene"]).sensors.camera
+        computed["markers"] = values["markers"] or camera.enabled
+        computed["carrier"] = camera.carrier if camera.enabled else None
+    return computed
 
 
 def _priority(values: Mapping[str, Any]) -> dict[str, str]:
@@ -175,14 +180,6 @@ def _priority(values: Mapping[str, Any]) -> dict[str, str]:
     ):
         return {"SLOT_PRIORITY": ""}
     return {"SLOT_PRIORITY": str(wanted)} if wanted else {}
-
-
-def _ports(hardware: str, port: str | None) -> dict[str, str | None]:
-    """Serial ports of the driver and of the emulated servos (fake_bus only)."""
-    if hardware != "fake_bus":
-        return {"driver_port": port, "emulated_port": None}
-    link = port or str(Path(tempfile.gettempdir(), f"slot_bus_{os.getpid()}"))
-    return {"driver_port": link, "emulated_port": link}
 
 
 def ends_graph(if_it_ends: str, code: int) -> bool:
@@ -206,21 +203,6 @@ def is_simulated(values: Mapping[str, Any]) -> bool:
 def is_attended(values: Mapping[str, Any]) -> bool:
     """Whether the robot stands and walks only at an operator's request: always with real servos."""
     return bool(values["attended"] or values["hardware"] == "real")
-
-
-def _start_up(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters of the supervisor at the start, and the ones that depend on the hardware.
-
-    Unattended, the supervisor starts to walk by itself and needs no e-stop source; attended, it
-    waits for requests.
-    """
-    attended = is_attended(values)
-    return {
-        "autostart": not attended,
-        "estop_required": None if attended else False,
-        "best_effort_sensors": values["hardware"] == "real",
-        "simulated_time": values["lockstep"] or values["hardware"] == "none",
-    }
 
 
 def read_graph() -> Graph:

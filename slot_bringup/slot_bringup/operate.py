@@ -28,7 +28,7 @@ from std_srvs.srv import Trigger
 
 from slot_bringup import operator_screen, steering
 from slot_bringup.monitor import ListenerExecutor, listener
-from slot_bringup.operator_keys import KEY, KEYS, QUIT, REQUESTS
+from slot_bringup.operator_screen import KEY, KEYS, QUIT
 from slot_core.clock import to_seconds
 from slot_core.command_line import show
 from slot_core.messages import decode
@@ -63,7 +63,7 @@ class Service:
 
 def service(options: argparse.Namespace) -> Service:
     """Service call of an action of the command line."""
-    if options.action in REQUESTS:
+    if options.action in KEYS.values():
         return Service(
             "supervisor", f"supervisor/{options.action}", Trigger, Trigger.Request()
         )
@@ -120,7 +120,7 @@ class Operator:
             source=f"{socket.gethostname()}-{uuid.uuid4().hex[:4]}"
         )
         self._estop_topic = node.create_publisher(EmergencyStop, "estop", qos.SENSOR)
-        named = {name: f"supervisor/{name}" for name in REQUESTS}
+        named = {name: f"supervisor/{name}" for name in KEYS.values()}
         self._clients = {
             name: node.create_client(Trigger, n) for name, n in named.items()
         }

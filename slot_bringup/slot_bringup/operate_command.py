@@ -18,11 +18,12 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from slot_bringup.operator_keys import REQUESTS
 from slot_core.command_line import command_parser, refuse
 from slot_core.config import ConfigError
 from slot_core.names import LEGS
 from slot_core.refusal import InputError
+
+REQUESTS = ("ready", "stand", "walk", "relax", "estop", "reset")  # to the supervisor
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

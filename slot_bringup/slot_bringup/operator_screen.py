@@ -1,8 +1,9 @@
-"""Screen of the operator's terminal, made from the newest message of every topic."""
+"""Screen of the operator's terminal, from the newest message of every topic, and its keys."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -24,6 +25,16 @@ from slot_msgs.msg import GaitPreview, RobotState, ServoHealth
 
 SILENCE = 0.5  # s, age from which on a /robot_state is no longer shown
 MEAN = 1.5  # s, over which velocities are means, some strides
+KEYS = {
+    "r": "ready",
+    "s": "stand",
+    "w": "walk",
+    "x": "relax",
+    " ": "estop",
+    "R": "reset",
+}
+QUIT = "q"
+KEY = re.compile(r"\x1b[\[O][0-9;]*[A-Za-z~]|.", re.S)  # characters of one key
 HELP = (
     "r ready   s stand   w walk   x relax   SPACE E-STOP   R reset   q quit",
     steering.HELP,
@@ -175,9 +186,8 @@ def _driver(view: OperatorView) -> list[str]:
     if view.health is None:
         return ["no report of the servos yet"]
     action = decode.ACTION_NUMBERS[view.health.action].name
-    status = [
-        s for name, s in view.diagnostics.items() if name != "supervisor"
-    ]  # is shown above
+    # is shown above
+    status = [s for name, s in view.diagnostics.items() if name != "supervisor"]
     bus = [
         f"{v.key} {v.value}" for s in status for v in s.values if s.name == "servo bus"
     ]

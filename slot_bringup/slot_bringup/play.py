@@ -35,7 +35,7 @@ PLAYED = (
     "/ground_truth/odom",
     "/ground_truth/legs",
 )
-"""Topics from outside of the controller: those of the robot, and the user's velocity."""
+"""Topics from outside of the controller: the robot's, and the user's velocity."""
 NEEDED = "/odom"
 NEWER: dict[str, tuple[str, Any]] = {
     LEG_STATES: ("director", lambda types: np.zeros(0, np.float32)),
@@ -44,7 +44,7 @@ NEWER: dict[str, tuple[str, Any]] = {
         lambda types: types.types["builtin_interfaces/msg/Time"](0, 0),
     ),
 }
-"""Last field of a message, which those in old bags lack, and its value for them."""
+"""Last field of a message, which old bags lack, and its value for them."""
 RECORDERS = ("recorder", "rosbag2_recorder")  # nodes
 CLOCK_PERIOD = 5_000_000  # ns, at least, between two messages on /clock
 SEARCH_TIME = 10.0  # s to wait for a node that subscribes

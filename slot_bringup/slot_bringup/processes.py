@@ -33,9 +33,8 @@ class Processes:
         self._specs: dict[str, NodeSpec] = {}
         self._restarts: Counter[str] = Counter()
         self.remarks: list[str] = []
-        self.missing: set[str] = (
-            set()
-        )  # processes that have ended, without which the graph goes on
+        # processes that have ended, without which the graph goes on
+        self.missing: set[str] = set()
         self._nodes: set[str] = set()
         log_dir.mkdir(parents=True, exist_ok=True)
 
@@ -124,10 +123,8 @@ class Processes:
                     )
                     self._signal([name], signal.SIGKILL)
                     child.join()
-                elif code not in (
-                    0,
-                    -signal.SIGINT,
-                ):  # SIGINT: ended while Python started
+                elif code not in (0, -signal.SIGINT):
+                    # SIGINT: ended while Python started
                     print_error(
                         f"{name} ended with exit code {code}: {self.last_line(name)}"
                     )
@@ -142,9 +139,8 @@ class Processes:
                 continue
             try:
                 os.killpg(self.pid(name), number)
-            except (
-                ProcessLookupError
-            ):  # it has ended meanwhile, or has no session of its own yet
+            except ProcessLookupError:
+                # it has ended meanwhile, or has no session of its own yet
                 with suppress(ProcessLookupError):
                     os.kill(self.pid(name), number)
 

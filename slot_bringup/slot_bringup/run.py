@@ -17,8 +17,8 @@ from slot_bringup.arguments import PROGRAM, parse
 from slot_bringup.check import check
 from slot_bringup.graph import Graph, is_attended, is_simulated, read_graph
 from slot_bringup.interrupts import deferred, on_interrupt
-from slot_bringup.live_page import live_page, require_viser
 from slot_bringup.monitor import START_TIMEOUT, RunError, require_no_other_graph, watch
+from slot_bringup.playing.main_page import live_page, require_viser
 from slot_bringup.processes import Processes, print_error
 from slot_core.command_line import progress, refuse, show
 from slot_core.config import ConfigError
@@ -60,10 +60,8 @@ def run(
     shown = (
         live_page(options.namespace, START_TIMEOUT) if options.view else nullcontext()
     )
-    with (
-        shown,
-        started(graph, values, directory / "log") as processes,
-    ):  # the robot stops first
+    # the robot stops first
+    with shown, started(graph, values, directory / "log") as processes:
         played, attended = options.hardware == "none", is_attended(values)
         watched, remedy = (
             (options.duration, attended, options.namespace),

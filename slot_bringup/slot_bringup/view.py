@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 from slot_bringup import interrupts
-from slot_bringup.live_page import open_in_browser
+from slot_bringup.playing.main_page import open_in_browser
 from slot_core.command_line import command_parser, refuse, show
 from slot_core.progress import ProgressLine
 from slot_core.refusal import InputError

@@ -367,11 +367,12 @@ def run_launch_file(monkeypatch, name, **stubs):
             "'imu' (similar: none; --show-args lists all)",
         ),
         ("slot.launch.py", ["gait:=walk", "recorder:=slot", "launch-prefix:=gdb"], ""),
+        # of a user's own, which includes ours
         (
             "whole_fleet.launch.py",
             ["robots:=3"],
             "",
-        ),  # of a user's own, which includes ours
+        ),
     ],
 )
 def test_an_unknown_launch_argument_is_refused(monkeypatch, program, words, fault):
@@ -414,9 +415,8 @@ def test_a_camera_with_a_visual_slam_brings_up_the_graph_on_its_topics(
         if isinstance(a["args"], tuple) and a["args"] and isinstance(a["args"][0], list)
     ]
     *others, own = [g["args"][0]["args"][0] for g in groups]
-    found = [
-        location["args"][0][0]["args"][0] for location in others
-    ]  # of FindPackageShare
+    # of FindPackageShare
+    found = [location["args"][0][0]["args"][0] for location in others]
     assert found == packages
     assert Path(own).name == "slot.launch.py"
     given = {a["args"][0]: a["default_value"] for a in actions if "default_value" in a}

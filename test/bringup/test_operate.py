@@ -10,8 +10,15 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import JointState
 
-from slot_bringup import operate, operate_command, operator_keys
-from slot_bringup.operator_screen import SILENCE, Motion, OperatorView, lines
+from slot_bringup import operate, operate_command
+from slot_bringup.operator_screen import (
+    KEYS,
+    QUIT,
+    SILENCE,
+    Motion,
+    OperatorView,
+    lines,
+)
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.robot import LEGS, TENDON_JOINTS
@@ -69,16 +76,16 @@ class FakeNode:
 
 def test_every_request_of_the_supervisor_has_a_key_and_a_command():
     names = {request.name.lower() for request in Request}
-    assert set(operator_keys.REQUESTS) == names
-    assert sorted(operator_keys.KEYS.values()) == sorted(names)
-    assert operator_keys.QUIT not in operator_keys.KEYS
+    assert set(operate_command.REQUESTS) == names
+    assert sorted(KEYS.values()) == sorted(names)
+    assert QUIT not in KEYS
 
 
-@pytest.mark.parametrize("key", [*operator_keys.KEYS, "a", "W", "\x1b", "\n"])
+@pytest.mark.parametrize("key", [*KEYS, "a", "W", "\x1b", "\n"])
 def test_a_key_calls_its_service_if_it_has_one_and_no_other(key):
     node = FakeNode()
     assert operate.Operator(node).press(key)
-    wanted = operator_keys.KEYS.get(key)
+    wanted = KEYS.get(key)
     assert node.called == ([f"supervisor/{wanted}"] if wanted else [])
     assert wanted or not node.published
 
@@ -101,7 +108,7 @@ def test_a_terminal_that_quits_is_not_missed_once_the_supervisor_knows():
     node = FakeNode()
     operator = operate.Operator(node)
     assert operator._estop.source != operate.Operator(node)._estop.source
-    assert not operator.press(operator_keys.QUIT)
+    assert not operator.press(QUIT)
     left, waited = node.published
     assert left == (False, True)
     assert waited.nanoseconds == operate.LEAVE_TIME * 1e9
@@ -144,15 +151,13 @@ def test_a_foreign_message_is_named_and_does_not_end_the_e_stops_source(
 def test_quitting_is_refused_under_torque():
     operator = operate.Operator(FakeNode())
     operator._on_state(state(State.WALKING))
-    assert operator.press(operator_keys.QUIT)
+    assert operator.press(QUIT)
     assert operator.view.answer == "WALKING: relax first (x), or stop with Ctrl-C"
     idle = state(State.IDLE)
     idle.action = RobotState.ACTION_OFF
     operator._on_state(idle)
-    assert not operator.press(operator_keys.QUIT)
-    assert not operate.Operator(FakeNode()).press(
-        operator_keys.QUIT
-    )  # without a supervisor
+    assert not operator.press(QUIT)
+    assert not operate.Operator(FakeNode()).press(QUIT)  # without a supervisor
 
 
 def test_the_screen_shows_state_warnings_and_what_is_wrong_with_a_servo():
@@ -205,13 +210,6 @@ def test_velocity_commanded_and_measured_place_and_pace_are_shown():
         "reached  +0.030 +0.000 m/s  +0.0 deg/s   real-time factor 0.50",
     ]
     assert shown[4].startswith("x +0.088   y +0.000 m   z 61 mm")
-
-
-def test_what_is_not_known_is_a_dash():
-    shown = screen()
-    assert shown[2:4] == ["no gait yet", "no state of the torso yet"]
-    (leg,) = [line for line in shown if line.startswith("FL")]
-    assert leg.split() == ["FL", "-", "-", "-", "0.0"]
 
 
 def test_an_outdated_state_is_not_shown():

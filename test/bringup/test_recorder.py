@@ -4,6 +4,7 @@ import signal
 import subprocess
 import time
 
+import pytest
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 
@@ -18,18 +19,20 @@ SET = {"scene": "slope5", "namespace": "recorded"}
 LEAST = 50  # messages on disk before the recorder is ended
 
 
-def record(path, number):
-    """Record odometry in a process, end it by a signal; return its exit code and what was sent."""
-    graph = read_graph()
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_recorder_that_ends_loses_nothing_and_a_killed_one_the_last_moment(
+    tmp_path, number
+):
+    graph, path = read_graph(), tmp_path / "bag"
     values = {a.name: a.default for a in graph.arguments} | SET | {"bag": str(path)}
     recorder = next(spec for spec in graph.nodes(values) if spec.name == "recorder")
     process = subprocess.Popen(command_line(recorder))
+    count = 0
     with listener("robot", "recorded") as (node, _):
         publisher = node.create_publisher(Odometry, "odom", qos.SENSOR)
         while not publisher.get_subscription_count():
             assert process.poll() is None
             time.sleep(0.02)
-        count = 0
         while count % LEAST or not written(path, LEAST):
             assert process.poll() is None
             publisher.publish(Odometry(child_frame_id=str(count)))
@@ -38,7 +41,14 @@ def record(path, number):
         assert publisher.wait_for_all_acked(Duration(seconds=60))
         process.send_signal(number)
         code = process.wait()
-    return code, [str(n) for n in range(count)]
+    bag, told = Bag(path, "recorded"), number == signal.SIGTERM
+    left = frames(bag)
+    assert (code, bag.finished) == (0 if told else -number, told)
+    assert left == [str(n) for n in range(count if told else len(left))]
+    assert len(left) >= LEAST
+    about = bag.origin.about
+    assert about.pop("revision")
+    assert about == {"hardware": "sim", "gait": "walk"} | SET
 
 
 def written(path, least):
@@ -51,23 +61,3 @@ def written(path, least):
 
 def frames(bag):
     return [message.child_frame_id for _, message in bag.messages("/odom")]
-
-
-def test_a_killed_recorder_leaves_all_but_the_last_moment(tmp_path):
-    _, published = record(tmp_path / "bag", signal.SIGKILL)
-    bag = Bag(tmp_path / "bag", "recorded")
-    left = frames(bag)
-    assert not bag.finished
-    assert left == published[: len(left)]
-    assert len(left) >= LEAST
-    about = bag.origin.about
-    assert about.pop("revision")
-    assert about == {"hardware": "sim", "gait": "walk"} | SET
-
-
-def test_a_recorder_that_is_told_to_end_loses_nothing(tmp_path):
-    code, published = record(tmp_path / "bag", signal.SIGTERM)
-    bag = Bag(tmp_path / "bag", "recorded")
-    assert code == 0
-    assert bag.finished
-    assert frames(bag) == published

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from nav_msgs.msg import Odometry
 from synthetic_walk import Walk, write_walk
@@ -122,59 +123,36 @@ def test_a_state_does_not_wait_behind_older_ones_where_the_machine_is_busy():
         assert progress.stamp == 19.0
 
 
-PERIOD = 1 / 30  # s, of the odometry
-
-
-@pytest.fixture
-def passed(monkeypatch):
-    """A function that lets seconds pass in a walk; the progress, as of a graph at a share of time.
-
-    skipped: states a second that the MPC leaves out.
-    """
-    now = [100.0]  # s, monotonic
-    monkeypatch.setattr(monitor.time, "monotonic", lambda: now[0])
-    progress = monitor.Progress(supervised=False)
-    reached = {"stamp": 1000.0, "skipped": 0.0}
-
-    def walk(seconds, share=1.0, skipped=0.0):
-        for _ in range(round(seconds / PERIOD)):
-            now[0] += PERIOD
-            reached["stamp"] += share * PERIOD
-            reached["skipped"] += skipped * PERIOD
-            stamp = header(round(reached["stamp"] * 1e9))
-            progress.update_truth(Odometry(header=stamp))
-            progress.update_plan(TendonPlan(skipped=int(reached["skipped"])))
-        return progress
-
-    return walk
-
-
 @pytest.mark.parametrize(
-    ("pace", "found"),
+    ("share", "skipped", "found"),
     [
-        ({}, ""),
-        ({"share": 0.6}, "slower than real time: the simulation went at 60 % of it"),
-        (
-            {"skipped": 9.1},
-            "slower than real time: mpc_controller skipped 9 states a second",
-        ),
+        (1.0, 0.0, ""),
+        (0.6, 0.0, "slower than real time: the simulation went at 60 % of it"),
+        (1.0, 9.1, "slower than real time: mpc_controller skipped 9 states a second"),
     ],
 )
-def test_a_graph_slower_than_real_time_says_so_with_its_share(passed, pace, found):
-    assert passed(3.0).slowness() == ""
-    assert passed(1.5, **pace).slowness() == found
-
-
-def test_the_pace_is_said_with_the_remedy_before_the_supervisors_own_line(
-    passed, capsys
+def test_a_graph_slower_than_real_time_says_so_with_its_share(
+    monkeypatch, share, skipped, found
 ):
-    report = monitor.PaceReport(passed(1.5, share=0.5), "use --lockstep")
-    line = "scripts/run: slower than real time: the simulation went at 50 % of it; use --lockstep\n"
-    report.print(urgent=False)
-    report.print(urgent=False)
-    assert capsys.readouterr().err == line  # once
-    report.print(urgent=True)  # the robot goes slack
-    assert capsys.readouterr().err == line
+    """share: of real time; skipped: states a second that the MPC leaves out."""
+    progress = monitor.Progress(supervised=False)
+    for passed in np.arange(0.0, 1.5, 1 / 30):
+        monkeypatch.setattr("time.monotonic", lambda: 100.0 + passed)  # noqa: B023
+        stamp = header(round((1000.0 + share * passed) * 1e9))
+        progress.update_truth(Odometry(header=stamp))
+        progress.update_plan(TendonPlan(skipped=int(skipped * passed)))
+    assert progress.slowness() == found
+
+
+def test_the_pace_is_said_with_the_remedy_once_and_again_before_the_robot_goes_slack(
+    capsys,
+):
+    progress = SimpleNamespace(slowness=lambda: "slower")
+    report = monitor.PaceReport(progress, "use --lockstep")
+    for urgent, lines in ((False, 1), (False, 0), (True, 1)):
+        report.print(urgent)
+        said = capsys.readouterr().err
+        assert said == lines * "scripts/run: slower; use --lockstep\n"
 
 
 @pytest.mark.parametrize(

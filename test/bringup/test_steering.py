@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 
-from slot_bringup import operator_keys, steering
+from slot_bringup import operator_screen, steering
 from slot_core.messages import decode
 from slot_msgs.msg import GaitPreview
 
@@ -125,12 +125,12 @@ def test_without_a_gait_scheduler_the_line_says_so(node, keys, key):
 
 
 def test_other_keys_and_those_of_requests_do_not_steer(keys):
-    for key in (*operator_keys.KEYS, operator_keys.QUIT, "a", "\x1b", "\x1b[5~"):
+    for key in (*operator_screen.KEYS, operator_screen.QUIT, "a", "\x1b", "\x1b[5~"):
         assert keys.press(key, commanded()) == ""
 
 
 def test_keys_are_told_apart_in_what_a_terminal_sends():
-    assert operator_keys.KEY.findall(f"w{UP}{LEFT}q\x1b[5~\x1bOA ") == [
+    assert operator_screen.KEY.findall(f"w{UP}{LEFT}q\x1b[5~\x1bOA ") == [
         "w",
         UP,
         LEFT,

@@ -24,8 +24,7 @@ def test_a_node_that_compiles_its_kernels_ends_at_a_signal(number, tmp_path):
         node.send_signal(number)
         node.communicate()
         assert node.returncode == 0
-        assert (
-            len(list(tmp_path.glob("*.kernel"))) < 4
-        )  # of 5 kernels: it has not gone on
+        # of 5 kernels: it has not gone on
+        assert len(list(tmp_path.glob("*.kernel"))) < 4
     finally:
         node.kill()

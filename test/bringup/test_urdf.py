@@ -31,16 +31,41 @@ ROBOT = read_robot()
 WRITTEN = {"rtol": 1e-5, "atol": 1e-9}  # the URDF is written with six digits
 
 
+TORSO, DRUM = "link[@name='torso_link']", "visual/geometry/cylinder"
+
+
+def tabled():
+    """Path of an element, its attribute, and the robot's number for it."""
+    for kind in ("visual", "collision"):
+        yield f"{TORSO}/{kind}/geometry/box", "size", ROBOT.torso.size
+    yield f"{TORSO}/inertial/mass", "value", ROBOT.torso.mass
+    for i, j in zip(*np.triu_indices(3)):
+        axes = "xyz"[i] + "xyz"[j]
+        yield f"{TORSO}/inertial/inertia", f"i{axes}", ROBOT.torso.inertia[i, j]
+    servo = read_servo()
+    volts = servo.nominal_voltage
+    for k, leg in enumerate(LEGS):
+        clamp = f"joint[@name='{leg}_clamp']/origin"
+        x, y, _ = ROBOT.outward[k]
+        yield clamp, "xyz", ROBOT.clamps[k]
+        yield clamp, "rpy", [0.0, 0.0, np.arctan2(y, x)]
+        limit = f"joint[@name='{TENDON_JOINTS[k]}']/limit"
+        yield limit, "lower", 0.0
+        yield limit, "upper", ROBOT.tendon.angle_max
+        yield limit, "effort", servo.tendon_stall(volts)
+        yield limit, "velocity", servo.tendon_speed(volts)
+        spool = f"link[@name='{leg}_spool_link']/{DRUM}"
+        yield spool, "radius", ROBOT.tendon.spool_radius
+        yield spool, "length", ROBOT.leg.width
+
+
+@pytest.mark.parametrize(("path", "attribute", "expected"), [*tabled()])
+def test_a_number_is_that_of_the_robot(path, attribute, expected):
+    np.testing.assert_allclose(numbers(URDF, path, attribute), expected, **WRITTEN)
+
+
 def numbers(element, path, attribute):
     return np.array(element.find(path).get(attribute).split(), dtype=float)
-
-
-def link(name):
-    return URDF.find(f"link[@name='{name}']")
-
-
-def joint(name):
-    return URDF.find(f"joint[@name='{name}']")
 
 
 def test_links_form_one_tree_rooted_in_the_base_frame():
@@ -53,52 +78,39 @@ def test_links_form_one_tree_rooted_in_the_base_frame():
     for child, parent in zip(ends["child"], ends["parent"]):
         levels.add(child, parent)
     assert next(levels.static_order()) == BASE_FRAME  # and there is no circle
+    assert [*URDF.find("link")] == []  # KDL accepts no inertia on the root link
 
 
-def test_torso_has_the_size_mass_and_inertia_of_the_robot():
-    torso = link("torso_link")
-    assert list(link(BASE_FRAME)) == []  # KDL accepts no inertia on the root link
-    assert joint("torso").get("type") == "fixed"
-    assert joint("torso").find("origin") is None
-    for kind in ("visual", "collision"):
-        size = numbers(torso, f"{kind}/geometry/box", "size")
-        np.testing.assert_allclose(size, ROBOT.torso.size, **WRITTEN)
-        assert torso.find(f"{kind}/origin") is None  # centred
-    np.testing.assert_allclose(
-        numbers(torso, "inertial/mass", "value"), ROBOT.torso.mass
-    )
-    inertia = torso.find("inertial/inertia").attrib
-    found = [
-        [float(inertia["i" + "".join(sorted(a + b))]) for b in "xyz"] for a in "xyz"
+@pytest.mark.parametrize("leg", LEGS)
+def test_a_spool_turns_about_its_drum_at_the_clamp_of_its_leg(leg):
+    joints = (URDF.find(f"joint[@name='{leg}_{name}']") for name in ("clamp", "tendon"))
+    clamp, tendon = joints
+    assert (clamp.get("type"), tendon.get("type")) == ("fixed", "revolute")
+    ends = [j.find(end).get("link") for j in (clamp, tendon) for end in SIDES]
+    assert ends == [
+        f"leg_{leg}_link",
+        BASE_FRAME,
+        f"{leg}_spool_link",
+        f"leg_{leg}_link",
     ]
-    np.testing.assert_allclose(found, ROBOT.torso.inertia, **WRITTEN)
-
-
-@pytest.mark.parametrize("index", range(4), ids=LEGS)
-def test_leg_frames_are_at_the_clamps_and_point_along_the_azimuths(index):
-    clamp = joint(f"{LEGS[index]}_clamp")
-    assert clamp.get("type") == "fixed"
-    assert clamp.find("parent").get("link") == BASE_FRAME
-    assert clamp.find("child").get("link") == f"leg_{LEGS[index]}_link"
-    place, rpy = (numbers(clamp, "origin", name) for name in ("xyz", "rpy"))
-    np.testing.assert_allclose(place, ROBOT.clamps[index], **WRITTEN)
-    axes = Rotation.from_euler("xyz", rpy).apply(np.eye(3))  # URDF: about fixed axes
-    np.testing.assert_allclose(axes[0], ROBOT.outward[index], atol=1e-5)
-    np.testing.assert_allclose(axes[2], [0, 0, 1], atol=1e-12)
+    assert tendon.find("origin") is None
+    spool = URDF.find(f"link[@name='{leg}_spool_link']")
+    rpy = numbers(spool, "visual/origin", "rpy")  # about fixed axes
+    drum = Rotation.from_euler("xyz", rpy).apply([0, 0, 1])
+    np.testing.assert_allclose(np.abs(drum @ numbers(tendon, "axis", "xyz")), 1.0)
 
 
 @pytest.mark.parametrize("leg", LEGS)
 def test_boxes_of_a_leg_join_along_its_natural_shape(leg):
     start = np.zeros(3)
-    for visual in link(f"leg_{leg}_link").findall("visual"):
+    for visual in URDF.find(f"link[@name='leg_{leg}_link']").findall("visual"):
         length, width, thickness = numbers(visual, "geometry/box", "size")
         centre = numbers(visual, "origin", "xyz")
         along = Rotation.from_euler("xyz", numbers(visual, "origin", "rpy")).apply(
             [length, 0, 0]
         )
-        np.testing.assert_allclose(
-            centre - along / 2, start, atol=1e-6
-        )  # m, six digits
+        # m, six digits
+        np.testing.assert_allclose(centre - along / 2, start, atol=1e-6)
         start = centre + along / 2
         drop = ROBOT.leg.shape(start[0]) - ROBOT.leg.shape(0.0)
         np.testing.assert_allclose(start, [start[0], 0.0, drop], atol=1e-6)
@@ -108,32 +120,6 @@ def test_boxes_of_a_leg_join_along_its_natural_shape(leg):
             [width, thickness], [ROBOT.leg.width, expected], **WRITTEN
         )
     np.testing.assert_allclose(start[0], ROBOT.leg.reach, atol=1e-6)  # up to the tip
-
-
-def test_tendon_joints_are_spools_with_the_limits_of_tendon_and_servo():
-    revolute = [j for j in URDF.findall("joint") if j.get("type") == "revolute"]
-    assert tuple(j.get("name") for j in revolute) == TENDON_JOINTS
-    servo = read_servo()
-    volts = servo.nominal_voltage
-    most = [
-        ROBOT.tendon.angle_max,
-        servo.tendon_stall(volts),
-        servo.tendon_speed(volts),
-    ]
-    for leg, tendon in zip(LEGS, revolute):
-        limit = tendon.find("limit").attrib
-        found = [float(limit[key]) for key in ("lower", "upper", "effort", "velocity")]
-        np.testing.assert_allclose(found, [0.0, *most], **WRITTEN)
-        assert tendon.find("parent").get("link") == f"leg_{leg}_link"
-        assert tendon.find("origin") is None  # at the clamp
-        spool = link(tendon.find("child").get("link"))
-        cylinder = spool.find("visual/geometry/cylinder").attrib
-        size = [float(cylinder[key]) for key in ("radius", "length")]
-        assert size == [ROBOT.tendon.spool_radius, ROBOT.leg.width]
-        rpy = numbers(spool, "visual/origin", "rpy")
-        drum = Rotation.from_euler("xyz", rpy).apply([0, 0, 1])
-        axis = numbers(tendon, "axis", "xyz")
-        np.testing.assert_allclose(np.abs(drum @ axis), 1.0, atol=1e-9)
 
 
 def test_plots_name_fields_that_the_messages_have():

@@ -7,14 +7,15 @@ from pathlib import Path
 import pytest
 from synthetic_walk import Walk, write_walk
 
-from slot_bringup import live_page, view
+from slot_bringup import view
+from slot_bringup.playing import main_page
 
 
 @pytest.fixture
 def opened(monkeypatch, tmp_path):
     """Addresses that were opened in the browser, on a machine with a display; an empty directory."""
     addresses = []
-    monkeypatch.setattr(live_page.webbrowser, "open", addresses.append)
+    monkeypatch.setattr(main_page.webbrowser, "open", addresses.append)
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.chdir(tmp_path)
@@ -60,8 +61,8 @@ def test_the_live_page_of_a_run_waits_for_its_graph_and_ends_with_it(
         "while :; do sleep 0.1; done\n"
     )
     program.chmod(0o755)
-    monkeypatch.setattr(live_page.sys, "executable", str(program))
-    with live_page.live_page("fred", 90.0):
+    monkeypatch.setattr(main_page.sys, "executable", str(program))
+    with main_page.live_page("fred", 90.0):
         while not words.exists():
             time.sleep(0.01)
         assert not done.exists()

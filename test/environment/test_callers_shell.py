@@ -12,6 +12,52 @@ SLOT = str(ROOT / ".slot") + "/"
 SHELL = "#!/usr/bin/env bash"
 FILES = [path for path in (ROOT / "scripts").iterdir() if path.is_file()]
 PROGRAMS = [path for path in FILES if path.read_text().startswith(SHELL)]
+MODULES = (
+    "argparse",
+    "json",
+    "multiprocessing",
+    "numpy",
+    "os",
+    "random",
+    "re",
+    "rclpy",
+    "signal",
+    "slot_core",
+    "yaml",
+)
+
+
+class Caller:
+    """A folder with modules of the caller's own, which write that they ran; variables of Python."""
+
+    def __init__(self, folder):
+        self.folder, self._ran = folder, folder / "ran"
+        for name in MODULES:
+            line = f"open({str(self._ran)!r}, 'a').write('{name} ')\nprint('my own script')\n"
+            (folder / f"{name}.py").write_text(line)
+        self.python = {
+            "MPLBACKEND": "module://own",
+            "PYTHONDEVMODE": "1",
+            "PYTHONHASHSEED": "own",
+            "PYTHONHOME": "/nowhere",
+            "PYTHONINSPECT": "1",
+            "PYTHONOPTIMIZE": "2",
+            "PYTHONPATH": f"{folder}:",
+            "PYTHONSTARTUP": str(folder / "random.py"),
+            "PYTHONWARNINGS": "error",
+        }
+
+    @property
+    def ran(self):
+        """Names of the caller's modules that were executed."""
+        return self._ran.read_text() if self._ran.exists() else ""
+
+
+@pytest.fixture
+def caller(tmp_path):
+    folder = tmp_path / "own"
+    folder.mkdir()
+    return Caller(folder)
 
 
 def test_a_program_takes_no_settings_and_no_packages_of_the_callers_python(caller):

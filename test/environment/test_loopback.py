@@ -36,17 +36,12 @@ RECEIVED = re.compile(
 )
 BOUND = re.compile(r"^bind\(.*")
 SHARED = re.compile(r'^openat\(.*"/dev/shm/([\w.]*fast\w*)"')  # of Fast DDS
-BUFFER = re.compile(
-    r"^setsockopt\(\d+<UDP\S+, SOL_SOCKET, SO_RCVBUF, \[(\d+)\]"
-)  # bytes
+# bytes
+BUFFER = re.compile(r"^setsockopt\(\d+<UDP\S+, SOL_SOCKET, SO_RCVBUF, \[(\d+)\]")
 ADDRESS = re.compile(r'inet_addr\("([^"]+)"\)|inet_pton\(AF_INET6, "([^"]+)"')
 FAMILY = re.compile(r"sa_family=(\w+)")
-FAMILIES = {
-    "AF_INET",
-    "AF_INET6",
-    "AF_UNIX",
-    "AF_NETLINK",
-}  # the last two stay on the machine
+# the last two stay on the machine
+FAMILIES = {"AF_INET", "AF_INET6", "AF_UNIX", "AF_NETLINK"}
 
 
 def named_in(calls: re.Pattern[str], trace: str) -> Iterator[str]:
@@ -109,9 +104,8 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> str:
 def test_two_communicating_processes_send_receive_and_bind_on_the_loopback_only(trace):
     sent, bound = (list(named_in(calls, trace)) for calls in (SENT, BOUND))
     received = [m[1].strip("[]") for m in map(RECEIVED.match, trace.splitlines()) if m]
-    assert any(
-        address.startswith("127.") for address in sent
-    )  # they did use the network
+    # they did use the network
+    assert any(address.startswith("127.") for address in sent)
     assert bound
     assert received
     assert not [

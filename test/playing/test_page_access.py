@@ -8,8 +8,13 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from slot_bringup.playing.access import COOKIE, Access, is_this_machine
-from slot_bringup.playing.main_page import main, start_server
+from slot_bringup.playing.main_page import main
+from slot_bringup.playing.page_server import (
+    COOKIE,
+    Access,
+    is_this_machine,
+    start_server,
+)
 
 HERE = "127.0.0.1:8080"
 

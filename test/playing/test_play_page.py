@@ -11,7 +11,7 @@ import pytest
 from browser import PROGRAM, Browser, wait_for
 from scipy.spatial.transform import Rotation
 
-from slot_bringup.playing.main_page import address, start_server
+from slot_bringup.playing.page_server import address, start_server
 from slot_bringup.playing.play_page import PlayPage
 from slot_bringup.playing.robot_display import TALL, WIDE
 from slot_core.safety.states import State
@@ -184,15 +184,13 @@ def placed(hand, place):
     x, y, top = hand.model.payload[1:]
     hand.browser.drag(hand.pixel([x, y, top]), goal := hand.pixel([*place, top]))
     hand.browser.mouse("mouseReleased", *goal)
-    time.sleep(
-        0.5
-    )  # until the page has acted; the robot sinks under the load meanwhile
+    # until the page has acted; the robot sinks under the load meanwhile
+    time.sleep(0.5)
     return np.allclose(hand.model.payload[1:3], place, atol=0.02)
 
 
-PANEL = (
-    TAB.format("Drive") + ".closest('[style*=\"width: 20em\"]')"
-)  # of viser on a phone
+# of viser on a phone
+PANEL = TAB.format("Drive") + ".closest('[style*=\"width: 20em\"]')"
 
 
 def test_on_a_phone_the_panel_is_as_wide_as_the_page_below_the_robot(hand):

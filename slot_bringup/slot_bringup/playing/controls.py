@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
@@ -36,16 +36,6 @@ PAYLOAD_RADIUS = 0.012  # m
 KEY_SHARE = 0.25  # of a slider's half range, per key
 
 
-@dataclass(frozen=True)
-class Range:
-    """Range of a slider."""
-
-    low: float
-    high: float
-    step: float
-    start: float
-
-
 class DrivableRobot(Protocol):
     """Robot of the panel Drive."""
 
@@ -69,11 +59,11 @@ def add_drive(gui: viser.GuiApi, do: Do[DrivableRobot], start: str = STAND) -> N
     """Gait, of which `start` is the present one, velocity, pose; requests to the supervisor."""
     gaits = read_gaits()
     gait: Any = gui.add_dropdown("gait", tuple(gaits.gaits), initial_value=start)
-    gait.on_update(lambda _: do(lambda r: r.set_gait(gait.value)))
+    _bind(do, gait, lambda r, name: r.set_gait(name))
     most = np.max([each.speeds for each in gaits.gaits.values()], axis=0)
     labels = "v_x (m/s)", "v_y (m/s)", "yaw rate (rad/s)"
     speeds = [
-        _slider(gui, label, Range(-top, top, 0.005, 0.0))
+        _slider(gui, label, (-top, top), 0.005, 0.0)
         for label, top in zip(labels, np.ceil(200 * most) / 200)
     ]
 
@@ -110,7 +100,7 @@ REQUESTS: dict[str, Act[DrivableRobot]] = {
 def add_policy(gui: viser.GuiApi, do: Do[PlayedRobot], start: str) -> None:
     """The policy, which a key changes too."""
     policy = gui.add_dropdown("policy", tuple(POLICIES), initial_value=start)
-    policy.on_update(lambda _: do(lambda r: r.set_policy(policy.value)))
+    _bind(do, policy, lambda r, name: r.set_policy(name))
     add_key(gui, "Y", "next policy", partial(_next, policy))
 
 
@@ -178,9 +168,10 @@ def _add_pose(gui: viser.GuiApi, do: Do[DrivableRobot]) -> tuple[Any, Any, Any]:
     tilt = math.floor(10 * math.degrees(gaits.tilt_max)) / 10
     own: Any = gui.add_checkbox("the gait's own height and tilt", initial_value=True)
     start = 1e3 * gaits.find(STAND).height
-    height = _slider(gui, "height (mm)", Range(low, high, 1.0, start))
+    height = _slider(gui, "height (mm)", (low, high), 1.0, start)
     roll, pitch = (
-        _slider(gui, f"{n} (deg)", Range(-tilt, tilt, 0.1, 0.0)) for n in ANGLES
+        _slider(gui, f"{name} (deg)", (-tilt, tilt), 0.1, 0.0)
+        for name in ("roll", "pitch")
     )
 
     def take(robot: DrivableRobot) -> None:
@@ -200,55 +191,48 @@ def _add_pose(gui: viser.GuiApi, do: Do[DrivableRobot]) -> tuple[Any, Any, Any]:
     return height, roll, pitch
 
 
-ANGLES = ("roll", "pitch")
-
-
 def add_world(gui: viser.GuiApi, robot: PlayedRobot, do: Do[PlayedRobot]) -> None:
     """Floor, payload, legs, supply and tendons."""
     scene = read_scene(robot.scene)
     friction = [
-        _slider(gui, f"friction {leg}", Range(0.0, 1.5, 0.05, mu))
+        _slider(gui, f"friction {leg}", (0.0, 1.5), 0.05, mu)
         for leg, mu in zip(LEGS, scene.floor.friction)
     ]
+
+    def rub(robot: PlayedRobot, _: float) -> None:
+        robot.change({"scene.floor.friction": _values(friction).tolist()})
+
     for slider in friction:
-        slider.on_update(
-            lambda _: do(
-                lambda r: r.change({"scene.floor.friction": _values(friction).tolist()})
-            )
-        )
-    slope = _slider(
-        gui, "slope (deg)", Range(-STEEPEST, STEEPEST, 0.5, _slope(scene.gravity))
-    )
-    slope.on_update(lambda _: do(lambda r: r.set_slope(slope.value)))
-    mass = _slider(
-        gui, "payload (kg)", Range(0.0, LARGEST_PAYLOAD, 0.02, scene.payload.mass)
-    )
-    mass.on_update(lambda _: do(lambda r: _load(r, mass.value)))
-    modulus = read_robot(scene.parameters).leg.young_modulus
-    stiff = _slider(gui, "stiffness of the legs (%)", Range(50.0, 150.0, 1.0, 100.0))
-    stiff.on_update(
-        lambda _: do(
-            lambda r: r.change({"robot.leg.young_modulus": stiff.value / 100 * modulus})
-        )
-    )
-    volts = _slider(
-        gui, "supply voltage (V)", Range(9.0, 12.0, 0.1, scene.supply_voltage)
-    )
-    volts.on_update(
-        lambda _: do(lambda r: r.change({"scene.supply_voltage": volts.value}))
-    )
+        _bind(do, slider, rub)
+    modulus = read_robot(scene.parameters).leg.young_modulus / 100  # Pa, of a percent
+    slope, mass = _slope(scene.gravity), scene.payload.mass
+    for label, limits, step, start, act in (
+        ("slope (deg)", (-STEEPEST, STEEPEST), 0.5, slope, PlayedRobot.set_slope),
+        ("payload (kg)", (0.0, LARGEST_PAYLOAD), 0.02, mass, _load),
+        (
+            "stiffness of the legs (%)",
+            (50.0, 150.0),
+            1.0,
+            100.0,
+            lambda r, share: r.change({"robot.leg.young_modulus": share * modulus}),
+        ),
+        (
+            "supply voltage (V)",
+            (9.0, 12.0),
+            0.1,
+            scene.supply_voltage,
+            lambda r, voltage: r.change({"scene.supply_voltage": voltage}),
+        ),
+    ):
+        _bind(do, _slider(gui, label, limits, step, start), act)
     for leg in LEGS:
-        _add_tendon(gui, leg, do)
-
-
-def _add_tendon(gui: viser.GuiApi, leg: str, do: Do[PlayedRobot]) -> None:
-    box = gui.add_checkbox(f"tendon {leg} broken", initial_value=False)
-    box.on_update(lambda _: do(lambda r: r.set_tendon(leg, broken=box.value)))
+        box = gui.add_checkbox(f"tendon {leg} broken", initial_value=False)
+        _bind(do, box, partial(_break, leg))
 
 
 def add_push(gui: viser.GuiApi, do: Do[PlayedRobot]) -> None:
     """A push of the torso from one side."""
-    force = _slider(gui, "push (N)", Range(0.0, PUSH_MAX, 0.5, 6.0))
+    force = _slider(gui, "push (N)", (0.0, PUSH_MAX), 0.5, 6.0)
     side = gui.add_button_group("push to", tuple(SIDES))
 
     def push(_: object) -> None:
@@ -288,11 +272,15 @@ def add_faults(gui: viser.GuiApi, do: Do[GraphRobot]) -> None:
     gui.add_markdown(f"Value of {value_of}. Duration 0: until it is cleared.")
 
 
+def _break(leg: str, robot: PlayedRobot, broken: bool) -> None:
+    robot.set_tendon(leg, broken=broken)
+
+
 def _load(robot: PlayedRobot, mass: float) -> None:
     """Set the payload's mass; a first payload lies on the middle of the torso."""
-    scene = read_scene(robot.scene)
     changes: dict[str, Any] = {"scene.payload.mass": mass}
-    if not scene.payload.mass and "scene.payload.place" not in robot.changes:
+    loaded = read_scene(robot.scene).payload.mass
+    if not loaded and "scene.payload.place" not in robot.changes:
         changes["scene.payload.place"] = [0.0, 0.0, on_top(robot)]
     robot.change(changes)
 
@@ -310,6 +298,17 @@ def _values(sliders: Sequence[Any]) -> Array:
     return np.array([slider.value for slider in sliders], dtype=float)
 
 
-def _slider(gui: viser.GuiApi, label: str, r: Range) -> Any:
-    start = min(max(float(r.start), float(r.low)), float(r.high))
-    return gui.add_slider(label, float(r.low), float(r.high), float(r.step), start)
+def _slider(
+    gui: viser.GuiApi,
+    label: str,
+    limits: tuple[float, float],
+    step: float,
+    start: float,
+) -> Any:
+    low, high = map(float, limits)  # viser takes no numbers of NumPy
+    return gui.add_slider(label, low, high, step, min(max(float(start), low), high))
+
+
+def _bind(do: Do[Robot], control: Any, act: Callable[[Robot, Any], object]) -> None:
+    """Let a control act on the robot with its value whenever that is changed."""
+    control.on_update(lambda _: do(lambda robot: act(robot, control.value)))

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import viser
 
 from slot_bringup.playing import controls
-from slot_bringup.playing.acting_page import PLOTTED, WINDOW, Page
 from slot_bringup.playing.graph_robot import GraphRobot
+from slot_bringup.playing.robot_display import PLOTTED, WINDOW, Page
 from slot_bringup.playing.status_text import of_speed, strong
 from slot_core.clock import to_seconds
 from slot_core.control.pace import Speed

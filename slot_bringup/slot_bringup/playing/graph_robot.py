@@ -73,7 +73,7 @@ class GraphRobot:
         return "/robot_state" in self._new
 
     def walks(self) -> bool:
-        """Whether a gait has been heard, which is that wanted from now on."""
+        """Whether a gait has been heard; it is wanted from now on."""
         if preview := self._new.get("/gait_preview"):
             self.gait = preview.requested
         return preview is not None
@@ -95,7 +95,8 @@ class GraphRobot:
         """Stand or walk in a gait."""
         self.gait = gait
         self._call("set_gait", SetGait.Request(gait=gait))
-        self._pursue(self._to_gait())
+        stands = isinstance(self._gaits.find(gait), Posture)
+        self._pursue(TO_STAND if stands else TO_WALK)
 
     def set_velocity(self, velocity: Array) -> None:
         """Go at v_x, v_y m/s, yaw rate rad/s, (3,); raises ConfigError where nothing answers."""
@@ -128,9 +129,6 @@ class GraphRobot:
             kind=kind, leg=leg, value=value, duration=duration, clear=clear
         )
         self._call("sim_robot/inject", fault)
-
-    def _to_gait(self) -> dict[State, Request]:
-        return TO_STAND if isinstance(self._gaits.find(self.gait), Posture) else TO_WALK
 
     def _pursue(self, requests: dict[State, Request]) -> None:
         self._to, self._asked = requests, None

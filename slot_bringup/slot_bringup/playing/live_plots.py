@@ -11,7 +11,6 @@ from viser import uplot
 
 from slot_core.arrays import Array
 from slot_core.clock import to_seconds
-from slot_core.messages import decode
 from slot_lab.report import traces
 
 SPAN = 10.0  # s shown
@@ -43,9 +42,8 @@ class LivePlots:
         )
         shown = ""
         for name in SHOWN:
-            if shown != (
-                shown := legend(traces.PLOTS[name])
-            ):  # the same holds for those below
+            # the same holds for those below
+            if shown != (shown := legend(traces.PLOTS[name])):
                 gui.add_html(shown)
             self._plots[name] = _LivePlot(gui, name)
 
@@ -86,11 +84,6 @@ def legend(plot: traces.Plot) -> str:
         for name, c in curves
     )
     return f'<div style="{LEGEND}">{"".join(names)}</div>'
-
-
-def stamp_of(topic: str, message: Any) -> int | None:
-    """Stamp (ns) of the message whose stamps are those of the points; None for any other."""
-    return decode.stamp(message) if topic == "/mpc_state" else None
 
 
 class _LivePlot:

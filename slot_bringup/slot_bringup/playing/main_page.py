@@ -8,20 +8,18 @@ the address with the token that is printed.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
-import logging
-import secrets
+import importlib.util
+import os
 import signal
-import socket
+import subprocess
 import sys
+import webbrowser
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slot_bringup import interrupts
-from slot_bringup.live_page import open_in_browser, require_viser
-from slot_bringup.playing.page_scripts import GAMEPAD, GIVE_KEYS_BACK, WIDE_ON_A_PHONE
+from slot_bringup.interrupts import on_interrupt
 from slot_core.command_line import command_parser, refuse, within
 from slot_core.config import ConfigError
 from slot_core.control.policies import DEFAULT_POLICY
@@ -32,6 +30,7 @@ if TYPE_CHECKING:
 PROGRAM = "scripts/play"
 PORT = 8080
 BAGS = Path("bags")
+STOP_TIMEOUT = 10.0  # s, from SIGTERM to SIGKILL
 GAIT_TIME = 1.0  # s to wait for the present gait of a graph
 
 
@@ -71,43 +70,6 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     return options
 
 
-def address(host: str, port: int, token: str) -> str:
-    """The page's address in the browser; a host that stands for all addresses is replaced by its name."""
-    if host in {"", "0.0.0.0", "::"}:
-        host = socket.gethostname()
-    return f"http://{host}:{port}/" + (f"?token={token}" if token else "")
-
-
-def start_server(host: str, port: int, token: str) -> viser.ViserServer:
-    """Server of the page; raises OSError if the port is taken."""
-    import viser  # noqa: PLC0415 - optional
-    from viser import _messages  # noqa: PLC0415 - it has no other way to a script
-
-    from slot_bringup.playing.access import Access, guarded  # noqa: PLC0415 - heavy
-
-    class Server(viser.ViserServer):
-        """viser's server, which nobody can connect to one elsewhere."""
-
-        def request_share_url(self, verbose: bool = True) -> str | None:
-            return None
-
-    with socket.create_server((host, port), reuse_port=False):
-        pass  # viser would take the next port
-    logging.getLogger("websockets.server").setLevel(
-        logging.CRITICAL
-    )  # of broken connections
-    with guarded(Access(token)), contextlib.redirect_stdout(io.StringIO()):
-        server = Server(host=host, port=port, label="SLOT", verbose=False)
-    server.gui.configure_theme(
-        show_share_button=False, show_logo=False, control_width="large"
-    )
-    for script in (GIVE_KEYS_BACK, GAMEPAD, WIDE_ON_A_PHONE):
-        server._websock_server.queue_message(
-            _messages.RunJavascriptMessage(source=script)
-        )
-    return server
-
-
 def play(options: argparse.Namespace) -> None:
     """Play until an interrupt; raises ConfigError and OSError."""
     from slot_bringup.check import check_place  # noqa: PLC0415 - heavy
@@ -138,29 +100,58 @@ def _play_graph(options: argparse.Namespace) -> None:
         robot = GraphRobot(node)
         if not executor.spin_until(robot.found, options.wait):
             raise ConfigError(no_answer(node, "supervisor", options.wait))
-        executor.spin_until(
-            robot.walks, GAIT_TIME
-        )  # none before the servos have torque
+        # none before the servos have torque
+        executor.spin_until(robot.walks, GAIT_TIME)
         with _served(options) as server:
             GraphPage(server, robot).run(lambda: False, executor.spin_once)
 
 
-@contextlib.contextmanager
+@contextmanager
 def _served(options: argparse.Namespace) -> Iterator[viser.ViserServer]:
     """Server of a page, whose address is printed and opened if wanted; raises OSError."""
-    from slot_bringup.playing.access import is_this_machine  # noqa: PLC0415 - heavy
+    from slot_bringup.playing.page_server import served  # noqa: PLC0415 - needs viser
 
-    token = "" if is_this_machine(options.host) else secrets.token_urlsafe(24)
-    server = start_server(options.host, options.port, token)
-    try:
-        page = address(options.host, server.get_port(), token)
+    with served(options.host, options.port) as (server, page):
         print(f"{page}\nCtrl-C ends it", flush=True)
         if options.open:
             open_in_browser(page)
         yield server
+
+
+@contextmanager
+def live_page(namespace: str, wait: float) -> Iterator[None]:
+    """Serve the live page of a graph in another process while the block runs.
+
+    The page waits up to a time (s) for the graph to answer. An error of the page ends the page alone.
+    """
+    from slot_bringup.graph import TIED  # noqa: PLC0415 - heavy
+
+    command = [*TIED, sys.executable, "-P", "-m", "slot_bringup.playing.main_page"]
+    command += ["--graph", "--namespace", namespace, "--wait", str(wait), "--open"]
+    process = subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, start_new_session=True
+    )
+    try:
+        yield
     finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
+        process.terminate()
+        try:
+            process.wait(STOP_TIMEOUT)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def open_in_browser(address: str) -> None:
+    """Open an address in the browser if there is a display to show it on."""
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        webbrowser.open(address)
+
+
+def require_viser() -> None:
+    """Raise ConfigError unless the server of the page is installed."""
+    if importlib.util.find_spec("viser") is None:
+        raise ConfigError("viser is missing; run scripts/setup --play")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -168,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(arguments)
     try:
         require_viser()
-        with interrupts.on_interrupt(signal.default_int_handler):
+        with on_interrupt(signal.default_int_handler):
             play(options)
     except ConfigError as error:
         refuse(PROGRAM, error)

@@ -18,7 +18,7 @@ import viser
 from scipy.spatial.transform import Rotation
 
 from slot_bringup.playing import controls, robot_messages
-from slot_bringup.playing.acting_page import PLOTTED, WINDOW, Page
+from slot_bringup.playing.robot_display import PLOTTED, WINDOW, Page
 from slot_bringup.playing.status_text import Costs, of_speed, strong
 from slot_core.control.pace import Speed
 from slot_core.drawing import palette
@@ -49,9 +49,8 @@ class PlayPage(Page[PlayedRobot]):
         self._size = np.array(read_robot().torso.size)
         self._payload: Any = None
         self._build()
-        server.on_client_disconnect(
-            lambda _: self.do(_let_go)
-        )  # in the middle of a drag
+        # in the middle of a drag
+        server.on_client_disconnect(lambda _: self.do(_let_go))
 
     def run(
         self,

@@ -1,16 +1,19 @@
-"""The robot in the page, its plots and its status text, from the messages of a run."""
+"""A page with the robot, its plots and status text from the messages of a run, and a user's acts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any, TypeAlias
+import queue
+from collections.abc import Callable, Iterable
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 import viser
 
-from slot_bringup.playing.live_plots import LivePlots, stamp_of
+from slot_bringup.playing.live_plots import LivePlots
 from slot_bringup.playing.scene_view import SceneView
+from slot_bringup.playing.status_text import StatusText, block
 from slot_core.arrays import Array
+from slot_core.config import ConfigError
 from slot_core.drawing.drawing import Drawing
 from slot_core.drawing.shapes import Shape
 from slot_core.dynamics.servo import read_servo
@@ -18,6 +21,9 @@ from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_lab.report import traces
 
+Robot = TypeVar("Robot")
+WINDOW = 2.0  # s, over which the speed is measured
+PLOTTED, WRITTEN = 6, 3  # frames between two updates of the plots, of the text
 Named: TypeAlias = tuple[str, Any]  # topic and message
 TOPICS = tuple(dict.fromkeys((*Drawing.TOPICS, *traces.TOPICS)))
 View: TypeAlias = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -60,8 +66,8 @@ class RobotDisplay:
         if self._plots is None:
             return
         self._plots.receive(topic, message)
-        if (stamp := stamp_of(topic, message)) is not None:
-            self._plots.advance(stamp)
+        if topic == "/mpc_state":  # at its stamps the plots get points
+            self._plots.advance(decode.stamp(message))
 
     @property
     def position(self) -> Array | None:
@@ -86,19 +92,51 @@ def _new_drawing() -> Drawing:
     return Drawing(read_robot(), float(servo.tendon_stall(servo.nominal_voltage)))
 
 
-def view_for(aspect: float) -> View:
-    """The first view on a page of a width over its height."""
-    return TALL if aspect < 1.0 else WIDE
-
-
 def _place_camera(client: viser.ClientHandle) -> None:
     """Show the first view, and again where a page changes its shape, as a phone that is turned."""
     shown: View | None = None
 
     def place(camera: viser.CameraHandle) -> None:
         nonlocal shown
-        if shown is not (shown := view_for(camera.aspect)):
-            camera.position, camera.look_at = shown
+        wanted = TALL if camera.aspect < 1.0 else WIDE  # width over height
+        if shown is not wanted:
+            camera.position, camera.look_at = shown = wanted
 
     place(client.camera)
     client.camera.on_update(place)
+
+
+class Page(Generic[Robot]):
+    """A page that shows a robot, and acts on it between two frames."""
+
+    def __init__(self, server: viser.ViserServer, robot: Robot) -> None:
+        self.server, self.robot = server, robot
+        self.display = RobotDisplay(server)
+        self.count = 0  # of frames
+        self.said = ""  # what the page said last: a refusal, a bag
+        self._wanted: queue.SimpleQueue[Callable[[Robot], object]] = queue.SimpleQueue()
+        self._status = StatusText()
+        self._text: Any = server.gui.add_html("")
+
+    def do(self, act: Callable[[Robot], object]) -> None:
+        """Let something be done to the robot before its next frame."""
+        self._wanted.put(act)
+
+    def do_wanted(self) -> bool:
+        """Carry out the waiting acts, and report refused ones."""
+        wanted = not self._wanted.empty()
+        while not self._wanted.empty():
+            self.said = ""
+            try:
+                self._wanted.get()(self.robot)
+            except ConfigError as error:
+                self.said = str(error)
+        return wanted
+
+    def write(self, speed: str, *remarks: str) -> None:
+        """Write the page's text on the robot, in every third frame."""
+        if self.count % WRITTEN == 0:
+            shown = self.display
+            lines = self._status.of(shown.newest, shown.position, [*remarks, self.said])
+            self._text.content = block([*lines, speed])
+        self.count += 1

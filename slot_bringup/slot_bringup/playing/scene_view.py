@@ -13,10 +13,8 @@ from slot_core.arrays import Array
 from slot_core.drawing.shapes import Arrows, Bars, Box, Shape, Strips, halves
 
 ROOT = "/robot"
-HEAD = (
-    3.0,
-    4.0,
-)  # radius of an arrow's head over that of the shaft, and length over radius
+# of an arrow's head: radius over the shaft's, length over radius
+HEAD = (3.0, 4.0)
 CELL, SECTION, FLOOR = 0.05, 0.1, 8.0  # m, lines of the floor and its size
 
 
@@ -90,7 +88,7 @@ class SceneView:
         shown[0].position, shown[0].wxyz = box.centre, (w, x, y, z)
 
     def _show_bars(self, name: str, bars: Bars) -> None:
-        """Legs that were pale get sections and colours of their own once their shape is known."""
+        """Bars whose sections or colours have changed, as of legs whose shape is known now, are made anew."""
         corners = bars.corners.reshape(len(bars.corners), -1, 3).astype(np.float32)
         kind = corners.shape, bars.colours.tolist()
         if self._bars.get(name) != kind:

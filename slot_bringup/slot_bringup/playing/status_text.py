@@ -71,7 +71,7 @@ class StatusText:
     def of_disturbances(self, mass: float, wrench: ArrayLike, drift: ArrayLike) -> str:
         """Disturbances that the policy estimates: payload (kg), tilt (deg), slip (mm/s).
 
-        A note if it estimates none. The tilt is the one that the moment causes in a standing robot.
+        A note if it estimates none. The tilt follows from the moment and the stiffness of a standing robot.
         """
         if not math.isfinite(mass):
             return "disturbances: none are estimated"
