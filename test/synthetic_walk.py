@@ -1,7 +1,5 @@
 """Bags of synthetic walks whose metrics are known in closed form; without ROS and simulator."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path

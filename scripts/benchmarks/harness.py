@@ -24,8 +24,6 @@ only benchmarks need are named in `REQUIRES`, one line at the top level of the m
 scripts/setup --bench installs them.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import dataclasses

@@ -4,8 +4,6 @@
 declares, and destroyed. A folder on the command line is that of the pages.
 """
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import json

@@ -1,7 +1,5 @@
 """Draws the leg of the page Concepts, out of its plane: nodes, a frame, tendon and width."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Markdown from plain values."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Sequence
 

@@ -1,7 +1,5 @@
 """Picture of the page of a recorded run, in Chromium."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -5,8 +5,6 @@ courses.npz: scripts/bench NAME measures, this script does not. The others are s
 or learned anew, by the commands that --list names; those of scripts/play need Chromium.
 """
 
-from __future__ import annotations
-
 import pkgutil
 import shlex
 import shutil

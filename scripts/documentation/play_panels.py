@@ -1,7 +1,5 @@
 """Pictures of the page of scripts/play: as it opens, and its panels, while the robot walks."""
 
-from __future__ import annotations
-
 import base64
 import tempfile
 import threading

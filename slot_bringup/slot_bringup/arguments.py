@@ -1,7 +1,5 @@
 """Arguments of the node graph, and the command line of scripts/run that sets them."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass

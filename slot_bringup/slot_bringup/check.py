@@ -1,7 +1,5 @@
 """Check of the graph's arguments before any node starts, for scripts/run and the launch file."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path

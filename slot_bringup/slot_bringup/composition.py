@@ -1,7 +1,5 @@
 """Choice between one process for the controller's nodes and a process for each of them."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Mapping

@@ -5,8 +5,6 @@ server (multiprocessing) imports them once, on the first start, and each node is
 own process, session, command line and log, as if it had been started from the shell.
 """
 
-from __future__ import annotations
-
 import ctypes
 import multiprocessing
 import os

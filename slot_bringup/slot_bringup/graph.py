@@ -1,7 +1,5 @@
 """Node graph of `graph.yaml`: computes the nodes to start from the values of the arguments."""
 
-from __future__ import annotations
-
 import json
 import os
 import tempfile

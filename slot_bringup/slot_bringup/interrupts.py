@@ -1,7 +1,5 @@
 """Signals that end a program of this package, and blocks in which they act differently."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

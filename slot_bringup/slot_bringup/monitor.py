@@ -1,7 +1,5 @@
 """Monitor of a running graph: prints progress, detects missing messages and nodes that end."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time

@@ -1,7 +1,5 @@
 """The operator's terminal: requests to the running graph, and the live display with its keys."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import select

@@ -11,8 +11,6 @@ forget    take a silent source of the e-stop for gone, by its name
 inject    inject a fault into the simulated robot
 """
 
-from __future__ import annotations
-
 import argparse
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Screen of the operator's terminal, from the newest message of every topic, and its keys."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections import deque

@@ -1,7 +1,5 @@
 """Player of the sensors of a bag into running nodes, in their recorded order and pace."""
 
-from __future__ import annotations
-
 import argparse
 import time
 from collections.abc import Iterator

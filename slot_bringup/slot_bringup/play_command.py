@@ -5,8 +5,6 @@ The graph has to run without a robot: `scripts/run --hardware none`, or the laun
 may run or not: each answers what it gets.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Child processes of the graph's nodes: start, supervision, and stop without orphans."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

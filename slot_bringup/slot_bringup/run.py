@@ -1,7 +1,5 @@
 """Runs the node graph for a given time, records a bag and prints a summary."""
 
-from __future__ import annotations
-
 import argparse
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Servos on the bench, without a running graph: the tools of the configured brand."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

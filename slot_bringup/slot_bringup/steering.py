@@ -4,8 +4,6 @@ A key changes what is commanded by a step, within the reach of the gait. The vel
 until it is zero; then another source of `/cmd_vel` may steer.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Command line of `ros2 bag record` for the topics of `config/record.yaml`."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from tempfile import NamedTemporaryFile

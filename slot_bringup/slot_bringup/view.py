@@ -5,8 +5,6 @@ scripts/play --graph, or by scripts/run --view. scripts/view --map BAG draws the
 Map instead; see its --help.
 """
 
-from __future__ import annotations
-
 import argparse
 import signal
 import sys

@@ -7,8 +7,6 @@ with the IMU to its newest sample. Errors are RMS over all axes, at the arrival 
 Vision, on rendered images: `vision_rows.py`.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path

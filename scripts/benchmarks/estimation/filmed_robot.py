@@ -1,7 +1,5 @@
 """The walking robot with its markers as surfaces before a synthetic camera, for tests and rows of vision."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

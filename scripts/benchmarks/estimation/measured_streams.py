@@ -1,7 +1,5 @@
 """Sensor streams of simulated walks with the true motion, and what a visual SLAM does to them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar

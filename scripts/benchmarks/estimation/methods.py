@@ -4,8 +4,6 @@ Each yields (time of use in ns, state (12,)) for the arrivals of a `Slam`. A sta
 odometry has arrived.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ sight of the camera. The tracker's CPU time is compared with that of cv2.aruco.d
 same images.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any

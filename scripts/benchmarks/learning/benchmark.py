@@ -7,8 +7,6 @@ gym-softrobot on PyElastica, one rod on a floor with friction, measured in the s
 as published.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Parts of the rollout MPC, each taken away: what it is worth in a few cases."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

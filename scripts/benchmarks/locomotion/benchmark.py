@@ -9,8 +9,6 @@ default must reach the goal of the row, and where the gait alone does not, be be
 walk (margins.py).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Margins of the default walk: what friction and the servos' supply voltage leave of it."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

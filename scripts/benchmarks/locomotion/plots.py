@@ -3,8 +3,6 @@
 They show the policies of `MARKS`; those of the paper are left out, since they do not walk.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

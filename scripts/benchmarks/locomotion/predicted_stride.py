@@ -1,7 +1,5 @@
 """Picture of the prediction: what the policy expects of the next stride, and what comes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

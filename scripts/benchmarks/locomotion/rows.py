@@ -5,8 +5,6 @@ Every value is the worst over the cases and the seeds. Errors are those of the t
 over a stride, as the torso sways.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

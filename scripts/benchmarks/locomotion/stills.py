@@ -1,7 +1,5 @@
 """Stills of every gait, from the closed loop with the default controller."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

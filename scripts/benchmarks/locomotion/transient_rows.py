@@ -3,8 +3,6 @@
 Errors of the place are those of stride means, since the torso sways.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable

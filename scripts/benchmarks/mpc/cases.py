@@ -1,7 +1,5 @@
 """States and previews that are hard for the MPC's solvers."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -5,8 +5,6 @@ rules of disciplined parametrised programming (Agrawal et al., 2019), so that CV
 problem once; with a product of parameters, or a quadratic form of one, it would do so every time.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import cvxpy as cp

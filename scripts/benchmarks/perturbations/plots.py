@@ -1,7 +1,5 @@
 """The plot of the perturbations: cost and motion over time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -14,8 +14,6 @@ state cannot be changed alone: if it were turned by 0.1 rad about its centre, it
 The moments and the tendon angle were found by trial; the rows of the benchmark hold what is reached.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

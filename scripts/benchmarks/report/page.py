@@ -1,7 +1,5 @@
 """The page of results in Markdown, with links to the pictures beside them."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping

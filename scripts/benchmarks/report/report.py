@@ -5,8 +5,6 @@ parameters that made it, and beside the paper's where that has one. The page nam
 is missing, with the command that makes it.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Results of benchmarks and runs: read from their files, each with the command behind it."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

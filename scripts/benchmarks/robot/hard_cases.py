@@ -11,8 +11,6 @@ contacts open and close. The limits are about 1.5 times the measured values, in 
 largest of its cases.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

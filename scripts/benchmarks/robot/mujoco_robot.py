@@ -16,8 +16,6 @@ T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt) follows `slot_core.dynamics.tendon
 pid of `slot_core.dynamics.servo` with the friction of the tendon's guide, in NumPy.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple

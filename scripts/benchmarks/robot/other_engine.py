@@ -9,8 +9,6 @@
 - variation: one replay again with one setting changed, of either engine.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Iterator

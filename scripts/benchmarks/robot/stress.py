@@ -6,8 +6,6 @@ the two solutions. The step control of `dynamics/integrator.py` keeps a case wit
 `StressRecord` counts how often it acted.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ written to the port. It excludes the sensor's delay of the odometry, and the tra
 wire, which is 0.34 ms for four goals at 1 Mbaud.
 """
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

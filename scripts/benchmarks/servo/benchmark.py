@@ -5,8 +5,6 @@ of the bytes at 1 Mbaud. The CPU time is that of the driver alone; the rate is t
 cycle, because other processes share the machine. Step responses run in the emulated servos' time.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os

@@ -4,8 +4,6 @@ Callbacks run in threads of viser, in any order; what they want is done by `do`,
 and reads the sliders only then.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """The page of a running graph: the robot, its steering, faults of its simulation, plots."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """A running graph as the page drives it: its newest messages, its topics and services."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

@@ -6,8 +6,6 @@ machine, so that no name of another site leads here. Where other machines can re
 token has to be in the address, or in the cookie that the page has set.
 """
 
-from __future__ import annotations
-
 import hmac
 import http
 import io

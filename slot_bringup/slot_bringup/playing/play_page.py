@@ -4,8 +4,6 @@ Everything that moves the robot happens in `run`, in one thread: what the contro
 frames of the robot, the drawing. The page says how fast that is, and where the time goes.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from datetime import datetime

@@ -1,7 +1,5 @@
 """A page with the robot, its plots and status text from the messages of a run, and a user's acts."""
 
-from __future__ import annotations
-
 import queue
 from collections.abc import Callable, Iterable
 from typing import Any, Generic, TypeAlias, TypeVar

@@ -1,7 +1,5 @@
 """Messages of the graph from the events of a played robot: to draw it, and to save a bag."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The robot's shapes in viser: meshes, lines and arrows, each updated in place."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

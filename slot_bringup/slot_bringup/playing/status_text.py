@@ -1,7 +1,5 @@
 """Text of the page on the robot: state, speed, disturbances in units that a hand knows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Check of the arrays that go to kernels, which trust shapes, types and values."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Clocks and units of time: stamps are integers of nanoseconds, durations seconds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, overload
 

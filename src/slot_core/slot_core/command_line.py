@@ -4,8 +4,6 @@ Names of values in a help: BAG, FILE, DIR; RECORDING: a bag, a CSV file or a fil
 scene or other thing of config/; N: a number; S: seconds; units: M, DEG, HZ, M/S, RAD/S.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys

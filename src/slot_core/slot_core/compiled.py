@@ -10,8 +10,6 @@ one before Numba. A kernel of a user that calls BLAS loads SciPy then.
 
 # ruff: noqa: E402 - the order of the imports matters
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from typing import Any, TypeVar

@@ -6,8 +6,6 @@ field has no default. A missing, unknown, mistyped or out-of-range value raises 
 its name, its value and the violated limit.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os

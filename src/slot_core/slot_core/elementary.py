@@ -12,8 +12,6 @@ Lanes. Reduction of the argument and compensated sums: Muller, Elementary Functi
 
 # mypy: disable-error-code="no-untyped-def"
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 from typing import Any

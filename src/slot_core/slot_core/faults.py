@@ -3,8 +3,6 @@
 Faults of BUS_KINDS act on emulated servos, the others on the simulated legs.
 """
 
-from __future__ import annotations
-
 import enum
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ kernel's file and the types' names alone. The file begins with a digest of its c
 missing. Those not used for longest are removed when all together exceed LIMIT.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import os

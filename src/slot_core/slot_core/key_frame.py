@@ -9,8 +9,6 @@ are written as they are, to the last bit; an attribute whose class has a STATE o
 by that, and restored in place. Nothing is executed: a key frame may come from a stranger.
 """
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import json

@@ -6,8 +6,6 @@ helpers are for kernels; the functions below them take arrays.
 
 # mypy: disable-error-code="no-untyped-def"
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -8,8 +8,6 @@ A file that a user names is read only if it is regular and not too large: a devi
 and opening a pipe waits for whoever writes to it.
 """
 
-from __future__ import annotations
-
 import reprlib
 import stat
 from collections.abc import Mapping

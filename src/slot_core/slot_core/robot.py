@@ -7,8 +7,6 @@ y left, z up. Leg frame i is fixed to the torso at its corner: origin at the cla
 the leg's azimuth, z up; the leg deforms in its x-z plane.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -5,8 +5,6 @@ mpc_controller:              # or /fred/mpc_controller; * is any name, /** any n
     cost: {height: 0.003}    # or cost.height: 0.003
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path

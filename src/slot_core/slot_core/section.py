@@ -1,7 +1,5 @@
 """Moments of a rectangular section."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slot_core.arrays import Array

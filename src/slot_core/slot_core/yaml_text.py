@@ -1,7 +1,5 @@
 """YAML texts: plain values alone, without aliases, tags, repeated keys or deep nesting."""
 
-from __future__ import annotations
-
 from collections.abc import Hashable
 from typing import Any
 

@@ -3,8 +3,6 @@
 Lines that begin with # are comments. Errors name file, line, column and cause.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Run of a desk command: progress on standard error, its lines, its exit code."""
 
-from __future__ import annotations
-
 import argparse
 import signal
 import sys

@@ -9,8 +9,6 @@ so that errors of a model that are smaller than the uncertainty are no objection
 many data, nor chance where there are few. A parameter at its bound is never explained.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

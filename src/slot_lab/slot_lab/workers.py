@@ -1,7 +1,5 @@
 """Processes that compute in parallel with `dask.distributed`, on this machine or on a cluster."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Input checks of the nodes: an unusable message is dropped, with one line that says why."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -9,8 +9,6 @@ Figures of ours are those of the pages of the documentation; the tables beside t
 `tables`. A test repeats the arithmetic.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 REPRODUCED, CORRECTED, REFUTED, OPEN = (

@@ -7,8 +7,6 @@ experiments" (III-C). It holds at one height only: a standing leg carries a quar
 any height. The bound of 6 N on f_z is 120.65 deg, beyond the largest angle of 116.28 deg.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ The gaits of the experiments, section VI-C and VI-D, are `config/gait/paper_walk
 phase. They run as every gait does: `scripts/run --gait paper_walk --scene published`.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from slot_core.gait.gait import GaitPreview

@@ -32,8 +32,6 @@ Interpretation and defects:
   tensile.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -20,8 +20,6 @@ The print leaves the discretisation open; explicit Euler and the mass of the who
 scripts'. Numbers: `config/mpc/paper_text.yaml`, `config/mpc/paper_code.yaml`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import clarabel

@@ -20,8 +20,6 @@ Interpretation and defects:
   multiplies it by 4e-4 (walk) or 1e-4 (crawl): `tension_scale`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

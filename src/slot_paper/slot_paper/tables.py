@@ -5,8 +5,6 @@ beside the paper's. The paper's validation (VI-B to VI-D) is of a real robot; ou
 ones throughout.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

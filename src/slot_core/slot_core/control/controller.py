@@ -1,7 +1,5 @@
 """Complete controller in one process: the nodes from `/odom` to the tendon angles."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from slot_core.arrays import Array

@@ -8,8 +8,6 @@ neglected. Until the next command the angle goes on at the rate of theta_gait. A
 passed on. All angles are clipped to [0, angle_max].
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gait alone: the policy that passes on the angles and forces of the gait."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slot_core.arrays import Array

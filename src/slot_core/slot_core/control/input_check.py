@@ -1,7 +1,5 @@
 """Checks of a policy's inputs and of its computing time: one line on the first fault."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

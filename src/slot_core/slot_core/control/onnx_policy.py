@@ -6,8 +6,6 @@ are not to be corrected, the plan is the gait's. So it is, with a status that sa
 or an action that is not finite. It runs on one thread, so that equal inputs give equal actions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace

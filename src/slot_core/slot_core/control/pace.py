@@ -1,7 +1,5 @@
 """Pace: late and skipped controller cycles, and how fast time and counts go on."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 

@@ -8,8 +8,6 @@ heading frame and without the gait's own sway, the amplitudes are those of the v
 so that the angles differ from the gait's by the difference of its tables.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@
 network is `onnx:FILE` (`onnx_policy.py`).
 """
 
-from __future__ import annotations
-
 import enum
 import importlib.util
 import math

@@ -1,7 +1,5 @@
 """Tuned policy: a policy whose settings can be changed while the robot stands."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -12,8 +12,6 @@ gait's, ANGLE_MAX at one. `amplitudes` (3) change the velocity that sets the str
 AMPLITUDE_MAX at one, as the policy `place` does.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from slot_core.arrays import Array

@@ -4,8 +4,6 @@ A shape is points and colours in odom, for any viewer: `slot_nodes.visualization
 of it, `slot_bringup.playing.scene_view` shows it in the browser.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from typing import TypeAlias

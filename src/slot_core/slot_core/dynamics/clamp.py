@@ -8,8 +8,6 @@ kappa grad l grad l^T.
 
 # mypy: disable-error-code="no-untyped-def"
 
-from __future__ import annotations
-
 from slot_core.compiled import helper
 from slot_core.dynamics.lanes import like, total, where
 

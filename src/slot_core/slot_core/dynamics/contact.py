@@ -18,8 +18,6 @@ both edges of its width, each of which has half of the stiffness.
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

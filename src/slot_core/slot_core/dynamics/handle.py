@@ -6,8 +6,6 @@ a robot. A `Handle` keeps the unpacked tuple in memory; passing it costs as much
 
 # mypy: disable-error-code="no-untyped-def,misc,no-untyped-call"
 
-from __future__ import annotations
-
 import struct
 import sys
 from collections.abc import Iterator

@@ -19,8 +19,6 @@ does not strain the legs to second order in h.
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import math
 
 from slot_core.compiled import helper, kernel

@@ -11,8 +11,6 @@ Outside the kernels Lanes are the last axis (4,) of an array; `in_lanes` gives t
 # mypy: disable-error-code="no-untyped-def,misc,no-untyped-call"
 # ruff: noqa: PLR0917 - a lowering takes its arguments by position
 
-from __future__ import annotations
-
 import math
 import operator
 

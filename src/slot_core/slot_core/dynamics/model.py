@@ -1,7 +1,5 @@
 """Model, state and scratch space of the kernels, built from the robot, its servos and the scene."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

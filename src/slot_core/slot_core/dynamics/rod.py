@@ -15,8 +15,6 @@ one plane:
 - Lengths and angles at rest are those between nodes on the natural curve.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

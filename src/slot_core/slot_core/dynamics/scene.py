@@ -1,7 +1,5 @@
 """Scene: floor, solver, sensors, start, loads and faults, from `config/scene/<name>.yaml`."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -19,8 +19,6 @@ to the lower side. The encoder, and with it the loop, measures the spool.
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Interface of a simulated robot, and base class of the robots on the compiled mechanics."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from typing import Any, Protocol

@@ -19,8 +19,6 @@ order.
 
 # mypy: disable-error-code="no-untyped-def"
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -6,8 +6,6 @@ at odom's origin. Beyond its edge the floor continues at the height of the edge.
 
 # mypy: disable-error-code="no-untyped-def,misc"
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -10,8 +10,6 @@ The payload is a point mass fixed to the torso; a push is an external force and 
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import itertools
 from typing import NamedTuple
 

@@ -9,8 +9,6 @@ The reads of a bus cycle have answers of different lengths, so a late answer to 
 taken for the answer to another.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass

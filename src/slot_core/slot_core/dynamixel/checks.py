@@ -3,8 +3,6 @@
 The zero of a servo is its angle with its tendon just slack.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import statistics

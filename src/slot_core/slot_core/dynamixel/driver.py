@@ -4,8 +4,6 @@ Model, firmware and EEPROM of every servo are checked; every write but those of 
 back. Raises also CommunicationError and InstructionError of `bus.py`, which are ServoErrors.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections.abc import Callable, Sequence

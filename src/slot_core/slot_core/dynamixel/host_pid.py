@@ -9,8 +9,6 @@ further (anti-windup by clamping: Astrom and Hagglund, Advanced PID Control, 200
 Four legs at once; angles in rad, time in s, duty 1: full voltage.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from slot_core.arrays import Array

@@ -6,8 +6,6 @@
 else -1; `ratio`: servo angle per tendon angle. Legs in the order FL FR RL RR.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

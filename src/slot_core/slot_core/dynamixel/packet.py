@@ -8,8 +8,6 @@ bit first, initial value 0, over all bytes before it. A status packet has instru
 error byte before its parameters. Source: ROBOTIS e-manual, Protocol 2.0.
 """
 
-from __future__ import annotations
-
 import enum
 from collections.abc import Iterator
 from dataclasses import dataclass

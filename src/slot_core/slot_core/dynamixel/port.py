@@ -5,8 +5,6 @@ jump); a read blocks until bytes arrive instead of polling; the answer timeout i
 in the SDK); the port is opened exclusively; every error is a PortError.
 """
 
-from __future__ import annotations
-
 import select
 import termios
 import time

@@ -3,8 +3,6 @@
 Values: `config/dynamixel.yaml`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Source: ROBOTIS e-manual, XL430-W250, "Control Table" (addresses, sizes, initial
 units), of firmware 45. Values on the bus are little-endian; signed ones are two's complement.
 """
 
-from __future__ import annotations
-
 import enum
 import math
 from collections.abc import Iterator

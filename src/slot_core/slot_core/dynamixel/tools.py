@@ -1,7 +1,5 @@
 """Tools for Dynamixel servos on the bench; each returns its exit code."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import math

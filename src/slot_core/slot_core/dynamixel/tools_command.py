@@ -8,8 +8,6 @@ zero      measure the servo angle at which a leg's tendon is relaxed (torque off
 emulate   emulate the four servos on a pseudo-terminal, until interrupted
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -8,8 +8,6 @@ are neither reordered nor fused, so that every processor gives the same bits.
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 # mypy: disable-error-code="no-untyped-def"
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -12,8 +12,6 @@ The error state is x = [d_theta, d_p, d_v, d_b_w, d_b_f] (15,), with R_true = Ex
 The arithmetic is compiled: `filter_kernels.py`.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -5,8 +5,6 @@ Quaternions are x y z w.
 
 # mypy: disable-error-code="no-untyped-def"
 
-from __future__ import annotations
-
 import math
 
 from slot_core.compiled import helper

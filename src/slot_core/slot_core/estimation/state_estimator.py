@@ -16,8 +16,6 @@ the drift of the IMU over it. The filter itself is in `inertial_filter.py`.
 A restart keeps the biases, unless readings were rejected before it: they may be what was wrong.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Matches messages of several topics by their stamp."""
 
-from __future__ import annotations
-
 from typing import Any
 
 

@@ -1,7 +1,5 @@
 """Gait scheduler: advances the gait with the state's stamps and previews the MPC's horizon."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

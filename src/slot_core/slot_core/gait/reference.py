@@ -1,7 +1,5 @@
 """Reference of the torso: where the robot is to be, and the rows of the preview."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slot_core.arrays import Array

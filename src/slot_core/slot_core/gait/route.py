@@ -4,8 +4,6 @@ The reference place travels along the path; it waits where it is LEAD ahead of t
 path. The heading is kept, or follows the path's direction.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable
 from pathlib import Path

@@ -3,8 +3,6 @@
 From the table `config/leg_map.csv` (`slot_lab.leg_tests.leg_map`), by bilinear interpolation.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

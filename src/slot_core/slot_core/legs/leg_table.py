@@ -3,8 +3,6 @@
 `scripts/calibrate --leg-map` writes the file; `slot_lab.leg_tests.leg_map` defines its columns.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass

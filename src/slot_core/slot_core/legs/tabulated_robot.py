@@ -42,8 +42,6 @@ constant there. The table belongs to the robot of `config/robot.yaml`: after a c
 `scripts/calibrate --leg-map`.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

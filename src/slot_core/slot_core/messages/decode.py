@@ -4,8 +4,6 @@ Independent of ROS: the functions only read attributes, so they decode rclpy's m
 as well as the messages that the `rosbags` library reads from a bag.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import fields
 from typing import Any

@@ -6,8 +6,6 @@ gait. After `fallback.cycles` such cycles in a row the status is STOPPED until a
 accepted again.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -4,8 +4,6 @@ The paper's formulation, made well posed, for comparison. It takes the legs as i
 force (`model.py`), which soft legs are not. As printed and as published: `slot_paper`.
 """
 
-from __future__ import annotations
-
 import math
 
 import clarabel

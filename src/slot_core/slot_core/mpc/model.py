@@ -18,8 +18,6 @@ with u_ref the gait's normal forces. u = 0 is always allowed: the problem is fea
 state.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 It starts cold and is plain Rust with one order of operations: every processor gives the same bits.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import clarabel

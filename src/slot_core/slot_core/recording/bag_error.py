@@ -1,7 +1,5 @@
 """Errors of bags."""
 
-from __future__ import annotations
-
 from slot_core.refusal import InputError
 
 

@@ -1,7 +1,5 @@
 """Message definitions: the standard ones of Jazzy, and slot_msgs from its .msg files."""
 
-from __future__ import annotations
-
 import functools
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Origin of a bag: revision of the code, arguments of the graph, files of the configuration."""
 
-from __future__ import annotations
-
 import io
 import os
 import subprocess

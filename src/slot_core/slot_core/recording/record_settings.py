@@ -1,7 +1,5 @@
 """Recorded topics, and how the files of a bag are written (`config/record.yaml`)."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 

@@ -24,8 +24,6 @@ potential.
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from slot_core.compiled import helper

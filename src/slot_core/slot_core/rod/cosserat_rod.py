@@ -12,8 +12,6 @@ moment of inertia about their cross axes. It is the chain of the robot's legs
 one plane. Tangent and elimination are in `assembly.py` and `elimination.py`.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -8,8 +8,6 @@ positive definite: the number of negative pivots is the number of unstable direc
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import math
 
 from slot_core.compiled import helper

@@ -8,8 +8,6 @@ spin's angular momentum is kept as a vector, as in `dynamics/spatial/leg.py`.
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import math
 
 from slot_core.compiled import helper, kernel

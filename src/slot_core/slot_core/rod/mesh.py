@@ -8,8 +8,6 @@ The tip's section takes the place of a segment N - 1 of unit length, without axi
 that the kernels of strains and hinges treat all hinges alike.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -5,8 +5,6 @@ a section are the tangent, the width and the normal; at a base with the rotation
 and z. The natural shape lies in the base's plane of tangent and normal.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

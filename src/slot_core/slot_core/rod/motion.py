@@ -1,7 +1,5 @@
 """Time integration scheme, state and energies of a rod in motion."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from slot_core.arrays import Array

@@ -5,8 +5,6 @@ t x d. That of an end's section has the same rows; t is its tangent, -d its widt
 Row N of the nodes and row N - 1 of the segments stand for the tip's section (`mesh.py`).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -11,8 +11,6 @@ few limits in force it takes some ten microseconds, where an interior-point meth
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

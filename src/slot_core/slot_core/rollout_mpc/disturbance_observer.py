@@ -18,8 +18,6 @@ friction is 1 instead of 0.4. Beyond `misfit_max` the model is not to be used un
 half of that; meanwhile drift and wrench decay.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from typing import NamedTuple

@@ -5,8 +5,6 @@ mass, so that its state is the torso's, which the state estimator gives, and tha
 servos, which follows from the commands: tendon angles, servo loops, and the feet's displacements.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

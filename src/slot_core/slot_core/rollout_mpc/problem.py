@@ -25,8 +25,6 @@ This is the real-time iteration of Diehl, Bock and Schloeder (SIAM J. Control Op
 step a tick, from the last plan, shifted.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -3,8 +3,6 @@
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import math
 
 from slot_core.compiled import helper, kernel

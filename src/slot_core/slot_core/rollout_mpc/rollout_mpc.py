@@ -14,8 +14,6 @@ STOPPED. While the robot moves otherwise than its model the plan is the gait's t
 deviations decay, and the status is MODEL_MISMATCH.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

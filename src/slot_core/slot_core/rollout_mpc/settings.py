@@ -1,7 +1,5 @@
 """Settings of the rollout MPC: `config/rollout_mpc.yaml`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import pairwise
 

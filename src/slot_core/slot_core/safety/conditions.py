@@ -3,8 +3,6 @@
 Times are those of a clock that never goes back, ns. A source that never reported has infinite age.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 

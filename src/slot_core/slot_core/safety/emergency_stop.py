@@ -7,8 +7,6 @@ another source alive.
 Times are those of a clock that never goes back, ns.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from slot_core.clock import to_seconds

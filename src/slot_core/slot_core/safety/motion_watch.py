@@ -9,8 +9,6 @@ whatever direction: on its place, where the feet slide, or where the torso lies 
 Commands below `command_min` ask for no motion.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

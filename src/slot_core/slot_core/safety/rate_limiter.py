@@ -6,8 +6,6 @@ unused time is kept up to `burst`, and a leg moves at most its budget times the 
 over any time T no goal moves further than rate_max (T + burst).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Settings of the supervisor (`config/supervisor.yaml`), and the limits it sends to the servos."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from slot_core import config

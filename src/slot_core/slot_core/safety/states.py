@@ -33,8 +33,6 @@ stateDiagram-v2
 ```
 """
 
-from __future__ import annotations
-
 import enum
 
 

@@ -7,8 +7,6 @@ Every input and `step` carry the present time `now` (ns) of one clock, that of t
 Bad data raise no exception: they are rejected, and then count as missing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -23,8 +23,6 @@ Not detected: a tendon at an angle that needs hardly any tension (below some 20 
 lifted by hand while the torso's height is that of a standing robot.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

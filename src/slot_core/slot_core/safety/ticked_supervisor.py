@@ -5,8 +5,6 @@ on the robot's clock. Inputs since the last step are taken in the order of these
 of processes and messages has no effect, and equal runs are equal to the last bit.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from slot_core.safety.settings import NODES

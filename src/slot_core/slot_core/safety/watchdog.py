@@ -14,8 +14,6 @@ A RELAX begun by the watchdog itself lasts until the permission is OFF. The age 
 counts under PASS only. Times are those of a clock that never goes back, ns.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,7 +1,5 @@
 """Registry of the brands of servos: the only module that imports them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Another brand implements `ServoBus` and enters the registry. Messages of errors 
 the cause.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ which switches torque off at once if it is still on.
 Times are those of the bus's clock, which never goes back, ns.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

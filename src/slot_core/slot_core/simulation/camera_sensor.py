@@ -1,7 +1,5 @@
 """Camera of the simulated robot: images of the boards that stand in the world or on the torso."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -7,8 +7,6 @@
 Times are ns.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 

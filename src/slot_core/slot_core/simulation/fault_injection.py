@@ -1,7 +1,5 @@
 """Faults of a simulated robot: those of its scene, and those injected in a run."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import partial
 

@@ -1,7 +1,5 @@
 """Simulated robot of a scene: choice of the model of its legs, and rest before time zero."""
 
-from __future__ import annotations
-
 import math
 import pkgutil
 

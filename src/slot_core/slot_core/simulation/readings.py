@@ -1,7 +1,5 @@
 """Readings of the simulated robot, each with its stamp in ns."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

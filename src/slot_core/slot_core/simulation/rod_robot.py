@@ -1,7 +1,5 @@
 """The simulated robot: torso, four legs, tendons and servos on the floor of a scene."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

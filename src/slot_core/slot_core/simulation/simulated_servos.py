@@ -10,8 +10,6 @@ cycle the servos take the newest permission; in every second one they report, an
 steps on the report. Times `now` are those of a clock that never goes back, ns.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import sys
 import time

@@ -1,7 +1,5 @@
 """Controller, supervisor, servos and simulated robot on one clock: the graph, without ROS."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial

@@ -1,7 +1,5 @@
 """Clock of the simulated robot, and the actions that are due on it."""
 
-from __future__ import annotations
-
 import heapq
 import itertools
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Boards of markers: corners in the board's frame, and their images."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -1,7 +1,5 @@
 """Finds markers in an image with cv2.aruco; looks first where they were in the last one."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field
 

@@ -5,8 +5,6 @@ the edge, whatever symmetric blur the lens and the motion have; a corner detecto
 into the marker by the blur. The points are freed of the distortion before lines are fitted.
 """
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Grey images from sensor_msgs/Image messages, received or read from a bag."""
 
-from __future__ import annotations
-
 from typing import Any, Literal
 
 import cv2

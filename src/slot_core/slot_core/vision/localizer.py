@@ -10,8 +10,6 @@ so its variance holds that of an accelerating torso. An image without a usable p
 in its place.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

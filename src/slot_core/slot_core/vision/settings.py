@@ -1,7 +1,5 @@
 """Settings of `config/vision.yaml`: camera, boards, tracked markers, detection, printing."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -4,8 +4,6 @@ A pixel looks along its undistorted ray; where that meets a surface gives the gr
 is the mean of SAMPLES x SAMPLES rays. Surfaces cast no shadows; a later one hides those before it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

@@ -5,8 +5,6 @@ message is its publisher's wall clock at publication; its stamp is graph time. A
 not end is mended: its intact part is copied, and gets an index.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import heapq

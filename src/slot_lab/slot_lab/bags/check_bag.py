@@ -1,7 +1,5 @@
 """Comparison of the messages of a bag with those that the stages give of its inputs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ a bag without these, as of an older revision, only the force map is compared the
 the path that was followed are those that the bag names.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import math

@@ -1,7 +1,5 @@
 """The controller's stages in a bag, and the same stages on the recorded inputs, without ROS."""
 
-from __future__ import annotations
-
 import json
 from collections import deque
 from collections.abc import Callable, Iterator

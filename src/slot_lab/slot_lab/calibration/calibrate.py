@@ -1,7 +1,5 @@
 """Fit of a leg's free parameters to measurements, and the files that it writes."""
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Sequence
 from pathlib import Path

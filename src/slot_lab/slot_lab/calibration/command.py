@@ -10,8 +10,6 @@ With another first word, each with a --help:
   --leg-map   writes config/leg_map.csv: force and stiffness of one leg at rest
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

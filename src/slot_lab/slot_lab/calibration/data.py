@@ -21,8 +21,6 @@ share of the leg's arc length from the clamp (0 to 1), `sigma` the standard unce
 value.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ history of the motion, so the simulation follows it from rest. The tests load a 
 alone, which it does not leave.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -16,8 +16,6 @@ at K - rank degrees of freedom (Cameron and Miller, A Practitioner's Guide to Cl
 Inference, 2015, sec. II).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Sequence

@@ -12,8 +12,6 @@ validity            least and largest value of each condition of the data
 force_angle_line    theta_deg = (f_z + a) / b, of the samples and of the predictions at their angles
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ side, 20 to 40 views. RECORDING is a folder of images, a video, or a bag. The fi
 camera_info and, beside it, the covariance of the calibration, which enters every pose's.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Camera calibration by OpenCV's procedure for a ChArUco board: views, then calibrateCamera."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Images of a film one after the other: from a video, a folder of images, or a bag."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -6,8 +6,6 @@ printed at 100 %, without fitting to the page; measure the line that is printed 
 its resolution in the file.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

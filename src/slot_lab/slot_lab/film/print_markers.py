@@ -5,8 +5,6 @@ printer which does not scale gives the true size; a line of known length below t
 tells whether it did.
 """
 
-from __future__ import annotations
-
 import argparse
 
 import cv2

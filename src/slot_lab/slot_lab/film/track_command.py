@@ -7,8 +7,6 @@ two_thirds, tip. The camera has to stand still. Where it sees a board that confi
 places in odom, the tracks are in odom, else in the camera's own axes: x forward, y left, z up.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

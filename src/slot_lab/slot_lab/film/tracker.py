@@ -7,8 +7,6 @@ then comes from the board's median corners over all images. Else they are in cam
 the camera is level.
 """
 
-from __future__ import annotations
-
 import argparse
 import itertools
 from collections import Counter

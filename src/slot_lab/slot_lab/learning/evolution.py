@@ -13,8 +13,6 @@ pairs walk at once, each network on another robot, in one vector environment or 
 processes.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -12,8 +12,6 @@ The stance height rises from the posture's to the stride's at `lift_speed`. A ro
 (4, rad), normal forces (4, N) and the motion of the torso (12).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

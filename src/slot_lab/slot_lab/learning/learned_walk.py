@@ -1,7 +1,5 @@
 """Learned walk: its file, the curve of its learning, its straight walk beside other policies."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple

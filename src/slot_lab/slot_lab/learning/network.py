@@ -10,8 +10,6 @@ al., "Simple random search of static linear policies is competitive for reinforc
 2018; here it was not compared with more layers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple

@@ -16,8 +16,6 @@ working against it, which sways the robot to the sides. No term is below WORST. 
 has fallen gets zero.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import NamedTuple

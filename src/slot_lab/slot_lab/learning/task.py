@@ -6,8 +6,6 @@ a setting, as the four friction coefficients, to the same number; ends that are 
 value by value.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

@@ -7,8 +7,6 @@ times in a step, as on the bus. The time step divides the time between two goals
 the level's, or the given one.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

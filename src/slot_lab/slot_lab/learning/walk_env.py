@@ -7,8 +7,6 @@ estimator, gait scheduler, force map and servos. The arguments are `Task`'s. An
 episode ends when the robot has fallen, or after `duration`.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

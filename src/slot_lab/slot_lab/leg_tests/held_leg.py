@@ -8,8 +8,6 @@ frictionless floor with its tendon slack; each call of `pull` continues the moti
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -9,8 +9,6 @@ the leg and sideways, from `sticking_leg.py`.
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import csv
 import math
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ nor twist it, to the last bit, so that it stays in its plane.
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any

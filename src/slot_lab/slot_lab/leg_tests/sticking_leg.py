@@ -14,8 +14,6 @@ stiffness with its lowest node stuck, which is the limit for a leg that just tou
 
 # mypy: disable-error-code="no-untyped-def"
 
-from __future__ import annotations
-
 from slot_core.arrays import Array, checked
 from slot_core.compiled import kernel
 from slot_core.robot import RobotParameters

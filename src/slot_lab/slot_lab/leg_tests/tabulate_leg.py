@@ -4,8 +4,6 @@ Grid and number of nodes are those of config/leg_map.yaml. The policies and the 
 level `map` read the map.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from functools import partial

@@ -4,8 +4,6 @@ Its closed loop follows the wishes of a player through the supervisor, as an ope
 clock is the robot's: `advance` moves it on by a frame, however long that takes.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress

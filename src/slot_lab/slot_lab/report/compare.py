@@ -5,8 +5,6 @@ configuration, then the figures, named as in `walk_metrics`: of the first bag, o
 second minus first. A dash stands where a bag lacks the data.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

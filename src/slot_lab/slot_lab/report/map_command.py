@@ -1,7 +1,5 @@
 """Draws the Dynamic Constraint Map of a bag."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path

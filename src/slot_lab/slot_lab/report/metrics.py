@@ -5,8 +5,6 @@ A figure is a number with a name and a unit, for comparing two runs. Its name is
 `servo_load.FL` and `stages.mpc_controller.max`.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """Plots of a walk: the dashboard, a function for each of its panels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace

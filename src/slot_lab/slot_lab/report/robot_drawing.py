@@ -3,8 +3,6 @@
 Solids in an orthographic view, painted from far to near.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Comparison of two runs: their origins, every figure of their summaries, their motion."""
 
-from __future__ import annotations
-
 import argparse
 import fnmatch
 import json

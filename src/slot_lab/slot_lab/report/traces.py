@@ -3,8 +3,6 @@
 The messages may be rclpy's or those that the `rosbags` library reads from a bag.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

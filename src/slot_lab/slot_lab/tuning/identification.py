@@ -1,7 +1,5 @@
 """Identification of a stride on the simulated robot: steering, tables."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

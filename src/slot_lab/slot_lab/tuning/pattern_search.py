@@ -15,8 +15,6 @@ library `cma`. The record holds the costs of every generation that is done; a se
 again draws the same candidates and takes their costs from there.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

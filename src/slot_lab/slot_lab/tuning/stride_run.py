@@ -4,8 +4,6 @@ The tendon angles are set every `command_period`. The height is held by an offse
 legs, corrected once a stride by a share of the mean height error; or the offset is zero.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

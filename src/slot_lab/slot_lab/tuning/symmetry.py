@@ -9,8 +9,6 @@ the robot, each together with half a stride:
     steering  antisymmetric where forward is symmetric, so that it only turns the robot; 10 numbers
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from slot_core.arrays import Array

@@ -1,7 +1,5 @@
 """Search of a stride on the simulated robot: its stages, and the file of `config/gait`."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import functools

@@ -10,8 +10,6 @@ The stages, in this order (default: all):
 An interrupted search continues when the same command is given again.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import shlex

@@ -9,8 +9,6 @@ The robot settles under the first angles and is moved to the recorded place and 
 shapes of the legs are not measured; the run-in forgets the shapes of another start.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

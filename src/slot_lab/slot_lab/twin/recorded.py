@@ -8,8 +8,6 @@ in s of one clock, rad and m: tendon angles, and the pose of base_link in odom, 
 R = Rz(yaw) Ry(pitch) Rx(roll). A row holds the angles, the pose or both; the other cells are empty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

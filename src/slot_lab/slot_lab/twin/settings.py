@@ -1,7 +1,5 @@
 """Settings of `config/twin.yaml`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from slot_core import config

@@ -1,7 +1,5 @@
 """Prediction of recorded tendon angles on the simulated robot, and the fit of its parameters."""
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import os

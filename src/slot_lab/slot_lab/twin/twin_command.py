@@ -7,8 +7,6 @@ parameters of the model are fitted to the first strides and judged on the others
 continues when the same command is given again.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Sequence

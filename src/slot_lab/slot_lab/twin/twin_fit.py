@@ -14,8 +14,6 @@ errors               RMS of predicted minus measured, before and after, of both
 confidence           95 % intervals by place; strides are taken as independent of each other
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence

@@ -26,8 +26,6 @@ Periodic motion fits nearly as well a period later: the shifts of the highest pe
 and the one with the least rest is taken. `rival_rest` is the rest of the next best one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

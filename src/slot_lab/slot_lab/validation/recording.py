@@ -11,8 +11,6 @@ The markers of a video are tracked as by scripts/validate --track, with its defa
 folders of images, bags with images, and depth.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

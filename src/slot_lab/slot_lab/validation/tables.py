@@ -1,7 +1,5 @@
 """Tables and plots of a validation: alignment, errors, and the paper's two tables."""
 
-from __future__ import annotations
-
 import csv
 import math
 from collections.abc import Sequence

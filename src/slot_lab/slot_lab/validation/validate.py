@@ -6,8 +6,6 @@ time,x,y,z[,roll,pitch,yaw], or a video, whose markers are tracked as by scripts
 95 % of a block bootstrap.
 """
 
-from __future__ import annotations
-
 import argparse
 import math
 import sys

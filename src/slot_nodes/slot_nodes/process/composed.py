@@ -5,8 +5,6 @@ it is (intra_process.py) and goes out on its topic too. In lockstep, in which on
 time anyway, robot and supervisor share the process too.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from importlib import import_module

@@ -1,7 +1,5 @@
 """Executor for nodes with many short callbacks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Coroutine
 from typing import Any
 

@@ -5,8 +5,6 @@ leads to does not wait until it is serialized, nor for other work that `afterwar
 that reads a topic of its process has no DDS subscription to it.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

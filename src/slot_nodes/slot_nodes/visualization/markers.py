@@ -1,7 +1,5 @@
 """Markers for RViz and Foxglove from the shapes of slot_core.drawing."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -3,8 +3,6 @@
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cross, dot, plus, row
 from slot_core.dynamics.contact import (

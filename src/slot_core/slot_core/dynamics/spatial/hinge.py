@@ -13,8 +13,6 @@ With the derivative V^T of the rotation vector psi by Phi_k - Phi_{k-1} (`strain
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from slot_core.compiled import helper

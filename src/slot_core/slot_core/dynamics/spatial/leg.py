@@ -8,8 +8,6 @@ that the angular momentum of a free rod is conserved to rounding by the midpoint
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from slot_core.arrays import Array

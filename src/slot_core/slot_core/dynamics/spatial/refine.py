@@ -24,8 +24,6 @@ correction is taken at the iterate and left out of the tangent.
 
 # mypy: disable-error-code="no-untyped-def"
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -15,8 +15,6 @@ For slow loads the modulus is Young's, for fast ones (1 + sum g) times as large.
 
 # mypy: disable-error-code="no-untyped-def"
 
-from __future__ import annotations
-
 from slot_core.compiled import helper
 
 

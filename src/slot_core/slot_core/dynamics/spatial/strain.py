@@ -22,8 +22,6 @@ beta of the segments' spins in the frame before the hinge and c = (1 - x cot x) 
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -7,8 +7,6 @@ servo, and not at all if it is a broadcast. Every intact instruction on the bus,
 the bus watchdogs of all servos.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A driver in the same process reaches them without a device. Transmission then ta
 simulated clock may stand still during an exchange, and equal runs are equal to the last bit.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path

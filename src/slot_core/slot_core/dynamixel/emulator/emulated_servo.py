@@ -10,8 +10,6 @@ torque goes off and cannot be switched on again before a reboot (error: result f
 profile velocity is followed, the profile acceleration is not modelled.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Instructions of Protocol 2.0 on an emulated servo; error numbers: `memory.py`."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from slot_core.dynamixel.emulator.emulated_servo import EmulatedServo

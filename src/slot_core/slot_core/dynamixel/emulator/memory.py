@@ -8,8 +8,6 @@ A write is executed completely or not at all. Error numbers (ROBOTIS e-manual, P
     7  address undefined or not writable; EEPROM while torque is on
 """
 
-from __future__ import annotations
-
 from slot_core.dynamixel.packet import Error
 from slot_core.dynamixel.table import (
     BY_ADDRESS,

@@ -16,8 +16,6 @@ with time constant R C, the motor's torque and its electric resistance R_el. `R`
 are assumed, not measured.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -6,8 +6,6 @@ each leg, then between frames, modulo 2^32 with the sign in the lowest bit, the 
 first; compressed (zlib) and in base64. A value that is not finite, or too large, is NO_VALUE.
 """
 
-from __future__ import annotations
-
 import base64
 import html
 import json
