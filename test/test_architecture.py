@@ -60,7 +60,7 @@ LAB = {
     "leg_tests": "",
     "calibration": "leg_tests",
     "validation": "bags film",
-    "twin": "bags calibration validation",
+    "twin": "bags calibration",
     "tuning": "",
     "learning": "",
     "play": "",

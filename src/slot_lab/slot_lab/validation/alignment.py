@@ -41,7 +41,6 @@ from slot_core.arrays import Array
 from slot_core.geometry import rpy_of
 from slot_lab.validation.recording import PointTrack, RecordingError
 
-RIGID = "rigid"
 GRID = 0.01  # s
 SMOOTH = 0.04  # s, of the velocities
 PEAK = 0.85  # height of a peak that is refined, of the highest
