@@ -78,7 +78,7 @@ class ForceProblem:
         return -self.weight * self.target.ravel()
 
     def read(self, preview: GaitPreview) -> FirstStage:
-        """Take the limits and targets of a preview; returns those of its first stage.
+        """Take the limits and targets of a preview; return the first stage's.
 
         If the preview ends with stage H-1, its reference there is the target of state H too.
         """

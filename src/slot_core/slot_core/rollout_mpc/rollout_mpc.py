@@ -51,7 +51,7 @@ class _Plan:
     nominal: Array  # (K + 2, 4) rad, of the gait, with the payload
     sag: float  # m, by which the torso sinks since the legs cannot carry more
     deviation: Array  # (K + 1, 4) rad
-    # predicted when it was published: poses and feet at the stages 1 .. K, forces at 0 .. K-1
+    # as published: poses and feet at the stages 1 .. K, forces at 0 .. K-1
     motion: Rollouts
     linear: Linearisation | None = None
 
@@ -76,7 +76,7 @@ class RolloutMpc(Policy):
     def __init__(
         self, robot: RobotParameters, settings: RolloutMpcSettings, timer: Timer
     ):
-        """Take the nominal robot; raises ConfigError for one that the leg table does not cover."""
+        """Take the nominal robot; raises ConfigError if the leg table does not cover it."""
         self._robot, self._settings, self._timer = robot, settings, timer
         self._springs = read_springs()
         x, y, _ = robot.feet.T
@@ -326,7 +326,7 @@ class RolloutMpc(Policy):
         )
 
     def _note_disturbances(self) -> None:
-        """Note those of the present plan, which plans between two stages report again.
+        """Note the disturbances of the present plan, which plans between stages report again.
 
         The observer goes on in `prepare`, at a time that does not depend on the messages.
         """
