@@ -21,17 +21,7 @@ def shown():
     return make
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_work_that_ends_within_the_delay_shows_nothing(shown, terminal):
-    progress, out, clock = shown(terminal)
-    with progress:
-        progress("reading", 0.5)
-        clock.now += 0.9 * DELAY
-        progress.refresh()
-    assert out.getvalue() == ""
-
-
-def test_elsewhere_a_plain_line_comes_now_and_then(shown):
+def test_elsewhere_a_plain_line_comes_after_the_delay_and_then_now_and_then(shown):
     progress, out, clock = shown(False)
     progress("reading")
     for _ in range(round(4 * (DELAY + REPEAT))):

@@ -63,6 +63,7 @@ MATH = {
     "degrees",
     "copysign",
     "ldexp",
+    "prod",
 }
 # Functions of the C library that differ by processor, as NumPy and kernels call them.
 C_LIBRARY = {
@@ -134,6 +135,8 @@ MAY_IMPORT = {
 FREE = {
     "condensed_condition": "refuses settings; no number of it goes on",
     "optical": "`@` joins two Transforms",
+    "arc_length": "of points along a leg, at the desk",
+    "at_shares": "of points along a leg, at the desk",
     "_parts": "constants, of exact fractions",
 }
 DRAWS = {

@@ -85,20 +85,6 @@ def test_the_incremental_correction_is_bounded(make):
     assert np.degrees(command.angle) == pytest.approx([50.0, 70.0, 60.0, 60.0])
 
 
-def test_angles_stay_within_their_limits_for_any_force(make):
-    rng = np.random.default_rng(1)
-    force_map, limit = make(correction_max_deg=120.0), ROBOT.tendon.angle_max
-    for _ in range(200):
-        demand, plan = (
-            preview(rng.uniform(0, 116)),
-            of_forces("incremental", *rng.normal(5, 20, 4)),
-        )
-        command = force_map.step(plan, demand, state(rng.uniform(0, 0.2)))
-        assert command.angle.min() >= 0.0
-        assert command.angle.max() <= limit
-        assert (command.saturated == (command.angle != command.angle_unclamped)).all()
-
-
 def test_a_planned_angle_beyond_the_limit_is_clipped_and_reported(make):
     angle = np.array([[-0.1, 0.5, 3.0, 1.0]])
     command = make().step(

@@ -1,10 +1,9 @@
-"""Compiled filter against a plain one on scipy's rotations, and its Jacobians by differences."""
+"""Compiled filter against a plain one on scipy's rotations; the biases that it learns."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slot_core import config
 from slot_core.clock import SECOND
 from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.estimation.inertial_filter import InertialFilter, OdometryMotion
@@ -171,48 +170,6 @@ def test_a_walk_agrees_with_the_plain_filter():
             assert np.abs(difference).max() < 1e-9
 
 
-def perturbed(state, error):
-    """The nominal state with an error (15,) added."""
-    attitude = (
-        Rotation.from_rotvec(error[:3]) * Rotation.from_quat(state.attitude)
-    ).as_quat()
-    return state._replace(
-        attitude=attitude,
-        position=state.position + error[3:6],
-        velocity=state.velocity + error[6:9],
-        bias=state.bias + error[9:].reshape(2, 3),
-    )
-
-
-def error_between(a, b):
-    """Error (15,) of b from a."""
-    turn = Rotation.from_quat(b.attitude) * Rotation.from_quat(a.attitude).inv()
-    parts = [
-        b.position - a.position,
-        b.velocity - a.velocity,
-        (b.bias - a.bias).ravel(),
-    ]
-    return np.concatenate([turn.as_rotvec(), *parts])
-
-
-def derivative(function, step):
-    """Central differences of a vector function of an error (15,); (n, 15)."""
-    rows = [(function(step * e) - function(-step * e)) / (2 * step) for e in np.eye(15)]
-    return np.column_stack(rows)
-
-
-@pytest.fixture
-def noiseless():
-    """A filter in a general state whose process noise is negligible, with a random covariance."""
-    quiet = {f"imu.{name}": 1e-7 for name in ("gyro_noise", "acceleration_noise")}
-    still = {"imu.gyro_drift": 0.0, "imu.acceleration_drift": 0.0}
-    result = InertialFilter(config.replace(SETTINGS, quiet | still))
-    result.restart(start())
-    root = np.random.default_rng(1).normal(size=(15, 15))
-    result.restore(result.state._replace(bias=np.full((2, 3), 0.05), cov=root @ root.T))
-    return result
-
-
 STEEP = np.array([np.sin(0.35), 0.0, np.cos(0.35)]) * GRAVITY  # odom tilted by 20 deg
 LARGEST = SETTINGS.imu.acceleration_bias_max
 
@@ -239,38 +196,3 @@ def test_a_bias_up_to_the_data_sheets_and_any_tilt_of_odom_are_learned_and_no_mo
         if number % 7 == 6:
             learning.correct(resting)
     np.testing.assert_allclose(learning.state.bias[1], bias, atol=0.05)
-
-
-@pytest.mark.parametrize("bias", [0.05, LARGEST], ids=["sensor", "tilt of odom"])
-def test_the_transition_is_the_derivative_of_the_propagation(noiseless, bias):
-    noiseless.restore(
-        noiseless.state._replace(bias=np.array([np.full(3, 0.05), np.full(3, bias)]))
-    )
-    before, sample = noiseless.state, np.array([0.9, -1.2, 0.5, 1.0, -2.0, 11.0])
-
-    def after(error):
-        noiseless.restore(perturbed(before, error))
-        noiseless.propagate(held(sample), 0, round(DT * SECOND))
-        return noiseless.state
-
-    nominal = after(np.zeros(15))
-    f = derivative(lambda error: error_between(nominal, after(error)), 1e-4)
-    # neglected: (|w| DT)^2 / 6 of the gyro bias, DT^3 |f| / 6 of all others: below 1e-5
-    np.testing.assert_allclose(nominal.cov, f @ before.cov @ f.T, rtol=0, atol=3e-4)
-    assert np.abs(nominal.cov - before.cov).max() > 0.3  # what the transition did
-
-
-def test_the_covariance_of_the_output_is_by_its_derivative(noiseless):
-    before = noiseless.state
-
-    def state(error):
-        noiseless.restore(perturbed(before, error))
-        noiseless.use_gyro(held(np.array([0.4, -0.8, 1.1])), 0, 0.0)
-        return noiseless.output()[0]
-
-    jacobian = derivative(state, 1e-5)
-    state(np.zeros(15))
-    _, cov = noiseless.output()
-    np.testing.assert_allclose(
-        cov, jacobian @ before.cov @ jacobian.T, rtol=0, atol=1e-6
-    )

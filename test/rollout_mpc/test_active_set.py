@@ -1,13 +1,11 @@
-"""Dual active-set method against Clarabel: random, degenerate, infeasible and recorded problems."""
+"""Dual active-set method against Clarabel: random, degenerate and infeasible problems."""
 
 import clarabel
 import numpy as np
 import pytest
 from scipy import sparse
 
-from slot_core.rollout_mpc import problem as plan
 from slot_core.rollout_mpc.active_set import ActiveSet
-from slot_core.simulation.closed_loop import ClosedLoop
 
 N, ROWS, SLACK = 25, 170, 1e-9
 
@@ -92,20 +90,3 @@ def test_other_shapes_are_refused():
     inverse, gradient, rows, low, high = random_problem(0)
     with pytest.raises(ValueError, match="gradient"):
         ActiveSet(N).solve(inverse, gradient[1:], rows, low, high, SLACK)
-
-
-def test_the_problems_of_a_walk_are_solved_as_by_an_interior_point_method(monkeypatch):
-    recorded = []
-
-    class Recorder(ActiveSet):
-        def solve(self, *parts):
-            found = super().solve(*parts)
-            recorded.append((*(np.copy(part) for part in parts[:5]), found))
-            return found
-
-    monkeypatch.setattr(plan, "ActiveSet", Recorder)
-    for _ in ClosedLoop("flat", "walk", np.array([0.04, 0.0, 0.05]), seed=2).run(90):
-        pass
-    assert len(recorded) > 60
-    for *parts, found in recorded[::3]:
-        np.testing.assert_allclose(found, by_clarabel(*parts), rtol=0, atol=1e-4)  # rad

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from nominal_walk import WALK, torso_of
+from nominal_walk import torso_of
 
-from slot_core.robot import GRAVITY, read_robot
+from slot_core.robot import read_robot
 from slot_core.rollout_mpc.disturbance_observer import DisturbanceObserver
 from slot_core.rollout_mpc.nominal_robot import NominalRobot
 from slot_core.rollout_mpc.settings import read_rollout_mpc
-from slot_core.simulation.closed_loop import ClosedLoop
 
 SETTINGS, DT, ANGLE = read_rollout_mpc(), 0.033, 1.3
 SCALE = np.array([0.02, 0.02, 0.007, 0.002, 0.002, 0.002])
@@ -91,17 +90,3 @@ def test_a_forgotten_motion_leaves_the_estimates():
     watch.observer.forget()
     np.testing.assert_array_equal(watch.go_on(SETTINGS.observer.window).wrench, before)
     assert not np.array_equal(watch.go_on(1).wrench, before)
-
-
-@pytest.mark.parametrize("mass", [0.2, 0.4])
-def test_a_payload_of_the_walking_robot_is_weighed(mass):
-    changes = {"scene.payload.mass": mass}
-    last = list(
-        ClosedLoop("flat", "walk", WALK, 1, "rollout_mpc", changes=changes).run(200)
-    )[-60:]
-    weight = np.mean([-tick.plan.report.wrench[0] for tick in last])
-    empty = list(ClosedLoop("flat", "walk", WALK, 1, "rollout_mpc").run(200))[-60:]
-    weight += np.mean(
-        [tick.plan.report.wrench[0] for tick in empty]
-    )  # of the model's own error
-    assert weight / GRAVITY == pytest.approx(mass, rel=0.3)

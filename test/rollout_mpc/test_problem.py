@@ -78,17 +78,6 @@ def test_the_step_is_the_minimum_within_its_limits(problem, seed, size):
     assert after.max() <= ANGLE_MAX + 1e-6
 
 
-def test_limits_are_active_in_the_large_cases(problem):
-    """So that the comparison sees them."""
-    error, slopes, deviation, nominal = case(0, 30.0)
-    free = change_of(problem, error / 1e4, slopes, 0 * deviation, 0 * nominal + 1.2)
-    assert np.abs(free).max() < 0.4
-    b = deviation + change_of(problem, error, slopes, deviation, nominal)
-    at_limit = np.isclose(np.abs(b), SETTINGS.limits.deviation, atol=1e-5)
-    at_limit |= np.isclose(nominal + b, ANGLE_MAX, atol=1e-5)
-    assert at_limit.sum() > 3
-
-
 def test_the_errors_are_scaled_and_turned_into_the_heading(problem):
     pose, reference = np.zeros((1, K, 6)), np.zeros((K, 6))
     cost = SETTINGS.cost

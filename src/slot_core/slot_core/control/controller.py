@@ -43,7 +43,7 @@ class Controller:
         """Build the steps from `config/*.yaml`; raises ConfigError as they do.
 
         velocity: (3,) m/s, m/s, rad/s, or None for the gait's `cruise`. path: followed by a stride
-        instead. gaits: other than those of the configuration.
+        instead. gaits: in place of the configured ones.
         """
         self.estimator = StateEstimator(read_estimator())
         self.scheduler = GaitScheduler(

@@ -44,7 +44,7 @@ def time_fault(elapsed: float, budget: float) -> str:
 
 
 def is_late(plan: TendonPlan) -> bool:
-    """Whether a plan, also one that has stopped, names the time it took as its fault."""
+    """Whether a plan, also a stopped one, names its computing time as the fault."""
     return EXCEED in plan.message
 
 

@@ -1,7 +1,7 @@
 """Place feedback: the policy that corrects the place by the amplitudes of the stride every tick.
 
 It needs no model of the robot. With the distance e of the reference place from the robot, in the
-heading frame and without the gait's own sway, the amplitudes are those of the velocity
+heading frame and without the gait's own sway, the amplitudes belong to the velocity
 
     V_k + clip(gain e, +-change_max),
 

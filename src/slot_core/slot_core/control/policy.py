@@ -1,8 +1,8 @@
 """Policy: contract of a controller, from the estimated state and the gait's preview to a plan.
 
 `mpc_controller` runs the policy that `scripts/run --policy` names and publishes its plan;
-`force_mapper` makes the tendon angles of it (`force_map.py`). A user's policy is a class like those of
-`policies.py`, named there, or in a Python file that ends with `POLICY = TheClass`. A learned
+`force_mapper` makes the tendon angles of it (`force_map.py`). A user's policy is a class like the
+ones of `policies.py`, named there, or in a Python file that ends with `POLICY = TheClass`. A learned
 network is `onnx:FILE` (`onnx_policy.py`).
 """
 
@@ -32,7 +32,7 @@ Timer = Callable[[], float]  # s
 
 
 class Status(enum.IntEnum):
-    """How a plan was made; the numbers are those of slot_msgs/msg/TendonPlan."""
+    """Status of a plan, with the values of slot_msgs/msg/TendonPlan."""
 
     SOLVED = 0
     NOT_SOLVED = 1  # infeasible, inaccurate or iteration limit: fallback in use
@@ -81,7 +81,8 @@ class TendonPlan:
     """
 
     angle: Array  # (n, 4) rad, or (0, 4)
-    rate: Array  # (4,) rad/s, rates at which the driver extrapolates the first angles until the next plan
+    # (4,) rad/s, rates at which the driver extrapolates the first angles until the next plan
+    rate: Array
     force: Array  # (n, 4, 3) N, predicted or planned, in odom
     status: Status = Status.SOLVED
     message: str = ""  # one line, empty if SOLVED

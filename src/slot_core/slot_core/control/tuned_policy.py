@@ -14,7 +14,7 @@ PLANNED = (Status.SOLVED, Status.LATE)  # a first plan may be late
 
 
 class TunedPolicy:
-    """Runs a policy; with other settings it is made anew, and learns again what it had learned."""
+    """Runs a policy; with other settings it is made anew and learns the disturbances again."""
 
     STATE = StateParts("_policy")
 

@@ -11,7 +11,7 @@ from slot_core.arrays import Array
 
 
 class Validity(enum.IntEnum):
-    """Validity of an estimate; the values are those of slot_msgs/msg/MpcState."""
+    """Validity of an estimate, with the values of slot_msgs/msg/MpcState."""
 
     VALID = 0
     INITIALISING = 1

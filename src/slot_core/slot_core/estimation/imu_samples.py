@@ -18,7 +18,7 @@ class ImuSamples:
     values: Array  # (n, 6) angular velocity rad/s, specific force m/s^2
 
     def __post_init__(self) -> None:
-        """Raise ValueError for values that are not those of the stamps."""
+        """Raise ValueError for stamps and values of other types or shapes."""
         stamps, values = self.stamps, self.values
         typed = stamps.dtype == np.int64 and values.dtype == np.float64
         if not typed or stamps.ndim != 1 or values.shape != (len(stamps), 6):

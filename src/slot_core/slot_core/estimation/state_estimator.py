@@ -143,7 +143,7 @@ class StateEstimator:
         """Add an odometry reading: stamp (ns), pose in odom (m), twist in base_link (SI).
 
         variance: (12,) of angle, position, velocity and rate, from the message; where it is not
-        positive, or without it, the noise is that of the settings.
+        positive, or without it, the settings' noise counts.
         """
         if not self._advances("odometry", stamp):
             return

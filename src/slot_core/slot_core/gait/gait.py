@@ -11,8 +11,8 @@ each scaled by an amplitude. With the phase p = 2 pi t / T, each leg's tendon an
 clipped to the range of the gait. A negative amplitude takes the pattern's mirror image: legs front
 and rear (forward) or left and right (lateral, turn) exchanged, half a stride later. The robot is
 symmetric, so that one pattern serves both directions, and the velocities of the patterns add up.
-Beyond its largest amplitude a pattern is no faster, since the servos are not; those of a blend are
-scaled down to |a_j / a_j,max| <= 1 (the Euclidean norm over j).
+Beyond its largest amplitude a pattern is no faster, since the servos are not; the amplitudes of a
+blend are scaled down to |a_j / a_j,max| <= 1 (the Euclidean norm over j).
 A robot that moves forward or sideways turns by the steering pattern of that direction, a small
 change of its angles that alters the yaw rate alone; in place it turns by the pattern `turn`.
 `scripts/tune` finds the patterns; the normal forces and the sway of the torso that result on the
@@ -167,7 +167,7 @@ class Stride:
         return (self.forward.speed, self.lateral.speed, self.turn.speed)
 
     def walking(self, velocity: Array) -> float:
-        """Weight of steering at a velocity (3,), in [0, 1]; the rest is that of `turn`."""
+        """Weight of steering at a velocity (3,), in [0, 1]; the rest is the weight of `turn`."""
         return min(1.0, norm(velocity[:2]) / self.walking_speed)
 
     def reached(self, velocity: Array) -> Array:

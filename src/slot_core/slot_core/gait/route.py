@@ -88,7 +88,7 @@ class Route:
     ) -> tuple[Array, Array]:
         """Velocities (n, 3) and places (n, 3) at `times` (s) ahead, of a place (3,) on the path.
 
-        reached: the velocity that the gait reaches of one that is wanted; last: (3,) beyond the
+        reached: gives the velocity that the gait reaches of a wanted one; last: (3,) beyond the
         end of the path.
         """
         arc = np.minimum(self.travelled + speed * times, self.length)

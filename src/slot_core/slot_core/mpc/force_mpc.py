@@ -1,9 +1,9 @@
 """Convex MPC: the policy that solves one quadratic programme per tick.
 
 It plans ground reaction forces (`force_problem.py`) and checks the inputs and the solution. A
-cycle without an accepted solution returns the last feasible forces, decayed towards those of the
-gait. After `fallback.cycles` such cycles in a row the status is STOPPED until a solution is
-accepted again.
+cycle without an accepted solution returns the last feasible forces, decayed towards the gait's.
+After `fallback.cycles` such cycles in a row the status is STOPPED until a solution is accepted
+again.
 """
 
 from dataclasses import replace

@@ -78,7 +78,7 @@ class ForceProblem:
         return -self.weight * self.target.ravel()
 
     def read(self, preview: GaitPreview) -> FirstStage:
-        """Take the limits and targets of a preview; returns those of its first stage.
+        """Take the limits and targets of a preview; return the first stage's.
 
         If the preview ends with stage H-1, its reference there is the target of state H too.
         """
@@ -151,8 +151,9 @@ def _rows(horizon: int, pattern: Prediction) -> NDArray[np.int64]:
 
     pattern: a prediction that is non-zero wherever any prediction is.
     """
-    size = STATES * STATES, STATES * INPUTS, horizon * FEET
-    of_a, of_b, of_mu = np.split(3 + np.arange(sum(size)), np.cumsum(size[:2]))
+    entries = STATES * (STATES + INPUTS)  # of a and b
+    number = 3 + np.arange(entries + horizon * FEET)
+    of_a, of_b, of_mu = np.split(number, [STATES * STATES, entries])
     a = np.where(pattern.a != 0, of_a.reshape(STATES, STATES), 0)
     b = np.where(pattern.b != 0, of_b.reshape(STATES, INPUTS), 0)
     dynamics = np.zeros((horizon, STATES, horizon, STAGE), dtype=np.int64)

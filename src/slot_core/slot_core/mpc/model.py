@@ -1,7 +1,7 @@
 """Torso model of the convex MPC, and the limits and targets of its horizon.
 
 State x = [roll pitch yaw, p, omega, v] (12,) and input u = (4, 3) ground reaction forces, both in
-odom. The model is a single rigid body (Di Carlo et al., IROS 2018); the feet are placed as those of
+odom. The model is a single rigid body (Di Carlo et al., IROS 2018); the feet are placed as on
 stress-free legs:
 
     d/dt rpy = R_z(yaw)^T omega        omega' = I_w^-1 sum r_i x f_i

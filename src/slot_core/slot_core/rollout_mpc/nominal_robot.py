@@ -1,8 +1,8 @@
 """Nominal robot: the simulated robot on tabulated legs, rolled out from any state.
 
 It is the robot of `legs/tabulated_robot.py` on a flat floor at long steps. Its legs have no
-mass, so that its state is the torso's, which the state estimator gives, and that of legs and
-servos, which follows from the commands: tendon angles, servo loops, and the feet's displacements.
+mass. Its state is the torso's, which the state estimator gives, and the state of legs and servos,
+which follows from the commands: tendon angles, servo loops, and the feet's displacements.
 """
 
 from typing import NamedTuple

@@ -14,7 +14,7 @@ references r_k, the drift d of the disturbance observer, and the scales S of the
     sum_k |S^-1 (y_k + k dt d - r_k)|^2 / K + R(u - theta)
     R(b) = sum_k |mean b|^2 / (K deviation^2) + sum_k |b_k - mean b|^2 / (K swing^2)
 
-A payload or a slope needs a mean deviation; one that swings about its mean works against the gait.
+A payload or a slope needs a mean deviation; a swing about the mean works against the gait.
 The errors are linearised by finite differences, a rollout for each j: e(delta) = e + J delta. The
 step is damped, since a rollout is linear in small changes only:
 
@@ -81,7 +81,7 @@ class PlanProblem:
     def reference(self, rows: Array, place: Array, drift: Array, sag: float) -> Array:
         """Poses (K, 6) that the rollouts are to have, from the preview's reference (n > K, 12).
 
-        The reference leads the robot at place (3,) x, y, yaw by `reach` at most. drift: that of the
+        The reference leads the robot at place (3,) x, y, yaw by `reach` at most. drift: by the
         observer; sag: m by which the torso sinks. This and the other methods raise ValueError for
         other shapes.
         """

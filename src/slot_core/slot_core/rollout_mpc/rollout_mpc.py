@@ -51,7 +51,7 @@ class _Plan:
     nominal: Array  # (K + 2, 4) rad, of the gait, with the payload
     sag: float  # m, by which the torso sinks since the legs cannot carry more
     deviation: Array  # (K + 1, 4) rad
-    # predicted: poses and feet at the stages 1 .. K, forces at 0 .. K-1
+    # as published: poses and feet at the stages 1 .. K, forces at 0 .. K-1
     motion: Rollouts
     linear: Linearisation | None = None
 
@@ -76,7 +76,7 @@ class RolloutMpc(Policy):
     def __init__(
         self, robot: RobotParameters, settings: RolloutMpcSettings, timer: Timer
     ):
-        """Take the nominal robot; raises ConfigError for one that the leg table does not cover."""
+        """Take the nominal robot; raises ConfigError if the leg table does not cover it."""
         self._robot, self._settings, self._timer = robot, settings, timer
         self._springs = read_springs()
         x, y, _ = robot.feet.T
@@ -243,7 +243,7 @@ class RolloutMpc(Policy):
             _shifted(plan.nominal),
             plan.sag,
             _shifted(plan.deviation),
-            plan.motion,
+            _no_motion(self._settings.stages),
         )
 
     def _linearised(self, plan: _Plan) -> _Plan:
@@ -299,8 +299,9 @@ class RolloutMpc(Policy):
             plan = TendonPlan(np.zeros((0, len(LEGS))), np.zeros(len(LEGS)), force)
             cause, fault = Status.STOPPED, f"{why}; {fault}"
         else:
-            moved = self._moved_on(self._plan)
-            self._plan = replace(moved, deviation=limits.decay * moved.deviation)
+            moved, motion = self._moved_on(self._plan), self._plan.motion
+            deviation = limits.decay * moved.deviation
+            self._plan = replace(moved, deviation=deviation, motion=motion)
             self._next = self._state = None
             self.observer.forget()
             self._note_disturbances()
@@ -325,7 +326,7 @@ class RolloutMpc(Policy):
         )
 
     def _note_disturbances(self) -> None:
-        """Note those of the present plan, which plans between two stages report again.
+        """Note the disturbances of the present plan, which plans between stages report again.
 
         The observer goes on in `prepare`, at a time that does not depend on the messages.
         """
