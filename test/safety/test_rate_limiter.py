@@ -78,32 +78,6 @@ def test_goals_go_on_at_the_rate_of_the_command_within_the_range_until_it_is_hel
     assert (held[-1].angle == later[-1].angle).all()
 
 
-def test_goals_between_commands_follow_the_gait_at_its_rate():
-    """RMS distance from the gait, whose commands come every 33 ms: a fifth of that of held ones."""
-    gait = read_gaits().strides["walk"]
-    velocity, period = np.array([0.07, 0.0, 0.0]), 0.033
-
-    def gait_at(seconds):
-        phase = np.atleast_1d(seconds) / gait.period % 1.0
-        return gait.stride_table(phase, velocity)[:, :4]
-
-    def distance(with_rate):
-        built = gate()
-        run(built, Action.PASS, 1.0, -round(1e9), fast=True)
-        away = []
-        for k in range(100):
-            now, later = gait_at([k * period, (k + 1) * period])
-            rate = (later - now) / period if with_rate else np.zeros(4)
-            begin = round(k * period * 1e9)
-            assert built.offer(begin, now, rate) == ""
-            for step in range(4):
-                goals = built.step(begin + step * TICK, Action.PASS, fast=True)
-                away.append(goals.angle - gait_at(k * period + step * 0.01)[0])
-        return np.sqrt(np.mean(np.square(away[40:])))
-
-    assert distance(True) < 0.2 * distance(False)
-
-
 def test_a_step_larger_than_the_rate_limit_is_slewed_and_reported():
     built = gate(np.zeros(4))
     time, _ = run(

@@ -11,10 +11,6 @@ from slot_core.control.policy import Status
 from slot_core.safety import states as table
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import (
-    LATCHED,
-    TO_RISE,
-    TO_STAND,
-    TO_WALK,
     Action,
     Condition,
     Request,
@@ -114,16 +110,6 @@ def test_the_robot_goes_from_idle_to_walking_on_request():
     bench.command = np.full(4, 1.5)
     bench.run(0.05)
     assert (bench.goals.angle == 1.5).all()
-
-
-@pytest.mark.parametrize("way", [TO_RISE, TO_STAND, TO_WALK])
-def test_no_way_to_a_state_leads_out_of_an_emergency_stop_or_a_fault(way):
-    assert way.keys().isdisjoint(LATCHED)
-    assert Request.RESET not in way.values()
-
-
-def test_the_way_to_stand_ends_standing():
-    assert State.STANDING not in TO_RISE | TO_STAND
 
 
 @pytest.mark.parametrize(

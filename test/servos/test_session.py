@@ -227,18 +227,6 @@ def test_stop_relaxes_and_confirms_also_during_an_exchange(dynamixels):
     assert dynamixels.session.action is Action.OFF
 
 
-def test_stop_reads_torque_off_back_once(rig, monkeypatch):
-    rig.run(0.2, SLIGHTLY)
-    confirm, calls = rig.bus.torque_off, []
-    monkeypatch.setattr(
-        rig.bus, "torque_off", lambda: calls.append(rig.time) or confirm()
-    )
-    assert rig.session.stop().complete
-    assert len(calls) == 1
-    assert rig.session.stop().complete  # torque is off: read back again
-    assert len(calls) == 2
-
-
 def test_a_lost_port_raises_and_stop_confirms_no_servo(rig):
     rig.run(0.1, SLIGHTLY)
     rig.inject("unplugged", "all")
