@@ -160,9 +160,7 @@ def test_ready_is_refused_during_a_fault(cause, text):
     assert bench.tick().state is State.IDLE
 
 
-@pytest.mark.parametrize(
-    "missing", ["command", "estimate", "solution", *SETTINGS.nodes]
-)
+@pytest.mark.parametrize("missing", ["command", "estimate", "mpc", "solution"])
 def test_stand_is_refused_while_an_input_is_missing(missing):
     bench = bench_in(State.READY)
     bench.silent.add(missing)

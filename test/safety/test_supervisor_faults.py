@@ -65,9 +65,11 @@ FAULTS = [
         (0.0, TIMING.servo_silent),
         "servo FR silent",
     ),
-    *(
-        ({"silent": {node}}, "HOLD", (0.0, TIMING.heartbeat), f"node {node} silent")
-        for node in SETTINGS.nodes
+    (
+        {"silent": {"mpc"}},
+        "HOLD",
+        (TIMING.heartbeat - CYCLE, TIMING.heartbeat),
+        "node mpc_controller silent",
     ),
     *(
         (
