@@ -219,19 +219,17 @@ class MarkerLocalizer:
         R_c (-e) + (-R_c d) x (p - p_board) with the board as the centre. In the world it is R_c d
         and R_c e + R_c d x (p - p_board), with R_c = R_odom_camera.
         """
-        base = self._base(board, seen)
         if self._on_torso:
-            to_odom, centre, sign = (
-                board.rotation @ seen.rotation.T,
-                board.position,
-                -1.0,
-            )
+            turn = -board.rotation @ seen.rotation.T
+            centre = board.position
         else:
-            to_odom = self._fixed.rotation
-            centre, sign = self._fixed.apply(seen.position), 1.0
+            turn = self._fixed.rotation
+            centre = self._fixed.apply(seen.position)
+        arm = self._base(board, seen).position - centre
+        lever = np.cross(np.eye(3), arm)  # lever @ d = arm x d
         jacobian = np.zeros((6, 6))
-        jacobian[:3, :3] = jacobian[3:, 3:] = sign * to_odom
-        jacobian[:3, 3:] = -_cross(base.position - centre) @ (sign * to_odom)
+        jacobian[:3, :3] = jacobian[3:, 3:] = turn
+        jacobian[:3, 3:] = -lever @ turn
         return jacobian @ covariance @ jacobian.T
 
     def _twist(
@@ -265,8 +263,3 @@ def _corners(corners: dict[int, Array], found: Detection) -> tuple[Array, Array]
     return points, np.concatenate(
         [found.rays[found.ids.index(number)] for number in ids]
     )
-
-
-def _cross(v: Array) -> Array:
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
