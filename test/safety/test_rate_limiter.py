@@ -69,9 +69,8 @@ def test_goals_go_on_at_the_rate_of_the_command_within_the_range_until_it_is_hel
     _, results = run(built, Action.PASS, 0.1, time, fast=True)
     assert results[2].angle == pytest.approx(MIDDLE + 0.02 * rate)
     assert results[10].angle == pytest.approx([1.1, 0.8, 1.0, LIMIT])
-    _, later = run(
-        built, Action.PASS, 0.5, time + 11 * TICK, fast=True
-    )  # no command comes
+    # no command comes
+    _, later = run(built, Action.PASS, 0.5, time + 11 * TICK, fast=True)
     assert later[-1].angle == pytest.approx(results[10].angle)
     built.offer(time + 70 * TICK, MIDDLE, rate)
     _, held = run(built, Action.HOLD, 0.1, time + 70 * TICK)
@@ -80,9 +79,8 @@ def test_goals_go_on_at_the_rate_of_the_command_within_the_range_until_it_is_hel
 
 def test_a_step_larger_than_the_rate_limit_is_slewed_and_reported():
     built = gate(np.zeros(4))
-    time, _ = run(
-        built, Action.PASS, 1.0, fast=True
-    )  # the rate has grown to its largest
+    # the rate has grown to its largest
+    time, _ = run(built, Action.PASS, 1.0, fast=True)
     assert built.offer(time, [LIMIT, 0.5, 0.0, 0.0]) == ""
     first = built.step(time + TICK, Action.PASS, fast=True)
     assert first.slewed.tolist() == [True, False, False, False]

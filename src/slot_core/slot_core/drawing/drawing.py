@@ -1,6 +1,6 @@
 """Drawing of the robot for a viewer, kept up to date by the messages of the graph.
 
-The messages may be rclpy's or those that the `rosbags` library reads from a bag. On the real robot
+The messages may come from rclpy or, read by the `rosbags` library, from a bag. On the real robot
 no topic has the shape of the legs: they are then drawn as without stress, and pale.
 """
 
@@ -63,9 +63,8 @@ class Drawing:
         self._legs = natural_legs(
             self._position, self._quaternion, robot, NATURAL_NODES
         )
-        self._placed = self._simulated = (
-            False  # whether a pose, the exact one has been received
-        )
+        self._placed = False  # whether a pose has been received
+        self._simulated = False  # whether the exact pose has been received
         self._path, self._reference_path = Trace(), Trace()
 
     def receive(self, topic: str, message: Any) -> dict[str, Shape]:

@@ -1,7 +1,7 @@
 """Driver of four Dynamixel servos, which implements `ServoBus` and `ServoMaintenance`.
 
-Model, firmware and EEPROM of every servo are checked; every write but those of a cycle is read
-back. Raises also CommunicationError and InstructionError of `bus.py`, which are ServoErrors.
+Model, firmware and EEPROM of every servo are checked; every write outside a cycle is read back.
+Raises also CommunicationError and InstructionError of `bus.py`, which are ServoErrors.
 """
 
 import contextlib

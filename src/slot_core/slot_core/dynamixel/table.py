@@ -148,12 +148,12 @@ def _registers() -> Iterator[Register]:
         yield Register(
             name, int(address), int(size), writable, initial, low, high, signed
         )
-    for bank, (address, data) in enumerate(INDIRECT_BANKS):
+    for bank, (pointer, data) in enumerate(INDIRECT_BANKS):
         for k in range(INDIRECT_COUNT):
             number = bank * INDIRECT_COUNT + k + 1
             yield Register(
                 f"indirect_address_{number}",
-                address + 2 * k,
+                pointer + 2 * k,
                 size=2,
                 writable=True,
                 initial=data + k,

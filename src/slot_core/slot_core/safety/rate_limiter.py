@@ -66,7 +66,7 @@ def unchanged(action: Action, angle: Array, torque: bool) -> Goals:
 class RateLimiter:
     """Last accepted command, and goals that approach it at a limited rate.
 
-    Times are those of a clock that never goes back, ns.
+    Times are on a clock that never goes back, ns.
     """
 
     def __init__(self, settings: GateSettings, low: float, high: float):

@@ -3,7 +3,7 @@
 States and transitions are data (`states.py`). Conditions that forbid motion come from
 `conditions.py`, damaged tendons from `tendon_watch.py`. Commands do not pass through here: the
 driver and simulated servos check them and report back (`watchdog.py`).
-Every input and `step` carry the present time `now` (ns) of one clock, that of the messages' stamps.
+Every input and `step` carry the present time `now` (ns) on the clock of the messages' stamps.
 Bad data raise no exception: they are rejected, and then count as missing.
 """
 
@@ -52,9 +52,8 @@ class Report:
     since: int  # ns of `now` at the last transition
     warnings: tuple[str, ...]  # conditions that forbid motion now, one line each
     slack: Array  # (4,) m, extra length of the tendons, inferred from the load; NaN: unknown
-    resumed: (
-        bool  # whether the last transition led from HOLD back to the state before it
-    )
+    # whether the last transition led from HOLD back to the state before it
+    resumed: bool
     followed: bool  # whether the servos follow the commands, and have reached them once
 
     @property
@@ -112,9 +111,8 @@ class Supervisor:
         self._resumed = False  # whether the last transition led from HOLD back to it
         self._entered = 0  # steady time of the last transition
         self._ready_since = 0  # steady time of the last READY
-        self._clear_since: int | None = (
-            None  # steady time since which there is no reason to hold
-        )
+        # steady time since which there is no reason to hold
+        self._clear_since: int | None = None
         self._faulty = False  # whether RELAX ends in FAULT
         self._followed = False  # whether the servos follow the commands
         self._unfollowed = 0  # steady time when they did not, last

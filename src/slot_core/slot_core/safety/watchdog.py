@@ -11,7 +11,7 @@
     a fault of the servos                        RELAX
 
 A RELAX begun by the watchdog itself lasts until the permission is OFF. The age of commands
-counts under PASS only. Times are those of a clock that never goes back, ns.
+counts under PASS only. Times are on a clock that never goes back, ns.
 """
 
 import math
@@ -55,34 +55,28 @@ class Permission:
 class ServoHealth:
     """State of the servos and their action on commands; arrays (4,) in the order of LEGS.
 
-    The values left out are those of servos without faults.
+    Defaults: servos without faults.
     """
 
     action: Action
     reason: str  # why the action is not PASS, or ""
     torque: NDArray[np.bool_]  # as read back
     goal: Array  # rad, tendon angles sent to the servos last
-    slewed: NDArray[np.bool_] = field(
-        default_factory=_no
-    )  # whether the rate limit held it back
-    silence: Array = field(
-        default_factory=ZEROS
-    )  # s since the last answer; inf: never answered
-    hardware_error: NDArray[np.int64] = field(
-        default_factory=_no_error
-    )  # bits of HardwareError
+    # whether the rate limit held it back
+    slewed: NDArray[np.bool_] = field(default_factory=_no)
+    # s since the last answer; inf: never answered
+    silence: Array = field(default_factory=ZEROS)
+    # bits of HardwareError
+    hardware_error: NDArray[np.int64] = field(default_factory=_no_error)
     temperature: Array = field(default_factory=UNKNOWN)  # degC; NaN: not known
     voltage: Array = field(default_factory=UNKNOWN)  # V; NaN: not known
-    error_rate: Array = field(
-        default_factory=ZEROS
-    )  # share of the last exchanges that failed
-    commanded: int = (
-        0  # ns, stamp of the command written last, in lockstep arrived last; 0: none
-    )
+    # share of the last exchanges that failed
+    error_rate: Array = field(default_factory=ZEROS)
+    # ns, stamp of the command written last, in lockstep arrived last; 0: none
+    commanded: int = 0
     written: int = 0  # ns, time of that
-    supervised: int = (
-        0  # ns, stamp of the first message of a supervisor that they took; 0: none
-    )
+    # ns, stamp of the first message of a supervisor that they took; 0: none
+    supervised: int = 0
 
 
 class Watchdog:
@@ -101,9 +95,8 @@ class Watchdog:
         self.limits: ServoLimits | None = None
         self._limiter: RateLimiter | None = None  # None: no limits yet
         self._range = low, high
-        self._engaged = np.full(
-            len(LEGS), low
-        )  # rad, angles of the servos when torque came on
+        # rad, angles of the servos when torque came on
+        self._engaged = np.full(len(LEGS), low)
         self._commanded: int | None = None  # time of the last accepted command
 
     @property

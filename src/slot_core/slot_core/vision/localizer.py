@@ -6,7 +6,7 @@
 
 A pose has the covariance of its reprojection error and of the calibration. The twist is the
 difference of two poses, in which the error of the calibration cancels: late by half their interval,
-so its variance holds that of an accelerating torso. An image without a usable pose gives a reason
+so its variance includes the change of velocity of an accelerating torso. An image without a usable pose gives a reason
 in its place.
 """
 
@@ -212,12 +212,15 @@ class MarkerLocalizer:
     def _pose_covariance(
         self, board: Transform, seen: Transform, covariance: Array
     ) -> Array:
-        """Covariance (6, 6) of base_link in odom from that of the board in the optical frame.
+        """Covariance (6, 6) of base_link in odom, from the board's covariance in the optical frame.
 
-        With d, the error of the rotation, and e, that of the position, of the board in the camera:
-        on the torso R_c = R_ob R_s^T: the angle's error is -R_c d, that of the position
-        R_c (-e) + (-R_c d) x (p - p_board) with the board as the centre. In the world it is R_c d
-        and R_c e + R_c d x (p - p_board), with R_c = R_odom_camera.
+        Let d and e be the errors of rotation and position of the board in the camera, p the torso's
+        position and p_c the centre of the turn. Then the errors of rotation and position are
+
+            R d,   R e + R d x (p - p_c)
+
+        with R = -R_odom_board R_camera_board^T and the board as the centre if the camera is on the
+        torso, and with R = R_odom_camera and the board's position in odom if it is in the world.
         """
         if self._on_torso:
             turn = -board.rotation @ seen.rotation.T

@@ -61,9 +61,8 @@ class EmulatedServo:
         self.memory["firmware_version"] = model.firmware
         self.shaft = Shaft(motor, model.shaft, angle)
         self.voltage, self.forced_temperature = model.voltage, math.nan
-        self.registered: tuple[int, bytes] | None = (
-            None  # address and data of a Reg Write
-        )
+        # address and data of a Reg Write
+        self.registered: tuple[int, bytes] | None = None
         self.time = 0.0  # s
         self.last_instruction = 0.0  # s, time of the last instruction on the bus
         self._boot_left = 0.0  # s

@@ -1,9 +1,8 @@
 """Emulated bus behind a pseudo-terminal, with the transmission times of a serial line.
 
 A pseudo-terminal passes bytes at once. Here an instruction of n bytes is received 10 n / baud after
-its first byte, and an answer is passed on when its last byte has been sent. The baud rate is the
-one that the driver has set on its side. Bytes that the driver does not read in time are lost, as in
-a serial chip.
+its first byte, and an answer is passed on when its last byte has been sent. The driver sets the
+baud rate on its side. Bytes that the driver does not read in time are lost, as in a serial chip.
 """
 
 from __future__ import annotations
