@@ -68,7 +68,7 @@ class SupervisorBench:
             "button": False
         }  # of the e-stop, by name: whether it is pressed
         self.torque = None  # N m; None: that of the tabulated leg
-        self.watchdog = Watchdog(0.0, ROBOT.tendon.angle_max)
+        self.watchdog = Watchdog(ROBOT.tendon.angle_max)
         self.watchdog.set_limits(
             config.replace(read_supervisor(), changes).servo_limits
         )

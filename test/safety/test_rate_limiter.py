@@ -20,7 +20,7 @@ MIDDLE = np.full(4, 1.0)
 
 def gate(angle=MIDDLE, **changes):
     """A gate engaged at an angle."""
-    built = RateLimiter(config.replace(SETTINGS, changes), 0.0, LIMIT)
+    built = RateLimiter(config.replace(SETTINGS, changes), LIMIT)
     built.engage(angle)
     return built
 

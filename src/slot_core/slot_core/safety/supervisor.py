@@ -185,7 +185,7 @@ class Supervisor:
         self._inputs.receive_heartbeat(time, "force_mapper")
         if fault := self._stamp_fault("command", now, stamp):
             return fault
-        fault = command_fault(angle, rate, 0.0, self._robot.tendon.angle_max)
+        fault = command_fault(angle, rate, self._robot.tendon.angle_max)
         if not fault:
             self._command = np.array(angle, dtype=np.float64)
         self._inputs.receive_command(time, fault)

@@ -85,8 +85,8 @@ class Watchdog:
     Until the limits of the supervisor are set it rejects commands and ignores permissions.
     """
 
-    def __init__(self, low: float, high: float):
-        """Commands within [low, high], rad; `low` is slack."""
+    def __init__(self, angle_max: float):
+        """Commands within [0, `angle_max`], rad; 0 is slack."""
         self.action, self.reason = Action.HOLD, NO_LIMITS
         self.permission: Permission | None = None
         self.overdue = False  # whether a command or permission is too old
@@ -94,9 +94,9 @@ class Watchdog:
         self.supervised = 0  # ns, stamp of the first permission; 0: none
         self.limits: ServoLimits | None = None
         self._limiter: RateLimiter | None = None  # None: no limits yet
-        self._range = low, high
+        self._angle_max = angle_max
         # rad, angles of the servos when torque came on
-        self._engaged = np.full(len(LEGS), low)
+        self._engaged = np.zeros(len(LEGS))
         self._commanded: int | None = None  # time of the last accepted command
 
     @property
@@ -109,7 +109,7 @@ class Watchdog:
         if limits == self.limits:
             return
         goal = self._engaged if self._limiter is None else self._limiter.goal
-        self._limiter, self.limits = RateLimiter(limits.gate, *self._range), limits
+        self._limiter, self.limits = RateLimiter(limits.gate, self._angle_max), limits
         self._limiter.engage(goal)
 
     def engage(self, angle: Array) -> None:

@@ -72,7 +72,7 @@ class ServoSession:
         self.commanded = 0
         self.written = 0.0  # s of the bus's clock, when it was written
         self._sleep = sleep
-        self.watchdog = Watchdog(0.0, angle_max)
+        self.watchdog = Watchdog(angle_max)
         self._slewed = np.zeros(len(LEGS), dtype=bool)
         self._offered = 0  # stamp of the last accepted command
         # torque went off by a rule of the session or was refused; until OFF
