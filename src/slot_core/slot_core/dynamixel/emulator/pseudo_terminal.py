@@ -15,7 +15,6 @@ import threading
 import time
 import tty
 from pathlib import Path
-from types import TracebackType
 
 from slot_core.clock import Clock
 from slot_core.config import ConfigError
@@ -72,17 +71,6 @@ class PseudoTerminal:
         """Remove the port and end the thread; may be called again."""
         self._stopping.set()
         self._thread.join()
-
-    def __enter__(self) -> PseudoTerminal:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _serve(self) -> None:
         while not self._stopping.is_set():
