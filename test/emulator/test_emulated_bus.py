@@ -3,13 +3,11 @@
 import dataclasses
 import math
 
-import numpy as np
 import pytest
 
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus, read_emulator
-from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.joints import joints
 from slot_core.dynamixel.packet import (
     ALERT,
@@ -361,19 +359,6 @@ def test_temperature_follows_the_heat_balance(bus):
     warm = s.room + s.thermal_resistance * (0.5 * 11.1) ** 2 / s.resistance
     closed = warm + (s.room - warm) * math.exp(-100.0 / s.thermal_time)
     assert shaft.temperature == pytest.approx(closed, abs=0.1)  # Euler at h/tau = 1/360
-
-
-def test_emulated_legs_convert_to_tendon_angles_and_torques():
-    settings = config.replace(read_settings(), {"joints.direction": [1, -1, 1, -1]})
-    legs = EmulatedDynamixels(settings, read_emulator(), [0.1, 0.2, 0.3, 0.4])
-    assert legs.angles() == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=1e-12)
-    for _ in range(500):
-        before = legs.angles()
-        legs.advance(
-            0.001, [0.5] * 4
-        )  # torque off: the tendons unwind, for both directions
-    assert np.all(legs.angles() < [0.0, 0.1, 0.2, 0.3])
-    assert np.all(legs.angles() < before)  # they still do
 
 
 def test_joint_conversions_are_inverse_to_each_other():

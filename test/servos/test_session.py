@@ -127,6 +127,8 @@ def test_commands_reach_the_servos(rig):
     assert rig.run(0.5, SLIGHTLY) == [(Action.PASS, 0.0)]
     assert rig.bus.goals() == pytest.approx(SLIGHTLY)
     assert rig.servos.angles() == pytest.approx(SLIGHTLY, abs=0.01)
+    with pytest.raises(RefusedError, match="torque is on already"):
+        rig.session.start()
 
 
 def test_without_a_permission_torque_is_refused_until_there_is_one(rig):
@@ -198,23 +200,6 @@ def test_a_silent_servo_relaxes_all_after_its_limit(rig):
     assert when - 0.2 == pytest.approx(TIMING.servo_silent, abs=2 * PERIOD)
     assert rig.session.reason.startswith("servo RR (id ")
     assert "no answer for 0.5" in rig.session.reason
-
-
-def test_a_second_start_is_without_motion(rig):
-    rig.run(0.1, SLIGHTLY)
-    rig.run(2.0)
-    before = rig.servos.angles()
-    rig.permit(Action.OFF)
-    with pytest.raises(RefusedError, match="the supervisor does not permit it"):
-        rig.session.start()
-    rig.permit(Action.HOLD)
-    rig.session.start()
-    rig.run(0.2)
-    assert rig.session.action is Action.HOLD
-    # slack tendons are at the end of the range, within a count
-    assert rig.servos.angles() == pytest.approx(before, abs=2 * ONE_COUNT)
-    with pytest.raises(RefusedError, match="torque is on already"):
-        rig.session.start()
 
 
 def test_stop_relaxes_and_confirms_also_during_an_exchange(dynamixels):

@@ -12,7 +12,7 @@ from typing import Any
 
 from slot_core import config
 from slot_core.names import ONNX
-from slot_core.recording.bag_error import BagError
+from slot_core.recording.record_settings import BagError
 from slot_core.refusal import printable, read_bytes
 
 ORIGIN = "slot"  # name of the MCAP metadata record
