@@ -4,7 +4,6 @@ Independent of ROS: the functions only read attributes, so they decode rclpy's m
 as well as the messages that the `rosbags` library reads from a bag.
 """
 
-import math
 from dataclasses import fields
 from typing import Any
 
@@ -210,7 +209,9 @@ def _of_stages(
 
     Raises ValueError for another number of values.
     """
-    stages, each = int(message.stages), math.prod(shape)
+    stages, each = int(message.stages), 1
+    for count in shape:
+        each *= count
     values = np.array(getattr(message, name, ()))
     if optional and not values.size:
         return values.reshape(0, *shape)
