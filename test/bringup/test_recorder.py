@@ -11,7 +11,7 @@ from rclpy.duration import Duration
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
-from slot_core.recording.bag_error import BagError
+from slot_core.recording.record_settings import BagError
 from slot_lab.bags.bag import Bag
 from slot_nodes import qos
 

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -34,7 +35,7 @@ def legs(dynamixel_yaml):
 
 @pytest.fixture
 def servos(legs):
-    with PseudoTerminal(legs.bus) as terminal:
+    with closing(PseudoTerminal(legs.bus)) as terminal:
         yield lambda *arguments: main(["--port", terminal.name, *arguments])
 
 

@@ -69,16 +69,6 @@ def test_a_released_port_that_no_driver_has_opened_is_not_in_use(terminal_rig):
     assert released(terminal_rig.terminal)
 
 
-def test_a_lost_port_raises_and_torque_off_is_not_confirmed(terminal_rig):
-    rig = terminal_rig
-    rig.start()
-    rig.run(0.1, (1.9,) * 4)
-    rig.terminal.close()
-    with pytest.raises(PortError):
-        rig.driver.cycle()
-    assert not rig.driver.torque_off().complete
-
-
 def test_a_driver_can_configure_again_after_a_replug(terminal_rig, tmp_path):
     rig = terminal_rig.start()
     rig.fault("unplugged")

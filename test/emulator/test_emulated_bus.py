@@ -3,17 +3,11 @@
 import dataclasses
 import math
 
-import numpy as np
 import pytest
-from numba import njit
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.dynamics.servo import read_servo, servo, spool_rate
 from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus, read_emulator
-from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
-from slot_core.dynamixel.emulator.emulated_servo import EmulatedServo
-from slot_core.dynamixel.emulator.shaft import Motor
 from slot_core.dynamixel.joints import joints
 from slot_core.dynamixel.packet import (
     ALERT,
@@ -25,7 +19,7 @@ from slot_core.dynamixel.packet import (
     fast_status,
 )
 from slot_core.dynamixel.settings import read_settings
-from slot_core.dynamixel.table import COUNTS, RAD_PER_COUNT, TABLE, Mode
+from slot_core.dynamixel.table import RAD_PER_COUNT, TABLE, Mode
 from slot_core.faults import Fault
 
 BAUD = 57600  # factory setting
@@ -308,44 +302,6 @@ def test_input_voltage_error_switches_torque_off_only_if_set_in_shutdown(bus):
     assert (read(bus, "hardware_error_status"), read(bus, "torque_enable")) == (1, 1)
 
 
-@njit
-def kernel_rate(law, drive, command, angle, h):
-    return spool_rate(law, drive, command, angle, 0.5, h)
-
-
-def test_position_loop_follows_the_simulators_servo():
-    """Same motor and P gain as the simulator's `pid`, which has no encoder steps."""
-    gains = {
-        "proportional": 800 / 128 / 885 / RAD_PER_COUNT,
-        "integral": 0.0,
-        "derivative": 0.0,
-    }
-    settings = config.replace(read_servo(), {"model": "pid"} | gains)
-    model = read_emulator().servo
-    law = servo(settings, model.voltage)
-    motor = Motor(model.voltage, law.speed, 1 / law.speed_loss, law.motor_time)
-    one = EmulatedServo(5, model, motor, HALF)
-    for name, value in (
-        ("position_p_gain", 800),
-        ("position_d_gain", 0),
-        ("torque_enable", 1),
-    ):
-        one.memory[name] = value
-    goal = COUNTS // 2 + 800
-    one.memory["goal_position"] = goal
-    drive, angle, worst = np.zeros(3), HALF, 0.0
-    for _ in range(1000):
-        one.advance(model.loop_period, 0.5)
-        command = goal * RAD_PER_COUNT
-        angle += 1e-3 * kernel_rate(law, drive, command, angle, 1e-3)
-        worst = max(worst, abs(one.shaft.angle - angle))
-    assert (
-        worst < 2 * RAD_PER_COUNT
-    )  # the encoder rounds down: one count, and the response to it
-    droop = 0.5 * law.speed_loss / settings.proportional  # of a P controller under load
-    assert command - angle == pytest.approx(droop, rel=1e-6)
-
-
 # e-manual: V, N m at stall, rev/min without load, A at stall
 @pytest.mark.parametrize(
     ("voltage", "stall", "rpm", "current"),
@@ -403,19 +359,6 @@ def test_temperature_follows_the_heat_balance(bus):
     warm = s.room + s.thermal_resistance * (0.5 * 11.1) ** 2 / s.resistance
     closed = warm + (s.room - warm) * math.exp(-100.0 / s.thermal_time)
     assert shaft.temperature == pytest.approx(closed, abs=0.1)  # Euler at h/tau = 1/360
-
-
-def test_emulated_legs_convert_to_tendon_angles_and_torques():
-    settings = config.replace(read_settings(), {"joints.direction": [1, -1, 1, -1]})
-    legs = EmulatedDynamixels(settings, read_emulator(), [0.1, 0.2, 0.3, 0.4])
-    assert legs.angles() == pytest.approx([0.1, 0.2, 0.3, 0.4], abs=1e-12)
-    for _ in range(500):
-        before = legs.angles()
-        legs.advance(
-            0.001, [0.5] * 4
-        )  # torque off: the tendons unwind, for both directions
-    assert np.all(legs.angles() < [0.0, 0.1, 0.2, 0.3])
-    assert np.all(legs.angles() < before)  # they still do
 
 
 def test_joint_conversions_are_inverse_to_each_other():

@@ -4,7 +4,7 @@ import pytest
 from PIL import Image
 from synthetic_walk import STRIDE, Walk, write_walk
 
-from slot_core.recording.bag_error import BagError
+from slot_core.recording.record_settings import BagError
 from slot_lab.bags.bag import Bag
 from slot_lab.report import robot_drawing
 from slot_lab.report.robot_drawing import animate, frame_times

@@ -24,6 +24,7 @@ STEP = TICK * 1e-9  # s
 CYCLE = (
     3 * STEP
 )  # s, between two estimates, commands and statuses of the MPC on the bench
+STRIDE = 0.6  # s, period of the gait
 HEIGHT = 0.04  # m, of the standing robot
 LOAD = TendonLoad(read_leg_table(("tension_N",)), ROBOT.tendon.spool_radius)
 
@@ -56,7 +57,6 @@ class SupervisorBench:
 
     def __init__(self, **changes):
         self.supervisor = make_supervisor(**changes)
-        self.nodes = read_supervisor().nodes
         self.now = START
         self.silent = set()
         self.command = np.full(4, 1.1)
@@ -68,7 +68,7 @@ class SupervisorBench:
             "button": False
         }  # of the e-stop, by name: whether it is pressed
         self.torque = None  # N m; None: that of the tabulated leg
-        self.watchdog = Watchdog(0.0, ROBOT.tendon.angle_max)
+        self.watchdog = Watchdog(ROBOT.tendon.angle_max)
         self.watchdog.set_limits(
             config.replace(read_supervisor(), changes).servo_limits
         )
@@ -81,9 +81,6 @@ class SupervisorBench:
         """All inputs and one step; the servos follow at once."""
         self.now += TICK
         now, s = self.now, self.supervisor
-        for node in self.nodes:
-            if node not in self.silent:
-                s.receive_heartbeat(now, node)
         for source, pressed in self.sources.items():
             s.receive_estop(now, source, pressed)
         if "servos" not in self.silent:
@@ -124,7 +121,8 @@ class SupervisorBench:
             estimate = Estimate(now, self.state, np.eye(12), self.validity)
             self.supervisor.receive_estimate(now, estimate)
         if "mpc" not in self.silent:
-            self.supervisor.receive_mpc(now, self.status, self.fallback_cycles)
+            status = self.status, self.fallback_cycles
+            self.supervisor.receive_mpc(now, *status, STRIDE)
         if "command" not in self.silent:
             self.supervisor.receive_command(now, now, self.command)
             self.watchdog.offer(now, self.command)

@@ -28,7 +28,7 @@ def random_input(rng, bench: SupervisorBench, supervisor: Supervisor, steady: in
         - int(rng.integers(0, 40_000_000))
         + int(rng.choice([0, 10**12], p=[0.99, 0.01]))
     )
-    kind = rng.integers(9)
+    kind = rng.integers(8)
     if kind <= 1:
         near = np.clip(bench.angle + rng.normal(0, 0.02, 4), 0, 2.0)
         angle = (near if rng.random() < 0.95 else rng.uniform(0, 2.0, 4)) + wrong
@@ -48,13 +48,12 @@ def random_input(rng, bench: SupervisorBench, supervisor: Supervisor, steady: in
         bits = rng.choice([0, 0x20], size=4, p=[0.9995, 0.0005])
         supervisor.receive_health(now, now, bench.servo_health(hardware_error=bits))
     elif kind == 4:
-        supervisor.receive_mpc(now, int(rng.choice([0, 1, 4], p=[0.9, 0.09, 0.01])), 0)
+        supervisor.receive_mpc(
+            now, int(rng.choice([0, 1, 4], p=[0.9, 0.09, 0.01])), 0, 0.6
+        )
     elif kind == 5:
         supervisor.receive_estop(now, str(rng.integers(2)), bool(rng.random() < 0.002))
     elif kind == 6:
-        for node in SETTINGS.nodes:
-            supervisor.receive_heartbeat(now, node)
-    elif kind == 7:
         return Request(
             rng.choice([*Request, *[Request.READY, Request.STAND, Request.WALK] * 6])
         )

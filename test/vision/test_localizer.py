@@ -232,9 +232,8 @@ def test_a_pose_of_after_a_clock_that_was_set_back_decides_nothing(alone):
 
 def test_the_covariance_of_the_velocity_is_in_the_axes_of_the_torso():
     turned = Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, np.pi / 2))
-    unsure = np.diag(
-        [4.0, 1.0, 0.0, 0.0, 0.0, 0.0]
-    )  # along x of odom, which is -y of the torso
+    # along x of odom, which is -y of the torso
+    unsure = np.diag([4.0, 1.0, 0.0, 0.0, 0.0, 0.0])
     known = localizer()
     known._last = 0, turned, unsure
     *_, twist = known._twist(SECOND // 30, turned, unsure)

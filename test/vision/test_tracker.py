@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from views import CAMERA, VISION, natural_robot, stage, synthetic
 
-from benchmarks.estimation.filmed_robot import filmed
 from slot_core.geometry import Transform
-from slot_core.robot import read_robot
 from slot_core.vision.camera import Camera, camera_text
 from slot_lab.film import track_command
 from slot_lab.film.tracker import Tracker
@@ -189,25 +187,3 @@ def test_films_that_do_not_fit_are_refused(folder, refusal):
     cv2.imwrite(str(folder / "blank" / "0.png"), np.full((720, 1280), 90, np.uint8))
     line = refusal(track_command.main, str(folder / "blank"), *out)
     assert line.endswith("(ids 40 to 56 of DICT_4X4_100; the first shows no marker)")
-
-
-def test_plates_turn_with_a_leg_that_twists():
-    straight = natural_robot(bases()[0])
-    angle = np.linspace(0.0, 0.3, straight.nodes.shape[1] - 1)
-    along = np.diff(straight.nodes, axis=1)
-    along /= np.linalg.norm(along, axis=2, keepdims=True)
-    side = straight.sides[:, 1:]
-    directors = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(
-        along, side
-    )
-    twisted = stage().plates(
-        filmed(read_robot(), straight.base, straight.nodes, directors)
-    )
-    for name, plate in stage().plates(straight).items():
-        turned = np.arccos(
-            min(1.0, plate.rotation[:, 2] @ twisted[name].rotation[:, 2])
-        )
-        share = {"torso": 0.0, "base": 0.0, "third": 1 / 3, "thirds": 2 / 3, "tip": 1.0}
-        assert turned == pytest.approx(
-            0.3 * share[name.rpartition("_")[2]], abs=0.02
-        ), name

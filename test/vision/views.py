@@ -67,9 +67,8 @@ def write_chessboard(folder, count):
     rng = np.random.default_rng(0)
     shown = chessboard(VISION)
     size = np.array(shown.getChessboardSize()) * shown.getSquareLength()  # m
-    sheet = shown.generateImage(
-        np.round(3000.0 * size).astype(int).tolist()
-    )  # 3000 px per m
+    # 3000 px per m
+    sheet = shown.generateImage(np.round(3000.0 * size).astype(int).tolist())
     camera = SyntheticCamera(CAMERA, Imperfections(), rng)
     folder.mkdir()
     for number in range(count):

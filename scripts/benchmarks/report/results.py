@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import ROOT, Check, about, known
-from slot_core.recording.bag_error import BagError
+from slot_core.recording.record_settings import BagError
 from slot_core.refusal import InputError, quoted
 
 BENCHMARKS = ROOT / "scripts" / "benchmarks"

@@ -21,7 +21,7 @@ from slot_bringup.playing.status_text import Costs, of_speed, strong
 from slot_core.control.pace import Speed
 from slot_core.drawing import palette
 from slot_core.drawing.shapes import FORCE_SCALE, Arrows, rgb
-from slot_core.recording.bag_error import BagError
+from slot_core.recording.record_settings import BagError
 from slot_core.robot import read_robot
 from slot_lab.play.played_robot import FRAME, PlayedRobot
 

@@ -22,10 +22,10 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import Bool, String
 
 from slot_core import config
-from slot_core.recording.bag_error import BagError
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.origin import origin_here
 from slot_core.recording.record_settings import (
+    BagError,
     RecordedTopic,
     read_record_settings,
     root_of,

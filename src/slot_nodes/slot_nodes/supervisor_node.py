@@ -178,7 +178,7 @@ class SupervisorNode(Node):
 
     def _on_state(self, message: MpcState) -> None:
         estimate = decode.estimate(message)
-        receive = self._supervisor.receive_from_estimator
+        receive = self._supervisor.receive_estimate
         self._take("state_estimator", estimate.stamp, receive, estimate)
 
     def _on_plan(self, message: TendonPlan) -> None:
@@ -187,11 +187,11 @@ class SupervisorNode(Node):
     def _receive_plan(self, now: int, plan: TendonPlan) -> None:
         self._diagnostics.plan = plan
         given = plan.status, plan.fallback_cycles, plan.period
-        self._supervisor.receive_from_mpc(now, *given)
+        self._supervisor.receive_mpc(now, *given)
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
-        receive = self._supervisor.receive_from_force_map
+        receive = self._supervisor.receive_command
         if fault := self._take("force_mapper", stamp, receive, stamp, angle, rate):
             self._step()
             raise ValueError(fault)

@@ -1,6 +1,6 @@
 """Drawing of the robot for a viewer, kept up to date by the messages of the graph.
 
-The messages may be rclpy's or those that the `rosbags` library reads from a bag. On the real robot
+The messages may come from rclpy or, read by the `rosbags` library, from a bag. On the real robot
 no topic has the shape of the legs: they are then drawn as without stress, and pale.
 """
 
@@ -39,17 +39,20 @@ REFERENCE, DEMANDED = rgb(palette.SECONDARY), rgb(palette.INK)
 
 
 class Trace:
-    """Line through the places where something was."""
+    """Line through the places where something was, drawn by a name and in a colour."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str, colour: Array) -> None:
+        self._name, self._colour = name, colour
         self._points: list[Array] = []
 
-    def extend(self, point: Array) -> Array | None:
-        """Points (n, 3) m of the line with one more; None if it is closer than PATH_STEP."""
+    def extend(self, point: Array) -> dict[str, Shape]:
+        """The line with one more point (3,) m; nothing if that is closer than PATH_STEP."""
         if self._points and np.linalg.norm(point - self._points[-1]) < PATH_STEP:
-            return None
+            return {}
         self._points = [*self._points[-PATH_POINTS + 1 :], point]
-        return np.array(self._points) if len(self._points) > 1 else None
+        if len(self._points) == 1:
+            return {}
+        return {self._name: path_strip(np.array(self._points), self._colour)}
 
 
 class Drawing:
@@ -63,10 +66,10 @@ class Drawing:
         self._legs = natural_legs(
             self._position, self._quaternion, robot, NATURAL_NODES
         )
-        self._placed = self._simulated = (
-            False  # whether a pose, the exact one has been received
-        )
-        self._path, self._reference_path = Trace(), Trace()
+        self._placed = False  # whether a pose has been received
+        self._simulated = False  # whether the exact pose has been received
+        self._path = Trace("path", LEG_COLOURS[0])
+        self._reference_path = Trace("reference_path", REFERENCE)
 
     def receive(self, topic: str, message: Any) -> dict[str, Shape]:
         """Shapes that a message changes; none of a topic that is not drawn.
@@ -94,15 +97,8 @@ class Drawing:
     def _draw_torso(self, position: Array, quaternion: Array) -> dict[str, Shape]:
         self._position, self._quaternion = _finite(position), _finite(quaternion)
         self._placed = True
-        path = self._path.extend(position)
-        shapes: dict[str, Shape] = {
-            "torso": torso_box(position, quaternion, self._robot)
-        }
-        return (
-            shapes
-            if path is None
-            else shapes | {"path": path_strip(path, LEG_COLOURS[0])}
-        )
+        torso = torso_box(position, quaternion, self._robot)
+        return {"torso": torso} | self._path.extend(position)
 
     def _draw_legs(self, message: Any) -> dict[str, Shape]:
         self._simulated = True
@@ -135,12 +131,7 @@ class Drawing:
             "reference": box_edges(position, quaternion, size, REFERENCE),
             "horizon": path_strip(reference[:, 3:6], REFERENCE),
         }
-        path = self._reference_path.extend(position)
-        return (
-            shapes
-            if path is None
-            else shapes | {"reference_path": path_strip(path, REFERENCE)}
-        )
+        return shapes | self._reference_path.extend(position)
 
     def _draw_plan(self, message: Any) -> dict[str, Shape]:
         """Planned forces of the first stage at the tips of the legs, and the predicted motion."""

@@ -19,9 +19,8 @@ from slot_core.robot import LEGS, RobotParameters
 FORCE_SCALE = 0.012  # m of arrow per N
 LEAST_FORCE = 0.2  # N, smaller forces are not drawn
 TENDON_WIDTH, ARROW_WIDTH, EDGE_WIDTH, PATH_WIDTH = 0.002, 0.003, 0.001, 0.002  # m
-CORNERS = np.array(
-    list(itertools.product((-0.5, 0.5), repeat=3))
-)  # of a box of edge length one
+# corners of a box of edge length one
+CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 # a walk along all twelve edges, by row of CORNERS
 EDGE_WALK = [0, 1, 3, 2, 0, 4, 5, 1, 5, 7, 3, 7, 6, 2, 6, 4]
 
@@ -111,13 +110,13 @@ class Legs:
 
     @property
     def fraction(self) -> Array:
-        """(4, n) arc lengths of the nodes over those of the legs."""
+        """(4, n) arc lengths of the nodes as shares of the legs' lengths."""
         arc = np.linalg.norm(np.diff(self.nodes, axis=1), axis=2).cumsum(axis=1)
         return np.pad(arc / arc[:, -1:], ((0, 0), (1, 0)))
 
 
 def _at_nodes(values: Array) -> Array:
-    """Unit vectors (4, n, 3) at the nodes from those of the segments (4, n - 1, 3)."""
+    """Unit vectors (4, n, 3) at the nodes from the segments' vectors (4, n - 1, 3)."""
     between = values[:, :-1] + values[:, 1:]
     return _unit(np.concatenate([values[:, :1], between, values[:, -1:]], axis=1))
 

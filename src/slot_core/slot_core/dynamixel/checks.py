@@ -25,6 +25,15 @@ ZERO_DIGITS = 2  # of a zero in deg
 SPREAD_MAX = 3  # counts, largest spread of the readings of a servo at rest
 NUMBER = r"-?\d+(?:\.\d+)?"
 
+EEPROM = (  # first and last of adjacent registers
+    ("id", "protocol_type"),
+    ("homing_offset", "moving_threshold"),
+    ("temperature_limit", "pwm_limit"),
+    ("velocity_limit", "min_position_limit"),
+    ("startup_configuration", "startup_configuration"),
+    ("shutdown", "shutdown"),
+)
+
 
 @dataclass(frozen=True)
 class ServoInfo:
@@ -35,22 +44,6 @@ class ServoInfo:
     model: int
     firmware: int
     values: Mapping[str, int]
-
-
-def inspect(bus: Bus, joint: Joint) -> ServoInfo:
-    """Read identity and EEPROM of a servo; raises CommunicationError, InstructionError."""
-    model, firmware = bus.ping(joint.id)
-    values: dict[str, int] = {}
-    for first, last in (
-        ("id", "protocol_type"),
-        ("homing_offset", "moving_threshold"),
-        ("temperature_limit", "pwm_limit"),
-        ("velocity_limit", "min_position_limit"),
-        ("startup_configuration", None),
-        ("shutdown", None),
-    ):
-        values |= bus.read(joint.id, first, last)
-    return ServoInfo(joint.leg, joint.id, model, firmware, values)
 
 
 def expected(settings: DynamixelSettings, joint: Joint) -> dict[str, int]:
@@ -64,33 +57,33 @@ def expected(settings: DynamixelSettings, joint: Joint) -> dict[str, int]:
     }
 
 
-def differences(
-    settings: DynamixelSettings, joint: Joint, info: ServoInfo
-) -> list[str]:
-    """Differences of a servo from the configuration, one line each; empty if there are none."""
-    setup, reasons = settings.servo, []
-    if info.model != setup.model:
-        reasons.append(f"{joint.name}: model {info.model}, expected {setup.model}")
-    if info.firmware < setup.firmware_min:
-        reasons.append(
-            f"{joint.name}: firmware {info.firmware}, expected {setup.firmware_min} or newer"
-        )
-    return reasons + [
-        f"{joint.name}: {name} is {info.values[name]}, expected {value}"
-        for name, value in expected(settings, joint).items()
-        if info.values[name] != value
-    ]
-
-
 def examine(
     bus: Bus, settings: DynamixelSettings, joint: Joint
 ) -> tuple[ServoInfo | None, list[str]]:
-    """Identity and differences of a servo; None and the error if it does not answer."""
+    """Identity and EEPROM of a servo, and its differences from the configuration, one line each.
+
+    None and the error if it does not answer.
+    """
+    values: dict[str, int] = {}
     try:
-        info = inspect(bus, joint)
+        model, firmware = bus.ping(joint.id)
+        for first, last in EEPROM:
+            values |= bus.read(joint.id, first, last)
     except (CommunicationError, InstructionError) as error:
         return None, [str(error)]
-    return info, differences(settings, joint, info)
+    setup, reasons = settings.servo, []
+    if model != setup.model:
+        reasons.append(f"{joint.name}: model {model}, expected {setup.model}")
+    if firmware < setup.firmware_min:
+        reasons.append(
+            f"{joint.name}: firmware {firmware}, expected {setup.firmware_min} or newer"
+        )
+    reasons += [
+        f"{joint.name}: {name} is {values[name]}, expected {value}"
+        for name, value in expected(settings, joint).items()
+        if values[name] != value
+    ]
+    return ServoInfo(joint.leg, joint.id, model, firmware, values), reasons
 
 
 def measure_zero(bus: Bus, joint: Joint, sleep: Callable[[float], None]) -> float:

@@ -1,13 +1,14 @@
 """Driver of four Dynamixel servos, which implements `ServoBus` and `ServoMaintenance`.
 
-Model, firmware and EEPROM of every servo are checked; every write but those of a cycle is read
-back. Raises also CommunicationError and InstructionError of `bus.py`, which are ServoErrors.
+Model, firmware and EEPROM of every servo are checked; every write outside a cycle is read back.
+Raises also CommunicationError and InstructionError of `bus.py`, which are ServoErrors.
 """
 
 import contextlib
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -104,7 +105,7 @@ class Driver:
             self._prepare()
             for index, joint in enumerate(self.joints):
                 self.bus.write_verified(joint.id, "torque_enable", 1)
-                self._set_health(index, replace(self.health[index], torque=True))
+                self._change_health(index, torque=True)
         except RefusedError:
             self.torque_off()
             raise
@@ -302,20 +303,15 @@ class Driver:
         """Update the health from the cycle; read one slow register span from one servo."""
         turn, self._turn = self._turn, self._turn + 1
         for index, reading in enumerate(readings):
-            self._update_quality(index, reading)
-            if self.joints[index].id in self._alerts:
+            identity = self.joints[index].id
+            self._change_health(index, error_rate=self.bus.error_rate(identity))
+            if reading is not None:
+                self._change_health(index, last_answer=reading.time)
+            if identity in self._alerts:
                 self._read_slow(index, SLOW[1])
         index = turn % len(LEGS)
         if readings[index] is not None:
             self._read_slow(index, SLOW[turn // len(LEGS) % len(SLOW)])
-
-    def _update_quality(self, index: int, reading: ServoReading | None) -> None:
-        """Update error rate and time of the last answer."""
-        rate = self.bus.error_rate(self.joints[index].id)
-        health = replace(self.health[index], error_rate=rate)
-        if reading is not None:
-            health = replace(health, last_answer=reading.time)
-        self._set_health(index, health)
 
     def _read_slow(self, index: int, item: tuple[str, str]) -> None:
         try:
@@ -324,22 +320,22 @@ class Driver:
             raise
         except ServoError:
             return  # counted by the bus; the last values stay
-        health = self.health[index]
         if "torque_enable" in values:
-            health = replace(health, torque=bool(values["torque_enable"]))
+            self._change_health(index, torque=bool(values["torque_enable"]))
         if "hardware_error_status" in values:
-            health = replace(health, hardware_error=values["hardware_error_status"])
+            error = values["hardware_error_status"]
+            self._change_health(index, hardware_error=error)
         if "bus_watchdog" in values:
-            health = replace(health, stopped=values["bus_watchdog"] < 0)
+            self._change_health(index, stopped=values["bus_watchdog"] < 0)
         if "present_temperature" in values:
-            health = replace(
-                health,
+            self._change_health(
+                index,
                 temperature=float(values["present_temperature"]),
                 voltage=values["present_input_voltage"] * VOLTAGE_UNIT,
             )
-        self._set_health(index, health)
 
-    def _set_health(self, index: int, health: ServoStatus) -> None:
+    def _change_health(self, index: int, **changes: Any) -> None:
+        health = replace(self.health[index], **changes)
         self.health = (*self.health[:index], health, *self.health[index + 1 :])
 
     def _confirm_off(self, index: int, joint: Joint) -> str:
@@ -351,7 +347,7 @@ class Driver:
             except ServoError as error:
                 reason = str(error)
                 continue
-            self._set_health(index, replace(self.health[index], torque=False))
+            self._change_health(index, torque=False)
             with contextlib.suppress(ServoError):  # without effect once torque is off
                 self.bus.write(joint.id, "bus_watchdog", 0)
             return ""

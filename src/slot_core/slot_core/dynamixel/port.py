@@ -128,9 +128,8 @@ class SerialPort(PortHandler):
                 raise OSError("the port is not open")
             return action()
         except (OSError, termios.error, TypeError, ValueError) as error:
-            self.is_using = (
-                False  # TypeError, ValueError: another thread has closed the port
-            )
+            # TypeError, ValueError: another thread has closed the port
+            self.is_using = False
             raise PortError(f"{self.port_name}: {error}") from None
 
 

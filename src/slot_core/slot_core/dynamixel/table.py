@@ -9,8 +9,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from slot_core.faults import HARDWARE_ERROR_BITS
-
 MODEL_NUMBER = 1060
 COUNTS = 4096  # of the position encoder, per turn
 TABLE_END = 662  # first address after the table
@@ -49,12 +47,11 @@ class Mode(enum.IntEnum):
 
 @dataclass(frozen=True)
 class Register:
-    """One item of the control table; `low`, `high`: its range, both included, in its unit."""
+    """One item of the control table; `low`, `high`: its range, both included."""
 
     name: str
     address: int
-    size: int
-    unit: str
+    size: int  # bytes
     writable: bool
     initial: int
     low: int
@@ -82,95 +79,91 @@ class Register:
         return int.from_bytes(data, "little", signed=self.signed)
 
 
-_GAIN = (0, 16383)
-_FULL = {1: (0, 255), 2: (0, 65535), 4: (0, 2**32 - 1)}
-
-# name, address, size, unit, access, initial value, (low, high), signed if "s"
-_ROWS: tuple[tuple[str, int, int, str, str, int, tuple[int, int], str], ...] = (
-    ("model_number", 0, 2, "", "r", MODEL_NUMBER, _FULL[2], ""),
-    ("model_information", 2, 4, "", "r", 0, _FULL[4], ""),
-    ("firmware_version", 6, 1, "", "r", 45, _FULL[1], ""),
-    ("id", 7, 1, "", "rw", 1, (0, 252), ""),
-    ("baud_rate", 8, 1, "code", "rw", 1, (0, 7), ""),
-    ("return_delay_time", 9, 1, "2 us", "rw", 250, (0, 254), ""),
-    ("drive_mode", 10, 1, "bits", "rw", 0, (0, 13), ""),
-    ("operating_mode", 11, 1, "", "rw", Mode.POSITION, (0, 16), ""),
-    ("secondary_id", 12, 1, "", "rw", NO_SECONDARY_ID, (0, 255), ""),
-    ("protocol_type", 13, 1, "", "rw", 2, (1, 2), ""),
-    ("homing_offset", 20, 4, "count", "rw", 0, (-1044479, 1044479), "s"),
-    ("moving_threshold", 24, 4, "0.229 rpm", "rw", 10, (0, 1023), ""),
-    ("temperature_limit", 31, 1, "degC", "rw", 72, (0, 100), ""),
-    ("max_voltage_limit", 32, 2, "0.1 V", "rw", 140, (60, 140), ""),
-    ("min_voltage_limit", 34, 2, "0.1 V", "rw", 60, (60, 140), ""),
-    ("pwm_limit", 36, 2, "1/885", "rw", PWM_FULL, (0, PWM_FULL), ""),
-    ("velocity_limit", 44, 4, "0.229 rpm", "rw", 265, (0, 1023), ""),
-    ("max_position_limit", 48, 4, "count", "rw", COUNTS - 1, (0, COUNTS - 1), ""),
-    ("min_position_limit", 52, 4, "count", "rw", 0, (0, COUNTS - 1), ""),
-    ("startup_configuration", 60, 1, "bits", "rw", 0, (0, 3), ""),
-    ("shutdown", 63, 1, "bits", "rw", 52, (0, HARDWARE_ERROR_BITS), ""),
-    ("torque_enable", 64, 1, "", "rw", 0, (0, 1), ""),
-    ("led", 65, 1, "", "rw", 0, (0, 1), ""),
-    ("status_return_level", 68, 1, "", "rw", 2, (0, 2), ""),
-    ("registered_instruction", 69, 1, "", "r", 0, (0, 1), ""),
-    ("hardware_error_status", 70, 1, "bits", "r", 0, _FULL[1], ""),
-    ("velocity_i_gain", 76, 2, "1/65536", "rw", 1000, _GAIN, ""),
-    ("velocity_p_gain", 78, 2, "1/128", "rw", 100, _GAIN, ""),
-    ("position_d_gain", 80, 2, "1/16", "rw", 4000, _GAIN, ""),
-    ("position_i_gain", 82, 2, "1/65536", "rw", 0, _GAIN, ""),
-    ("position_p_gain", 84, 2, "1/128", "rw", 640, _GAIN, ""),
-    ("feedforward_2nd_gain", 88, 2, "1/4", "rw", 0, _GAIN, ""),
-    ("feedforward_1st_gain", 90, 2, "1/4", "rw", 0, _GAIN, ""),
-    (
-        "bus_watchdog",
-        98,
-        1,
-        "20 ms",
-        "rw",
-        0,
-        (0, 127),
-        "s",
-    ),  # reads -1 after it has tripped
-    ("goal_pwm", 100, 2, "1/885", "rw", PWM_FULL, (-PWM_FULL, PWM_FULL), "s"),
-    ("goal_velocity", 104, 4, "0.229 rpm", "rw", 0, (-1023, 1023), "s"),
-    ("profile_acceleration", 108, 4, "214.577 rev/min^2", "rw", 0, (0, 32767), ""),
-    ("profile_velocity", 112, 4, "0.229 rpm", "rw", 0, (0, 32767), ""),
-    ("goal_position", 116, 4, "count", "rw", 0, (-1048575, 1048575), "s"),
-    ("realtime_tick", 120, 2, "ms", "r", 0, (0, 32767), ""),
-    ("moving", 122, 1, "", "r", 0, (0, 1), ""),
-    ("moving_status", 123, 1, "bits", "r", 0, _FULL[1], ""),
-    ("present_pwm", 124, 2, "1/885", "r", 0, (-PWM_FULL, PWM_FULL), "s"),
-    ("present_load", 126, 2, "0.1 %", "r", 0, (-LOAD_FULL, LOAD_FULL), "s"),
-    ("present_velocity", 128, 4, "0.229 rpm", "r", 0, (-(2**31), 2**31 - 1), "s"),
-    ("present_position", 132, 4, "count", "r", 0, (-(2**31), 2**31 - 1), "s"),
-    ("velocity_trajectory", 136, 4, "0.229 rpm", "r", 0, (-(2**31), 2**31 - 1), "s"),
-    ("position_trajectory", 140, 4, "count", "r", 0, (-(2**31), 2**31 - 1), "s"),
-    ("present_input_voltage", 144, 2, "0.1 V", "r", 0, _FULL[2], ""),
-    ("present_temperature", 146, 1, "degC", "r", 0, _FULL[1], ""),
-    ("backup_ready", 147, 1, "", "r", 0, (0, 1), ""),
-)
+# Bus Watchdog reads -1 after it has tripped. A unit of 1: a number without unit.
+_ROWS = """
+name                    address  bytes  access  sign  initial       lowest     highest  unit
+model_number                  0      2  r       +        1060            0       65535  1
+model_information             2      4  r       +           0            0  4294967295  1
+firmware_version              6      1  r       +          45            0         255  1
+id                            7      1  rw      +           1            0         252  1
+baud_rate                     8      1  rw      +           1            0           7  code
+return_delay_time             9      1  rw      +         250            0         254  2 us
+drive_mode                   10      1  rw      +           0            0          13  bits
+operating_mode               11      1  rw      +           3            0          16  1
+secondary_id                 12      1  rw      +         255            0         255  1
+protocol_type                13      1  rw      +           2            1           2  1
+homing_offset                20      4  rw      +-          0     -1044479     1044479  count
+moving_threshold             24      4  rw      +          10            0        1023  0.229 rpm
+temperature_limit            31      1  rw      +          72            0         100  degC
+max_voltage_limit            32      2  rw      +         140           60         140  0.1 V
+min_voltage_limit            34      2  rw      +          60           60         140  0.1 V
+pwm_limit                    36      2  rw      +         885            0         885  1/885
+velocity_limit               44      4  rw      +         265            0        1023  0.229 rpm
+max_position_limit           48      4  rw      +        4095            0        4095  count
+min_position_limit           52      4  rw      +           0            0        4095  count
+startup_configuration        60      1  rw      +           0            0           3  bits
+shutdown                     63      1  rw      +          52            0          61  bits
+torque_enable                64      1  rw      +           0            0           1  1
+led                          65      1  rw      +           0            0           1  1
+status_return_level          68      1  rw      +           2            0           2  1
+registered_instruction       69      1  r       +           0            0           1  1
+hardware_error_status        70      1  r       +           0            0         255  bits
+velocity_i_gain              76      2  rw      +        1000            0       16383  1/65536
+velocity_p_gain              78      2  rw      +         100            0       16383  1/128
+position_d_gain              80      2  rw      +        4000            0       16383  1/16
+position_i_gain              82      2  rw      +           0            0       16383  1/65536
+position_p_gain              84      2  rw      +         640            0       16383  1/128
+feedforward_2nd_gain         88      2  rw      +           0            0       16383  1/4
+feedforward_1st_gain         90      2  rw      +           0            0       16383  1/4
+bus_watchdog                 98      1  rw      +-          0            0         127  20 ms
+goal_pwm                    100      2  rw      +-        885         -885         885  1/885
+goal_velocity               104      4  rw      +-          0        -1023        1023  0.229 rpm
+profile_acceleration        108      4  rw      +           0            0       32767  214.577 rev/min^2
+profile_velocity            112      4  rw      +           0            0       32767  0.229 rpm
+goal_position               116      4  rw      +-          0     -1048575     1048575  count
+realtime_tick               120      2  r       +           0            0       32767  ms
+moving                      122      1  r       +           0            0           1  1
+moving_status               123      1  r       +           0            0         255  bits
+present_pwm                 124      2  r       +-          0         -885         885  1/885
+present_load                126      2  r       +-          0        -1000        1000  0.1 %
+present_velocity            128      4  r       +-          0  -2147483648  2147483647  0.229 rpm
+present_position            132      4  r       +-          0  -2147483648  2147483647  count
+velocity_trajectory         136      4  r       +-          0  -2147483648  2147483647  0.229 rpm
+position_trajectory         140      4  r       +-          0  -2147483648  2147483647  count
+present_input_voltage       144      2  r       +           0            0       65535  0.1 V
+present_temperature         146      1  r       +           0            0         255  degC
+backup_ready                147      1  r       +           0            0           1  1
+"""
 
 # Two banks of 28: indirect data k is an alias of the byte whose address is in indirect address k.
 INDIRECT_BANKS = ((168, 224), (578, 634))  # first address register, first data byte
 INDIRECT_COUNT = 28
 
 
-def _indirect() -> Iterator[Register]:
-    for bank, (address, data) in enumerate(INDIRECT_BANKS):
-        for i in range(INDIRECT_COUNT):
-            number = bank * INDIRECT_COUNT + i + 1
-            where, limits = address + 2 * i, (RAM_START, TABLE_END - 1)
+def _registers() -> Iterator[Register]:
+    for row in _ROWS.strip().splitlines()[1:]:
+        name, address, size, access, sign, *numbers, _ = row.split(maxsplit=8)
+        initial, low, high = map(int, numbers)
+        writable, signed = access == "rw", sign == "+-"
+        yield Register(
+            name, int(address), int(size), writable, initial, low, high, signed
+        )
+    for bank, (pointer, data) in enumerate(INDIRECT_BANKS):
+        for k in range(INDIRECT_COUNT):
+            number = bank * INDIRECT_COUNT + k + 1
             yield Register(
-                f"indirect_address_{number}", where, 2, "", True, data + i, *limits
+                f"indirect_address_{number}",
+                pointer + 2 * k,
+                size=2,
+                writable=True,
+                initial=data + k,
+                low=RAM_START,
+                high=TABLE_END - 1,
             )
-            yield Register(f"indirect_data_{number}", data + i, 1, "", True, 0, 0, 255)
+            yield Register(f"indirect_data_{number}", data + k, 1, True, 0, 0, 255)
 
 
-REGISTERS: tuple[Register, ...] = tuple(
-    Register(
-        name, address, size, unit, access == "rw", int(initial), *limits, sign == "s"
-    )
-    for name, address, size, unit, access, initial, limits, sign in _ROWS
-) + tuple(_indirect())
+REGISTERS = tuple(_registers())
 
 TABLE: dict[str, Register] = {register.name: register for register in REGISTERS}
 

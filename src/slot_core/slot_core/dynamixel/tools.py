@@ -1,6 +1,7 @@
 """Tools for Dynamixel servos on the bench; each returns its exit code."""
 
 import argparse
+import contextlib
 import dataclasses
 import math
 import signal
@@ -135,7 +136,7 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     servos = EmulatedDynamixels(settings, emulator)
     for end in (signal.SIGINT, signal.SIGTERM):  # a shell's `&` makes SIGINT ignored
         signal.signal(end, signal.default_int_handler)
-    with servos.serve(options.link) as terminal:
+    with contextlib.closing(servos.serve(options.link)) as terminal:
         print(terminal.name, flush=True)
         last = time.monotonic()
         try:

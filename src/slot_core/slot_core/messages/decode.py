@@ -4,7 +4,6 @@ Independent of ROS: the functions only read attributes, so they decode rclpy's m
 as well as the messages that the `rosbags` library reads from a bag.
 """
 
-import math
 from dataclasses import fields
 from typing import Any
 
@@ -210,7 +209,9 @@ def _of_stages(
 
     Raises ValueError for another number of values.
     """
-    stages, each = int(message.stages), math.prod(shape)
+    stages, each = int(message.stages), 1
+    for count in shape:
+        each *= count
     values = np.array(getattr(message, name, ()))
     if optional and not values.size:
         return values.reshape(0, *shape)
@@ -225,8 +226,8 @@ def legs(message: Any) -> tuple[int, Array, Array, Array, Array]:
     """(stamp, tension (4,) N, ground force (4, 3) N, nodes (4, n, 3) m, directors), all in odom.
 
     directors: (4, n - 1, 3), or (4, 0, 3) where the legs have none, as in messages recorded before
-    the field existed. Raises ValueError if positions or directors are not those of the stated
-    number of nodes, or not finite.
+    the field existed. Raises ValueError if positions or directors do not fit the stated number
+    of nodes, or are not finite.
     """
     count, position = int(message.nodes), np.array(message.position, dtype=np.float64)
     director = np.array(getattr(message, "director", ()), dtype=np.float64)

@@ -16,10 +16,9 @@ from typing import Any
 import yaml
 from mcap.writer import Writer
 
-from slot_core.recording.bag_error import BagError
 from slot_core.recording.message_types import message_types
 from slot_core.recording.origin import ORIGIN, Origin
-from slot_core.recording.record_settings import RecordedTopic, RecordSettings
+from slot_core.recording.record_settings import BagError, RecordedTopic, RecordSettings
 
 VERSION = 9  # of metadata.yaml
 FOREVER = {

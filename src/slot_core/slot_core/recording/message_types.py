@@ -30,7 +30,7 @@ def add_installed(types: Types) -> None:
 
 @functools.lru_cache(maxsize=8)
 def types_inside(definitions: tuple[tuple[str, str], ...]) -> Types:
-    """The types of Jazzy and those of (type name, definition) pairs from a bag.
+    """The types of Jazzy and the (type name, definition) pairs of a bag.
 
     Kept, as the library compiles the decoder of every type anew for each store.
     """

@@ -12,7 +12,7 @@ from typing import Any
 
 from slot_core import config
 from slot_core.names import ONNX
-from slot_core.recording.bag_error import BagError
+from slot_core.recording.record_settings import BagError
 from slot_core.refusal import printable, read_bytes
 
 ORIGIN = "slot"  # name of the MCAP metadata record
@@ -32,9 +32,8 @@ NETWORK = "policy.onnx"  # attachment of a policy that is a network
 class Origin:
     """Revision, arguments and files that made a bag; empty if none are recorded."""
 
-    about: Mapping[str, str] = field(
-        default_factory=dict
-    )  # revision, and the graph's arguments
+    # revision, and the graph's arguments
+    about: Mapping[str, str] = field(default_factory=dict)
     files: Mapping[str, bytes] = field(default_factory=dict)  # attachments by name
 
     def changed_files(self) -> list[str]:

@@ -1,12 +1,21 @@
-"""Recorded topics, and how the files of a bag are written (`config/record.yaml`)."""
+"""Recorded topics, how the files of a bag are written (`config/record.yaml`), errors of bags."""
 
 import dataclasses
 from dataclasses import dataclass
 
 from slot_core import config
 from slot_core.config import choice, quantity, text
+from slot_core.refusal import InputError
 
 VELOCITY = "cmd_vel"
+
+
+class BagError(InputError):
+    """A bag that cannot be read or written; the message has its path and the cause."""
+
+
+class NoFieldError(BagError):
+    """The messages of a topic have no field of that name."""
 
 
 @dataclass(frozen=True)

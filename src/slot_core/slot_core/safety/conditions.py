@@ -1,6 +1,6 @@
 """Conditions that forbid motion, from the newest inputs.
 
-Times are those of a clock that never goes back, ns. A source that never reported has infinite age.
+Times are on a clock that never goes back, ns. A source that never reported has infinite age.
 """
 
 import math

@@ -4,7 +4,7 @@ A source is a terminal or a button, told apart by its name. It repeats its state
 is noticed. A source that is lost while pressed stays pressed until an operator says that it is
 gone. One that is lost while released counts as lost until it is back, or until a reset with
 another source alive.
-Times are those of a clock that never goes back, ns.
+Times are on a clock that never goes back, ns.
 """
 
 from dataclasses import dataclass

@@ -2,7 +2,7 @@
 
 Over the last `window` the torso moves by the extent d of its pose,
 
-    d^2 = sum of the extents of x, y, z squared + (`lever` times those of roll, pitch, yaw) squared,
+    d^2 = x^2 + y^2 + z^2 + `lever`^2 (roll^2 + pitch^2 + yaw^2)   with the extents of each,
 
 and the commands by the largest extent c of an angle. Legs that bend move the torso by d / c, in
 whatever direction: on its place, where the feet slide, or where the torso lies on the floor.

@@ -32,16 +32,14 @@ def extrapolated(angle: Array, rate: Array, age: float | Array) -> Array:
     return angle + passed[..., None] * rate
 
 
-def command_fault(angle: Array, rate: Array, low: float, high: float) -> str:
-    """One line that names the first angle outside [low, high] or value not finite, or ""."""
+def command_fault(angle: Array, rate: Array, angle_max: float) -> str:
+    """One line that names the first angle outside [0, angle_max] or value not finite, or ""."""
     for name, values in (("command", angle), ("rate", rate)):
         if np.shape(values) != (len(LEGS),):
             return f"{name} has the shape {np.shape(values)}, limit ({len(LEGS)},)"
     for leg, value in zip(LEGS, angle):
-        if not low <= value <= high:  # NaN is not
-            return (
-                f"command {leg} = {value:.4g} rad is not inside [{low:.4g}, {high:.4g}]"
-            )
+        if not 0.0 <= value <= angle_max:  # NaN is not
+            return f"command {leg} = {value:.4g} rad is not inside [0, {angle_max:.4g}]"
     for leg, value in zip(LEGS, rate):
         if not np.isfinite(value):
             return f"rate {leg} = {value:.4g} rad/s is not finite"
@@ -66,17 +64,17 @@ def unchanged(action: Action, angle: Array, torque: bool) -> Goals:
 class RateLimiter:
     """Last accepted command, and goals that approach it at a limited rate.
 
-    Times are those of a clock that never goes back, ns.
+    Times are on a clock that never goes back, ns.
     """
 
-    def __init__(self, settings: GateSettings, low: float, high: float):
-        """Commands within [low, high], rad; `low` is slack.
+    def __init__(self, settings: GateSettings, angle_max: float):
+        """Commands within [0, `angle_max`], rad; 0 is slack.
 
         Raises ConfigError when the ramp to slack takes longer than `relax_time`.
         """
-        settings.check_ramp(high - low)
-        self.settings, self._low, self._high = settings, low, high
-        self._target = np.full(len(LEGS), low)
+        settings.check_ramp(angle_max)
+        self.settings, self._angle_max = settings, angle_max
+        self._target = np.zeros(len(LEGS))
         self._target_rate, self._accepted = AT_REST, 0  # rad/s; ns, time of the command
         self._goal = self._target.copy()
         self._budget = np.zeros(len(LEGS))  # s
@@ -92,7 +90,7 @@ class RateLimiter:
 
     def offer(self, time: int, angle: Array, rate: Array = AT_REST) -> str:
         """Accept angles (4,), rad, at `time` and their rate (4,), rad/s; or return why not."""
-        fault = command_fault(angle, rate, self._low, self._high)
+        fault = command_fault(angle, rate, self._angle_max)
         if not fault:
             self._target = np.array(angle, dtype=np.float64)
             self._target_rate, self._accepted = np.array(rate, dtype=np.float64), time
@@ -100,7 +98,7 @@ class RateLimiter:
 
     def engage(self, angle: Array) -> None:
         """Set goals and command to the servos' angles (4,), rad: torque on without motion."""
-        self._goal = np.clip(np.asarray(angle, dtype=np.float64), self._low, self._high)
+        self._goal = np.clip(np.asarray(angle, dtype=np.float64), 0.0, self._angle_max)
         self._target, self._target_rate = self._goal.copy(), AT_REST
 
     def step(self, time: int, action: Action, fast: bool = False) -> Goals:
@@ -123,7 +121,7 @@ class RateLimiter:
         """Angles (4,), rad, of the command at `time`."""
         age = to_seconds(time - self._accepted)
         return np.clip(
-            extrapolated(self._target, self._target_rate, age), self._low, self._high
+            extrapolated(self._target, self._target_rate, age), 0.0, self._angle_max
         )
 
     def _elapsed(self, time: int) -> float:
@@ -144,7 +142,7 @@ class RateLimiter:
 
     def _relax(self, time: int) -> Goals:
         """Ramp to slack; torque goes off at its end, whether or not the servos have followed."""
-        slack = np.full(len(LEGS), self._low)
+        slack = np.zeros(len(LEGS))
         moved = self._move(slack, self.settings.relax_rate)
         expired = time - self._since >= self.settings.relax_time * SECOND
         self._relaxed = self._relaxed or expired or bool((self._goal == slack).all())
@@ -158,5 +156,5 @@ class RateLimiter:
         self._budget = np.maximum(self._budget - np.abs(step) / rate, 0.0)
         # clipped, because goal + distance may round to beyond the limit
         goal = np.where(slewed, self._goal + step, target)
-        self._goal = np.clip(goal, self._low, self._high)
+        self._goal = np.clip(goal, 0.0, self._angle_max)
         return Goals(self._action, self.goal, True, slewed)

@@ -171,7 +171,7 @@ LATCHED = (State.ESTOP, State.FAULT)  # left by RESET alone, which no way below 
 TO_RISE = {State.IDLE: Request.READY}
 TO_WALK = {State.READY: Request.STAND, State.STANDING: Request.WALK}
 TO_STAND = dict.fromkeys((State.READY, State.WALKING, State.HOLD), Request.STAND)
-# What comes before READY, STAND or WALK where they change nothing.
+# Advice where READY, STAND or WALK change nothing.
 _FIRST = {
     **dict.fromkeys(LATCHED, "reset first"),
     State.IDLE: "ready first",

@@ -3,7 +3,7 @@
 States and transitions are data (`states.py`). Conditions that forbid motion come from
 `conditions.py`, damaged tendons from `tendon_watch.py`. Commands do not pass through here: the
 driver and simulated servos check them and report back (`watchdog.py`).
-Every input and `step` carry the present time `now` (ns) of one clock, that of the messages' stamps.
+Every input and `step` carry the present time `now` (ns) on the clock of the messages' stamps.
 Bad data raise no exception: they are rejected, and then count as missing.
 """
 
@@ -52,9 +52,8 @@ class Report:
     since: int  # ns of `now` at the last transition
     warnings: tuple[str, ...]  # conditions that forbid motion now, one line each
     slack: Array  # (4,) m, extra length of the tendons, inferred from the load; NaN: unknown
-    resumed: (
-        bool  # whether the last transition led from HOLD back to the state before it
-    )
+    # whether the last transition led from HOLD back to the state before it
+    resumed: bool
     followed: bool  # whether the servos follow the commands, and have reached them once
 
     @property
@@ -112,9 +111,8 @@ class Supervisor:
         self._resumed = False  # whether the last transition led from HOLD back to it
         self._entered = 0  # steady time of the last transition
         self._ready_since = 0  # steady time of the last READY
-        self._clear_since: int | None = (
-            None  # steady time since which there is no reason to hold
-        )
+        # steady time since which there is no reason to hold
+        self._clear_since: int | None = None
         self._faulty = False  # whether RELAX ends in FAULT
         self._followed = False  # whether the servos follow the commands
         self._unfollowed = 0  # steady time when they did not, last
@@ -134,31 +132,6 @@ class Supervisor:
         """Stamp of the first message of a supervisor that the servos took, ns; None: no report."""
         return self._inputs.supervised
 
-    def receive_heartbeat(self, now: int, node: str) -> None:
-        """A message of one of `settings.nodes`."""
-        self._inputs.receive_heartbeat(self._advance(now), node)
-
-    def receive_from_estimator(self, now: int, estimate: Estimate) -> None:
-        """A message of the state estimator: its heartbeat, and the estimate."""
-        self.receive_heartbeat(now, "state_estimator")
-        self.receive_estimate(now, estimate)
-
-    def receive_from_mpc(
-        self, now: int, status: int, fallback_cycles: int, stride: float
-    ) -> None:
-        """A message of the MPC's node: its heartbeat, status of a cycle, period of the gait, s."""
-        self.receive_heartbeat(now, "mpc_controller")
-        self.receive_mpc(now, status, fallback_cycles)
-        if np.isfinite(stride) and stride > 0.0:
-            self._stride = float(stride)
-
-    def receive_from_force_map(
-        self, now: int, stamp: int, angle: Array, rate: Array
-    ) -> str:
-        """A message of the force mapper: its heartbeat, and the command; as `receive_command`."""
-        self.receive_heartbeat(now, "force_mapper")
-        return self.receive_command(now, stamp, angle, rate)
-
     def receive_nodes(self, names: Iterable[str]) -> None:
         """Names of the nodes that are there now."""
         self._companions.look(names)
@@ -175,14 +148,23 @@ class Supervisor:
         """Take a silent source of the e-stop for gone, pressed or not; or return why not."""
         return self._inputs.emergency_stop.forget(self._advance(now), source)
 
-    def receive_mpc(self, now: int, status: int, fallback_cycles: int) -> None:
-        """Status of a cycle of the MPC (`mpc.Status`), and cycles since the last solution."""
-        self._advance(now)
+    def receive_mpc(
+        self, now: int, status: int, fallback_cycles: int, stride: float
+    ) -> None:
+        """A message of the MPC's node, which is its heartbeat too.
+
+        status: of a cycle (`mpc.Status`), with the cycles since the last solution. stride: period of
+        the gait, s.
+        """
+        self._inputs.receive_heartbeat(self._advance(now), "mpc_controller")
         self._inputs.receive_mpc(status, fallback_cycles)
+        if np.isfinite(stride) and stride > 0.0:
+            self._stride = float(stride)
 
     def receive_estimate(self, now: int, estimate: Estimate) -> None:
-        """Estimate of the torso's state, usable or not."""
+        """Estimate of the torso's state, usable or not; heartbeat of the state estimator."""
         time = self._advance(now)
+        self._inputs.receive_heartbeat(time, "state_estimator")
         if self._stamp_fault("estimate", now, estimate.stamp):
             return
         self._inputs.receive_estimate(time, estimate)
@@ -195,11 +177,15 @@ class Supervisor:
     def receive_command(
         self, now: int, stamp: int, angle: Array, rate: Array = AT_REST
     ) -> str:
-        """Tendon angles (4,), rad, and their rate (4,), rad/s; returns why not accepted, or ""."""
+        """Tendon angles (4,), rad, and their rate (4,), rad/s; heartbeat of the force mapper.
+
+        Returns why the command is not accepted, or "".
+        """
         time = self._advance(now)
+        self._inputs.receive_heartbeat(time, "force_mapper")
         if fault := self._stamp_fault("command", now, stamp):
             return fault
-        fault = command_fault(angle, rate, 0.0, self._robot.tendon.angle_max)
+        fault = command_fault(angle, rate, self._robot.tendon.angle_max)
         if not fault:
             self._command = np.array(angle, dtype=np.float64)
         self._inputs.receive_command(time, fault)

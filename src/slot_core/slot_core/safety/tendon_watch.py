@@ -20,7 +20,7 @@ stride: on a simulated walk with up to 0.2 s of delay the inferred slack of soun
 with, is older than `age_max`; until a whole stride was in time the slack is unknown.
 
 Not detected: a tendon at an angle that needs hardly any tension (below some 20 deg), and a leg
-lifted by hand while the torso's height is that of a standing robot.
+lifted by hand while the torso stays at its standing height.
 """
 
 from dataclasses import dataclass, replace
@@ -95,7 +95,7 @@ class TendonWatch:
     ) -> TendonReport:
         """Take a reading of the servos at `stamp` (ns): (4,) rad, (4,) N m, clamps at (4,) m.
 
-        `stride` (s) is the period of the gait, `age` (s) that of the oldest of reading, estimate
+        `stride` (s) is the period of the gait, `age` (s) the age of the oldest of reading, estimate
         and command. Readings that are not finite or not newer than the last are ignored.
         """
         if age > self._limits.age_max:

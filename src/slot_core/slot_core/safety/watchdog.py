@@ -11,7 +11,7 @@
     a fault of the servos                        RELAX
 
 A RELAX begun by the watchdog itself lasts until the permission is OFF. The age of commands
-counts under PASS only. Times are those of a clock that never goes back, ns.
+counts under PASS only. Times are on a clock that never goes back, ns.
 """
 
 import math
@@ -55,34 +55,28 @@ class Permission:
 class ServoHealth:
     """State of the servos and their action on commands; arrays (4,) in the order of LEGS.
 
-    The values left out are those of servos without faults.
+    Defaults: servos without faults.
     """
 
     action: Action
     reason: str  # why the action is not PASS, or ""
     torque: NDArray[np.bool_]  # as read back
     goal: Array  # rad, tendon angles sent to the servos last
-    slewed: NDArray[np.bool_] = field(
-        default_factory=_no
-    )  # whether the rate limit held it back
-    silence: Array = field(
-        default_factory=ZEROS
-    )  # s since the last answer; inf: never answered
-    hardware_error: NDArray[np.int64] = field(
-        default_factory=_no_error
-    )  # bits of HardwareError
+    # whether the rate limit held it back
+    slewed: NDArray[np.bool_] = field(default_factory=_no)
+    # s since the last answer; inf: never answered
+    silence: Array = field(default_factory=ZEROS)
+    # bits of HardwareError
+    hardware_error: NDArray[np.int64] = field(default_factory=_no_error)
     temperature: Array = field(default_factory=UNKNOWN)  # degC; NaN: not known
     voltage: Array = field(default_factory=UNKNOWN)  # V; NaN: not known
-    error_rate: Array = field(
-        default_factory=ZEROS
-    )  # share of the last exchanges that failed
-    commanded: int = (
-        0  # ns, stamp of the command written last, in lockstep arrived last; 0: none
-    )
+    # share of the last exchanges that failed
+    error_rate: Array = field(default_factory=ZEROS)
+    # ns, stamp of the command written last, in lockstep arrived last; 0: none
+    commanded: int = 0
     written: int = 0  # ns, time of that
-    supervised: int = (
-        0  # ns, stamp of the first message of a supervisor that they took; 0: none
-    )
+    # ns, stamp of the first message of a supervisor that they took; 0: none
+    supervised: int = 0
 
 
 class Watchdog:
@@ -91,8 +85,8 @@ class Watchdog:
     Until the limits of the supervisor are set it rejects commands and ignores permissions.
     """
 
-    def __init__(self, low: float, high: float):
-        """Commands within [low, high], rad; `low` is slack."""
+    def __init__(self, angle_max: float):
+        """Commands within [0, `angle_max`], rad; 0 is slack."""
         self.action, self.reason = Action.HOLD, NO_LIMITS
         self.permission: Permission | None = None
         self.overdue = False  # whether a command or permission is too old
@@ -100,10 +94,9 @@ class Watchdog:
         self.supervised = 0  # ns, stamp of the first permission; 0: none
         self.limits: ServoLimits | None = None
         self._limiter: RateLimiter | None = None  # None: no limits yet
-        self._range = low, high
-        self._engaged = np.full(
-            len(LEGS), low
-        )  # rad, angles of the servos when torque came on
+        self._angle_max = angle_max
+        # rad, angles of the servos when torque came on
+        self._engaged = np.zeros(len(LEGS))
         self._commanded: int | None = None  # time of the last accepted command
 
     @property
@@ -116,7 +109,7 @@ class Watchdog:
         if limits == self.limits:
             return
         goal = self._engaged if self._limiter is None else self._limiter.goal
-        self._limiter, self.limits = RateLimiter(limits.gate, *self._range), limits
+        self._limiter, self.limits = RateLimiter(limits.gate, self._angle_max), limits
         self._limiter.engage(goal)
 
     def engage(self, angle: Array) -> None:

@@ -50,9 +50,8 @@ class BusFacts:
     port: str  # device, which may not be there yet
     low: float  # rad, smallest tendon angle that every servo accepts
     high: float  # rad, largest one
-    watchdog: (
-        float  # s without a bus cycle after which a servo stops by itself; inf: never
-    )
+    # s without a bus cycle after which a servo stops by itself; inf: never
+    watchdog: float
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ The watchdog (`safety/watchdog.py`) decides on the action from commands, permiss
 fault of a servo takes two ways to torque off: the watchdog begins a ramp to slack in the same
 cycle, and the supervisor, which reads it on `/servo_health`, then permits RELAX and finally OFF,
 which switches torque off at once if it is still on.
-Times are those of the bus's clock, which never goes back, ns.
+Times are on the bus's clock, which never goes back, ns.
 """
 
 import math
@@ -68,24 +68,20 @@ class ServoSession:
         self.period = period
         self.action, self.reason = Action.OFF, "not started"
         self.overruns = 0
-        self.commanded = (
-            0  # ns, stamp of the last command that was written to the servos
-        )
+        # ns, stamp of the last command that was written to the servos
+        self.commanded = 0
         self.written = 0.0  # s of the bus's clock, when it was written
         self._sleep = sleep
-        self.watchdog = Watchdog(0.0, angle_max)
+        self.watchdog = Watchdog(angle_max)
         self._slewed = np.zeros(len(LEGS), dtype=bool)
         self._offered = 0  # stamp of the last accepted command
-        self._locked = (
-            False  # torque went off by a rule of the session or was refused; until OFF
-        )
-        self._off: TorqueOff | None = (
-            None  # of the last ramp, or None: torque went off otherwise
-        )
+        # torque went off by a rule of the session or was refused; until OFF
+        self._locked = False
+        # of the last ramp, or None: torque went off otherwise
+        self._off: TorqueOff | None = None
         self._last_step: int | None = None
-        self._pause = (
-            0.0  # s, the last between two steps that was long enough for a bus watchdog
-        )
+        # s, the last between two steps that was long enough for a bus watchdog
+        self._pause = 0.0
         self._last_query: int | None = None
         self._durations: deque[float] = deque(maxlen=DURATIONS)
 

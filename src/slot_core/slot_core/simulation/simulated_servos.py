@@ -54,7 +54,7 @@ class SimulatedServos(ABC):
     def __init__(self, plant: RobotSimulator, lockstep: bool) -> None:
         self._plant, self._lockstep, self._number = plant, lockstep, 0
         plant.held = lockstep
-        self.watchdog = Watchdog(0.0, plant.robot.parameters.tendon.angle_max)
+        self.watchdog = Watchdog(plant.robot.parameters.tendon.angle_max)
         self.released = self._was_on = False
         self._commanded = self._arrived = (
             0  # ns, stamp of the newest command and when it arrived

@@ -173,13 +173,11 @@ class SupervisedLoop:
 
 
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
-    "state_estimator": lambda s, tick, now: s.receive_from_estimator(
-        now, tick.estimate
-    ),
-    "mpc_controller": lambda s, tick, now: s.receive_from_mpc(
+    "state_estimator": lambda s, tick, now: s.receive_estimate(now, tick.estimate),
+    "mpc_controller": lambda s, tick, now: s.receive_mpc(
         now, tick.plan.status, tick.plan.fallback_cycles, tick.preview.period
     ),
-    "force_mapper": lambda s, tick, now: s.receive_from_force_map(
+    "force_mapper": lambda s, tick, now: s.receive_command(
         now, tick.estimate.stamp, tick.command.angle, tick.command.rate
     ),
 }

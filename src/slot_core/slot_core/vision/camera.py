@@ -1,4 +1,4 @@
-"""Camera model: pinhole with OpenCV's distortion, and its calibration file, that of ROS.
+"""Camera model: pinhole with OpenCV's distortion, and its calibration file in the format of ROS.
 
     x' = X / Z,  y' = Y / Z;  (u, v) = K distort(x', y')
 
@@ -40,10 +40,8 @@ class Camera:
     height: int  # px
     matrix: Array  # (3, 3) K
     distortion: Array  # (5,) or (8,)
-    covariance: Array | None = (
-        None  # (4 + 5 or 8) of f_x f_y c_x c_y and the distortion; None:
-    )
-    # not known
+    # of f_x f_y c_x c_y and the distortion, (9, 9) or (12, 12); None: not known
+    covariance: Array | None = None
 
     @property
     def model(self) -> str:

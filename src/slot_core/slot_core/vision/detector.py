@@ -48,9 +48,7 @@ class MarkerDetector:
         self._camera = camera
         self._dictionary = cv2.aruco.getPredefinedDictionary(dictionary)
         self._last: Detection | None = None
-        self._doubled: frozenset[int] = (
-            frozenset()
-        )  # in the last search of a whole image
+        self._doubled: frozenset[int] = frozenset()  # in the last whole image
         self._since_whole = 0
 
     def find(self, image: GreyImage) -> Detection:
@@ -72,7 +70,7 @@ class MarkerDetector:
         return found
 
     def _near(self, image: GreyImage, last: Detection) -> Detection:
-        """The markers around those of the last image."""
+        """The markers near the places of the last image's."""
         low = np.maximum(last.pixels.min(axis=(0, 1)) - MARGIN, 0).astype(int)
         high = np.ceil(last.pixels.max(axis=(0, 1)) + MARGIN).astype(int)
         part = image[low[1] : high[1], low[0] : high[0]]

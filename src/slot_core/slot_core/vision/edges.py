@@ -13,16 +13,12 @@ from slot_core.arrays import Array
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera
 
-ALONG = np.linspace(
-    0.1, 0.9, 24
-)  # places on an edge: the corners are rounded by the blur
+ALONG = np.linspace(0.1, 0.9, 24)
+"""Places on an edge: the corners are rounded by the blur."""
 ROUGHLY = ALONG[::4]
 ACROSS = np.linspace(-1.0, 1.0, 15)  # samples over the half width
-HALF_WIDTH = (
-    2.0,
-    5.0,
-)  # px, limits of the half width, which else is three quarters of a cell
-SHARE = 0.75
+HALF_WIDTH = (2.0, 5.0)  # px, its limits
+SHARE = 0.75  # of a cell: the half width within these
 STRONG = 0.1  # of the largest slope in the profile: below is noise
 OUTLIER = 3.0  # times the median distance
 
@@ -51,40 +47,44 @@ def edge_points(
     """
     edge = np.roll(corners, -1, axis=1) - corners
     length = np.linalg.norm(edge, axis=-1)
-    normal = (
-        np.stack([edge[..., 1], -edge[..., 0]], axis=-1) / length[..., None]
-    )  # outward
-    half = np.clip(SHARE * length.min(axis=1) / cells, *HALF_WIDTH)[:, None]
+    normal = np.stack([edge[..., 1], -edge[..., 0]], axis=-1) / length[..., None]
+    half = np.clip(SHARE * length.min(axis=1) / cells, *HALF_WIDTH)
     middle = corners[:, :, None] + along[:, None] * edge[:, :, None]
-    offset = half[..., None] * ACROSS  # (m, 1, p)
-    places = middle[..., None, :] + (offset[..., None] * normal[:, :, None])[:, :, None]
+
+    # grey levels along the outward normals, at offsets of -half to half
+    offset = half[:, None, None, None] * ACROSS  # (m, 1, 1, p)
+    outward = normal[:, :, None]  # (m, 4, 1, 2)
+    places = middle[..., None, :] + offset[..., None] * outward[..., None, :]
     grey = _sample(image, places)
+
+    # centroid of their slope
     slope = np.diff(grey, axis=-1)
-    slope = np.where(slope > STRONG * slope.max(axis=-1, keepdims=True), slope, 0.0)
+    strongest = slope.max(axis=-1, keepdims=True)
+    slope = np.where(slope > STRONG * strongest, slope, 0.0)
     total = slope.sum(axis=-1)
-    between = (offset[..., 1:] + offset[..., :-1])[:, :, None] / 2
-    shift = np.divide(
-        (slope * between).sum(axis=-1), total, where=total > 0, out=total * 0
-    )
-    return middle + shift[..., None] * normal[:, :, None], np.maximum(total, 0.0)
+    between = (offset[..., 1:] + offset[..., :-1]) / 2
+    moment = (slope * between).sum(axis=-1)
+    shift = np.divide(moment, total, where=total > 0, out=np.zeros_like(total))
+    return middle + shift[..., None] * outward, np.maximum(total, 0.0)
 
 
 def crossings(points: Array, weight: Array) -> tuple[Array, Array]:
     """Crossings (m, 4, 2) of neighbouring edges through points (m, 4, n, 2), and RMS distances."""
-    weight = np.where(
-        weight > 0.5 * np.median(weight, axis=-1, keepdims=True), 1.0, 0.0
-    )
+    typical = np.median(weight, axis=-1, keepdims=True)
+    weight = np.where(weight > 0.5 * typical, 1.0, 0.0)
+    _, _, distance = _lines(points, weight)
+    typical = np.median(distance, axis=-1, keepdims=True)
+    weight = weight * (distance <= OUTLIER * typical + 1e-12)
     centre, normal, distance = _lines(points, weight)
-    limit = OUTLIER * np.median(distance, axis=-1, keepdims=True) + 1e-12
-    weight = weight * (distance <= limit)
-    centre, normal, distance = _lines(points, weight)
+
     used = weight.sum(axis=-1)
     mean = (weight * distance**2).sum(axis=-1) / np.maximum(used, 1.0)
     rms = np.sqrt(mean.mean(axis=-1))
     rms[(used < 3).any(axis=-1)] = np.inf
-    before = np.roll(normal, 1, axis=1)
-    matrix = np.stack([before, normal], axis=-2)
+
+    # a crossing x is on the edge (n, c) and on the one before it: n x = n c
     value = (normal * centre).sum(axis=-1)
+    matrix = np.stack([np.roll(normal, 1, axis=1), normal], axis=-2)
     right = np.stack([np.roll(value, 1, axis=1), value], axis=-1)
     parallel = np.abs(np.linalg.det(matrix)) < 1e-3
     matrix[parallel] = np.eye(2)
@@ -94,16 +94,16 @@ def crossings(points: Array, weight: Array) -> tuple[Array, Array]:
 
 def _lines(points: Array, weight: Array) -> tuple[Array, Array, Array]:
     """Centre and normal (m, 4, 2) of the lines of least squares, distances (m, 4, n) from them."""
-    total = np.maximum(weight.sum(axis=-1), 1.0)[..., None]
-    centre = (weight[..., None] * points).sum(axis=-2) / total
-    off = points - centre[..., None, :]
-    xx, xy, yy = (
-        (weight * off[..., i] * off[..., j]).sum(axis=-1)
-        for i, j in ((0, 0), (0, 1), (1, 1))
-    )
+    total = np.maximum(weight.sum(axis=-1), 1.0)
+    centre = (weight[..., None] * points).sum(axis=-2) / total[..., None]
+    x, y = np.moveaxis(points - centre[..., None, :], -1, 0)
+    xx = (weight * x * x).sum(axis=-1)
+    xy = (weight * x * y).sum(axis=-1)
+    yy = (weight * y * y).sum(axis=-1)
     angle = np.arctan2(2 * xy, xx - yy) / 2  # of the principal axis
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
-    return centre, normal, np.abs((off * normal[..., None, :]).sum(axis=-1))
+    distance = np.abs(x * normal[..., :1] + y * normal[..., 1:])
+    return centre, normal, distance
 
 
 def _sample(image: GreyImage, places: Array) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@
 
 A pose has the covariance of its reprojection error and of the calibration. The twist is the
 difference of two poses, in which the error of the calibration cancels: late by half their interval,
-so its variance holds that of an accelerating torso. An image without a usable pose gives a reason
+so its variance includes the change of velocity of an accelerating torso. An image without a usable pose gives a reason
 in its place.
 """
 
@@ -212,26 +212,27 @@ class MarkerLocalizer:
     def _pose_covariance(
         self, board: Transform, seen: Transform, covariance: Array
     ) -> Array:
-        """Covariance (6, 6) of base_link in odom from that of the board in the optical frame.
+        """Covariance (6, 6) of base_link in odom, from the board's covariance in the optical frame.
 
-        With d, the error of the rotation, and e, that of the position, of the board in the camera:
-        on the torso R_c = R_ob R_s^T: the angle's error is -R_c d, that of the position
-        R_c (-e) + (-R_c d) x (p - p_board) with the board as the centre. In the world it is R_c d
-        and R_c e + R_c d x (p - p_board), with R_c = R_odom_camera.
+        Let d and e be the errors of rotation and position of the board in the camera, p the torso's
+        position and p_c the centre of the turn. Then the errors of rotation and position are
+
+            R d,   R e + R d x (p - p_c)
+
+        with R = -R_odom_board R_camera_board^T and the board as the centre if the camera is on the
+        torso, and with R = R_odom_camera and the board's position in odom if it is in the world.
         """
-        base = self._base(board, seen)
         if self._on_torso:
-            to_odom, centre, sign = (
-                board.rotation @ seen.rotation.T,
-                board.position,
-                -1.0,
-            )
+            turn = -board.rotation @ seen.rotation.T
+            centre = board.position
         else:
-            to_odom = self._fixed.rotation
-            centre, sign = self._fixed.apply(seen.position), 1.0
+            turn = self._fixed.rotation
+            centre = self._fixed.apply(seen.position)
+        arm = self._base(board, seen).position - centre
+        lever = np.cross(np.eye(3), arm)  # lever @ d = arm x d
         jacobian = np.zeros((6, 6))
-        jacobian[:3, :3] = jacobian[3:, 3:] = sign * to_odom
-        jacobian[:3, 3:] = -_cross(base.position - centre) @ (sign * to_odom)
+        jacobian[:3, :3] = jacobian[3:, 3:] = turn
+        jacobian[:3, 3:] = -lever @ turn
         return jacobian @ covariance @ jacobian.T
 
     def _twist(
@@ -265,8 +266,3 @@ def _corners(corners: dict[int, Array], found: Detection) -> tuple[Array, Array]
     return points, np.concatenate(
         [found.rays[found.ids.index(number)] for number in ids]
     )
-
-
-def _cross(v: Array) -> Array:
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -9,16 +9,18 @@ Both are returned, each refined by Levenberg and Marquardt's method on the repro
 
 whose normal matrix gives the covariance s^2 (J^T J)^-1. An error of the camera's parameters moves
 all rays x together, by S d, and so the pose by G d with G = (J^T J)^-1 J^T S: with the covariance C
-of the calibration G C G^T is that of the pose, the same error in every image.
+of the calibration the pose has G C G^T, by the same error in every image.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from slot_core.arrays import Array
 from slot_core.geometry import Transform
@@ -34,9 +36,7 @@ class BoardPose:
 
     transform: Transform
     covariance: Array  # (6, 6) of the position (m) and of the rotation vector in the optical frame
-    calibration: (
-        Array  # (6, 6) the same by the calibration of the camera; zero: not known
-    )
+    calibration: Array  # (6, 6) the same by the camera's calibration; zero: not known
     error: float  # RMS distance of the corners from where they should be, of focal length one
     other: BoardPose | None = None  # the second pose of the plane
     ratio: float = np.inf  # its error over this one's; infinite if there is none
@@ -88,7 +88,7 @@ def _board_pose(
 
 
 def _refined(
-    turn: Array, place: Array, points: Array, rays: Array
+    turn: NDArray[Any], place: NDArray[Any], points: Array, rays: Array
 ) -> tuple[float, Transform, Array] | None:
     """RMS error, pose and Jacobian (2n, 6) at the least error near a pose; None without one.
 
@@ -97,9 +97,10 @@ def _refined(
     by it is this one.
     """
     pinhole = np.eye(3)
-    turn, place = cv2.solvePnPRefineLM(
+    refined = cv2.solvePnPRefineLM(
         points, rays[:, None], pinhole, None, turn, place, ACCURATE
     )
+    turn, place = map(np.asarray, refined)
     pose = Transform(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.ravel(place))
     turned = points @ pose.rotation.T
     seen, slopes = cv2.projectPoints(turned, np.zeros(3), place, pinhole, None)

@@ -69,7 +69,7 @@ class TrackedMarkers:
         "distance from the side of a leg to the markers on it", "m", 0, 0.1
     )
     first_id: int = quantity(
-        "id at the base of FL; then third, two_thirds, tip, those of FR RL RR, the torso",
+        "id at the base of FL; then third, two_thirds, tip; the same of FR RL RR; the torso",
         "",
         0,
         1000,
@@ -96,7 +96,7 @@ class DetectionSettings:
         "RMS reprojection error above which a warning is given", "px", 0.01, 100
     )
     ambiguity: float = quantity(
-        "error of the second pose of a plane over that of the first, to be certain",
+        "ratio of the errors of a plane's second and first pose, to be certain",
         "",
         1,
         100,

@@ -19,9 +19,8 @@ from slot_core.drawing import palette
 from slot_core.dynamics.servo import read_servo
 from slot_core.geometry import rotate
 from slot_core.progress import ProgressLine
-from slot_core.recording.bag_error import BagError
 from slot_core.recording.origin import CONFIGURATION
-from slot_core.recording.record_settings import read_record_settings
+from slot_core.recording.record_settings import BagError, read_record_settings
 from slot_core.refusal import InputError, one_line, quoted
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import TorsoTrack, read_motion

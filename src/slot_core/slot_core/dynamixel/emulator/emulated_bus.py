@@ -70,7 +70,7 @@ class EmulatedBus:
     """Four servos on one line, at initial angles (rad), in the order of LEGS.
 
     `receive` and `advance` may be called from different threads. Raises ConfigError for a supply
-    voltage beyond those of `servo.yaml`.
+    voltage outside the range of `servo.yaml`.
     """
 
     def __init__(

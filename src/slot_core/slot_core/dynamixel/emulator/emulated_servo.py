@@ -61,9 +61,8 @@ class EmulatedServo:
         self.memory["firmware_version"] = model.firmware
         self.shaft = Shaft(motor, model.shaft, angle)
         self.voltage, self.forced_temperature = model.voltage, math.nan
-        self.registered: tuple[int, bytes] | None = (
-            None  # address and data of a Reg Write
-        )
+        # address and data of a Reg Write
+        self.registered: tuple[int, bytes] | None = None
         self.time = 0.0  # s
         self.last_instruction = 0.0  # s, time of the last instruction on the bus
         self._boot_left = 0.0  # s
@@ -86,11 +85,14 @@ class EmulatedServo:
         """Error byte of its status packets, without an error number."""
         return ALERT if self.memory["hardware_error_status"] else 0
 
+    @property
+    def _sign(self) -> int:
+        return -1 if self.memory["drive_mode"] & 1 else 1  # Reverse Mode
+
     def position(self) -> int:
         """Value of Present Position, counts."""
         counts = math.floor(self.shaft.angle / RAD_PER_COUNT) - COUNTS * self._turns
-        reverse = -1 if self.memory["drive_mode"] & 1 else 1
-        return reverse * counts + self.memory["homing_offset"]
+        return self._sign * counts + self.memory["homing_offset"]
 
     def read(self, address: int, size: int) -> bytes:
         """Bytes of the control table; raises RegisterError."""
@@ -197,8 +199,7 @@ class EmulatedServo:
     def _loop(self, load: float, h: float) -> None:
         duty = self._duty(h) if self.memory["torque_enable"] else None
         self.memory["present_pwm"] = round((duty or 0.0) * PWM_FULL)
-        reverse = -1.0 if self.memory["drive_mode"] & 1 else 1.0
-        shaft_duty = None if duty is None else reverse * duty
+        shaft_duty = None if duty is None else self._sign * duty
         self.shaft.advance(shaft_duty, load, self.voltage, h)
 
     def _duty(self, h: float) -> float:
@@ -242,8 +243,7 @@ class EmulatedServo:
         self._trajectory += step if reach == 0.0 else min(max(step, -reach), reach)
 
     def _velocity(self) -> float:
-        reverse = -1.0 if self.memory["drive_mode"] & 1 else 1.0
-        return reverse * self.shaft.speed / RAD_S_PER_UNIT
+        return self._sign * self.shaft.speed / RAD_S_PER_UNIT
 
     def _protect(self, dt: float) -> None:
         memory, shaft = self.memory, self.shaft
@@ -271,11 +271,12 @@ class EmulatedServo:
     def _refresh(self) -> None:
         """Update the registers of measurements."""
         memory, load = self.memory, self.shaft.torque / self.shaft.motor.stall
-        reverse = -1 if memory["drive_mode"] & 1 else 1
         memory["realtime_tick"] = math.floor(self.time * 1e3) % 32768
         memory["present_position"] = self.position()
         memory["present_velocity"] = round(self._velocity())
-        memory["present_load"] = reverse * round(min(max(load, -1.0), 1.0) * LOAD_FULL)
+        memory["present_load"] = self._sign * round(
+            min(max(load, -1.0), 1.0) * LOAD_FULL
+        )
         memory["moving"] = int(self.moving())
         memory["position_trajectory"] = round(self._trajectory)
         memory["present_input_voltage"] = round(self.voltage / VOLTAGE_UNIT)

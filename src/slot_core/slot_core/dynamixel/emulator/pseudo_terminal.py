@@ -1,9 +1,8 @@
 """Emulated bus behind a pseudo-terminal, with the transmission times of a serial line.
 
 A pseudo-terminal passes bytes at once. Here an instruction of n bytes is received 10 n / baud after
-its first byte, and an answer is passed on when its last byte has been sent. The baud rate is the
-one that the driver has set on its side. Bytes that the driver does not read in time are lost, as in
-a serial chip.
+its first byte, and an answer is passed on when its last byte has been sent. The driver sets the
+baud rate on its side. Bytes that the driver does not read in time are lost, as in a serial chip.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import threading
 import time
 import tty
 from pathlib import Path
-from types import TracebackType
 
 from slot_core.clock import Clock
 from slot_core.config import ConfigError
@@ -73,17 +71,6 @@ class PseudoTerminal:
         """Remove the port and end the thread; may be called again."""
         self._stopping.set()
         self._thread.join()
-
-    def __enter__(self) -> PseudoTerminal:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _serve(self) -> None:
         while not self._stopping.is_set():

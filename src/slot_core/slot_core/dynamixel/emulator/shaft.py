@@ -5,7 +5,7 @@ The motor's speed follows its torque-speed line with time constant motor_time, a
 
     motor_time dw/dt = w0 (v u - tau / tau_stall) - w
 
-with the duty u and the load torque tau; w0 and tau_stall are those of `servo.yaml` at the supply
+with the duty u and the load torque tau; w0 and tau_stall of `servo.yaml` hold at the supply
 voltage V of the servos, v is 1 but while a fault gives a servo another voltage, v V. With torque
 off the gear holds loads up to `friction`; the excess turns it along the same line, u = 0.
 Temperature:
