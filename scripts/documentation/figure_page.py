@@ -4,8 +4,6 @@
 a benchmark that has no result stays as it is; without one the page says which command is missing.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Mapping, Sequence

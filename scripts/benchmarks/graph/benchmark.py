@@ -163,7 +163,7 @@ def draw(walks: Sequence[Walk], composed: Sequence[Walk], path: Path) -> None:
     draw_longer(ax, {name: 1e3 * values for name, values in curves.items()})
     period = 1e3 * walks[0].ticks.period
     ax.axvline(period, color=palette.INK, ls=":", lw=1)
-    ax.text(period, 1.0, " control period", va="top", fontsize=8)
+    ax.text(period, 1.0, "control period ", va="top", ha="right", fontsize=8)
     ax.set(xlabel="latency, ms", title="Ticks that took longer than a time")
     figure.savefig(path, dpi=130)
 
