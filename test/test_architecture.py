@@ -74,7 +74,6 @@ REPEATED = {
     "force_map.py": "the force map, and the paper's",
     "tables.py": "tables of a validation, and of the paper",
     "model.py": "numerical form of the equations of the folder's subject",
-    "options.py": "options of each benchmark that has some",
     "settings.py": "settings class of the folder's YAML file",
     "statics.py": "equilibria of the rod, and those of its benchmark",
     "elimination.py": "elimination of the legs, and of the public rod",

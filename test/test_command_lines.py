@@ -324,9 +324,9 @@ HELPS = {
     "tune": "--friction",
     "report": "--results",
     "bench": "--quick",
-    "bench graph": "--endurance",
     "docs": "--tables",
     "docs --pictures": "--list",
+    "docs --figures": "--results",
     "setup": "--test",
 }
 NO_HELP = {"env", "help", "lint", "test"}  # the last passes its words to pytest

@@ -15,38 +15,25 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.robot import RobotParameters, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
-NODES, LEG, SHOWN = (
-    13,
-    3,
-    6,
-)  # nodes of a leg, the leg, the segment whose frame is drawn
+# nodes of a leg, the leg, the segment whose frame is drawn
+NODES, LEG, SHOWN = 13, 3, 6
 PUSH = 30.0  # N, on the torso across the leg: the foot sticks, the leg bends and twists
 PULLED_DEG = 95.0
 SURFACE, TENDON = palette.LEG_COLOURS["FL"], palette.SECONDARY
 
 
 def write(path: Path) -> None:
-    """Write the plot as a PNG."""
+    """Write the plot of a leg of a robot that is pushed as a PNG."""
     robot = read_robot()
-    node, director = pushed_leg(robot)
-    figure = plt.figure(figsize=(8, 4.6), dpi=120)
-    axes: Any = figure.add_subplot(projection="3d")
-    draw(axes, robot, node, director)
-    figure.subplots_adjust(left=0, right=1, bottom=0, top=1)
-    figure.savefig(path)
-
-
-def pushed_leg(robot: RobotParameters) -> tuple[Array, Array]:
-    """Nodes (N, 3), m, and directors (N-1, 3), in leg axes, of a leg of a robot that is pushed."""
-    changes = {
-        "solver.legs": "spatial",
-        "solver.nodes": NODES,
-        "floor.friction": [3.0] * 4,
-    }
+    changes = {"solver.nodes": NODES, "floor.friction": [3.0] * 4}
     sim = RodRobot(robot, config.replace(read_scene("flat"), changes), read_servo())
     sim.push(PUSH * np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0), np.zeros(3))
     sim.advance(600, np.full(4, np.radians(PULLED_DEG)))
-    return sim.state.node[LEG], sim.state.director[LEG]
+    figure = plt.figure(figsize=(8, 4.6), dpi=120)
+    axes: Any = figure.add_subplot(projection="3d")
+    draw(axes, robot, sim.state.node[LEG], sim.state.director[LEG])
+    figure.subplots_adjust(left=0, right=1, bottom=0, top=1)
+    figure.savefig(path)
 
 
 def draw(axes: Any, robot: RobotParameters, node: Array, director: Array) -> None:
@@ -73,7 +60,8 @@ def draw(axes: Any, robot: RobotParameters, node: Array, director: Array) -> Non
     axes.set_axis_off()
     below = 1e3 * robot.tendon.offset * np.cross(t, director)
     last = round(robot.tendon.end_fraction * (NODES - 1))
-    axes.plot(*(node[:-1] + below)[: last + 1].T, color=TENDON, lw=2)
+    tendon = (node[:-1] + below)[: last + 1]
+    axes.plot(*tendon.T, color=TENDON, lw=2)
     middle, size = (node[SHOWN] + node[SHOWN + 1]) / 2, 28.0
     b = np.cross(t[SHOWN], director[SHOWN])
     for vector, name in ((t[SHOWN], "t"), (director[SHOWN], "d"), (b, "b")):
@@ -82,7 +70,6 @@ def draw(axes: Any, robot: RobotParameters, node: Array, director: Array) -> Non
         )
         away = 1.9 if name == "d" else 1.25  # it is seen almost from its end
         axes.text(*(middle + away * size * vector), name, style="italic", size=12)
-    tendon = (node[:-1] + below)[: last + 1]
     notes = (
         (node[0], (-40, 20), "node 0, the clamp", "black"),
         (node[-1], (8, -4), f"node {NODES - 1}, the tip", "black"),

@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ from slot_core.command_line import command_parser, progress, refuse
 from slot_core.refusal import InputError, quoted
 
 CANNOT_DRAW = 2  # exit code
-Draw = Callable[[Any, Path], object]
 Rows = Sequence[Mapping[str, Any]]
 
 
@@ -33,66 +32,57 @@ class PictureError(InputError):
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture: where it comes from, and what draws it from the results in a directory."""
+    """A picture: what draws it, from the rows or courses of a benchmark or from commands.
 
-    source: str  # what --list says
-    draw: Callable[[Path, Path], object]  # directory of the results, file
-    needs: tuple[str, str] = (
-        "",
-        "",
-    )  # benchmark, its file without which there is no picture
+    draw: `module:function` of the rows or courses, if there is a benchmark, and of the file.
+    """
 
-
-def of_rows(benchmark: str, draw: str, kind: str | None = "") -> Picture:
-    """Drawn from the rows of a benchmark: all, those of a kind, or with None those without one."""
-
-    def make(results: Path, path: Path) -> None:
-        rows = read_rows(results, benchmark)
-        named(draw)(
-            [row for row in rows if kind == "" or row.get("kind") == kind], path
-        )
-
-    return Picture(
-        f"results of scripts/bench {benchmark}", make, (benchmark, f"{benchmark}.json")
+    draw: str = ""
+    benchmark: str = ""
+    courses: bool = False  # it is drawn from the courses over time
+    kind: str | None = (
+        ""  # of the rows: all, those of a kind, or with None those without
+    )
+    commands: Sequence[str] = ()  # {} stands for an empty directory
+    file: str = (
+        ""  # that the commands make, from which it is drawn, or which is the picture
     )
 
+    @property
+    def source(self) -> str:
+        """Where the picture comes from."""
+        if self.benchmark:
+            return f"results of scripts/bench {self.benchmark}"
+        browser = "scripts/play in Chromium"
+        simulated = browser if "browser" in self.draw else "simulated"
+        return "; ".join(self.commands).replace(f"{ROOT}/", "") or simulated
 
-def of_courses(benchmark: str, draw: str) -> Picture:
-    """Drawn from the courses over time of a benchmark."""
+    def needs(self, results: Path) -> Path | None:
+        """The result without which there is no picture."""
+        file = COURSES if self.courses else f"{self.benchmark}.json"
+        return results / self.benchmark / file if self.benchmark else None
 
-    def make(results: Path, path: Path) -> None:
-        import numpy as np  # noqa: PLC0415 - heavy
+    def make(self, results: Path, path: Path) -> None:
+        """Draw it into a file; raises PictureError and ReportError."""
+        draw: Any = pkgutil.resolve_name(self.draw) if self.draw else shutil.copyfile
+        if self.courses:
+            import numpy as np  # noqa: PLC0415 - heavy
 
-        with np.load(results / benchmark / COURSES) as courses:
-            named(draw)(dict(courses), path)
-
-    return Picture(f"results of scripts/bench {benchmark}", make, (benchmark, COURSES))
-
-
-def drawn(draw: str, source: str) -> Picture:
-    """Drawn without results, by a function of the file."""
-    return Picture(source, lambda _, path: named(draw)(path))
-
-
-def ran(
-    commands: Sequence[str], file: str, take: Callable[[Path, Path], object]
-) -> Picture:
-    """Made of a file in an empty directory, {}, in which commands have been run."""
-
-    def make(_: Path, path: Path) -> None:
-        with tempfile.TemporaryDirectory() as place:
-            for command in commands:
-                words = [word.replace("{}", place) for word in shlex.split(command)]
-                words[0] = (
-                    str(ROOT / words[0])
-                    if words[0].startswith("scripts/")
-                    else words[0]
-                )
-                if subprocess.run(words, cwd=place, check=False).returncode:
-                    raise PictureError(f"{command}: failed")
-            take(Path(place, file), path)
-
-    return Picture("; ".join(commands), make)
+            with np.load(results / self.benchmark / COURSES) as courses:
+                draw(dict(courses), path)
+        elif self.benchmark:
+            rows = read_rows(results, self.benchmark)
+            draw([r for r in rows if self.kind in ("", r.get("kind"))], path)
+        elif self.commands:
+            with tempfile.TemporaryDirectory() as place:
+                for command in self.commands:
+                    words = shlex.split(command.replace("{}", place))
+                    words[0] = words[0].replace("scripts/", f"{ROOT}/scripts/")
+                    if subprocess.run(words, cwd=place, check=False).returncode:
+                        raise PictureError(f"{command}: failed")
+                draw(Path(place, self.file), path)
+        else:
+            draw(path)
 
 
 def shrink(path: Path) -> None:
@@ -106,119 +96,76 @@ def shrink(path: Path) -> None:
     small.save(path, optimize=True)
 
 
-def view_image(page: Path, path: Path) -> None:
-    """Write what the page of a run shows at a moment."""
-    named("documentation.page_pictures:write_view")(page, path)
-
-
 PUSH = "scripts/run --lockstep --scene push --seed 1 --duration 8 --bag {}/push"
+PAGE = [PUSH, "scripts/view {}/push --html {}/x.html"]
 WALK = "scripts/run --lockstep --duration 8 --bag {}/flat"
 SLOPE = "scripts/run --lockstep --duration 8 --scene slope5 --vx 0.04 --bag {}/slope5"
 COMPARED = "scripts/compare {}/flat {}/slope5 --plot {}/compare.png"
-TWIN = f"scripts/twin {ROOT}/slot_bringup/example/walk --out {{}}"
-FIT = f"{TWIN} --fit friction,young_modulus,tendon_offset"
+FIT = "--fit friction,young_modulus,tendon_offset"
+TWIN = f"scripts/twin {ROOT}/slot_bringup/example/walk --out {{}} {FIT}"
+LEARN = f"python {ROOT}/scripts/examples/learn_to_walk.py"
+ROBOT, BROWSER = "documentation.robot_pictures", "documentation.browser_pictures"
 PLOTS = "benchmarks.locomotion.plots"
 PICTURES = {
-    "gaits.png": drawn("benchmarks.locomotion.stills:draw", "simulated"),
-    "leg.png": drawn("documentation.leg_plot:write", "simulated"),
-    "prediction.png": drawn("benchmarks.locomotion.predicted_stride:draw", "simulated"),
-    "play.png": drawn(
-        "documentation.play_panels:write_page", "scripts/play in Chromium"
+    "gaits.png": Picture(f"{ROBOT}:draw_gaits"),
+    "leg.png": Picture("documentation.leg_plot:write"),
+    "prediction.png": Picture(f"{ROBOT}:draw_prediction"),
+    "play.png": Picture(f"{BROWSER}:write_page"),
+    "play_panels.png": Picture(f"{BROWSER}:write_panels"),
+    "view.png": Picture(f"{BROWSER}:write_view", commands=PAGE, file="x.html"),
+    "compare.png": Picture(commands=[WALK, SLOPE, COMPARED], file="compare.png"),
+    "locomotion_table.png": Picture(f"{PLOTS}:draw_table", "locomotion", kind=None),
+    "locomotion_velocity.png": Picture(f"{PLOTS}:draw_velocity", "locomotion", True),
+    "locomotion_top.png": Picture(f"{PLOTS}:draw_top", "locomotion", True),
+    "margins.png": Picture(
+        "benchmarks.locomotion.margins:draw", "locomotion", kind="margin"
     ),
-    "play_panels.png": drawn(
-        "documentation.play_panels:write_panels", "scripts/play in Chromium"
+    "mpc_solvers.png": Picture("benchmarks.mpc.benchmark:draw", "mpc"),
+    "robot_cost.png": Picture("benchmarks.robot.benchmark:draw", "robot"),
+    "other_engine.png": Picture(
+        "benchmarks.robot.other_engine:draw_engines", "robot", kind="replay"
     ),
-    "view.png": ran(
-        [PUSH, "scripts/view {}/push --html {}/x.html"], "x.html", view_image
+    "perturbations.png": Picture(
+        "benchmarks.perturbations.plots:draw_courses", "perturbations", True
     ),
-    "compare.png": ran([WALK, SLOPE, COMPARED], "compare.png", shutil.copyfile),
-    "locomotion_table.png": of_rows("locomotion", f"{PLOTS}:draw_table", None),
-    "locomotion_velocity.png": of_courses("locomotion", f"{PLOTS}:draw_velocity"),
-    "locomotion_top.png": of_courses("locomotion", f"{PLOTS}:draw_top"),
-    "margins.png": of_rows(
-        "locomotion", "benchmarks.locomotion.margins:draw", "margin"
+    "walk.png": Picture(
+        commands=["scripts/run --duration 20 --bag {}/walk"], file="walk/walk.png"
     ),
-    "mpc_solvers.png": of_rows("mpc", "benchmarks.mpc.plots:draw"),
-    "robot_cost.png": of_rows("robot", "benchmarks.robot.plots:draw"),
-    "other_engine.png": of_rows(
-        "robot", "benchmarks.robot.plots:draw_engines", "replay"
+    "walk.gif": Picture(
+        commands=[PUSH, "scripts/view {}/push --animate {}/x.gif"], file="x.gif"
     ),
-    "perturbations.png": of_courses(
-        "perturbations", "benchmarks.perturbations.plots:draw_courses"
-    ),
-    "walk.png": ran(
-        ["scripts/run --duration 20 --bag {}/walk"], "walk/walk.png", shutil.copyfile
-    ),
-    "walk.gif": ran(
-        [PUSH, "scripts/view {}/push --animate {}/x.gif"], "x.gif", shutil.copyfile
-    ),
-    "walk.html": ran(
-        [PUSH, "scripts/view {}/push --html {}/x.html"], "x.html", shutil.copyfile
-    ),
-    "vision.png": drawn("benchmarks.estimation.vision_rows:draw_film", "simulated"),
-    "twin.png": ran([FIT], "twin.png", shutil.copyfile),
-    "learning.png": ran(
-        [f"python {ROOT}/scripts/examples/learn_to_walk.py"],
-        "learning.png",
-        shutil.copyfile,
-    ),
+    "walk.html": Picture(commands=PAGE, file="x.html"),
+    "vision.png": Picture("benchmarks.estimation.vision_rows:draw_film"),
+    "twin.png": Picture(commands=[TWIN], file="twin.png"),
+    "learning.png": Picture(commands=[LEARN], file="learning.png"),
 }
 """Pictures by file of slot_bringup/doc."""
 
 
-def named(function: str) -> Draw:
-    """The function of a module, `module:function`, imported when it is needed."""
-    found: Draw = pkgutil.resolve_name(function)
-    return found
-
-
 def read_rows(results: Path, benchmark: str) -> Rows:
-    """Rows of a benchmark, with NaN in the place of null; raises PictureError, ReportError."""
+    """Rows of a benchmark, with NaN in the place of null; raises ReportError."""
     found = read_benchmark(results, benchmark)
-    if found is None:
-        raise PictureError(_missing(results, benchmark, f"{benchmark}.json"))
-    blank = float("nan")
+    assert found is not None  # `draw` has looked
     return [
-        {k: blank if v is None else v for k, v in row.items()} for row in found.rows
+        {k: float("nan") if v is None else v for k, v in row.items()}
+        for row in found.rows
     ]
-
-
-def missing(results: Path, picture: Picture) -> str:
-    """Why a picture cannot be drawn from the results there are, or ""."""
-    benchmark, file = picture.needs
-    if not benchmark or (results / benchmark / file).is_file():
-        return ""
-    return _missing(results, benchmark, file)
-
-
-def _missing(results: Path, benchmark: str, file: str) -> str:
-    return f"{results / benchmark / file}: missing; scripts/bench {benchmark} writes it"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/docs --pictures`; exit code 2 for what cannot be drawn."""
     parser = command_parser("docs --pictures", __doc__)
-    add = parser.add_argument
+    add, results = parser.add_argument, ROOT / "results"
     add("names", nargs="*", metavar="NAME", help="of pictures (default: all)")
-    add(
-        "--list",
-        action="store_true",
-        help="list the pictures, and where each comes from",
-    )
-    add(
-        "--results",
-        type=Path,
-        default=ROOT / "results",
-        metavar="DIR",
-        help="default: results",
-    )
+    add("--list", action="store_true", help="list the pictures and their sources")
+    add("--results", type=Path, default=results, metavar="DIR", help="default: results")
     add(
         "--out", type=Path, default=DOC, metavar="DIR", help="default: slot_bringup/doc"
     )
     options = parser.parse_args(arguments)
     if options.list:
         for name, picture in PICTURES.items():
-            print(f"{name:<26}{picture.source.replace(f'{ROOT}/', '')}")
+            print(f"{name:<26}{picture.source}")
         return 0
     try:
         draw(options.names or [*PICTURES], options.results, options.out)
@@ -235,10 +182,12 @@ def draw(names: Sequence[str], results: Path, out: Path) -> None:
     if not out.is_dir():
         raise PictureError(f"--out {out}: not a directory")
     for name in names:
-        if why := missing(results, PICTURES[name]):
-            raise PictureError(f"{name}: {why}")
+        benchmark, needed = PICTURES[name].benchmark, PICTURES[name].needs(results)
+        if needed and not needed.is_file():
+            writes = f"scripts/bench {benchmark} writes it"
+            raise PictureError(f"{name}: {needed}: missing; {writes}")
     for name in names:
-        PICTURES[name].draw(results, out / name)
+        PICTURES[name].make(results, out / name)
         if name.endswith(".png"):
             shrink(out / name)
         progress(str(out / name))

@@ -8,7 +8,7 @@ import pytest
 from benchmarks.harness import known
 from benchmarks.locomotion.rows import rows as locomotion_rows
 from benchmarks.report.report import main
-from benchmarks.report.results import BENCHMARKS, RUNS, bench_command
+from benchmarks.report.results import RUNS
 from slot_paper import claims
 from slot_paper.tables import TABLES
 
@@ -30,7 +30,6 @@ def result(name, rows=(), checks=(), **others):
     return {
         "name": name,
         "quick": True,
-        "options": {},
         "revision": {"commit": "1234", "describe": "v1-g1234", "dirty": True},
         "machine": {
             "cpu": "Z80",
@@ -64,7 +63,7 @@ def write_results(directory):
     folder = write(directory, result("rod", checks=checks))
     (folder / "rod.png").touch()
     (folder / "more.png").touch()
-    write(directory, result("perturbations", options={"seed": 7, "scheduler": ""}))
+    write(directory, result("perturbations"))
     write(directory, result("locomotion", LOCOMOTION))
     (directory / "walk").mkdir()
     (directory / "walk" / "walk.png").touch()
@@ -117,14 +116,14 @@ def test_names_in_a_result_are_taken_as_text(page):
 
 def test_a_result_stands_with_its_command_revision_and_machine(page):
     (section,) = re.findall(r"### perturbations\n(.*?)\n### ", page, re.DOTALL)
-    assert "```bash\nscripts/bench perturbations --quick --seed 7\n```" in section
+    assert "```bash\nscripts/bench perturbations --quick\n```" in section
     assert "revision v1-g1234 with changes; Z80, z80, 1 cores" in section
     assert "| fast | m/s | \\>= 0.08 | 0 | 0 | 0.07 |" in page
 
 
 def test_what_is_missing_is_named_with_the_command_that_makes_it(made):
     missing = made[1].rpartition("What is missing")[2]
-    for name in known(BENCHMARKS).keys() - {
+    for name in known().keys() - {
         "rod",
         "perturbations",
         "locomotion",
@@ -149,13 +148,6 @@ def test_without_results_the_papers_figures_stand_alone_with_what_would_be_besid
     assert "Not run: robot, mpc, graph." in tables
 
 
-def test_a_command_repeats_the_options_of_its_result():
-    options = {"a_b": True, "c": False, "d": "e f", "g": 0.0, "h": None, "i": ""}
-    assert (
-        bench_command("x", False, options) == "scripts/bench x --a-b --d 'e f' --g 0.0"
-    )
-
-
 def test_figures_are_looked_up_under_names_that_the_benchmarks_use():
     wanted = [
         ours
@@ -164,7 +156,7 @@ def test_figures_are_looked_up_under_names_that_the_benchmarks_use():
         for ours in line.ours
         if ours is not None
     ]
-    assert {ours.result for ours in wanted} <= known(BENCHMARKS).keys() | RUNS.keys()
+    assert {ours.result for ours in wanted} <= known().keys() | RUNS.keys()
     found = {ours.match["row"] for ours in wanted if ours.result == "locomotion"}
     assert found <= {row.name for row in locomotion_rows(quick=False)}
 
@@ -180,7 +172,7 @@ NONSENSE = {
     "not JSON": "{",
     "no mapping": "[1, 2]",
     "another name": json.dumps(result("mpc")),
-    "no checks": json.dumps({"name": "rod", "quick": False, "options": {}}),
+    "no checks": json.dumps({"name": "rod", "quick": False}),
     "rows of text": json.dumps(result("rod", ["a"])),
     "no revision": json.dumps(result("rod", revision=None)),
     "nested": "[" * 100_000,

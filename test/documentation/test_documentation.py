@@ -1,6 +1,7 @@
 """The documentation: links that lead somewhere, pictures and tables of today."""
 
 import filecmp
+import json
 import os
 import re
 import shutil
@@ -9,11 +10,14 @@ import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 import yaml
 
 from benchmarks import harness
-from documentation import DOC, ROOT, pictures
+from benchmarks.locomotion import margins
+from benchmarks.locomotion.plots import COLOURS
+from documentation import DOC, ROOT, figure_page, pictures
 from slot_bringup.graph import read_graph
 
 PAGES = [ROOT / "README.md", *sorted(DOC.rglob("*.md"))]
@@ -51,33 +55,52 @@ def test_every_picture_is_drawn_by_a_command_and_shown_on_a_page():
     assert files - links == {"walk.html"}  # which the site shows for walk.gif
 
 
-MEASURED = """
-import math
-import numpy as np
-from benchmarks.locomotion import margins
-from benchmarks.locomotion.plots import MARKS
-
-def run(quick, out, progress):
-    walked = np.column_stack([np.arange(90.0)] * 4)
-    np.savez(out / "courses.npz", **{f"{plot}/default": walked for plot in ("velocity", "path")})
-    table = {"row": "v", "unit": "m/s", "goal": 1.0, "better": "larger"} | dict.fromkeys(MARKS, 2.0)
-    found = dict.fromkeys(margins.SHOWN, math.nan) | {"kind": "margin", "friction": 0.2}
-    return [table, *(found | {"voltage": volt} for volt in margins.VOLTAGE)], []
-"""
+def write_result(results):
+    """A result of the benchmark of locomotion, with courses, that a full run has left."""
+    row = {"row": "lateral error, split friction", "unit": "mm", "goal": 20.0}
+    table = row | {"better": "smaller"} | dict.fromkeys(COLOURS, 2.0)
+    margin = dict.fromkeys(margins.SHOWN) | {"kind": "margin", "friction": 0.2}
+    found = {
+        "name": "locomotion",
+        "quick": False,
+        "revision": {"commit": "1234", "describe": "v1", "dirty": False},
+        "machine": harness.machine(),
+        "rows": [table, *(margin | {"voltage": volt} for volt in margins.VOLTAGE)],
+        "checks": [vars(harness.at_most("slow", 3.0, 2.0, "ms"))],
+    }
+    folder = results / "locomotion"
+    folder.mkdir()
+    (folder / "locomotion.json").write_text(json.dumps(found))
+    course = np.column_stack([np.arange(90.0)] * 4)
+    curves = {f"{plot}/default": course for plot in ("velocity", "path")}
+    np.savez(folder / "courses.npz", **curves)
 
 
 def test_pictures_of_a_benchmark_are_drawn_from_what_its_run_has_left(tmp_path):
-    (tmp_path / "locomotion").mkdir()
-    (tmp_path / "locomotion" / "benchmark.py").write_text(f'"""Tiny."""\n{MEASURED}')
-    results = tmp_path / "results"
-    harness.run("locomotion", tmp_path, True, results / "locomotion", print)
-    mine = [name for name, p in pictures.PICTURES.items() if p.needs[0] == "locomotion"]
-    assert len(mine) == 4
-    assert (
-        pictures.main([*mine, "--results", str(results), "--out", str(tmp_path)]) == 0
-    )
-    for name in mine:
+    write_result(tmp_path)
+    drawn = {n for n, p in pictures.PICTURES.items() if p.benchmark == "locomotion"}
+    assert len(drawn) == 4
+    place = ["--results", str(tmp_path), "--out", str(tmp_path)]
+    assert pictures.main([*drawn, *place]) == 0
+    for name in drawn:
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_page_of_figures_shows_results_keeps_older_ones_and_names_the_missing(
+    tmp_path,
+):
+    write_result(tmp_path)
+    out = tmp_path / "figures.md"
+    out.write_text("# Figures\n\n## locomotion\n\nearlier\n\n## rod\n\nkept\n")
+    assert figure_page.main(["--results", str(tmp_path), "--out", str(out)]) == 0
+    page = out.read_text()
+    assert "| slow | 3 ms | \\<= 2 | **missed** |" in page
+    assert "| lateral error, split friction | mm | 20 | 2 | 2 | 2 | 2 |" in page
+    assert "A full run, revision v1; " in page
+    assert "![locomotion: margins](margins.png)" in page
+    assert "## rod\n\nkept\n" in page
+    assert "## servo\n\nNot measured yet: `scripts/bench servo`." in page
+    assert "earlier" not in page
 
 
 def test_the_tables_of_arguments_topics_and_parameters_are_those_of_today(tmp_path):
@@ -97,7 +120,8 @@ def test_the_tables_of_arguments_topics_and_parameters_are_those_of_today(tmp_pa
     [
         (
             ["--output", "x"],
-            "unknown arguments: --output x; expected --out DIR, --tables or --pictures",
+            "unknown arguments: --output x; "
+            "expected --out DIR, --tables, --pictures or --figures",
         ),
         (["--out", "/dev/null"], "--out /dev/null: not a directory that can be made"),
     ],

@@ -36,11 +36,6 @@ def numbers(pattern, text):
     return [float(number) for number in re.findall(pattern, text)]
 
 
-@pytest.mark.parametrize("name", sorted(path.name for path in EXAMPLES.glob("*.py")))
-def test_an_example_has_20_to_40_lines(name):
-    assert 20 <= len((EXAMPLES / name).read_text().splitlines()) <= 40
-
-
 def test_the_five_lines_of_the_readme(tmp_path):
     readme = (EXAMPLES.parents[1] / "README.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)

@@ -5,8 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.robot.hard_cases import FOLDS, IMPACTS, PARAMETERS, PULLS, STEPS
-from benchmarks.robot.stress import examine
+from benchmarks.robot.hard_cases import (
+    FOLDS,
+    IMPACTS,
+    PARAMETERS,
+    PULLS,
+    STEPS,
+    examine,
+)
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo

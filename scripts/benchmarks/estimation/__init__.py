@@ -1,1 +1,0 @@
-"""State error at the time of use, with delayed, lost and jumping odometry."""

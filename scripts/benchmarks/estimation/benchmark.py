@@ -1,6 +1,6 @@
 """Error of the state at the time when the MPC uses it, with poor odometry, and of vision.
 
-Sensor streams are those of walks in simulation, with the sensors' noise of config/scene/flat.yaml;
+Sensor streams come from walks in simulation, with the sensors' noise of config/scene/flat.yaml;
 delays, losses and jumps are put on them. Three ways are compared: the authors' finite differences
 with zero angular rates, the filter's state at the stamp of the odometry, and the state predicted
 with the IMU to its newest sample. Errors are RMS over all axes, at the arrival of the odometry.
@@ -8,25 +8,37 @@ Vision, on rendered images: `vision_rows.py`.
 """
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy import stats
 
-from benchmarks.estimation import measured_streams as measured
-from benchmarks.estimation import methods, plots, vision_rows
+from benchmarks.estimation import methods, vision_rows
 from benchmarks.estimation.measured_streams import (
     PERIOD,
     WARM_UP,
     Arrival,
+    RecordingPlant,
     Slam,
     Streams,
+    record,
+    walked,
 )
-from benchmarks.harness import Check, Progress, Row, at_least, at_most, cpu_time
+from benchmarks.harness import (
+    Check,
+    Outcome,
+    Progress,
+    Row,
+    at_least,
+    at_most,
+    cpu_time,
+)
 from slot_core.arrays import Array
 from slot_core.clock import SECOND
+from slot_core.drawing import palette
 from slot_core.estimation.estimate import Estimate
 from slot_core.estimation.inertial_filter import EstimatorSettings
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
@@ -34,78 +46,92 @@ from slot_core.geometry import wrapped
 from slot_core.simulation.readings import ImuReading, OdometryReading
 
 DELAYS = ((0.0, 0.0), (0.02, 0.01), (0.05, 0.02), (0.08, 0.02))  # s, with jitter
-ERRORS = {"roll_pitch_mrad": (0, 2), "position_mm": (3, 6), "rate_mrad_s": (6, 9)}
-ERRORS |= {"velocity_mm_s": (9, 12)}
+ERRORS = {  # of the state: which part, and its name in the plot
+    "roll_pitch_mrad": (slice(0, 2), "roll and pitch, mrad"),
+    "position_mm": (slice(3, 6), "position, mm"),
+    "rate_mrad_s": (slice(6, 9), "angular velocity, mrad/s"),
+    "velocity_mm_s": (slice(9, 12), "velocity, mm/s"),
+}
+WAYS = {  # to the state, and their colours
+    "finite differences": (methods.finite_differences, "#E69F00"),
+    "without prediction": (methods.without_prediction, palette.SECONDARY),
+    "predicted": (methods.predicted, palette.TRUE),
+}
 ESTIMATED, RATE = (0, 1, 2, 3, 4, 5, 9, 10, 11), (6, 7, 8)  # of the state
 PASSES, PLAIN_STEPS = 7, 1000  # over the walk; steps of a filter in NumPy after each
-# CPU of the estimator over that of such a step: 50 and 150 us where it takes some 95 us.
+# CPU of the estimator over such a step: 50 and 150 us where it takes some 95 us.
 IMU_RATIO, ODOMETRY_RATIO = 0.5, 1.6
 WITHIN = (
     0.9  # share of the ticks; 0.95 is expected, and the ticks of a walk are correlated
 )
-Method = Callable[..., Iterable[methods.Use]]
 
 
-def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
+def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     """Measure; `quick`: one walk of 10 s in place of twenty of 20 s, eight in closed loop."""
     seeds, duration = (range(1), 10.0) if quick else (range(20), 20.0)
     settings = read_estimator()
     progress(f"{len(seeds)} walks of {duration:g} s")
-    walks = [measured.record(seed, duration) for seed in seeds]
+    walks = [record(seed, duration) for seed in seeds]
+    lost = Slam(0.05, 0.02, gap=(5.0, 6.0))
+    slams = [("delay", Slam(delay, jitter)) for delay, jitter in DELAYS]
+    slams.append(("losses", Slam(0.05, 0.02, loss=0.2)))
+    slams.append(("jumps", Slam(0.05, 0.02, jumps=(3.0, 4.0, 5.0))))
+    slams.append(("one second lost", lost))
     rows: list[Row] = []
-    for delay, jitter in DELAYS:
-        progress(f"delay {1e3 * delay:g} ms")
-        rows += method_rows(walks, Slam(delay, jitter), settings, kind="delay")
-    others = {
-        "losses": Slam(0.05, 0.02, loss=0.2),
-        "jumps": Slam(0.05, 0.02, jumps=(3.0, 4.0, 5.0)),
-        "one second lost": Slam(0.05, 0.02, gap=(5.0, 6.0)),
-    }
-    for name, slam in others.items():
-        progress(name)
-        rows += method_rows(walks, slam, settings, kind=name)
-    lost = [
-        error_after_loss(walk, others["one second lost"], settings) for walk in walks
-    ]
-    rows.append(nees_row(walks, settings))
-    rows += [
-        cpu_row(walks[0], settings),
-        *closed_loop_rows(range(8 if quick else 20), progress),
-    ]
+    for kind, slam in slams:
+        progress(f"{kind}, odometry {1e3 * slam.delay:g} ms late")
+        rows += [method_row(walks, slam, settings, kind, name) for name in WAYS]
+    beyond = np.max([error_after_loss(walk, lost, settings) for walk in walks], axis=0)
+    rows += [nees_row(walks, settings), cpu_row(walks[0], settings)]
+    rows += closed_loop_rows(range(8 if quick else 20), progress)
     rows += vision_rows.rows(quick, progress)
-    plots.draw(rows, out / "estimation.png")
-    return rows, checks(rows, np.array(lost))
+    draw(rows, out / "estimation.png")
+    return rows, checks(rows, *beyond)
 
 
-def method_rows(
-    walks: list[Streams], slam: Slam, settings: EstimatorSettings, kind: str
-) -> list[Row]:
-    """RMS errors of the three ways over the walks."""
-    ways: dict[str, Method] = {
-        "finite differences": methods.finite_differences,
-        "without prediction": lambda a: methods.without_prediction(a, settings),
-        "predicted": lambda a: methods.predicted(a, settings),
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Write the plot: error when the state is used over the odometry's delay, by way to it."""
+    figure = Figure(figsize=(12, 3.4), layout="constrained")
+    for ax, (name, (_, label)) in zip(figure.subplots(1, len(ERRORS)), ERRORS.items()):
+        for way, (_, colour) in WAYS.items():
+            mine = [r for r in rows if r["kind"] == "delay" and r["method"] == way]
+            x, y = [r["delay_ms"] for r in mine], [r[name] for r in mine]
+            ax.plot(x, y, "o-", color=colour, label=way)
+        ax.set(xlabel="delay of the odometry, ms", ylabel=f"RMS error of {label}")
+        ax.set_yscale("log")
+        ax.grid(alpha=0.3)
+    figure.axes[0].legend(frameon=False)
+    figure.savefig(path, dpi=150)
+
+
+def method_row(
+    walks: list[Streams], slam: Slam, settings: EstimatorSettings, kind: str, name: str
+) -> Row:
+    """RMS errors of a way to the state over the walks."""
+    way, _ = WAYS[name]
+    errors = np.vstack([errors_at_use(walk, slam, way, settings) for walk in walks])
+    rms = {
+        key: 1e3 * float(np.sqrt(np.mean(errors[:, part] ** 2)))
+        for key, (part, _) in ERRORS.items()
     }
-    rows: list[Row] = []
-    for name, way in ways.items():
-        errors = np.vstack([errors_at_use(walk, slam, way) for walk in walks])
-        rms = {
-            key: 1e3 * float(np.sqrt(np.mean(errors[:, slice(*part)] ** 2)))
-            for key, part in ERRORS.items()
-        }
-        place = {"kind": kind, "method": name, "delay_ms": 1e3 * slam.delay}
-        rows.append(
-            {**place, "jitter_ms": 1e3 * slam.jitter, "ticks": len(errors), **rms}
-        )
-    return rows
+    row = {"kind": kind, "method": name, "delay_ms": 1e3 * slam.delay}
+    return row | {"jitter_ms": 1e3 * slam.jitter, "ticks": len(errors), **rms}
 
 
-def errors_at_use(walk: Streams, slam: Slam, way: Method) -> Array:
+def errors_at_use(
+    walk: Streams, slam: Slam, way: methods.Way, settings: EstimatorSettings
+) -> Array:
     """Errors (n, 12) of the states when they are used, after the warm-up."""
     arrivals = slam.arrivals(walk, np.random.default_rng(0))
     start = walk.stamps[0] + WARM_UP * SECOND
-    used = [(at, state) for at, state in way(arrivals) if start < at <= walk.end]
-    return np.array([difference(state, walk.true_state(at)) for at, state in used])
+    used = way(arrivals, settings)
+    return np.array(
+        [
+            difference(state, walk.true_state(at))
+            for at, state in used
+            if start < at <= walk.end
+        ]
+    )
 
 
 def difference(state: Array, true: Array) -> Array:
@@ -135,25 +161,23 @@ def nees_row(walks: list[Streams], settings: EstimatorSettings) -> Row:
     slam, first, by_walk = Slam(0.05, 0.02), round(WARM_UP / PERIOD), []
     for walk in walks:
         arrivals = slam.arrivals(walk, np.random.default_rng(0))
-        found = [
-            e for _, e in methods.estimates(arrivals, settings) if e.time <= walk.end
-        ]
-        errors = [
-            (difference(e.state, walk.true_state(e.time)), e) for e in found[first:]
-        ]
-        by_walk.append([(nees(x, e, ESTIMATED), nees(x, e, RATE)) for x, e in errors])
+        found = [e for _, e in methods.estimates(arrivals, settings)]
+        some = [e for e in found if e.time <= walk.end][first:]
+        off = [difference(e.state, walk.true_state(e.time)) for e in some]
+        pairs = list(zip(off, some))
+        by_walk.append([(nees(x, e, ESTIMATED), nees(x, e, RATE)) for x, e in pairs])
     ticks = min(map(len, by_walk))
     estimated, rate = np.mean([walk[:ticks] for walk in by_walk], axis=0).T
     low, high = stats.chi2.ppf([0.025, 0.975], len(ESTIMATED) * len(walks)) / len(walks)
-    within = np.mean((low <= estimated) & (estimated <= high))
-    row = {
+    return {
         "kind": "nees",
         "mean": estimated.mean(),
         "low": low,
         "high": high,
-        "within": within,
+        "within": np.mean((low <= estimated) & (estimated <= high)),
+        "ticks": ticks,
+        "rate_mean": rate.mean(),
     }
-    return row | {"ticks": ticks, "rate_mean": rate.mean()}
 
 
 def nees(error: Array, estimate: Estimate, part: Sequence[int]) -> float:
@@ -165,23 +189,19 @@ def nees(error: Array, estimate: Estimate, part: Sequence[int]) -> float:
 def cpu_row(walk: Streams, settings: EstimatorSettings) -> Row:
     """CPU time of one IMU sample and of one odometry reading delayed by 50 ms.
 
-    Over that of one step of the filter in NumPy and SciPy: medians of passes over the walk, each
+    Ratio to one step of the filter in NumPy and SciPy: medians of passes over the walk, each
     followed by such steps.
     """
     arrivals = [*Slam(0.05).arrivals(walk, np.random.default_rng(0))]
     passes = np.empty((PASSES, 3))
     for figures in passes:
         figures[:2] = cpu_times(arrivals, settings)
-        figures[2] = cpu_time(methods.plain_step, 1, PLAIN_STEPS).median
-    microseconds, ratios = (
-        1e6 * np.median(passes, axis=0),
-        passes[:, :2] / passes[:, 2:],
-    )
-    return {
-        "kind": "cpu",
-        **dict(zip(("imu_us", "odometry_us", "plain_step_us"), microseconds)),
-        **dict(zip(("imu_ratio", "odometry_ratio"), np.median(ratios, axis=0))),
-    }
+        figures[2] = cpu_time(methods.plain_step, 1, PLAIN_STEPS)
+    imu, odometry, plain = 1e6 * np.median(passes, axis=0)
+    ratios = np.median(passes[:, :2] / passes[:, 2:], axis=0)
+    row = {"kind": "cpu", "imu_us": imu, "odometry_us": odometry}
+    row |= {"plain_step_us": plain}
+    return row | {"imu_ratio": ratios[0], "odometry_ratio": ratios[1]}
 
 
 def cpu_times(
@@ -208,25 +228,19 @@ def closed_loop_rows(seeds: Sequence[int], progress: Progress) -> list[Row]:
     rows: list[Row] = []
     for delay in (0.01, 0.08):
         progress(f"{len(seeds)} walks with odometry {1e3 * delay:g} ms late")
+        late, found = {"scene.sensors.odometry.delay": delay}, []
+        for seed in seeds:
+            states, figures = walked(RecordingPlant, seed, 10.0, late).motion()
+            tilt = 1e3 * np.sqrt(np.mean(states[:, 0:2] ** 2))
+            found.append(figures | {"tilt_mrad": tilt})
+        means = {key: np.mean([each[key] for each in found]) for key in found[0]}
         row = {"kind": "closed loop", "delay_ms": 1e3 * delay, "seeds": len(seeds)}
-        late = {"scene.sensors.odometry.delay": delay}
-        found = [walk_figures(seed, late) for seed in seeds]
-        rows.append(
-            row | {key: np.mean([each[key] for each in found]) for key in found[0]}
-        )
+        rows.append(row | means)
     return rows
 
 
-def walk_figures(seed: int, changes: Mapping[str, Any]) -> dict[str, float]:
-    """Velocity, drift to the side, and RMS of roll and pitch of a walk."""
-    states, figures = measured.walked(
-        measured.RecordingPlant, seed, 10.0, changes
-    ).motion()
-    return figures | {"tilt_mrad": 1e3 * np.sqrt(np.mean(states[:, 0:2] ** 2))}
-
-
-def checks(rows: list[Row], lost: Array) -> list[Check]:
-    """Figures that have a goal."""
+def checks(rows: list[Row], place: float, speed: float) -> list[Check]:
+    """Figures that have a goal; place, speed: largest errors after a second without odometry, SI."""
 
     def row(**wanted: Any) -> Row:
         (found,) = [r for r in rows if wanted.items() <= r.items()]
@@ -237,32 +251,25 @@ def checks(rows: list[Row], lost: Array) -> list[Check]:
     near, far = (row(kind="closed loop", delay_ms=delay) for delay in (10.0, 80.0))
     nees, cpu = row(kind="nees"), row(kind="cpu")
     faster = authors["velocity_mm_s"] / ours["velocity_mm_s"]
+    change = abs(far["v_x_mm_s"] / near["v_x_mm_s"] - 1.0)
+    aside, tilted = (far[key] / near[key] - 1 for key in ("lateral_mm", "tilt_mrad"))
+    imu, odometry = cpu["imu_ratio"], cpu["odometry_ratio"]
+    within = nees["within"]
+    lost = "after 1 s without odometry"
     return [
         at_most("position, 50 ms late", ours["position_mm"], 2.0, "mm"),
         at_most("velocity, 50 ms late", ours["velocity_mm_s"], 10.0, "mm/s"),
         at_most("roll and pitch, 50 ms late", ours["roll_pitch_mrad"], 5.0, "mrad"),
         at_least("velocity error of finite differences", faster, 3),
-        at_most(
-            "position after 1 s without odometry", 1e3 * lost[:, 0].max(), 50.0, "mm"
-        ),
-        at_most(
-            "velocity after 1 s without odometry", 1e3 * lost[:, 1].max(), 50.0, "mm/s"
-        ),
+        at_most(f"position {lost}", 1e3 * place, 50.0, "mm"),
+        at_most(f"velocity {lost}", 1e3 * speed, 50.0, "mm/s"),
         at_least("mean NEES", nees["mean"], nees["low"]),
         at_most("mean NEES", nees["mean"], nees["high"]),
-        at_least(
-            "NEES within its 95 % bounds: share of the ticks", nees["within"], WITHIN
-        ),
-        at_most("v_x, 80 ms late", abs(far["v_x_mm_s"] / near["v_x_mm_s"] - 1.0), 0.05),
-        *[
-            at_most(f"{name} added by 80 ms", far[name] / near[name] - 1.0, 0.05)
-            for name in ("lateral_mm", "tilt_mrad")
-        ],
-        at_most("CPU of an IMU step over one in NumPy", cpu["imu_ratio"], IMU_RATIO),
-        at_most(
-            "CPU of an odometry update over that step",
-            cpu["odometry_ratio"],
-            ODOMETRY_RATIO,
-        ),
+        at_least("NEES within its 95 % bounds: share of the ticks", within, WITHIN),
+        at_most("v_x, 80 ms late", change, 0.05),
+        at_most("lateral_mm added by 80 ms", aside, 0.05),
+        at_most("tilt_mrad added by 80 ms", tilted, 0.05),
+        at_most("CPU of an IMU step over one in NumPy", imu, IMU_RATIO),
+        at_most("CPU of an odometry update over that step", odometry, ODOMETRY_RATIO),
         *vision_rows.checks(rows),
     ]

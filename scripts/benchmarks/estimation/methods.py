@@ -4,7 +4,7 @@ Each yields (time of use in ns, state (12,)) for the arrivals of a `Slam`. A sta
 odometry has arrived.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,16 +20,18 @@ from slot_core.geometry import rpy_of
 from slot_core.simulation.readings import ImuReading, OdometryReading
 
 Use = tuple[int, Array]
+Way = Callable[[Sequence[Arrival], EstimatorSettings], Iterator[Use]]
 USABLE = (Validity.VALID, Validity.ODOMETRY_LOST, Validity.ODOMETRY_REJECTED)
 
 
-def finite_differences(arrivals: Sequence[Arrival]) -> Iterator[Use]:
+def finite_differences(
+    arrivals: Sequence[Arrival], _: EstimatorSettings
+) -> Iterator[Use]:
     """The authors' way: pose of the odometry, velocity by its differences, angular rate zero."""
     last: OdometryReading | None = None
     for arrival, r in arrivals:
-        if not isinstance(r, OdometryReading) or (
-            last is not None and r.stamp <= last.stamp
-        ):
+        late = isinstance(r, ImuReading) or (last and r.stamp <= last.stamp)
+        if late:
             continue
         if last is not None:
             velocity = (r.position - last.position) / to_seconds(r.stamp - last.stamp)

@@ -1,1 +1,0 @@
-"""Benchmark of the running graph: latency, CPU, memory."""

@@ -18,15 +18,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from rclpy.serialization import deserialize_message, serialize_message
 
-from benchmarks import against as other_checkout
-from benchmarks.graph.endurance import endurance_checks, long_walk
-from benchmarks.graph.measured_walk import Walk, measure_walk
-from benchmarks.graph.plots import END_TO_END, draw
+from benchmarks.graph.measured_walk import (
+    Walk,
+    endurance_checks,
+    long_walk,
+    measure_walk,
+)
 from benchmarks.harness import (
     Attempts,
     Check,
+    Outcome,
     Progress,
     Row,
     at_least,
@@ -34,10 +38,13 @@ from benchmarks.harness import (
     cpu_time,
     timed,
 )
+from benchmarks.plots import draw_longer
 from slot_bringup.graph import CONTROLLER, read_graph
+from slot_core.arrays import Array
 from slot_core.control.pace import Pace
 from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.control.policy import make_policy
+from slot_core.drawing import palette
 from slot_core.dynamics.scene import read_scene
 from slot_core.messages import decode
 from slot_core.robot import read_robot
@@ -51,7 +58,8 @@ CYCLES = 120  # of the MPC's node
 ALL_NODES, RECORDER = "all nodes", "recorder"
 SEPARATE, COMPOSED = "separate", "composed"  # the controller's nodes
 FAST = "composed, 100 Hz"  # odometry; else it is at 30 Hz
-NODE_FIGURES = ("cpu_percent", "rss_mb", "pss_mb")
+END_TO_END = "end to end"  # latency from odometry to command
+NODE_FIGURES = ("cpu_percent", "pss_mb")
 PERCENTILES = ("p50", "p99", "max")  # of a latency
 WALK_FIGURES = (
     "ticks",
@@ -75,9 +83,7 @@ LEAST_SPEED, LARGEST_TILT = (
 LATENCY_RATIO, CPU_RATIO, LEAST_SPEEDUP = 0.8, 0.8, 1.5
 # CPU of the controller with odometry at 100 Hz over that at 30 Hz: 3.3 if a tick takes as long.
 FAST_CPU_RATIO = 3.4
-REPLAY_RATIO = (
-    2.0  # CPU of a replay, without start-up, over that of controller and plant
-)
+REPLAY_RATIO = 2.0  # CPU of a replay, without start-up, over controller and plant
 REPLAYED = 60.0  # s of a walk
 # Goals for the robot, which are the machine's too.
 CONTROLLER_CPU, RECORDER_CPU = 30.0, 5.0  # % of a core, at 30 Hz
@@ -103,34 +109,24 @@ class Plan:
 QUICK, FULL = Plan(1, 10.0, 10.0, 5, 0.0), Plan(3, 60.0, 30.0, 20, 3600.0)
 
 
-def run(
-    quick: bool,
-    out: Path,
-    progress: Progress,
-    endurance: float | None = None,
-    against: Path | None = None,
-) -> tuple[list[Row], list[Check]]:
+def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     """Run the graph as `QUICK` or `FULL` plans; the plot goes to `out/graph.png`."""
     plan = QUICK if quick else FULL
     graph = read_graph()
     values = {argument.name: argument.default for argument in graph.arguments}
     progress("closed loop in one process")
-    loop = closed_loop_row(
-        values, plan.blocks
-    )  # also compiles the kernels that the nodes load
+    rows = [closed_loop_row(values, plan.blocks)]  # compiles what the nodes load too
     progress("cycle of the MPC's node")
-    cycle = cycle_row(CYCLES)
+    rows.append(cycle_row(CYCLES))
     modes = {SEPARATE: values, COMPOSED: values | {"composed": True}}
-    speeds, attempts = [], Attempts()
+    attempts = Attempts()
     for mode, chosen in modes.items():
         progress(name := f"lockstep, {mode}")
-        values_here = chosen | {"lockstep": True}
-        if one := attempts.run(name, measure_walk, graph, values_here, plan.lockstep):
-            figures = {
-                "duration_s": one.metrics.duration,
-                "speed": one.metrics.real_time_factor,
-            }
-            speeds.append({"kind": "lockstep", "nodes": mode} | figures)
+        lockstep = chosen | {"lockstep": True}
+        if one := attempts.run(name, measure_walk, graph, lockstep, plan.lockstep):
+            row = {"kind": "lockstep", "nodes": mode}
+            row["duration_s"] = one.metrics.duration
+            rows.append(row | {"speed": one.metrics.real_time_factor})
     modes[FAST] = modes[COMPOSED] | {"scene": "fast_odometry"}
     walks: dict[str, list[Walk]] = {mode: [] for mode in modes}
     for repeat in range(plan.repeats):
@@ -140,33 +136,50 @@ def run(
                 walks[mode].append(one)
     if walks[SEPARATE] and walks[COMPOSED]:
         draw(walks[SEPARATE], walks[COMPOSED], out / "graph.png")
-    rows = []
-    for mode, some in walks.items():
-        for repeat, one in enumerate(some):
-            rows += walk_rows(mode, repeat, one)
-    rows += medians(rows)
-    rows += [*speeds, loop, cycle]
-    duration = plan.endurance if endurance is None else endurance
-    if duration > 0.0:
-        progress(f"long walk in lockstep, {duration:g} s")
-        composed = values | {"composed": True}
-        rows += attempts.run("long walk", long_walk, graph, composed, duration) or []
-    if against is not None:
-        progress("another checkout")
-        rows += other_checkout.against_rows(against)
-    found = [
-        *other_checkout.against_checks(rows),
-        *checks(rows, plan),
-        *goal_checks(rows),
-        *endurance_checks(rows),
+    of_walks = [
+        row
+        for mode, some in walks.items()
+        for repeat, one in enumerate(some)
+        for row in walk_rows(mode, repeat, one)
     ]
+    rows += [*of_walks, *medians(of_walks)]
+    if plan.endurance:
+        progress(f"long walk in lockstep, {plan.endurance:g} s")
+        long = attempts.run(
+            "long walk", long_walk, graph, modes[COMPOSED], plan.endurance
+        )
+        rows += long or []
+    found = [*checks(rows, plan), *endurance_checks(rows)]
     return [*rows, *attempts.rows], [*found, *attempts.checks]
+
+
+def draw(walks: Sequence[Walk], composed: Sequence[Walk], path: Path) -> None:
+    """Write the plot: share of ticks whose latency exceeds a time, by stage and from end to end."""
+    stages = np.concatenate([walk.ticks.latency for walk in walks])
+    curves = dict(zip(STAGES, stages.T))
+    curves |= {END_TO_END: due(walks), f"{END_TO_END}, composed": due(composed)}
+    figure = Figure(figsize=(8.5, 5.0), layout="constrained")
+    ax = figure.subplots()
+    draw_longer(ax, {name: 1e3 * values for name, values in curves.items()})
+    period = 1e3 * walks[0].ticks.period
+    ax.axvline(period, color=palette.INK, ls=":", lw=1)
+    ax.text(period, 1.0, "control period ", va="top", ha="right", fontsize=8)
+    ax.set(xlabel="latency, ms", title="Ticks that took longer than a time")
+    figure.savefig(path, dpi=130)
+
+
+def due(walks: Sequence[Walk]) -> Array:
+    """Latencies from odometry to command of all commands that were due, s."""
+    ticks = [walk.ticks for walk in walks]
+    return np.concatenate(
+        [one.end_to_end[one.time[:, 0] + one.period <= one.end] for one in ticks]
+    )
 
 
 def cycle_row(ticks: int) -> dict[str, Any]:
     """Time of the MPC node's cycle in the walk, serialized inputs to serialized output; no DDS.
 
-    The preparation for the next cycle has a time of its own.
+    The preparation for the next cycle is timed apart.
     """
     loop, period = (
         ClosedLoop("flat", "walk", None, 0),
@@ -200,51 +213,32 @@ def closed_loop_row(values: Mapping[str, Any], blocks: int) -> Row:
     """CPU time of controller and simulated robot in one process, per second of graph time."""
     loop = ClosedLoop(values["scene"], values["gait"], None, values["seed"])
     ticks = loop.run((blocks + 1) * BLOCK)  # the first one warms up
-    figure = cpu_time(lambda: deque(islice(ticks, BLOCK), maxlen=0), blocks)
+    used = cpu_time(lambda: deque(islice(ticks, BLOCK), maxlen=0), blocks)
     duration = BLOCK * read_scene(values["scene"]).sensors.odometry.period
-    seconds = {"": figure.median, "_least": figure.least, "_largest": figure.largest}
     row = {"kind": "closed loop", "duration_s": blocks * duration}
-    row |= {f"cpu_s_per_s{name}": value / duration for name, value in seconds.items()}
-    return row | {"speed": duration / figure.median}
+    return row | {"cpu_s_per_s": used / duration, "speed": duration / used}
 
 
 def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
     """Rows of one walk: its metrics, every stage, every node."""
-    which = {"nodes": mode, "repeat": repeat}
-    m = one.metrics
-    stages = {**m.stages, END_TO_END: m.end_to_end}
-    figures = np.column_stack(
-        [one.cpu, *(np.divide([one.usage.rss, one.usage.pss], 1e6))]
-    )
-    nodes = [*zip(one.usage.nodes, figures), (ALL_NODES, figures.sum(axis=0))]
-    walk = {
-        "kind": "walk",
-        **which,
-        "duration_s": m.duration,
-        "period_ms": 1e3 * m.period,
-    }
-    walk |= {name: getattr(m, name) for name in WALK_FIGURES} | {
-        "tilt_max_rad": m.tilt_max
-    }
+    which, m = {"nodes": mode, "repeat": repeat}, one.metrics
+    walk = {"kind": "walk", **which}
+    walk |= {"duration_s": m.duration, "period_ms": 1e3 * m.period}
+    walk |= {name: getattr(m, name) for name in WALK_FIGURES}
+    walk["tilt_max_rad"] = m.tilt_max
     walk["waiting_for_a_core_percent"] = one.waited  # how loaded the machine was
-    walk |= {
-        "replay_cpu_s_per_s": one.replay_cpu,
-        "replay_differences": one.replay_differences,
-    }
-    node, latency = {"kind": "node", **which}, {"kind": "latency", **which}
-    return [
-        walk,
-        *(
-            latency
-            | {"stage": stage}
-            | {f"{p}_ms": 1e3 * getattr(found, p) for p in PERCENTILES}
-            for stage, found in stages.items()
-        ),
-        *(
-            node | {"node": name} | dict(zip(NODE_FIGURES, values))
-            for name, values in nodes
-        ),
+    walk["replay_cpu_s_per_s"] = one.replay_cpu
+    walk["replay_differences"] = one.replay_differences
+    latency = [
+        {"kind": "latency", **which, "stage": stage}
+        | {f"{p}_ms": 1e3 * getattr(found, p) for p in PERCENTILES}
+        for stage, found in {**m.stages, END_TO_END: m.end_to_end}.items()
     ]
+    figures = np.column_stack([one.cpu, one.pss])
+    nodes = [*zip(one.nodes, figures), (ALL_NODES, figures.sum(axis=0))]
+    node = {"kind": "node", **which}
+    used = [node | {"node": n} | dict(zip(NODE_FIGURES, some)) for n, some in nodes]
+    return [walk, *latency, *used]
 
 
 def medians(rows: Sequence[Row]) -> list[Row]:
@@ -269,111 +263,64 @@ def medians(rows: Sequence[Row]) -> list[Row]:
 def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
     """The figures against their goals: median of the CPU, worst repeat of the rest.
 
-    Latencies to the command are rows without a check; those to the servo have theirs in `servo`.
-    CPU and speed of the graph beside one process have none either, as its kernels gain more by a
-    quicker processor than messages do. Without the rows of a walk its checks are missed.
+    The last seven goals are for the robot, and depend on the speed of the machine. Latencies to the
+    command are rows without a check; those to the servo have theirs in `servo`. CPU and speed of
+    the graph beside one process have none either, as its kernels gain more by a quicker processor
+    than messages do. Without the rows of a walk its checks are missed.
     """
 
-    def column(name: str, **which: Any) -> list[Any]:
-        return [r[name] for r in rows if which.items() <= r.items() and name in r]
-
-    def over_repeats(name: str, kind: str = "walk", **which: Any) -> list[Any]:
-        return [
-            v
-            for k in range(plan.repeats)
-            for v in column(name, kind=kind, repeat=k, **which)
-        ]
+    def figures(name: str, **which: Any) -> list[Any]:
+        found = [r[name] for r in rows if which.items() <= r.items() and name in r]
+        return found or [math.nan]
 
     def median(name: str, mode: str, **which: Any) -> float:
-        return only(column(name, nodes=mode, repeat="median", **which))
+        return figures(name, nodes=mode, repeat="median", **which)[0]
 
-    def only(values: list[Any]) -> float:
-        return values[0] if values else math.nan
+    def speed(mode: str) -> float:
+        return figures("speed", kind="lockstep", nodes=mode)[0]
 
     stages = sum(median("cpu_percent", SEPARATE, node=node) for node in STAGES)
     controller = median("cpu_percent", COMPOSED, node=CONTROLLER)
-    age = {
-        mode: median("p50_ms", mode, stage=END_TO_END) for mode in (SEPARATE, COMPOSED)
-    }
+    younger = median("p50_ms", COMPOSED, stage=END_TO_END)
+    younger /= median("p50_ms", SEPARATE, stage=END_TO_END)
     [cycle] = (row for row in rows if row["kind"] == "cycle")
-    [loop] = column("cpu_s_per_s", kind="closed loop")
-    separate, composed = (
-        only(column("speed", kind="lockstep", nodes=mode))
-        for mode in (SEPARATE, COMPOSED)
-    )
-    nodes, own = (
-        max(over_repeats("pss_mb", "node", nodes=COMPOSED, node=node), default=math.nan)
+    solve, prepare = cycle["solve_cpu_ms"], cycle["prepare_cpu_ms"]
+    [loop] = figures("cpu_s_per_s", kind="closed loop")
+    memory, own = (
+        max(figures("pss_mb", nodes=COMPOSED, node=node))
         for node in (ALL_NODES, CONTROLLER)
     )
-    solving = cycle["cpu_ms"] / cycle["solve_cpu_ms"]
-    replay = median("replay_cpu_s_per_s", SEPARATE, kind="walk") / loop
-    fast = median("cpu_percent", FAST, node=CONTROLLER) / controller
-    younger, beside = age[COMPOSED] / age[SEPARATE], "composed over separate"
+    replay = median("replay_cpu_s_per_s", SEPARATE, kind="walk")
+    fast = median("cpu_percent", FAST, node=CONTROLLER)
+    recorder = median("cpu_percent", SEPARATE, node=RECORDER)
+    changed = max(figures("replay_differences"))
+    beside = "composed over separate"
+    speedup = speed(COMPOSED) / speed(SEPARATE)
+    messages_too = cycle["cpu_ms"] / solve
+    duration, slowest = (
+        min(figures("duration_s", kind="walk")),
+        min(figures("mean_v_x")),
+    )
     return [
-        at_least(
-            "shortest walk",
-            min(over_repeats("duration_s"), default=math.nan),
-            plan.duration,
-            "s",
-        ),
-        at_least(
-            "least mean v_x",
-            min(over_repeats("mean_v_x"), default=math.nan),
-            LEAST_SPEED,
-            "m/s",
-        ),
-        at_most(
-            "largest tilt",
-            max(over_repeats("tilt_max_rad"), default=math.nan),
-            LARGEST_TILT,
-            "rad",
-        ),
-        at_most("memory of all nodes, composed", nodes, PSS_MB, "MB"),
+        at_least("shortest walk", duration, plan.duration, "s"),
+        at_least("least mean v_x", slowest, LEAST_SPEED, "m/s"),
+        at_most("largest tilt", max(figures("tilt_max_rad")), LARGEST_TILT, "rad"),
+        at_most("memory of all nodes, composed", memory, PSS_MB, "MB"),
         at_most("memory of the controller, composed", own, CONTROLLER_PSS_MB, "MB"),
-        at_most(
-            "CPU of a cycle of the MPC's node over its solution's",
-            solving,
-            LARGEST_CYCLE,
-        ),
+        at_most("CPU of the MPC node over its solver", messages_too, LARGEST_CYCLE),
         at_most(f"{beside}: odometry to command, median", younger, LATENCY_RATIO),
         at_most(f"{beside}: CPU of the controller", controller / stages, CPU_RATIO),
-        at_least(f"{beside}: lockstep speed", composed / separate, LEAST_SPEEDUP),
+        at_least(f"{beside}: lockstep speed", speedup, LEAST_SPEEDUP),
         at_most(
-            "CPU of a replay over that of controller and plant", replay, REPLAY_RATIO
+            "CPU of a replay over controller and plant", replay / loop, REPLAY_RATIO
         ),
-        at_most(
-            "stages that a replay changes",
-            max(over_repeats("replay_differences"), default=math.nan),
-            0,
-        ),
-        at_most("100 Hz over 30 Hz: CPU of the controller", fast, FAST_CPU_RATIO),
-    ]
-
-
-def goal_checks(rows: Sequence[Row]) -> list[Check]:
-    """The goals for the robot, which depend on the speed of the machine."""
-
-    def largest(name: str, **which: Any) -> float:
-        found = (r[name] for r in rows if which.items() <= r.items() and name in r)
-        return max(found, default=math.nan)
-
-    controller = largest(
-        "cpu_percent", nodes=COMPOSED, node=CONTROLLER, repeat="median"
-    )
-    recorder = largest("cpu_percent", nodes=SEPARATE, node=RECORDER, repeat="median")
-    solve, prepare = (
-        largest(f"{phase}_cpu_ms", kind="cycle") for phase in ("solve", "prepare")
-    )
-    speed = largest("speed", kind="lockstep", nodes=COMPOSED)
-    replay_cpu = largest("replay_cpu_s_per_s", nodes=SEPARATE, repeat="median")
-    return [
+        at_most("stages that a replay changes", changed, 0),
+        at_most("100 Hz over 30 Hz: controller", fast / controller, FAST_CPU_RATIO),
         at_most("CPU of the policy's feedback phase", solve, FEEDBACK_CPU, "ms"),
         at_most("CPU of the policy in a tick", solve + prepare, POLICY_CPU, "ms"),
         at_most("CPU of the controller, composed", controller, CONTROLLER_CPU, "%"),
         at_most("CPU of the recorder", recorder, RECORDER_CPU, "%"),
-        at_most(
-            "100 Hz: ticks without a command", largest("unanswered", nodes=FAST), 0
-        ),
-        at_least("lockstep speed, composed", speed, LOCKSTEP_SPEED, "times real time"),
-        at_most("CPU of a replay of 60 s", REPLAYED * replay_cpu, REPLAY_CPU, "s"),
+        at_most("100 Hz: unanswered ticks", max(figures("unanswered", nodes=FAST)), 0),
+        at_least("lockstep speed, composed", speed(COMPOSED), LOCKSTEP_SPEED, "times"),
+        at_most("CPU of a replay of 60 s", REPLAYED * replay, REPLAY_CPU, "s"),
     ]

@@ -1,7 +1,16 @@
-"""One run of the graph, as processes, with its bag: metrics, ticks, CPU and memory."""
+"""Runs of the graph as processes: metrics, ticks, CPU and memory of a walk; growth in a long one.
 
+A long walk runs in lockstep with its recorder. Every `ENDURANCE_PERIOD` a sample is taken of each
+node and of the machine's shared memory; the growth is from the first tenth after the warm-up to the
+last tenth.
+"""
+
+import math
 import tempfile
-from collections.abc import Mapping
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,8 +18,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from benchmarks.graph.usage import Usage, metered
-from benchmarks.harness import BenchmarkError, timed
+from benchmarks.harness import BenchmarkError, Check, Row, at_most, timed
 from slot_bringup.graph import Graph
 from slot_bringup.monitor import RunError, watch
 from slot_bringup.run import started
@@ -24,9 +32,13 @@ from slot_lab.bags.recorded_walk import Ticks, read_motion, read_ticks
 from slot_lab.bags.replay_command import TOLERANCE
 from slot_lab.report.metrics import WalkMetrics, walk_metrics
 
-STANDING = (
-    1.0  # s, at most, from the first state to the first command: the robot stands still
-)
+STANDING = 1.0  # s, at most, from the first state to the first command
+SAMPLE_PERIOD = 0.25  # s; the kernel counts CPU time in steps of 10 ms
+ENDURANCE_PERIOD = 2.0  # s of wall time
+WARM_UP = 0.2  # of the samples: kernels, buffers of the middleware and of Python fill
+SHARED_MEMORY = Path("/dev/shm")
+LARGEST_GROWTH = 1.0  # MB per node
+GROWING = {"memory": "MB", "threads": "", "descriptors": ""}  # of a node
 
 
 @dataclass(frozen=True)
@@ -35,9 +47,10 @@ class Walk:
 
     metrics: WalkMetrics
     ticks: Ticks  # after the warm-up
+    nodes: Sequence[str]
     cpu: Array  # (nodes,) percent of one core
+    pss: Array  # (nodes,) MB, proportional set at the end
     waited: float  # % of the time in which any program on the machine waited for a core
-    usage: Usage
     replay_cpu: float  # s of CPU to replay a second of the bag
     replay_differences: int  # stages that are not replayed within `TOLERANCE`
 
@@ -45,32 +58,145 @@ class Walk:
 def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Walk:
     """Run the graph for `duration` (s) after the warm-up; raises BenchmarkError if it fails."""
     warm_up = read_record_settings().warm_up
+    samples: list[list[float]] = []  # wall time, CPU of each node, time waited, s
     with tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch, "bag")
+        values = {**values, "bag": str(directory)}
         try:
-            usage = record(
-                graph, {**values, "bag": str(directory)}, STANDING + warm_up + duration
-            )
+            with (
+                running(graph, values, Path(scratch, "logs")) as (processes, nodes),
+                in_background(lambda: samples.append(cpu_of(nodes)), SAMPLE_PERIOD),
+            ):
+                watch(processes, STANDING + warm_up + duration)
+                # counting shared pages takes the kernel too long for every sample
+                pss = [node.memory_full_info().pss / 1e6 for node in nodes.values()]
             bag = Bag(directory)
             metrics = walk_metrics(bag, warm_up, read_servo())
             ticks = read_ticks(bag).after(read_motion(bag).t[0] + warm_up)
             replayed, seconds = timed(check_bag, bag, TOLERANCE)
-            replay_cpu = seconds / (1e-9 * bag.duration_ns)
         except (RunError, BagError, psutil.Error) as error:
             raise BenchmarkError(f"the graph failed: {error}") from error
-        begin, end = to_seconds(bag.end_ns) - ticks.end + ticks.time[[0, -1], 0]
-    *cpu, waiting = usage.percent(begin, end)
+        span = to_seconds(bag.end_ns) - ticks.end + ticks.time[[0, -1], 0]
+        replay_cpu = seconds / (1e-9 * bag.duration_ns)
+    at, *columns = np.array(samples).T
+    span = np.clip(span, at[0], at[-1])
+    used = [np.diff(np.interp(span, at, column))[0] for column in columns]
+    *cpu, waited = 100 * np.array(used) / np.diff(span)
     differences = sum(stage.first is not None for stage in replayed)
-    return Walk(metrics, ticks, np.array(cpu), waiting, usage, replay_cpu, differences)
+    return Walk(
+        metrics,
+        ticks,
+        list(nodes),
+        np.array(cpu),
+        np.array(pss),
+        waited,
+        replay_cpu,
+        differences,
+    )
 
 
-def record(graph: Graph, values: Mapping[str, Any], duration: float) -> Usage:
-    """Run the graph until its clock has advanced by `duration` (s); raises RunError."""
-    names = [spec.name for spec in graph.nodes(values)]
-    with (
-        tempfile.TemporaryDirectory() as logs,
-        started(graph, values, Path(logs)) as processes,
-    ):
-        with metered({name: processes.pid(name) for name in names}) as usage:
-            watch(processes, duration)
-        return usage
+def long_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> list[Row]:
+    """Walk in lockstep for `duration` (s of graph time) and return the growth of every node.
+
+    Raises BenchmarkError if the graph fails. Its bag is deleted: 0.2 MB a second.
+    """
+    samples: list[list[list[float]]] = []  # MB, threads, descriptors of each node
+    shared: list[float] = []  # MB
+
+    def sample() -> None:
+        samples.append(
+            [
+                [p.memory_full_info().uss / 1e6, p.num_threads(), p.num_fds()]
+                for p in nodes.values()
+            ]
+        )
+        shared.append(sum(f.stat().st_size for f in SHARED_MEMORY.iterdir()) / 1e6)
+
+    with tempfile.TemporaryDirectory() as scratch:
+        values = {**values, "lockstep": True, "bag": str(Path(scratch, "bag"))}
+        try:
+            with (
+                running(graph, values, Path(scratch, "logs")) as (processes, nodes),
+                in_background(sample, ENDURANCE_PERIOD),
+            ):
+                watch(processes, duration)
+        except RunError as error:
+            raise BenchmarkError(f"the graph failed: {error}") from error
+    counted = {"kind": "endurance", "duration_s": duration}
+    rows = [
+        counted | {"node": name} | dict(zip(GROWING, growth.tolist()))
+        for name, growth in zip(nodes, grown(np.array(samples)))
+    ]
+    return [*rows, counted | {"kind": "shared", "memory": grown(np.array(shared))}]
+
+
+def grown(samples: Array) -> Array:
+    """Growth (...) of samples (n, ...): medians of the last tenth less the first."""
+    count = len(samples)
+    begin, tenth = int(WARM_UP * count), max(1, int((1.0 - WARM_UP) * count / 10))
+    early, late = samples[begin : begin + tenth], samples[count - tenth :]
+    return np.median(late, axis=0) - np.median(early, axis=0)
+
+
+def endurance_checks(rows: Sequence[Row]) -> list[Check]:
+    """The growth of the worst node against its limits; none if there was no long walk."""
+    found = [row for row in rows if row["kind"] in ("endurance", "shared")]
+    if not found:
+        return []
+    *nodes, shared = found
+    checks = [
+        at_most(
+            f"growth of a node's {what} in a long walk",
+            max(row[what] for row in nodes),
+            LARGEST_GROWTH if unit else 0.0,
+            unit,
+        )
+        for what, unit in GROWING.items()
+    ]
+    name = "growth of shared memory in a long walk"
+    return [*checks, at_most(name, shared["memory"], 0.0, "MB")]
+
+
+@contextmanager
+def running(
+    graph: Graph, values: Mapping[str, Any], logs: Path
+) -> Iterator[tuple[Any, dict[str, psutil.Process]]]:
+    """The graph while the block runs: its processes, and psutil's by node."""
+    with started(graph, values, logs) as processes:
+        names = [spec.name for spec in graph.nodes(values)]
+        yield processes, {name: psutil.Process(processes.pid(name)) for name in names}
+
+
+@contextmanager
+def in_background(sample: Callable[[], object], period: float) -> Iterator[None]:
+    """Call `sample` each `period` (s) on a thread while the block runs and all nodes live."""
+    ended = threading.Event()
+
+    def sample_until_ended() -> None:
+        with suppress(psutil.Error):  # a node has ended: `watch` reports which
+            sample()
+            while not ended.wait(period):
+                sample()
+
+    thread = threading.Thread(target=sample_until_ended, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+def cpu_of(nodes: Mapping[str, psutil.Process]) -> list[float]:
+    """Wall time, CPU time of each node and time waited, s; raises psutil.Error without a node."""
+    cpu = [sum(process.cpu_times()[:2]) for process in nodes.values()]
+    return [time.time(), *cpu, time_waited()]
+
+
+def time_waited() -> float:
+    """Time in which any program waited for a core, s; NaN if the kernel does not count it."""
+    try:
+        counted = Path("/proc/pressure/cpu").read_text()
+    except OSError:
+        return math.nan
+    return int(counted.partition("total=")[2].split()[0]) / 1e6

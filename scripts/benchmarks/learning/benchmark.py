@@ -13,10 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import gym_softrobot  # noqa: F401 - registers its environments
+import gymnasium
 import numpy as np
 
-from benchmarks.harness import Check, Progress, Row, at_least, cpu_time
+from benchmarks.harness import Outcome, Progress, at_least, cpu_time
 from slot_lab.learning.task import make_task
+from slot_lab.learning.vector_env import WalkVectorEnv
 
 REQUIRES = ("gymnasium", "gym_softrobot")
 GOAL_CASE = (
@@ -45,28 +48,33 @@ PEER, PEER_STEPS = (
 )  # its octopuses need a COOMM that is not published
 
 
-def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
-    """Measure throughput, levels and peers."""
-    rows: list[dict[str, Any]] = []
+def run(quick: bool, out: Path, progress: Progress) -> Outcome:
+    """Measure throughput, levels and peers.
+
+    The checks: steps a second in GOAL_CASE, and how much faster it is than the peer.
+    """
+    rows, count = [], 10 if quick else 60
     for level, step in CASES[: 3 if quick else None]:
         progress(f"steps a second at level {level}")
-        rows.append(throughput(level, step, 1, 10 if quick else 60))
+        rows.append(throughput(level, step, 1, count))
     level, step = GOAL_CASE
-    rows.append(
-        throughput(level, step, len(os.sched_getaffinity(0)), 10 if quick else 60)
-    )
+    [learned] = (row for row in rows if (row["level"], row["step"]) == GOAL_CASE)
+    rows.append(throughput(level, step, len(os.sched_getaffinity(0)), count))
     progress("speed of the walk at each level")
     rows += level_rows(quick)
     progress(f"gym-softrobot, {PEER}")
-    rows.append(peer_row())
-    rows.append({"kind": "peer", "name": "SoftQ, as published", "speed": 1.0 / SOFTQ})
-    return rows, checks(rows)
+    peer = peer_row()
+    published = {"kind": "peer", "name": "SoftQ, as published", "speed": 1.0 / SOFTQ}
+    ratio = learned["speed"] / peer["speed"]
+    name = f"steps of 33 ms on one core, {level} at {1e3 * step:g} ms"
+    return [*rows, peer, published], [
+        at_least(name, learned["steps_per_s"], GOAL, "1/s"),
+        at_least(f"simulated time over that of {peer['name']}", ratio, 1.0),
+    ]
 
 
 def throughput(level: str, step: float, threads: int, count: int) -> dict[str, Any]:
     """Steps a second of the vector environment; `speed`: simulated seconds per second."""
-    from slot_lab.learning.vector_env import WalkVectorEnv  # noqa: PLC0415 - after REQUIRES
-
     task = make_task(level=level, servos=False, duration=100.0)
     env = WalkVectorEnv(ROBOTS, task, threads=threads, step=step)
     env.reset(seed=1)
@@ -77,7 +85,7 @@ def throughput(level: str, step: float, threads: int, count: int) -> dict[str, A
             env.step(still)
 
     if threads == 1:
-        took = cpu_time(walk, 3).median
+        took = cpu_time(walk, 3)
     else:
         begin = time.perf_counter()
         walk()
@@ -100,8 +108,6 @@ def level_rows(quick: bool) -> Iterator[dict[str, Any]]:
 
 def walk_speeds(level: str, step: float, friction: tuple[float, ...]) -> list[float]:
     """Forward speed (m/s) of the gait alone on each floor, over whole strides."""
-    from slot_lab.learning.vector_env import WalkVectorEnv  # noqa: PLC0415 - after REQUIRES
-
     speeds = []
     for mu in friction:
         task = make_task(
@@ -125,9 +131,6 @@ def walk_speeds(level: str, step: float, friction: tuple[float, ...]) -> list[fl
 
 def peer_row() -> dict[str, Any]:
     """Simulated seconds per second of CPU of a snake of gym-softrobot."""
-    import gym_softrobot  # noqa: F401, PLC0415 - registers its environments
-    import gymnasium  # noqa: PLC0415
-
     env: Any = gymnasium.make(PEER).unwrapped
     env.reset(seed=1)
     env.action_space.seed(1)
@@ -138,23 +141,5 @@ def peer_row() -> dict[str, Any]:
         "kind": "peer",
         "name": f"gym-softrobot {PEER}",
         "simulated_per_step": (env.time - begin) / (PEER_STEPS + 1),
-        "speed": (env.time - begin) / (PEER_STEPS + 1) / took.median,
+        "speed": (env.time - begin) / (PEER_STEPS + 1) / took,
     }
-
-
-def checks(rows: list[dict[str, Any]]) -> list[Check]:
-    """Steps a second in GOAL_CASE, and how much faster it is than the peer."""
-    found = [r for r in rows if r["kind"] == "throughput" and r["threads"] == 1]
-    learned = next(row for row in found if (row["level"], row["step"]) == GOAL_CASE)
-    peer = next(row for row in rows if row["kind"] == "peer")
-    rate, ratio = learned["steps_per_s"], learned["speed"] / peer["speed"]
-    level, step = GOAL_CASE
-    return [
-        at_least(
-            f"steps of 33 ms on one core, {level} at {1e3 * step:g} ms",
-            rate,
-            GOAL,
-            "1/s",
-        ),
-        at_least(f"simulated time over that of {peer['name']}", ratio, 1.0),
-    ]

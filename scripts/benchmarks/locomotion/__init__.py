@@ -1,1 +1,0 @@
-"""Benchmark of the locomotion: what the controller adds to the gait, row by row."""

@@ -1,11 +1,12 @@
 """Parts of the rollout MPC, each taken away: what it is worth in a few cases."""
 
 import dataclasses
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.harness import Check, at_least
-from benchmarks.locomotion.cases import DEFAULT, Case, Changes, Job, WalkMotion
+from benchmarks.locomotion.cases import DEFAULT, Changes, Job, WalkMotion
 from benchmarks.locomotion.rows import LocomotionRow, ratio
 
 SEEDS = (1, 2, 3)
@@ -40,20 +41,17 @@ def chosen(rows: Sequence[LocomotionRow]) -> list[LocomotionRow]:
     ]
 
 
+def job(row: LocomotionRow, changes: Changes, seed: int) -> Job:
+    """The case of a chosen row with changes of the policy."""
+    [case] = row.cases
+    case = dataclasses.replace(case, changes=(*case.changes, *changes))
+    return case, DEFAULT, seed
+
+
 def jobs(rows: Sequence[LocomotionRow]) -> list[Job]:
     """Every case of the chosen rows without every part."""
-    return [
-        (without(case, changes), DEFAULT, seed)
-        for row in chosen(rows)
-        for case in row.cases
-        for changes in ABLATIONS.values()
-        for seed in SEEDS
-    ]
-
-
-def without(case: Case, changes: Changes) -> Case:
-    """The case with changes of the policy."""
-    return dataclasses.replace(case, changes=(*case.changes, *changes))
+    every = itertools.product(chosen(rows), ABLATIONS.values(), SEEDS)
+    return [job(row, changes, seed) for row, changes, seed in every]
 
 
 def measured(
@@ -64,15 +62,7 @@ def measured(
     for name, changes in ABLATIONS.items():
         result: dict[str, Any] = {"kind": "ablation", "without": name}
         for row in chosen(rows):
-            values = [
-                row.value(
-                    [
-                        motions[without(case, changes), DEFAULT, seed]
-                        for case in row.cases
-                    ]
-                )
-                for seed in SEEDS
-            ]
+            values = [row.value([motions[job(row, changes, seed)]]) for seed in SEEDS]
             result[row.name] = sum(values) / len(values)
         found.append(result)
     return found
@@ -80,13 +70,9 @@ def measured(
 
 def checks(found: Sequence[Mapping[str, Any]]) -> list[Check]:
     """Every part is worth its lines in one of the cases."""
-    whole, *parts = found
-    return [
-        at_least(
-            f"ablation, {part['without']}: largest error over that with all",
-            worth,
-            WORTH,
-        )
-        for part in parts
-        for worth in [max(ratio(part[name], whole[name]) for name in MEASURED)]
-    ]
+    checks = []
+    for part in found[1:]:
+        worth = max(ratio(part[name], found[0][name]) for name in MEASURED)
+        name = f"ablation, {part['without']}: largest error over that with all"
+        checks.append(at_least(name, worth, WORTH))
+    return checks

@@ -12,24 +12,15 @@ walk (margins.py).
 import dataclasses
 import multiprocessing
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import COURSES, Check, Progress, at_least, at_most
-from benchmarks.harness import Row as Result
-from benchmarks.locomotion import cases, transient_rows
-from benchmarks.locomotion.cases import (
-    ALONE,
-    COLUMNS,
-    DEFAULT,
-    PAPERS,
-    Case,
-    Job,
-    WalkMotion,
-)
+from benchmarks.harness import COURSES, Check, Outcome, Progress, Row, at_least, at_most
+from benchmarks.locomotion import ablations, cases, margins, plots
+from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPERS, Job, WalkMotion
 from benchmarks.locomotion.rows import LocomotionRow, ratio, rows
 
 REQUIRES = ("onnxruntime",)
@@ -41,44 +32,31 @@ Seeds = Mapping[str, Sequence[int]]
 REPORTS = 20  # lines of progress
 
 
-def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Result], list[Check]]:
-    """Measure all rows; the plots show them, and stills of the gaits."""
-    from benchmarks.locomotion import ablations, margins, predicted_stride, stills  # noqa: PLC0415
-    from benchmarks.locomotion.plots import courses, draw_table, draw_top, draw_velocity  # noqa: PLC0415
-
-    seeds = QUICK if quick else SEEDS
-    wanted = [*rows(quick), *transient_rows.rows(quick)]
-    walks = margins.jobs(quick)
-    parts = [] if quick else ablations.jobs(wanted)
-    motions = run_all([*jobs_of(wanted, seeds), *walks, *parts], progress)
+def run(quick: bool, out: Path, progress: Progress) -> Outcome:
+    """Measure all rows; the plots show some of them, and the walk's margins."""
+    seeds, wanted = QUICK if quick else SEEDS, rows(quick)
+    walks, parts = margins.jobs(quick), [] if quick else ablations.jobs(wanted)
+    jobs = [
+        (case, column, seed)
+        for row in wanted
+        for column in seeds
+        for case in in_column(row, column).cases
+        for seed in seeds[column]
+    ]
+    motions = run_all([*jobs, *walks, *parts], progress)
     table = measured(wanted, motions, seeds)
-    shown = courses(quick, motions)
-    np.savez_compressed(out / COURSES, **shown)
-    draw_table(table, out / "table.png")
-    draw_velocity(shown, out / "velocity.png")
-    draw_top(shown, out / "top.png")
-    stills.draw(out / "gaits.png")
-    predicted_stride.draw(out / "prediction.png")
     found = [
         margins.row(case, motions[case, column, seed]) for case, column, seed in walks
     ]
+    shown = plots.courses(motions)
+    np.savez_compressed(out / COURSES, **shown)
+    plots.draw_table(table, out / "table.png")
+    plots.draw_velocity(shown, out / "velocity.png")
+    plots.draw_top(shown, out / "top.png")
     margins.draw(found, out / "margins.png")
-    results, goals = [*table, *found], [*checks(wanted, table), *margins.checks(found)]
-    if not quick:
-        parted = ablations.measured(wanted, motions)
-        results, goals = [*results, *parted], [*goals, *ablations.checks(parted)]
-    return results, goals
-
-
-def jobs_of(wanted: Sequence[LocomotionRow], seeds: Seeds) -> list[Job]:
-    """The cases of every row, in all columns with their seeds."""
-    return [
-        (case, column, seed)
-        for row in wanted
-        for column, some in seeds.items()
-        for case in cases_of(row, column)
-        for seed in some
-    ]
+    parted = ablations.measured(wanted, motions) if parts else []
+    goals = [*checks(wanted, table), *margins.checks(found), *ablations.checks(parted)]
+    return [*table, *found, *parted], goals
 
 
 def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
@@ -95,9 +73,9 @@ def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
     return found
 
 
-def cases_of(row: LocomotionRow, column: str) -> Sequence[Case]:
-    """The cases of a row that are run in a column."""
-    return row.cases[:1] if column in PAPERS else row.cases
+def in_column(row: LocomotionRow, column: str) -> LocomotionRow:
+    """The row with the cases that are run in a column: the paper's run the first."""
+    return dataclasses.replace(row, cases=row.cases[: 1 if column in PAPERS else None])
 
 
 def measured(
@@ -109,7 +87,7 @@ def measured(
         result: dict[str, Any] = {"row": row.name, "unit": row.unit, "goal": row.goal}
         result["better"] = "larger" if row.larger else "smaller"
         for column, some in seeds.items():
-            part = dataclasses.replace(row, cases=cases_of(row, column))
+            part = in_column(row, column)
             of_seeds = [
                 part.value([motions[case, column, seed] for case in part.cases])
                 for seed in some
@@ -119,19 +97,15 @@ def measured(
     return table
 
 
-def checks(wanted: Sequence[LocomotionRow], table: Sequence[Result]) -> list[Check]:
+def checks(wanted: Sequence[LocomotionRow], table: Sequence[Row]) -> list[Check]:
     """Every goal, and the benefit over the gait alone where that misses the goal."""
-    return [
-        check for row, values in zip(wanted, table) for check in _checks(row, values)
-    ]
-
-
-def _checks(row: LocomotionRow, values: Result) -> Iterator[Check]:
-    reached, alone = values[DEFAULT], values[ALONE]
-    compare = at_least if row.larger else at_most
-    yield compare(row.name, reached, row.goal, row.unit)
-    enough = compare(row.name, alone, row.goal, row.unit).holds
-    if row.share is not None and not enough:
-        yield compare(
-            f"{row.name}: over the gait alone", ratio(reached, alone), row.share
-        )
+    found = []
+    for row, values in zip(wanted, table):
+        reached, alone = values[DEFAULT], values[ALONE]
+        compare = at_least if row.larger else at_most
+        found.append(compare(row.name, reached, row.goal, row.unit))
+        enough = compare(row.name, alone, row.goal).holds
+        if row.share is not None and not enough:
+            name = f"{row.name}: over the gait alone"
+            found.append(compare(name, ratio(reached, alone), row.share))
+    return found

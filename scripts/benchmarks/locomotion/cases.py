@@ -1,7 +1,5 @@
 """Runs of the closed loop: a case, the controllers that it is run with, and its motion."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Mapping
@@ -43,7 +41,7 @@ ALONE, PAPER, LEARNED, DEFAULT = "gait alone", "paper", "learned", "default"
 COLUMNS: Mapping[str, str] = {  # policies by the name of their column
     ALONE: "gait_alone",
     "place": "place",
-    LEARNED: f"onnx:{Path(__file__).with_name('walk.onnx')}",  # that of the example
+    LEARNED: f"onnx:{Path(__file__).with_name('walk.onnx')}",  # learned by the example
     DEFAULT: DEFAULT_POLICY,
     PAPER: "paper_text",
     "paper_code": "paper_code",
@@ -69,7 +67,7 @@ class Case:
     pose: Vector3 | None = None  # height (m), roll, pitch (rad); None: the gait's own
     path: tuple[tuple[float, float], ...] = ()  # followed at the speed of `velocity`
     heading: str = "kept"  # on the path, or "along"
-    changes: Changes = ()  # those of the policy are for the default alone
+    changes: Changes = ()  # of the policy: for the default alone
     lost_odometry: tuple[float, float] = (0.0, 0.0)  # begin and duration, s
     # times (s), names and values of the simulated robot's model that change then
     events: tuple[tuple[float, str, tuple[float, ...]], ...] = ()
@@ -90,7 +88,7 @@ class WalkMotion:
     fallen: bool
     period: float = PERIOD  # s, of a stride: for means over strides
 
-    def after(self, begin: float, end: float = math.inf) -> WalkMotion:
+    def after(self, begin: float, end: float = math.inf) -> "WalkMotion":
         """The motion from `begin` to `end`, s."""
         part = (self.time >= begin) & (self.time <= end)
         courses = {name: getattr(self, name)[part] for name in COURSES}
@@ -180,8 +178,8 @@ def run_case(case: Case, column: str, seed: int) -> WalkMotion:
                 getattr(sim.model, name)[...] = value
     except DivergenceError:
         fallen = True
-    period = STRIDES[case.gait].period if case.gait in STRIDES else PERIOD
-    return motion_of(np.array(rows), fallen, period)
+    stride = STRIDES.get(case.gait, STRIDES["walk"])
+    return motion_of(np.array(rows), fallen, stride.period)
 
 
 def reachable(gait: str, velocity: Vector3) -> Array:
@@ -193,7 +191,7 @@ def reachable(gait: str, velocity: Vector3) -> Array:
 
 
 def motion_of(rows: Array, fallen: bool, period: float) -> WalkMotion:
-    """Motion of rows (n, 9), time first, then those of a motion; gaps are closed linearly."""
+    """Motion of rows (n, 9), time first, then the fields of a motion; gaps are closed linearly."""
     rows[:, 6] = np.unwrap(rows[:, 6])
     time = np.arange(0.0, rows[-1, 0] + DT / 2, DT)
     even = np.column_stack(

@@ -1,1 +1,0 @@
-"""Benchmark of the MPC: accuracy and speed of its solvers."""

@@ -27,7 +27,7 @@ def state(
 
 
 def torso(**parts: Any) -> Estimate:
-    """A known state; the parts are those of `state`."""
+    """A known state from the parts that `state` takes."""
     return Estimate.exact(state(**parts))
 
 

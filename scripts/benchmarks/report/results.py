@@ -10,24 +10,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import ROOT, Check, about, known
+from benchmarks.harness import Check, known
 from slot_core.recording.record_settings import BagError
 from slot_core.refusal import InputError, quoted
 
-BENCHMARKS = ROOT / "scripts" / "benchmarks"
 CAPTIONS = {
     "rod.png": "speed against error of the public rod, MuJoCo and PyElastica",
     "robot.png": "speed against error of the whole robot",
     "other_engine.png": "speeds of the gaits here and in MuJoCo",
-    "mpc.png": "speed against error of the solvers, and time over the horizon",
+    "mpc.png": "speed against error of the solver",
     "estimation.png": "error of the state over the delay of the odometry",
-    "table.png": "every row in units of its goal",
+    "table.png": "ten rows: error of each policy, and the goal",
     "velocity.png": "commanded and achieved velocity in all directions",
     "top.png": "square and 60 deg path from above",
     "margins.png": "the walk over friction and the servos' supply voltage",
-    "gaits.png": "every gait in stills: postures, then strides over their phase",
     "perturbations.png": "maximum cost beside the paper's, motion of the robot",
-    "graph.png": "latency, CPU time and memory of the nodes",
+    "graph.png": "latency of the nodes",
     "servo_step.png": "a step of an emulated servo",
     "walk.png": "path, height, velocities, tilt, tendon angles, forces and latencies of the run",
     "constraint_map.png": "constraint map: slack of every constraint over time; red is violated",
@@ -91,11 +89,11 @@ def read_benchmarks(directory: Path) -> dict[str, ReportSection]:
     """All benchmarks by name; raises ReportError for a file that scripts/bench did not write."""
     return {
         name: ReportSection(
-            about(path),
+            about,
             [shlex.join(["scripts/bench", name, "--out", str(directory / name)])],
             read_benchmark(directory, name),
         )
-        for name, path in known(BENCHMARKS).items()
+        for name, about in known().items()
     }
 
 
@@ -124,7 +122,7 @@ def read_benchmark(directory: Path, name: str) -> Result | None:
         if found["name"] != name:
             raise ValueError(f"name: expected {name!r}, got {quoted(found['name'])}")
         return Result(
-            bench_command(name, found["quick"], found["options"]),
+            f"scripts/bench {name}{' --quick' * found['quick']}",
             _origin(found["revision"], found["machine"]),
             [dict(row) for row in found["rows"]],
             sorted(path.parent.glob("*.png")),
@@ -140,18 +138,6 @@ def read_benchmark(directory: Path, name: str) -> Result | None:
     ) as error:
         why = f"no {error}" if isinstance(error, KeyError) else error
         raise ReportError(f"{path}: not a result of scripts/bench: {why}") from None
-
-
-def bench_command(name: str, quick: bool, options: Mapping[str, Any]) -> str:
-    """Command line that made a result, with all its options."""
-    words = ["scripts/bench", name, *(["--quick"] if quick else [])]
-    for option, value in sorted(options.items()):
-        flag = f"--{option.replace('_', '-')}"
-        if value is True:
-            words.append(flag)
-        elif not (value is None or value is False or value == ""):
-            words += [flag, str(value)]
-    return shlex.join(words)
 
 
 def read_run(folder: Path, command: str) -> Result | None:

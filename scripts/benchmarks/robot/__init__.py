@@ -1,1 +1,0 @@
-"""Benchmark of the simulated robot: error, cost, hard cases."""

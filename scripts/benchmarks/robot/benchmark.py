@@ -2,7 +2,7 @@
 
 The test is to stand up and step: natural legs on the floor, tendons pulled to 63 deg, after half a
 second to 90, 30, 50 and 75 deg, 1.5 s in all. The error is the root mean square of the distance of
-the torso's centre from that of a fine solution (121 nodes, 10 us, converged). The robot is also
+the torso's centre from a fine solution (121 nodes, 10 us, converged). The robot is also
 compared with the same robot in MuJoCo (other_engine.py).
 """
 
@@ -10,16 +10,16 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator, Sequence
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks import against as other_checkout
 from benchmarks.harness import (
     Check,
+    Outcome,
     Progress,
     Row,
     at_most,
@@ -27,13 +27,14 @@ from benchmarks.harness import (
     cpu_time,
     mark_front,
 )
-from benchmarks.robot.hard_cases import CASES
-from benchmarks.robot.plots import draw
-from benchmarks.robot.stress import StressCase, examine
+from benchmarks.plots import CostCurve, draw_error_over_cost
+from benchmarks.robot import other_engine
+from benchmarks.robot.hard_cases import CASES, examine
 from benchmarks.rod.release import DAMPED
 from slot_core import config
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
+from slot_core.drawing import palette
 from slot_core.dynamics.scene import SolverSettings, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
@@ -59,12 +60,8 @@ LARGEST_RATIO = 4.0
 COMPARED = (22, 31)  # nodes
 
 
-def run(
-    quick: bool, out: Path, progress: Progress, against: Path | None = None
-) -> tuple[list[Row], list[Check]]:
+def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     """Run all tests; plots of error over cost and of the other engine go to `out`."""
-    from benchmarks.robot import other_engine  # noqa: PLC0415 - after REQUIRES is checked
-
     robot, repeats = read_robot(), 3 if quick else 9
     progress("cost of a step")
     rows: list[dict[str, Any]] = [
@@ -72,23 +69,49 @@ def run(
     ]
     progress("fine reference")
     exact = motion(simulator(robot, FINE))
-    rows += sweep(robot, exact, repeats, quick, progress)
+    moved = [*sweep(robot, exact, repeats, quick, progress)]
     progress("model levels")
-    rows += [level_row(robot, name, exact, repeats) for name in LEVELS]
+    moved += [level_row(robot, name, exact, repeats) for name in LEVELS]
+    mark_front(moved, "us_per_ms", itemgetter("error_mm"))
+    draw(moved, out / "robot.png")
     progress("energy and momentum in flight")
-    rows += flight_rows(robot, quick)
+    rows += [*moved, *flight_rows(robot, quick)]
     if not quick:
         progress("hard cases")
-        rows += [hard_row(name, case) for name, case in CASES.items()]
-    moved = [row for row in rows if row["kind"] in {"stand and step", "level"}]
-    mark_front(moved, "us_per_ms", itemgetter("error_mm"))
-    draw(rows, out / "robot.png")
+        for name, case in CASES.items():
+            record, limits = examine(case), dataclasses.asdict(case.limits)
+            row = {"kind": "hard case", "case": name, **dataclasses.asdict(record)}
+            row |= {f"limit_{key}": value for key, value in limits.items()}
+            rows.append(row | {"holds": record.holds(case.limits)})
     compared = other_engine.rows(quick, out, progress)
-    found = [*checks(rows), *other_engine.checks(compared)]
-    if against is not None:
-        progress("another checkout")
-        compared += other_checkout.against_rows(against)
-    return [*rows, *compared], [*found, *other_checkout.against_checks(compared)]
+    return [*rows, *compared], [*checks(rows), *other_engine.checks(compared)]
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Write the plot of error over cost: schemes, nodes and steps, and the model levels."""
+    moved = [row for row in rows if row["kind"] in ("stand and step", "level")]
+    places = [(row["us_per_ms"], row["error_mm"], "") for row in moved]
+    front = [place for place, row in zip(places, moved) if row["front"]]
+    schemes = CostCurve(
+        "best of all schemes, nodes, steps", "o", palette.TORSO, places, front
+    )
+    series = [schemes]
+    for row in moved:
+        if row["kind"] == "level" and row["error_mm"] < math.inf:
+            name = f"level {row['level']}: {1e3 * row['step']:g} ms"
+            name += f", {row['nodes']} nodes" * (row["level"] != "map")
+            colour = palette.STAGE_COLOURS[LEVELS.index(row["level"])]
+            place = (row["us_per_ms"], row["error_mm"], row["level"])
+            series.append(CostCurve(name, "D", colour, (), [place]))
+    draw_error_over_cost(
+        series,
+        path,
+        xlim=(0.3, 300),
+        ylim=(0.006, 30),
+        xlabel="CPU microseconds per simulated millisecond, whole robot",
+        ylabel="error of the torso's centre, mm RMS",
+        title="Stand up and step, 1.5 s: error against 121 nodes at 10 us",
+    )
 
 
 def simulator(
@@ -129,23 +152,18 @@ def cost_row(robot: RobotParameters, nodes: int, repeats: int) -> dict[str, Any]
     def advance() -> None:
         sim.advance(calls, sim.tendon_angle)
 
-    time = cpu_time(advance, repeats).median / calls
-    step = sim.scene.solver.step
-    row = {
-        "kind": "cost",
-        "nodes": nodes,
-        "us_per_step": 1e6 * time,
-        "real_time": step / time,
-    }
-    if nodes not in COMPARED:
-        return row
-    rod, _ = DAMPED.leg(nodes, Scheme(0.5, 2))
-    return row | {"over_rod": cpu_ratio(advance, lambda: rod.run(step, calls), repeats)}
+    time = cpu_time(advance, repeats) / calls
+    step, row = sim.scene.solver.step, {"kind": "cost", "nodes": nodes}
+    row |= {"us_per_step": 1e6 * time, "real_time": step / time}
+    if nodes in COMPARED:
+        rod, _ = DAMPED.leg(nodes, Scheme(0.5, 2))
+        row["over_rod"] = cpu_ratio(advance, lambda: rod.run(step, calls), repeats)
+    return row
 
 
 def sweep(
     robot: RobotParameters, exact: Array, repeats: int, quick: bool, progress: Progress
-) -> Iterable[dict[str, Any]]:
+) -> Iterator[dict[str, Any]]:
     """Stand and step over schemes, numbers of nodes and time steps."""
     steps, numbers = (STEPS[1:-1], COMPARED) if quick else (STEPS, NODES)
     for theta, iterations in SCHEMES:
@@ -169,7 +187,7 @@ def measured(
         sim = make()
         error = deviation(motion(sim), exact)
         again = [make() for _ in range(repeats + 1)]
-        time = cpu_time(lambda: run_through(again.pop()), repeats).median
+        time = cpu_time(lambda: run_through(again.pop()), repeats)
     except (DivergenceError, ConfigError) as reason:
         return {"error_mm": math.nan, "us_per_ms": math.nan, "lost": str(reason)}
     cost = 1e6 * time / DURATION * 1e-3
@@ -184,15 +202,11 @@ def level_row(
     scene = config.replace(read_scene("flat"), {"start.settle": 0.0})
     scene = dataclasses.replace(scene, solver=solver)
     found = measured(lambda: make_robot(robot, scene, read_servo()), exact, repeats)
-    return {
-        "kind": "level",
-        "level": name,
-        "nodes": solver.nodes,
-        "step": solver.step,
-    } | found
+    row = {"kind": "level", "level": name, "nodes": solver.nodes, "step": solver.step}
+    return row | found
 
 
-def flight_rows(robot: RobotParameters, quick: bool) -> Iterable[dict[str, Any]]:
+def flight_rows(robot: RobotParameters, quick: bool) -> Iterator[dict[str, Any]]:
     """Undamped legs tumbling for 0.2 s: relative change of energy and momentum."""
     free = dataclasses.replace(
         robot, leg=dataclasses.replace(robot.leg, damping_time=0.0)
@@ -212,22 +226,12 @@ def flight_rows(robot: RobotParameters, quick: bool) -> Iterable[dict[str, Any]]
         yield row | {"angular": lost[1], "energy": abs(sim.energy() / energy - 1)}
 
 
-def hard_row(name: str, case: StressCase) -> dict[str, Any]:
-    """Record of a hard case, its limits (`limit_...`) and whether they hold."""
-    record = examine(case)
-    limits = {
-        f"limit_{key}": value for key, value in dataclasses.asdict(case.limits).items()
-    }
-    row = {"kind": "hard case", "case": name, **dataclasses.asdict(record), **limits}
-    return row | {"holds": record.holds(case.limits)}
-
-
 def checks(rows: list[dict[str, Any]]) -> list[Check]:
     """The figures against the goals."""
     out = []
     for row in rows:
         if row["kind"] == "cost" and "over_rod" in row:
-            name = f"step of {row['nodes']} nodes over that of one public rod"
+            name = f"step of {row['nodes']} nodes over one public rod"
             out.append(at_most(name, row["over_rod"], LARGEST_RATIO))
         if row["kind"] == "level" and row["level"] == "standard":
             name = "stand and step: 22 nodes, 1 ms, 2 iterations"

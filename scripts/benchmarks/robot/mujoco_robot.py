@@ -1,10 +1,10 @@
-"""The robot in MuJoCo: an independent engine with a contact law of its own, for comparison.
+"""The robot in MuJoCo: an independent engine with another contact law, for comparison.
 
 A leg is a chain of rigid links, one for each segment of the rod. At node i are a hinge in the leg's
 plane and one sideways, with the rod's bending stiffness and natural shape. The link behind it turns
-about itself with the twist of its segment, G J / h, and stretches with E A / l (`Engine.stretch`).
-Each joint has the damping time of the material, a link the masses of its segment. The figures are
-those of `slot_core.dynamics.rod`; equations of motion, integration and contact are the engine's.
+about itself with the twist of its segment, G J / h, and stretches with E A / l.
+Each joint has the damping time of the material, a link the masses of its segment. The figures come
+from `slot_core.dynamics.rod`; equations of motion, integration and contact are the engine's.
 
 The hinges of a node turn one after the other, so the second one's axis is turned by the first. The
 sideways hinge is alternately the second, in the frame of the link behind, and the first, in that of
@@ -14,10 +14,14 @@ order in the links' length, and so with the twist at nodes, as the rod has it.
 The tendon is an actuator on the combination of hinges and slides that lengthens it. Its tension
 T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt) follows `slot_core.dynamics.tendon`. The servo is the
 pid of `slot_core.dynamics.servo` with the friction of the tendon's guide, in NumPy.
+
+A contact is held by the acceleration -b v - k r of its points: k = 1 / (HOLD REACH)^2 and
+b = 2 / (HOLD REACH) belong to critical damping. 1 - HOLD is the share of the acceleration without
+the contact that is let through: the softness of normal forces. Along the floor it is divided by
+`TANGENTIAL`; sticking points creep by what is left.
 """
 
 import math
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import mujoco
@@ -36,30 +40,9 @@ from slot_core.robot import LEGS, RobotParameters
 POINT = 1e-6  # m, radius of the spheres that stand for contact points
 CORNERS = 8  # of the torso
 FLOOR, TOUCHING = 1, 2  # bits: points touch the floor, not each other
-
-
-@dataclass(frozen=True)
-class Engine:
-    """Set-up of the engine. A contact is held by the acceleration -b v - k r of its points.
-
-    k = 1 / (d reach)^2 and b = 2 / (d reach) belong to critical damping. 1 - d is the share of the
-    acceleration without the contact that is let through: the softness of normal forces. Along the
-    floor it is divided by `tangential`; sticking points creep by what is left.
-    """
-
-    step: float = 2e-4  # s
-    cone: str = "elliptic"  # friction cone: round, or with four sides (pyramidal)
-    reach: float = (
-        2e-3  # s, time constant of a contact; the engine wants two steps at least
-    )
-    hold: float = 0.95  # d
-    tangential: float = 100.0  # softness of normal forces over that of friction
-    stretch: bool = (
-        True  # whether the links stretch; else their compliance is the tendon's
-    )
-
-
-DEFAULT = Engine()
+STEP = 2e-4  # s
+REACH = 2e-3  # s, time constant of a contact; the engine wants two steps at least
+HOLD, TANGENTIAL = 0.95, 100.0
 
 
 class MujocoMotion(NamedTuple):
@@ -104,33 +87,18 @@ def links(robot: RobotParameters, model: Model) -> MujocoLinks:
     return MujocoLinks(mass, end / mass * rod.rest_length, inertia, torsion)
 
 
-class Cable(NamedTuple):
-    """A tendon as the engine has it."""
+def build(robot: RobotParameters, model: Model, step: float) -> mujoco.MjModel:
+    """The robot on its floor, with a time step, s.
 
-    stiffness: float  # N/m
-    delay: float  # s, damping over stiffness
-    slack: float  # m, at tendon angle zero
-
-
-def cable(model: Model, stretch: bool) -> Cable:
-    """Stiffness, damping and slack of a tendon.
-
-    Where the links do not stretch, their compliance up to the anchor, sum 1 / k_i with the damping
-    time of the material, is in series with the cable's.
+    `implicitfast` is Euler's method, semi-implicit in positions and implicit in damping: springs
+    with a damping time of more than half a step are stable however stiff they are.
     """
-    rod, tendon = model.rod, model.tendon
-    slack = tendon.relaxed - float(tendon.around @ rod.rest_angle)
-    compliance, lag = 1 / tendon.stiffness, tendon.damping / tendon.stiffness**2
-    if not stretch:
-        soft = float(np.sum(tendon.along / rod.axial))
-        compliance, lag = compliance + soft, lag + soft * rod.damping_time
-    return Cable(1 / compliance, lag / compliance, slack)
-
-
-def build(robot: RobotParameters, model: Model, engine: Engine) -> mujoco.MjModel:
-    """The robot on its floor."""
     shape, spec = links(robot, model), mujoco.MjSpec()
-    set_option(spec.option, model, engine)
+    option = spec.option
+    option.timestep, option.gravity = step, model.gravity
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = TANGENTIAL
     spec.worldbody.add_geom(
         type=mujoco.mjtGeom.mjGEOM_PLANE,
         size=[0, 0, 1],
@@ -146,32 +114,15 @@ def build(robot: RobotParameters, model: Model, engine: Engine) -> mujoco.MjMode
     )
     torso.add_freejoint()
     for corner in model.torso.corners:
-        add_point(torso, corner, model.floor.corner_friction, engine)
+        add_point(torso, corner, model.floor.corner_friction)
     for leg in range(4):
-        add_leg(torso, leg, robot, model, shape, engine)
-        add_tendon(spec, leg, model, engine)
+        add_leg(torso, leg, robot, model, shape)
+        add_tendon(spec, leg, model)
     return spec.compile()
 
 
-def set_option(option: Any, model: Model, engine: Engine) -> None:
-    """Step, integrator and friction cone of the engine.
-
-    `implicitfast` is Euler's method, semi-implicit in positions and implicit in damping: springs
-    with a damping time of more than half a step are stable however stiff they are.
-    """
-    option.timestep, option.gravity = engine.step, model.gravity
-    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    option.cone = getattr(mujoco.mjtCone, f"mjCONE_{engine.cone.upper()}")
-    option.impratio = engine.tangential
-
-
-def add_leg(  # noqa: PLR0917
-    torso: Any,
-    leg: int,
-    robot: RobotParameters,
-    model: Model,
-    shape: MujocoLinks,
-    engine: Engine,
+def add_leg(
+    torso: Any, leg: int, robot: RobotParameters, model: Model, shape: MujocoLinks
 ) -> None:
     """Add leg 0 .. 3: links from the clamp outward, each with its joints and its end's points."""
     length, body, place = model.rod.rest_length, torso, robot.clamps[leg]
@@ -187,14 +138,14 @@ def add_leg(  # noqa: PLR0917
             inertia=shape.inertia[k],
             explicitinertial=True,
         )
-        add_joints(body, k, model, shape.torsion[k], engine.stretch)
+        add_joints(body, k, model, shape.torsion[k])
         for side in (-0.5, 0.5):
             edge = [length[k], side * robot.leg.contact_width, 0]
-            add_point(body, edge, model.friction[0, leg], engine)
+            add_point(body, edge, model.friction[0, leg])
         place, turn = [length[k], 0, 0], Rotation.identity()
 
 
-def add_joints(body: Any, k: int, model: Model, torsion: float, stretch: bool) -> None:
+def add_joints(body: Any, k: int, model: Model, torsion: float) -> None:
     """Add the joints of link k: positive in the plane is upward, as the rod's turning angle."""
     rod, hinge = model.rod, mujoco.mjtJoint.mjJNT_HINGE
     before = Rotation.from_euler("y", rod.rest_angle[k]).apply([0.0, 0.0, 1.0])
@@ -204,8 +155,7 @@ def add_joints(body: Any, k: int, model: Model, torsion: float, stretch: bool) -
     ]
     joints = joints[::-1] if k % 2 else joints
     joints.append(("twist", hinge, (1, 0, 0), torsion))
-    if stretch:
-        joints.append(("along", mujoco.mjtJoint.mjJNT_SLIDE, (1, 0, 0), rod.axial[k]))
+    joints.append(("along", mujoco.mjtJoint.mjJNT_SLIDE, (1, 0, 0), rod.axial[k]))
     for kind, form, axis, stiffness in joints:
         body.add_joint(
             name=f"{body.name}{kind}",
@@ -216,13 +166,12 @@ def add_joints(body: Any, k: int, model: Model, torsion: float, stretch: bool) -
         )
 
 
-def add_point(body: Any, place: Any, friction: float, engine: Engine) -> None:
+def add_point(body: Any, place: Any, friction: float) -> None:
     """Add a point (3,), m, that touches the floor.
 
     Its priority makes the contact's softness and friction the point's; else they are means with
     the floor's.
     """
-    hold = engine.hold
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_SPHERE,
         size=[POINT, 0, 0],
@@ -233,28 +182,27 @@ def add_point(body: Any, place: Any, friction: float, engine: Engine) -> None:
         friction=[friction, 0, 0],
         condim=3,
         priority=1,
-        solref=[engine.reach, 1.0],
-        solimp=[hold, hold, 1e-3, 0.5, 2],
+        solref=[REACH, 1.0],
+        solimp=[HOLD, HOLD, 1e-3, 0.5, 2],
     )
 
 
-def add_tendon(spec: Any, leg: int, model: Model, engine: Engine) -> None:
-    """Add the tendon of leg 0 .. 3 and what pulls it: force k (control - l - delay dl/dt) <= 0."""
-    tendon, line = spec.add_tendon(name=LEGS[leg]), cable(model, engine.stretch)
-    for k, (around, along) in enumerate(zip(model.tendon.around, model.tendon.along)):
+def add_tendon(spec: Any, leg: int, model: Model) -> None:
+    """Add the tendon of leg 0 .. 3 and what pulls it: force k (control - l) - c dl/dt <= 0."""
+    tendon, cable = spec.add_tendon(name=LEGS[leg]), model.tendon
+    for k, (around, along) in enumerate(zip(cable.around, cable.along)):
         if around:
             tendon.wrap_joint(f"{LEGS[leg]}{k}turn", around)
-        if along and engine.stretch:
+        if along:
             tendon.wrap_joint(f"{LEGS[leg]}{k}along", along)
-    k = line.stiffness
     spec.add_actuator(
         name=LEGS[leg],
         target=LEGS[leg],
         trntype=mujoco.mjtTrn.mjTRN_TENDON,
         gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        gainprm=[k] + 9 * [0],
+        gainprm=[cable.stiffness] + 9 * [0],
         biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        biasprm=[0, -k, -k * line.delay] + 7 * [0],
+        biasprm=[0, -cable.stiffness, -cable.damping] + 7 * [0],
         forcelimited=True,
         forcerange=[-1e4, 0],
     )
@@ -293,39 +241,40 @@ class MujocoRobot(SimulatedRobot):
         robot: RobotParameters,
         scene: Scene,
         servo: ServoSettings,
-        engine: Engine = DEFAULT,
+        step: float = STEP,
     ) -> None:
-        self.parameters, self.scene, self.engine = robot, scene, engine
+        self.parameters, self.scene = robot, scene
         model = build_model(robot, scene, servo)
         self._law, self._radius = model.servo, model.tendon.spool_radius
         if not self._law.pid or self._law.integral or self._law.play:
             raise ValueError(
                 "the servo in MuJoCo is the pid without integral and backlash"
             )
-        self._cable = cable(model, engine.stretch)
-        self._model = build(robot, model, engine)
+        self._slack = model.tendon.relaxed  # m, of a tendon at tendon angle zero
+        self._slack -= float(model.tendon.around @ model.rod.rest_angle)
+        self._delay = model.tendon.damping / model.tendon.stiffness  # s
+        self._model = build(robot, model, step)
         self._data = mujoco.MjData(self._model)
         self._data.qpos[2] = scene.start.height
-        self._angle, self._speed, self._tip_force = (
-            np.zeros(4),
-            np.zeros(4),
-            np.zeros((4, 3)),
-        )
+        self._angle, self._speed = np.zeros(4), np.zeros(4)
+        self._tip_force = np.zeros((4, 3))
         mujoco.mj_forward(self._model, self._data)
         self._settle()
 
     def advance(self, steps: int, command: Array) -> None:
-        """See SimulatedRobot; `steps` are those of the scene's solver."""
-        command, h, data = self.checked(command), self.engine.step, self._data
-        self._pull_tips()
+        """See SimulatedRobot; `steps` count the scene's solver steps."""
+        command, h, data = self.checked(command), self._model.opt.timestep, self._data
+        last = 1 + np.arange(1, 5) * ((self._model.nbody - 2) // 4)
+        arm = self.nodes[:, -1] - data.xipos[last]
+        data.xfrc_applied[last, :3] = self._tip_force
+        data.xfrc_applied[last, 3:] = np.cross(arm, self._tip_force)
         for _ in range(steps * round(self.scene.solver.step / h)):
             torque = -self._radius * data.actuator_force
-            self._speed = motor_speed(
-                self._law, self._speed, command - self._angle, torque, h
-            )
+            error = command - self._angle
+            self._speed = motor_speed(self._law, self._speed, error, torque, h)
             self._angle = self._angle + h * self._speed
-            ahead = self._angle + self._cable.delay * self._speed
-            data.ctrl[:] = self._cable.slack - self._radius * ahead
+            ahead = self._angle + self._delay * self._speed
+            data.ctrl[:] = self._slack - self._radius * ahead
             mujoco.mj_step(self._model, data)
         self.steps += steps
         if any(
@@ -345,12 +294,6 @@ class MujocoRobot(SimulatedRobot):
         Its moment about the last link is set anew with every call of `advance`.
         """
         self._tip_force[leg] += force
-
-    def _pull_tips(self) -> None:
-        last = 1 + np.arange(1, 5) * ((self._model.nbody - 2) // 4)
-        arm = self.nodes[:, -1] - self._data.xipos[last]
-        self._data.xfrc_applied[last, :3] = self._tip_force
-        self._data.xfrc_applied[last, 3:] = np.cross(arm, self._tip_force)
 
     @property
     def state(self) -> MujocoMotion:  # type: ignore[override]

@@ -6,23 +6,24 @@
 - stand: height of the torso under the scene's tendon angle.
 - replay: the gaits' tendon angles at amplitude one, without feedback, on floors of several
   frictions. Mean velocities over the strides that count in config/tune.yaml.
-- variation: one replay again with one setting changed, of either engine.
 """
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 
 from benchmarks.harness import Check, Progress, at_most
-from benchmarks.robot.mujoco_robot import DEFAULT, Engine, MujocoRobot
-from benchmarks.robot.plots import draw_engines
+from benchmarks.robot.mujoco_robot import STEP, MujocoRobot
 from slot_core import config
 from slot_core.arrays import Array
+from slot_core.drawing import palette
 from slot_core.dynamics.rod import discretise, sections
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
@@ -34,117 +35,66 @@ from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import stride_means
 
-Make = Callable[[Scene], SimulatedRobot]
-
 GAITS = ("walk", "fast_walk", "crawl")
 ANGLES_DEG = (40.0, 63.0, 90.0)  # tendon angles of the stiffness
 SETTLED = 3.0  # s: vibrations of a leg under a load have died away
 TIP_MASS = 0.02  # kg
 SIDEWAYS = 1.0  # m/s^2
 HELD = 1e9  # kg, a torso that no leg moves
-RESTING_DAMPING = (
-    0.05  # s, damping time at which also a loaded leg comes to rest in `SETTLED`
-)
-FEW_NODES = 14  # of a leg in MuJoCo: the variations, and what `quick` runs
+RESTING_DAMPING = 0.05  # s, at which also a loaded leg comes to rest in `SETTLED`
+FEW_NODES = 14  # of a leg in MuJoCo with `quick`
 QUICK = ("walk", 0.2)
 # The crawl, whose feet slide most of the time, changes by a third between 0.2 and 0.1 ms.
-FINER = {"crawl": dataclasses.replace(DEFAULT, step=1e-4)}
-VARIED = ("crawl", 0.2)
+FINER = {"crawl": 1e-4}  # s
 SHARE, SPEED = 0.1, 3.0  # goal of a replay: a share of our speed, or mm/s
 STIFFNESS_PERCENT, STAND_MM = 5.0, 1.0
-REASON = "what this speed depends on, in either engine: see the rows of kind variation"
-
-# One setting changed at a time: name, of which engine, its changes, what it shows.
-VARIATIONS: tuple[tuple[str, str, dict[str, Any]], ...] = (
-    ("nothing", "own", {}),
-    ("31 nodes", "own", {"solver.nodes": 31}),
-    ("46 nodes", "own", {"solver.nodes": 46}),
-    ("10 nodes", "own", {"solver.nodes": 10}),
-    ("time step over four", "own", {"solver.step": 2.5e-4}),
-    ("feet that stick without creep", "own", {"floor.friction_law": "bristle"}),
-    ("creep of sticking feet times ten", "own", {"floor.friction_velocity": 1e-2}),
-    ("damping of the contact times twelve", "own", {"floor.damping": 60.0}),
-    (
-        "contact twice as soft",
-        "own",
-        {"floor.stiffness": 1e4, "floor.line_stiffness": 1.1e6},
-    ),
-    ("nothing", "other", {}),
-    ("half the time step", "other", {"step": 1e-4}),
-    ("a quarter of the time step", "other", {"step": 5e-5}),
-    ("contact half as soft", "other", {"hold": 0.975}),
-    ("contact twice as soft", "other", {"hold": 0.9}),
-    ("contact half as fast", "other", {"reach": 4e-3}),
-    ("creep of sticking feet times ten", "other", {"tangential": 10.0}),
-    ("creep of sticking feet over ten", "other", {"tangential": 1000.0}),
-    ("links that do not stretch", "other", {"stretch": False}),
-)
+ENGINES = {  # name, colour, mark, place beside the other engine's
+    "own": ("rod legs of this project", palette.TRUE, "o", -0.08),
+    "other": ("hinge chains in MuJoCo", palette.SECONDARY, "s", 0.08),
+}
 
 
 def rows(quick: bool, out: Path, progress: Progress) -> list[dict[str, Any]]:
     """All rows; the plot of the replays goes to `out/other_engine.png`."""
-    robot = read_robot()
-    scene = config.replace(read_scene("flat"), {"solver.legs": "spatial"})
+    robot, scene = read_robot(), read_scene("flat")
     still = config.replace(scene, {"solver.nodes": FEW_NODES} if quick else {})
     progress("other engine: stiffness and stand")
     found = []
     for degrees in ANGLES_DEG[1:2] if quick else ANGLES_DEG:
-        found += [
-            sideways_row(robot, still, degrees),
-            loaded_row(robot, still, degrees),
-        ]
+        found.append(sideways_row(robot, still, degrees))
+        found.append(loaded_row(robot, still, degrees))
     found.append(stand_row(robot, still))
-    found += replay_rows(robot, scene, quick, progress)
-    if not quick:
-        found += variation_rows(robot, scene, progress)
-    draw_engines(
-        [row for row in found if row["kind"] == "replay"], out / "other_engine.png"
-    )
-    return found
+    replays = list(replay_rows(robot, scene, quick, progress))
+    draw_engines(replays, out / "other_engine.png")
+    return [*found, *replays]
 
 
-def own_robot(robot: RobotParameters) -> Make:
-    """Maker of the project's robot in a scene."""
-    return lambda scene: RodRobot(robot, scene, read_servo())
-
-
-def other_robot(robot: RobotParameters, nodes: int, engine: Engine = DEFAULT) -> Make:
-    """Maker of the robot in MuJoCo in a scene, with its own number of nodes."""
-
-    def make(scene: Scene) -> SimulatedRobot:
-        place = config.replace(scene, {"solver.nodes": nodes})
-        return MujocoRobot(robot, place, read_servo(), engine)
-
-    return make
-
-
-def hold(sim: SimulatedRobot, degrees: float, seconds: float = SETTLED) -> None:
-    """Hold commanded tendon angles (deg) for a time (s), in pieces of 10 ms."""
-    for _ in range(round(seconds / 0.01)):
-        sim.advance(
-            round(0.01 / sim.scene.solver.step), np.full(4, math.radians(degrees))
-        )
+def hold(sim: SimulatedRobot, degrees: float) -> None:
+    """Hold commanded tendon angles (deg) for `SETTLED`, in pieces of 10 ms."""
+    for _ in range(round(SETTLED / 0.01)):
+        steps = round(0.01 / sim.scene.solver.step)
+        sim.advance(steps, np.full(4, math.radians(degrees)))
 
 
 def sideways_row(
     robot: RobotParameters, scene: Scene, degrees: float
 ) -> dict[str, Any]:
     """Sideways deflection of a free leg's tip per force, mm/N."""
-    field, tip = SIDEWAYS * aside(robot), TIP_MASS * SIDEWAYS * aside(robot)
+    field, force = SIDEWAYS * aside(robot), TIP_MASS * SIDEWAYS
     bare, loaded = (
         own_leg(robot, scene, degrees, field, mass) for mass in (0.0, TIP_MASS)
     )
-    other = other_leg(robot, scene, degrees, np.zeros(3), tip)
+    other = other_leg(robot, scene, degrees, np.zeros(3), force * aside(robot))
     shape = bare @ np.column_stack([robot.outward[0], [0.0, 0.0, 1.0]])
     arc = discretise(robot.leg, len(bare), robot.tendon.end_fraction).arc
-    compliance = {
-        "own_mm_per_N": float((loaded[-1] - bare[-1]) @ aside(robot))
-        / (TIP_MASS * SIDEWAYS),
-        "other_mm_per_N": float(other[-1] @ aside(robot)) / (TIP_MASS * SIDEWAYS),
-        "integral_mm_per_N": sideways_compliance(robot.leg, arc, shape),
+    return {
+        "kind": "sideways",
+        "tendon_deg": degrees,
+        "nodes": len(bare),
+        "own_mm_per_N": 1e3 * float((loaded[-1] - bare[-1]) @ aside(robot)) / force,
+        "other_mm_per_N": 1e3 * float(other[-1] @ aside(robot)) / force,
+        "integral_mm_per_N": 1e3 * sideways_compliance(robot.leg, arc, shape),
     }
-    row = {"kind": "sideways", "tendon_deg": degrees, "nodes": len(bare)}
-    return row | {name: 1e3 * value for name, value in compliance.items()}
 
 
 def loaded_row(robot: RobotParameters, scene: Scene, degrees: float) -> dict[str, Any]:
@@ -157,11 +107,10 @@ def loaded_row(robot: RobotParameters, scene: Scene, degrees: float) -> dict[str
     own = own_leg(robot, scene, degrees, field, mass)
     other = other_leg(robot, scene, degrees, field, mass * field)
     row: dict[str, Any] = {"kind": "loaded", "tendon_deg": degrees, "nodes": len(own)}
-    for name, nodes in (("own", own), ("other", other)):
-        row[f"{name}_mm_per_N"] = (
-            1e3 * float(nodes[-1] @ aside(robot)) / (mass * SIDEWAYS)
-        )
-        row[f"{name}_drop_mm"] = -1e3 * float(nodes[-1, 2])
+    for name, tip in (("own", own[-1]), ("other", other[-1])):
+        yielded = float(tip @ aside(robot)) / (mass * SIDEWAYS)
+        row[f"{name}_mm_per_N"] = 1e3 * yielded
+        row[f"{name}_drop_mm"] = -1e3 * float(tip[2])
     return row
 
 
@@ -171,23 +120,12 @@ def aside(robot: RobotParameters) -> Array:
     return np.array([-y, x, 0.0])
 
 
-def held(robot: RobotParameters) -> RobotParameters:
-    """The robot with a torso that no leg moves, and legs that come to rest soon."""
-    torso = dataclasses.replace(robot.torso, mass=HELD)
-    leg = dataclasses.replace(robot.leg, damping_time=RESTING_DAMPING)
-    return dataclasses.replace(robot, torso=torso, leg=leg)
-
-
 def own_leg(
     robot: RobotParameters, scene: Scene, degrees: float, field: Array, mass: float
 ) -> Array:
-    """Nodes (N, 3) of leg FL from its clamp, m, in a field (m/s^2), with a mass (kg) at the tip.
-
-    The torso is held by a push against its weight.
-    """
-    sim = RodRobot(held(robot), floating(scene, field.tolist()), read_servo())
+    """Nodes (N, 3) of leg FL from its clamp, m, in a field (m/s^2), with a mass (kg) at the tip."""
+    sim = held(RodRobot, robot, scene, field)
     sim.model.rod.mass[-1] += mass
-    sim.push(-HELD * field, np.zeros(3))
     hold(sim, degrees)
     return sim.nodes[0] - sim.nodes[0, 0]
 
@@ -196,17 +134,24 @@ def other_leg(
     robot: RobotParameters, scene: Scene, degrees: float, field: Array, tip: Array
 ) -> Array:
     """The same in MuJoCo, with a force (3,), N, at the tip."""
-    sim = MujocoRobot(held(robot), floating(scene, field.tolist()), read_servo())
-    sim.push(-HELD * field, np.zeros(3))
+    sim = held(MujocoRobot, robot, scene, field)
     sim.pull_tip(0, tip)
     hold(sim, degrees)
     return sim.nodes[0] - sim.nodes[0, 0]
 
 
-def floating(scene: Scene, gravity: list[float]) -> Scene:
-    """The scene above its floor, without settling, under a gravity (m/s^2)."""
-    changes = {"gravity": gravity, "start.height": 5.0, "start.settle": 0.0}
-    return config.replace(scene, changes)
+def held(kind: Any, robot: RobotParameters, scene: Scene, field: Array) -> Any:
+    """The robot above its floor in a field (m/s^2), with legs that come to rest soon.
+
+    No leg moves the torso, which a push holds against its weight.
+    """
+    torso = dataclasses.replace(robot.torso, mass=HELD)
+    leg = dataclasses.replace(robot.leg, damping_time=RESTING_DAMPING)
+    still = dataclasses.replace(robot, torso=torso, leg=leg)
+    changes = {"gravity": field.tolist(), "start.height": 5.0, "start.settle": 0.0}
+    sim = kind(still, config.replace(scene, changes), read_servo())
+    sim.push(-HELD * field, np.zeros(3))
+    return sim
 
 
 def sideways_compliance(leg: Leg, arc: Array, nodes: Array) -> float:
@@ -227,43 +172,46 @@ def sideways_compliance(leg: Leg, arc: Array, nodes: Array) -> float:
 
 def stand_row(robot: RobotParameters, scene: Scene) -> dict[str, Any]:
     """Height of the torso that stands under the scene's tendon angle, mm."""
-    degrees, height = scene.start.tendon_angle_deg, {}
-    makers = {"own": own_robot(robot), "other": other_robot(robot, scene.solver.nodes)}
-    for name, make in makers.items():
-        sim = make(scene)
+    row = {"kind": "other stand", "nodes": scene.solver.nodes}
+    row["tendon_deg"] = degrees = scene.start.tendon_angle_deg
+    for name, kind in (("own", RodRobot), ("other", MujocoRobot)):
+        sim = kind(robot, scene, read_servo())
         hold(sim, degrees)
-        height[f"{name}_mm"] = 1e3 * float(sim.position[2])
-    return {
-        "kind": "other stand",
-        "tendon_deg": degrees,
-        "nodes": scene.solver.nodes,
-        **height,
-    }
+        row[f"{name}_mm"] = 1e3 * float(sim.position[2])
+    return row
 
 
 def replay_rows(
     robot: RobotParameters, scene: Scene, quick: bool, progress: Progress
 ) -> Iterator[dict[str, Any]]:
-    """Replays of the gaits on the floors of config/tune.yaml; `quick`: of one on one floor."""
-    tuning, strides = read_tuning(), read_gaits().strides
+    """Replays of the gaits on the floors of config/tune.yaml; `quick`: of one on one floor.
+
+    The goal bounds the difference of the speeds, mm/s.
+    """
+    tuning, strides, other = read_tuning(), read_gaits().strides, {}
     cases = [(gait, friction) for gait in GAITS for friction in tuning.friction]
-    nodes = scene.solver.nodes
     if quick:
         cases, tuning = [QUICK], dataclasses.replace(tuning, strides=4)
-        nodes = FEW_NODES
+        other = {"solver.nodes": FEW_NODES}
     for gait, friction in cases:
-        other = other_robot(robot, nodes, FINER.get(gait, DEFAULT))
         progress(f"other engine: {gait} at friction {friction}")
         floor = config.replace(scene, {"floor.friction": [friction] * 4})
+        place, step = config.replace(floor, other), FINER.get(gait, STEP)
         row: dict[str, Any] = {"kind": "replay", "gait": gait, "friction": friction}
-        for name, make in (("own", own_robot(robot)), ("other", other)):
-            found = replay(make, floor, strides[gait], tuning)
+        makers = {
+            "own": partial(RodRobot, robot, floor, read_servo()),
+            "other": partial(MujocoRobot, robot, place, read_servo(), step),
+        }
+        for name, make in makers.items():
+            found = replay(make, strides[gait], tuning)
             row |= {f"{name}_{key}": value for key, value in found.items()}
-        yield row | judged(row)
+        row["difference"] = abs(row["own_v_x"] - row["other_v_x"])
+        row["goal"] = max(SHARE * abs(row["own_v_x"]), SPEED)
+        yield row
 
 
 def replay(
-    make: Make, scene: Scene, stride: Stride, tuning: TuningSettings
+    make: Callable[[], SimulatedRobot], stride: Stride, tuning: TuningSettings
 ) -> dict[str, float]:
     """Mean motion over the strides that count, at amplitude one and without offsets.
 
@@ -272,7 +220,7 @@ def replay(
     """
     names = ("v_x", "v_y", "yaw_rate", "height", "tilt")
     try:
-        track = tracked(make(scene), stride, tuning)
+        track = tracked(make(), stride, tuning)
     except DivergenceError:
         return dict.fromkeys(names, math.nan)
     tilt = math.degrees(math.sqrt(np.square(track[:, 4:6]).sum(axis=1).mean()))
@@ -298,53 +246,53 @@ def tracked(sim: SimulatedRobot, stride: Stride, tuning: TuningSettings) -> Arra
     return np.array(rows[first - 1 :])
 
 
-def judged(row: dict[str, Any]) -> dict[str, Any]:
-    """Difference of the speeds and its goal, mm/s, and the reason if it is missed."""
-    difference = abs(row["own_v_x"] - row["other_v_x"])
-    goal = max(SHARE * abs(row["own_v_x"]), SPEED)
-    reason = "" if difference <= goal else REASON
-    return {"difference": difference, "goal": goal, "reason": reason}
-
-
-def variation_rows(
-    robot: RobotParameters, scene: Scene, progress: Progress
-) -> Iterator[dict[str, Any]]:
-    """One replay with one setting changed at a time; MuJoCo's with few nodes, for its time."""
-    gait, friction = VARIED
-    stride, tuning = read_gaits().strides[gait], read_tuning()
-    floor = config.replace(scene, {"floor.friction": [friction] * 4})
-    for name, which, change in VARIATIONS:
-        progress(f"other engine: changed {name}")
-        make, place, nodes = own_robot(robot), floor, FEW_NODES
-        if which == "other":
-            make = other_robot(robot, nodes, dataclasses.replace(DEFAULT, **change))
-        else:
-            place = config.replace(floor, change)
-            nodes = place.solver.nodes
-        row = {"kind": "variation", "engine": which, "changed": name, "nodes": nodes}
-        found = replay(make, place, stride, tuning)
-        yield row | {"gait": gait, "friction": friction} | found
-
-
 def checks(found: list[dict[str, Any]]) -> list[Check]:
     """The differences of the engines against their goals."""
     out = []
     for kind, leg in (("sideways", "a free"), ("loaded", "a loaded")):
-        pairs = [
-            (r["other_mm_per_N"], r["own_mm_per_N"]) for r in found if r["kind"] == kind
-        ]
         worst = max(
-            (100 * abs(other / own - 1) for other, own in pairs), default=math.nan
+            100 * abs(row["other_mm_per_N"] / row["own_mm_per_N"] - 1)
+            for row in found
+            if row["kind"] == kind
         )
         name = f"MuJoCo: sideways compliance of {leg} leg"
         out.append(at_most(name, worst, STIFFNESS_PERCENT, "%"))
     for row in found:
         if row["kind"] == "other stand":
             apart = abs(row["own_mm"] - row["other_mm"])
-            out.append(
-                at_most("MuJoCo: height of the standing robot", apart, STAND_MM, "mm")
-            )
+            name = "MuJoCo: height of the standing robot"
+            out.append(at_most(name, apart, STAND_MM, "mm"))
         if row["kind"] == "replay":
             name = f"MuJoCo: speed of {row['gait']} at friction {row['friction']}"
             out.append(at_most(name, row["difference"], row["goal"], "mm/s"))
     return out
+
+
+def draw_engines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Write the plot of the replays: a panel for each gait, a pair of points for each floor.
+
+    The shade is the goal around our speed.
+    """
+    gaits = list(dict.fromkeys(row["gait"] for row in rows))
+    figure = Figure(figsize=(1.2 + 3.0 * len(gaits), 4.2), layout="constrained")
+    panels = figure.subplots(1, len(gaits), sharey=True, squeeze=False)[0]
+    for ax, gait in zip(panels, gaits):
+        floors = [row for row in rows if row["gait"] == gait]
+        for k, row in enumerate(floors):
+            low, size = row["own_v_x"] - row["goal"], 2 * row["goal"]
+            label = "goal: within 10 % or 3 mm/s" if k == 0 else None
+            ax.bar(k, size, 0.5, low, color=palette.SHADE, ec=palette.PALE, label=label)
+        for name, (label, colour, mark, beside) in ENGINES.items():
+            places = [k + beside for k in range(len(floors))]
+            speeds = [row[f"{name}_v_x"] for row in floors]
+            ax.plot(places, speeds, mark, color=colour, label=label)
+        ax.set_xticks(range(len(floors)), [f"{row['friction']:g}" for row in floors])
+        ax.set(
+            title=gait, xlabel="friction of the floor", xlim=(-0.6, len(floors) - 0.4)
+        )
+        ax.grid(axis="y", color=palette.PALE, lw=0.5)
+    panels[0].set_ylim(bottom=min(0.0, panels[0].get_ylim()[0]))
+    panels[0].set_ylabel("mean speed, mm/s")
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure.savefig(path, dpi=150)

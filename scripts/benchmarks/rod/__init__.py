@@ -1,1 +1,0 @@
-"""Benchmark of the Cosserat rod: exact values and peers."""

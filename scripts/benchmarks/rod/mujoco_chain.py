@@ -1,8 +1,8 @@
 """MuJoCo's hinge chain as a peer of the rod: rigid links with three hinges each.
 
 Its limit of many links is the rod without stretch whose sections have inertia about all axes. What
-our own chain has is given to it too: the hinges' weights of fourth order, and links whose mass and
-inertia are those of the tapered leg. A
+our own chain has is given to it too: the hinges' weights of fourth order, and links with the mass and
+inertia of the tapered leg. A
 joint's damping is its stiffness times the damping time, integrated implicitly by `implicitfast`;
 contacts and constraints are switched off. The order of a joint's hinges is reversed from link to
 link: with the same order everywhere the error is of first order in the links' length (20 links
@@ -85,7 +85,7 @@ def release(links: int, h: float, repeats: int) -> tuple[Array, Array, float]:
     ):  # MuJoCo resets a simulation that diverges
         tip[:] = math.nan
     elif repeats:
-        return tip, start, cpu_time(run, repeats).median / DURATION
+        return tip, start, cpu_time(run, repeats) / DURATION
     return tip, start, math.nan
 
 

@@ -1,6 +1,6 @@
 """PyElastica's rod as a peer: staggered nodes and elements, shear, explicit steps, no damping.
 
-Stiffness, mass and inertia are those of the tapered leg, with the shear coefficient 5/6.
+Stiffness, mass and inertia are the tapered leg's, with the shear coefficient 5/6.
 
 The clamp as documented fixes the first node and the directors of the first element. The directors
 are half an element further along, so the rod is held at the middle of its first element. With the

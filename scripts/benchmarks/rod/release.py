@@ -13,12 +13,11 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Check, at_least, at_most, cpu_time, mark_front
+from benchmarks.harness import Check, at_least, at_most, cpu_time
 from benchmarks.rod.exact import LEG, PUSH, TPU
 from slot_core.arrays import Array
 from slot_core.refusal import DivergenceError
@@ -116,47 +115,36 @@ RIVALS = (  # peer, the setting compared with it, least ratio of the costs
 )
 
 
-def own_rows(physics: Physics, quick: bool, repeats: int) -> list[dict[str, Any]]:
-    """CosseratRod over number of nodes, time step and scheme."""
+def own_rows(physics: Physics, quick: bool, repeats: int) -> Iterator[dict[str, Any]]:
+    """CosseratRod over number of nodes, time step and scheme; NaN where the scheme diverges."""
     exact, steps = physics.exact(), STEPS[:-1] if physics.damped else STEPS[1:]
     schemes = SCHEMES[:2] if quick or not physics.damped else SCHEMES
-    return [
-        own_row(physics, exact, nodes, h, Scheme(*scheme), repeats)
-        for nodes, h, scheme in itertools.product(NODES, steps, schemes)
-    ]
+    for nodes, h, (theta, iterations) in itertools.product(NODES, steps, schemes):
+        rod, bent = physics.leg(nodes, Scheme(theta, iterations))
+        error, cost = math.nan, math.nan
 
+        def release(
+            rod: CosseratRod = rod, bent: RodState = bent, h: float = h
+        ) -> Array:
+            rod.state = bent
+            return rod.run(h, round(DURATION / h), samples=SAMPLES)
 
-def own_row(  # noqa: PLR0917
-    physics: Physics, exact: Array, nodes: int, h: float, scheme: Scheme, repeats: int
-) -> dict[str, Any]:
-    """One release; error and cost are NaN where the scheme diverges."""
-    rod, bent = physics.leg(nodes, scheme)
-    error, cost = math.nan, math.nan
-
-    def release() -> Array:
-        rod.state = bent
-        return rod.run(h, round(DURATION / h), samples=SAMPLES)
-
-    try:
-        error = percent(release(), exact, bent.position[-1])
-        cost = cpu_time(release, repeats).median / DURATION
-    except DivergenceError:
-        pass
-    setting = {"h": h, "theta": scheme.theta, "iterations": scheme.iterations}
-    return release_row(OURS, physics, rod.nodes, **setting, percent=error, cpu_s=cost)
+        try:
+            error = percent(release(), exact, bent.position[-1])
+            cost = cpu_time(release, repeats) / DURATION
+        except DivergenceError:
+            pass
+        figures = {"h": h, "theta": theta, "iterations": iterations}
+        figures |= {"percent": error, "cpu_s": cost}
+        yield release_row(OURS, physics, nodes, **figures)
 
 
 def release_row(
     simulator: str, physics: Physics, nodes: int, **figures: Any
 ) -> dict[str, Any]:
     """A row of the release test."""
-    place = {
-        "kind": "release",
-        "simulator": simulator,
-        "physics": physics.name,
-        "nodes": nodes,
-    }
-    return place | figures
+    row = {"kind": "release", "simulator": simulator, "physics": physics.name}
+    return row | {"nodes": nodes} | figures
 
 
 def percent(tip: Array, exact: Array, start: Array) -> float:
@@ -166,37 +154,28 @@ def percent(tip: Array, exact: Array, start: Array) -> float:
 
 
 def energy_rows() -> Iterator[dict[str, Any]]:
-    """Drift of energy and momentum over 1 s without damping, by integrator.
+    """Largest and final change of energy over 1 s without damping, by integrator.
 
-    `flight`: the free leg tumbles, bends and twists. `vibration`: the clamped leg is released.
+    `flight`: the free leg tumbles, bends and twists, and keeps its momentum. `vibration`: the
+    clamped leg is released.
     """
-    for theta in (0.5, 0.55, 1.0):
-        for h in (1e-3, 5e-4, 2.5e-4):
-            scheme = Scheme(theta, tolerance=1e-14)
-            released, bent = UNDAMPED.leg(17, scheme)
-            released.state = bent
-            for kind, rod in (("flight", thrown(scheme)), ("vibration", released)):
-                yield {
-                    "kind": kind,
-                    "theta": theta,
-                    "h": h,
-                    **drift(rod, h, kind == "flight"),
-                }
-
-
-def drift(rod: CosseratRod, h: float, free: bool) -> dict[str, float]:
-    """Largest and final relative change of energy over 1 s; of momentum if the rod is free."""
-    before, energy, change = rod.momentum(), rod.energy().total, [0.0]
-    for _ in range(50):
-        rod.run(h, round(DURATION / 50 / h))
-        change.append(rod.energy().total / energy - 1)
-    out = {"energy": max(map(abs, change)), "energy_end": change[-1]}
-    if free:
-        out["momentum"] = max(
-            float(np.linalg.norm(now - then) / np.linalg.norm(then))
-            for now, then in zip(rod.momentum(), before)
-        )
-    return out
+    for theta, h in itertools.product((0.5, 0.55, 1.0), (1e-3, 5e-4, 2.5e-4)):
+        scheme = Scheme(theta, tolerance=1e-14)
+        released, bent = UNDAMPED.leg(17, scheme)
+        released.state = bent
+        for kind, rod in (("flight", thrown(scheme)), ("vibration", released)):
+            before, energy, change = rod.momentum(), rod.energy().total, [0.0]
+            for _ in range(50):
+                rod.run(h, round(DURATION / 50 / h))
+                change.append(rod.energy().total / energy - 1)
+            row = {"kind": kind, "theta": theta, "h": h}
+            row |= {"energy": max(map(abs, change)), "energy_end": change[-1]}
+            if kind == "flight":
+                row["momentum"] = max(
+                    float(np.linalg.norm(now - then) / np.linalg.norm(then))
+                    for now, then in zip(rod.momentum(), before)
+                )
+            yield row
 
 
 def thrown(scheme: Scheme) -> CosseratRod:
@@ -211,13 +190,6 @@ def thrown(scheme: Scheme) -> CosseratRod:
     return rod
 
 
-def mark_fronts(rows: list[dict[str, Any]]) -> None:
-    """Mark the Pareto front of every simulator and physics."""
-    for kind in {(row["physics"], row["simulator"]) for row in rows}:
-        own = [row for row in rows if (row["physics"], row["simulator"]) == kind]
-        mark_front(own, "cpu_s", itemgetter("percent"))
-
-
 def release_checks(rows: list[dict[str, Any]]) -> list[Check]:
     """Errors at the fixed settings, ratios of their costs, and of the peers' costs to theirs."""
     found = [setting.row(rows) for setting in GOALS]
@@ -226,9 +198,7 @@ def release_checks(rows: list[dict[str, Any]]) -> list[Check]:
         for setting, row in zip(GOALS, found)
     ]
     ratio = found[2]["cpu_s"] / found[1]["cpu_s"]
-    out.append(
-        at_most("release: cost of 31 nodes over that of 7", ratio, LARGEST_GROWTH)
-    )
+    out.append(at_most("release: cost of 31 nodes over 7", ratio, LARGEST_GROWTH))
     for peer, setting, goal in RIVALS:
         rivals = [row for row in rows if row["simulator"].startswith(peer)]
         out.append(rival_check(peer, setting.row(rows), rivals, goal))
@@ -238,9 +208,9 @@ def release_checks(rows: list[dict[str, Any]]) -> list[Check]:
 def rival_check(
     peer: str, own: dict[str, Any], rivals: list[dict[str, Any]], goal: float
 ) -> Check:
-    """Cost of a peer over that of `own` at equal error, %.
+    """Ratio of the costs of a peer and `own` at equal error, %.
 
-    The peer's cost is interpolated, in logarithms, between the rows that none of its own surpasses:
+    The peer's cost is interpolated, in logarithms, between its best rows:
     a row that just misses an error would else count for nothing. Where none is as exact as ours its
     most exact one counts.
     """

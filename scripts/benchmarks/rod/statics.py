@@ -1,7 +1,7 @@
 """Static and vibration errors of the rod over its number of nodes."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -64,9 +64,12 @@ def static_rows(repeats: int) -> Iterator[dict[str, Any]]:
     for w in (1.0, 10.0, 50.0):
         loads = Loads(gravity=(0.0, 0.0, -w))
         yield from tip_rows("heavy elastica", w, loads, exact.heavy(w), repeats)
-    yield from circle_rows()
+    for nodes in NODES:  # a circle, by the end moment 2 pi EI / L: its closing error
+        rod = slender(nodes)
+        rod.solve_static(Loads(moment=(0.0, 2 * math.pi, 0.0)))
+        yield {"kind": "circle", "nodes": nodes, "error": math.hypot(*rod.tip.position)}
     yield from spatial_rows()
-    yield from princeton_rows()
+    yield from published_rows()
     yield from buckling_rows()
 
 
@@ -78,32 +81,21 @@ def tip_rows(
     for nodes in NODES:
         rod = slender(nodes)
         rest = rod.state
-        found = rod.solve_static(loads)
-        reached = np.array(rod.tip.position)[[0, 2]]
 
         def solve(rod: CosseratRod = rod, rest: RodState = rest) -> None:
             rod.state = rest
             rod.solve_static(loads)
 
-        row = {
+        cpu = cpu_time(solve, repeats)
+        reached = np.array(rod.tip.position)[[0, 2]]
+        yield {
             "kind": case,
             "load": load,
             "nodes": nodes,
             "error": math.dist(reached, tip),
-        }
-        row |= {
             "discretisation": math.dist(reached, modelled),
-            "iterations": found.iterations,
+            "cpu_ms": 1e3 * cpu,
         }
-        yield row | {"cpu_ms": 1e3 * cpu_time(solve, repeats).median}
-
-
-def circle_rows() -> Iterator[dict[str, Any]]:
-    """Closing error of the circle under the end moment 2 pi EI / L."""
-    for nodes in NODES:
-        rod = slender(nodes)
-        rod.solve_static(Loads(moment=(0.0, 2 * math.pi, 0.0)))
-        yield {"kind": "circle", "nodes": nodes, "error": math.hypot(*rod.tip.position)}
 
 
 def spatial_rows() -> Iterator[dict[str, Any]]:
@@ -113,7 +105,7 @@ def spatial_rows() -> Iterator[dict[str, Any]]:
         for refined in (True, False):
             for nodes in NODES:
                 rod = CosseratRod(material, geometry, nodes, refined=refined)
-                found = rod.solve_static(loads)
+                rod.solve_static(loads)
                 error = math.dist(rod.tip.position, wanted) / geometry.length
                 yield {
                     "kind": "spatial",
@@ -121,36 +113,28 @@ def spatial_rows() -> Iterator[dict[str, Any]]:
                     "refined": refined,
                     "nodes": nodes,
                     "error": error,
-                    "iterations": found.iterations,
                 }
 
 
-def princeton_rows() -> Iterator[dict[str, Any]]:
+def published_rows() -> Iterator[dict[str, Any]]:
     """Largest difference from the published displacements of Princeton's beam and the bend, %."""
+    beam, bend, cases = exact.PRINCETON_MATERIAL, exact.BEND_MATERIAL, []
     for degrees, tip in exact.PRINCETON_TIPS.items():
-        angle = math.radians(degrees)
-        rod = CosseratRod(exact.PRINCETON_MATERIAL, exact.PRINCETON, STANDARD)
-        force = exact.PRINCETON_FORCE
-        rod.solve_static(
-            Loads(force=(0.0, force * math.cos(angle), force * math.sin(angle)))
+        angle, force = math.radians(degrees), exact.PRINCETON_FORCE
+        rod = CosseratRod(beam, exact.PRINCETON, STANDARD)
+        load = (0.0, force * math.cos(angle), force * math.sin(angle))
+        cases.append(
+            (f"Princeton's beam at {degrees} deg", rod, load, (math.nan, *tip))
         )
-        yield published_row(
-            f"Princeton's beam at {degrees} deg", rod.tip.position[1:], tip
-        )
-    for load, tip in exact.BEND_TIPS.items():
-        rod = CosseratRod(exact.BEND_MATERIAL, exact.BEND, STANDARD)
-        rod.solve_static(Loads(force=(0.0, load, 0.0)))
-        yield published_row(
-            f"Bathe and Bolourchi's bend at {load:g}", rod.tip.position, tip
-        )
-
-
-def published_row(
-    case: str, found: tuple[float, ...], wanted: tuple[float, ...]
-) -> dict[str, Any]:
-    """Largest relative difference of the components that are not zero, in percent."""
-    percent = max(100 * abs(a / b - 1) for a, b in zip(found, wanted) if b)
-    return {"kind": "published", "case": case, "percent": percent}
+    for force, tip in exact.BEND_TIPS.items():
+        rod = CosseratRod(bend, exact.BEND, STANDARD)
+        name = f"Bathe and Bolourchi's bend at {force:g}"
+        cases.append((name, rod, (0.0, force, 0.0), tip))
+    for case, rod, load, wanted in cases:
+        rod.solve_static(Loads(force=load))
+        pairs = [(a, b) for a, b in zip(rod.tip.position, wanted) if b]
+        percent = np.nanmax([100 * abs(a / b - 1) for a, b in pairs])
+        yield {"kind": "published", "case": case, "percent": percent}
 
 
 def buckling_rows() -> Iterator[dict[str, Any]]:
@@ -211,45 +195,41 @@ def static_checks(rows: list[dict[str, Any]]) -> list[Check]:
     """The goals at the standard numbers of nodes, and the order of convergence."""
     out: list[Check] = []
     for row in rows:
-        out += row_checks(row)
-    for case in ("elastica", "follower force", "heavy elastica"):
-        of_case = [row for row in rows if row["kind"] == case]
+        match row["kind"], row.get("nodes"):
+            case ("elastica" | "follower force" | "heavy elastica") as kind, nodes if (
+                nodes == STANDARD
+            ):
+                name = f"{kind}, load {row['load']:g}"
+                out.append(at_most(name, row["error"], 2e-4, "of the length"))
+            case "circle", nodes if nodes == STANDARD:
+                out.append(
+                    at_most(
+                        "circle, closing error", row["error"], 1e-4, "of the length"
+                    )
+                )
+            case "spatial", nodes if nodes == FINE and row["refined"]:
+                name = f"{row['case']}, {FINE} nodes"
+                out.append(at_most(name, row["error"], 1e-6, "of the length"))
+            case "published", _:
+                out.append(at_most(row["case"], row["percent"], 1.0, "%"))
+            case "buckling", _:
+                name = f"buckling load, {row['column']}"
+                out.append(at_most(name, row["percent"], 0.1, "%"))
+            case "frequency", nodes if nodes == FINE:
+                out += [
+                    at_most(f"frequency {mode}, {row['rod']}", percent, PERCENT, "%")
+                    for mode, percent in enumerate(row["percent"], 1)
+                ]
+    for kind in ("elastica", "follower force", "heavy elastica"):
+        of_case = [row for row in rows if row["kind"] == kind]
         largest = max(row["load"] for row in of_case)
-        found = order([row for row in of_case if row["load"] == largest], 9, 31)
-        out.append(at_least(f"{case}'s order, 9 to 31 nodes", found, 2.0))
-    for case in SPATIAL:
-        of_case = [
-            r
-            for r in rows
-            if r["kind"] == "spatial" and r["case"] == case and r["refined"]
-        ]
-        found = order(of_case, 17, FINE)
-        out.append(at_least(f"{case}: order, 17 to {FINE} nodes", found, 2.5))
+        found = order([row for row in of_case if row["load"] == largest], 9, STANDARD)
+        out.append(at_least(f"{kind}'s order, 9 to {STANDARD} nodes", found, 2.0))
+    refined = [row for row in rows if row["kind"] == "spatial" and row["refined"]]
+    for name in SPATIAL:
+        found = order([row for row in refined if row["case"] == name], 17, FINE)
+        out.append(at_least(f"{name}: order, 17 to {FINE} nodes", found, 2.5))
     return out
-
-
-def row_checks(row: dict[str, Any]) -> Iterable[Check]:
-    """The goals of one row."""
-    match row["kind"], row.get("nodes"):
-        case ("elastica" | "follower force" | "heavy elastica") as case, nodes if (
-            nodes == STANDARD
-        ):
-            yield at_most(
-                f"{case}, load {row['load']:g}", row["error"], 2e-4, "of the length"
-            )
-        case "circle", nodes if nodes == STANDARD:
-            yield at_most("circle, closing error", row["error"], 1e-4, "of the length")
-        case "spatial", nodes if nodes == FINE and row["refined"]:
-            yield at_most(
-                f"{row['case']}, {FINE} nodes", row["error"], 1e-6, "of the length"
-            )
-        case "published", _:
-            yield at_most(row["case"], row["percent"], 1.0, "%")
-        case "buckling", _:
-            yield at_most(f"buckling load, {row['column']}", row["percent"], 0.1, "%")
-        case "frequency", nodes if nodes == FINE:
-            for mode, percent in enumerate(row["percent"], 1):
-                yield at_most(f"frequency {mode}, {row['rod']}", percent, PERCENT, "%")
 
 
 def order(rows: list[dict[str, Any]], first: int, last: int) -> float:

@@ -1,1 +1,0 @@
-"""Benchmark of the servo bus: rate, age of commands."""

@@ -16,15 +16,16 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 from nav_msgs.msg import Odometry
 
 from benchmarks.harness import BenchmarkError, Check, Row, at_most
+from benchmarks.plots import draw_longer
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import START_TIMEOUT, listener
 from slot_bringup.run import started
-from slot_core.drawing.palette import INK, SECONDARY, STAGE_COLOURS
+from slot_core.arrays import Array
+from slot_core.drawing import palette
 from slot_core.messages import decode
 from slot_core.recording.record_settings import read_record_settings
 from slot_msgs.msg import ServoHealth
@@ -37,11 +38,9 @@ GOALS = {0.5: 3.5, 0.01: 6.0}  # ms, composed, by the share of commands that are
 BUSY_GOAL = 10.0  # ms, of which 1 % may be older with one core kept busy
 AGE_RATIO = 0.7  # of the median age of a command, composed over separate nodes
 
-Ages = npt.NDArray[np.float64]
 
-
-def walk(duration: float, nodes: str) -> Ages:
-    """Ages (s) of every command of a walk, the warm-up left out; raises BenchmarkError.
+def walk(duration: float, nodes: str) -> Array:
+    """Array (s) of every command of a walk, the warm-up left out; raises BenchmarkError.
 
     nodes: `SEPARATE`, or `COMPOSED` or `BUSY` for the controller in one process, the driver in another.
     """
@@ -67,10 +66,13 @@ def walk(duration: float, nodes: str) -> Ages:
         node.create_subscription(Odometry, "odom", cast(Any, on_odom), qos.SENSOR)
         node.create_subscription(ServoHealth, "servo_health", on_health, qos.SENSOR)
         limit = time.monotonic() + START_TIMEOUT
-        while span(written) < warm_up + duration:
+        spanned = 0.0  # s, from the first command to the last
+        while spanned < warm_up + duration:
             executor.spin_once(timeout_sec=0.1)
             if (failure := processes.failed()) or time.monotonic() > limit + duration:
                 raise BenchmarkError(f"the graph failed: {failure or 'no commands'}")
+            stamps = list(filter(None, written))  # a zero stamp means: no command
+            spanned = 1e-9 * (max(stamps) - min(stamps)) if stamps else 0.0
     begin = min(filter(None, written)) + warm_up * 1e9
     aged = [
         1e-9 * (at - published[s])
@@ -92,13 +94,7 @@ def busy_core() -> Iterator[None]:
             process.kill()
 
 
-def span(written: Mapping[int, int]) -> float:
-    """Time from the first command to the last, s; a zero stamp means: no command."""
-    stamps = list(filter(None, written))
-    return 1e-9 * (max(stamps) - min(stamps)) if stamps else 0.0
-
-
-def row(found: Ages, nodes: str) -> Row:
+def row(found: Array, nodes: str) -> Row:
     """Percentiles of the ages of a walk."""
     shares = {"p50_ms": 50, "p90_ms": 90, "p99_ms": 99, "largest_ms": 100}
     ages = dict(zip(shares, 1e3 * np.percentile(found, list(shares.values()))))
@@ -123,19 +119,13 @@ def checks(rows: Sequence[Row]) -> list[Check]:
     ]
 
 
-def draw(ages: Mapping[str, Ages], path: Path) -> None:
+def draw(ages: Mapping[str, Array], path: Path) -> None:
     """Write the plot: share of the commands older than an age, by the nodes of the walk."""
-    figure = Figure(figsize=(6.0, 3.4), layout="constrained")
+    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes = figure.subplots()
-    colours = dict(zip(NODES, (INK, *STAGE_COLOURS[:2]), strict=True))
-    for nodes, found in ages.items():
-        older = 1.0 - np.arange(len(found)) / len(found)
-        axes.step(1e3 * np.sort(found), older, color=colours[nodes], label=nodes)
-    axes.plot(
-        GOALS.values(), GOALS.keys(), "x", color=SECONDARY, label="goals, composed"
-    )
-    axes.set(xlabel="from odometry published to goals written, ms", xlim=(0.0, None))
-    axes.set(ylabel="share of commands that are older", yscale="log")
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
-    figure.savefig(path, dpi=150)
+    draw_longer(axes, {nodes: 1e3 * found for nodes, found in ages.items()})
+    goals = GOALS.values(), GOALS.keys()
+    axes.plot(*goals, "x", color=palette.SECONDARY, label="goals, composed")
+    axes.set(xlabel="from odometry published to goals written, ms")
+    axes.legend(frameon=False, fontsize=8)
+    figure.savefig(path, dpi=130)

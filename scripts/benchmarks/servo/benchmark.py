@@ -1,26 +1,25 @@
 """The servo bus: rate, CPU share, step responses of both control loops, age of a command.
 
 The servos are emulated behind a pseudo-terminal in a separate process, with the transmission time
-of the bytes at 1 Mbaud. The CPU time is that of the driver alone; the rate is that of the median
-cycle, because other processes share the machine. Step responses run in the emulated servos' time.
+of the bytes at 1 Mbaud. The CPU time is the driver's alone; the rate is the median cycle's, because
+other processes share the machine. Step responses run in the emulated servos' time.
 """
 
 import contextlib
+import itertools
 import math
-import os
-import statistics
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.harness import Attempts, Check, Progress, Row, at_least
+from benchmarks.harness import Attempts, Outcome, Progress, Row, at_least
 from benchmarks.servo import age
 from slot_core import config
 from slot_core.dynamixel.driver import Driver
@@ -39,17 +38,17 @@ STYLES = {
 }
 
 
-def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
+def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     """Run all parts; plots: servo_step.png and servo_age.png in `out`."""
     progress("bus cycles")
     cycles = list(cycle_rows(200 if quick else 2000))
+    fast, plain = (row["rate_hz"] for row in cycles[:2])
+    # Four answers in one packet: fewer bytes on the line.
+    rate = at_least("rate with fast sync read over that without", fast / plain, 1.0)
     progress("CPU share at 100 Hz")
     share = share_row(2.0 if quick else 20.0)
     progress("step responses")
-    steps = [
-        step_row(control, load) for control in ("position", "pwm") for load in LOADS
-    ]
-    draw(steps, out / "servo_step.png")
+    steps = list(step_rows(out / "servo_step.png"))
     ages, attempts = {}, Attempts()
     for nodes in age.NODES:
         progress(name := f"age of a command, in real time, nodes {nodes}")
@@ -58,16 +57,8 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
             ages[nodes] = found
     age.draw(ages, out / "servo_age.png")
     aged = [age.row(found, nodes) for nodes, found in ages.items()]
-    shown = [{k: v for k, v in row.items() if k != "trace"} for row in steps]
-    results = [*checks(cycles), *age.checks(aged), *attempts.checks]
-    return [*cycles, share, *shown, *aged, *attempts.rows], results
-
-
-def checks(cycles: list[Row]) -> list[Check]:
-    """Compare the rates with and without fast sync read."""
-    fast, plain = (row["rate_hz"] for row in cycles[:2])
-    # Four answers in one packet: fewer bytes on the line.
-    return [at_least("rate with fast sync read over that without", fast / plain, 1.0)]
+    rows = [*cycles, share, *steps, *aged, *attempts.rows]
+    return rows, [rate, *age.checks(aged), *attempts.checks]
 
 
 def cycle_rows(count: int) -> Iterator[Row]:
@@ -80,15 +71,16 @@ def cycle_rows(count: int) -> Iterator[Row]:
             found = [driver.cycle() for _ in range(count)]
             duration = time.monotonic() - start
             driver.torque_off()
-        times = sorted(cycle.duration for cycle in found)
-        median, p99 = statistics.median(times), times[math.ceil(0.99 * count) - 1]
-        row = {"kind": "cycle", "fast_sync_read": fast, "usb_latency_ms": 1e3 * latency}
-        row |= {"rate_hz": 1.0 / median, "mean_rate_hz": count / duration}
-        incomplete = sum(not cycle.complete for cycle in found)
-        yield row | {
+        median, p99 = np.quantile([cycle.duration for cycle in found], (0.5, 0.99))
+        yield {
+            "kind": "cycle",
+            "fast_sync_read": fast,
+            "usb_latency_ms": 1e3 * latency,
+            "rate_hz": 1.0 / median,
+            "mean_rate_hz": count / duration,
             "p50_ms": 1e3 * median,
             "p99_ms": 1e3 * p99,
-            "incomplete": incomplete,
+            "incomplete": sum(not cycle.complete for cycle in found),
         }
 
 
@@ -108,52 +100,48 @@ def share_row(duration: float) -> Row:
     return {"kind": "share", "cpu_share": share, "overruns": late, "seconds": duration}
 
 
-def step_row(control: str, load: float) -> dict[str, Any]:
-    """Response to a step, sampled every 10 ms; `load`: torque on the tendon angles, N m."""
+def step_rows(path: Path) -> Iterator[Row]:
+    """Responses to a step, and their plot: sampled every 10 ms, without and with load, N m."""
+    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
+    axes = figure.add_subplot()
+    for (control, (colour, name)), load in itertools.product(STYLES.items(), LOADS):
+        trace = step_response(control, load)
+        row = {"kind": "step", "control": control, "load": load}
+        yield row | measures(trace)
+        times, style = 1e3 * CYCLE * np.arange(len(trace)), "--" if load else "-"
+        axes.plot(times, trace, style, color=colour, label=f"{name}, {load:g} N m")
+    axes.set(xlabel="time, ms", ylabel="tendon angle, rad", xlim=(0.0, 600.0))
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False)
+    figure.savefig(path, dpi=150)
+
+
+def step_response(control: str, load: float) -> list[float]:
+    """Angles after a step, rad; `load`: torque on the tendon angles, N m."""
     settings = config.replace(read_settings(), {"control": control})
     servos = EmulatedDynamixels(settings, read_emulator(), (STEP[0],) * 4)
     driver = servos.connect(lambda: servos.bus.time)
     driver.configure()
     driver.activate()
-    trace: list[float] = []
-    for goal, time_span in ((STEP[0], 1.5), (STEP[1], 1.5)):
-        trace.clear()
-        for _ in range(round(time_span / CYCLE)):
+    for goal in STEP:
+        trace: list[float] = []
+        for _ in range(round(1.5 / CYCLE)):
             driver.command([goal] * 4)
             trace.append(driver.cycle().readings[0].angle)  # type: ignore[union-attr]
             servos.advance(CYCLE, (load,) * 4)
     driver.torque_off()
-    return {
-        "kind": "step",
-        "control": control,
-        "load": load,
-        "trace": trace,
-    } | measures(trace)
+    return trace
 
 
 def measures(trace: list[float]) -> dict[str, float]:
     """Rise time (10 to 90 %), overshoot and steady-state error of a response to STEP."""
     share = (np.array(trace) - trace[0]) / (STEP[1] - trace[0])
     rise = CYCLE * (int(np.argmax(share > 0.9)) - int(np.argmax(share > 0.1)))
-    over, error = max(max(trace) - STEP[1], 0.0), STEP[1] - float(np.mean(trace[-20:]))
-    degrees = {"overshoot_deg": math.degrees(over), "error_deg": math.degrees(error)}
-    return {"rise_ms": 1e3 * rise} | degrees
-
-
-def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Write the plot of the step responses: angles over time, dashed with load."""
-    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
-    axes = figure.add_subplot()
-    for row in rows:
-        colour, name = STYLES[row["control"]]
-        times = 1e3 * CYCLE * np.arange(len(row["trace"]))
-        style = "--" if row["load"] else "-"
-        label = f"{name}, {row['load']:g} N m"
-        axes.plot(times, row["trace"], style, color=colour, label=label, linewidth=1.2)
-    axes.set(xlabel="time, ms", ylabel="tendon angle, rad", xlim=(0.0, 600.0))
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
-    figure.savefig(path, dpi=150)
+    return {
+        "rise_ms": 1e3 * rise,
+        "overshoot_deg": math.degrees(max(max(trace) - STEP[1], 0.0)),
+        "error_deg": math.degrees(STEP[1] - float(np.mean(trace[-20:]))),
+    }
 
 
 @contextlib.contextmanager
@@ -163,9 +151,7 @@ def emulated(changes: dict[str, Any], latency: float) -> Iterator[Driver]:
     with tempfile.TemporaryDirectory() as directory:
         command = [sys.executable, "-m", "slot_bringup.servos", "emulate"]
         command += ["--link", f"{directory}/servos", "--usb-latency", str(latency)]
-        process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, text=True, env=os.environ
-        )
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
             assert process.stdout is not None
             name, bus = process.stdout.readline().strip(), settings.bus

@@ -1,4 +1,4 @@
-"""Pictures of the page of scripts/play: as it opens, and its panels, while the robot walks."""
+"""Pictures of pages in Chromium: of scripts/play, its panels, and of a recorded run."""
 
 import base64
 import tempfile
@@ -17,7 +17,8 @@ from slot_bringup.playing.page_server import address, start_server
 from slot_bringup.playing.play_page import PlayPage
 from slot_lab.play.played_robot import PlayedRobot
 
-PAGE, PANELS = (1200, 560), (1200, 2400)  # px
+PAGE, PANELS, VIEW = (1200, 560), (1200, 2400), (1000, 640)  # px
+MOMENT = 4.3  # s, of the run: after a push
 FOUR_PLOTS, MORE = (
     835,
     925,
@@ -60,6 +61,17 @@ def write_panels(path: Path) -> None:
         str(path),
         np.vstack([above, beside(plots[:FOUR_PLOTS], plots[FOUR_PLOTS:][:MORE])]),
     )
+
+
+def write_view(page: Path, path: Path) -> None:
+    """Write the page of a run at a moment."""
+    with (
+        tempfile.TemporaryDirectory() as place,
+        browser.Browser(Path(place), f"{page.as_uri()}#t={MOMENT}") as window,
+    ):
+        resize(window, VIEW)
+        browser.wait_for(lambda: str(MOMENT) in window.text())
+        cv2.imwrite(str(path), captured(window, None))
 
 
 def panel(window: Any, name: str) -> Pixels:

@@ -1,0 +1,151 @@
+"""Writes the page of figures, slot_bringup/doc/figures.md, from the results of the benchmarks.
+
+`scripts/docs --figures` reads results/NAME/NAME.json, which scripts/bench NAME writes. The section of
+a benchmark that has no result stays as it is; without one the page says which command is missing.
+"""
+
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.harness import known
+from benchmarks.report.results import ReportError, Result, number, read_benchmark
+from documentation import DOC, ROOT
+from documentation.markdown import plain, table
+from documentation.pictures import PICTURES
+from slot_core.command_line import command_parser, refuse
+
+CANNOT_WRITE = 2  # exit code
+INTRODUCTION = """\
+# Figures
+
+[README](../../README.md)
+
+Every figure here is measured: `scripts/bench NAME` runs a benchmark, and `scripts/docs --figures` writes its
+section again. A quick run has fewer repeats and rougher figures. A check compares a figure with its goal;
+a goal that is missed is in bold. Pictures are of the last full run.
+"""
+SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
+    "estimation": {
+        "delay": ("method", "delay_ms", "position_mm", "velocity_mm_s"),
+        "tracker": ("depth_channel", "image_plane_mm", "depth_mm"),
+        "cpu": ("imu_us", "odometry_us"),
+    },
+    "graph": {
+        "closed loop": ("cpu_s_per_s", "speed"),
+        "lockstep": ("nodes", "speed"),
+        "latency": ("nodes", "stage", "p50_ms", "p99_ms", "max_ms"),
+        "node": ("nodes", "node", "cpu_percent", "pss_mb"),
+    },
+    "learning": {
+        "throughput": ("level", "step", "threads", "steps_per_s"),
+        "level": ("level", "step", "friction", "mm_per_s", "error"),
+        "peer": ("name", "speed"),
+    },
+    "locomotion": {
+        "": ("row", "unit", "goal", "gait alone", "place", "learned", "default"),
+        "margin": ("voltage", "friction", "speed", "aside", "tilt", "load"),
+    },
+    "mpc": {
+        "solver": ("tolerance", "median_ms", "p99_ms", "error_max", "hard_error_max"),
+        "cvxpy": ("solver", "median_ms", "error_max"),
+        "horizon": ("stages", "median_ms"),
+    },
+    "perturbations": {
+        "case": ("study", "case", "max_cost", "paper_max_cost", "settling_s")
+    },
+    "robot": {
+        "level": ("level", "nodes", "step", "error_mm", "us_per_ms"),
+        "replay": ("gait", "friction", "own_v_x", "other_v_x", "goal"),
+    },
+    "rod": {"buckling": ("column", "percent"), "published": ("case", "percent")},
+    "servo": {
+        "cycle": ("fast_sync_read", "usb_latency_ms", "rate_hz", "p99_ms"),
+        "step": ("control", "load", "rise_ms", "overshoot_deg", "error_deg"),
+        "age": ("nodes", "p50_ms", "p99_ms", "largest_ms"),
+    },
+}
+"""Columns of the rows that a section shows, by benchmark and kind; "" is a row without a kind.
+
+Of repeats their median is shown.
+"""
+
+
+def section(name: str, subject: str, result: Result) -> str:
+    """Text of a benchmark's section after its heading: origin, checks, rows, pictures."""
+    run = (
+        "A quick run: fewer repeats, rougher figures" if result.quick else "A full run"
+    )
+    parts = [f"{plain(subject)}", f"{run}, {plain(result.origin)}."]
+    checks = [
+        [
+            plain(check.name),
+            f"{_cell(check.value)} {plain(check.unit)}".rstrip(),
+            plain(check.goal),
+            "holds" if check.holds else "**missed**",
+        ]
+        for check in result.checks
+    ]
+    parts.append(table(["check", "value", "goal", ""], checks).rstrip())
+    for kind, columns in SHOWN.get(name, {}).items():
+        rows = [row for row in result.rows if row.get("kind", "") == kind]
+        rows = [row for row in rows if row.get("repeat", "median") == "median"]
+        if rows:
+            cells = [[_cell(row.get(column)) for column in columns] for row in rows]
+            heads = [plain(column.replace("_", " ")) for column in columns]
+            parts.append(f"Rows {kind or name}:")
+            parts.append(table(heads, cells).rstrip())
+    parts += [
+        f"![{name}: {Path(file).stem.replace('_', ' ')}]({file})"
+        for file, picture in PICTURES.items()
+        if picture.benchmark == name
+    ]
+    return "\n\n".join(parts)
+
+
+def _cell(value: Any) -> str:
+    """A cell of a table: a number with four digits, a dash where there is none."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, str):
+        return plain(value)
+    found = number(value)
+    return "-" if found is None else f"{found:.4g}"
+
+
+def page(results: Path, before: str) -> str:
+    """The page: sections of the results, and those of the page before without a new result."""
+    parts = [INTRODUCTION.rstrip()]
+    kept = dict(re.findall(r"^## (\w+)\n\n(.*?)(?=^## |\Z)", before, re.M | re.S))
+    for name, subject in known().items():
+        result = read_benchmark(results, name)
+        missing = f"Not measured yet: `scripts/bench {name}`."
+        text = kept.get(name, missing).rstrip()
+        if result is not None:
+            text = section(name, subject, result)
+        parts.append(f"## {name}\n\n{text}")
+    return "\n\n".join(parts) + "\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/docs --figures`; one line and exit code 2 for a bad result."""
+    parser = command_parser("docs --figures", __doc__)
+    results, out = ROOT / "results", DOC / "figures.md"
+    add = parser.add_argument
+    add("--results", type=Path, default=results, metavar="DIR", help="default: results")
+    add("--out", type=Path, default=out, metavar="FILE", help="default: the page")
+    options = parser.parse_args(arguments)
+    try:
+        before = options.out.read_text() if options.out.is_file() else ""
+        options.out.write_text(page(options.results, before))
+    except (ReportError, OSError) as error:
+        refuse(parser.prog, error)
+        return CANNOT_WRITE
+    print(options.out)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
