@@ -140,8 +140,16 @@ def known() -> dict[str, str]:
     }
 
 
-def run(name: str, quick: bool, out: Path, progress: Progress) -> Path:
+def run(
+    name: str,
+    quick: bool,
+    out: Path,
+    progress: Progress,
+    against: Path | None = None,
+) -> Path:
     """Run a benchmark and write `out/NAME.json`; returns its path.
+
+    With another checkout `against`, rows compare the CPU time of policy and robot with its own.
 
     Raises BenchmarkError for an unknown name and a missing package, and what the benchmark raises.
     """
@@ -159,6 +167,11 @@ def run(name: str, quick: bool, out: Path, progress: Progress) -> Path:
     except OSError as error:
         raise BenchmarkError(f"--out {out}: {error.strerror}") from None
     rows, checks = module.run(quick, out, progress)
+    if against is not None:
+        from benchmarks.against import against_checks, against_rows  # noqa: PLC0415 - a circle
+
+        found = against_rows(against)
+        rows, checks = [*rows, *found], [*checks, *against_checks(found)]
     result = {
         "name": name,
         "quick": quick,
