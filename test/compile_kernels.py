@@ -11,8 +11,8 @@ from slot_core import config
 from slot_core.dynamics import integrator
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.legs.held_leg import HeldLeg
-from slot_core.mpc.mpc import Mpc
+from slot_core.legs.tabulated_robot import TabulatedRobot
+from slot_core.mpc.force_mpc import ForceMpc
 from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
 from slot_core.rod.cosserat_rod import CosseratRod
@@ -20,7 +20,7 @@ from slot_core.rod.model import Geometry, Material, Rectangle
 from slot_core.simulation import warm_up
 from slot_core.simulation.many_robots import ManyRobots
 from slot_core.simulation.rod_robot import RodRobot
-from slot_core.simulation.tabulated_robot import TabulatedRobot
+from slot_lab.leg_tests.held_leg import HeldLeg
 
 ROBOT = read_robot()
 NO_STEP = 0
@@ -59,7 +59,7 @@ def compile_rod():
 
 def compile_mpc():
     """The solver of ground reaction forces."""
-    Mpc(ROBOT, read_mpc("forces"), time.perf_counter)
+    ForceMpc(ROBOT, read_mpc("force_mpc"), time.perf_counter)
 
 
 if __name__ == "__main__":

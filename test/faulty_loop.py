@@ -10,10 +10,9 @@ from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.dynamixel.emulator.memory import TRIPPED
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
-from slot_core.safety.commands import Action
-from slot_core.safety.states import State
+from slot_core.safety.states import Action, State
 from slot_core.simulation.plant import CYCLE
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.readings import ImuReading, OdometryReading
 from slot_core.simulation.simulated_servos import BusServos
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
@@ -48,7 +47,7 @@ class FaultyLoop(SupervisedLoop):
         self._fault_at = begin
         list(self.run(begin))
         assert self.report.state is State.WALKING
-        self.plant.every(CYCLE, self._watch)  # after the cycle of the servos
+        self.plant.timeline.every(CYCLE, self._watch)  # after the cycle of the servos
         fault(self)
         for report in self.run(limit):
             self._note(report.state.name, report.reason)
@@ -92,7 +91,7 @@ class FaultyLoop(SupervisedLoop):
 
     def inject(self, kind, value=0.0, leg="FL"):
         """A fault of a leg or its servo."""
-        self.plant.inject(Fault(kind, leg, 0.0, 0.0, value))
+        self.plant.faults.inject(Fault(kind, leg, 0.0, 0.0, value))
 
     def lose_odometry(self):
         self.change_odometry = lambda o: None
@@ -180,7 +179,7 @@ class FaultyLoop(SupervisedLoop):
         command = dataclasses.replace(tick.command, angle=angle)
         arrive = partial(super().control, dataclasses.replace(tick, command=command))
         if late := self.delay():
-            self.plant._schedule_action(self.plant.now + round(late * SECOND), arrive)
+            self.plant.timeline.act(self.plant.now + round(late * SECOND), arrive)
         else:
             arrive()
 

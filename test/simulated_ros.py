@@ -8,8 +8,8 @@ from pathlib import Path
 from rclpy.qos import DurabilityPolicy
 
 from slot_core.clock import SECOND
-from slot_core.dynamixel.emulator.memory_port import MemoryPort
-from slot_core.servos.servo_errors import PortError
+from slot_core.dynamixel.emulator.emulated_legs import MemoryPort
+from slot_core.servos.servo_bus import PortError
 from slot_nodes.process.executor import PolledGroup
 
 LATENCY = 200_000  # ns, of a message

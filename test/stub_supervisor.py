@@ -5,8 +5,7 @@ import pytest
 from sensor_msgs.msg import JointState
 
 from slot_core.messages import decode
-from slot_core.safety.commands import Action
-from slot_core.safety.states import State
+from slot_core.safety.states import Action, State
 from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import messages, qos
 

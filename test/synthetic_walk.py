@@ -10,10 +10,11 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.message_types import message_types, types_inside
 from slot_core.recording.record_settings import read_record_settings
-from slot_core.robot import TENDON_JOINTS, Array, read_robot
+from slot_core.robot import TENDON_JOINTS, read_robot
 
 MESSAGES = Path(__file__).parents[1] / "slot_msgs" / "msg"
 TYPES = message_types()

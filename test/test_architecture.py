@@ -46,7 +46,7 @@ CORE = {
     "servos": "safety",
     "dynamixel": "dynamics servos",
     "simulation": "dynamics legs paper estimation gait control safety vision servos",
-    "predictive": "dynamics legs estimation gait control simulation",
+    "rollout_mpc": "dynamics legs estimation gait control",
 }
 BRANDS = ("dynamixel",)  # of servos; only their registry imports them
 REGISTRY = "slot_core.servos.registry"
@@ -55,7 +55,8 @@ LAB = {
     "bags": "",
     "film": "bags",
     "report": "bags",
-    "calibration": "",
+    "leg_tests": "",
+    "calibration": "leg_tests",
     "validation": "bags film",
     "twin": "bags calibration validation",
     "tuning": "",

@@ -7,10 +7,10 @@ import pytest
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.faults import Fault
+from slot_core.refusal import DivergenceError
 from slot_core.robot import read_robot
 from slot_core.servos.registry import read_brand
 from slot_core.simulation.plant import RobotSimulator
@@ -82,8 +82,8 @@ def test_a_fault_adds_to_the_tendon_damage_of_the_scene_and_ends_without_it():
     }
     plant = make(tendons=tendons)
     plant.start(START)
-    plant.inject(Fault("tendon_slack", "all", 0, 0.01, 0.002))
-    plant.inject(Fault("tendon_broken", "all", 0, 0.01, 0))
+    plant.faults.inject(Fault("tendon_slack", "all", 0, 0.01, 0.002))
+    plant.faults.inject(Fault("tendon_broken", "all", 0, 0.01, 0))
     fault = plant.robot.model.fault
     assert fault.tolist() == [[0.003, 0.002, 0.002, 0.002], [0.0] * 4]
     advance(plant, 11)
@@ -94,14 +94,14 @@ def test_the_end_of_a_replaced_or_cleared_fault_does_not_end_its_successor():
     plant = make()
     plant.start(START)
     slack = plant.robot.model.fault[0]
-    plant.inject(Fault("tendon_slack", "FL", 0, 0.010, 0.001))
+    plant.faults.inject(Fault("tendon_slack", "FL", 0, 0.010, 0.001))
     advance(plant, 5)
-    plant.inject(Fault("tendon_slack", "all", 0, 0.020, 0.002))
+    plant.faults.inject(Fault("tendon_slack", "all", 0, 0.020, 0.002))
     advance(plant, 10)  # beyond the end of the first
     assert slack.tolist() == [0.002] * 4
-    plant.clear("tendon_slack", "RR")
+    plant.faults.clear("tendon_slack", "RR")
     assert slack.tolist() == [0.002, 0.002, 0.002, 0.0]
-    plant.inject(Fault("tendon_slack", "RR", 0, 0, 0.003))
+    plant.faults.inject(Fault("tendon_slack", "RR", 0, 0, 0.003))
     advance(plant, 20)
     assert slack.tolist() == [0.0, 0.0, 0.0, 0.003]
 
@@ -109,7 +109,7 @@ def test_the_end_of_a_replaced_or_cleared_fault_does_not_end_its_successor():
 def test_a_fault_injected_before_the_start_acts_at_once_and_its_time_runs_from_the_start():
     plant = make()
     plant.readings_at_rest(START)
-    plant.inject(Fault("tendon_broken", "FL", 0, 0.010, 0))
+    plant.faults.inject(Fault("tendon_broken", "FL", 0, 0.010, 0))
     holds = plant.robot.model.fault[1]
     assert holds[0] == 0.0
     plant.start(START + 1000 * MILLISECOND)
@@ -118,9 +118,9 @@ def test_a_fault_injected_before_the_start_acts_at_once_and_its_time_runs_from_t
 
 def test_clearing_an_absent_fault_is_refused():
     plant = make()
-    plant.inject(Fault("tendon_broken", "FL", 0, 0, 0))
+    plant.faults.inject(Fault("tendon_broken", "FL", 0, 0, 0))
     with pytest.raises(ValueError, match="no fault 'tendon_broken' at 'FR'"):
-        plant.clear("tendon_broken", "FR")
+        plant.faults.clear("tendon_broken", "FR")
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_a_fault_that_the_model_does_not_support_is_refused(
         make(solver, wrong=fault)
     plant = make(solver)
     with pytest.raises(ConfigError, match=message):
-        plant.inject(config.build(Fault, fault, "test"))
+        plant.faults.inject(config.build(Fault, fault, "test"))
 
 
 @pytest.mark.parametrize(
@@ -194,12 +194,12 @@ def test_a_fault_of_the_bus_begins_and_ends_by_simulated_time():
 def test_a_robot_on_a_bus_supports_the_faults_of_its_legs_too():
     plant = make(bus=True)
     plant.start(START)
-    plant.inject(Fault("tendon_broken", "FL", 0, 0, 0))
-    plant.inject(Fault("unplugged", "FL", 0, 0, 0))
+    plant.faults.inject(Fault("tendon_broken", "FL", 0, 0, 0))
+    plant.faults.inject(Fault("unplugged", "FL", 0, 0, 0))
     advance(plant, 2)
     assert plant.robot.tension[0] == 0.0
     assert plant.emulated.bus.unplugged
-    plant.clear("unplugged", "FL")
+    plant.faults.clear("unplugged", "FL")
     assert not plant.emulated.bus.unplugged
 
 

@@ -1,10 +1,8 @@
 """Files of config/ and settings that cannot be used are refused in one short line."""
 
-import math
 import re
 
-import pytest
-from damage import examples, refusable, require_short, spliced
+from damage import examples, refusable, spliced
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -20,9 +18,9 @@ from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.mpc.settings import read_mpc
 from slot_core.paper.numbers import read_paper
-from slot_core.predictive.settings import read_predictive
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import read_robot
+from slot_core.rollout_mpc.settings import read_rollout_mpc
 from slot_core.safety.settings import read_supervisor
 from slot_core.servos.registry import read_servo_bus
 from slot_core.vision.settings import read_vision
@@ -47,7 +45,7 @@ FILES = {
     "mpc": read_mpc,
     "paper": read_paper,
     "place": lambda: PlaceFeedback.read_settings("place"),
-    "predictive": read_predictive,
+    "rollout_mpc": read_rollout_mpc,
     "record": read_record_settings,
     "robot": read_robot,
     "servo": read_servo,
@@ -148,44 +146,3 @@ def test_a_changed_file_of_the_configuration_is_read_or_refused(own_config, data
             reader_of(path)()
     finally:
         file.write_bytes(sound)
-
-
-NO_NUMBERS = ["much", math.nan, [1] * 7, {"a": 1}, None, True, "\x1b]0;x\x07", 10**400]
-
-
-def first(value):
-    return first(value[0]) if isinstance(value, tuple) else value
-
-
-def with_first(value, new):
-    return (with_first(value[0], new), *value[1:]) if isinstance(value, tuple) else new
-
-
-def beyond(value, meta):
-    """Numbers next to the bounds of a value, outside."""
-    for bound, way in ((meta["low"], -1), (meta["high"], 1)):
-        if math.isfinite(bound):
-            yield (
-                bound + way
-                if isinstance(value, int)
-                else math.nextafter(bound, way * math.inf)
-            )
-
-
-@pytest.mark.parametrize("name", [*FILES, "scene"])
-def test_every_bounded_value_is_refused_beyond_its_bounds_and_if_it_is_no_number(name):
-    settings = FILES[name]() if name in FILES else read_scene("flat")
-    for setting, value, meta in config.leaves(settings):
-        if "low" in meta and value != ():
-            outside = [
-                (number, r".*: outside \[") for number in beyond(first(value), meta)
-            ]
-            for wrong, reason in [
-                *outside,
-                *((nonsense, "") for nonsense in NO_NUMBERS),
-            ]:
-                with pytest.raises(
-                    ConfigError, match=re.escape(setting) + reason
-                ) as refused:
-                    config.replace(settings, {setting: with_first(value, wrong)})
-                require_short(str(refused.value))

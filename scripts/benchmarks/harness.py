@@ -13,7 +13,7 @@ in a file `options.py` beside it, which imports Python's standard library alone,
 with a default, and `run` takes their values as keyword arguments.
 
 A row is a mapping of names to plain values; other files, such as plots, go to `out`. Plots are
-drawn from the rows and from courses over time in `out/courses.npz`, and so scripts/pictures draws
+drawn from the rows and from courses over time in `out/courses.npz`, and so scripts/docs --pictures draws
 them again. A measurement that may fail, such as a run of the graph, is made by `Attempts`. A check
 that does not hold is a result, so it does not change the exit code. A time is the processor's as
 much as the code's, so its check is on the ratio to a peer measured in the same run; the goals of

@@ -10,10 +10,11 @@ import numpy as np
 from mpl_toolkits.mplot3d import proj3d
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.drawing import palette
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.robot import Array, RobotParameters, read_robot
+from slot_core.robot import RobotParameters, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 NODES, LEG, SHOWN = (

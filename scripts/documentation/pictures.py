@@ -198,8 +198,8 @@ def _missing(results: Path, benchmark: str, file: str) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/pictures`; one line and exit code 2 for what cannot be drawn."""
-    parser = command_parser("pictures", __doc__)
+    """Command line of `scripts/docs --pictures`; exit code 2 for what cannot be drawn."""
+    parser = command_parser("docs --pictures", __doc__)
     add = parser.add_argument
     add("names", nargs="*", metavar="NAME", help="of pictures (default: all)")
     add(

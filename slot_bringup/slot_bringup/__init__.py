@@ -1,5 +1,5 @@
 """Description of the node graph, and the programs that start, watch and operate it."""
 
-from slot_core.libraries import require_libraries
+from slot_core.command_line import require_libraries
 
 require_libraries()

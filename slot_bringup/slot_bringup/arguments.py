@@ -133,7 +133,7 @@ def graph_arguments() -> tuple[Argument, ...]:
             "calibration",
             str,
             "",
-            "camera file of scripts/calibrate_camera for marker_localizer; default: "
+            "camera file of scripts/calibrate --camera for marker_localizer; default: "
             "/camera/camera_info",
             is_path=True,
         ),

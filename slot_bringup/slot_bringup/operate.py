@@ -34,8 +34,7 @@ from slot_core.command_line import show
 from slot_core.messages import decode
 from slot_core.messages.decode import ACTION_NUMBERS
 from slot_core.refusal import InputError, printable
-from slot_core.safety.commands import Action
-from slot_core.safety.states import State
+from slot_core.safety.states import Action, State
 from slot_msgs.msg import EmergencyStop, GaitPreview, MpcState, RobotState, ServoHealth
 from slot_msgs.srv import ForgetSource, InjectFault
 from slot_nodes import qos, runtime

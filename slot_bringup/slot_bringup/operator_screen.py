@@ -11,13 +11,14 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import JointState
 
 from slot_bringup import steering
+from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.control.pace import Speed
 from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.faults import hardware_errors
 from slot_core.geometry import rotate, wrapped
-from slot_core.hardware_error import hardware_errors
 from slot_core.messages import decode
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.safety.states import RELEASED, State
 from slot_msgs.msg import GaitPreview, RobotState, ServoHealth
 

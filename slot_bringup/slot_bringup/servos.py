@@ -5,9 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from slot_core.command_line import refuse
+from slot_core.command_line import prints_help, refuse
 from slot_core.config import ConfigError
-from slot_core.libraries import prints_help
 from slot_core.servos.registry import brand_of_help, read_brand
 
 

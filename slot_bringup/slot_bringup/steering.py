@@ -14,10 +14,10 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.gait.gait import read_gaits
-from slot_core.gait.reach import clipped
-from slot_core.robot import BASE_FRAME, Array
+from slot_core.robot import BASE_FRAME
 from slot_msgs.msg import GaitPreview
 from slot_nodes import messages, qos
 
@@ -60,7 +60,7 @@ class SteeringPublisher:
 
     def steer(self, commanded: GaitPreview, velocity: Array) -> str:
         """Repeat a velocity (3,) from now on, clipped; returns by what, or ""."""
-        self._velocity, remark = clipped(self._gaits, commanded.requested, velocity)
+        self._velocity, remark = self._gaits.clipped(commanded.requested, velocity)
         return remark
 
     def lean(self, commanded: GaitPreview, pose: Array) -> None:

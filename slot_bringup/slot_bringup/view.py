@@ -1,7 +1,8 @@
 """Shows a recorded run as one page for any browser: the robot with its bent legs, forces and plots.
 
 Without --html the page is written into the bag's folder and opened. A running graph is shown by
-scripts/play --graph, or by scripts/run --view.
+scripts/play --graph, or by scripts/run --view. scripts/view --map BAG draws the Dynamic Constraint
+Map instead; see its --help.
 """
 
 from __future__ import annotations

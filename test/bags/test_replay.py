@@ -49,7 +49,7 @@ def test_a_recorded_bag_is_small_and_replays(name):
         ("estimator", "odometry.position_noise", 0.002, "/mpc_state"),
         ("gait", "acceleration", 0.11, "/gait_preview"),
         ("gait/walk", "forward.speed", 0.07, "/gait_preview"),
-        ("predictive", "cost.height", 3e-3, "/tendon_plan"),
+        ("rollout_mpc", "cost.height", 3e-3, "/tendon_plan"),
     ],
 )
 def test_a_change_shows_only_at_its_own_stage(own_config, file, name, value, topic):
@@ -74,7 +74,7 @@ def test_the_parameter_file_of_a_run_is_that_of_its_replay(tmp_path, node, chang
 
 
 def test_the_first_difference_is_reported(own_config, capsys):
-    set_values(own_config, {"predictive": {"cost.height": 3e-3}})
+    set_values(own_config, {"rollout_mpc": {"cost.height": 3e-3}})
     assert replay_command.main([str(WALK)]) == 1
     line = capsys.readouterr().out.strip().splitlines()[-1]
     assert line.startswith("first difference: /tendon_plan at 1.0")
@@ -236,10 +236,10 @@ def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
     first, second, *_ = capsys.readouterr().out.splitlines()
     assert re.fullmatch(r"recorded by  revision \S.*, scene flat, seed 1", first)
     assert second.startswith("/mpc_state")
-    set_values(own_config, {"predictive": {"cost.height": 3e-3}})
+    set_values(own_config, {"rollout_mpc": {"cost.height": 3e-3}})
     assert replay_command.main([str(path)]) == 0
     shown = capsys.readouterr().out
-    assert "its configuration differs in predictive.yaml\n" in shown
+    assert "its configuration differs in rollout_mpc.yaml\n" in shown
 
 
 def test_the_policy_that_the_bag_names_is_replayed(tmp_path):

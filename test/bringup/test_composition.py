@@ -21,19 +21,19 @@ def choose(*words):
     return composition.choose(vars(parse(words)))
 
 
-def test_one_core_that_carries_the_controller_takes_it_in_one_process(machine):
-    machine.load = 0.395
-    line = "controller in one process: its load is 0.79 of a core, limit 0.8"
-    assert choose() == (True, line)
-    machine.load = 0.405
-    line = "controller in four processes: its load is 0.81 of a core, limit 0.8"
-    assert choose() == (False, line)
-
-
-def test_without_a_second_core_there_is_one_process_whatever_the_load(machine):
-    machine.cores, machine.load = 1.5, 2.0
-    line = "controller in one process: 1.5 cores for the graph, less than 2"
-    assert choose() == (True, line)
+@pytest.mark.parametrize(
+    ("cores", "load", "line"),
+    [
+        (2.0, 0.395, "one process: its load is 0.79 of a core, limit 0.8"),
+        (2.0, 0.405, "four processes: its load is 0.81 of a core, limit 0.8"),
+        (1.5, 2.0, "one process: 1.5 cores for the graph, less than 2"),
+    ],
+)
+def test_the_controller_has_one_process_where_one_core_carries_it_or_there_is_no_second(
+    machine, cores, load, line
+):
+    machine.cores, machine.load = cores, load
+    assert choose() == (line.startswith("one"), f"controller in {line}")
 
 
 def test_what_is_asked_for_is_not_measured(monkeypatch):

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import ament_index_python.packages
 import pytest
+import yaml
 
 from slot_bringup.check import check
 from slot_bringup.graph import END, GO_ON, REFUSED, RESTART, read_graph
@@ -18,6 +19,7 @@ from slot_core.recording.record_settings import read_record_settings
 from slot_core.safety.settings import read_supervisor
 
 PARAMETERS = Path(__file__).parent / "params.yaml"
+SHARE = Path(__file__).parents[2] / "slot_bringup"
 
 
 @pytest.fixture
@@ -29,29 +31,43 @@ def values(graph, **changes):
     return {a.name: a.default for a in graph.arguments} | changes
 
 
-def test_the_recorder_runs_only_with_a_bag(graph):
-    without = [spec.name for spec in graph.nodes(values(graph))]
-    assert "recorder" not in without
-    assert [s.name for s in graph.nodes(values(graph, bag="x"))] == [
-        "recorder",
-        *without,
-    ]
+def nodes_of(graph, **changes):
+    """Nodes by name, for values of the arguments that are not the default."""
+    return {spec.name: spec for spec in graph.nodes(values(graph, **changes))}
 
 
-def test_arguments_reach_their_nodes_in_the_yaml_that_ros_parses(graph):
-    given = values(graph, vx=0.05, vy=0.0, yaw_rate=0.02, seed=3, lockstep=True)
-    nodes = {s.name: s for s in graph.nodes(given)}
-    arguments = command_line(nodes["supervisor"])
-    assert {
-        'gait:="walk"',
-        "v_x:=0.05",
-        "v_y:=0.0",
-        "yaw_rate:=0.02",
-        "lockstep:=true",
-    } <= set(arguments)
-    assert "seed:=3" in command_line(nodes["sim_robot"])
-    assert not any("gait:=" in word for word in command_line(nodes["gait_scheduler"]))
-    assert all("use_sim_time:=true" in command_line(spec) for spec in nodes.values())
+def test_the_recorder_runs_only_with_a_bag_and_the_localiser_with_a_camera(graph):
+    plain = [*nodes_of(graph)]
+    assert not {"recorder", "marker_localizer"} & {*plain}
+    assert [*nodes_of(graph, bag="x")] == ["recorder", *plain]
+    localizer = nodes_of(graph, scene="marker_camera")["marker_localizer"]
+    assert localizer.parameters["carrier"] == "torso"
+    real = nodes_of(graph, hardware="real", markers=True)["marker_localizer"]
+    assert "carrier" not in real.parameters  # as vision.yaml has it
+
+
+@pytest.mark.parametrize(
+    ("changes", "name", "word"),
+    [
+        ({}, "supervisor", 'gait:="walk"'),
+        ({"vx": 0.05}, "supervisor", "v_x:=0.05"),
+        ({"seed": 3}, "sim_robot", "seed:=3"),
+        ({"lockstep": True}, "supervisor", "lockstep:=true"),
+        ({"lockstep": True}, "force_mapper", "use_sim_time:=true"),
+        ({"bag": "x", "stamped_cmd_vel": False}, "recorder", "stamped_cmd_vel:=false"),
+        ({"stamped_cmd_vel": False}, "gait_scheduler", "stamped_cmd_vel:=false"),
+        ({"odometry_topic": "/slam"}, "state_estimator", "odom:=/slam"),
+        ({"odometry_topic": "/slam"}, "sim_robot", "odom:=/slam"),
+        ({"namespace": "fred"}, "mpc_controller", "__ns:=/fred"),
+        ({"namespace": "/fred"}, "mpc_controller", "__ns:=/fred"),
+        ({"namespace": "fred"}, "sim_robot", "/clock:=clock"),
+        ({"frame_prefix": "fred/"}, "sim_robot", 'frame_prefix:="fred/"'),
+    ],
+)
+def test_an_argument_reaches_its_node_in_the_yaml_that_ros_parses(
+    graph, changes, name, word
+):
+    assert word in command_line(nodes_of(graph, **changes)[name])
 
 
 @pytest.mark.parametrize(
@@ -68,13 +84,8 @@ def test_composed_nodes_share_a_process_and_keep_their_parameters(
     graph, hardware, lockstep
 ):
     """In lockstep robot and supervisor too; the driver, whose watchdog outlives them, never."""
-    given = {
-        "hardware": hardware,
-        "lockstep": lockstep,
-        "vx": 0.05,
-        "policy": "paper_text",
-    }
-    chosen = values(graph, bag="x", **given)
+    given = {"hardware": hardware, "lockstep": lockstep, "vx": 0.05, "bag": "x"}
+    chosen = values(graph, policy="paper_text", **given)
     separate = {s.name: s for s in graph.nodes(chosen)}
     *others, process = graph.nodes(chosen | {"composed": True})
     shared = ["state_estimator", "gait_scheduler", "mpc_controller", "force_mapper"]
@@ -90,65 +101,28 @@ def test_composed_nodes_share_a_process_and_keep_their_parameters(
     assert not any(word.startswith("__node") for word in line)  # they keep their names
 
 
-def test_what_the_walk_waits_for_gets_the_real_time_priority_and_no_more(graph):
-    chosen = values(graph, hardware="fake_bus", realtime=50, bag="x", visualize=True)
-    specs = graph.nodes(chosen)
-    first = {spec.name for spec in specs if spec.environment == {"SLOT_PRIORITY": "50"}}
-    [process] = [
-        s
-        for s in graph.nodes(values(graph, hardware="fake_bus", composed=True))
-        if s.nodes
-    ]
-    assert first == {*process.nodes, "dynamixel_driver", "supervisor", "sim_robot"}
-    with pytest.raises(ConfigError, match=r"realtime = 100: outside \[0, 99\]"):
-        check(values(graph, realtime=100))
+def test_the_nodes_that_the_walk_waits_for_get_the_real_time_priority(graph):
+    given = {"hardware": "fake_bus", "realtime": 50}
+    nodes = nodes_of(graph, bag="x", visualize=True, **given)
+    waits = {n for n, s in nodes.items() if s.environment == {"SLOT_PRIORITY": "50"}}
+    shared = nodes_of(graph, composed=True, **given)["controller"].nodes
+    assert waits == {*shared, "dynamixel_driver", "supervisor", "sim_robot"}
 
 
 def test_driver_and_emulated_servos_share_one_port(graph):
-    nodes = {s.name: s for s in graph.nodes(values(graph, hardware="fake_bus"))}
+    nodes = nodes_of(graph, hardware="fake_bus")
     port = nodes["dynamixel_driver"].parameters["bus.port"]
     assert port
     assert nodes["sim_robot"].parameters["bus"] == port
 
 
-def test_real_servos_differ_from_emulated_ones_in_port_sensors_and_needing_an_operator(
-    graph,
-):
-    specs = graph.nodes(values(graph, hardware="real", port="/dev/ttyUSB7"))
-    real = {s.name: s for s in specs}
+def test_real_servos_have_a_port_best_effort_sensors_and_an_operator(graph):
+    real = nodes_of(graph, hardware="real", port="/dev/ttyUSB7")
     assert "sim_robot" not in real
-    emulated = {s.name: s for s in graph.nodes(values(graph, hardware="fake_bus"))}
-    for name, spec in real.items():
-        changes = {
-            "dynamixel_driver": {"bus.port": "/dev/ttyUSB7"},
-            "supervisor": {"autostart": False},
-        }.get(name, {})
-        expected = emulated[name].parameters | changes
-        assert (
-            expected.pop("estop_required", False) is False
-        )  # config/supervisor.yaml has true
-        if "best_effort_sensors" in expected:  # as cameras publish
-            expected["best_effort_sensors"] = True
-        assert spec.parameters == expected
-
-
-def test_a_scene_with_a_camera_starts_the_localiser_and_says_what_carries_the_camera(
-    graph,
-):
-    assert "marker_localizer" not in {s.name for s in graph.nodes(values(graph))}
-    nodes = {s.name: s for s in graph.nodes(values(graph, scene="marker_camera"))}
-    assert nodes["marker_localizer"].parameters["carrier"] == "torso"
-    real = {
-        s.name: s for s in graph.nodes(values(graph, hardware="real", markers=True))
-    }
-    assert "carrier" not in real["marker_localizer"].parameters  # that of vision.yaml
-
-
-def test_odometry_of_another_topic_is_remapped_in_every_node(graph):
-    topic = "/visual_slam/tracking/odometry"
-    for spec in graph.nodes(values(graph, odometry_topic=topic)):
-        assert f"odom:={topic}" in command_line(spec)
-        assert not any(text.startswith("imu:=") for text in command_line(spec))
+    assert real["dynamixel_driver"].parameters["bus.port"] == "/dev/ttyUSB7"
+    assert real["state_estimator"].parameters["best_effort_sensors"] is True
+    assert real["supervisor"].parameters["autostart"] is False
+    assert "estop_required" not in real["supervisor"].parameters  # as in config/
 
 
 @pytest.mark.parametrize(
@@ -158,19 +132,12 @@ def test_odometry_of_another_topic_is_remapped_in_every_node(graph):
         ({"calibration": "nowhere.yaml"}, r"calibration nowhere\.yaml: No such file"),
         ({"odometry_topic": "a b"}, r"odometry_topic = 'a b': Invalid topic name"),
         ({"imu_topic": ""}, r"imu_topic = '': Invalid topic name"),
+        ({"realtime": 100}, r"realtime = 100: outside \[0, 99\]"),
     ],
 )
-def test_arguments_of_the_camera_and_topics_are_checked(graph, changes, reason):
+def test_arguments_are_checked(graph, changes, reason):
     with pytest.raises(ConfigError, match=reason):
         check(values(graph, **changes))
-
-
-def test_velocities_without_a_stamp_reach_scheduler_and_recorder(graph):
-    nodes = {
-        s.name: s for s in graph.nodes(values(graph, bag="x", stamped_cmd_vel=False))
-    }
-    for name in ("gait_scheduler", "recorder"):
-        assert "stamped_cmd_vel:=false" in command_line(nodes[name])
 
 
 def test_a_parameter_file_comes_before_the_arguments_of_the_graph(graph):
@@ -218,20 +185,9 @@ def test_a_parameter_file_that_no_node_would_follow_is_refused(
 def test_an_attended_simulation_waits_for_an_operator_like_the_real_robot(
     graph, hardware
 ):
-    real = {s.name: s for s in graph.nodes(values(graph, hardware="real"))}
-    attended = {
-        s.name: s for s in graph.nodes(values(graph, hardware=hardware, attended=True))
-    }
-    assert attended["supervisor"].parameters == real["supervisor"].parameters
-
-
-@pytest.mark.parametrize("namespace", ["fred", "/fred"])
-def test_a_node_gets_its_namespace_with_a_leading_slash(graph, namespace):
-    for spec in graph.nodes(values(graph, namespace=namespace, frame_prefix="fred/")):
-        arguments = command_line(spec)
-        assert "__ns:=/fred" in arguments
-        assert "/clock:=clock" in arguments
-        assert 'frame_prefix:="fred/"' in arguments
+    real = nodes_of(graph, hardware="real")["supervisor"]
+    attended = nodes_of(graph, hardware=hardware, attended=True)["supervisor"]
+    assert attended.parameters == real.parameters
 
 
 @pytest.mark.parametrize(
@@ -253,72 +209,61 @@ def test_a_launch_argument_of_the_wrong_type_is_refused_by_name(
 
 def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch):
     """Against stubs of launch and launch_ros, which are not among the Python wheels."""
-    given = {"bag": "somewhere", "gait": "stand", "vx": "0.0", "namespace": "fred"}
-    given |= {"params_file": str(PARAMETERS), "realtime": "0"}
-    asked = []
-    started = load_launch_file(monkeypatch, given, asked)
-    assert asked == ["fred"]
-    described = graph.nodes(
-        values(graph, **given | {"vx": 0.0, "realtime": 0, "composed": False})
-    )
-    assert [node["name"] for node in started] == [spec.name for spec in described]
-    for node, spec in zip(started, described):
-        typed = {
-            name: {"args": (value,), "value_type": str}
-            if isinstance(value, str)
-            else value
-            for name, value in spec.parameters.items()
-        }
-        # launch would read a text such as 1e3 as a number
-        assert node["parameters"] == [str(PARAMETERS), typed]
-        assert (node["package"], node["executable"]) == (spec.package, spec.name)
-        assert (node["namespace"], node["remappings"]) == (
-            "fred",
-            [("/clock", "clock")],
-        )
-        assert node["name"] == node["exec_name"] == spec.name
-        assert node["prefix"] == "setpriv --pdeathsig TERM"
-
-
-def test_the_launch_file_chooses_the_processes_of_the_controller_and_says_why(
-    monkeypatch,
-):
-    choice = (True, "controller in one process: it is small")
+    choice = (False, "controller in four processes: it is large")
     monkeypatch.setattr("slot_bringup.composition.choose", lambda _: choice)
-    said, *nodes = load_launch_file(monkeypatch, {"composed": ""})
-    assert said["msg"] == choice[1]
-    assert nodes[-1]["executable"] == "controller"
-
-
-def test_the_launch_file_records_the_same_topics_with_ros2_bag(monkeypatch, tmp_path):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     given = {
+        "composed": "",
         "bag": "somewhere",
-        "recorder": "ros2bag",
+        "gait": "stand",
+        "vx": "0.0",
         "namespace": "fred",
-        "gait": "crawl",
-        "odometry_topic": "/rtabmap/odom",
     }
+    given |= {"params_file": str(PARAMETERS), "realtime": "0", "visualize": "true"}
+    asked = []
+    said, *started = load_launch_file(monkeypatch, given, asked)
+    assert said["msg"] == choice[1]
+    assert asked == ["fred"]
+    typed = given | {"vx": 0.0, "realtime": 0, "composed": False, "visualize": True}
+    for node, spec in zip(started, graph.nodes(values(graph, **typed)), strict=True):
+        assert (node["package"], node["executable"]) == (spec.package, spec.name)
+        assert node["name"] == node["exec_name"] == spec.name
+        assert node["namespace"] == "fred"
+        assert node["remappings"] == [("/clock", "clock")]
+        assert node["prefix"] == "setpriv --pdeathsig TERM"
+        assert node["respawn"] == (spec.name == "visualizer")
+        file, parameters = node["parameters"]
+        assert file == str(PARAMETERS)
+        # launch would read a text such as 1e3 as a number
+        texts = {n: v for n, v in spec.parameters.items() if isinstance(v, str)}
+        wrapped = {n: {"args": (v,), "value_type": str} for n, v in texts.items()}
+        assert parameters == spec.parameters | wrapped
+
+
+@pytest.mark.parametrize("hardware", ["sim", "real"])
+def test_the_launch_file_records_the_same_topics_with_ros2_bag(
+    monkeypatch, tmp_path, hardware
+):
+    """With the quality of service of the own recorder."""
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    given = {"bag": "somewhere", "namespace": "fred", "odometry_topic": "/rtabmap/odom"}
+    given |= {"recorder": "ros2bag", "hardware": hardware}
     stock, *nodes = load_launch_file(monkeypatch, given)
     assert "recorder" not in {node["name"] for node in nodes}
-    robot = next(node for node in nodes if node["name"] == "sim_robot")
-    assert "wait_for_recording" not in robot["parameters"][0]  # of the own recorder
-    words = stock["cmd"]
-    assert words[:3] == ["setpriv", "--pdeathsig", "TERM"]
-    assert words[3:8] == ["ros2", "bag", "record", "--output", "somewhere"]
-    topics = [*read_record_settings("fred").topics]
+    words, settings = stock["cmd"], read_record_settings("fred")
+    assert words[:6] == ["setpriv", "--pdeathsig", "TERM", "ros2", "bag", "record"]
+    topics = [*settings.topics]
     topics[topics.index("/fred/odom")] = "/rtabmap/odom"
     assert words[words.index("--topics") + 1 :] == topics
     about = words[words.index("--custom-data") + 1 : words.index("--topics")]
     assert about[0].startswith("revision=")
-    assert about[1:] == [
-        "hardware=sim",
-        "gait=crawl",
-        "scene=flat",
-        "odometry_topic=/rtabmap/odom",
-        "composed=False",
-        "namespace=fred",
-    ]
+    assert {f"hardware={hardware}", "namespace=fred", "gait=walk"} <= set(about)
+    file = Path(words[words.index("--qos-profile-overrides-path") + 1])
+    profiles = yaml.safe_load(file.read_text())
+    assert [*profiles] == sorted(topics)
+    assert {profile["depth"] for profile in profiles.values()} == {settings.depth}
+    plan, sensor = profiles["/fred/tendon_plan"], profiles["/rtabmap/odom"]
+    assert (plan["reliability"], plan["durability"]) == ("reliable", "transient_local")
+    assert (sensor["reliability"] == "best_effort") == (hardware == "real")
 
 
 NOT_NEEDED = {"recorder": GO_ON, "visualizer": RESTART}
@@ -350,17 +295,8 @@ def test_a_launch_goes_on_without_a_process_that_it_does_not_need(monkeypatch, n
             end(SimpleNamespace(process_name=f"{needed}-1", returncode=code), running)
 
 
-def test_a_launch_restarts_the_viewer_a_few_times(monkeypatch):
-    nodes = load_launch_file(monkeypatch, {"visualize": "true", "bag": "somewhere"})
-    restarted = {n["name"]: n["respawn_max_retries"] for n in nodes if n.get("respawn")}
-    assert {"visualizer": 3}.items() <= restarted.items()
-    assert restarted.keys() <= {"visualizer", "robot_state_publisher"}
-
-
 def test_without_hardware_a_played_bag_gives_sensors_and_clock(graph):
-    nodes = {
-        s.name: s for s in graph.nodes(values(graph, hardware="none", bag="somewhere"))
-    }
+    nodes = nodes_of(graph, hardware="none", bag="somewhere")
     assert not {"sim_robot", "dynamixel_driver"} & nodes.keys()
     assert {"recorder", "state_estimator", "supervisor"} <= nodes.keys()
     assert all(spec.parameters["use_sim_time"] is True for spec in nodes.values())
@@ -389,22 +325,18 @@ def test_the_launch_file_starts_the_urdfs_publisher_where_there_is_one(
             raise ament_index_python.packages.PackageNotFoundError(package)
         return f"/{package}"
 
-    share = str(Path(__file__).parents[2] / "slot_bringup")
     packages = ament_index_python.packages
     monkeypatch.setattr(packages, "get_package_prefix", prefix)
-    monkeypatch.setattr(packages, "get_package_share_directory", lambda package: share)
+    monkeypatch.setattr(packages, "get_package_share_directory", lambda _: str(SHARE))
     given = {"robot_description": "true", "namespace": "fred", "frame_prefix": "fred/"}
     model, *_ = load_launch_file(monkeypatch, given)
-    if installed:
-        assert (model["package"], model["namespace"]) == (
-            "robot_state_publisher",
-            "fred",
-        )
-        (parameters,) = model["parameters"]
-        assert parameters["frame_prefix"]["args"] == ("fred/",)
-        assert '<robot name="slot">' in parameters["robot_description"]["args"][0]
-    else:
+    if not installed:
         assert "robot_state_publisher is not installed" in model["msg"]
+        return
+    assert (model["package"], model["namespace"]) == ("robot_state_publisher", "fred")
+    (parameters,) = model["parameters"]
+    assert parameters["frame_prefix"]["args"] == ("fred/",)
+    assert '<robot name="slot">' in parameters["robot_description"]["args"][0]
 
 
 def record(*args, **kwargs):
@@ -417,7 +349,7 @@ def run_launch_file(monkeypatch, name, **stubs):
     for module, members in stubs.items():
         stub = SimpleNamespace(**dict.fromkeys(members.split(), record))
         monkeypatch.setitem(sys.modules, module.replace("__", "."), stub)
-    path = Path(__file__).parents[2] / "slot_bringup" / "launch" / f"{name}.launch.py"
+    path = SHARE / "launch" / f"{name}.launch.py"
     return runpy.run_path(str(path))["generate_launch_description"]()["args"][0]
 
 

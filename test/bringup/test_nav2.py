@@ -8,8 +8,7 @@ import pytest
 import yaml
 
 from slot_core.gait.gait import read_gaits
-from slot_core.gait.reach import clipped
-from slot_core.robot import BASE_FRAME, ODOM_FRAME, read_robot
+from slot_core.robot import read_robot
 
 FILE = Path(__file__).parents[2] / "slot_bringup/nav2/nav2_params.yaml"
 NODES = {
@@ -30,7 +29,7 @@ FOLLOW, BEHAVIOR = NODES["controller_server"]["FollowPath"], NODES["behavior_ser
     ],
 )
 def test_the_gait_reaches_every_speed(velocity):
-    assert clipped(read_gaits(), "walk", velocity)[1] == ""
+    assert read_gaits().clipped("walk", velocity)[1] == ""
 
 
 def test_acceleration_and_progress_are_those_of_the_robot():
@@ -42,27 +41,9 @@ def test_acceleration_and_progress_are_those_of_the_robot():
     assert slowest < 0.5 * FOLLOW["regulated_linear_scaling_min_speed"]
 
 
-def test_frames_are_those_of_the_graph_and_there_is_no_map():
-    found = {
-        (key, value)
-        for node in NODES.values()
-        for key, value in node.items()
-        if "frame" in key
-    }
-    assert {value for key, value in found if key == "robot_base_frame"} == {BASE_FRAME}
-    assert {value for key, value in found if key != "robot_base_frame"} == {ODOM_FRAME}
-
-
 @pytest.mark.parametrize("costmap", ["local_costmap", "global_costmap"])
 def test_the_footprint_holds_the_feet_of_straight_legs(costmap):
     corners = np.array(json.loads(NODES[costmap]["footprint"]))
     robot = read_robot()
     tips = robot.clamps[:, :2] + robot.leg.reach * robot.outward[:, :2]
     assert (np.abs(tips) < corners.max(axis=0)).all()
-
-
-def test_the_managed_nodes_are_those_with_parameters():
-    managed = NODES["lifecycle_manager"]["node_names"]
-    assert {*managed, "lifecycle_manager", "local_costmap", "global_costmap"} == set(
-        NODES
-    )

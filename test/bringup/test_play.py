@@ -7,6 +7,7 @@ from collections import defaultdict
 from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -71,24 +72,16 @@ def test_every_sensor_message_arrives_as_it_was_recorded(received):
     assert span == pytest.approx((clock[-1] - clock[0]) * 1e-9, abs=0.1)
 
 
-def test_leg_states_recorded_without_directors_arrive_in_a_form_that_nodes_can_read(
+def test_a_message_of_before_its_last_field_arrives_in_a_form_that_nodes_can_read(
     tmp_path,
 ):
-    bag = Bag(write_old_legs(tmp_path / "bag", np.arange(24.0).reshape(4, 2, 3)))
-    (entry,) = play.entries(bag, 0.0)
+    old_legs = write_old_legs(tmp_path / "legs", np.arange(24.0).reshape(4, 2, 3))
+    (entry,) = play.entries(Bag(old_legs), 0.0)
     legs = deserialize_message(entry.data, LegStates)
-    assert (legs.nodes, list(legs.position), list(legs.director)) == (
-        2,
-        list(range(24)),
-        [],
-    )
-
-
-def test_a_health_report_of_before_it_named_the_first_supervisor_arrives_as_of_none(
-    tmp_path,
-):
+    assert (legs.nodes, [*legs.position], [*legs.director]) == (2, [*range(24)], [])
     now = message("/servo_health", 1.0, reason="why", supervised__sec=7)
-    (entry,) = play.entries(Bag(write_old(tmp_path / "bag", "/servo_health", now)), 0.0)
+    old_health = write_old(tmp_path / "health", "/servo_health", now)
+    (entry,) = play.entries(Bag(old_health), 0.0)
     health = decode.servo_health(deserialize_message(entry.data, ServoHealth))[1]
     assert (health.reason, health.supervised) == ("why", 0)
 
@@ -124,69 +117,46 @@ def test_a_clock_topic_without_messages_is_no_clock():
 
 
 def test_a_start_offset_leaves_out_the_beginning(real_time_bag):
-    first, *_ = play.entries(real_time_bag, 0.0)
-    late = list(play.entries(real_time_bag, 0.6))
-    assert late[0].time - first.time == pytest.approx(0.6e9, abs=0.01e9)
-    assert late[-1].time == list(play.entries(real_time_bag, 0.0))[-1].time
+    every, late = ([*play.entries(real_time_bag, start)] for start in (0.0, 0.6))
+    assert late[0].time - every[0].time == pytest.approx(0.6e9, abs=0.01e9)
+    assert late[-1] == every[-1]
 
 
-def test_a_bag_is_not_played_where_nothing_listens_or_a_robot_runs(
+def test_a_bag_is_not_played_where_nothing_uses_it_or_a_robot_runs(
     real_time_bag, monkeypatch
 ):
+    """A recorder alone does not count: the nodes, which start later, would miss the first."""
     monkeypatch.setattr(play, "SEARCH_TIME", 0.2)
+    kind = play.message_class(real_time_bag.topics["/odom"])
+    nothing = pytest.raises(play.PlayError, match=r"no node subscribes to /odom within")
     with listener("player") as (node, executor):
         player = play.Player(node, real_time_bag)
-        with pytest.raises(
-            play.PlayError, match=r"no node subscribes to /odom within 0\.2 s"
-        ):
+        recorder = Node("recorder", context=node.context)
+        recorder.create_subscription(kind, "/odom", print, qos.SENSOR)
+        wait(executor, lambda: node.count_subscribers("/odom") == 1)
+        with nothing:
             player.wait_for_nodes()
-        kind = play.message_class(real_time_bag.topics["/odom"])
         node.create_subscription(kind, "/odom", print, qos.SENSOR)
+        monkeypatch.setattr(play, "SEARCH_TIME", 10.0)
+        player.wait_for_nodes()
         node.create_publisher(kind, "/odom", qos.SENSOR)
         wait(executor, lambda: node.count_publishers("/odom") >= 2)
         with pytest.raises(play.PlayError, match="a robot publishes /odom already"):
             player.wait_for_nodes()
 
 
-def test_a_recorder_alone_does_not_start_the_play(real_time_bag, monkeypatch):
-    """It starts before the nodes that use the odometry, which then would miss the first."""
-    monkeypatch.setattr(play, "SEARCH_TIME", 0.2)
-    kind = play.message_class(real_time_bag.topics["/odom"])
-    with listener("player") as (node, executor):
-        recorder = Node("recorder", context=node.context)
-        recorder.create_subscription(kind, "/odom", print, qos.SENSOR)
-        player = play.Player(node, real_time_bag)
-        wait(executor, lambda: node.count_subscribers("/odom") == 1)
-        with pytest.raises(play.PlayError, match="no node subscribes to /odom"):
-            player.wait_for_nodes()
-        node.create_subscription(kind, "/odom", print, qos.SENSOR)
-        monkeypatch.setattr(play, "SEARCH_TIME", 10.0)
-        player.wait_for_nodes()
-
-
-class NoProcesses:
-    """Processes of a graph of which none ends."""
-
-    def __contains__(self, name):
-        return True
-
-    def failed(self):
-        return None
-
-    def restart_ended(self, time):
-        return []
-
-
 @pytest.mark.parametrize("played", [True, False])
 def test_a_run_ends_with_the_bag_that_is_played_into_it(played, monkeypatch, capsys):
-    """Without a bag the end of the states is an error."""
+    """Without a bag the end of the states is an error. A slow run is said, with the remedy."""
     monkeypatch.setattr(monitor, "SILENCE_TIMEOUT", 0.3)
+    monkeypatch.setattr(monitor.Progress, "slowness", lambda _: "slower")
+    processes = MagicMock()
+    processes.failed.return_value, processes.restart_ended.return_value = None, []
+    ended = pytest.raises(monitor.RunError, match="no /mpc_state")
     with listener("state_estimator", "alone") as (node, _):
         node.create_publisher(MpcState, "mpc_state", qos.CONTROL).publish(MpcState())
-        expected = (
-            nullcontext()
-            if played
-            else pytest.raises(monitor.RunError, match="no /mpc_state")
-        )
-        with expected:
-            monitor.watch(NoProcesses(), 60.0, namespace="alone", played=played)
+        with nullcontext() if played else ended:
+            monitor.watch(
+                processes, 60.0, namespace="alone", played=played, remedy="wait"
+            )
+    assert "scripts/run: slower; wait" in capsys.readouterr().err

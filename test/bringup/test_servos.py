@@ -9,10 +9,10 @@ import pytest
 
 from slot_bringup.servos import main
 from slot_core.config import ConfigError
+from slot_core.dynamixel.checks import write_zero
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.emulator.pseudo_terminal import PseudoTerminal
-from slot_core.dynamixel.homing import write_zero
 from slot_core.dynamixel.port import UDEV_RULE
 from slot_core.dynamixel.settings import read_settings
 
@@ -49,14 +49,14 @@ def test_scan_finds_every_servo_at_its_rate(servos, legs, capsys):
     assert servos("--baud", "115200", "scan") == 1
 
 
-def test_scan_skips_a_rate_that_the_port_does_not_support(servos, capsys):
+def test_scan_skips_a_rate_that_the_port_does_not_support_and_ends_without_a_port(
+    servos, tmp_path, capsys
+):
     assert servos("--baud", "4500000", "scan") == 1
     assert capsys.readouterr().err == "no servo answered: check power, cable and port\n"
-
-
-def test_scan_ends_where_the_port_cannot_be_opened(tmp_path, capsys):
-    assert main(["--port", str(tmp_path / "none"), "scan"]) == 1
-    assert capsys.readouterr().err.startswith(f"scripts/servos: {tmp_path / 'none'}: ")
+    port = tmp_path / "none"
+    assert main(["--port", str(port), "scan"]) == 1
+    assert capsys.readouterr().err.startswith(f"scripts/servos: {port}: ")
 
 
 def test_info_lists_differences_from_the_configuration(servos, legs, capsys):
@@ -115,29 +115,30 @@ def test_zero_measures_the_present_angle_and_writes_it(
     assert servos("info") == 0
 
 
-def test_a_zero_out_of_bounds_is_not_written(dynamixel_yaml):
-    before = dynamixel_yaml.read_text()
-    with pytest.raises(ConfigError, match="zero_deg"):
-        write_zero("RR", 400.0)
-    with pytest.raises(ConfigError, match="not within one turn"):
-        write_zero("RR", 300.0)
+@pytest.mark.parametrize(
+    ("key", "angle", "reason"),
+    [
+        ("zero_deg", 400.0, "zero_deg"),
+        ("zero_deg", 300.0, "not within one turn"),
+        ("zero", 100.0, "no line zero_deg"),
+    ],
+)
+def test_a_zero_that_cannot_be_written_changes_nothing(
+    dynamixel_yaml, key, angle, reason
+):
+    before = dynamixel_yaml.read_text().replace("zero_deg", key)
+    dynamixel_yaml.write_text(before)
+    with pytest.raises(ConfigError, match=reason):
+        write_zero("RR", angle)
     assert dynamixel_yaml.read_text() == before
-    dynamixel_yaml.write_text(before.replace("zero_deg", "zero"))
-    with pytest.raises(ConfigError, match="no line zero_deg"):
-        write_zero("RR", 100.0)
 
 
 def test_emulate_answers_at_its_link_until_interrupted(tmp_path, dynamixel_yaml):
     link = tmp_path / "servos"
-    command = [
-        sys.executable,
-        "-m",
-        "slot_bringup.servos",
-        "emulate",
-        "--link",
-        str(link),
-    ]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    words = ["-m", "slot_bringup.servos", "emulate", "--link", str(link)]
+    process = subprocess.Popen(
+        [sys.executable, *words], stdout=subprocess.PIPE, text=True
+    )
     try:
         assert process.stdout.readline().strip() == str(link)
         assert main(["--port", str(link), "info"]) == 0

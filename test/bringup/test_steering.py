@@ -75,31 +75,25 @@ def test_the_first_key_goes_on_from_what_is_commanded(node, keys):
     assert decode.velocity(node.published[0])[1] == pytest.approx([0.04, 0.0, 0.0])
 
 
-def test_what_the_gait_does_not_reach_is_clipped_and_said(node, keys):
-    for _ in range(20):
-        said = keys.press(UP, commanded())
-    assert said.startswith("velocity clipped to the reach of gait walk")
+def test_a_velocity_beyond_the_reach_of_the_gait_is_clipped_and_does_not_wind_up(
+    node, keys
+):
+    said = [keys.press(UP, commanded()) for _ in range(20)]
+    assert said[-1].startswith("velocity clipped to the reach of gait walk")
     keys.press(DOWN, commanded())
     keys.repeat(STAMP, commanded())
-    assert (
-        decode.velocity(node.published[0])[1][0] < 0.1
-    )  # not 0.19: the presses do not wind up
+    assert decode.velocity(node.published[0])[1][0] < 0.1  # not 0.19
 
 
 def test_zero_is_repeated_until_it_is_commanded_then_another_may_steer(node, keys):
-    keys.press(UP, commanded())
-    keys.press(steering.STOP, commanded())
-    for _ in range(2):
-        keys.repeat(STAMP, commanded([0.01, 0.0, 0.0]))
-    keys.repeat(STAMP, commanded())
-    assert len(node.published) == 3
-    keys.repeat(STAMP, commanded())
-    assert len(node.published) == 3
-
-
-def test_before_the_first_key_nothing_is_published(node, keys):
+    """Before the first key nothing is published either."""
     keys.repeat(STAMP, commanded())
     assert not node.published
+    keys.press(UP, commanded())
+    keys.press(steering.STOP, commanded())
+    for velocity, count in ((0.01, 1), (0.01, 2), (0.0, 3), (0.0, 3)):
+        keys.repeat(STAMP, commanded([velocity, 0.0, 0.0]))
+        assert len(node.published) == count
 
 
 @pytest.mark.parametrize(

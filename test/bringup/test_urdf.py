@@ -1,7 +1,7 @@
 """URDF, RViz and Foxglove files against slot_core.robot and the messages of the graph."""
 
+import graphlib
 import json
-import math
 import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -10,13 +10,21 @@ import numpy as np
 import pytest
 import yaml
 from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import JointState
 
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import BASE_FRAME, LEGS, ODOM_FRAME, TENDON_JOINTS, read_robot
+from slot_msgs.msg import MpcState, TendonPlan
 
 ROOT = Path(__file__).parents[2]
 SHARE = ROOT / "slot_bringup"
 URDF = ET.parse(SHARE / "urdf/slot.urdf").getroot()
+SIDES = "child", "parent"
+MESSAGES = {
+    "mpc_state": MpcState,
+    "tendon_plan": TendonPlan,
+    "desired_joint_angles": JointState,
+}
 LAYOUT = json.loads((SHARE / "foxglove/slot.json").read_text())
 RVIZ = yaml.safe_load((SHARE / "rviz/slot.rviz").read_text())["Visualization Manager"]
 ROBOT = read_robot()
@@ -37,18 +45,14 @@ def joint(name):
 
 def test_links_form_one_tree_rooted_in_the_base_frame():
     links = [element.get("name") for element in URDF.iter("link")]
-    parents = {
-        j.find("child").get("link"): j.find("parent").get("link")
-        for j in URDF.findall("joint")
-    }
+    joints = URDF.findall("joint")
+    ends = {name: [j.find(name).get("link") for j in joints] for name in SIDES}
     assert len(links) == len(set(links)) == 2 + 2 * len(LEGS)
-    assert set(links) - set(parents) == {BASE_FRAME}
-    for name in links:
-        seen = [name]
-        while seen[-1] in parents:
-            seen.append(parents[seen[-1]])
-            assert len(seen) <= len(links)
-        assert seen[-1] == BASE_FRAME
+    assert sorted([BASE_FRAME, *ends["child"]]) == sorted(links)
+    levels = graphlib.TopologicalSorter()
+    for child, parent in zip(ends["child"], ends["parent"]):
+        levels.add(child, parent)
+    assert next(levels.static_order()) == BASE_FRAME  # and there is no circle
 
 
 def test_torso_has_the_size_mass_and_inertia_of_the_robot():
@@ -76,16 +80,11 @@ def test_leg_frames_are_at_the_clamps_and_point_along_the_azimuths(index):
     assert clamp.get("type") == "fixed"
     assert clamp.find("parent").get("link") == BASE_FRAME
     assert clamp.find("child").get("link") == f"leg_{LEGS[index]}_link"
-    np.testing.assert_allclose(
-        numbers(clamp, "origin", "xyz"), ROBOT.clamps[index], **WRITTEN
-    )
-    attitude = Rotation.from_euler(
-        "xyz", numbers(clamp, "origin", "rpy")
-    )  # URDF: fixed axes
-    np.testing.assert_allclose(
-        attitude.apply([1, 0, 0]), ROBOT.outward[index], atol=1e-5
-    )
-    np.testing.assert_allclose(attitude.apply([0, 0, 1]), [0, 0, 1], atol=1e-12)
+    place, rpy = (numbers(clamp, "origin", name) for name in ("xyz", "rpy"))
+    np.testing.assert_allclose(place, ROBOT.clamps[index], **WRITTEN)
+    axes = Rotation.from_euler("xyz", rpy).apply(np.eye(3))  # URDF: about fixed axes
+    np.testing.assert_allclose(axes[0], ROBOT.outward[index], atol=1e-5)
+    np.testing.assert_allclose(axes[2], [0, 0, 1], atol=1e-12)
 
 
 @pytest.mark.parametrize("leg", LEGS)
@@ -112,44 +111,29 @@ def test_boxes_of_a_leg_join_along_its_natural_shape(leg):
 
 
 def test_tendon_joints_are_spools_with_the_limits_of_tendon_and_servo():
-    revolute = [
-        j.get("name") for j in URDF.findall("joint") if j.get("type") == "revolute"
-    ]
-    assert tuple(revolute) == TENDON_JOINTS
+    revolute = [j for j in URDF.findall("joint") if j.get("type") == "revolute"]
+    assert tuple(j.get("name") for j in revolute) == TENDON_JOINTS
     servo = read_servo()
-    expected = [0.0, ROBOT.tendon.angle_max]
-    nominal = servo.nominal_voltage
-    expected += [servo.tendon_stall(nominal), servo.tendon_speed(nominal)]
-    for leg, name in zip(LEGS, TENDON_JOINTS):
-        limit = joint(name).find("limit").attrib
+    volts = servo.nominal_voltage
+    most = [
+        ROBOT.tendon.angle_max,
+        servo.tendon_stall(volts),
+        servo.tendon_speed(volts),
+    ]
+    for leg, tendon in zip(LEGS, revolute):
+        limit = tendon.find("limit").attrib
         found = [float(limit[key]) for key in ("lower", "upper", "effort", "velocity")]
-        np.testing.assert_allclose(found, expected, **WRITTEN)
-        assert joint(name).find("parent").get("link") == f"leg_{leg}_link"
-        assert joint(name).find("origin") is None  # at the clamp
-        spool = link(joint(name).find("child").get("link"))
+        np.testing.assert_allclose(found, [0.0, *most], **WRITTEN)
+        assert tendon.find("parent").get("link") == f"leg_{leg}_link"
+        assert tendon.find("origin") is None  # at the clamp
+        spool = link(tendon.find("child").get("link"))
         cylinder = spool.find("visual/geometry/cylinder").attrib
-        assert float(cylinder["radius"]) == ROBOT.tendon.spool_radius
-        assert float(cylinder["length"]) == ROBOT.leg.width
-        turned = Rotation.from_euler(
-            "xyz", numbers(spool, "visual/origin", "rpy")
-        ).apply([0, 0, 1])
-        axis = numbers(joint(name), "axis", "xyz")
-        np.testing.assert_allclose(
-            np.abs(turned @ axis), 1.0, atol=1e-9
-        )  # the drum's axis
-
-
-def message_fields(name):
-    """{field: array length, inf if not fixed, 0 if none} of a message, without its constants."""
-    text = (ROOT / f"slot_msgs/msg/{name}.msg").read_text()
-    rows = re.findall(r"^[\w/]+?(\[\d*\])? +(\w+)\s*(?:#.*)?$", text, re.MULTILINE)
-    sizes = {"": 0, "[]": math.inf}
-    return {
-        field: sizes[size] if size in sizes else int(size[1:-1]) for size, field in rows
-    }
-
-
-MESSAGES = {"mpc_state": "MpcState", "tendon_plan": "TendonPlan"}
+        size = [float(cylinder[key]) for key in ("radius", "length")]
+        assert size == [ROBOT.tendon.spool_radius, ROBOT.leg.width]
+        rpy = numbers(spool, "visual/origin", "rpy")
+        drum = Rotation.from_euler("xyz", rpy).apply([0, 0, 1])
+        axis = numbers(tendon, "axis", "xyz")
+        np.testing.assert_allclose(np.abs(drum @ axis), 1.0, atol=1e-9)
 
 
 def test_plots_name_fields_that_the_messages_have():
@@ -158,12 +142,11 @@ def test_plots_name_fields_that_the_messages_have():
     assert len(values) == len(set(values)) == 11
     for value in values:
         topic, field, index = re.match(r"/(\w+)\.(\w+)(?:\[(\d+)\])?", value).groups()
-        if topic == "desired_joint_angles":  # sensor_msgs/JointState
-            assert field == "position"
-            assert int(index) < len(TENDON_JOINTS)
-        else:
-            length = message_fields(MESSAGES[topic])[field]
-            assert (index is None and length == 0) or int(index) < length
+        kind = MESSAGES[topic].get_fields_and_field_types()[field]
+        length = re.search(r"\[(\d*)\]|sequence", kind)
+        assert (index is None) == (length is None), value
+        if length and length[1]:
+            assert int(index) < int(length[1]), value
 
 
 def test_viewers_start_in_the_world_frame_on_the_topics_of_the_graph():

@@ -41,15 +41,14 @@ def test_a_run_is_written_into_its_folder_and_opened(opened, monkeypatch):
 
 
 def test_the_newest_bag_is_shown_by_default(tmp_path):
-    for i, name in enumerate(("walk_2", "walk_1", "plots_of_a_film")):
-        (tmp_path / name).mkdir()
-        if name.startswith("walk"):
-            file = tmp_path / name / "walk.mcap"
-            file.touch()
-            os.utime(file, (time.time() + i, time.time() + i))
-    (tmp_path / "walk_2" / view.PAGE).touch()  # of an older run that was shown last
-    (tmp_path / "note.txt").touch()
-    assert view.newest_bag(tmp_path) == tmp_path / "walk_1"
+    files = [tmp_path / f"walk_{i}" / "walk.mcap" for i in (2, 1)]
+    for i, file in enumerate(files):
+        file.parent.mkdir()
+        file.touch()
+        os.utime(file, (time.time() + i, time.time() + i))
+    files[0].with_name(view.PAGE).touch()  # of an older run that was shown last
+    (tmp_path / "plots_of_a_film").mkdir()
+    assert view.newest_bag(tmp_path) == files[1].parent
 
 
 def test_the_live_page_of_a_run_waits_for_its_graph_and_ends_with_it(

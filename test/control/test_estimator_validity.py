@@ -186,14 +186,6 @@ def test_an_uncertain_reading_has_no_weight_and_is_no_outlier():
     assert max(np.abs(error(e, motion)[3:6]).max() for e in estimates) < 2e-4
 
 
-def test_a_certain_reading_is_followed():
-    motion, shift = Walk(), np.array([0.0005, 0.0, 0.0])
-    messages = with_jump(clean(motion, 1.0), 20, shift, 21)
-    certain = run(with_variance(messages, np.full(12, 1e-10), 20))[0][20]
-    np.testing.assert_allclose(error(certain, motion)[3], 0.0005, atol=5e-5)
-    assert error(run(messages)[0][20], motion)[3] < 0.0002
-
-
 # --- validity ---
 
 

@@ -13,9 +13,9 @@ from slot_core.control.force_map import read_springs
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.gait.gait import FRONT_REAR, LEFT_RIGHT, Posture, read_gaits
-from slot_core.gait.reference import limited, places_ahead, reference
+from slot_core.gait.reference import places_ahead, reference
 from slot_core.robot import read_robot
-from slot_core.simulation.plant import make_robot
+from slot_core.simulation.make_robot import make_robot
 
 ROBOT, GAITS = read_robot(), read_gaits()
 WALK = GAITS.strides["walk"]
@@ -126,7 +126,7 @@ def test_normal_forces_are_never_negative():
     assert force.max() > 0.1
 
 
-def test_rates_of_the_torso_are_the_derivatives_of_its_sway():
+def test_rates_and_velocities_of_the_torso_are_the_derivatives_of_its_angles_and_sway():
     stride, h = filled(), 1e-6
     for velocity in ([0.05, 0, 0], [0.03, -0.03, 0.0], [0, 0, 0.1]):
         before, now, after = (
@@ -134,6 +134,9 @@ def test_rates_of_the_torso_are_the_derivatives_of_its_sway():
         )
         slope = (after - before) / (2 * h * stride.period)
         assert now[:, [6, 7, 11]] == pytest.approx(slope[:, [0, 1, 5]], abs=1e-7)
+        about_mean = now[:, [9, 10]] - now[:, [9, 10]].mean(axis=0)
+        assert about_mean == pytest.approx(slope[:, [3, 4]], abs=1e-7)
+        assert now[:, [3, 4]].mean(axis=0) == pytest.approx(np.zeros(2), abs=1e-12)
 
 
 MIRRORS = {
@@ -180,14 +183,6 @@ def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_imag
     there, back = motion(velocity, 0.5), motion(opposite, 0.0)
     assert np.abs(there[-1, 2:5]).max() > 0.02  # it has moved, or turned
     np.testing.assert_allclose(back, signs * there, rtol=0, atol=1e-9)
-
-
-def test_the_mean_posture_is_the_mean_of_the_course_over_a_stride():
-    velocity = np.array([-0.04, 0.03, 0.02])
-    torso = WALK.stride_table(np.arange(200) / 200, velocity)[:, 8:]
-    mean = torso[:, [5, 0, 1]].mean(axis=0) - [WALK.height, 0.0, 0.0]
-    assert WALK.mean_posture(velocity) == pytest.approx(mean, abs=1e-12)
-    assert WALK.mean_posture(np.zeros(3)) == pytest.approx(np.zeros(3))
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -244,30 +239,6 @@ def test_sway_rotates_with_the_heading():
     assert rows[:, 3:5] == pytest.approx(place[:, :2] + sway[:, :2])
     assert rows[:, 8] == pytest.approx(0.3)
     assert rows[:, [0, 1, 5, 11]] == pytest.approx(motion[:, [0, 1, 5, 11]])
-
-
-@pytest.mark.parametrize(
-    ("place", "expected"),
-    [
-        ([0.1, 0.0, 0.0], [0.03, 0.0, 0.0]),
-        ([0.01, 0.02, 0.1], [0.01, 0.02, 0.1]),
-        ([0.0, -0.3, 3.0], [0.0, -0.03, 0.2]),
-        ([0.0, 0.0, -6.2], [0.0, 0.0, 2 * np.pi - 6.2]),
-    ],
-)
-def test_a_reference_place_stays_near_the_robot(place, expected):
-    robot = np.array([1.0, 2.0, 3.0])
-    found = limited(robot + place, robot, 0.03, 0.2)
-    assert found == pytest.approx(robot + expected)
-
-
-def test_the_sway_is_the_integral_of_the_velocity_about_its_mean():
-    velocity, phase = np.array([0.05, 0.02, 0.0]), np.linspace(0.0, 1.0, 2001)
-    rows = WALK.stride_table(phase, velocity)[:, 8:]
-    for place, rate in ((3, 9), (4, 10)):
-        slope = np.gradient(rows[:, place], phase * WALK.period)
-        np.testing.assert_allclose(slope[1:-1], rows[1:-1, rate], atol=1e-4)
-        assert abs(rows[:-1, place].mean()) < 1e-6
 
 
 @pytest.mark.parametrize(

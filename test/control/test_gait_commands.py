@@ -8,9 +8,9 @@ from slot_core.clock import SECOND
 from slot_core.config import ConfigError
 from slot_core.gait.gait import GaitCommand
 from slot_core.gait.gait_scheduler import SETTLING
-from slot_core.gait.reach import clipped
-from slot_core.gait.route import ARRIVED, LEAD, Route
-from slot_core.geometry import rotate
+from slot_core.gait.route import Route
+
+FASTER = GaitCommand("walk", np.full(3, 9.0), np.array([0.06, 0.0, 0.0]))
 
 
 def test_a_velocity_command_expires_and_the_robot_stops_but_a_requested_velocity_does_not():
@@ -47,7 +47,7 @@ def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refus
     ("call", "message"),
     [
         (lambda s: s.request("trot", NOTHING), "no gait 'trot'"),
-        (lambda s: s.request("walk", [np.nan, 0, 0]), r"v_x = nan: gait walk reaches"),
+        (lambda s: s.set_command(FASTER), r"v_x = 9: gait walk reaches"),
         (
             lambda s: s.request("walk", [0, 0, -9.0]),
             r"yaw rate = -9: gait walk reaches",
@@ -56,11 +56,6 @@ def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refus
             lambda s: s.set_velocity(SECOND, [0, np.inf, 0]),
             r"velocity \[ 0. inf 0.\]: expected",
         ),
-        (
-            lambda s: s.set_velocity(SECOND, [0, 0]),
-            r"velocity \[0. 0.\]: expected three finite",
-        ),
-        (lambda s: s.set_pose([np.nan, 0, 0]), r"height = nan: gait walk reaches"),
         (
             lambda s: s.set_pose([0.06, 0, 1.0]),
             r"pitch = 1: gait walk reaches \[-0\.09, 0\.09\]",
@@ -87,7 +82,7 @@ def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(gait
         rng.normal(size=(200, 3)) * [0.1, 0.1, 0.5],
     )
     for wanted in np.vstack([10.0 * axes, random, 1e6 * random[:3], [[0.5, 0.0, 1.0]]]):
-        given, remark = clipped(GAITS, gait, wanted)
+        given, remark = GAITS.clipped(gait, wanted)
         GAITS.require_velocity(gait, given)
         share = np.linalg.norm(given) / np.linalg.norm(wanted)
         assert given == pytest.approx(share * wanted, rel=1e-12)
@@ -97,7 +92,7 @@ def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(gait
                 GAITS.require_velocity(gait, 1.0001 * given)
         else:
             assert (given == wanted).all()
-        assert clipped(GAITS, gait, given)[1] == ""
+        assert GAITS.clipped(gait, given)[1] == ""
 
 
 def test_a_clipped_velocity_is_said_while_it_is_in_force():
@@ -137,17 +132,6 @@ def test_a_jump_of_the_clock_neither_moves_the_commands_nor_delays_later_changes
     assert after.tendon_angle[0] == pytest.approx(before.tendon_angle[0], abs=1e-9)
     assert robot.run(3.0)[-1].reference[0, 9] > 0.0
     assert robot.steps.max() < 1.0
-
-
-def test_a_path_is_followed_instead_of_the_velocity():
-    points = np.array([[0.0, 0.0], [0.2, 0.0], [0.2, 0.2]])
-    robot = Ideal("walk", AHEAD, Route(points, "kept"), seconds=15.0)
-    assert robot.state[3] == pytest.approx(
-        0.2, abs=2 * LEAD
-    )  # this robot knows no feedback
-    assert robot.state[4] == pytest.approx(0.2, abs=3 * ARRIVED)
-    assert robot.state[2] == pytest.approx(0.0, abs=1e-9)
-    assert stands(robot.previews[-1])  # it stands at the end
 
 
 def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
@@ -207,21 +191,6 @@ def test_the_reference_stays_near_the_robot_and_begins_anew_after_a_jump(place):
     assert abs(gap[2]) <= GAITS.heading_lead
 
 
-def test_the_preview_moves_its_reference_as_the_velocity_says():
-    robot = Ideal("walk", np.array([0.04, 0.02, 0.03]), seconds=5.0)
-    last = robot.previews[-1]
-    assert last.velocity_ahead == pytest.approx(
-        np.tile([0.04, 0.02, 0.03], (GAITS.stages, 1))
-    )
-    row = GAITS.strides["walk"].stride_table(last.phases, last.velocity_ahead)[:, 8:]
-    place = last.reference[:, 3:5] - rotate(row[:, 3:5], last.reference[:, 2])
-    yaw, dt = last.reference[:, 2], last.dt
-    assert np.diff(yaw) == pytest.approx(0.03 * dt)
-    moved = np.diff(place, axis=0)
-    expected = dt * rotate(np.tile([0.04, 0.02], (GAITS.stages - 1, 1)), yaw[:-1])
-    np.testing.assert_allclose(moved, expected, atol=1e-12)
-
-
 def test_everything_commanded_can_be_set_from_a_recorded_preview():
     robot, replayed = Ideal("stand"), Ideal("stand")
     robot.run(0.5)
@@ -237,15 +206,3 @@ def test_everything_commanded_can_be_set_from_a_recorded_preview():
         (again,) = replayed.run(TICK / SECOND)
         assert (again.tendon_angle == preview.tendon_angle).all()
         assert (again.reference[:, 5] == preview.reference[:, 5]).all()
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        GaitCommand("trot", NOTHING, np.array([0.04, 0.0, 0.0])),
-        GaitCommand("walk", np.full(3, 9.0), np.array([0.06, 0.0, 0.0])),
-    ],
-)
-def test_a_recorded_command_that_is_out_of_range_is_refused(command):
-    with pytest.raises(ConfigError):
-        Ideal("stand").scheduler.set_command(command)

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.clock import SECOND
-from slot_core.estimation.imu_samples import ImuQueue
+from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.estimation.inertial_filter import InertialFilter, OdometryMotion
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.robot import GRAVITY
@@ -128,9 +128,7 @@ def samples(rng, count):
 
 def held(value):
     """A single IMU sample, of which `value` are the first elements; it acts at any time."""
-    queue = ImuQueue(1)
-    queue.append(0, np.pad(value, (0, 6 - len(value))))
-    return queue.samples
+    return ImuSamples.none().followed(0, np.pad(value, (0, 6 - len(value))), 1)
 
 
 def reading(truth, rng):

@@ -40,7 +40,7 @@ def test_every_policy_plans_angles_or_forces_with_a_map_that_has_a_name(name):
 def test_a_policy_that_was_reset_plans_as_a_new_one():
     for name in POLICIES:
         used, fresh = (make_policy(name, read_robot(), lambda: 0.0) for _ in range(2))
-        recorded = ticks("predictive")
+        recorded = ticks("rollout_mpc")
         for tick in recorded:
             used.step(tick.estimate, tick.preview)
         used.reset()
@@ -53,7 +53,10 @@ def test_a_policy_that_was_reset_plans_as_a_new_one():
 
 
 def test_the_gait_alone_commands_the_angles_of_the_gait_and_the_mpc_others():
-    alone, mpc = ticks("gait_alone"), ticks("predictive", **{"scene.payload.mass": 0.3})
+    alone, mpc = (
+        ticks("gait_alone"),
+        ticks("rollout_mpc", **{"scene.payload.mass": 0.3}),
+    )
     assert all((t.command.angle == t.preview.tendon_angle[0]).all() for t in alone)
     assert any((t.command.angle != t.preview.tendon_angle[0]).all() for t in mpc)
 
@@ -70,7 +73,13 @@ def test_a_policy_of_ones_own_is_named_by_its_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "text", "reason"),
     [
-        ("magic", None, "policy 'magic': expected one of predictive, place, .* a file"),
+        (
+            "magic",
+            None,
+            "policy 'magic': expected one of rollout_mpc, place, .* a file",
+        ),
+        ("predictive", None, "policy 'predictive': it is named rollout_mpc now"),
+        ("forces", None, "policy 'forces': it is named force_mpc now"),
         ("missing.py", None, "missing.py: FileNotFoundError"),
         (
             "broken.py",

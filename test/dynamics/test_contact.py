@@ -17,9 +17,9 @@ from slot_core.dynamics.model import build_floor
 from slot_core.dynamics.rod import discretise
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.legs.level_leg import at_nodes
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.rod_robot import RodRobot
+from slot_lab.leg_tests.level_leg import at_nodes
 
 ROD, WIDTH = (
     discretise(ROBOT.leg, 22, ROBOT.tendon.end_fraction),

@@ -11,7 +11,7 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
-from slot_core.simulation.plant import make_robot
+from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 HELD = 1e9  # kg, a torso that no leg moves

@@ -12,9 +12,9 @@ from scipy.linalg import eigh
 from slot_core.dynamics.rod import build, discretise
 from slot_core.dynamics.spatial.strain import measure, point_along
 from slot_core.dynamics.tendon import route
-from slot_core.legs.leg_map import relax
-from slot_core.legs.level_leg import level_leg
 from slot_core.robot import read_robot
+from slot_lab.leg_tests.leg_map import relax
+from slot_lab.leg_tests.level_leg import level_leg
 
 ROBOT = read_robot()
 ANCHOR = 2 / 3  # of the length

@@ -8,9 +8,9 @@ from scipy.optimize import brentq
 
 from slot_core.dynamics.rod import build, discretise
 from slot_core.dynamics.tendon import route
-from slot_core.legs.leg_map import StaticLeg
-from slot_core.legs.level_leg import level_leg
-from slot_core.legs.sticking_leg import tangent
+from slot_lab.leg_tests.leg_map import StaticLeg
+from slot_lab.leg_tests.level_leg import level_leg
+from slot_lab.leg_tests.sticking_leg import tangent
 
 
 def tension(angle, rate):

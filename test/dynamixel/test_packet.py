@@ -1,10 +1,10 @@
-"""Packets against the SDK's CRC and packet builder and the examples of the e-manual."""
+"""Packets against the SDK's CRC and the examples of the e-manual."""
 
 import re
 
 import numpy as np
 import pytest
-from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler
+from dynamixel_sdk import PacketHandler
 
 from slot_core.dynamixel.packet import (
     BROADCAST,
@@ -12,39 +12,12 @@ from slot_core.dynamixel.packet import (
     Parser,
     build,
     crc,
-    fast_status,
     status,
     stuff,
     unstuff,
 )
 
 SDK = PacketHandler(2.0)
-
-
-class Wire:
-    """Port with the SDK's interface: records what is sent, returns the bytes in `incoming`."""
-
-    def __init__(self, incoming=b""):
-        self.sent, self.incoming = b"", bytearray(incoming)
-        self.is_using, self.packet_timeout = False, 1.0
-
-    def clearPort(self):  # noqa: N802
-        pass
-
-    def writePort(self, packet):  # noqa: N802
-        self.sent = bytes(packet)
-        return len(packet)
-
-    def readPort(self, length):  # noqa: N802
-        data = bytes(self.incoming[:length])
-        del self.incoming[:length]
-        return data
-
-    def setPacketTimeout(self, length):  # noqa: N802
-        pass
-
-    def isPacketTimeout(self):  # noqa: N802
-        return not self.incoming
 
 
 # ROBOTIS e-manual, Protocol 2.0, the examples of each instruction and its status packets.
@@ -102,19 +75,6 @@ def test_crc_equals_that_of_the_sdk():
         assert crc(data) == SDK.updateCRC(0, list(data), size)
 
 
-def test_sync_write_equals_the_packet_of_the_sdk():
-    wire = Wire()
-    group = GroupSyncWrite(wire, SDK, 116, 4)
-    for identity, goal in ((5, 2000), (4, 100), (2, -7)):
-        assert group.addParam(identity, list(goal.to_bytes(4, "little", signed=True)))
-    assert group.txPacket() == COMM_SUCCESS
-    data = b"".join(
-        bytes([identity]) + goal.to_bytes(4, "little", signed=True)
-        for identity, goal in ((5, 2000), (4, 100), (2, -7))
-    )
-    assert wire.sent == build(BROADCAST, Instruction.SYNC_WRITE, b"\x74\0\4\0" + data)
-
-
 def test_stuffing_leaves_no_header_inside_and_is_reversible():
     rng = np.random.default_rng(2)
     for size in range(1, 60):
@@ -122,31 +82,6 @@ def test_stuffing_leaves_no_header_inside_and_is_reversible():
         stuffed = stuff(body)
         assert unstuff(stuffed) == body
         assert re.search(b"\xff\xff\xfd(?!\xfd)", stuffed) is None
-
-
-def test_sdk_reads_a_stuffed_answer():
-    """Load -1, velocity -3, position 253: FF FF | FD FF FF FF | FD 00 00 00, stuffed twice."""
-    data = bytes.fromhex("FFFF FDFFFFFF FD000000")
-    wire = Wire(status(5, 0, data))
-    assert len(wire.incoming) == 11 + len(data) + 2
-    found, result, error = SDK.readTxRx(wire, 5, 126, 10)
-    assert (bytes(found), result, error) == (data, COMM_SUCCESS, 0)
-
-
-def test_sdk_reads_the_answer_to_a_fast_sync_read():
-    values = {
-        5: 2000,
-        4: 1,
-        2: 4095,
-        3: 0x00FDFFFF,
-    }  # a fast answer has no byte stuffing
-    replies = [(i, 0, v.to_bytes(4, "little")) for i, v in values.items()]
-    wire = Wire(fast_status(replies))
-    group = GroupSyncRead(wire, SDK, 132, 4)
-    for identity in values:
-        group.addParam(identity)
-    assert group.fastSyncRead() == COMM_SUCCESS
-    assert {identity: group.getData(identity, 132, 4) for identity in values} == values
 
 
 def test_parser_finds_packets_in_noise_fed_in_pieces_of_any_size():

@@ -5,10 +5,9 @@ import time
 import pytest
 from driver_rig import TerminalRig
 
-from slot_core.dynamixel.errors import BaudRateError
-from slot_core.dynamixel.port import SerialPort, check_latency
+from slot_core.dynamixel.port import BaudRateError, SerialPort, check_latency
 from slot_core.faults import Fault
-from slot_core.servos.servo_errors import PortError
+from slot_core.servos.servo_bus import PortError
 
 WAIT_LIMIT = 60.0  # s, on a busy machine
 

@@ -1,12 +1,11 @@
 """Control table against the one that ships with the SDK."""
 
-import itertools
 from pathlib import Path
 
 import dynamixel_easy_sdk
 import pytest
 
-from slot_core.dynamixel.table import REGISTERS, TABLE, decode_span, span
+from slot_core.dynamixel.table import TABLE, decode_span, span
 
 MODEL = Path(dynamixel_easy_sdk.__file__).parent / "control_table" / "xl430_w250.model"
 NAMES = {"secondary(shadow)_id": "secondary_id"}
@@ -26,15 +25,6 @@ def test_addresses_and_sizes_equal_those_of_the_sdk():
     assert len(rows) > 45
     for name, address, size in rows:
         assert (TABLE[name].address, TABLE[name].size) == (address, size), name
-
-
-def test_registers_do_not_overlap_and_initial_values_are_in_range():
-    ordered = sorted(REGISTERS, key=lambda register: register.address)
-    for one, next_one in itertools.pairwise(ordered):
-        assert one.end <= next_one.address
-    for register in REGISTERS:
-        assert register.low <= register.initial <= register.high, register.name
-        assert register.decode(register.encode(register.initial)) == register.initial
 
 
 def test_negative_values_are_twos_complement():

@@ -3,39 +3,25 @@
 import os
 import shlex
 import subprocess
-from pathlib import Path
 
 import pytest
 from real_graph import process_domain
+from sourced import ROOT, environment
 
-ROOT = Path(__file__).resolve().parents[2]
 SLOT = str(ROOT / ".slot") + "/"
 SHELL = "#!/usr/bin/env bash"
 FILES = [path for path in (ROOT / "scripts").iterdir() if path.is_file()]
 PROGRAMS = [path for path in FILES if path.read_text().startswith(SHELL)]
 
 
-def environment(mode, given):
-    """Environment after sourcing scripts/env in a mode; "": as in a shell of the caller."""
-    shell = subprocess.run(
-        ["bash", "-c", f". scripts/env {mode} && env -0"],
-        cwd=ROOT,
-        env={"PATH": os.defpath} | given,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return dict(entry.split("=", 1) for entry in shell.stdout.split("\0") if entry)
-
-
 def test_a_program_takes_no_settings_and_no_packages_of_the_callers_python(caller):
-    own = environment("--isolated", {})
+    own = environment("--isolated")
     assert own["PYTHONSAFEPATH"] == "1"  # no current directory, in child processes too
     assert environment("--isolated", caller.python) == own
 
 
 def test_a_program_runs_the_python_of_the_repository_whatever_was_activated_since():
-    path = environment("", {})["PATH"]
+    path = environment()["PATH"]
     activated = environment("--isolated", {"PATH": f"/own/conda/bin:{path}"})["PATH"]
     assert activated.startswith(f"{SLOT}venv/bin:")
 
@@ -101,6 +87,4 @@ def test_a_graph_walks_in_a_folder_with_modules_of_the_callers_own(caller):
 
 def test_a_relative_path_is_not_looked_up_in_cdpath(tmp_path):
     (tmp_path / "scripts").mkdir()
-    shell = ". scripts/env && echo $SLOT_ROOT"
-    given = {"cwd": ROOT, "env": {"CDPATH": str(tmp_path)}, "text": True}
-    assert subprocess.check_output(["bash", "-c", shell], **given) == f"{ROOT}\n"
+    assert environment(given={"CDPATH": str(tmp_path)})["SLOT_ROOT"] == str(ROOT)

@@ -43,22 +43,8 @@ def test_the_container_of_the_robot_records_to_the_host(service, record, bags):
     assert "../bags:/slot/bags" in ROBOTS[service]["volumes"]
 
 
-def test_every_service_is_built_from_a_stage_of_the_dockerfile():
-    stages = re.findall(
-        r"^FROM \S+ AS (\w+)$", (ROOT / "docker/Dockerfile").read_text(), re.M
-    )
-    targets = {service["build"]["target"] for service in COMPOSE["services"].values()}
-    assert targets == {"slot", "camera"} <= set(stages)
-    assert stages[-1] == "slot"  # what a build without a target makes
-
-
 def test_an_image_without_git_names_its_commit(monkeypatch, tmp_path):
     assert "SLOT_REVISION" in COMPOSE["x-slot"]["build"]["args"]
-    assert (
-        "ENV SLOT_REVISION=$SLOT_REVISION" in (ROOT / "docker/Dockerfile").read_text()
-    )
     monkeypatch.setattr(origin, "__file__", str(tmp_path / "origin.py"))
     monkeypatch.setenv("SLOT_REVISION", "1234abc-dirty")
     assert origin.revision() == "1234abc-dirty"
-    monkeypatch.delenv("SLOT_REVISION")
-    assert origin.revision().startswith("version ")

@@ -2,7 +2,6 @@
 
 import ast
 import configparser
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -58,36 +57,23 @@ CONFIG = ROOT / "config"
 OWN_KEYS = ROOT / "scripts/rosdep.yaml"
 
 
-def ini(path):
-    settings = configparser.ConfigParser()
-    settings.read(path)
-    return dict(settings["pytest"])
+def settings(file):
+    parser = configparser.ConfigParser()
+    parser.read(file)
+    return dict(parser["pytest"])
 
 
 def test_colcon_test_runs_every_test_in_one_package_with_the_same_settings():
-    expected, found = ini(ROOT / "test/pytest.ini"), []
+    expected, found = settings(ROOT / "test/pytest.ini"), []
     for folder in PACKAGES.values():
-        settings = ini(folder / "pytest.ini")
-        found += [
-            (folder / name).resolve() for name in settings.pop("testpaths").split()
-        ]
-        assert (folder / settings.pop("pythonpath")).resolve() == ROOT / "scripts"
-        assert settings.pop("addopts") == f'{expected["addopts"]} -m "not real_time"'
-        assert settings == {name: expected[name] for name in settings}
-        assert (
-            'extras_require={"test": ["pytest"]}' in (folder / "setup.py").read_text()
-        )
-    assert len(found) == len(set(found))
-    files = {
-        Path(folder, name)
-        for folder, _, names in os.walk(ROOT / "test")
-        for name in names
-    }
-    tests = {f for f in files if f.match("test_*.py") and f.parent.name != "real_time"}
-    assert tests == {
-        f for f in tests if not found or any(f.is_relative_to(p) for p in found)
-    }
-    assert all(path.exists() for path in found)
+        own = settings(folder / "pytest.ini")
+        found += [(folder / name).resolve() for name in own.pop("testpaths").split()]
+        assert (folder / own.pop("pythonpath")).resolve() == ROOT / "scripts"
+        assert own.pop("addopts") == f'{expected["addopts"]} -m "not real_time"'
+        assert own == {name: expected[name] for name in own}
+    for file in (ROOT / "test").rglob("test_*.py"):
+        times = sum(file.is_relative_to(path) for path in found)
+        assert times == (file.parent.name != "real_time"), file
 
 
 def imported(folder, name):

@@ -7,12 +7,12 @@ import pytest
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.legs.tabulated_robot import TabulatedRobot
+from slot_core.refusal import DivergenceError
 from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
-from slot_core.simulation.tabulated_robot import TabulatedRobot
 
 SETTINGS = {"robot": read_robot(), "scene": read_scene("flat"), "servo": read_servo()}
 

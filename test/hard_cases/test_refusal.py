@@ -7,7 +7,6 @@ import re
 import numpy as np
 import pytest
 
-from slot_core.files import read_bytes
 from slot_core.refusal import (
     LINE_MAX,
     VALUE_MAX,
@@ -15,6 +14,7 @@ from slot_core.refusal import (
     one_line,
     printable,
     quoted,
+    read_bytes,
 )
 
 

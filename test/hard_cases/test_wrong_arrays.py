@@ -16,26 +16,26 @@ from slot_core.estimation.inertial_filter import InertialFilter, OdometryMotion
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
-from slot_core.legs.held_leg import HeldLeg
-from slot_core.legs.leg_map import StaticLeg
 from slot_core.legs.leg_springs import LegSprings, read_leg_springs
 from slot_core.legs.leg_table import LegTable
-from slot_core.legs.sticking_leg import StickingLeg
+from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.paper.numbers import read_paper
 from slot_core.paper.paper_robot import PaperLeg, PaperRobot
-from slot_core.predictive.disturbance_observer import DisturbanceObserver
-from slot_core.predictive.nominal_robot import NominalRobot
-from slot_core.predictive.problem import PlanProblem
-from slot_core.predictive.settings import read_predictive
 from slot_core.robot import read_robot
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import Geometry, Loads, Material, Pose, Rectangle, Support
+from slot_core.rollout_mpc.disturbance_observer import DisturbanceObserver
+from slot_core.rollout_mpc.nominal_robot import NominalRobot
+from slot_core.rollout_mpc.problem import PlanProblem
+from slot_core.rollout_mpc.settings import read_rollout_mpc
 from slot_core.simulation.many_robots import ManyRobots
 from slot_core.simulation.rod_robot import RodRobot
-from slot_core.simulation.tabulated_robot import TabulatedRobot
 from slot_core.vision.camera import nominal
 from slot_core.vision.detector import MarkerDetector
 from slot_core.vision.settings import read_vision
+from slot_lab.leg_tests.held_leg import HeldLeg
+from slot_lab.leg_tests.leg_map import StaticLeg
+from slot_lab.leg_tests.sticking_leg import StickingLeg
 
 NODES, DT = 8, 1 / 30
 ANY_NUMBER = ("no element", "one more")  # of rows
@@ -134,7 +134,7 @@ def _rods():
 
 
 def _policies():
-    settings, robot = read_predictive(), read_robot()
+    settings, robot = read_rollout_mpc(), read_robot()
     model = NominalRobot(robot, settings.nominal, DT)
     problem, stages = PlanProblem(settings, robot.tendon.angle_max, DT), settings.stages
     state, start = np.zeros(12), model.at_rest(np.eye(12)[5] * 0.06, np.full(4, 1.0))

@@ -1,7 +1,4 @@
-"""MPC on forces against the matrix exponential, CVXPY with Clarabel, and a nonlinear torso."""
-
-import csv
-import dataclasses
+"""MPC on forces against the matrix exponential and CVXPY; infeasible and invalid problems."""
 
 import cvxpy
 import numpy as np
@@ -12,26 +9,24 @@ from scipy.spatial.transform import Rotation
 from benchmarks.mpc.cases import hard_cases, random_case, standing, state, torso
 from slot_core import config
 from slot_core.control.policy import Status
-from slot_core.estimation.estimate import Estimate
-from slot_core.mpc.model import Horizon, HorizonQp, TorsoModel
-from slot_core.mpc.mpc import Mpc
+from slot_core.mpc.force_mpc import ForceMpc
+from slot_core.mpc.model import TorsoModel
 from slot_core.mpc.settings import read_mpc
-from slot_core.mpc.solver import QpSolver
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()
 # no time budget: the tests must not depend on the load of the machine
-SETTINGS = config.replace(read_mpc("forces"), {"acceptance.time_budget": np.inf})
+SETTINGS = config.replace(read_mpc("force_mpc"), {"acceptance.time_budget": np.inf})
 H, F_MAX, DT = SETTINGS.horizon, SETTINGS.force_max, 0.033
 HOVER = ROBOT.weight / 4
 CASES = hard_cases(H + 1)
-# 1000 m are far beyond what the reference's tolerance resolves; test_mpc_solvers.py has them
+# 1000 m are far beyond what the reference's tolerance resolves
 NEAR = [name for name in CASES if "1000 m" not in name]
 
 
 def new_mpc(**changes):
     names = {name.replace("__", "."): value for name, value in changes.items()}
-    return Mpc(ROBOT, config.replace(SETTINGS, names), lambda: 0.0)
+    return ForceMpc(ROBOT, config.replace(SETTINGS, names), lambda: 0.0)
 
 
 def preview(**changes):
@@ -63,21 +58,24 @@ def discrete(yaw, height, dt):
     return held[:12, :12], held[:12, 12:24], held[:12, 24]
 
 
-def optimum(x0, ahead):
-    """u (H, 12) and cost, by CVXPY and Clarabel."""
+def optimum(x0, ahead, horizon=H):
+    """u (horizon, 12) and cost, by CVXPY and Clarabel."""
     a, b, g = discrete(x0[2], x0[5], ahead.dt)
     q, r = np.sqrt(SETTINGS.weights.q), np.sqrt(SETTINGS.weights.r)
-    x, u = cvxpy.Variable((H + 1, 12)), cvxpy.Variable((H, 12))
-    u_ref = np.zeros((H, 12))
-    u_ref[:, 2::3] = ahead.normal_force[:H]
-    mu_f_z = cvxpy.multiply(ahead.friction[:H], u[:, 2::3])
-    all_constraints = [x[0] == x0, x[1:] == x[:-1] @ a.T + u @ b.T + np.tile(g, (H, 1))]
-    all_constraints += [u[:, 2::3] >= 0, u[:, 2::3] <= F_MAX * ahead.contact[:H]]
+    x, u = cvxpy.Variable((horizon + 1, 12)), cvxpy.Variable((horizon, 12))
+    u_ref = np.zeros((horizon, 12))
+    u_ref[:, 2::3] = ahead.normal_force[:horizon]
+    mu_f_z = cvxpy.multiply(ahead.friction[:horizon], u[:, 2::3])
+    all_constraints = [
+        x[0] == x0,
+        x[1:] == x[:-1] @ a.T + u @ b.T + np.tile(g, (horizon, 1)),
+    ]
+    all_constraints += [u[:, 2::3] >= 0, u[:, 2::3] <= F_MAX * ahead.contact[:horizon]]
     all_constraints += [
         cvxpy.abs(u[:, 0::3]) <= mu_f_z,
         cvxpy.abs(u[:, 1::3]) <= mu_f_z,
     ]
-    error = (x[1:] - ahead.reference[1 : H + 1]) @ np.diag(q)
+    error = (x[1:] - ahead.reference[1 : horizon + 1]) @ np.diag(q)
     cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r))
     problem = cvxpy.Problem(cvxpy.Minimize(cost), all_constraints)
     problem.solve(
@@ -116,33 +114,19 @@ def test_first_forces_and_cost_are_the_optimum_of_the_documented_problem():
         )  # flat at the optimum
 
 
-def test_at_the_standing_reference_each_leg_carries_a_quarter_of_the_weight():
-    plan = new_mpc().step(torso(), preview())
-    expected = np.tile([0, 0, ROBOT.mass * GRAVITY / 4], (4, 1))
-    np.testing.assert_allclose(
-        plan.force[0], expected, atol=1e-6
-    )  # solver tolerance 1e-8
-    assert plan.report.cost == pytest.approx(0, abs=1e-9)
-
-
-def solve_whole_horizon(known, ahead):
-    """Forces (H, 4, 3) N by the problem and solver of the controller."""
-    model, x0 = TorsoModel(ROBOT), known.state
-    generic, weights = model.predict(0.3, 0.1, DT), SETTINGS.weights
-    qp = HorizonQp(weights.q, weights.r, H, generic)
-    solver = QpSolver(qp, SETTINGS.solver)
-    force_ref = np.zeros((H, 4, 3))
-    force_ref[..., 2] = ahead.normal_force[:H]
-    limits = F_MAX * ahead.contact[:H]
-    stages = Horizon(limits, ahead.friction[:H], force_ref, ahead.reference[1 : H + 1])
-    qp.update(model.predict(x0[2], x0[5], ahead.dt), x0, stages)
-    return qp.forces(solver.solve().z)
+@pytest.mark.parametrize("horizon", [1, 2, 40])
+def test_a_horizon_of_any_length_gives_the_optimum(horizon):
+    mpc, rng = new_mpc(horizon=horizon), np.random.default_rng(5)
+    for known, ahead in (random_case(rng, horizon + 1) for _ in range(3)):
+        u, _ = optimum(known.state, ahead, horizon)
+        force = mpc.step(known, ahead).force[0].ravel()
+        np.testing.assert_allclose(force, u[0], rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", CASES)
 def test_the_forces_of_every_stage_are_within_their_limits(name):
     known, ahead = CASES[name]
-    f = solve_whole_horizon(known, ahead)
+    f = new_mpc().step(known, ahead).force
     limit = 1e-6  # N; the solver's absolute residual is 1e-8 in scaled units
     assert np.all(f[..., 2] >= -limit)
     assert np.all(f[..., 2] <= F_MAX * ahead.contact[:H] + limit)
@@ -218,46 +202,53 @@ def test_condition_number_is_that_of_the_condensed_hessian():
         new_mpc(horizon=1, acceptance__condition_max=bound * 0.999)
 
 
-def test_force_max_is_the_force_of_a_fully_pulled_leg_at_the_height_of_the_walk():
-    """The paper's line gives 5.532 N at any height; the walk's normal forces reach 11 N."""
-    with (config.config_dir() / "leg_map.csv").open() as file:
-        rows = [
-            {name: float(value) for name, value in row.items()}
-            for row in csv.DictReader(file)
-        ]
-    pulled = [
-        row for row in rows if row["theta_deg"] == max(r["theta_deg"] for r in rows)
+def test_forces_without_contact_friction_or_a_force_limit_are_zero():
+    mpc = new_mpc()
+    excluded = [
+        mpc.step(*CASES["flight"]).force,
+        mpc.step(*CASES["no friction"]).force[..., :2],
     ]
-    force = np.interp(
-        0.064, *zip(*((row["height_m"], row["force_N"]) for row in pulled))
-    )
-    assert SETTINGS.force_max == pytest.approx(force, abs=0.05)  # one decimal
+    result = new_mpc(force_max=0.0).step(torso(), standing(H + 1))
+    assert result.status == Status.SOLVED
+    for force in (*excluded, result.force):
+        assert np.abs(force[0]).max() < 1e-6  # N, of 5; roundoff and residual
 
 
-def ticks(mpc, true, seconds=6.0):
-    """Last 30 states (30, 12) and result of a torso of the `true` (mass, bias) under the MPC."""
-    model, dt = TorsoModel(ROBOT), DT
-    x, states = state(), []
-    for k in range(round(seconds / dt)):
-        stamp = round(k * dt * 1e9)
-        ahead = dataclasses.replace(preview(), stamp=stamp)
-        result = mpc.step(Estimate.exact(x, stamp), ahead)
+def test_after_many_updates_the_solution_is_that_of_a_new_solver():
+    used, rng = new_mpc(), np.random.default_rng(9)
+    for _ in range(200):
+        used.step(*random_case(rng, H + 1))
+    for case in [random_case(rng, H + 1), (torso(), standing(H + 1))]:
+        fresh = new_mpc().step(*case)
+        np.testing.assert_allclose(used.step(*case).force, fresh.force, atol=1e-3)
+
+
+def test_a_failed_case_does_not_affect_the_next():
+    mpc, limit = new_mpc(), SETTINGS.acceptance.input_max
+    good = random_case(np.random.default_rng(10), H + 1)
+    expected = new_mpc().step(*good).force[0]
+    for x in (
+        torso(p=(0, 0, -1e3)),
+        torso(p=(0, 0, limit)),
+        torso(rpy=(limit, -limit, 0)),
+    ):
+        mpc.step(x, standing(H + 1))
+        result = mpc.step(*good)
         assert result.status == Status.SOLVED
-        true_step = model.predict(x[2], x[5], dt, *true)
-        x = true_step.a @ x + true_step.b @ result.force[0].ravel() + true_step.drift
-        states.append(x)
-    return np.array(states[-30:]), result
+        np.testing.assert_allclose(result.force[0], expected, rtol=0, atol=1e-3)
 
 
-def test_the_observer_estimates_mass_and_bias_and_reduces_their_error():
-    bias = np.array([0.3, -0.2, 0.1, 0.05, -0.04, 0.0])
-    true = (1.2 * ROBOT.mass, bias)
-    without, _ = ticks(new_mpc(force_max=12.0), true)
-    observer = {"disturbance__time": 0.2, "disturbance__bias_angular": 20.0}
-    with_it, result = ticks(new_mpc(force_max=12.0, **observer), true)
-    assert result.report.mass == pytest.approx(true[0], rel=1e-3)
-    # without the observer the unknown weight lowers the height by millimetres
-    assert abs(without[-1, 5] - 0.04) > 1e-3
-    assert np.abs(with_it[:, 5] - 0.04).max() < 1e-4
-    # A tilt remains: the moment against the bias needs forces off the gait's, which are penalised.
-    assert np.abs(with_it[:, :2]).max() < 0.5 * np.abs(without[:, :2]).max()
+def test_infeasible_limits_are_a_fault_of_their_cycle_alone():
+    mpc = new_mpc()
+    mpc.step(torso(), preview())
+    for force_max, solved in ((F_MAX, True), (-1.0, False), (1.0, True)):
+        mpc.problem.right[-1] = force_max  # of the last stage; f_z >= 0
+        assert (mpc.problem.solve().fault == "") == solved
+
+
+def test_a_nan_in_the_problem_gives_a_fault_or_a_nan_solution():
+    mpc = new_mpc()
+    mpc.step(torso(), preview())
+    mpc.problem.right[5] = np.nan  # the height at the end of the first stage
+    found = mpc.problem.solve()
+    assert found.fault or not np.isfinite(found.z).all()

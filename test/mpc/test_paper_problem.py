@@ -9,7 +9,7 @@ import pytest
 from benchmarks.mpc.cases import standing, state, torso
 from slot_core import config
 from slot_core.control.policy import Status
-from slot_core.mpc.mpc import Mpc
+from slot_core.mpc.force_mpc import ForceMpc
 from slot_core.mpc.paper_problem import pulled_leg
 from slot_core.mpc.settings import read_mpc
 from slot_core.robot import read_robot
@@ -56,7 +56,7 @@ def policy(name, **changes):
     settings = config.replace(
         read_mpc(name), {"acceptance.time_budget": np.inf} | names
     )
-    return Mpc(read_robot(), settings, lambda: 0.0)
+    return ForceMpc(read_robot(), settings, lambda: 0.0)
 
 
 def walking(phase, stages=H + 1):

@@ -5,7 +5,7 @@ from std_srvs.srv import SetBool, Trigger
 from stub_supervisor import DRIVER, powered, start_driver
 
 from slot_core.dynamixel.table import RAD_PER_COUNT
-from slot_core.safety.commands import Action
+from slot_core.safety.states import Action
 
 
 @pytest.fixture(scope="module")

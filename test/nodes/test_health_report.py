@@ -5,8 +5,8 @@ import types
 import numpy as np
 
 from slot_core.clock import SECOND
-from slot_core.safety.commands import Action
-from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.states import Action
+from slot_core.safety.watchdog import ServoHealth
 from slot_nodes import health_publisher, runtime
 
 PERIOD = round(health_publisher.PERIOD * SECOND)  # ns

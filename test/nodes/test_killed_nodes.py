@@ -11,8 +11,7 @@ from rig import TICK
 from simulated_rig import SOLVE_TIME
 
 from slot_core.messages import decode
-from slot_core.safety.commands import Action
-from slot_core.safety.states import State
+from slot_core.safety.states import Action, State
 from slot_msgs.msg import MpcState, TendonPlan
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos

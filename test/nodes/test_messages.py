@@ -12,10 +12,9 @@ from tf2_msgs.msg import TFMessage
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.inertial_filter import Mount
 from slot_core.gait.gait import GaitCommand, GaitPreview
-from slot_core.geometry import Transform
+from slot_core.geometry import Transform, matrix_of_quaternion
 from slot_core.messages import decode
-from slot_core.simulation.plant import TrueState
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.readings import ImuReading, OdometryReading, TrueState
 from slot_nodes import messages
 
 STAMP = 1_234_567_890_123_456_789
@@ -102,9 +101,8 @@ def test_state_and_its_transform():
 
 def as_transform(message):
     q = message.rotation
-    return Transform.of_quaternion(
-        decode.vector(message.translation), [q.x, q.y, q.z, q.w]
-    )
+    rotation = matrix_of_quaternion([q.x, q.y, q.z, q.w])
+    return Transform(rotation, decode.vector(message.translation))
 
 
 def test_an_estimate_as_odometry_has_twist_and_covariances_in_their_frames():

@@ -7,7 +7,7 @@ import pytest
 from sensor_msgs.msg import JointState
 
 from slot_core.messages import decode
-from slot_core.safety.commands import Action
+from slot_core.safety.states import Action
 from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import qos
 

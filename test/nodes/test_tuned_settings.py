@@ -52,7 +52,7 @@ def set_parameters(rig, *wanted):
         ),
         ("knots", [0, 3, 2], "knots = (0, 3, 2): expected 0, then rising"),
         ("observer.drift_max", [1.0], "drift_max = [1.0]: expected 3 values, got 1"),
-        ("policy", "forces", "read-only"),
+        ("policy", "force_mpc", "read-only"),
     ],
 )
 def test_a_setting_that_does_not_fit_is_refused_with_a_reason(rig, name, value, reason):

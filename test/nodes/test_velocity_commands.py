@@ -7,7 +7,6 @@ from geometry_msgs.msg import Twist, TwistStamped
 from rclpy.node import Node
 
 from slot_core.gait.gait import read_gaits
-from slot_core.gait.reach import clipped
 from slot_msgs.msg import GaitPreview
 from slot_nodes import qos
 
@@ -44,7 +43,7 @@ def test_the_speed_of_a_keyboard_walks_the_robot_as_fast_as_it_can_on_that_curve
     for preview in drive(walking, **TELEOP, seconds=2.0):
         v_x, v_y, turn = preview.velocity
         assert (v_y, turn) == pytest.approx((0.0, 2.0 * v_x))
-        assert v_x == clipped(read_gaits(), "walk", [0.5, 0.0, 1.0])[0][0] > 0.01
+        assert v_x == read_gaits().clipped("walk", [0.5, 0.0, 1.0])[0][0] > 0.01
     said = {line for m in walking.since("/robot_state", begin) for line in m.warnings}
     assert len(said) == 1
     assert said.pop().startswith(

@@ -9,14 +9,14 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.paper.numbers import read_paper
 from slot_core.paper.paper_robot import PaperLeg, PaperRobot
+from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation import plant
-from slot_core.simulation.sensors import OdometryReading
+from slot_core.simulation.readings import OdometryReading
 
 ROBOT = read_robot()
 PRINTED = read_paper()

@@ -5,8 +5,6 @@ import urllib.request
 
 import psutil
 import pytest
-from websockets.asyncio import server as websocket_server
-from websockets.asyncio.server import serve
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -90,10 +88,6 @@ def test_the_server_checks_pages_and_websockets_and_remembers_the_token(server):
     ).close()
 
 
-def test_only_the_server_that_is_started_in_the_block_is_guarded(server):
-    assert websocket_server.serve is serve
-
-
 def test_no_socket_listens_beyond_this_machine(server):
     sockets = psutil.Process().net_connections()
     listening = {each.laddr for each in sockets if each.status == psutil.CONN_LISTEN}
@@ -106,6 +100,20 @@ def test_nobody_can_connect_the_page_to_a_server_elsewhere(server, monkeypatch):
     assert server.request_share_url() is None
 
 
-def test_a_port_that_is_taken_is_refused(server, refusal):
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--port", "{}"], "127.0.0.1:{}: Address already in use"),
+        (["--host", "no.such.host.invalid"], "no.such.host"),
+        (["--scene", "none"], "none"),
+        (["--scene", "paper"], "rods"),
+        (["--policy", "none"], "none"),
+        (["--graph", "--wait", "0"], "does scripts/run run?"),
+    ],
+)
+def test_a_page_that_cannot_be_served_is_refused_in_one_line(
+    server, refusal, arguments, reason
+):
     port = server.get_port()
-    assert f"127.0.0.1:{port}: Address already in use" in refusal(main, "--port", port)
+    line = refusal(main, *(word.format(port) for word in arguments))
+    assert reason.format(port) in line

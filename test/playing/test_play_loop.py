@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from slot_bringup.playing.live_plots import legend
-from slot_bringup.playing.main_page import main, start_server
+from slot_bringup.playing.main_page import start_server
 from slot_bringup.playing.play_page import PlayPage
-from slot_bringup.playing.robot_display import view_for
 from slot_core.drawing.shapes import Bars
 from slot_core.robot import LEGS
 from slot_core.safety.states import State
@@ -100,27 +99,37 @@ def test_a_payload_that_is_placed_while_the_robot_is_paused_is_drawn_there(playe
     np.testing.assert_allclose(played.page._payload.position, place)
 
 
-def test_the_robot_is_in_sight_and_on_a_phone_above_the_panel_as_well():
-    for width, height, lowest in ((390, 844, 0.4), (360, 640, 0.4), (1200, 700, 0.9)):
-        x, y = on_page(*view_for(width / height), width / height)
-        assert np.abs(x).max() < 1.0
-        assert 0.1 < y.min() < y.max() < lowest
+CONTROLS = [
+    ("gait", "walk", lambda r: r.wishes.gait),
+    ("v_x (m/s)", 0.05, lambda r: r.wishes.velocity[0]),
+    ("v_y (m/s)", 0.02, lambda r: r.wishes.velocity[1]),
+    ("yaw rate (rad/s)", 0.01, lambda r: r.wishes.velocity[2]),
+    ("height (mm)", 50.0, lambda r: 1e3 * r.wishes.pose[0]),
+    ("roll (deg)", 4.0, lambda r: np.degrees(r.wishes.pose[1])),
+    ("pitch (deg)", -3.0, lambda r: np.degrees(r.wishes.pose[2])),
+    ("the gait's own height and tilt", False, lambda r: r.wishes.pose is None),
+    ("policy", "gait_alone", lambda r: r.policy),
+    ("friction RL", 0.2, lambda r: r.model.friction[0, 2]),
+    ("slope (deg)", 10.0, lambda r: slope(r.changes["scene.gravity"])),
+    ("payload (kg)", 0.5, lambda r: r.model.payload[0]),
+    ("supply voltage (V)", 9.5, lambda r: r.changes["scene.supply_voltage"]),
+    ("tendon FR broken", True, lambda r: r.model.fault[1, 1] == 0.0),
+    ("push to", "left", lambda r: "left" if r.model.push[1] > 5.0 else ""),
+    ("push to", "back", lambda r: "back" if r.model.push[0] < -5.0 else ""),
+]
 
 
-def on_page(position, look_at, aspect):
-    """Feet and top of the robot: x over half the width, share of the height from the top."""
-    feet = [[x, y, 0.0] for x in (-0.2, 0.2) for y in (-0.2, 0.2)]
-    ahead = np.subtract(look_at, position)
-    ahead /= np.linalg.norm(ahead)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    way = np.array([*feet, [0.0, 0.0, 0.08]]) - position
-    half = np.tan(np.radians(75.0) / 2) * (
-        way @ ahead
-    )  # of the height, in viser's own view
-    return (way @ right) / half / aspect, (
-        1.0 - (way @ np.cross(right, ahead)) / half
-    ) / 2
+def slope(gravity):
+    return np.degrees(np.arctan2(-gravity[0], -gravity[2]))
+
+
+@pytest.mark.parametrize(("label", "value", "found"), CONTROLS)
+def test_a_control_reaches_the_robot(played, label, value, found):
+    handles = played.page.server.gui._gui_input_handle_from_uuid.values()
+    control = next(each for each in handles if getattr(each, "label", "") == label)
+    control.value = value
+    played.run(0.1)
+    assert found(played.robot) == pytest.approx(value)
 
 
 def test_legs_that_are_pale_until_their_shape_is_known_then_get_it_with_their_colours(
@@ -164,16 +173,6 @@ def test_a_refusal_is_shown_and_the_next_act_takes_it_away(played):
     assert "outside" not in played.text
 
 
-def test_what_happened_is_saved_and_a_second_bag_of_a_second_is_refused(
-    played, tmp_path
-):
-    played.run(1.0)
-    played.page._on_time("save")
-    played.run(0.2)
-    (bag,) = tmp_path.iterdir()
-    assert f"messages are in {bag}" in played.text
-
-
 def test_a_simulation_that_diverges_asks_for_a_reset(played):
     played.run(1.0)
     played.page.do(lambda r: r.loop.plant.robot.set_tip_to_nan(0))
@@ -190,17 +189,3 @@ def test_what_the_player_is_told_is_no_markup(played):
     played.page.do(lambda r: r.change({"scene.<b>": 1}))
     played.run(0.2)
     assert "&lt;b&gt;" in played.text
-
-
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["--scene", "none"], "none"),
-        (["--policy", "none"], "none"),
-        (["--scene", "paper"], "rods"),
-        (["--port", "70000"], "outside"),
-        (["--host", "no.such.host.invalid"], "no.such.host"),
-    ],
-)
-def test_what_cannot_be_played_is_refused_in_one_line(refusal, arguments, reason):
-    assert reason in refusal(main, *arguments)

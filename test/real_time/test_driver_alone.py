@@ -11,7 +11,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from stub_supervisor import DRIVER, powered, start_driver
 
-from slot_core.safety.commands import Action
+from slot_core.safety.states import Action
 
 pytestmark = pytest.mark.real_time
 

@@ -117,7 +117,7 @@ def test_what_differs_between_the_origins_is_named(walks, tmp_path, own_config):
     lines = origin_lines(first, second)
     assert re.fullmatch(r"revision +\S+ -> new", lines[0])
     assert [" ".join(line.split()) for line in lines[1:]] == [
-        "policy predictive",
+        "policy rollout_mpc",
         "seed 1 -> 2",
         "path - -> way.csv",
         "the same gait walk",

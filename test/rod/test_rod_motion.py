@@ -9,7 +9,7 @@ from rods import flying
 from scipy.integrate import solve_ivp
 
 from benchmarks.rod.exact import LEG, TPU
-from slot_core.divergence import DivergenceError
+from slot_core.refusal import DivergenceError
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import Circle, Geometry, Loads, Material, Pose, Support
 from slot_core.rod.motion import RodState, Scheme

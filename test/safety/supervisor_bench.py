@@ -10,15 +10,12 @@ from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.legs.leg_table import read_leg_table
 from slot_core.robot import read_robot
-from slot_core.safety.commands import Action
 from slot_core.safety.rate_limiter import unchanged
-from slot_core.safety.requests import Request
-from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.states import State
+from slot_core.safety.states import Action, Request, State
 from slot_core.safety.supervisor import Supervisor
 from slot_core.safety.tendon_watch import TendonLoad, read_tendon_watch
-from slot_core.safety.watchdog import Permission, Watchdog
+from slot_core.safety.watchdog import Permission, ServoHealth, Watchdog
 
 ROBOT = read_robot()
 TICK = 10_000_000  # ns

@@ -5,9 +5,8 @@ from supervisor_bench import SupervisorBench, bench_in
 
 from slot_core.clock import SECOND
 from slot_core.safety.emergency_stop import EmergencyStop
-from slot_core.safety.requests import Request
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.states import State
+from slot_core.safety.states import Request, State
 
 LIMIT = read_supervisor().timing.estop
 

@@ -7,9 +7,8 @@ from supervisor_bench import ROBOT, SupervisorBench, load, state
 
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.safety import states as table
-from slot_core.safety.requests import Request
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.states import State
+from slot_core.safety.states import Request, State
 from slot_core.safety.supervisor import Supervisor
 
 SETTINGS = read_supervisor()

@@ -8,9 +8,9 @@ import pytest
 from slot_core import config
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_robot
-from slot_core.safety.commands import Action
 from slot_core.safety.rate_limiter import RateLimiter
 from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import Action
 
 SETTINGS = read_supervisor().gate
 LIMIT = read_robot().tendon.angle_max

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from supervisor_bench import START, TICK, SupervisorBench, state
 
-from slot_core.safety.requests import Request
-from slot_core.safety.start_up import StartUp
-from slot_core.safety.states import State
+from slot_core.safety.states import Request, State
+from slot_core.safety.ticked_supervisor import StartUp
 
 
 def run(bench, start_up, seconds):

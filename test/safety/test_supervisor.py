@@ -9,10 +9,18 @@ from supervisor_bench import STEP, SupervisorBench, bench_in, state
 
 from slot_core.control.policy import Status
 from slot_core.safety import states as table
-from slot_core.safety.commands import Action
-from slot_core.safety.requests import LATCHED, TO_RISE, TO_STAND, TO_WALK, Request
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.states import Condition, State, next_state
+from slot_core.safety.states import (
+    LATCHED,
+    TO_RISE,
+    TO_STAND,
+    TO_WALK,
+    Action,
+    Condition,
+    Request,
+    State,
+    next_state,
+)
 
 SETTINGS = read_supervisor()
 OFF = (State.IDLE, State.ESTOP, State.FAULT)

@@ -18,10 +18,8 @@ from supervisor_bench import (
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.mpc.settings import read_mpc
-from slot_core.safety.commands import Action
-from slot_core.safety.requests import Request
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.states import State
+from slot_core.safety.states import Action, Request, State
 from slot_core.safety.supervisor import SteadyClock
 
 SETTINGS = read_supervisor()

@@ -9,12 +9,12 @@ from real_graph import changed_config
 from supervisor_bench import HEIGHT, LOAD, ROBOT
 
 from slot_core.gait.gait import read_gaits
-from slot_core.legs.leg_map import StaticLeg
 from slot_core.robot import LEGS
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
 from slot_core.safety.tendon_watch import read_tendon_watch
 from slot_core.simulation.supervised_loop import SupervisedLoop
+from slot_lab.leg_tests.leg_map import StaticLeg
 
 LIMITS = read_supervisor().tendon
 RADIUS = ROBOT.tendon.spool_radius
@@ -237,7 +237,7 @@ def test_a_robot_that_is_told_of_its_broken_tendon_walks_on_three_legs(
     broken = [True, False, False, False]
     changes = {
         "supervisor": {"tendon.broken": broken},
-        "predictive": {"nominal.broken": broken},
+        "rollout_mpc": {"nominal.broken": broken},
         "scene/tendon_breaks": {"faults.fl.time": 0.0},
     }
     monkeypatch.setenv("SLOT_CONFIG", str(changed_config(tmp_path, changes)))

@@ -5,8 +5,8 @@ import pytest
 
 from slot_core import config
 from slot_core.robot import read_robot
-from slot_core.safety.commands import Action
 from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import Action
 from slot_core.safety.watchdog import Permission, Watchdog
 
 SETTINGS = read_supervisor()

@@ -10,10 +10,11 @@ from slot_core.config import text
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import LEGS, read_robot
 from slot_core.servos.brand import Brand
-from slot_core.servos.servo_errors import PortError, RefusedError
-from slot_core.servos.servo_state import (
+from slot_core.servos.servo_bus import (
     BusFacts,
     Cycle,
+    PortError,
+    RefusedError,
     ServoReading,
     ServoStatus,
     TorqueOff,

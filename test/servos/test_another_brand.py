@@ -13,8 +13,7 @@ from stub_supervisor import DRIVER, StubSupervisor
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.safety.commands import Action
-from slot_core.safety.states import State
+from slot_core.safety.states import Action, State
 from slot_core.servos import registry
 from slot_core.simulation.supervised_loop import SupervisedLoop
 

@@ -6,8 +6,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from slot_core.robot import LEGS
-from slot_core.safety.commands import Action
-from slot_core.servos.servo_state import ServoStatus
+from slot_core.safety.states import Action
+from slot_core.servos.servo_bus import ServoStatus
 from slot_core.servos.session import BusPace
 from slot_nodes import diagnostics
 

@@ -11,10 +11,10 @@ from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.faults import Fault
 from slot_core.robot import LEGS, read_robot
-from slot_core.safety.commands import Action
 from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import Action
 from slot_core.safety.watchdog import Permission
-from slot_core.servos.servo_errors import PortError, RefusedError
+from slot_core.servos.servo_bus import PortError, RefusedError
 from slot_core.servos.session import ServoSession
 
 PERIOD = 0.01  # s

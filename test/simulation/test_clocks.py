@@ -7,19 +7,19 @@ from slot_core import config
 from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.joint_reading import JointReading
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.supervisor import PERIOD as SUPERVISOR
 from slot_core.servos.registry import read_brand
+from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.clocks import (
     PATIENCE,
     BusClock,
     LockstepClock,
     RealTimeClock,
 )
-from slot_core.simulation.plant import RobotSimulator, StampedHealth
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import ImuReading, OdometryReading, StampedHealth
 from slot_core.simulation.simulated_servos import DirectServos
 
 SCENE = config.replace(read_scene("map"), {"start.settle": 0.1})

@@ -116,7 +116,7 @@ def test_robot_climbs_an_incline_of_5_deg_slowly_and_stays_upright():
 def test_a_payload_lowers_the_default_less_than_the_gait_alone():
     """By some 6 and 9 mm: the largest tendon angle does not carry more."""
     runs = [
-        walk(12.0, "payload", policy=policy) for policy in ("predictive", "gait_alone")
+        walk(12.0, "payload", policy=policy) for policy in ("rollout_mpc", "gait_alone")
     ]
     lowered = [abs(position[after(4.0), 2].mean() - 0.064) for position, _, _ in runs]
     assert lowered[1] > 5e-3
@@ -136,7 +136,7 @@ def test_a_payload_off_the_centre_is_carried_at_the_commanded_height_and_level()
     """The default against the MPC on forces, under which it sinks by 7 mm."""
     load = {"scene.payload.mass": 0.3, "scene.payload.place": (0.04, 0.03, 0.03)}
     held = {}
-    for policy in ("predictive", "forces"):
+    for policy in ("rollout_mpc", "force_mpc"):
         position, rpy, _ = walk(
             8.0, gait="stand", velocity=(0, 0, 0), policy=policy, changes=load
         )
@@ -145,9 +145,9 @@ def test_a_payload_off_the_centre_is_carried_at_the_commanded_height_and_level()
             abs(position[late, 2].mean() - 0.04),
             np.abs(rpy[late, :2].mean(axis=0)),
         )
-    assert held["predictive"][0] < 1e-3
-    assert np.degrees(held["predictive"][1]).max() < 0.3
-    assert held["forces"][0] > 5e-3
+    assert held["rollout_mpc"][0] < 1e-3
+    assert np.degrees(held["rollout_mpc"][1]).max() < 0.3
+    assert held["force_mpc"][0] > 5e-3
 
 
 WRONG_MODELS = {

@@ -146,7 +146,7 @@ def test_driver_measures_the_loss_of_load_of_a_damaged_tendon(plant, kind, value
         return np.array([reading.load for reading in cycle.readings])
 
     before = loads(50)
-    plant.inject(Fault(kind, "RL", 0.0, 0.0, value))
+    plant.faults.inject(Fault(kind, "RL", 0.0, 0.0, value))
     after = loads(50)
     count = 0.0071  # share of the stall torque that the P gain makes of one count of the encoder
     assert np.ptp(before) <= 2 * count

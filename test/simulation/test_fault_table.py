@@ -18,7 +18,7 @@ from slot_core.mpc.settings import read_mpc
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import State
 from slot_core.safety.supervisor import PERIOD
-from slot_core.servos.servo_errors import RefusedError
+from slot_core.servos.servo_bus import RefusedError
 from slot_core.simulation import supervised_loop
 from slot_core.simulation.plant import CYCLE
 from slot_core.simulation.supervised_loop import SupervisedLoop
@@ -260,7 +260,7 @@ def test_a_servo_with_a_wrong_id_is_refused_and_named_without_torque(monkeypatch
 
     def make(*arguments):
         plants.append(supervised_loop.make_bus_plant(*arguments))
-        plants[0].inject(Fault("wrong_id", "FL", 0.0, 0.0, 9))
+        plants[0].faults.inject(Fault("wrong_id", "FL", 0.0, 0.0, 9))
         return plants[0]
 
     monkeypatch.setitem(supervised_loop.MAKERS, "fake_bus", make)

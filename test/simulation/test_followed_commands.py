@@ -3,8 +3,7 @@
 import numpy as np
 
 from slot_core.clock import LOCKSTEP_START
-from slot_core.safety.requests import Request
-from slot_core.safety.states import State
+from slot_core.safety.states import Request, State
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 

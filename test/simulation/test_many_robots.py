@@ -7,8 +7,8 @@ from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
+from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
-from slot_core.simulation.plant import make_robot
 
 ROBOT, SERVO = read_robot(), read_servo()
 GOALS = np.linspace(0.9, 1.6, 3 * 2 * 4).reshape(3, 2, 4)  # rad: robots, goals, legs

@@ -9,7 +9,8 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
 from slot_core.safety.states import State
-from slot_core.simulation.plant import RobotSimulator, TrueState
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import TrueState
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns

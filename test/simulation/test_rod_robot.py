@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.legs.level_leg import at_nodes
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.rod_robot import RodRobot
+from slot_lab.leg_tests.level_leg import at_nodes
 
 ROBOT = read_robot()
 

@@ -14,8 +14,8 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.table import Mode
 from slot_core.robot import LEGS, read_robot
-from slot_core.safety.commands import Action
 from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import Action
 from slot_core.safety.watchdog import NO_LIMITS, Permission
 from slot_core.servos.registry import read_brand
 from slot_core.simulation.plant import RobotSimulator

@@ -130,7 +130,7 @@ def test_without_a_camera_in_the_scene_opencv_is_not_loaded():
     program = """
 import sys
 from slot_core.simulation.closed_loop import make_localizer
-from slot_core.simulation.plant import make_camera
+from slot_core.simulation.sensors import make_camera
 from slot_core.dynamics.scene import read_scene
 camera = read_scene("flat").sensors.camera
 assert make_localizer(camera) is None and make_camera(camera, None) is None

@@ -8,7 +8,7 @@ from views import CAMERA, image_from_torso
 
 from slot_core.geometry import Transform
 from slot_core.messages import decode
-from slot_core.simulation.sensors import ImageReading
+from slot_core.simulation.readings import ImageReading
 from slot_nodes import messages, qos
 
 BASE = Transform.of((0.15, -0.03, 0.07), (0.06, -0.05, 0.08))

@@ -27,13 +27,13 @@ from benchmarks.estimation.measured_streams import (
     Streams,
 )
 from benchmarks.harness import Check, Progress, Row, at_least, at_most, cpu_time
+from slot_core.arrays import Array
 from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Estimate
 from slot_core.estimation.inertial_filter import EstimatorSettings
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.geometry import wrapped
-from slot_core.robot import Array
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.readings import ImuReading, OdometryReading
 
 DELAYS = ((0.0, 0.0), (0.02, 0.01), (0.05, 0.02), (0.08, 0.02))  # s, with jitter
 ERRORS = {"roll_pitch_mrad": (0, 2), "position_mm": (3, 6), "rate_mrad_s": (6, 9)}

@@ -7,10 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.body_points import LEG_POINTS, TORSO, arc_length, at_shares
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import (
+    LEG_POINTS,
+    LEGS,
+    TORSO,
+    RobotParameters,
+    arc_length,
+    at_shares,
+)
 from slot_core.vision.board import GreyImage, make_board, print_of, single_marker
 from slot_core.vision.settings import TrackedMarkers, VisionSettings
 from slot_core.vision.synthetic_camera import Surface

@@ -9,13 +9,13 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.clock import to_ns, to_seconds
 from slot_core.dynamics.scene import read_scene
 from slot_core.geometry import rpy_of
-from slot_core.robot import Array
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_core.simulation.plant import Reading, RobotSimulator
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import ImuReading, OdometryReading, Reading
 
 _SENSORS = read_scene("flat").sensors
 PERIOD, IMU_PERIOD = _SENSORS.odometry.period, _SENSORS.imu.period  # s

@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.estimation.measured_streams import Arrival
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.inertial_filter import EstimatorSettings
 from slot_core.estimation.state_estimator import StateEstimator
 from slot_core.geometry import rpy_of
-from slot_core.robot import Array
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.simulation.readings import ImuReading, OdometryReading
 
 Use = tuple[int, Array]
 USABLE = (Validity.VALID, Validity.ODOMETRY_LOST, Validity.ODOMETRY_REJECTED)

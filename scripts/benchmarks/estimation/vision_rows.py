@@ -18,9 +18,10 @@ import numpy as np
 from benchmarks.estimation.filmed_robot import DEPTH_NOISE, FilmedRobot, Stage, filmed
 from benchmarks.estimation.measured_streams import WARM_UP, RecordingPlant
 from benchmarks.harness import Check, Progress, Row, at_most, timed
+from slot_core.arrays import Array
 from slot_core.dynamics.scene import read_scene
 from slot_core.geometry import Transform
-from slot_core.robot import Array, read_robot
+from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.vision.camera import nominal
 from slot_core.vision.settings import VisionSettings, read_vision

@@ -14,10 +14,10 @@ from benchmarks.harness import BenchmarkError, timed
 from slot_bringup.graph import Graph
 from slot_bringup.monitor import RunError, watch
 from slot_bringup.run import started
+from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
-from slot_core.robot import Array
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.check_bag import check_bag
 from slot_lab.bags.recorded_walk import Ticks, read_motion, read_ticks

@@ -10,8 +10,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from benchmarks.graph.measured_walk import Walk
 from benchmarks.harness import machine
+from slot_core.arrays import Array
 from slot_core.drawing import palette
-from slot_core.robot import Array
 from slot_lab.bags.recorded_walk import STAGES, Ticks
 
 END_TO_END = "end to end"

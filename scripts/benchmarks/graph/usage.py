@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 
 SAMPLE_PERIOD = 0.25  # s; the kernel counts CPU time in steps of 10 ms
 

@@ -1,4 +1,4 @@
-"""Parts of the predictive policy, each taken away: what it is worth in a few cases."""
+"""Parts of the rollout MPC, each taken away: what it is worth in a few cases."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Every row of the table is measured in six columns: the gait's angles alone; `place`, a rival without
 a model; a learned network, which acts in the gait `walk`
-alone; the default, `predictive`; the paper's problem and map as printed, and as in the authors'
+alone; the default, `rollout_mpc`; the paper's problem and map as printed, and as in the authors'
 scripts, these in the first case of a row. With --quick there are two columns and fewer rows. The
 default must reach the goal of the row, and where the gait alone does not, be better by the row's
 `share`, so that a controller without effect fails. Apart from the table stand the margins of the

@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import LOCKSTEP_START, to_seconds
 from slot_core.control.policies import DEFAULT_POLICY
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.reference import mean_velocity
 from slot_core.gait.route import Route
-from slot_core.robot import GRAVITY, Array, read_robot
+from slot_core.refusal import DivergenceError
+from slot_core.robot import GRAVITY, read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.simulation.closed_loop import ClosedLoop
 

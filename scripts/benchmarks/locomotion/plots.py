@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 
 from benchmarks.locomotion.cases import ALONE, DEFAULT, LEARNED, Case, WalkMotion
 from benchmarks.locomotion.rows import CAUGHT_UP, SIDE, directions, slanted, square
+from slot_core.arrays import Array
 from slot_core.drawing import palette
-from slot_core.robot import Array
 
 
 class Mark(NamedTuple):

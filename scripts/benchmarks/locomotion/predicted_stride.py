@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks.locomotion.cases import DT
+from slot_core.arrays import Array
 from slot_core.control.policy import TendonPlan
 from slot_core.drawing import palette
 from slot_core.drawing.shapes import bent_legs
-from slot_core.robot import LEGS, Array, read_robot
+from slot_core.robot import LEGS, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
 

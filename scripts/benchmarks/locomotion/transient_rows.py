@@ -20,7 +20,7 @@ from benchmarks.locomotion.cases import (
     push,
 )
 from benchmarks.locomotion.rows import MM, SPEED, LocomotionRow, worst
-from slot_core.robot import Array
+from slot_core.arrays import Array
 
 AT = 5.0  # s, of what happens at once
 PLACE, TURN = 0.003, math.radians(1.0)  # of a robot that has recovered

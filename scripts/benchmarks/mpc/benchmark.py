@@ -28,10 +28,11 @@ from benchmarks.mpc.cvxpy_reference import CvxpyReference, restated
 from benchmarks.mpc.oracle import optimum
 from benchmarks.mpc.plots import draw
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.control.policy import Status, TendonPlan
-from slot_core.mpc.mpc import Mpc
+from slot_core.mpc.force_mpc import ForceMpc
 from slot_core.mpc.settings import MpcSettings, read_mpc
-from slot_core.robot import Array, read_robot
+from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
 REQUIRES = ("cvxpy", "quadprog")
@@ -50,7 +51,7 @@ Solved = tuple[Sequence[Case], Array]  # cases, and the first forces of their op
 def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
     """Run all measurements; the plot goes to `out/mpc.png`."""
     settings = config.replace(
-        read_mpc("forces"),
+        read_mpc("force_mpc"),
         {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0},
     )
     progress("walk")
@@ -93,13 +94,13 @@ def optima(settings: MpcSettings, cases: Sequence[Case]) -> Array:
     mpc, found = controller(settings, 1e-6), []
     for case in cases:
         mpc.step(*case)
-        found.append(optimum(mpc.problem.qp)[0])
+        found.append(optimum(mpc.problem)[0])
     return np.array(found)
 
 
 def hour_row(settings: MpcSettings, walk: Sequence[Case]) -> dict[str, Any]:
     """Growth of the controller's memory over an hour of cycles at 30 Hz, after the first minute."""
-    mpc, process = Mpc(read_robot(), settings, time.process_time), psutil.Process()
+    mpc, process = ForceMpc(read_robot(), settings, time.process_time), psutil.Process()
     for n, case in zip(range(HOUR), itertools.cycle(walk)):
         if n == MINUTE:
             before = process.memory_info().rss
@@ -108,14 +109,14 @@ def hour_row(settings: MpcSettings, walk: Sequence[Case]) -> dict[str, Any]:
     return {"kind": "hour", "cycles": HOUR, "gained_MB": gained}
 
 
-def controller(settings: MpcSettings, tolerance: float) -> Mpc:
+def controller(settings: MpcSettings, tolerance: float) -> ForceMpc:
     """A controller whose solver has a tolerance, timed by the CPU."""
     changes = {
         "solver.tolerance_abs": tolerance,
         "solver.tolerance_rel": tolerance,
         "solver.iterations": ITERATIONS,
     }
-    return Mpc(read_robot(), config.replace(settings, changes), time.process_time)
+    return ForceMpc(read_robot(), config.replace(settings, changes), time.process_time)
 
 
 def solver_row(
@@ -143,7 +144,7 @@ def solver_row(
     )
 
 
-def plans(mpc: Mpc, cases: Sequence[Case]) -> tuple[list[TendonPlan], list[float]]:
+def plans(mpc: ForceMpc, cases: Sequence[Case]) -> tuple[list[TendonPlan], list[float]]:
     """Plans of the cases and CPU times of their cycles, ms."""
     found = [timed(mpc.step, *case) for case in cases]
     return [plan for plan, _ in found], [1e3 * seconds for _, seconds in found]
@@ -151,7 +152,7 @@ def plans(mpc: Mpc, cases: Sequence[Case]) -> tuple[list[TendonPlan], list[float
 
 def accepted(result: TendonPlan) -> bool:
     """Whether the controller accepts the result with its configured limit of the violation."""
-    limit = read_mpc("forces").acceptance.violation_max
+    limit = read_mpc("force_mpc").acceptance.violation_max
     return result.status == Status.SOLVED and result.report.violation <= limit
 
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitCommand, GaitPreview, read_gaits
-from slot_core.robot import Array
 
 HEIGHT = 0.04  # m, of the standing torso
 LOAD = 5.2  # N, about a quarter of the weight

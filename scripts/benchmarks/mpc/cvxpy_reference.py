@@ -12,10 +12,11 @@ from typing import Any
 import cvxpy as cp
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.gait.gait import GaitPreview
 from slot_core.mpc.model import FEET, INPUTS, STATES, YAW, TorsoModel
 from slot_core.mpc.settings import MpcSettings
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 
 TOLERANCES = {"tol_gap_abs": 1e-11, "tol_gap_rel": 1e-11, "tol_feas": 1e-11}
 

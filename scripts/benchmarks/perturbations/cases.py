@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 
 HEIGHT, SPEED = 0.04, 0.08  # m, m/s: the references of the paper
 DURATION = 25.0  # s

@@ -20,8 +20,8 @@ from benchmarks.perturbations.cases import (
     PerturbedRun,
     runs_of,
 )
+from slot_core.arrays import Array
 from slot_core.drawing import palette
-from slot_core.robot import Array
 
 Row = Mapping[str, Any]
 

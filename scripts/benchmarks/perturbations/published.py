@@ -22,10 +22,11 @@ from benchmarks.perturbations.cases import (
     V_X,
     PerturbedRun,
 )
+from slot_core.arrays import Array
 from slot_core.mpc.model import FEET, STATES
 from slot_core.mpc.paper_problem import AXES, FRONT, PaperProblem
 from slot_core.mpc.settings import PaperMpcSettings
-from slot_core.robot import GRAVITY, Array, RobotParameters
+from slot_core.robot import GRAVITY, RobotParameters
 
 GAIT_PERIOD = 5.0  # s
 RAISED_FORCE, RAISED_STEPS = 0.2, 3  # N per leg beyond m g / 4, in the first steps

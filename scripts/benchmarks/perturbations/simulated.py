@@ -33,10 +33,11 @@ from benchmarks.perturbations.cases import (
     PerturbedRun,
 )
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.control.policy import Status
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.robot import Array, read_robot
+from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.simulation.plant import RobotSimulator
 

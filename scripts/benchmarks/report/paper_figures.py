@@ -23,7 +23,7 @@ WALKED = {
     "robot.png": "the same run in stills",
     "constraint_map.png": "constraint map: slack of every constraint over time; red is violated",
 }
-MAP = "scripts/constraint_map {} --out {}/constraint_map.png"
+MAP = "scripts/view --map {} --out {}/constraint_map.png"
 RUNS = (
     Run("walk", "Walk", ("scripts/run --lockstep --bag {}", MAP), WALKED),
     Run(

@@ -32,14 +32,15 @@ from benchmarks.robot.plots import draw
 from benchmarks.robot.stress import StressCase, examine
 from benchmarks.rod.release import DAMPED
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import SolverSettings, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
-from slot_core.robot import Array, RobotParameters, read_robot
+from slot_core.refusal import DivergenceError
+from slot_core.robot import RobotParameters, read_robot
 from slot_core.rod.motion import Scheme
-from slot_core.simulation.plant import make_robot
+from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 REQUIRES = ("mujoco",)

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.robot.stress import Changes, Limits, StressCase, hold
-from slot_core.robot import GRAVITY, Array, read_robot
+from slot_core.arrays import Array
+from slot_core.robot import GRAVITY, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 FULL_DEG = read_robot().tendon.angle_max_deg

@@ -26,13 +26,14 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slot_core.divergence import DivergenceError
+from slot_core.arrays import Array
 from slot_core.dynamics.model import Model, build_model
 from slot_core.dynamics.rod import sections
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import Servo, ServoSettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.refusal import DivergenceError
+from slot_core.robot import LEGS, RobotParameters
 
 POINT = 1e-6  # m, radius of the spheres that stand for contact points
 CORNERS = 8  # of the torso

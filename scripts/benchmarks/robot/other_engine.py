@@ -24,13 +24,14 @@ from benchmarks.harness import Check, Progress, at_most
 from benchmarks.robot.mujoco_robot import DEFAULT, Engine, MujocoRobot
 from benchmarks.robot.plots import draw_engines
 from slot_core import config
-from slot_core.divergence import DivergenceError
+from slot_core.arrays import Array
 from slot_core.dynamics.rod import discretise, sections
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.gait.gait import Stride, read_gaits
-from slot_core.robot import GRAVITY, Array, Leg, RobotParameters, read_robot
+from slot_core.refusal import DivergenceError
+from slot_core.robot import GRAVITY, Leg, RobotParameters, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import stride_means

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
-from slot_core.divergence import DivergenceError
+from slot_core.arrays import Array
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.robot import Array, read_robot
+from slot_core.refusal import DivergenceError
+from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 Changes = Mapping[str, Any]

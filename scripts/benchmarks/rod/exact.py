@@ -13,7 +13,7 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_core.rod.model import Geometry, Loads, Material, Rectangle, Uniform
 
 LEG = Geometry(0.19, Rectangle(0.02, (0.0135, 0.0035)))

@@ -21,8 +21,8 @@ from scipy.optimize import fsolve
 from benchmarks.harness import cpu_time
 from benchmarks.rod.exact import LEG, PUSH, TPU
 from benchmarks.rod.release import DAMPED, DURATION, SAMPLES, percent, release_row
+from slot_core.arrays import Array
 from slot_core.dynamics.rod import weights
-from slot_core.robot import Array
 from slot_core.rod.mesh import sections
 
 STEPS = (1e-3, 5e-4, 2e-4, 1e-4)  # at 2 ms the chain is unstable

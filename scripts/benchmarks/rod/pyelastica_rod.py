@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.harness import timed
 from benchmarks.rod.exact import LEG, PUSH, TPU
 from benchmarks.rod.release import DURATION, SAMPLES, UNDAMPED, percent, release_row
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_core.rod.motion import Scheme
 
 FINE = {

@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks.harness import Check, at_least, at_most, cpu_time, mark_front
 from benchmarks.rod.exact import LEG, PUSH, TPU
-from slot_core.divergence import DivergenceError
-from slot_core.robot import Array
+from slot_core.arrays import Array
+from slot_core.refusal import DivergenceError
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import FREE
 from slot_core.rod.motion import RodState, Scheme

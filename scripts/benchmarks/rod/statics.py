@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.harness import Check, at_least, at_most, cpu_time
 from benchmarks.rod import exact
 from benchmarks.rod.exact import LEG, PUSH, THIN, THIN_MATERIAL, TPU
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import Geometry, Loads, Material, Rectangle, Uniform
 from slot_core.rod.motion import RodState

@@ -16,12 +16,13 @@ import numpy as np
 import viser
 
 from slot_bringup.playing.graph_robot import GraphRobot
+from slot_core.arrays import Array
 from slot_core.control.policies import POLICIES
 from slot_core.dynamics.scene import read_scene
 from slot_core.faults import ALL_LEGS, BROKEN, KINDS, Fault
 from slot_core.gait.gait import STAND, read_gaits
-from slot_core.robot import LEGS, Array, read_robot
-from slot_core.safety.requests import Request
+from slot_core.robot import LEGS, read_robot
+from slot_core.safety.states import Request
 from slot_lab.play.played_robot import PlayedRobot
 
 Robot = TypeVar("Robot")

@@ -13,20 +13,20 @@ from std_srvs.srv import Trigger
 
 from slot_bringup.playing.robot_display import TOPICS, Named
 from slot_bringup.steering import SteeringPublisher
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.gait.gait import STAND, Posture, read_gaits
 from slot_core.messages import decode
 from slot_core.recording.record_settings import read_record_settings
-from slot_core.robot import Array
-from slot_core.safety.requests import (
+from slot_core.safety.states import (
     LATCHED,
     TO_RISE,
     TO_STAND,
     TO_WALK,
     Request,
+    State,
     no_change,
 )
-from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview
 from slot_msgs.srv import InjectFault, SetGait
 from slot_nodes import messages, qos

@@ -9,9 +9,9 @@ import numpy as np
 import viser
 from viser import uplot
 
+from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.messages import decode
-from slot_core.robot import Array
 from slot_lab.report import traces
 
 SPAN = 10.0  # s shown

@@ -10,11 +10,12 @@ import viser
 
 from slot_bringup.playing.live_plots import LivePlots, stamp_of
 from slot_bringup.playing.scene_view import SceneView
+from slot_core.arrays import Array
 from slot_core.drawing.drawing import Drawing
 from slot_core.drawing.shapes import Shape
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
-from slot_core.robot import Array, read_robot
+from slot_core.robot import read_robot
 from slot_lab.report import traces
 
 Named: TypeAlias = tuple[str, Any]  # topic and message

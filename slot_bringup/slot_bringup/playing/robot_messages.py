@@ -13,14 +13,18 @@ from slot_bringup.playing.robot_display import Named
 from slot_core.clock import LOCKSTEP_START
 from slot_core.control.controller import Tick
 from slot_core.control.pace import Pace
-from slot_core.joint_reading import JointReading
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.message_types import message_types
 from slot_core.recording.origin import origin_here
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.safety.supervisor import Report
-from slot_core.simulation.plant import StampedHealth, TrueState
-from slot_core.simulation.sensors import ImuReading, OdometryReading
+from slot_core.servos.servo_bus import JointReading
+from slot_core.simulation.readings import (
+    ImuReading,
+    OdometryReading,
+    StampedHealth,
+    TrueState,
+)
 from slot_lab.play.played_robot import Happened, PlayedRobot
 from slot_nodes import messages
 

@@ -9,8 +9,8 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.drawing.shapes import Arrows, Bars, Box, Shape, Strips, halves
-from slot_core.robot import Array
 
 ROOT = "/robot"
 HEAD = (

@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slot_core.arrays import Array
 from slot_core.control.policy import Status
 from slot_core.messages import decode
-from slot_core.predictive.settings import read_predictive
-from slot_core.robot import Array, read_robot
+from slot_core.robot import read_robot
+from slot_core.rollout_mpc.settings import read_rollout_mpc
 from slot_lab.play.played_robot import FRAME
 
 SMOOTHING = 0.1  # weight of the newest cost
@@ -46,7 +47,7 @@ class StatusText:
 
     def __init__(self) -> None:
         self._mass = read_robot().mass
-        self._stiffness = np.array(read_predictive().observer.stiffness[1:])  # N m/rad
+        self._stiffness = np.array(read_rollout_mpc().observer.stiffness[1:])  # N m/rad
 
     def of(
         self, newest: Mapping[str, Any], position: Array | None, remarks: Iterable[str]

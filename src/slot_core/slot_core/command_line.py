@@ -1,4 +1,4 @@
-"""Command lines: one parser, one way to refuse, types of arguments.
+"""Command lines: one parser, one way to refuse, types of arguments, libraries that are there.
 
 Names of values in a help: BAG, FILE, DIR; RECORDING: a bag, a CSV file or a film; NAME: of a gait,
 scene or other thing of config/; N: a number; S: seconds; units: M, DEG, HZ, M/S, RAD/S.
@@ -10,6 +10,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Iterable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
@@ -17,6 +18,8 @@ from slot_core.refusal import one_line, printable
 
 Number = TypeVar("Number", int, float)
 INTERRUPTED = 130  # exit code
+# Libraries that all programs import; scripts/setup installs them below .slot.
+LIBRARIES = ("numba", "numpy", "rosbags", "scipy", "yaml")
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -84,3 +87,30 @@ def within(low: Number, high: Number, unit: str = "") -> Callable[[str], Number]
         return value
 
     return number
+
+
+def require_libraries() -> None:
+    """End a program with one line if Python does not find a library that all programs import.
+
+    `ros2 launch` runs under the system's Python. In a terminal in which scripts/env was sourced it
+    finds here what its own packages lack.
+    """
+    if prints_help():
+        return
+    if _missing():
+        venv = Path(os.environ.get("VIRTUAL_ENV", os.devnull))
+        sys.path += [str(path) for path in venv.glob("lib/python3*/site-packages")]
+    if missing := _missing():
+        sys.exit(
+            f"Python finds no {', '.join(missing)}: in a new terminal first source scripts/env of"
+            " the SLOT repository, then install/setup.bash"
+        )
+
+
+def prints_help() -> bool:
+    """Whether scripts/help runs the program, which needs no package and finds none."""
+    return bool(sys.flags.isolated and sys.flags.no_site)
+
+
+def _missing() -> list[str]:
+    return [name for name in LIBRARIES if find_spec(name) is None]

@@ -2,15 +2,29 @@
 
 A kernel is compiled, or read from the cache, at its first call with arguments of some types.
 Whoever calls kernels while the robot moves has called each of them once in its constructor.
+
+Numba is imported without SciPy and coverage, which it loads where they are installed: kernels use
+neither, and every program would take a quarter of a second more to start. So a module imports this
+one before Numba. A kernel of a user that calls BLAS loads SciPy then.
 """
+
+# ruff: noqa: E402 - the order of the imports matters
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-import slot_core.lean_numba  # noqa: F401  # isort: skip
+MODULES: dict[str, Any] = sys.modules
+ABSENT = {"coverage", "scipy"} - MODULES.keys()
+MODULES |= dict.fromkeys(ABSENT)  # which lets their import fail; Numba allows for that
 import numba
+from numba.np import arraymath  # else imported with the first kernel
+
+arraymath._HAVE_BLAS = True  # as where SciPy is found
+for _name in ABSENT:
+    del MODULES[_name]
 
 from slot_core.kernel_cache import KernelCache
 

@@ -16,8 +16,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from slot_core.files import read_text
-from slot_core.refusal import InputError, quoted
+from slot_core.refusal import InputError, quoted, read_text
 
 T = TypeVar("T")
 SIZE_MAX = 1_000_000  # bytes of a configuration file

@@ -18,7 +18,7 @@ import math
 from fractions import Fraction
 from typing import Any
 
-import slot_core.lean_numba  # noqa: F401  # isort: skip
+import slot_core.compiled  # noqa: F401  # isort: skip
 import numpy as np
 from numba.core import types
 from numba.extending import overload

@@ -1,14 +1,15 @@
-"""Faults of the simulated robot, planned in a scene or injected: kind, leg, time and value.
+"""Faults of the simulated robot, planned or injected, and hardware errors that servos report.
 
 Faults of BUS_KINDS act on emulated servos, the others on the simulated legs.
 """
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 
 from slot_core.config import ConfigError, choice, quantity
-from slot_core.robot import LEGS
+from slot_core.names import LEGS
 
 ALL_LEGS = "all"
 SLACK, BROKEN, NAN = "tendon_slack", "tendon_broken", "nan"
@@ -70,3 +71,31 @@ def require_simulated_legs(fault: Fault) -> None:
         raise ConfigError(
             f"fault {fault.kind!r}: only the servos of hardware fake_bus can have it"
         )
+
+
+class HardwareError(enum.IntFlag):
+    """Bits of Hardware Error Status; the same bits of Shutdown select which switch torque off.
+
+    Another brand of servos maps its own errors onto these. Source: ROBOTIS e-manual, XL430-W250,
+    "Hardware Error Status".
+    """
+
+    INPUT_VOLTAGE = 0x01
+    OVERHEATING = 0x04
+    MOTOR_ENCODER = 0x08
+    ELECTRICAL_SHOCK = 0x10
+    OVERLOAD = 0x20
+
+
+HARDWARE_ERROR_BITS = sum(HardwareError)  # all of them
+
+
+def hardware_errors(bits: int) -> str:
+    """Names of the bits set in a hardware error status, or "none"."""
+    known = [
+        str(error.name).lower().replace("_", " ")
+        for error in HardwareError
+        if bits & error
+    ]
+    other = [f"bit {k}" for k in range(8) if (bits & ~HARDWARE_ERROR_BITS) >> k & 1]
+    return ", ".join(known + other) or "none"

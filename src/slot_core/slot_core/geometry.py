@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.elementary import atan2, cos, hypot, sin
 from slot_core.matrices import norm, product
-from slot_core.robot import Array
 
 Angle = TypeVar("Angle", float, Array)
 # Axes of a camera's optical frame (z forward, x to the right of the image, y down) in camera_link
@@ -73,35 +73,14 @@ def quaternion_of(rotation: Array) -> Array:
 
     4 q q^T = K + 1, of which the column with the largest diagonal is taken (Bar-Itzhack 2000).
     """
-    r = rotation
-    square = np.array(
-        [
-            [
-                r[0, 0] - r[1, 1] - r[2, 2],
-                r[1, 0] + r[0, 1],
-                r[2, 0] + r[0, 2],
-                r[2, 1] - r[1, 2],
-            ],
-            [
-                r[1, 0] + r[0, 1],
-                r[1, 1] - r[0, 0] - r[2, 2],
-                r[2, 1] + r[1, 2],
-                r[0, 2] - r[2, 0],
-            ],
-            [
-                r[2, 0] + r[0, 2],
-                r[2, 1] + r[1, 2],
-                r[2, 2] - r[0, 0] - r[1, 1],
-                r[1, 0] - r[0, 1],
-            ],
-            [
-                r[2, 1] - r[1, 2],
-                r[0, 2] - r[2, 0],
-                r[1, 0] - r[0, 1],
-                r[0, 0] + r[1, 1] + r[2, 2],
-            ],
-        ]
-    ) + np.eye(4)
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    rows = (
+        (a - e - i, d + b, g + c, h - f),
+        (d + b, e - a - i, h + f, c - g),
+        (g + c, h + f, i - a - e, d - b),
+        (h - f, c - g, d - b, a + e + i),
+    )
+    square = np.array(rows) + np.eye(4)
     q = square[np.argmax(square.diagonal())]
     return q / norm(q) if q[3] >= 0.0 else -q / norm(q)
 
@@ -132,11 +111,6 @@ class Transform:
     ) -> Transform:
         """From a position (m) and Rz(yaw) Ry(pitch) Rx(roll), rad."""
         return cls(matrix_of_rpy(rpy), np.asarray(position, float))
-
-    @classmethod
-    def of_quaternion(cls, position: Array, quaternion: Array) -> Transform:
-        """From a position (m) and a quaternion x y z w."""
-        return cls(matrix_of_quaternion(quaternion), np.asarray(position, float))
 
     @property
     def inverse(self) -> Transform:

@@ -1,7 +1,7 @@
 """Cache of compiled kernels on disk, which all copies of the sources of one user share.
 
 A file holds one kernel for one set of argument types. Its name is a digest of all that its content depends on:
-the sources that the kernel's module imports from this package, directly or not; the fields of the types; the
+the sources that the kernel's module imports from SLOT's packages, directly or not; the fields of the types; the
 versions of Python, Numba, LLVM and NumPy; the settings of Numba; the processor. Numba's own cache asks for the
 kernel's file and the types' names alone. The file begins with a digest of its content: a damaged one counts as
 missing. Those not used for longest are removed when all together exceed LIMIT.
@@ -41,9 +41,8 @@ SETTINGS = (
     "OPT",
     "SLP_VECTORIZE",
 )  # of Numba
-PACKAGE = Path(__file__).parent
 IMPORT = re.compile(
-    rf"^(?:from|import) ({PACKAGE.name}[\w.]*)(?: import (\([^)]*\)|[^\n]*))?",
+    r"^(?:from|import) (slot_[\w.]*)(?: import (\([^)]*\)|[^\n]*))?",
     re.MULTILINE,
 )
 
@@ -59,11 +58,6 @@ class KernelCache(NullCache):
         self.name = f"{function.__module__}.{function.__qualname__}"
         self._function = function
         self._start = 0.0
-
-    @property
-    def cache_path(self) -> str:
-        """Folder of the files."""
-        return str(folder())
 
     def path(self, signature: tuple[types.Type, ...], target: Any) -> Path:
         """File of the kernel for types of arguments, on the processor of a target."""
@@ -208,7 +202,7 @@ def _versions() -> tuple[str, ...]:
 
 @functools.cache
 def _sources(module: str) -> str:
-    """Digest of the sources of a module and of those that it imports from this package."""
+    """Digest of the sources of a module and of those that it imports from SLOT's packages."""
     found = {Path(str(sys.modules[module].__file__))}
     left = list(found)
     while left:
@@ -220,12 +214,12 @@ def _sources(module: str) -> str:
 
 
 def _imported(path: Path) -> Iterator[Path]:
-    """Files of this package that a file imports at its top level."""
+    """Files of SLOT's packages that a file imports at its top level."""
     for name, members in IMPORT.findall(path.read_text(encoding="utf-8")):
         for full in (
             name,
             *(f"{name}.{member}" for member in re.findall(r"\w+", members)),
         ):
-            file = PACKAGE.joinpath(*full.split(".")[1:]).with_suffix(".py")
-            if file.is_file():
-                yield file
+            file = getattr(sys.modules.get(full), "__file__", None)
+            if file:
+                yield Path(file)

@@ -13,10 +13,8 @@ from typing import TextIO
 from slot_core.refusal import printable
 
 DELAY = 3.0  # s; work that ends earlier shows nothing
-REWRITE, REPEAT = (
-    0.2,
-    5.0,
-)  # s between two lines on a terminal, which replace each other; else
+# s between two lines on a terminal, which replace each other; else
+REWRITE, REPEAT = 0.2, 5.0
 LEAST_SHARE = 0.02  # from which the time left is estimated
 
 Tell = Callable[[float], object]
@@ -41,14 +39,10 @@ class ProgressLine:
     ) -> None:
         self._program, self._out, self._clock = program, out or sys.stderr, clock
         self._terminal = self._out.isatty()
-        self._begin = self._since = (
-            self._clock()
-        )  # of the block; of what the share is of
-        self._what, self._share, self._first = (
-            "",
-            0.0,
-            0.0,
-        )  # share now, and at its begin
+        # of the block; of the task that the share is of
+        self._begin = self._since = self._clock()
+        # share now, and at the begin of the task
+        self._what, self._share, self._first = "", 0.0, 0.0
         self._shown, self._width = self._begin, 0  # time and length of the last line
         self._ended, self._lock = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._repeat, daemon=True)

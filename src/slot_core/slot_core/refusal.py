@@ -1,12 +1,19 @@
-"""Messages of refusals: one short line, without control characters.
+"""Refusals: errors of inputs, files and diverged motions, with messages of one short line.
 
-Names and values in them come from files, bags, packets and command lines. A library's message may
-repeat a value of many megabytes, and a text may hold sequences that command a terminal.
+Names and values in messages come from files, bags, packets and command lines. A library's message
+may repeat a value of many megabytes, and a text may hold sequences that command a terminal. So a
+message has no control characters and a bounded length.
+
+A file that a user names is read only if it is regular and not too large: a device may have no end,
+and opening a pipe waits for whoever writes to it.
 """
 
 from __future__ import annotations
 
 import reprlib
+import stat
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 LINE_MAX = 300  # characters of a message
@@ -19,6 +26,24 @@ class InputError(ValueError):
 
     def __init__(self, message: object = "") -> None:
         super().__init__(one_line(message))
+
+
+class DivergenceError(ArithmeticError):
+    """The motion of a rod or robot has diverged; the message names time and place if known.
+
+    `state` holds the values of `SimulatedRobot.snapshot` by name; of a rod it is empty.
+    """
+
+    def __init__(self, message: str, state: Mapping[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.state = dict(state or {})
+
+    def save(self, path: Path, scene: str) -> None:
+        """Write state, message and the scene's name for `numpy.load`; raises OSError."""
+        import numpy as np  # noqa: PLC0415 - a help needs no NumPy
+
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, scene=scene, message=str(self), **self.state)
 
 
 def one_line(message: object) -> str:
@@ -62,3 +87,24 @@ def _cut(text: str, most: int) -> str:
         return text
     end = most // 3
     return f"{text[: most - end - len(CUT)]}{CUT}{text[-end:]}"
+
+
+def require_regular(path: Path) -> None:
+    """Raise ValueError for a directory, a device or a pipe, OSError if there is nothing."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise ValueError("not a regular file")
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """Content of a regular file of at most `most` bytes; raises OSError, ValueError."""
+    require_regular(path)
+    with path.open("rb") as stream:
+        content = stream.read(most + 1)  # some files of /proc have no size
+    if len(content) > most:
+        raise ValueError(f"more than {most} bytes")
+    return content
+
+
+def read_text(path: Path, most: int) -> str:
+    """Text of a file in UTF-8, as `read_bytes`; a byte order mark is left out."""
+    return read_bytes(path, most).decode("utf-8-sig")

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from slot_core import config
-from slot_core.arrays import Array as Array  # noqa: PLC0414 - for those who import it from here
+from slot_core.arrays import Array
 from slot_core.config import ConfigError, quantity
 from slot_core.elementary import cos, exp, hypot, sin
-from slot_core.matrices import interpolated, product
-from slot_core.names import LEGS as LEGS  # noqa: PLC0414 - as Array
+from slot_core.matrices import product
+from slot_core.names import LEGS as LEGS  # noqa: PLC0414 - for users of the robot
 from slot_core.refusal import quoted
 
 TENDON_JOINTS = tuple(f"{leg}_tendon" for leg in LEGS)
@@ -31,6 +31,15 @@ GRAVITY = 9.81  # m/s^2, the value of the paper
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"
 FOOTPRINT_FRAME = "base_footprint"  # below base_link, on the floor of odom (REP-120)
+# Points of torso and legs that are tracked, and the columns of a CSV file with their places.
+TORSO = "torso"
+# share of a leg's arc length
+LEG_POINTS = {"base": 0.0, "third": 1 / 3, "two_thirds": 2 / 3, "tip": 1.0}
+BODY_POINTS = (*(f"{leg}_{name}" for leg in LEGS for name in LEG_POINTS), TORSO)
+# of a leg with points along it; the tabulated robot's have two, clamp and foot
+LEAST_NODES = 4
+POINT_COLUMNS = ("time", "point", "x", "y", "z")  # s, m
+POINT_FRAME = "frame: "  # begins the comment of the file that names its frame
 
 
 @dataclass(frozen=True)
@@ -105,9 +114,9 @@ class Leg:
         cells = np.diff(x) / 6 * (begin + 4 * middle + end)
         return x, np.append(0.0, np.cumsum(cells))
 
-    def arc_length(self, x: float | None = None) -> float:
-        """Arc length of the natural shape from the clamp to x (default: the tip), m."""
-        return float(self.arc[1][-1] if x is None else interpolated(x, *self.arc))
+    def arc_length(self) -> float:
+        """Arc length of the natural shape from the clamp to the tip, m."""
+        return float(self.arc[1][-1])
 
     @property
     def shear_modulus(self) -> float:
@@ -298,3 +307,18 @@ def _insert(mapping: dict[str, Any], dotted: str, value: Any, source: str) -> No
             f"{source}: {dotted} is set in robot.yaml too; set it in one of the two"
         )
     mapping[last] = value
+
+
+def arc_length(nodes: Array) -> Array:
+    """(N,) m from the first of nodes (N, 3) along the line through them."""
+    return np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))]
+    )
+
+
+def at_shares(nodes: Array, values: Array | None = None) -> Array:
+    """(4, 3) values (N, 3) at LEG_POINTS of a leg of nodes (N, 3); by default their places."""
+    arc = arc_length(nodes)
+    shares = np.array(list(LEG_POINTS.values())) * arc[-1]
+    columns = (nodes if values is None else values).T
+    return np.column_stack([np.interp(shares, arc, column) for column in columns])

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.files import read_text
+from slot_core.refusal import read_text
 
 KEY = "ros__parameters"
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.elementary import exp
-from slot_core.robot import Array
 
 TERMS = 21  # of the series; the first neglected one is below 1e-16 of the sum
 

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slot_core.files import read_text
-from slot_core.refusal import InputError, quoted
+from slot_core.refusal import InputError, quoted, read_text
 
 SIZE_MAX = 200_000_000  # bytes of a file
 

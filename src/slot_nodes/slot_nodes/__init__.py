@@ -1,5 +1,5 @@
 """ROS nodes, one per box of the graph: decode messages, call the core, encode its results."""
 
-from slot_core.libraries import require_libraries
+from slot_core.command_line import require_libraries
 
 require_libraries()

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from slot_core.hardware_error import hardware_errors
+from slot_core.faults import hardware_errors
 from slot_nodes import messages
 
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
-    from slot_core.servos.servo_state import Cycle, ServoStatus
+    from slot_core.servos.servo_bus import Cycle, ServoStatus
     from slot_core.servos.session import BusPace, ServoSession
 
 ERROR_RATE_WARNING = 0.05  # share of exchanges that failed

@@ -29,12 +29,16 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.robot import LEGS, read_robot
-from slot_core.safety.commands import Action
+from slot_core.safety.states import Action
 from slot_core.servos.brand import Brand
 from slot_core.servos.registry import read_brand
-from slot_core.servos.servo_bus import ServoMaintenance
-from slot_core.servos.servo_errors import PortError, RefusedError, ServoError
-from slot_core.servos.servo_state import Cycle
+from slot_core.servos.servo_bus import (
+    Cycle,
+    PortError,
+    RefusedError,
+    ServoError,
+    ServoMaintenance,
+)
 from slot_core.servos.session import ServoSession
 from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import diagnostics, inputs, messages, qos, runtime

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from rclpy.node import Node
 
-from slot_core.divergence import DivergenceError
 from slot_core.messages import decode
+from slot_core.refusal import DivergenceError
 from slot_core.simulation.plant import RobotSimulator
 from slot_msgs.srv import InjectFault
 
@@ -25,9 +25,9 @@ def _inject(
 ) -> InjectFault.Response:
     try:
         if request.clear:
-            plant.clear(request.kind, request.leg)
+            plant.faults.clear(request.kind, request.leg)
         else:
-            plant.inject(decode.fault(request))
+            plant.faults.inject(decode.fault(request))
     except ValueError as error:
         response.message = str(error)
         return response

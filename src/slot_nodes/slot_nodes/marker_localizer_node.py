@@ -32,7 +32,7 @@ class MarkerLocalizerNode(Node):
         self._settings = runtime.declare_settings(self, read_vision())
         mount = read_estimator().mounts.camera
         self._mount = Transform.of(mount.position, mount.rpy)
-        text = "file of scripts/calibrate_camera; empty: /camera/camera_info"
+        text = "file of scripts/calibrate --camera; empty: /camera/camera_info"
         file = runtime.declare(self, "calibration", "", text)
         self._localizer: MarkerLocalizer | None = None
         self._camera: Camera | None = None

@@ -17,18 +17,13 @@ from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
 
+from slot_core.arrays import Array
 from slot_core.clock import SECOND
 from slot_core.gait import gait
 from slot_core.geometry import Transform
 from slot_core.matrices import product
 from slot_core.messages import decode
-from slot_core.robot import (
-    BASE_FRAME,
-    FOOTPRINT_FRAME,
-    ODOM_FRAME,
-    TENDON_JOINTS,
-    Array,
-)
+from slot_core.robot import BASE_FRAME, FOOTPRINT_FRAME, ODOM_FRAME, TENDON_JOINTS
 from slot_msgs import msg as slot_msgs
 from slot_msgs.msg import (
     ForceMapStatus,
@@ -52,12 +47,16 @@ if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.control.pace import Pace
     from slot_core.estimation.estimate import Estimate
     from slot_core.estimation.inertial_filter import Mount
-    from slot_core.joint_reading import JointReading
-    from slot_core.safety.servo_health import ServoHealth
     from slot_core.safety.settings import ServoLimits
     from slot_core.safety.supervisor import Report
-    from slot_core.simulation.plant import TrueState
-    from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading
+    from slot_core.safety.watchdog import ServoHealth
+    from slot_core.servos.servo_bus import JointReading
+    from slot_core.simulation.readings import (
+        ImageReading,
+        ImuReading,
+        OdometryReading,
+        TrueState,
+    )
     from slot_core.vision.camera import Camera
     from slot_core.vision.localizer import MarkerFix, NoFix
 

@@ -36,18 +36,24 @@ from std_msgs.msg import Bool
 from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
 from slot_core.control.pace import Speed
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.joint_reading import JointReading
 from slot_core.messages import decode
+from slot_core.refusal import DivergenceError
 from slot_core.robot import read_robot
-from slot_core.safety.commands import Action
+from slot_core.safety.states import Action
 from slot_core.servos.registry import read_brand
-from slot_core.servos.servo_errors import RefusedError
+from slot_core.servos.servo_bus import JointReading, RefusedError
 from slot_core.simulation.clocks import PATIENCE, BusClock, LockstepClock, RealTimeClock
-from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth, TrueState
-from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import (
+    ImageReading,
+    ImuReading,
+    OdometryReading,
+    Reading,
+    StampedHealth,
+    TrueState,
+)
 from slot_core.simulation.simulated_servos import (
     BusServos,
     DirectServos,

@@ -27,14 +27,12 @@ from slot_core.clock import LOCKSTEP_START
 from slot_core.gait.gait import STAND, read_gaits
 from slot_core.messages import decode
 from slot_core.robot import read_robot
-from slot_core.safety.requests import Request
-from slot_core.safety.servo_health import ServoHealth as Health
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.start_up import StartUp
-from slot_core.safety.states import RELEASED, State
+from slot_core.safety.states import RELEASED, Request, State
 from slot_core.safety.supervisor import PERIOD, Report, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
-from slot_core.safety.ticked_supervisor import LockstepInputs, TickedSupervisor
+from slot_core.safety.ticked_supervisor import LockstepInputs, StartUp, TickedSupervisor
+from slot_core.safety.watchdog import ServoHealth as Health
 from slot_msgs.msg import (
     EmergencyStop,
     MpcState,

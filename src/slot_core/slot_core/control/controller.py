@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from slot_core.arrays import Array
 from slot_core.control.force_map import (
     TendonCommand,
     make_force_map,
@@ -16,7 +17,7 @@ from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.gait.gait import GaitPreview, GaitSettings, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.gait.route import Route
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 
 
 @dataclass(frozen=True)

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core import config
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.config import quantity
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.gait.gait import GaitPreview
 from slot_core.key_frame import StateParts
 from slot_core.legs.leg_springs import LegSprings, read_leg_springs
 from slot_core.refusal import quoted
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import LEGS, RobotParameters
 
 PLANNED, HELD = "planned", "hold"  # names where no map is applied
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.control.policy import Policy, TendonPlan
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, first_rate
 from slot_core.key_frame import StateParts
-from slot_core.robot import Array
 
 
 class GaitAlone(Policy):

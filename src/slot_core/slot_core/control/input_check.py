@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.control.policy import TendonPlan
 from slot_core.gait.gait import GaitPreview
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 
 STATES, FEET = 12, len(LEGS)
 EXCEED = " ms exceed "
-STAGE = (0.001, 0.1)  # s, shortest and longest time between stages
+STAGE_TIME = (0.001, 0.1)  # s, shortest and longest time between stages
 
 
 def state_fault(state: Array, most: float) -> str:
@@ -23,7 +24,7 @@ def state_fault(state: Array, most: float) -> str:
 def preview_fault(preview: GaitPreview, stages: int, most: float) -> str:
     """The fault of a preview, which has at least so many stages; empty if there is none."""
     return (
-        fault_of("preview.dt", preview.dt, (), *STAGE)
+        fault_of("preview.dt", preview.dt, (), *STAGE_TIME)
         or fault_of("preview.contact", preview.contact, (stages, FEET), 0, 1)
         or fault_of("preview.friction", preview.friction, (stages, FEET), 0, most)
         or fault_of(

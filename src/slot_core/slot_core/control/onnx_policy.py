@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError, text
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.input_check import state_fault
@@ -27,11 +28,11 @@ from slot_core.control.walk_actions import (
     observation_size,
 )
 from slot_core.estimation.estimate import Estimate
-from slot_core.files import ONNX, read_bytes
 from slot_core.gait.gait import GaitPreview, read_gaits
 from slot_core.key_frame import StateParts
-from slot_core.refusal import quoted
-from slot_core.robot import Array, RobotParameters
+from slot_core.names import ONNX
+from slot_core.refusal import quoted, read_bytes
+from slot_core.robot import RobotParameters
 
 SIZE_MAX = 10_000_000  # bytes
 STATE_MAX = 1e6  # SI, of an element of the state

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import quantity
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.policy import Policy, TendonPlan, Timer
@@ -22,7 +23,7 @@ from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, Vector3, read_gaits
 from slot_core.geometry import rotate, wrapped
 from slot_core.key_frame import StateParts
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 
 
 @dataclass(frozen=True)

@@ -20,14 +20,15 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
-from slot_core.control.policies import POLICIES
+from slot_core.control.policies import POLICIES, RENAMED
 from slot_core.estimation.estimate import Estimate
-from slot_core.files import ONNX, require_regular
 from slot_core.gait.gait import GaitPreview
 from slot_core.key_frame import StateParts
-from slot_core.refusal import quoted
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.names import ONNX
+from slot_core.refusal import quoted, require_regular
+from slot_core.robot import LEGS, RobotParameters
 
 Timer = Callable[[], float]  # s
 
@@ -40,9 +41,7 @@ class Status(enum.IntEnum):
     LATE = 2  # solved after its time budget: fallback in use
     REJECTED = 3  # input rejected before the solve: fallback in use
     STOPPED = 4  # no feasible input yet, or fallback used up: not to be applied
-    MODEL_FAR = (
-        5  # the robot moves otherwise than the policy's model: the gait's angles
-    )
+    MODEL_MISMATCH = 5  # the policy commands the gait's angles
 
 
 def _unknown() -> Array:
@@ -144,6 +143,8 @@ def policy_class(name: str) -> type[Policy]:
         return _class_in_file(Path(name))
     if name.startswith(ONNX):
         return _class_of("slot_core.control.onnx_policy:OnnxPolicy")
+    if name in RENAMED:
+        raise ConfigError(f"policy {quoted(name)}: it is named {RENAMED[name]} now")
     if name not in POLICIES:
         known = ", ".join(POLICIES)
         raise ConfigError(

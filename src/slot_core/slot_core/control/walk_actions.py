@@ -16,18 +16,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.elementary import cos, sin
 from slot_core.gait.gait import Stride
 from slot_core.geometry import rotate, wrapped
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 
 ANGLE_MAX = 0.35  # rad
 AMPLITUDE_MAX = np.array([0.05, 0.05, 0.1])  # m/s, m/s, rad/s
 ACTIONS = {"tendons": len(LEGS), "amplitudes": 3}
 """Number of values of an action, by its kind."""
-SCALE = np.array(
-    [0.05, 0.05, 0.1, *[0.02] * 2, 0.01, *[0.5] * 3, *[0.05] * 3]
-)  # rad, m, SI
+# rad, m, SI
+SCALE = np.array([0.05, 0.05, 0.1, *[0.02] * 2, 0.01, *[0.5] * 3, *[0.05] * 3])
 CLIP = 5.0  # largest magnitude in an observation
 
 

@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.drawing import palette
 from slot_core.drawing.shapes import (
     LEG_COLOURS,
@@ -29,7 +30,7 @@ from slot_core.drawing.shapes import (
     torso_box,
 )
 from slot_core.messages import decode
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import LEGS, RobotParameters
 
 NATURAL_NODES = 20  # of a leg whose shape is not known
 PATH_STEP = 0.005  # m between two points of a path

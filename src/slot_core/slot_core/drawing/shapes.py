@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.drawing import palette
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import LEGS, RobotParameters
 
 FORCE_SCALE = 0.012  # m of arrow per N
 LEAST_FORCE = 0.2  # N, smaller forces are not drawn

@@ -23,10 +23,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.dynamics.lanes import like, where
 from slot_core.dynamics.terrain import Terrain
-from slot_core.robot import Array
 
 UNIFORM, DIRECTION, PHASE = range(3)  # dependence of a leg's friction
 RELEASING = -1e-3  # rad/s, a tendon with a lower rate counts as released

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.dynamics.contact import Floor
 from slot_core.dynamics.rod import Rod, discretise
 from slot_core.dynamics.scene import FloorSettings, Scene, SolverSettings
@@ -17,7 +18,7 @@ from slot_core.dynamics.tendon import TendonModel, route
 from slot_core.dynamics.terrain import read_terrain
 from slot_core.dynamics.torso import TorsoBox, box
 from slot_core.elementary import cos, sin
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 
 
 class ThetaScheme(NamedTuple):

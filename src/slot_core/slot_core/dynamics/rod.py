@@ -21,9 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.elementary import atan2, hypot
 from slot_core.matrices import interpolated
-from slot_core.robot import Array, Leg
+from slot_core.robot import Leg
 from slot_core.section import second_moment, torsion_constant
 
 

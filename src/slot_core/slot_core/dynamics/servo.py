@@ -29,11 +29,12 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.config import ConfigError, choice, quantity
 from slot_core.dynamics.lanes import like, where
 from slot_core.matrices import interpolated
-from slot_core.robot import Array, read_parameters
+from slot_core.robot import read_parameters
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.dynamics.rod import Rod
-from slot_core.robot import Array, Tendon
+from slot_core.robot import Tendon
 
 
 class TendonModel(NamedTuple):

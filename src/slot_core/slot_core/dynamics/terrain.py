@@ -15,11 +15,11 @@ import numpy as np
 from numba.extending import overload
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.compiled import OPTIONS, helper
 from slot_core.config import ConfigError
 from slot_core.dynamics.lanes import LANES, join, lane
-from slot_core.files import read_text
-from slot_core.robot import Array
+from slot_core.refusal import read_text
 
 SIZE_MAX = 10_000_000  # bytes of a height map
 

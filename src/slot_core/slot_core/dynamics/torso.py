@@ -17,11 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import times_transposed
 from slot_core.dynamics.contact import friction_force, normal_force, tangential
 from slot_core.dynamics.terrain import Ground, ground, is_uneven, tilted
-from slot_core.robot import Array, Torso
+from slot_core.robot import Torso
 
 
 class TorsoBox(NamedTuple):

@@ -11,23 +11,34 @@ taken for the answer to another.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, GroupSyncWrite, PacketHandler
 
-from slot_core.dynamixel.errors import CommunicationError, InstructionError
 from slot_core.dynamixel.packet import ALERT, BROADCAST, FAST_OVERHEAD, OVERHEAD, Error
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import BusSettings
 from slot_core.dynamixel.table import TABLE, decode_span, span
+from slot_core.servos.servo_bus import ServoError
 
 PROTOCOL = 2.0
 STATUS_BYTES = (
     OVERHEAD + 4
 )  # of a status packet without data: instruction, error and CRC
+
+
+class CommunicationError(ServoError):
+    """No valid answer of a servo after all retries; the message has the SDK's text."""
+
+
+class InstructionError(ServoError):
+    """A servo answered with an error number (it has not executed the instruction).
+
+    Also: a register holds another value than the one written.
+    """
 
 
 @dataclass(frozen=True)
@@ -50,24 +61,6 @@ class _Status:
         return self.error & ~ALERT
 
 
-class Quality:
-    """Count of the exchanges with one servo and of the failures among the last `window` of them."""
-
-    def __init__(self, window: int) -> None:
-        self._failed: deque[bool] = deque(maxlen=window)
-        self.exchanges = 0  # since the start
-
-    def add(self, failed: bool) -> None:
-        """Count one exchange."""
-        self._failed.append(failed)
-        self.exchanges += 1
-
-    @property
-    def error_rate(self) -> float:
-        """Fraction of failed exchanges within the window; 0 before the first exchange."""
-        return sum(self._failed) / len(self._failed) if self._failed else 0.0
-
-
 class Bus:
     """All exchanges with the servos on one port; `names`: servo names for messages, by id."""
 
@@ -82,11 +75,18 @@ class Bus:
         self._handler: Any = PacketHandler(PROTOCOL)
         self._names = dict(names or {})
         self._silent: set[int] = set()
-        self.quality: dict[int, Quality] = {}
+        self._failed: dict[int, deque[bool]] = defaultdict(
+            lambda: deque(maxlen=settings.window)
+        )
 
     def name(self, identity: int) -> str:
         """Name of a servo in messages."""
         return self._names.get(identity, f"servo id {identity}")
+
+    def error_rate(self, identity: int) -> float:
+        """Share of the last `window` exchanges with a servo that failed; 0 before the first."""
+        failed = self._failed[identity]
+        return sum(failed) / len(failed) if failed else 0.0
 
     def ping(self, identity: int) -> tuple[int, int]:
         """Model number and firmware version; raises CommunicationError, InstructionError."""
@@ -187,7 +187,7 @@ class Bus:
         if not fast:
             found = self._sync_read(order, address, size)
         for identity in order:
-            self._count(identity, identity not in found)
+            self._failed[identity].append(identity not in found)
             if identity not in found and identity not in self._silent:
                 found |= self._read_alone(identity, address, size)
         self._silent = (self._silent - set(order)) | (set(order) - set(found))
@@ -197,10 +197,6 @@ class Bus:
             )
             for identity, status in found.items()
         }
-
-    def clear_silent(self) -> None:
-        """Clear the set of servos that did not answer: all are read with retries again."""
-        self._silent.clear()
 
     def _fast_read(self, ids: list[int], address: int, size: int) -> dict[int, _Status]:
         result = self._handler.syncReadTx(self.port, address, size, ids, len(ids), True)
@@ -241,7 +237,7 @@ class Bus:
             self._handler.readTx(self.port, identity, address, size)
             found, _ = self._receive([identity], size)
             usable = identity in found and not found[identity].number
-            self._count(identity, not usable)
+            self._failed[identity].append(not usable)
             if usable:
                 return found
         return {}
@@ -256,7 +252,7 @@ class Bus:
             result = send()
             if result == COMM_SUCCESS:
                 found, result = self._receive([identity], size)
-            self._count(identity, identity not in found)
+            self._failed[identity].append(identity not in found)
             status = found.get(identity)
             if status is not None and not status.number:
                 return status.data
@@ -303,11 +299,6 @@ class Bus:
         if len(found) < len(ids):
             self.port.drain(self._settings.quiet)
         return found, result
-
-    def _count(self, identity: int, failed: bool) -> None:
-        if identity not in self.quality:
-            self.quality[identity] = Quality(self._settings.window)
-        self.quality[identity].add(failed)
 
     def _result_text(self, result: int) -> str:
         return str(self._handler.getTxRxResult(result))

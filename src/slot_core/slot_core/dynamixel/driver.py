@@ -1,7 +1,7 @@
 """Driver of four Dynamixel servos, which implements `ServoBus` and `ServoMaintenance`.
 
 Model, firmware and EEPROM of every servo are checked; every write but those of a cycle is read
-back. Raises also CommunicationError and InstructionError of `errors.py`, which are ServoErrors.
+back. Raises also CommunicationError and InstructionError of `bus.py`, which are ServoErrors.
 """
 
 from __future__ import annotations
@@ -14,21 +14,29 @@ from dataclasses import replace
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.clock import Clock
 from slot_core.dynamixel.bus import Bus, RegisterValues
-from slot_core.dynamixel.checks import ServoInfo, examine, expected
-from slot_core.dynamixel.homing import measure_zero, write_zero
+from slot_core.dynamixel.checks import (
+    ServoInfo,
+    examine,
+    expected,
+    measure_zero,
+    write_zero,
+)
 from slot_core.dynamixel.host_pid import HostPid
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT, Mode
-from slot_core.hardware_error import hardware_errors
-from slot_core.robot import LEGS, Array
-from slot_core.servos.servo_errors import PortError, RefusedError, ServoError
-from slot_core.servos.servo_state import (
+from slot_core.faults import hardware_errors
+from slot_core.robot import LEGS
+from slot_core.servos.servo_bus import (
     BusFacts,
     Cycle,
+    PortError,
+    RefusedError,
+    ServoError,
     ServoReading,
     ServoStatus,
     TorqueOff,
@@ -305,8 +313,7 @@ class Driver:
 
     def _update_quality(self, index: int, reading: ServoReading | None) -> None:
         """Update error rate and time of the last answer."""
-        quality = self.bus.quality.get(self.joints[index].id)
-        rate = 0.0 if quality is None else quality.error_rate
+        rate = self.bus.error_rate(self.joints[index].id)
         health = replace(self.health[index], error_rate=rate)
         if reading is not None:
             health = replace(health, last_answer=reading.time)

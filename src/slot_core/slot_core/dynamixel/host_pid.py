@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.dynamixel.settings import HostPidSettings
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 
 
 class HostPid:

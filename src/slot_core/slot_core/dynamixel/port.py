@@ -18,13 +18,16 @@ import serial
 from dynamixel_sdk import PortHandler
 
 from slot_core.clock import Clock
-from slot_core.dynamixel.errors import BaudRateError
-from slot_core.servos.servo_errors import PortError
+from slot_core.servos.servo_bus import PortError
 
 BITS_PER_BYTE = 10  # with start and stop bit
 WRITE_TIMEOUT = 0.5  # s, for a device that does not accept bytes
 TTY_CLASS = Path("/sys/class/tty")
 UDEV_RULE = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+
+
+class BaudRateError(PortError):
+    """The port does not support a baud rate."""
 
 
 class SerialPort(PortHandler):

@@ -18,7 +18,7 @@ from slot_core.dynamixel.table import (
     WATCHDOG_UNIT,
     Mode,
 )
-from slot_core.hardware_error import HARDWARE_ERROR_BITS
+from slot_core.faults import HARDWARE_ERROR_BITS
 
 MODES = {"position": Mode.POSITION, "pwm": Mode.PWM}
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from slot_core.hardware_error import HARDWARE_ERROR_BITS
+from slot_core.faults import HARDWARE_ERROR_BITS
 
 MODEL_NUMBER = 1060
 COUNTS = 4096  # of the position encoder, per turn

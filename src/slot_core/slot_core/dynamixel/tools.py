@@ -14,18 +14,16 @@ from slot_core import config
 from slot_core.command_line import refuse
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
-from slot_core.dynamixel.checks import examine, expected
+from slot_core.dynamixel.checks import examine, expected, measure_zero, write_zero
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
-from slot_core.dynamixel.errors import BaudRateError
-from slot_core.dynamixel.homing import measure_zero, write_zero
 from slot_core.dynamixel.joints import Joint, joints
-from slot_core.dynamixel.port import SerialPort, check_latency
+from slot_core.dynamixel.port import BaudRateError, SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings, read_settings
 from slot_core.dynamixel.table import BAUD_RATES, VOLTAGE_UNIT
-from slot_core.hardware_error import hardware_errors
+from slot_core.faults import hardware_errors
 from slot_core.robot import LEGS
-from slot_core.servos.servo_errors import RefusedError, ServoError
+from slot_core.servos.servo_bus import RefusedError, ServoError
 
 PERIOD = 0.002  # s, between two steps of the emulated servos
 FAILED = 1  # exit code

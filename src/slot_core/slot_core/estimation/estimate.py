@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 
 
 class Validity(enum.IntEnum):

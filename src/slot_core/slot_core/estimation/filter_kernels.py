@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import SECOND
 from slot_core.compiled import helper, kernel
 from slot_core.elementary import cos, sin
@@ -38,13 +39,11 @@ from slot_core.matrices import (
     set_product_transposed,
     solve_cholesky,
 )
-from slot_core.robot import GRAVITY, Array
+from slot_core.robot import GRAVITY
 
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = range(0, 15, 3)
-ERROR, MEASURED = (
-    15,
-    9,
-)  # sizes of the error state and of a reading's angle, position, velocity
+# sizes of the error state and of a reading's angle, position, velocity
+ERROR, MEASURED = 15, 9
 COS_PITCH_MIN = 1e-3  # keeps the covariance of roll and yaw finite at a pitch of 90 deg
 
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.clock import to_ns
 from slot_core.config import quantity, text
 from slot_core.elementary import atan2
@@ -33,11 +33,11 @@ from slot_core.estimation.filter_kernels import (
     propagate_through,
     work_space,
 )
-from slot_core.estimation.imu_samples import ImuQueue, ImuSamples
+from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.geometry import matrix_of_quaternion
 from slot_core.key_frame import StateParts
 from slot_core.matrices import norm, product
-from slot_core.robot import GRAVITY, Array
+from slot_core.robot import GRAVITY
 
 UP = np.array([0.0, 0.0, GRAVITY])  # specific force at rest, in odom
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = (slice(i, i + 3) for i in range(0, 15, 3))
@@ -362,11 +362,6 @@ class InertialFilter:
         return True
 
     @property
-    def gyro_bias(self) -> Array:
-        """Estimated gyro bias (3,) rad/s, in base_link."""
-        return self._state.bias[0].copy()
-
-    @property
     def incline(self) -> tuple[float, float]:
         """Angle between the z axis of odom and gravity, and its standard deviation, rad.
 
@@ -401,10 +396,10 @@ def load_kernels(settings: EstimatorSettings) -> None:
         0, np.array([0.0, 0.0, 0.0, 1.0]), zero, zero, zero, np.ones(12)
     )
     scratch.restart(still)
-    queue, imu = ImuQueue(2), np.concatenate([zero, UP])
-    queue.append(0, imu)
-    scratch.use_gyro(queue.samples, 0, 0.0)
-    scratch.propagate(queue.samples, 0, 1)
+    imu = np.concatenate([zero, UP])
+    samples = ImuSamples.none().followed(0, imu, 1)
+    scratch.use_gyro(samples, 0, 0.0)
+    scratch.propagate(samples, 0, 1)
     scratch.extrapolate(imu, 1e-3)
     scratch.correct(still)
     scratch.output()

@@ -25,11 +25,12 @@ from itertools import pairwise
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.elementary import atan2
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.filter_kernels import FilterState
-from slot_core.estimation.imu_samples import ImuQueue
+from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.estimation.inertial_filter import (
     EstimatorSettings,
     InertialFilter,
@@ -45,13 +46,10 @@ from slot_core.geometry import (
 )
 from slot_core.key_frame import StateParts
 from slot_core.matrices import norm, product
-from slot_core.robot import Array
 
 BEFORE_ALL_TIMES = -(2**62)  # ns
-VARIANCE_MIN, VARIANCE_MAX = (
-    1e-12,
-    1e6,
-)  # SI, to which the variances of a message are clipped
+# SI, to which the variances of a message are clipped
+VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6
 
 
 def read_estimator() -> EstimatorSettings:
@@ -80,7 +78,7 @@ class StateEstimator:
         "_tick",
         "_accepted_stamp",
         "_accepted",
-        values=(FilterState, OdometryMotion),
+        values=(FilterState, OdometryMotion, ImuSamples),
     )
 
     def __init__(self, settings: EstimatorSettings) -> None:
@@ -97,7 +95,7 @@ class StateEstimator:
         """Return to the state after construction; estimates not yet polled are kept."""
         self._filter = InertialFilter(self._settings)
         self._newest: dict[str, int] = {}
-        self._imu = ImuQueue(self._settings.buffers.imu)
+        self._imu = ImuSamples.none()
         self._waiting: deque[tuple[int, OdometryMotion | None]] = deque()
         self._rejected: deque[OdometryMotion | None] = deque(
             maxlen=self._settings.gate.max_rejections
@@ -112,7 +110,7 @@ class StateEstimator:
     @property
     def gyro_bias(self) -> Array:
         """Estimated gyro bias (3,) rad/s, in base_link."""
-        return self._filter.gyro_bias
+        return self._filter.state.bias[0]
 
     @property
     def incline(self) -> tuple[float, float]:
@@ -129,7 +127,8 @@ class StateEstimator:
             return
         if self._mount is not None:
             rate, force = _in_base(rate, force, *self._mount)
-        self._imu.append(stamp, np.concatenate([rate, force]))
+        sample = np.concatenate([rate, force])
+        self._imu = self._imu.followed(stamp, sample, self._settings.buffers.imu)
         self._process_due()
         self._propagate_to_newest()
         self._tick_without_odometry(stamp)
@@ -221,7 +220,7 @@ class StateEstimator:
         if self._stamp is None:
             return
         end = self._stamp + to_ns(self._settings.timing.odometry_gap)
-        samples = self._imu.samples.until(end)
+        samples = self._imu.until(end)
         if len(samples.stamps) and samples.stamps[-1] > self._reached:
             newest = int(samples.stamps[-1])
             self._filter.propagate(samples, self._reached, newest)
@@ -272,7 +271,7 @@ class StateEstimator:
         """Propagate the filter from `start` to `stamp` (ns); False if IMU data was missing."""
         self._stamp = stamp
         self._filter.restore(self._corrected)
-        samples = self._imu.samples.until(stamp)
+        samples = self._imu.until(stamp)
         first = max(int(np.searchsorted(samples.stamps, start, side="right")) - 1, 0)
         knots = [*samples.stamps[first:].tolist(), stamp]
         knots = knots if knots[0] <= start else [start, *knots]
@@ -282,7 +281,8 @@ class StateEstimator:
             return False
         self._filter.propagate(samples, start, stamp)
         self._filter.use_gyro(samples, stamp, to_seconds(stamp - knots[-2]))
-        self._imu.drop(max(len(samples.stamps) - 2, 0))  # two stay, to extrapolate
+        # two stay, to extrapolate
+        self._imu = self._imu.without(max(len(samples.stamps) - 2, 0))
         return True
 
     def _accept(self, stamp: int) -> None:
@@ -337,7 +337,7 @@ class StateEstimator:
     def _predicted(self, stamp: int, validity: Validity, delay: float) -> Estimate:
         """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
         assert self._stamp is not None
-        saved, rate, samples = self._filter.state, self._filter.rate, self._imu.samples
+        saved, rate, samples = self._filter.state, self._filter.rate, self._imu
         newest = int(samples.stamps[-1]) if len(samples.stamps) else BEFORE_ALL_TIMES
         if self._reached > self._stamp:
             self._filter.use_gyro(samples, newest, delay)
@@ -358,10 +358,8 @@ def _vector(values: Array, size: int, limit: float) -> Array | None:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
         return None
-    usable = array.shape == (size,) and all(
-        abs(x) <= limit for x in array.tolist()
-    )  # NaN is not
-    return array if usable else None
+    within = all(abs(x) <= limit for x in array.ravel().tolist())  # NaN is not
+    return array if array.shape == (size,) and within else None
 
 
 def _mount(imu: Mount) -> tuple[Array, Array] | None:

@@ -29,11 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import choice, flag, quantity
 from slot_core.elementary import cos, sin
 from slot_core.matrices import norm
 from slot_core.refusal import quoted
-from slot_core.robot import Array
 
 STAND = "stand"  # name of the posture at the start
 Harmonics = tuple[float, float, float, float, float]
@@ -47,6 +47,7 @@ HALF_STRIDE_LATER = np.array([1.0, -1.0, -1.0, 1.0, 1.0])
 """Factors of m, c1, s1, c2, s2 that delay a series by half a stride."""
 SPEED_NAMES = ("v_x", "v_y", "yaw rate")
 ROUNDING = 1e-9  # m/s, rad/s
+TINY = 1e-12  # m/s, rad/s: no velocity
 TORSO_MOTION = ("roll", "pitch", "height", "v_x", "v_y")
 
 
@@ -127,6 +128,10 @@ class Posture:
     period = 1.0
     speeds = (0.0, 0.0, 0.0)
 
+    def share_reached(self, velocity: Array) -> float:
+        """Largest factor, at most 1, with which a velocity (3,) is reached."""
+        return 0.0 if velocity.any() else 1.0
+
 
 @dataclass(frozen=True)
 class Stride:
@@ -174,6 +179,23 @@ class Stride:
         most = (1.0 - walking) * self.turn.speed + walking * steering
         return np.append(planar, np.clip(velocity[2], -most, most))
 
+    def share_reached(self, velocity: Array) -> float:
+        """Largest factor s, at most 1, with which s times a velocity (3,) is reached.
+
+        With v = |v_x, v_y| the yaw rate has to stay below the line from `turn` at s v = 0 to the
+        steering's rate at `walking_speed`, or below that rate beyond it.
+        """
+        sizes, speed = np.abs(velocity), norm(velocity[:2])
+        planar = norm(velocity[:2] / self.speeds[:2] / self.amplitude_max[:2])
+        steering = min(self.forward_steering.rate_max, self.lateral_steering.rate_max)
+        slope = (self.turn.speed - steering) / self.walking_speed
+        turning = self.turn.speed / max(sizes[2] + slope * speed, TINY)
+        if turning * speed > self.walking_speed:
+            turning = steering / max(sizes[2], TINY)
+        alone = np.min(self.speeds / np.maximum(sizes, TINY))
+        share = float(min(1.0 / max(planar, TINY), turning, alone))
+        return share if share < 1.0 - ROUNDING else 1.0
+
     def stride_table(
         self, phase: Array, velocity: Array, offset: Array | float = 0.0
     ) -> Array:
@@ -197,11 +219,6 @@ class Stride:
         torso[:, [0, 1, 5, 9, 10]] = values[:, 8:]
         torso[:, 3:5], torso[:, [6, 7, 11]] = sway, slopes
         return np.hstack([angle, np.maximum(values[:, 4:8], 0.0), torso])
-
-    def mean_posture(self, velocity: Array) -> Array:
-        """Mean height (m), roll and pitch (rad) of the motion at a velocity (3,), less the rest."""
-        posture: Array = self._moving(velocity[None])[0, [10, 8, 9], 0]
-        return posture
 
     def _moving(self, velocity: Array) -> Array:
         """Coefficients (n, 13, 5) of the patterns and their steering at velocities (n, 3)."""
@@ -317,6 +334,27 @@ class GaitSettings:
             known = ", ".join(sorted(self.gaits))
             raise config.ConfigError(f"no gait {quoted(name)} (known: {known})")
         return self.gaits[name]
+
+    def clipped(self, name: str, velocity: Array) -> tuple[Array, str]:
+        """The velocity (3,), as fast as a gait follows it, and a line on what was clipped, or "".
+
+        All three are scaled alike, so that the robot keeps the curve. Raises ConfigError for an
+        unknown gait, or a velocity that is not finite or not (3,).
+        """
+        gait, wanted = self.find(name), np.array(velocity, dtype=float)
+        if wanted.shape != (3,) or not np.isfinite(wanted).all():
+            raise config.ConfigError(
+                f"velocity {wanted}: expected three finite numbers"
+            )
+        share = gait.share_reached(wanted)
+        if share == 1.0:
+            return wanted, ""
+        pairs = zip(SPEED_NAMES, wanted, share * wanted)
+        changes = ", ".join(f"{label} {v:.3g} to {c:.3g}" for label, v, c in pairs if v)
+        return (
+            share * wanted,
+            f"velocity clipped to the reach of gait {name}: {changes}",
+        )
 
     def require_velocity(self, name: str, velocity: Array) -> None:
         """Raise ConfigError for an unknown gait or a velocity (3,) that it does not reach."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
 from slot_core.gait.gait import (
@@ -18,44 +19,29 @@ from slot_core.gait.gait import (
     Posture,
     Stride,
 )
-from slot_core.gait.reach import clipped
 from slot_core.gait.reference import limited, moved, places_ahead, reference
 from slot_core.gait.route import Route
 from slot_core.geometry import wrapped
 from slot_core.key_frame import StateParts
 from slot_core.legs.leg_springs import LegSprings
 from slot_core.matrices import norm
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 
 LEAST_VELOCITY = 1e-4  # m/s, rad/s: below it a stride stands
 LONGEST_GAP = 0.5  # s between states; after a longer one the commands do not move
 SETTLING = 0.5  # s that the servos follow before a posture is corrected: the torso still swings
-FASTEST, FASTEST_TURN = (
-    1.0,
-    3.0,
-)  # m/s, rad/s of a torso; beyond it the odometry has jumped
+# m/s, rad/s of a torso; beyond it the odometry has jumped
+FASTEST, FASTEST_TURN = 1.0, 3.0
 
 
 @dataclass
-class _ActivePosture:
-    """A posture that is held."""
+class _Active:
+    """A posture that is held, or a stride that runs."""
 
     name: str
-    gait: Posture
-    phase = 0.0
-
-
-@dataclass
-class _ActiveStride:
-    """A stride that runs, with its phase."""
-
-    name: str
-    gait: Stride
-    phase: float = 0.0  # in [0, 1)
+    gait: Posture | Stride
+    phase: float = 0.0  # of a stride, in [0, 1)
     moving: float = 1.0  # share of the stride against standing on its centre
-
-
-_Active = _ActivePosture | _ActiveStride
 
 
 class GaitScheduler:
@@ -128,9 +114,8 @@ class GaitScheduler:
         self._requested, self._wanted = gait, np.array(velocity, dtype=float)
         self._remark = ""  # what of the velocity is clipped
         self._wanted_pose = self._home(wanted)
-        self._command_stamp: int | None = (
-            None  # ns, of the velocity; None: it does not expire
-        )
+        # ns, of the velocity; None: it does not expire
+        self._command_stamp: int | None = None
 
     def set_velocity(self, stamp: int, velocity: Array) -> None:
         """Set the velocity of the requested gait; after `velocity_timeout` it becomes zero.
@@ -140,7 +125,7 @@ class GaitScheduler:
         than `velocity_timeout` from the last state's. Such a command stops the robot, since it may
         have been a late stop.
         """
-        self._wanted, self._remark = clipped(self._settings, self._requested, velocity)
+        self._wanted, self._remark = self._settings.clipped(self._requested, velocity)
         self._command_stamp = stamp
         if self._stamp is not None and self._is_expired(self._stamp):
             self._stop()
@@ -191,11 +176,9 @@ class GaitScheduler:
         """Whether the robot is further from where it was seen last than it can move."""
         if self._seen is None:
             return False
-        moved, turned = (
-            norm(state[3:5] - self._seen[:2]),
-            wrapped(state[2] - self._seen[2]),
-        )
-        return bool(moved > FASTEST * elapsed or abs(turned) > FASTEST_TURN * elapsed)
+        distance = norm(state[3:5] - self._seen[:2])
+        angle = abs(wrapped(state[2] - self._seen[2]))
+        return bool(distance > FASTEST * elapsed or angle > FASTEST_TURN * elapsed)
 
     def _is_expired(self, stamp: int) -> bool:
         """Whether the velocity is too old at `stamp` (ns), or too far in the future."""
@@ -203,25 +186,20 @@ class GaitScheduler:
             return False
         return abs(stamp - self._command_stamp) > self._settings.velocity_timeout * 1e9
 
-    def _activate(self, name: str) -> _Active:
-        gait = self._settings.find(name)
-        if isinstance(gait, Stride):
-            return _ActiveStride(name, gait)
-        return _ActivePosture(name, gait)
+    def _activate(self, name: str, phase: float = 0.0, moving: float = 1.0) -> _Active:
+        return _Active(name, self._settings.find(name), phase, moving)
 
     @property
     def _running(self) -> list[list[object]]:
         """Name, phase and share of motion of the previous and of the present gait."""
-        both = self._previous, self._current
-        return [[a.name, a.phase, getattr(a, "moving", 1.0)] for a in both]
+        return [[a.name, a.phase, a.moving] for a in (self._previous, self._current)]
 
     @_running.setter
     def _running(self, both: Sequence[Sequence[Any]]) -> None:
-        made = [self._activate(name) for name, _, _ in both]
-        for active, (_, phase, moving) in zip(made, both):
-            if isinstance(active, _ActiveStride):
-                active.phase, active.moving = float(phase), float(moving)
-        self._previous, self._current = made
+        self._previous, self._current = (
+            self._activate(name, float(phase), float(moving))
+            for name, phase, moving in both
+        )
 
     def _home(self, gait: Posture | Stride) -> Array:
         """Height, roll and pitch (3,) of a gait without a commanded body pose."""
@@ -242,8 +220,9 @@ class GaitScheduler:
         """Let velocity and body pose follow their commands at limited rates."""
         s = self._settings
         wanted = self._wanted
-        if self._path is not None and isinstance(self._current, _ActiveStride):
-            wanted = self._current.gait.reached(self._path.velocity(state, self._speed))
+        gait = self._current.gait
+        if self._path is not None and isinstance(gait, Stride):
+            wanted = gait.reached(self._path.velocity(state, self._speed))
         rates = np.array([s.acceleration, s.acceleration, s.turn_acceleration])
         self._velocity = _toward(self._velocity, wanted, elapsed * rates)
         self._pose = self._pose_after(elapsed)
@@ -262,12 +241,11 @@ class GaitScheduler:
     def _stride(self, elapsed: float, state: Array) -> None:
         """Advance the strides that run, and the reference place."""
         for active in {id(a): a for a in (self._previous, self._current)}.values():
-            if isinstance(active, _ActiveStride):
-                active.moving = float(
-                    self._moving_after(active, np.array([elapsed]))[0]
-                )
+            if isinstance(active.gait, Stride):
+                moving = self._moving_after(active, np.array([elapsed]))
+                active.moving = float(moving[0])
         current = self._current
-        if isinstance(current, _ActivePosture) or self._waits():
+        if isinstance(current.gait, Posture) or self._waits():
             self._place = None
             return
         current.phase = (current.phase + elapsed / current.gait.period) % 1.0
@@ -287,12 +265,11 @@ class GaitScheduler:
     def _is_still(self) -> bool:
         return bool((np.abs(self._velocity) < LEAST_VELOCITY).all())
 
-    def _moving_after(self, active: _ActiveStride, times: Array) -> Array:
+    def _moving_after(self, active: _Active, times: Array) -> Array:
         """Share (n,) of a stride's motion at `times` (s) ahead."""
         change = times / max(self._settings.transition, 1e-9)
-        return np.clip(
-            active.moving + (-change if self._is_still() else change), 0.0, 1.0
-        )
+        later = active.moving - change if self._is_still() else active.moving + change
+        return np.clip(later, 0.0, 1.0)
 
     def _preview(self, stamp: int, state: Array) -> GaitPreview:
         times = self._settings.dt * np.arange(self._settings.stages, dtype=float)
@@ -337,44 +314,39 @@ class GaitScheduler:
         """Whether the legs follow the commands and are loaded."""
         if not self._followed or self._followed_for < SETTLING:
             return False
-        blends = self._since_change < self._settings.transition
-        gaits = (
-            [self._current.gait, self._previous.gait]
-            if blends
-            else [self._current.gait]
-        )
+        gaits = [self._current.gait]
+        if self._since_change < self._settings.transition:
+            gaits.append(self._previous.gait)
         return all(isinstance(gait, Stride) or gait.loaded for gait in gaits)
 
     def _blend(self, times: Array, velocity: Array) -> Array:
         """Blend (n, 20) of the previous and the present gait at velocities (n, 3)."""
         elapsed = self._since_change + times
-        weight = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)[
-            :, None
-        ]
+        share = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)
         current = self._table_ahead(self._current, times, velocity)
-        if weight.min() == 1.0:
+        if share.min() == 1.0:
             return current
-        return (1 - weight) * self._table_ahead(
-            self._previous, times, velocity
-        ) + weight * current
+        weight = share[:, None]
+        previous = self._table_ahead(self._previous, times, velocity)
+        return (1 - weight) * previous + weight * current
 
     def _table_ahead(self, active: _Active, times: Array, velocity: Array) -> Array:
         """Angles, normal forces and torso states (n, 20) of a gait at `times` (s) ahead."""
-        if isinstance(active, _ActiveStride):
-            return self._stride_table_ahead(active, times, velocity)
+        if isinstance(active.gait, Stride):
+            return self._stride_table_ahead(active, active.gait, times, velocity)
         if active.gait.loaded:
-            return self._posture_course(times)
+            return self._posture_table_ahead(times)
         slack = np.zeros((len(times), 20))
         slack[:, 13] = self._pose[0]
         return slack
 
     def _stride_table_ahead(
-        self, active: _ActiveStride, times: Array, velocity: Array
+        self, active: _Active, gait: Stride, times: Array, velocity: Array
     ) -> Array:
-        """Course (n, 20) of a stride that moves, stands on its centre, or changes between both."""
-        gait, moving = active.gait, self._moving_after(active, times)[:, None]
+        """Table (n, 20) of a stride that moves, stands on its centre, or changes between both."""
+        moving = self._moving_after(active, times)[:, None]
         if moving.max() == 0.0:
-            return self._posture_course(times)
+            return self._posture_table_ahead(times)
         advances = active is self._current and not self._waits()  # as in `_stride`
         ahead = times if advances else np.zeros_like(times)
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
@@ -382,9 +354,9 @@ class GaitScheduler:
         table[:, [13, 8, 9]] += self._pose - [gait.height, 0.0, 0.0]
         if moving.min() == 1.0:
             return table
-        return (1 - moving) * self._posture_course(times) + moving * table
+        return (1 - moving) * self._posture_table_ahead(times) + moving * table
 
-    def _posture_course(self, times: Array) -> Array:
+    def _posture_table_ahead(self, times: Array) -> Array:
         """Angles, normal forces and torso states (n, 20) of a posture; linear in the time ahead."""
         ends = np.stack(
             [self._posture_row(self._pose_after(t)) for t in (0.0, times[-1])]

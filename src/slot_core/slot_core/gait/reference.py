@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.geometry import rotate, wrapped
 from slot_core.matrices import norm
-from slot_core.robot import Array
 
 
 def moved(place: Array, velocity: Array, dt: float) -> Array:

@@ -13,14 +13,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.elementary import atan2, cos, sin
-from slot_core.files import read_text
 from slot_core.geometry import wrapped
 from slot_core.key_frame import StateParts
 from slot_core.matrices import interpolated, norm
-from slot_core.refusal import quoted
-from slot_core.robot import Array
+from slot_core.refusal import quoted, read_text
 
 POINTS_MAX, SIZE_MAX = 100_000, 10_000_000  # of a file, bytes
 FARTHEST = 1e6  # m from odom's origin

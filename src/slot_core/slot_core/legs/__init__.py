@@ -1,1 +1,1 @@
-"""Statics of one leg: force map over tendon angle and height, leg with friction."""
+"""Massless legs: the table of their statics, and the robot that stands on them."""

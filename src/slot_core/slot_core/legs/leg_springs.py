@@ -1,6 +1,6 @@
 """Legs as springs: normal force of a leg at rest over tendon angle and clamp height.
 
-From the table `config/leg_map.csv` (`legs/leg_map.py`), by bilinear interpolation.
+From the table `config/leg_map.csv` (`slot_lab.leg_tests.leg_map`), by bilinear interpolation.
 """
 
 from __future__ import annotations
@@ -9,10 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.matrices import interpolated
-from slot_core.robot import Array
 
 COLUMNS = ("force_N", "slope_N_per_rad", "stiffness_N_per_m", "contact_x_m")
 

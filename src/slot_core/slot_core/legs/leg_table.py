@@ -1,6 +1,6 @@
 """Tabulated statics of a leg, `config/leg_map.csv`: reader and bilinear interpolation.
 
-The file is written by `scripts/tabulate_leg`; its columns are defined in `leg_map.py`.
+`scripts/calibrate --leg-map` writes the file; `slot_lab.leg_tests.leg_map` defines its columns.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core import config
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, kernel
-from slot_core.files import read_text
-from slot_core.robot import Array
+from slot_core.refusal import read_text
 
 SIZE_MAX = 10_000_000  # bytes of the file
 

@@ -6,24 +6,25 @@ as well as the messages that the `rosbags` library reads from a bag.
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.faults import Fault
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import matrix_of_quaternion, rpy_of
 from slot_core.refusal import quoted
-from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, Array
-from slot_core.safety.commands import Action
-from slot_core.safety.servo_health import ServoHealth
+from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS
 from slot_core.safety.settings import GateSettings, ServoLimits
-from slot_core.safety.states import State
-from slot_core.safety.watchdog import Permission
+from slot_core.safety.states import Action, State
+from slot_core.safety.watchdog import Permission, ServoHealth
 
 LONGEST_SOURCE = 60  # characters of a name in lines
 ACTION_NUMBERS = (
@@ -159,30 +160,24 @@ def estimate(message: Any) -> Estimate:
 
 def preview(message: Any) -> GaitPreview:
     """Gait preview; raises ValueError if an array does not have the stated number of stages."""
-    stages = int(message.stages)
-
-    def rows(name: str, columns: int = 4) -> Array:
-        values = np.array(getattr(message, name))
-        if stages < 1 or values.size != stages * columns:
-            raise ValueError(
-                f"{name} has {values.size} values, not {stages} stages of {columns}"
-            )
-        return values.reshape(stages, columns)
-
-    reference = rows("reference", 12)
     is_older = not hasattr(message, "velocity_ahead")  # of a bag
+    ahead = (
+        np.zeros((message.stages, 3))
+        if is_older
+        else _of_stages(message, "velocity_ahead", 3)
+    )
     return GaitPreview(
         stamp=stamp(message),
         gait=message.gait,
         phase=message.phase,
         period=message.period,
         dt=message.dt,
-        contact=rows("contact").astype(bool),
-        friction=rows("friction"),
-        normal_force=rows("normal_force"),
-        tendon_angle=rows("tendon_angle"),
-        reference=reference,
-        velocity_ahead=np.zeros((stages, 3)) if is_older else rows("velocity_ahead", 3),
+        contact=_of_stages(message, "contact", 4).astype(bool),
+        friction=_of_stages(message, "friction", 4),
+        normal_force=_of_stages(message, "normal_force", 4),
+        tendon_angle=_of_stages(message, "tendon_angle", 4),
+        reference=_of_stages(message, "reference", 12),
+        velocity_ahead=ahead,
         corrected=is_older or message.corrected,
         command=GaitCommand(
             message.requested,
@@ -196,35 +191,36 @@ def preview(message: Any) -> GaitPreview:
 
 def plan(message: Any) -> tuple[int, TendonPlan]:
     """(stamp, plan) without its report; raises ValueError if an array does not fit its stages."""
-    stages, legs = int(message.stages), len(LEGS)
-    angle, force = np.array(message.angle), np.array(message.force)
-    if stages < 1 or force.size != 3 * legs * stages:
-        raise ValueError(
-            f"force has {force.size} values, not {stages} stages of {legs} vectors"
-        )
-    if angle.size not in {0, legs * stages}:
-        raise ValueError(
-            f"angle has {angle.size} values, not {stages} stages of {legs}"
-        )
-    pose = np.array(getattr(message, "pose", ()))
-    if pose.size not in {0, 6 * stages}:
-        raise ValueError(f"pose has {pose.size} values, not {stages} stages of 6")
-    foot = np.array(getattr(message, "foot", ()), dtype=float)
-    if foot.size not in {0, 3 * legs * stages}:
-        raise ValueError(
-            f"foot has {foot.size} values, not {stages} stages of {legs} places"
-        )
+    legs = len(LEGS)
     return stamp(message), TendonPlan(
-        angle=angle.reshape(-1, legs),
+        angle=_of_stages(message, "angle", legs, optional=True),
         rate=np.array(message.rate),
-        force=force.reshape(stages, legs, 3),
+        force=_of_stages(message, "force", legs, 3),
         status=Status(message.status),
         message=message.message,
         map=message.map,
         fallback_cycles=int(message.fallback_cycles),
-        pose=pose.reshape(-1, 6),
-        foot=foot.reshape(-1, legs, 3),
+        pose=_of_stages(message, "pose", 6, optional=True),
+        foot=_of_stages(message, "foot", legs, 3, optional=True),
     )
+
+
+def _of_stages(
+    message: Any, name: str, *shape: int, optional: bool = False
+) -> NDArray[Any]:
+    """An array of so many values a stage, (stages, *shape), or (0, *shape) of an optional one.
+
+    Raises ValueError for another number of values.
+    """
+    stages, each = int(message.stages), math.prod(shape)
+    values = np.array(getattr(message, name, ()))
+    if optional and not values.size:
+        return values.reshape(0, *shape)
+    if stages < 1 or values.size != stages * each:
+        raise ValueError(
+            f"{name} has {values.size} values, not {stages} stages of {each}"
+        )
+    return values.reshape(stages, *shape)
 
 
 def legs(message: Any) -> tuple[int, Array, Array, Array, Array]:
@@ -236,16 +232,17 @@ def legs(message: Any) -> tuple[int, Array, Array, Array, Array]:
     """
     count, position = int(message.nodes), np.array(message.position, dtype=np.float64)
     director = np.array(getattr(message, "director", ()), dtype=np.float64)
-    if count < 2 or position.size != len(LEGS) * count * 3:
-        raise ValueError(
-            f"position has {position.size} values, not 4 legs of {count} nodes"
-        )
-    if director.size not in {0, len(LEGS) * (count - 1) * 3}:
-        raise ValueError(
-            f"director has {director.size} values, not 4 legs of {count} nodes"
-        )
-    if not (np.isfinite(position).all() and np.isfinite(director).all()):
-        raise ValueError("position, director: expected finite numbers")
+    row = 3 * len(LEGS)
+    for name, values, sizes in (
+        ("position", position, {row * count}),
+        ("director", director, {0, row * (count - 1)}),
+    ):
+        if count < 2 or values.size not in sizes:
+            raise ValueError(
+                f"{name} has {values.size} values, not 4 legs of {count} nodes"
+            )
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name}: expected finite numbers")
     force = np.array([vector(f) for f in message.ground_force])
     shape = position.reshape(len(LEGS), count, 3), director.reshape(len(LEGS), -1, 3)
     return stamp(message), np.array(message.tension), force, *shape

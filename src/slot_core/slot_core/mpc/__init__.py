@@ -1,1 +1,1 @@
-"""Convex model predictive controller: problem, solvers, disturbance observer."""
+"""Convex model predictive controller: problem and solver."""

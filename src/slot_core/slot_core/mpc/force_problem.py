@@ -1,4 +1,4 @@
-"""Problem of the MPC on ground reaction forces: torso model, disturbance observer and solver.
+"""Problem of the MPC on ground reaction forces: its quadratic programme and solver.
 
 The paper's formulation, made well posed, for comparison. It takes the legs as ideal sources of
 force (`model.py`), which soft legs are not. As printed and as published: `paper_problem.py`.
@@ -7,90 +7,90 @@ force (`model.py`), which soft legs are not. As printed and as published: `paper
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+import clarabel
 import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
 
 from slot_core import config
-from slot_core.clock import to_seconds
-from slot_core.control.input_check import STAGE
-from slot_core.control.policy import TendonPlan
+from slot_core.arrays import Array
+from slot_core.control.input_check import STAGE_TIME
 from slot_core.gait.gait import GaitPreview
-from slot_core.key_frame import StateParts
-from slot_core.matrices import product
-from slot_core.mpc.disturbance import Disturbance
+from slot_core.matrices import product, sparse_product
 from slot_core.mpc.model import (
     FEET,
+    INPUTS,
+    STAGE,
+    STATES,
     FirstStage,
     Horizon,
-    HorizonQp,
     Prediction,
     TorsoModel,
     condensed_condition,
+    turned_to,
 )
 from slot_core.mpc.settings import MpcSettings
-from slot_core.mpc.solver import QpSolver, Solution
-from slot_core.robot import Array, RobotParameters
-
-LONGEST_GAP = 0.5  # s between ticks; after a longer one the acting forces are unknown
-
-
-@dataclass(frozen=True)
-class _LastTick:
-    """The last tick whose input was not rejected."""
-
-    stamp: int  # ns
-    state: Array  # (12,)
-    force: Array  # (4, 3) N, requested
+from slot_core.mpc.solver import Solution, options, solution_of
+from slot_core.robot import RobotParameters
 
 
 class ForceProblem:
-    """The problem with the values of the present tick, its observer and its solver."""
+    """Quadratic programme with the values of the present tick; its solver starts cold.
 
-    STATE = StateParts(
-        "_disturbance", "_solver", "_stamp", "_state", "_last", values=(_LastTick,)
-    )
+        min 1/2 z'Pz + c'z   subject to   C z + s = d,   z = [u_0, x_1, u_1, x_2, ...]
+
+    Rows of C: the dynamics, with s = 0; then, with s >= 0, friction, f_z >= 0 and f_z <= f_max of
+    every stage and leg. P and the sparsity of C are constant.
+    """
 
     def __init__(self, robot: RobotParameters, settings: MpcSettings):
         """Set up problem and solver.
 
         Raises ConfigError if the weights leave the problem ill-conditioned.
         """
-        self._settings, self._mass = settings, robot.mass
+        self._settings, self.mass = settings, robot.mass
         self._model = TorsoModel(robot)
-        self._disturbance = Disturbance(robot.mass, settings.disturbance)
-        weights, horizon = settings.weights, settings.horizon
-        generic = self._model.predict(0.3, 0.1, STAGE[1])
+        self.horizon = n = settings.horizon
+        # A prediction that is non-zero wherever any prediction is.
+        generic = self._model.predict(0.3, 0.1, STAGE_TIME[1])
         _check_condition(generic, settings)
-        self.qp = HorizonQp(weights.q, weights.r, horizon, generic)
-        self._solver = QpSolver(self.qp, settings.solver)
-        self._solver.solve()  # the first solve is slow (page faults): not during operation
-        self._stamp, self._state = 0, np.zeros(12)
-        self._ahead: Horizon | None = None
-        self._last: _LastTick | None = None
+        weights = np.concatenate([settings.weights.r, settings.weights.q])
+        self.weight = np.tile(weights, n)  # diagonal of P
+        self.target = np.zeros((n, STAGE))
+        rows = _rows(n, generic)
+        self.matrix = sparse.csc_matrix(rows.astype(float))  # C
+        self._slots = self.matrix.data.astype(np.intp) - 1  # of its entries' values
+        self.right = np.zeros(len(rows))  # d
+        feet, forces = np.zeros((n, FEET)), np.zeros((n, FEET, 3))
+        self._ahead = Horizon(feet, feet, forces, np.zeros((n, STATES)))
+        self._set(generic, np.zeros(STATES))
+        cones = [
+            clarabel.ZeroConeT(n * STATES),
+            clarabel.NonnegativeConeT(len(rows) - n * STATES),
+        ]
+        objective = sparse.diags(self.weight, format="csc"), self.c
+        parts = *objective, self.matrix, self.right, cones, options(settings.solver)
+        self._solver = clarabel.DefaultSolver(*parts)
+        self.solve()  # the first solve is slow (page faults): not during operation
 
     @property
-    def mass(self) -> float:
-        """Mass of the model, kg."""
-        return self._disturbance.mass
-
-    @property
-    def share(self) -> float:
-        """Estimated mass over the robot's nominal mass; scales the reference forces."""
-        return self._disturbance.mass / self._mass
+    def c(self) -> Array:
+        """Linear cost -P z_ref."""
+        return -self.weight * self.target.ravel()
 
     def read(self, preview: GaitPreview) -> FirstStage:
         """Take the limits and targets of a preview; returns those of its first stage.
 
         If the preview ends with stage H-1, its reference there is the target of state H too.
         """
-        now = np.arange(self._settings.horizon)
+        now = np.arange(self.horizon)
         following = np.minimum(now + 1, len(preview.reference) - 1)
         force = np.zeros((len(now), FEET, 3))
-        force[..., 2] = self.share * np.asarray(preview.normal_force)[now]
+        force[..., 2] = np.asarray(preview.normal_force)[now]
+        contact = np.asarray(preview.contact, dtype=float)[now]
         self._ahead = ahead = Horizon(
-            force_max=self._settings.force_max
-            * np.asarray(preview.contact, dtype=float)[now],
+            force_max=self._settings.force_max * contact,
             friction=np.asarray(preview.friction, dtype=float)[now],
             force_ref=force,
             state_ref=np.asarray(preview.reference, dtype=float)[following],
@@ -98,56 +98,81 @@ class ForceProblem:
         return FirstStage(ahead.force_max[0], ahead.friction[0], force[0], preview.rate)
 
     def update(self, state: Array, preview: GaitPreview) -> None:
-        """Set the present state (12,), at stage 0 of the preview that was read."""
-        assert self._ahead is not None
-        self._observe(state, preview.stamp)
-        self._stamp, self._state = preview.stamp, state
-        mass, bias = self._disturbance.mass, self._disturbance.bias
-        prediction = self._model.predict(state[2], state[5], preview.dt, mass, bias)
-        self.qp.update(prediction, state, self._ahead)
+        """Set the present state (12,), at stage 0 of the preview that was read.
+
+        The yaw of the targets is shifted by the full turns that bring it nearest to the state's.
+        """
+        self._set(self._model.predict(state[2], state[5], preview.dt), state)
+
+    def _set(self, prediction: Prediction, state: Array) -> None:
+        """Set C, d and the targets for a prediction from a state (12,) and the stages ahead."""
+        stages = self._ahead
+        entries = prediction.a.ravel(), prediction.b.ravel(), stages.friction.ravel()
+        values = np.concatenate([[1.0, -1.0], -np.concatenate(entries)])
+        self.matrix.data[:] = values[self._slots]
+        dynamics = self.right[: self.horizon * STATES].reshape(self.horizon, STATES)
+        dynamics[:] = prediction.drift
+        dynamics[0] += product(prediction.a, state)
+        self.right[-self.horizon * FEET :] = stages.force_max.ravel()
+        self.target[:, :INPUTS] = stages.force_ref.reshape(-1, INPUTS)
+        self.target[:, INPUTS:] = turned_to(stages.state_ref, state)
 
     def solve(self) -> Solution:
         """Solve the problem with its present values; raises nothing."""
-        return self._solver.solve()
-
-    def follow(self, plan: TendonPlan) -> None:
-        """Take the plan that the legs are commanded from this tick on."""
-        self._last = _LastTick(self._stamp, self._state, plan.force[0])
+        self._solver.update(q=self.c, A=self.matrix.data, b=self.right)
+        return solution_of(self._solver)
 
     def balance(self, force: Array) -> float:
         """Slack of the balance of forces (4, 3) with the weight: infinite, without such a limit."""
         return math.inf
 
     def forces(self, z: Array) -> Array:
-        """Forces (H, 4, 3) N at z."""
-        return self.qp.forces(z)
+        """Forces (H, 4, 3) N: the inputs in z."""
+        return z.reshape(self.horizon, STAGE)[:, :INPUTS].reshape(-1, FEET, 3).copy()
 
     def cost(self, z: Array) -> float:
-        """Objective at z."""
-        return self.qp.cost(z)
+        """Objective of `model.py` at z."""
+        error = z - self.target.ravel()
+        return float((error * (self.weight * error)).sum())
 
     def violation(self, z: Array) -> float:
-        """Largest violation of a limit, N."""
-        return self.qp.violation(z)
+        """Largest violation of a limit of the forces, N; zero if there is none."""
+        return float(max(0.0, self._excess(z)[self.horizon * STATES :].max()))
 
     def residual(self, z: Array) -> float:
-        """Largest error of the dynamics."""
-        return self.qp.residual(z)
+        """Largest error of the dynamics over the stages, SI units."""
+        return float(np.abs(self._excess(z)[: self.horizon * STATES]).max())
 
-    def _observe(self, state: Array, stamp: int) -> None:
-        """Update the disturbance observer, if it is on, with the state after the last tick."""
-        last = self._last
-        if last is None or self._settings.disturbance.time == 0.0:
-            return
-        dt = to_seconds(stamp - last.stamp)
-        if not 0.0 < dt <= LONGEST_GAP:
-            return
-        disturbance = self._disturbance
-        model = self._model.predict(
-            last.state[2], last.state[5], dt, disturbance.mass, disturbance.bias
-        )
-        predicted = product(model.a, last.state) + product(model.b, last.force.ravel())
-        disturbance.correct((predicted + model.drift)[6:], state[6:], dt)
+    def _excess(self, z: Array) -> Array:
+        """C z - d."""
+        return sparse_product(self.matrix, z) - self.right
+
+
+def _rows(horizon: int, pattern: Prediction) -> NDArray[np.int64]:
+    """Rows of C; an entry is the 1-based index of its value in [1, -1, -a, -b, -mu], or 0.
+
+    pattern: a prediction that is non-zero wherever any prediction is.
+    """
+    size = STATES * STATES, STATES * INPUTS, horizon * FEET
+    of_a, of_b, of_mu = np.split(3 + np.arange(sum(size)), np.cumsum(size[:2]))
+    a = np.where(pattern.a != 0, of_a.reshape(STATES, STATES), 0)
+    b = np.where(pattern.b != 0, of_b.reshape(STATES, INPUTS), 0)
+    dynamics = np.zeros((horizon, STATES, horizon, STAGE), dtype=np.int64)
+    friction = np.zeros((horizon, FEET, 4, horizon, STAGE), dtype=np.int64)
+    least, largest = np.zeros((2, horizon, FEET, horizon, STAGE), dtype=np.int64)
+    for k in range(horizon):
+        dynamics[k, :, k, :INPUTS] = b
+        dynamics[k, :, k, INPUTS:] = np.eye(STATES)
+        if k > 0:
+            dynamics[k, :, k - 1, INPUTS:] = a
+        for leg in range(FEET):  # +-f_x - mu f_z <= 0, +-f_y - mu f_z <= 0
+            f_x, f_z = 3 * leg, 3 * leg + 2
+            friction[k, leg, :, k, f_x:f_z] = [[1, 0], [2, 0], [0, 1], [0, 2]]
+            friction[k, leg, :, k, f_z] = of_mu[k * FEET + leg]
+            least[k, leg, k, f_z] = 2
+            largest[k, leg, k, f_z] = 1
+    parts = dynamics, friction, least, largest
+    return np.vstack([part.reshape(-1, horizon * STAGE) for part in parts])
 
 
 def _check_condition(prediction: Prediction, settings: MpcSettings) -> None:

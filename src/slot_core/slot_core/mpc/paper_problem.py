@@ -30,10 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from slot_core.control.policy import TendonPlan
+from slot_core.arrays import Array
 from slot_core.elementary import cos, hypot, sin
 from slot_core.gait.gait import GaitPreview
-from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product, sparse_product
 from slot_core.mpc.model import (
     FEET,
@@ -48,7 +47,7 @@ from slot_core.mpc.model import (
 )
 from slot_core.mpc.settings import PaperMpcSettings
 from slot_core.mpc.solver import Solution, options, solution_of
-from slot_core.robot import GRAVITY, Array, RobotParameters
+from slot_core.robot import GRAVITY, RobotParameters
 
 AXES = 3
 FRONT = (0, 1)
@@ -103,8 +102,6 @@ class _Phase:
 
 class PaperProblem:
     """The problem with the values of the present tick; a second-order cone programme."""
-
-    STATE = StateParts()
 
     def __init__(self, robot: RobotParameters, settings: PaperMpcSettings):
         """Set up the phases: FL pulled, FR pulled, none."""
@@ -162,9 +159,6 @@ class PaperProblem:
         )
         parts = *objective, self._matrix, self._right, self._cones, settings
         return solution_of(clarabel.DefaultSolver(*parts))
-
-    def follow(self, plan: TendonPlan) -> None:
-        """Nothing: there is no observer."""
 
     def balance(self, force: Array) -> float:
         """Slack of the balance of forces (4, 3) N with the weight, N."""

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import choice, flag, quantity, text
 from slot_core.gait.gait import Vector3
-from slot_core.mpc.disturbance import DisturbanceSettings
 from slot_core.mpc.model import FEET
 from slot_core.mpc.solver import MpcSolverSettings
-from slot_core.robot import Array
 
-FORCES = "forces"  # policy with the settings as they are
+FORCE_MPC = "force_mpc"  # policy with the settings as they are
 
 
 @dataclass(frozen=True)
@@ -76,7 +75,6 @@ class MpcSettings:
     """Settings of `config/mpc.yaml`."""
 
     weights: Weights
-    disturbance: DisturbanceSettings
     solver: MpcSolverSettings
     acceptance: Acceptance
     fallback: Fallback
@@ -134,10 +132,12 @@ class PaperMpcSettings(MpcSettings):
     terms: PaperTerms = text("terms of its problem")
 
 
-def read_mpc(policy: str = FORCES) -> MpcSettings:
+def read_mpc(policy: str = FORCE_MPC) -> MpcSettings:
     """The settings of `config/mpc.yaml`, or those of a policy of the paper; raises ConfigError."""
     return (
-        config.read(MpcSettings, "mpc") if policy == FORCES else read_paper_mpc(policy)
+        config.read(MpcSettings, "mpc")
+        if policy == FORCE_MPC
+        else read_paper_mpc(policy)
     )
 
 

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import quantity
 from slot_core.dynamics.scene import Scene
-from slot_core.robot import GRAVITY, Array, RobotParameters
+from slot_core.robot import GRAVITY, RobotParameters
 
 
 @dataclass(frozen=True)

@@ -64,9 +64,8 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.config import ConfigError
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
@@ -81,7 +80,8 @@ from slot_core.paper.numbers import (
     torso_model,
     torso_state,
 )
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.refusal import DivergenceError
+from slot_core.robot import LEGS, RobotParameters
 
 
 class PaperLeg:

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from slot_core import config
-from slot_core.files import ONNX, read_bytes
+from slot_core.names import ONNX
 from slot_core.recording.bag_error import BagError
-from slot_core.refusal import printable
+from slot_core.refusal import printable, read_bytes
 
 ORIGIN = "slot"  # name of the MCAP metadata record
 CONFIGURATION = "config.zip"  # name of the attachment

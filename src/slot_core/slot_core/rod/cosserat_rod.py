@@ -21,10 +21,8 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
-from slot_core.arrays import checked
-from slot_core.divergence import DivergenceError
-from slot_core.refusal import quoted
-from slot_core.robot import Array
+from slot_core.arrays import Array, checked
+from slot_core.refusal import DivergenceError, quoted
 from slot_core.rod import kernels
 from slot_core.rod.mesh import build_mesh
 from slot_core.rod.model import (

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.dynamics.rod import Sections, links, weights
 from slot_core.dynamics.spatial.refine import Refinement, tilts
-from slot_core.robot import Array
 from slot_core.rod.model import Geometry, Material, Support, need, numbers
 
 

@@ -15,9 +15,8 @@ from typing import Protocol
 import numpy as np
 
 from slot_core import section as moments
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.refusal import InputError, quoted
-from slot_core.robot import Array
 
 Vector = tuple[float, float, float]
 Components = tuple[bool, bool, bool]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_core.rod.model import RodError
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_core.rod import kernels
 from slot_core.rod.mesh import Mesh
 from slot_core.rod.model import RodError

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.dynamics.spatial.strain import Segments, segments
-from slot_core.robot import Array
 from slot_core.rod.mesh import Mesh
 
 

@@ -6,20 +6,20 @@ Times are those of a clock that never goes back, ns. A source that never reporte
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import to_ns, to_seconds
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
-from slot_core.hardware_error import hardware_errors
-from slot_core.robot import LEGS, Array
-from slot_core.safety.commands import Action
+from slot_core.faults import hardware_errors
+from slot_core.robot import LEGS
 from slot_core.safety.emergency_stop import EmergencyStop
-from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import SupervisorSettings
-from slot_core.safety.states import Condition
+from slot_core.safety.states import Action, Condition
+from slot_core.safety.watchdog import ServoHealth
 
 USABLE = (Validity.VALID, Validity.IMU_MISSING)
 
@@ -240,3 +240,32 @@ class Conditions:
 def _span(age: float) -> str:
     """Time since the last message, in words."""
     return "since the start" if math.isinf(age) else f"for {age:.3g} s"
+
+
+class OptionalNodes:
+    """Optional nodes such as recorder and viewer: the robot keeps walking when one ends.
+
+    The supervisor reports the end. Its node looks for them among the nodes that ROS has discovered.
+    So their end is noticed whatever has started them, and needs no message of theirs. A node that
+    leaves the graph is missing at once; one that was killed stays listed until its lease ends (20 s
+    with Fast DDS).
+    """
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self._names = frozenset(names)
+        self._seen: set[str] = set()
+        self._gone: list[str] = []
+
+    def look(self, present: Iterable[str]) -> None:
+        """Take the names of all nodes that are present."""
+        found = self._names.intersection(present)
+        self._gone = sorted(self._seen - found)
+        self._seen |= found
+
+    @property
+    def warnings(self) -> list[str]:
+        """One line for each that is gone."""
+        return [
+            f"node {name} has ended; the robot goes on without it"
+            for name in self._gone
+        ]

@@ -1,6 +1,7 @@
-"""Rate limiter: the last command before the servos, checked, and goals that follow it.
+"""Commands, and the rate limiter: the last command, checked, and goals that follow it.
 
-A command is accepted or rejected as a whole. The goals follow it with a budget of time per leg:
+A command is tendon angles at the time of its acceptance, and their rate until the next one. It is
+accepted or rejected as a whole. The goals follow it with a budget of time per leg:
 unused time is kept up to `burst`, and a leg moves at most its budget times the largest rate. So
 over any time T no goal moves further than rate_max (T + burst).
 """
@@ -12,10 +13,41 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_seconds
-from slot_core.robot import LEGS, Array
-from slot_core.safety.commands import AT_REST, Action, command_fault, extrapolated
+from slot_core.robot import LEGS
 from slot_core.safety.settings import GateSettings
+from slot_core.safety.states import Action
+
+AT_REST = np.zeros(len(LEGS))
+"""Rate (4,), rad/s, of a command whose angles stay."""
+AT_REST.flags.writeable = False
+EXTRAPOLATION_MAX = 0.1  # s after a command in which the goals continue at its rate
+
+
+def extrapolated(angle: Array, rate: Array, age: float | Array) -> Array:
+    """Angles (..., 4), rad, that commands have reached at their rates (..., 4), rad/s, and ages, s.
+
+    age: (...) or one for all; at most EXTRAPOLATION_MAX counts.
+    """
+    passed = np.minimum(np.maximum(age, 0.0), EXTRAPOLATION_MAX)
+    return angle + passed[..., None] * rate
+
+
+def command_fault(angle: Array, rate: Array, low: float, high: float) -> str:
+    """One line that names the first angle outside [low, high] or value not finite, or ""."""
+    for name, values in (("command", angle), ("rate", rate)):
+        if np.shape(values) != (len(LEGS),):
+            return f"{name} has the shape {np.shape(values)}, limit ({len(LEGS)},)"
+    for leg, value in zip(LEGS, angle):
+        if not low <= value <= high:  # NaN is not
+            return (
+                f"command {leg} = {value:.4g} rad is not inside [{low:.4g}, {high:.4g}]"
+            )
+    for leg, value in zip(LEGS, rate):
+        if not np.isfinite(value):
+            return f"rate {leg} = {value:.4g} rad/s is not finite"
+    return ""
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 States and transitions are data (`states.py`). Conditions that forbid motion come from
 `conditions.py`, damaged tendons from `tendon_watch.py`. Commands do not pass through here: the
-driver and simulated servos check them (`watchdog.py`) and report back (`servo_health.py`).
+driver and simulated servos check them and report back (`watchdog.py`).
 Every input and `step` carry the present time `now` (ns) of one clock, that of the messages' stamps.
 Bad data raise no exception: they are rejected, and then count as missing.
 """
@@ -14,27 +14,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slot_core.clock import SECOND, to_seconds
+from slot_core.arrays import Array
+from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.estimation.estimate import Estimate
-from slot_core.robot import LEGS, Array, RobotParameters
-from slot_core.safety.commands import AT_REST, Action, command_fault
-from slot_core.safety.companions import OptionalNodes
-from slot_core.safety.conditions import Conditions
+from slot_core.robot import LEGS, RobotParameters
+from slot_core.safety.conditions import Conditions, OptionalNodes
 from slot_core.safety.motion_watch import MotionWatch
-from slot_core.safety.requests import FORBIDDEN_BY, OPERATOR, Request, no_change
-from slot_core.safety.servo_health import ServoHealth
+from slot_core.safety.rate_limiter import AT_REST, command_fault
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import (
     ACTIONS,
     FAULTS,
+    FORBIDDEN_BY,
+    OPERATOR,
     REASONS_TO_HOLD,
     REASONS_TO_RELAX,
+    Action,
     Condition,
+    Request,
     State,
     next_state,
+    no_change,
 )
-from slot_core.safety.steady_clock import SteadyClock
 from slot_core.safety.tendon_watch import TendonReport, TendonWatch
+from slot_core.safety.watchdog import ServoHealth
 
 PERIOD = 0.02  # s, between two steps without an urgent input
 MOVING = (State.STANDING, State.WALKING)
@@ -60,6 +63,28 @@ class Report:
     def keeps_gait(self) -> bool:
         """Whether gait and velocity stay as they were requested last: in HOLD and after it."""
         return self.state is State.HOLD or self.resumed
+
+
+class SteadyClock:
+    """Time that never goes back; a jump of the clock adds nothing to it."""
+
+    def __init__(self, jump: float):
+        self._jump, self._time = to_ns(jump), 0
+        self._last: int | None = None
+        self.jumped = ""  # one line on the last jump, until it is cleared
+
+    def advance(self, now: int) -> int:
+        """Steady time at `now`, both ns."""
+        passed = 0 if self._last is None else now - self._last
+        self._last = now
+        if abs(passed) > self._jump:
+            limit = to_seconds(self._jump)
+            self.jumped = (
+                f"clock jumped by {to_seconds(passed):+.3g} s, limit {limit:g}"
+            )
+            passed = 0
+        self._time += max(passed, 0)
+        return self._time
 
 
 class Supervisor:

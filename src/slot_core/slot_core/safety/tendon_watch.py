@@ -30,10 +30,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.legs.leg_table import LegTable, read_leg_table
-from slot_core.robot import LEGS, Array, RobotParameters
-from slot_core.safety.moving_window import MovingWindow
+from slot_core.robot import LEGS, RobotParameters
+from slot_core.safety.motion_watch import MovingWindow
 from slot_core.safety.settings import TendonLimits
 
 SIDES = np.array([1.0, 1.0, -1.0, -1.0])  # front and rear, in the order of LEGS

@@ -1,21 +1,56 @@
-"""The supervisor on a simulated clock: it steps on the reports of the servos, in a fixed order.
+"""The supervisor on a simulated clock, and its start-up without an operator.
 
-Inputs carry the time at which they arrived on the robot's clock. Those that came since the last
-step are taken in the order of these times, so the order of processes and messages has no effect,
-and equal runs are equal to the last bit.
+It steps on the reports of the servos, in a fixed order. Inputs carry the time at which they arrived
+on the robot's clock. Inputs since the last step are taken in the order of these times, so the order
+of processes and messages has no effect, and equal runs are equal to the last bit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from slot_core.safety.servo_health import ServoHealth
 from slot_core.safety.settings import NODES
-from slot_core.safety.start_up import StartUp
+from slot_core.safety.states import RELEASED, Request
 from slot_core.safety.supervisor import Report, Supervisor
+from slot_core.safety.watchdog import ServoHealth
 
+NOT_THE_FIRST = (
+    "start-up: the servos have obeyed an earlier supervisor, so an operator decides"
+)
 SOURCES = ("joints", *NODES, "e-stop")  # inputs of one time are taken in this order
 Take = Callable[[int], object]
+
+
+class StartUp:
+    """Sequence of requests to the supervisor, each repeated until it is granted.
+
+    The sequence ends with the operator's first request, granted or not, and when the robot enters
+    RELAX, ESTOP or FAULT. It does not begin where the servos have obeyed an earlier supervisor,
+    which may have been in ESTOP or FAULT. From then on only the operator makes requests.
+    """
+
+    def __init__(self, *steps: Request):
+        self._left = list(steps)
+        self._began: int | None = None  # ns, of the first call
+        self._hindrance = ""
+
+    def request_next(self, supervisor: Supervisor, now: int) -> str:
+        """Make the next request at `now` (ns); returns why not, or why it is refused, or ""."""
+        self._began = now if self._began is None else self._began
+        if supervisor.operated or supervisor.state in RELEASED:
+            self._left.clear()
+        if not self._left:
+            return ""
+        if supervisor.supervised is None:
+            return "start-up: no report of the servos yet"
+        if 0 < supervisor.supervised < self._began:
+            self._hindrance = NOT_THE_FIRST
+        if self._hindrance:
+            return self._hindrance
+        refusal = supervisor.request(now, self._left[0], "the start-up")
+        if not refusal:
+            del self._left[0]
+        return refusal
 
 
 class TickedSupervisor:

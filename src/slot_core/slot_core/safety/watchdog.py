@@ -17,17 +17,29 @@ counts under PASS only. Times are those of a clock that never goes back, ns.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_seconds
-from slot_core.robot import LEGS, Array
-from slot_core.safety.commands import AT_REST, Action
-from slot_core.safety.rate_limiter import Goals, RateLimiter, unchanged
+from slot_core.robot import LEGS
+from slot_core.safety.rate_limiter import AT_REST, Goals, RateLimiter, unchanged
 from slot_core.safety.settings import ServoLimits
+from slot_core.safety.states import Action
 
 NO_LIMITS = "no limits of the supervisor yet"
+ZEROS, UNKNOWN = partial(np.zeros, len(LEGS)), partial(np.full, len(LEGS), np.nan)
+
+
+def _no() -> NDArray[np.bool_]:
+    return np.zeros(len(LEGS), dtype=np.bool_)
+
+
+def _no_error() -> NDArray[np.int64]:
+    return np.zeros(len(LEGS), dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -39,6 +51,40 @@ class Permission:
     fast: bool  # goals may move at rate_max: they have reached the commands
     reason: str
     stamp: int = 0  # ns, of the supervisor's message
+
+
+@dataclass(frozen=True)
+class ServoHealth:
+    """State of the servos and their action on commands; arrays (4,) in the order of LEGS.
+
+    The values left out are those of servos without faults.
+    """
+
+    action: Action
+    reason: str  # why the action is not PASS, or ""
+    torque: NDArray[np.bool_]  # as read back
+    goal: Array  # rad, tendon angles sent to the servos last
+    slewed: NDArray[np.bool_] = field(
+        default_factory=_no
+    )  # whether the rate limit held it back
+    silence: Array = field(
+        default_factory=ZEROS
+    )  # s since the last answer; inf: never answered
+    hardware_error: NDArray[np.int64] = field(
+        default_factory=_no_error
+    )  # bits of HardwareError
+    temperature: Array = field(default_factory=UNKNOWN)  # degC; NaN: not known
+    voltage: Array = field(default_factory=UNKNOWN)  # V; NaN: not known
+    error_rate: Array = field(
+        default_factory=ZEROS
+    )  # share of the last exchanges that failed
+    commanded: int = (
+        0  # ns, stamp of the command written last, in lockstep arrived last; 0: none
+    )
+    written: int = 0  # ns, time of that
+    supervised: int = (
+        0  # ns, stamp of the first message of a supervisor that they took; 0: none
+    )
 
 
 class Watchdog:

@@ -22,15 +22,12 @@ class EmulatedPort(Protocol):
     @property
     def in_use(self) -> bool:
         """Whether a released port is still open at the driver's side."""
-        ...
 
     def release(self) -> None:
         """Keep the device only while the driver has it open."""
-        ...
 
     def close(self) -> None:
         """Remove the device; may be called again."""
-        ...
 
 
 class EmulatedServos(Protocol):
@@ -38,35 +35,27 @@ class EmulatedServos(Protocol):
 
     def advance(self, dt: float, torques: Sequence[float] | Array) -> Array:
         """Advance by dt (s) under torques (4,), N m, on the tendon angles; returns these, rad."""
-        ...
 
     def powered(self) -> tuple[str, ...]:
         """Names of the legs whose servos have torque on."""
-        ...
 
     def driven(self) -> bool:
         """Whether the driver moves a servo: torque is on, with a goal away from where it is."""
-        ...
 
     def watchdog_left(self) -> float:
         """Time until the first servo is stopped by its own watchdog, s; inf: none is armed."""
-        ...
 
     def inject(self, fault: Fault) -> None:
         """Start a fault of BUS_KINDS; raises ConfigError for a kind that the servos cannot have."""
-        ...
 
     def clear(self, fault: Fault) -> None:
         """End a fault; a servo that it has stopped remains so until `ServoBus.activate`."""
-        ...
 
     def connect(self, clock: Clock) -> ServoBus:
         """A bus in this process; its exchanges take no time."""
-        ...
 
     def serve(self, link: Path | None) -> EmulatedPort:
         """A device for a driver in another process, under the name `link` if there is one."""
-        ...
 
 
 Emulate: TypeAlias = "Callable[[Sequence[float] | Array, float], EmulatedServos]"

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from slot_core import config
 from slot_core.config import ConfigError, text
-from slot_core.files import read_text
-from slot_core.refusal import quoted
+from slot_core.refusal import quoted, read_text
 from slot_core.servos.brand import Brand
 
 

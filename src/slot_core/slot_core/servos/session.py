@@ -18,15 +18,22 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import to_ns, to_seconds
 from slot_core.config import ConfigError
-from slot_core.robot import LEGS, Array
-from slot_core.safety.commands import AT_REST, Action
-from slot_core.safety.servo_health import ServoHealth
-from slot_core.safety.watchdog import NO_LIMITS, Permission, Watchdog
-from slot_core.servos.servo_bus import ServoBus
-from slot_core.servos.servo_errors import RefusedError, ServoError
-from slot_core.servos.servo_state import BusFacts, Cycle, ServoStatus, TorqueOff
+from slot_core.robot import LEGS
+from slot_core.safety.rate_limiter import AT_REST
+from slot_core.safety.states import Action
+from slot_core.safety.watchdog import NO_LIMITS, Permission, ServoHealth, Watchdog
+from slot_core.servos.servo_bus import (
+    BusFacts,
+    Cycle,
+    RefusedError,
+    ServoBus,
+    ServoError,
+    ServoStatus,
+    TorqueOff,
+)
 
 LATE = 1.5  # periods between two cycles that count as an overrun
 STARTS = (Action.HOLD, Action.PASS)  # actions under which torque comes on

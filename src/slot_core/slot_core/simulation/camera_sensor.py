@@ -13,7 +13,7 @@ from slot_core.estimation.state_estimator import read_estimator
 from slot_core.geometry import Transform, optical
 from slot_core.refusal import quoted
 from slot_core.robot import BASE_FRAME, ODOM_FRAME
-from slot_core.simulation.sensors import ImageReading
+from slot_core.simulation.readings import ImageReading
 from slot_core.vision.board import Board, GreyImage, make_board, print_of
 from slot_core.vision.camera import nominal
 from slot_core.vision.localizer import MarkerLocalizer

@@ -14,8 +14,13 @@ from collections.abc import Iterable, Iterator
 
 from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
 from slot_core.servos.brand import EmulatedServos
-from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth
-from slot_core.simulation.sensors import ImageReading, OdometryReading
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import (
+    ImageReading,
+    OdometryReading,
+    Reading,
+    StampedHealth,
+)
 from slot_core.simulation.simulated_servos import SimulatedServos
 
 PATIENCE = SECOND // 2  # ns, longest wait for a late driver

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
 from slot_core.control.controller import Controller, Tick
 from slot_core.control.policies import DEFAULT_POLICY
@@ -16,9 +17,14 @@ from slot_core.dynamics.scene import CameraSettings, Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.route import Route
-from slot_core.robot import Array, RobotParameters, read_robot
-from slot_core.simulation.plant import Reading, RobotSimulator
-from slot_core.simulation.sensors import ImageReading, ImuReading, OdometryReading
+from slot_core.robot import RobotParameters, read_robot
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import (
+    ImageReading,
+    ImuReading,
+    OdometryReading,
+    Reading,
+)
 
 if TYPE_CHECKING:
     from slot_core.vision.localizer import MarkerLocalizer

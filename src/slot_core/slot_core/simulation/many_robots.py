@@ -10,17 +10,16 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, unlocked_kernel
 from slot_core.dynamics.handle import contents_at
 from slot_core.dynamics.integrator import advance_contents
 from slot_core.dynamics.lanes import in_lanes
-from slot_core.dynamics.simulated_robot import require_steps
+from slot_core.dynamics.simulated_robot import KernelRobot, require_steps
 from slot_core.geometry import roll_pitch_yaw
-from slot_core.robot import LEGS, Array
-from slot_core.simulation.kernel_robot import KernelRobot
+from slot_core.legs.tabulated_kernels import divergence_of, one_step
+from slot_core.robot import LEGS
 from slot_core.simulation.rod_robot import RodRobot
-from slot_core.simulation.tabulated_kernels import divergence_of, one_step
 
 STATE, ANGLE, TENSION = slice(0, 12), slice(12, 16), slice(16, 20)
 """Columns of the motion: state as in `Estimate`, tendon angles (rad), tensions (N)."""

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.arrays import checked
+from slot_core.arrays import Array, checked
 from slot_core.config import ConfigError
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
@@ -22,12 +21,12 @@ from slot_core.dynamics.model import (
 )
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import require_steps
+from slot_core.dynamics.simulated_robot import KernelRobot, require_steps
 from slot_core.dynamics.spatial.strain import segments
 from slot_core.geometry import Transform
 from slot_core.matrices import product
-from slot_core.robot import LEGS, Array, RobotParameters
-from slot_core.simulation.kernel_robot import KernelRobot
+from slot_core.refusal import DivergenceError
+from slot_core.robot import LEGS, RobotParameters
 
 
 class RodRobot(KernelRobot):

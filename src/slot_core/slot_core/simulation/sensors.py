@@ -2,45 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from slot_core.dynamics.scene import ImuSettings, OdometrySettings
+from slot_core.arrays import Array
+from slot_core.dynamics.scene import CameraSettings, ImuSettings, OdometrySettings
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.elementary import cos, log
 from slot_core.geometry import quaternion_of_vector, quaternion_product, rotate
 from slot_core.matrices import product
-from slot_core.robot import Array
+from slot_core.simulation.readings import ImuReading, OdometryReading, lost_odometry
 
-
-@dataclass(frozen=True)
-class OdometryReading:
-    """Pose of base_link in odom, twist in base_link, at `stamp` (ns)."""
-
-    stamp: int
-    position: Array  # (3,) m
-    quaternion: Array  # (4,) x y z w
-    velocity: Array  # (3,) m/s
-    angular_velocity: Array  # (3,) rad/s
-
-
-@dataclass(frozen=True)
-class ImageReading:
-    """Grey image of the camera at `stamp` (ns), mid exposure."""
-
-    stamp: int
-    grey: NDArray[np.uint8]  # (h, w)
-
-
-@dataclass(frozen=True)
-class ImuReading:
-    """Angular velocity and specific force in base_link at `stamp` (ns)."""
-
-    stamp: int
-    angular_velocity: Array  # (3,) rad/s
-    specific_force: Array  # (3,) m/s^2
+if TYPE_CHECKING:
+    from slot_core.simulation.camera_sensor import CameraSensor
 
 
 def normal(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
@@ -55,11 +30,6 @@ def true_odometry(sim: SimulatedRobot, stamp: int) -> OdometryReading:
     return OdometryReading(
         stamp, sim.position, sim.quaternion, velocity, sim.angular_velocity
     )
-
-
-def lost_odometry(stamp: int) -> OdometryReading:
-    """The reading of a visual SLAM that is lost: a quaternion of zeros, as RTAB-Map publishes it."""
-    return OdometryReading(stamp, np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3))
 
 
 class OdometrySensor:
@@ -147,3 +117,14 @@ class ImuSensor:
             sim.angular_velocity + self.bias + self._settings.rate_noise * rate_noise,
             sim.specific_force + self._settings.acceleration_noise * force_noise,
         )
+
+
+def make_camera(
+    settings: CameraSettings, rng: np.random.Generator
+) -> CameraSensor | None:
+    """The camera of a scene, if it has one; OpenCV is loaded only then."""
+    if not settings.enabled:
+        return None
+    from slot_core.simulation.camera_sensor import CameraSensor  # noqa: PLC0415
+
+    return CameraSensor(settings, rng)

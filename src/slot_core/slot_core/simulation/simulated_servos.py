@@ -23,19 +23,20 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import to_ns, to_seconds
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.servo import read_servo
-from slot_core.robot import LEGS, Array
-from slot_core.safety.commands import AT_REST, Action
-from slot_core.safety.rate_limiter import unchanged
-from slot_core.safety.servo_health import ServoHealth
+from slot_core.refusal import DivergenceError
+from slot_core.robot import LEGS
+from slot_core.safety.rate_limiter import AT_REST, unchanged
+from slot_core.safety.states import Action
 from slot_core.safety.supervisor import PERIOD
-from slot_core.safety.watchdog import Permission, Watchdog
+from slot_core.safety.watchdog import Permission, ServoHealth, Watchdog
 from slot_core.servos.brand import EmulatedPort, EmulatedServos
-from slot_core.servos.servo_errors import PortError, RefusedError
+from slot_core.servos.servo_bus import PortError, RefusedError
 from slot_core.servos.session import ServoSession
-from slot_core.simulation.plant import CYCLE, Reading, RobotSimulator, StampedHealth
+from slot_core.simulation.plant import CYCLE, RobotSimulator
+from slot_core.simulation.readings import Reading, StampedHealth
 
 CYCLES = round(PERIOD / CYCLE)  # between two reports
 CLOSE_TIMEOUT = 3.0  # s, for the driver to switch the servos off
@@ -102,7 +103,7 @@ class SimulatedServos(ABC):
 
     def start(self) -> None:
         """Begin the cycles in lockstep; the robot's clock has started."""
-        self._plant.every(CYCLE, self._cycle)
+        self._plant.timeline.every(CYCLE, self._cycle)
 
     def report(self) -> StampedHealth:
         """The health now, with the newest command, in lockstep."""

@@ -10,25 +10,25 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.clock import LOCKSTEP_START, to_ns
 from slot_core.control.controller import Tick
 from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.gait.gait import STAND
-from slot_core.joint_reading import JointReading
-from slot_core.robot import Array, RobotParameters, read_robot
-from slot_core.safety.requests import Request
+from slot_core.robot import RobotParameters, read_robot
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.start_up import StartUp
-from slot_core.safety.states import State
+from slot_core.safety.states import Request, State
 from slot_core.safety.supervisor import Report, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
-from slot_core.safety.ticked_supervisor import TickedSupervisor
+from slot_core.safety.ticked_supervisor import StartUp, TickedSupervisor
 from slot_core.safety.watchdog import Permission
 from slot_core.servos.registry import read_brand
+from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
-from slot_core.simulation.plant import Reading, RobotSimulator, StampedHealth
+from slot_core.simulation.plant import RobotSimulator
+from slot_core.simulation.readings import Reading, StampedHealth
 from slot_core.simulation.simulated_servos import make_servos
 
 

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.geometry import Transform
-from slot_core.robot import Array
 from slot_core.vision.settings import BoardSettings
 
 GreyImage = NDArray[np.uint8]

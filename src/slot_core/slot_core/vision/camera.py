@@ -18,9 +18,8 @@ import numpy as np
 import yaml
 
 from slot_core import config
-from slot_core.files import read_text
-from slot_core.refusal import InputError, quoted
-from slot_core.robot import Array
+from slot_core.arrays import Array
+from slot_core.refusal import InputError, quoted, read_text
 from slot_core.vision.settings import Intrinsics
 
 MODELS = {"plumb_bob": 5, "rational_polynomial": 8}  # coefficients by name in ROS
@@ -149,7 +148,7 @@ def from_camera_info(  # noqa: PLR0917
         raise CameraError(f"K has {matrix.size} values, expected 9")
     if matrix[0] == 0.0:
         raise CameraError(
-            "K[0] = 0: the camera is not calibrated, see scripts/calibrate_camera"
+            "K[0] = 0: the camera is not calibrated, see scripts/calibrate --camera"
         )
     if not distortion.size:
         distortion, model = np.zeros(5), "plumb_bob"

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera, CameraError
 from slot_core.vision.edges import refined_rays

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera
 

@@ -17,10 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_seconds
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
-from slot_core.robot import BASE_FRAME, ODOM_FRAME, Array
+from slot_core.robot import BASE_FRAME, ODOM_FRAME
 from slot_core.vision.board import GreyImage, make_board
 from slot_core.vision.camera import Camera
 from slot_core.vision.detector import Detection, MarkerDetector, other_dictionary

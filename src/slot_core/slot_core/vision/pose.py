@@ -3,7 +3,7 @@
 A plane seen nearly from the front or from afar has two poses that explain it about as well,
 mirrored at the line of sight (Collins, Bartoli, "Infinitesimal plane-based pose estimation", 2014:
 IPPE).
-Both are returned, each refined by Gauss-Newton on the reprojection error
+Both are returned, each refined by Levenberg and Marquardt's method on the reprojection error
 
     e = sum |pi(R X + t) - x|^2,   pi(X, Y, Z) = (X / Z, Y / Z)
 
@@ -20,12 +20,11 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.geometry import Transform
-from slot_core.robot import Array
 from slot_core.vision.camera import Camera
 
-ITERATIONS = 6
-SMALL = 1e-6  # m and rad, step at which they end
+ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 1e-9)
 CERTAIN = 5.0  # error of the second pose over the first's from which it is not refined
 
 
@@ -61,11 +60,7 @@ def board_poses(
     errors = np.ravel(given)
     tried = 1 if count > 1 and errors[1] > CERTAIN * max(errors[0], noise) else count
     for turn, place in zip(turns[:tried], places[:tried]):
-        start = Transform(
-            np.asarray(cv2.Rodrigues(turn)[0], np.float64),
-            np.asarray(place, np.float64).ravel(),
-        )
-        refined = _refined(start, points, rays)
+        refined = _refined(turn, place, points, rays)
         if refined is not None:
             found.append(refined)
     if not found:
@@ -93,46 +88,29 @@ def _board_pose(
 
 
 def _refined(
-    start: Transform, points: Array, rays: Array
+    turn: Array, place: Array, points: Array, rays: Array
 ) -> tuple[float, Transform, Array] | None:
-    """RMS error, pose and Jacobian (2n, 6) after Gauss-Newton; None without a solution."""
-    pose = start
-    for _ in range(ITERATIONS):
-        turned = points @ pose.rotation.T
-        residual, jacobian = _residual(turned, turned + pose.position, rays)
-        normal = jacobian.T @ jacobian
-        try:
-            step = np.linalg.solve(normal, -jacobian.T @ residual)
-        except np.linalg.LinAlgError:
-            return None
-        turn = np.asarray(cv2.Rodrigues(step[3:])[0], np.float64)
-        pose = Transform(turn @ pose.rotation, pose.position + step[:3])
-        if np.abs(step).max() < SMALL:
-            break
+    """RMS error, pose and Jacobian (2n, 6) at the least error near a pose; None without one.
+
+    turn: (3, 1) rotation vector; place: (3, 1) m. The Jacobian is by position and by a small turn
+    of q = R X about the axes of the optical frame: at a rotation vector of zero OpenCV's derivative
+    by it is this one.
+    """
+    pinhole = np.eye(3)
+    turn, place = cv2.solvePnPRefineLM(
+        points, rays[:, None], pinhole, None, turn, place, ACCURATE
+    )
+    pose = Transform(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.ravel(place))
     turned = points @ pose.rotation.T
-    seen = turned + pose.position
-    residual, jacobian = _residual(turned, seen, rays)
-    usable = np.isfinite(residual).all() and (seen[:, 2] > 0).all()
-    if not usable or np.linalg.cond(jacobian.T @ jacobian) > 1e14:
+    seen, slopes = cv2.projectPoints(turned, np.zeros(3), place, pinhole, None)
+    residual = np.ravel(seen) - rays.ravel()
+    jacobian = np.concatenate([slopes[:, 3:6], slopes[:, :3]], axis=1)
+    in_front = (turned[:, 2] + pose.position[2] > 0).all()
+    if not (in_front and np.isfinite(residual).all()):
+        return None
+    if np.linalg.cond(jacobian.T @ jacobian) > 1e14:
         return None
     return float(np.sqrt(2 * np.mean(residual**2))), pose, jacobian
-
-
-def _residual(turned: Array, seen: Array, rays: Array) -> tuple[Array, Array]:
-    """Residuals (2n,) and their derivatives (2n, 6) by position and rotation vector.
-
-    With q = R X and (u, v) = pi(q + t): d (R X) = d x q.
-    """
-    (a, b, c), inverse = turned.T, 1 / seen[:, 2]
-    u, v = seen[:, 0] * inverse, seen[:, 1] * inverse
-    jacobian = np.zeros((len(seen), 2, 6))
-    jacobian[:, 0, 0] = jacobian[:, 1, 1] = inverse
-    jacobian[:, 0, 2], jacobian[:, 1, 2] = -u * inverse, -v * inverse
-    jacobian[:, 0, 3], jacobian[:, 1, 3] = -u * b * inverse, -(c + v * b) * inverse
-    jacobian[:, 0, 4], jacobian[:, 1, 4] = (c + u * a) * inverse, v * a * inverse
-    jacobian[:, 0, 5], jacobian[:, 1, 5] = -b * inverse, a * inverse
-    residual = np.column_stack([u, v]) - rays
-    return residual.ravel(), jacobian.reshape(-1, 6)
 
 
 def _angle(a: Transform, b: Transform) -> float:

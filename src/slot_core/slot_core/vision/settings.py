@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import cv2
 
 from slot_core import config
-from slot_core.body_points import BODY_POINTS
 from slot_core.config import ConfigError, choice, quantity, text
 from slot_core.refusal import quoted
-from slot_core.robot import BASE_FRAME, ODOM_FRAME
+from slot_core.robot import BASE_FRAME, BODY_POINTS, ODOM_FRAME
 
 CARRIERS = ("torso", "world")  # what the camera stands on
 

@@ -25,7 +25,6 @@ from rosbags.serde import SerdeError
 
 from slot_core import config
 from slot_core.clock import to_seconds
-from slot_core.files import read_text, require_regular
 from slot_core.recording.bag_error import BagError, NoFieldError
 from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.message_types import Types, add_installed, types_inside
@@ -35,7 +34,7 @@ from slot_core.recording.record_settings import (
     read_record_settings,
     root_of,
 )
-from slot_core.refusal import one_line
+from slot_core.refusal import one_line, read_text, require_regular
 from slot_lab.bags.repair import is_complete, read_origin, repaired
 
 __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.clock import to_seconds
-from slot_core.robot import Array
 from slot_lab.bags.bag import Bag, BagError, Stamps
 from slot_lab.bags.recorded_walk import (
     TorsoTrack,

@@ -8,9 +8,10 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.geometry import matrix_of_quaternion, rotate, rpy_of
-from slot_core.robot import TENDON_JOINTS, Array
+from slot_core.robot import TENDON_JOINTS
 from slot_lab.bags.bag import Bag, BagError, Series, Stamps
 from slot_lab.bags.topics import ESTIMATE, GROUND_TRUTH
 

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.progress import ProgressLine
-from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
+from slot_core.robot import RobotParameters, read_parameters, read_robot
 from slot_lab.calibration import parameter_file
 from slot_lab.calibration.data import Data, read_data
 from slot_lab.calibration.experiments import (

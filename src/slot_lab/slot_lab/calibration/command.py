@@ -3,6 +3,11 @@
 DATA.csv has one measurement a row: the range of a marker, the force at a tendon angle or a
 deflection. slot_lab/calibration/data.py describes the columns;
 config/parameters/paper_single_leg.csv is an example.
+
+With another first word, each with a --help:
+  --camera    calibrates a camera from images of the chessboard
+  --print     writes the boards and markers to print
+  --leg-map   writes config/leg_map.csv: force and stiffness of one leg at rest
 """
 
 from __future__ import annotations

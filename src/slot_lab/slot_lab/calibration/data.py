@@ -28,8 +28,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from slot_core.files import read_bytes
-from slot_core.refusal import quoted
+from slot_core.refusal import quoted, read_bytes
 from slot_lab.csv_table import SIZE_MAX, CsvRow, TableError, read_table
 
 CONDITIONS = {

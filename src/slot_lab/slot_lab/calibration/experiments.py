@@ -16,17 +16,18 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import ConfigError, quantity
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.legs.held_leg import HeldLeg
-from slot_core.legs.leg_map import StaticLeg
-from slot_core.legs.level_leg import NoEquilibriumError
-from slot_core.robot import GRAVITY, LEGS, Array, RobotParameters
+from slot_core.refusal import DivergenceError
+from slot_core.robot import GRAVITY, LEGS, RobotParameters
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.calibration.data import Datum
 from slot_lab.csv_table import TableError
+from slot_lab.leg_tests.held_leg import HeldLeg
+from slot_lab.leg_tests.leg_map import StaticLeg
+from slot_lab.leg_tests.level_leg import NoEquilibriumError
 
 SAMPLE = 10e-3  # s, between two samples of the marker heights
 FREE_HEIGHT = 10.0  # m, clamp height of a leg without floor

@@ -30,9 +30,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError, leaves
 from slot_core.progress import untold
-from slot_core.robot import Array, RobotParameters
+from slot_core.robot import RobotParameters
 from slot_lab.calibration.experiments import PredictionError
 
 LEVEL = 0.95  # of the intervals

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_lab.calibration.data import Datum
 from slot_lab.calibration.fit import LEVEL
 

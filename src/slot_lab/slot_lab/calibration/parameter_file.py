@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_lab.calibration.data import Data
 from slot_lab.calibration.fit import ParameterEstimate
 from slot_lab.calibration.line import ForceLine, fit_line, line_groups

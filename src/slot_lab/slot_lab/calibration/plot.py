@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from slot_core.arrays import Array
 from slot_core.drawing import palette
-from slot_core.robot import Array
 from slot_lab.calibration.data import CONDITIONS, Data
 from slot_lab.calibration.fit import ParameterEstimate
 from slot_lab.plot_file import write_plot

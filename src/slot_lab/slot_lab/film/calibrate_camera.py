@@ -1,8 +1,8 @@
 """Calibrates a camera from images of the ChArUco board: OpenCV's procedure, wrapped.
 
-Print the board (scripts/print_markers chessboard --out chessboard.pdf), glue it to something flat,
-and film it: near and far, in all corners of the image, tilted by up to 45 degrees to every side,
-20 to 40 views. FILM is a folder of images, a video, or a bag. The file has the format of ROS's
+Print the board (scripts/calibrate --print chessboard --out chessboard.pdf), glue it to something
+flat, and film it: near and far, in all corners of the image, tilted by up to 45 degrees to every
+side, 20 to 40 views. FILM is a folder of images, a video, or a bag. The file has the format of ROS's
 camera_info and, beside it, the covariance of the calibration, which enters that of every pose.
 """
 
@@ -27,7 +27,7 @@ NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/calibrate_camera`; one line and exit code 2 for unusable views."""
+    """Command line of `scripts/calibrate --camera`; one line and exit code 2 for unusable views."""
     parser = _parser()
     options = parser.parse_args(arguments)
     import cv2  # noqa: PLC0415 - heavy
@@ -92,7 +92,7 @@ def report(found: Calibration) -> list[str]:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("calibrate_camera", __doc__)
+    parser = command_parser("calibrate --camera", __doc__)
     add = parser.add_argument
     add("film", type=Path, metavar="RECORDING", help="folder of images, video, or bag")
     add(

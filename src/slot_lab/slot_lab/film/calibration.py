@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera, CameraError
 from slot_core.vision.settings import VisionSettings

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.clock import to_seconds
-from slot_core.files import require_regular
 from slot_core.messages.decode import stamp
-from slot_core.refusal import InputError
+from slot_core.refusal import InputError, require_regular
 from slot_core.vision import image_message
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera, CameraError, from_camera_info

@@ -1,7 +1,7 @@
 """Writes the boards and markers of config/vision.yaml to print at their true size.
 
 WHAT is a board of vision.yaml (wall, torso, ...), points for the single markers of torso and legs,
-or chessboard for the ChArUco board of scripts/calibrate_camera. A PDF has the true size if it is
+or chessboard for the ChArUco board of scripts/calibrate --camera. A PDF has the true size if it is
 printed at 100 %, without fitting to the page; measure the line that is printed with it. A PNG has
 its resolution in the file.
 """
@@ -20,7 +20,7 @@ FORMATS = (".png", ".pdf")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/print_markers`; one line and exit code 2 for a wrong argument."""
+    """Command line of `scripts/calibrate --print`; one line and exit code 2 for a wrong argument."""
     parser = _parser()
     options = parser.parse_args(arguments)
     if options.out.suffix.lower() not in FORMATS:
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("print_markers", __doc__)
+    parser = command_parser("calibrate --print", __doc__)
     add = parser.add_argument
     add("what", metavar="NAME", help="name of a board, points, or chessboard")
     add("--out", type=Path, metavar="FILE", required=True, help="PNG or PDF to write")

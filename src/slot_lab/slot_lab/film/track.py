@@ -11,8 +11,8 @@ from pathlib import Path
 
 import cv2
 
-from slot_core.body_points import COLUMNS, FRAME, TORSO
 from slot_core.progress import ProgressLine, Tell, untold
+from slot_core.robot import POINT_COLUMNS, POINT_FRAME, TORSO
 from slot_core.vision.camera import Camera, nominal, read_camera
 from slot_core.vision.detector import other_dictionary
 from slot_core.vision.settings import VisionSettings, read_vision
@@ -69,9 +69,9 @@ def of_leg(samples: list[MarkerSample], leg: str | None) -> list[MarkerSample]:
 def write_tracks(path: Path, samples: list[MarkerSample], frame: str) -> None:
     """Write samples as CSV, time, point, x, y, z (s, m), after a comment that names the frame."""
     with path.open("w", newline="") as file:
-        file.write(f"# {FRAME}{frame}\n")
+        file.write(f"# {POINT_FRAME}{frame}\n")
         writer = csv.writer(file)
-        writer.writerow(COLUMNS)
+        writer.writerow(POINT_COLUMNS)
         for s in samples:
             writer.writerow(
                 [f"{s.time:.6f}", s.point, *(f"{value:.6f}" for value in s.position)]

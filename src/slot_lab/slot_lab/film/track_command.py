@@ -22,7 +22,7 @@ from slot_lab.bags.topics import IMAGES
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/track`; one line and exit code 2 for what cannot be tracked."""
+    """Command line of `scripts/validate --track`; exit code 2 for what cannot be tracked."""
     parser = _parser()
     options = parser.parse_args(arguments)
     require_directory(parser, options.out)
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = command_parser("track", __doc__)
+    parser = command_parser("validate --track", __doc__)
     add = parser.add_argument
     add("film", type=Path, metavar="RECORDING", help="video, folder of images, or bag")
     add("--out", type=Path, metavar="FILE", required=True, help="file to write")

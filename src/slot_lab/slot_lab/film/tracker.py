@@ -13,8 +13,9 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.geometry import OPTICAL, Transform
-from slot_core.robot import ODOM_FRAME, Array
+from slot_core.robot import ODOM_FRAME
 from slot_core.vision.board import GreyImage, make_board, single_marker
 from slot_core.vision.camera import Camera, CameraError
 from slot_core.vision.detector import Detection, MarkerDetector

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.gait.reference import moved
 from slot_core.geometry import rotate, wrapped
-from slot_core.robot import Array
 from slot_lab.learning.task import Task
 
 PLACE = [3, 4, 2]  # x, y, yaw in a state

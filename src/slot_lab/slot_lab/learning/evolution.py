@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.control.walk_actions import ACTIONS
-from slot_core.robot import Array
 from slot_lab.learning.network import NetworkShape
 from slot_lab.learning.spaces import mirror_of
 from slot_lab.learning.task import Task

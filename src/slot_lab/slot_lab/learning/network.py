@@ -18,8 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import checked
-from slot_core.robot import Array
+from slot_core.arrays import Array, checked
 
 OPSET, IR_VERSION = 17, 8  # of ONNX: from onnxruntime 1.14 on
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 
 SPEED = 0.005  # m/s
 ASIDE = 0.005  # m

@@ -6,9 +6,10 @@ import numpy as np
 from gymnasium.spaces import Box
 from scipy.linalg import block_diag
 
+from slot_core.arrays import Array
 from slot_core.control.walk_actions import ACTIONS, CLIP
 from slot_core.gait.gait import LEFT_RIGHT
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_lab.learning.network import Mirror
 from slot_lab.learning.task import Task
 

@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.control.walk_actions import ACTIONS, observation_size
 from slot_core.dynamics.scene import Scene, level_changes, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.gait.gait import GaitSettings, Stride, read_gaits
 from slot_core.refusal import quoted
-from slot_core.robot import LEGS, Array, RobotParameters, read_robot
+from slot_core.robot import LEGS, RobotParameters, read_robot
 from slot_core.simulation.closed_loop import changed
 
 VELOCITY = "velocity"

@@ -19,13 +19,14 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.control.walk_actions import ACTIONS, deviation, observation
 from slot_core.dynamics.scene import NO_SENSORS
-from slot_core.robot import LEGS, Array
-from slot_core.simulation.kernel_robot import KernelRobot
+from slot_core.dynamics.simulated_robot import KernelRobot
+from slot_core.robot import LEGS
+from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
-from slot_core.simulation.plant import make_robot
 from slot_lab.learning.course import Course
 from slot_lab.learning.gait_clock import GaitClock
 from slot_lab.learning.rewards import Transition, fallen, reward_terms, total

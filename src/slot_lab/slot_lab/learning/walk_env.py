@@ -14,16 +14,16 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import LOCKSTEP_START
 from slot_core.control.controller import Controller
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.walk_actions import ACTIONS, deviation, observation
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.scene import level_changes
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
-from slot_core.joint_reading import JointReading
-from slot_core.robot import Array
+from slot_core.refusal import DivergenceError
+from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.learning.course import Course
 from slot_lab.learning.rewards import Transition, fallen, reward_terms, total

@@ -12,20 +12,21 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.clock import LOCKSTEP_START, SECOND, to_seconds
 from slot_core.config import ConfigError
 from slot_core.control.controller import Tick
 from slot_core.control.policies import DEFAULT_POLICY
-from slot_core.divergence import DivergenceError
 from slot_core.dynamics.model import Model
 from slot_core.dynamics.scene import Push, read_scene
 from slot_core.faults import BROKEN, Fault
 from slot_core.gait.gait import STAND
 from slot_core.geometry import rotate
-from slot_core.robot import GRAVITY, Array
-from slot_core.safety.requests import LATCHED, Request, no_change
+from slot_core.refusal import DivergenceError
+from slot_core.robot import GRAVITY
+from slot_core.safety.states import LATCHED, Request, no_change
 from slot_core.safety.supervisor import PERIOD
-from slot_core.simulation.plant import TrueState
+from slot_core.simulation.readings import TrueState
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.play.played_loop import PlayedLoop, Wishes
 
@@ -132,10 +133,10 @@ class PlayedRobot:
         """Break a tendon, or mend it."""
         (self.broken.add if broken else self.broken.discard)(leg)
         if broken:
-            self.loop.plant.inject(Fault(BROKEN, leg, 0.0, 0.0, 0.0))
+            self.loop.plant.faults.inject(Fault(BROKEN, leg, 0.0, 0.0, 0.0))
             return
         with suppress(ValueError):  # it is not broken
-            self.loop.plant.clear(BROKEN, leg)
+            self.loop.plant.faults.clear(BROKEN, leg)
 
     @property
     def model(self) -> Model:

@@ -9,9 +9,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
+from slot_core.arrays import Array
 from slot_core.progress import Tell, untold
 from slot_core.refusal import InputError
-from slot_core.robot import Array, RobotParameters, read_robot
+from slot_core.robot import RobotParameters, read_robot
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import seconds, stride_period
 from slot_lab.bags.topics import LEG_STATES

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure as Canvas
 
+from slot_core.arrays import Array
 from slot_core.drawing import palette
 from slot_core.geometry import rotate
-from slot_core.robot import Array
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import TorsoTrack, read_motion
 from slot_lab.plot_file import write_plot

@@ -20,10 +20,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.control.policy import Status
 from slot_core.drawing import palette
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
 from slot_lab.bags.recorded_walk import seconds
 from slot_lab.plot_file import write_plot

@@ -11,8 +11,8 @@ from slot_core.refusal import InputError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/constraint_map`; exit code 0: clean, 1: a violation, 2: no map."""
-    parser = CommandParser(prog="scripts/constraint_map", description=__doc__)
+    """Command line of `scripts/view --map`; exit code 0: clean, 1: a violation, 2: no map."""
+    parser = CommandParser(prog="scripts/view --map", description=__doc__)
     parser.add_argument(
         "bag", metavar="BAG", type=Path, help="directory of a bag, or its .mcap file"
     )

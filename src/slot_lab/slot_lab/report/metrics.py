@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.control.policy import Status
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.estimation.estimate import Validity
 from slot_core.geometry import rotate
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_walk import (
     STAGES,

@@ -11,9 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter
 
+from slot_core.arrays import Array
 from slot_core.drawing import palette
 from slot_core.geometry import rotate
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_core.safety.states import State
 from slot_lab.bags.bag import Bag, NoFieldError
 from slot_lab.bags.recorded_walk import (

@@ -10,9 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
+from slot_core.arrays import Array
 from slot_core.drawing.shapes import FORCE_SCALE, bent_legs
 from slot_core.messages import decode
-from slot_core.robot import LEGS, Array, RobotParameters, read_robot
+from slot_core.robot import LEGS, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.recorded_walk import read_motion, read_ticks, seconds, stride_period
 from slot_lab.bags.topics import LEG_STATES

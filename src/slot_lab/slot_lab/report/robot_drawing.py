@@ -12,9 +12,10 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.drawing import palette
 from slot_core.drawing.shapes import FORCE_SCALE, LEAST_FORCE, Legs, leg_bars, normals
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import LEGS, RobotParameters
 
 SUN = np.array([0.25, -0.45, 0.86]) / np.linalg.norm([0.25, -0.45, 0.86])
 AMBIENT = 0.55  # brightness of a face turned away from the sun

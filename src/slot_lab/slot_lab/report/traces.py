@@ -13,11 +13,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.control.policy import Status
 from slot_core.drawing import palette
 from slot_core.geometry import rotate, rpy_of
 from slot_core.messages import decode
-from slot_core.robot import GRAVITY, LEGS, Array
+from slot_core.robot import GRAVITY, LEGS
 
 Values: TypeAlias = dict[str, Array]
 States: TypeAlias = dict[str, str]

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.gait.gait import TORSO_MOTION, HarmonicBasis, Pattern, Steering, Stride
 from slot_core.geometry import rotate
-from slot_core.robot import Array
 from slot_lab.tuning import symmetry
 from slot_lab.tuning.settings import TuningSettings
 from slot_lab.tuning.stride_run import (

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.gait.gait import Pattern, Stride
-from slot_core.robot import Array
 from slot_lab.tuning import symmetry
 from slot_lab.tuning.settings import TuningSettings
 from slot_lab.tuning.stride_run import HEIGHT, HELD, Job, Outcome, RunAll

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.gait.gait import (
     FRONT_REAR,
     HALF_STRIDE_LATER,
@@ -20,7 +21,6 @@ from slot_core.gait.gait import (
     TORSO_MOTION,
     FourHarmonics,
 )
-from slot_core.robot import Array
 
 DIAGONAL = [0, 2, 1, 3]  # legs after the reflection at the diagonal through FL and RR
 NUMBERS = {"forward": 10, "turn": 10}

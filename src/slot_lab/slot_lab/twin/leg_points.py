@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from slot_core.body_points import LEAST_NODES, LEG_POINTS, TORSO, at_shares
 from slot_core.progress import Tell, untold
-from slot_core.robot import LEGS
+from slot_core.robot import LEAST_NODES, LEG_POINTS, LEGS, TORSO, at_shares
 from slot_lab.twin.prediction import ModelParts, simulate
 from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings

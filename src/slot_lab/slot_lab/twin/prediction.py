@@ -19,14 +19,15 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.progress import Tell, untold
-from slot_core.robot import Array, RobotParameters, read_parameters, read_robot
-from slot_core.safety.commands import extrapolated
-from slot_core.simulation.plant import make_robot
+from slot_core.robot import RobotParameters, read_parameters, read_robot
+from slot_core.safety.rate_limiter import extrapolated
+from slot_core.simulation.make_robot import make_robot
 from slot_lab.bags.measured import TendonAngles
 from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.twin.recorded import BagRecording

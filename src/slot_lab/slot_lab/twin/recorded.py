@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
-from slot_core.robot import LEGS, Array
+from slot_core.robot import LEGS
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.measured import TendonAngles, measured_motion, tendon_angles
 from slot_lab.bags.recorded_walk import TorsoTrack, stride_period

@@ -18,9 +18,9 @@ from itertools import pairwise
 import numpy as np
 from scipy.signal import correlate, find_peaks
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.geometry import rotate
-from slot_core.robot import Array
 from slot_lab.twin.prediction import PredictedTrack
 from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError, load
-from slot_core.divergence import DivergenceError
 from slot_core.progress import ProgressLine
-from slot_core.robot import Array
+from slot_core.refusal import DivergenceError
 from slot_lab.bags.bag import BagError
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import FitError

@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.arrays import Array
 from slot_core.config import ConfigError, leaves
-from slot_core.divergence import DivergenceError
 from slot_core.progress import untold
-from slot_core.robot import LEGS, Array
+from slot_core.refusal import DivergenceError
+from slot_core.robot import LEGS
 from slot_lab.calibration.experiments import PredictionError
 from slot_lab.calibration.fit import (
     FitProblem,

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from slot_core.body_points import LEG_POINTS, TORSO
+from slot_core.arrays import Array
 from slot_core.progress import Tell, untold
-from slot_core.robot import Array
+from slot_core.robot import LEG_POINTS, TORSO
 from slot_lab.validation.error_metrics import Errors, errors
 from slot_lab.validation.frame_alignment import FrameAlignment, align_frames
 from slot_lab.validation.recording import (

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from slot_core.body_points import LEG_POINTS, TORSO
 from slot_core.drawing import palette
+from slot_core.robot import LEG_POINTS, TORSO
 from slot_lab.validation.comparison import AXES, Comparison, paper_points
 from slot_lab.validation.recording import ATTITUDE
 from slot_lab.validation.tables import scale, unit

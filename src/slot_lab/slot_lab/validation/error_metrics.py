@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 
 NAMES = ("rmse", "mae", "nrmse", "mean_error", "error", "accuracy")
 DRAWS = 1000

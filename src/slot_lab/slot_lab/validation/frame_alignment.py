@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from slot_core.arrays import Array
 from slot_core.geometry import rpy_of
-from slot_core.robot import Array
 
 RIGID = "rigid"
 

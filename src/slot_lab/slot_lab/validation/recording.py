@@ -7,7 +7,7 @@ headers:
     time,point,x,y,z               one point a row, as above; of a single leg without `FL_`
     time,x,y,z[,roll,pitch,yaw]    the torso
 
-The markers of a video are tracked as scripts/track does, with its defaults; that command also takes
+The markers of a video are tracked as by scripts/validate --track, with its defaults; it also takes
 folders of plots, bags with plots, and depth.
 """
 
@@ -20,18 +20,20 @@ from pathlib import Path
 
 import numpy as np
 
-from slot_core.body_points import (
+from slot_core.arrays import Array
+from slot_core.progress import Tell, untold
+from slot_core.refusal import InputError, quoted
+from slot_core.robot import (
     BODY_POINTS,
-    COLUMNS,
-    FRAME,
     LEAST_NODES,
     LEG_POINTS,
+    LEGS,
+    ODOM_FRAME,
+    POINT_COLUMNS,
+    POINT_FRAME,
     TORSO,
     at_shares,
 )
-from slot_core.progress import Tell, untold
-from slot_core.refusal import InputError, quoted
-from slot_core.robot import LEGS, ODOM_FRAME, Array
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.measured import measured_motion, sound
 from slot_lab.bags.recorded_walk import seconds
@@ -94,7 +96,7 @@ def write_points(
 ) -> None:
     """Write rows (n, 4) time, x, y, z of each point as CSV, ordered by time; raises OSError."""
     rows = [(row[0], name, row[1:]) for name, part in points.items() for row in part]
-    lines = [f"# {comment}" for comment in comments] + [",".join(COLUMNS)]
+    lines = [f"# {comment}" for comment in comments] + [",".join(POINT_COLUMNS)]
     for time, name, place in sorted(rows, key=lambda row: row[0]):
         lines.append(
             f"{time:.{DIGITS}f},{name}," + ",".join(f"{v:.{DIGITS}f}" for v in place)
@@ -151,7 +153,7 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
     }
     if not long:
         raise RecordingError(
-            f"{path}: no marker in {LEAST_SAMPLES} plots; see scripts/track"
+            f"{path}: no marker in {LEAST_SAMPLES} plots; see scripts/validate --track"
         )
     tracks = {name: PointTrack(part[:, 0], part[:, 1:]) for name, part in long.items()}
     notes = (
@@ -167,9 +169,9 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
 def _from_csv(path: Path) -> PointRecording:
     table = read_table(path)
     columns = table.columns
-    if columns not in (COLUMNS, WIDE, WIDE + ATTITUDE):
+    if columns not in (POINT_COLUMNS, WIDE, WIDE + ATTITUDE):
         raise TableError(
-            f"{table.head}: columns {','.join(columns)[:80]}: expected {','.join(COLUMNS)}"
+            f"{table.head}: columns {','.join(columns)[:80]}: expected {','.join(POINT_COLUMNS)}"
             f" or {','.join(WIDE)}[,{','.join(ATTITUDE)}]"
         )
     parts: dict[str, list[tuple[int, list[float]]]] = {}
@@ -183,7 +185,9 @@ def _from_csv(path: Path) -> PointRecording:
     if not parts:
         raise TableError(f"{path}: no samples")
     tracks = {name: _track(path, name, part) for name, part in parts.items()}
-    frames = [c.removeprefix(FRAME) for c in table.comments if c.startswith(FRAME)]
+    frames = [
+        c.removeprefix(POINT_FRAME) for c in table.comments if c.startswith(POINT_FRAME)
+    ]
     tilted = bool(frames) and frames[0] != ODOM_FRAME
     return dataclasses.replace(_since_first(path.name, tracks), tilted=tilted)
 

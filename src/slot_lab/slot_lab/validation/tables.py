@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from slot_core.body_points import LEG_POINTS, TORSO
-from slot_core.robot import Array
+from slot_core.arrays import Array
+from slot_core.robot import LEG_POINTS, TORSO
 from slot_lab.validation.comparison import AXES, Comparison, PointSeries, paper_points
 from slot_lab.validation.error_metrics import NAMES
 

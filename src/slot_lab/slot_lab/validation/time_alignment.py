@@ -29,7 +29,7 @@ from scipy.optimize import least_squares
 from scipy.signal import correlate, find_peaks
 from scipy.stats import t as student
 
-from slot_core.robot import Array
+from slot_core.arrays import Array
 from slot_lab.validation.frame_alignment import best_rotation
 from slot_lab.validation.recording import PointTrack, RecordingError
 

@@ -1,8 +1,9 @@
 """Compares a run with a measurement: aligned in time and space, with the paper's error metrics.
 
 RUN and MEASUREMENT are each a bag, a CSV file with the header time,point,x,y,z (m, s) or
-time,x,y,z[,roll,pitch,yaw], or a video, whose markers are tracked as by scripts/track. MEASUREMENT
-is the reference: errors are RUN minus MEASUREMENT. The intervals are 95 % of a block bootstrap.
+time,x,y,z[,roll,pitch,yaw], or a video, whose markers are tracked as by scripts/validate --track
+(see its --help). MEASUREMENT is the reference: errors are RUN minus MEASUREMENT. The intervals are
+95 % of a block bootstrap.
 """
 
 from __future__ import annotations

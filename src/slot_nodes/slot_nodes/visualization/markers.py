@@ -9,8 +9,8 @@ from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from slot_core.arrays import Array
 from slot_core.drawing.shapes import Arrows, Bars, Box, Shape, Strips, halves
-from slot_core.robot import Array
 from slot_nodes import messages
 
 HEAD_WIDTH = 3.0  # of an arrow, in widths of its shaft

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import (
     cross,
@@ -29,7 +30,6 @@ from slot_core.dynamics.spatial.floor_contact import angular_velocity
 from slot_core.dynamics.spatial.relaxation import relax, remember
 from slot_core.dynamics.spatial.strain import Segments, measure, orient, point_along
 from slot_core.dynamics.tendon import pull
-from slot_core.robot import Array
 
 
 class SpatialLeg(NamedTuple):

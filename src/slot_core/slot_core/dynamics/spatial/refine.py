@@ -30,9 +30,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cross, plus, put, row
-from slot_core.robot import Array
 
 
 class Refinement(NamedTuple):

@@ -29,11 +29,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import cosine_sine, cross, dot, put, row
 from slot_core.dynamics.lanes import all_lanes, like, where
 from slot_core.elementary import atan2
-from slot_core.robot import Array
 
 
 class Segments(NamedTuple):

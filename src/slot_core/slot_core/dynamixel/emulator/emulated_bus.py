@@ -21,7 +21,6 @@ from slot_core.config import quantity
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamixel.emulator.emulated_servo import EmulatedServo, ServoModel
 from slot_core.dynamixel.emulator.instructions import execute, read_data, uint16
-from slot_core.dynamixel.emulator.line_faults import LineFaults, damaged
 from slot_core.dynamixel.emulator.shaft import Motor
 from slot_core.dynamixel.packet import (
     BROADCAST,
@@ -35,8 +34,7 @@ from slot_core.dynamixel.packet import (
     status,
 )
 from slot_core.dynamixel.table import BAUD_RATES, NO_SECONDARY_ID, RETURN_DELAY_UNIT
-from slot_core.faults import Fault
-from slot_core.hardware_error import HardwareError
+from slot_core.faults import Fault, HardwareError
 from slot_core.robot import LEGS
 
 ANSWER_READS, ANSWER_ALL = 1, 2  # values of Status Return Level (68); 0: ping only
@@ -59,6 +57,15 @@ class Reply:
 
     data: bytes
     delay: float
+
+
+@dataclass
+class LineFaults:
+    """Faults in the answers of one servo."""
+
+    silent: bool = False  # no answers
+    corrupt: float = 0.0  # fraction of its answers that are corrupted
+    late: float = 0.0  # s, additional delay of its answers
 
 
 class EmulatedBus:
@@ -277,3 +284,9 @@ def _requests(packet: Packet) -> Iterator[tuple[int, int, int]]:
     for start in range(0, len(parameters) - 4, 5):
         part = parameters[start : start + 5]
         yield part[0], uint16(part[1:3]), uint16(part[3:5])
+
+
+def damaged(data: bytes, rng: np.random.Generator) -> bytes:
+    """The bytes with one random bit inverted, an error that the CRC always detects."""
+    where, bit = rng.integers(len(data)), rng.integers(8)
+    return data[:where] + bytes([data[where] ^ (1 << bit)]) + data[where + 1 :]

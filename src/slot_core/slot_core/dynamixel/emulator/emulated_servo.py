@@ -29,7 +29,7 @@ from slot_core.dynamixel.table import (
     WATCHDOG_UNIT,
     Mode,
 )
-from slot_core.hardware_error import HardwareError
+from slot_core.faults import HardwareError
 
 
 @dataclass(frozen=True)
@@ -121,11 +121,6 @@ class EmulatedServo:
         """Set EEPROM to its initial values except `keep`, then reboot."""
         self.memory.reset(eeprom=True, keep=keep)
         self.reboot()
-
-    def load_image(self, image: bytes) -> None:
-        """Load a memory image; end booting and shutdown, discard a registered write."""
-        self.memory.load(image)
-        self._boot_left, self._shut_down, self.registered = 0.0, False, None
 
     def clear_turns(self) -> None:
         """Reset the turn count: the position is within one turn again."""

@@ -54,17 +54,6 @@ class Memory:
         self._bytes[register.address : register.end] = register.encode(value)
         self._values[name] = int(value)
 
-    def image(self) -> bytes:
-        """Copy of all bytes, for `load`."""
-        return bytes(self._bytes)
-
-    def load(self, image: bytes) -> None:
-        """Restore a copy made by `image`."""
-        self._bytes[:] = image
-        for register in REGISTERS:
-            own = bytes(self._bytes[register.address : register.end])
-            self._values[register.name] = register.decode(own)
-
     def reset(self, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
         """Set the writable registers of RAM, with `eeprom` of EEPROM too, to their initial values.
 

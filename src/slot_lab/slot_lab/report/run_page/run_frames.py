@@ -19,12 +19,13 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from slot_core.arrays import Array
 from slot_core.drawing.drawing import NATURAL_NODES
 from slot_core.drawing.shapes import natural_legs
 from slot_core.messages import decode
 from slot_core.progress import Tell, untold
 from slot_core.refusal import one_line
-from slot_core.robot import LEGS, Array, RobotParameters
+from slot_core.robot import LEGS, RobotParameters
 from slot_lab.bags.bag import Bag, BagError, Stamps
 from slot_lab.bags.recorded_walk import TorsoTrack, read_motion, seconds
 from slot_lab.bags.topics import LEG_STATES

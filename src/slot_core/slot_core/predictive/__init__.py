@@ -1,1 +1,0 @@
-"""Predictive policy: MPC that simulates the robot over the next stride."""

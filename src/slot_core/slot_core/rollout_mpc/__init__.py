@@ -1,0 +1,1 @@
+"""Rollout MPC: policy that simulates the robot over the next stride."""

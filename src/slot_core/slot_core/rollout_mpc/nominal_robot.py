@@ -1,0 +1,155 @@
+"""Nominal robot: the simulated robot on tabulated legs, rolled out from any state.
+
+It is the robot of `legs/tabulated_robot.py` on a flat floor at long steps. Its legs have no
+mass, so that its state is the torso's, which the state estimator gives, and that of legs and
+servos, which follows from the commands: tendon angles, servo loops, and the feet's displacements.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from slot_core import config
+from slot_core.arrays import Array, checked
+from slot_core.dynamics.scene import NO_SENSORS, Scene, level_changes, read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.elementary import atan2
+from slot_core.geometry import rotate
+from slot_core.key_frame import StateParts
+from slot_core.legs.tabulated_robot import TabulatedRobot
+from slot_core.robot import LEGS, RobotParameters
+from slot_core.rollout_mpc.rollout_kernels import roll_out, set_torso
+from slot_core.rollout_mpc.settings import NominalSettings
+
+SETTLING = 10  # stages in which legs and servos come to rest at a constant command
+
+
+class NominalState(NamedTuple):
+    """State of the nominal robot: torso, legs and servos."""
+
+    buffer: Array  # of dynamics/model.py
+    side_rate: Array  # (4,) m/s, of the feet out of the planes of their legs
+
+
+class Rollouts(NamedTuple):
+    """Motion of P plans over the stages 1 .. n; NaN from a divergence on."""
+
+    pose: Array  # (P, n, 6) roll, pitch, yaw (rad), x, y, z (m), odom
+    force: Array  # (P, n, 4, 3) N, of the floor on the feet, odom
+    foot: Array  # (P, n, 4, 3) m, places of the feet, odom
+
+
+class NominalRobot:
+    """Rollouts of plans of tendon angles; it knows no payload, slope or damage but the wrench."""
+
+    STATE = StateParts("push")
+
+    def __init__(self, robot: RobotParameters, settings: NominalSettings, dt: float):
+        """Build the model; dt: s between stages. Raises ConfigError as the simulated robot does."""
+        self._cycles, self._steps = settings.cycles, settings.steps
+        scene = nominal_scene(settings, dt / (settings.cycles * settings.steps))
+        self.robot = TabulatedRobot(robot, scene, read_servo())
+        self._angle_max = robot.tendon.angle_max
+        self._initial = NominalState(
+            self.robot.state.buffer.copy(), np.zeros(len(LEGS))
+        )
+        # compile the kernels
+        self.measured(self._initial, np.zeros(12))
+        self.after(self._initial, np.zeros((2, len(LEGS))))
+
+    @property
+    def push(self) -> Array:
+        """Force (N) and moment (N m) on the torso, (6,)."""
+        return np.array(self.robot.model.push)
+
+    @push.setter
+    def push(self, push: Array) -> None:
+        self.robot.model.push[:] = push
+
+    def set_wrench(self, wrench: Array, yaw: float) -> None:
+        """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""
+        wrench, yaw = checked("wrench", wrench, (3,)), float(checked("yaw", yaw, ()))
+        self.robot.model.push[2] = wrench[0]
+        self.robot.model.push[3:5] = rotate(wrench[1:], yaw)
+
+    def at_rest(self, state: Array, angle: Array) -> NominalState:
+        """State with the torso of `state` (12,) and legs and servos that have reached `angle`."""
+        state = checked("state", state, (12,))
+        angle = checked("angle", angle, (len(LEGS),))
+        self.robot.state.buffer[:] = self._initial.buffer
+        self.robot.state.tendon_angle[:] = angle
+        start = NominalState(self.robot.state.buffer.copy(), self._initial.side_rate)
+        still = np.concatenate([state[:6], np.zeros(6)])
+        plan = np.tile(angle, (SETTLING + 1, 1))
+        settled = self.after(self.measured(start, still), plan)
+        return self.measured(settled, state)
+
+    def measured(self, known: NominalState, state: Array) -> NominalState:
+        """The state with the torso of an estimate (12,) and the legs and servos of `known`."""
+        buffer, _ = self._checked(known)
+        set_torso(self.robot.handle, buffer, checked("state", state, (12,)))
+        return NominalState(self.robot.state.buffer.copy(), known.side_rate)
+
+    def place(self, start: NominalState) -> Array:
+        """Place (3,) of the torso in odom: x, y (m), yaw (rad)."""
+        torso = self.robot.state
+        torso.buffer[:], _ = self._checked(start)
+        (x, y, _), turned = torso.position, torso.rotation
+        return np.array([x, y, atan2(turned[1, 0], turned[0, 0])])
+
+    def roll_out(self, start: NominalState, plans: Array) -> Rollouts:
+        """Simulate plans (P, n + 1, 4), rad at the stages 0 .. n, from one state.
+
+        A plan that is not finite diverges. All methods raise ValueError for other shapes.
+        """
+        plans = checked("plans", plans, (-1, -1, len(LEGS)), finite=False)
+        if plans.shape[1] < 2:
+            raise ValueError(f"plans: {plans.shape[1]} stages, expected two or more")
+        buffer, side_rate = self._checked(start)
+        count, stages = plans.shape[0], plans.shape[1] - 1
+        of_feet = np.empty((2, count, stages, len(LEGS), 3))
+        found = Rollouts(np.empty((count, stages, 6)), *of_feet)
+        roll_out(
+            self.robot.handle,
+            buffer,
+            side_rate,
+            plans,
+            self._angle_max,
+            self._cycles,
+            self._steps,
+            *found,
+        )
+        return found
+
+    def after(self, start: NominalState, plan: Array) -> NominalState:
+        """State after a plan (n + 1, 4)."""
+        self.roll_out(start, np.asarray(plan)[None])
+        return NominalState(
+            self.robot.state.buffer.copy(), self.robot.feet.side_rate.copy()
+        )
+
+    def _checked(self, state: NominalState) -> NominalState:
+        """The state, if it is one of this robot; it may have diverged. Raises ValueError."""
+        buffer = checked(
+            "buffer", state.buffer, self.robot.state.buffer.shape, finite=False
+        )
+        return NominalState(
+            buffer, checked("side_rate", state.side_rate, (len(LEGS),), False)
+        )
+
+
+def nominal_scene(settings: NominalSettings, step: float) -> Scene:
+    """The flat floor, with the solver of tabulated legs at another step and no sensors."""
+    friction = [settings.friction] * len(LEGS)
+    changes = {
+        **level_changes("map"),
+        **NO_SENSORS,
+        "solver.step": step,
+        "solver.iterations": settings.iterations,
+        "floor.friction": friction,
+        "floor.friction_other": friction,
+        "tendons.broken": settings.broken,
+    }
+    return config.replace(read_scene("flat"), changes, "rollout_mpc")

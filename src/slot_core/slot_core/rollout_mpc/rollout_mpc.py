@@ -1,0 +1,374 @@
+"""Rollout MPC: policy in the stride, which simulates the robot (`problem.py`).
+
+A tick has two phases. `step` rolls the plan out from the estimated state, solves the quadratic
+programme and searches along its step. `prepare`, called when the command has been sent, moves the
+plan on by a stage, lets the nominal robot execute the command, linearises its motion from there and
+corrects the disturbances. Where `prepare` has not been called, `step` calls it: the commands are
+the same.
+
+While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
+is tried first whether the next one could be solved. An estimate that comes well before the next
+stage gets the present plan between its stages. A cycle without a new plan moves the last one on and
+lets its deviations from the gait decay; after `limits.cycles` such cycles in a row the status is
+STOPPED. While the robot moves otherwise than its model the plan is the gait's too, to which the
+deviations decay, and the status is MODEL_MISMATCH.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from slot_core.arrays import Array
+from slot_core.control.force_map import read_springs
+from slot_core.control.gait_alone import gait_plan
+from slot_core.control.input_check import preview_fault, state_fault, time_fault
+from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Timer
+from slot_core.estimation.estimate import Estimate
+from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
+from slot_core.geometry import wrapped
+from slot_core.key_frame import StateParts
+from slot_core.matrices import inverse, norm, product
+from slot_core.robot import GRAVITY, LEGS, RobotParameters
+from slot_core.rollout_mpc.disturbance_observer import PLACE, DisturbanceObserver
+from slot_core.rollout_mpc.nominal_robot import NominalRobot, NominalState, Rollouts
+from slot_core.rollout_mpc.problem import Linearisation, PlanProblem
+from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
+
+MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
+SHARES = (1.0, 0.3)  # of the step, in the line search
+EARLY = 0.8  # of a stage: an estimate before that gets the present plan
+# m, rad beyond the nominal robot's motion: the odometry has jumped
+JUMP, TURN = 0.05, 0.2
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """Plan whose stage 0 is at `time`; K stages follow."""
+
+    time: int  # ns
+    start: NominalState
+    nominal: Array  # (K + 2, 4) rad, of the gait, with the payload
+    sag: float  # m, by which the torso sinks since the legs cannot carry more
+    deviation: Array  # (K + 1, 4) rad
+    # predicted: poses and feet at the stages 1 .. K, forces at 0 .. K-1
+    motion: Rollouts
+    linear: Linearisation | None = None
+
+
+class RolloutMpc(Policy):
+    """Plans tendon angles over the next stride; `step` raises nothing for bad data."""
+
+    STATE = StateParts(
+        "stage_time",
+        "_model",
+        "observer",
+        "_plan",
+        "_next",
+        "_state",
+        "_stiffness",
+        "_missed",
+        "_disturbances",
+        "_model_mismatch",
+        values=(_Plan, NominalState, Linearisation, Rollouts, PlanReport),
+    )
+
+    def __init__(
+        self, robot: RobotParameters, settings: RolloutMpcSettings, timer: Timer
+    ):
+        """Take the nominal robot; raises ConfigError for one that the leg table does not cover."""
+        self._robot, self._settings, self._timer = robot, settings, timer
+        self._springs = read_springs()
+        x, y, _ = robot.feet.T
+        self._shares = _shares(np.array([np.ones(len(LEGS)), y, -x]))  # (4, 3)
+        self._begin(read_gaits().dt)
+
+    @staticmethod
+    def read_settings(name: str) -> RolloutMpcSettings:
+        """`config/rollout_mpc.yaml`; raises ConfigError."""
+        return read_rollout_mpc()
+
+    @property
+    def stage_time(self) -> float:
+        """Time between the stages of a plan, s."""
+        return self._dt
+
+    @stage_time.setter
+    def stage_time(self, dt: float) -> None:
+        if dt != self._dt:
+            self._begin(dt)
+
+    def reset(self) -> None:
+        """Begin anew, without a plan and without disturbances."""
+        self._begin(self._dt)
+
+    def _begin(self, dt: float) -> None:
+        """Set up model and problem for stages of dt (s)."""
+        self._dt, settings = dt, self._settings
+        self._model = NominalRobot(self._robot, settings.nominal, dt)
+        self._problem = PlanProblem(settings, self._robot.tendon.angle_max, dt)
+        scale = self._problem.scale
+        self.observer = DisturbanceObserver(self._model, settings.observer, scale, dt)
+        self._plan: _Plan | None = None  # that is executed
+        self._next: _Plan | None = None  # a stage later, prepared
+        # (12,) that the plan is for; None after a fallback
+        self._state: Array | None = None
+        self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
+        self._missed = 0  # consecutive cycles without a new plan
+        self._note_disturbances()
+
+    def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
+        """Plan for the estimate at stage 0 of `preview`."""
+        begin, limits = self._timer(), self._settings.limits
+        fault = preview_fault(preview, self._settings.stages + 2, limits.input_max)
+        if not fault and preview.dt != self._dt:
+            self._begin(preview.dt)
+        if not fault and not preview.corrected:
+            self._plan = self._next = None
+            if self._missed == 0:
+                return self._gait_plan(preview)
+        if fault := fault or state_fault(estimate.state, limits.input_max):
+            return self._fall_back(Status.REJECTED, fault)
+        present = self._plan
+        if present is not None and 0 <= self._share(estimate.time) < EARLY:
+            return self._published(present, share=self._share(estimate.time))
+        state = np.asarray(estimate.state, dtype=float)
+        ready = self._ready(estimate.time, state, preview)
+        plan, rollout, fault = self._improved(ready, state, preview)
+        cause = Status.NOT_SOLVED if fault else Status.LATE
+        if fault := fault or time_fault(self._timer() - begin, limits.time_budget):
+            return self._fall_back(cause, fault)
+        self._missed = 0
+        if not preview.corrected:
+            return self._gait_plan(preview)
+        pose, force, foot = (values[0] for values in rollout)
+        moved = self._problem.moved(self.observer.drift, float(state[2]))
+        pose[:, PLACE] += moved
+        foot[..., :2] += moved[:, None, :2]
+        # forces at stage 0: as predicted a stage before
+        now = force[:1] if present is None else present.motion.force[1:2]
+        motion = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
+        self._plan = replace(plan, motion=motion, linear=None)
+        self._next, self._state = None, state
+        self._note_disturbances()
+        return self._published(self._plan, preview=preview)
+
+    def _gait_plan(self, preview: GaitPreview) -> TendonPlan:
+        """The gait's angles and forces over as many stages as a plan."""
+        plan, stages = gait_plan(preview), self._settings.stages
+        return replace(plan, angle=plan.angle[:stages], force=plan.force[:stages])
+
+    def prepare(self) -> None:
+        """Move the plan on by a stage, linearise its motion and correct the disturbances."""
+        plan = self._plan
+        if plan is None or self._next is not None:
+            return
+        self._next = self._linearised(self._moved_on(plan))
+        self._stiffness = self._stiffness_of(self._next.nominal[1:-1], plan.motion.pose)
+        if self._state is not None:
+            angle = self._angles(plan)[0]
+            self.observer.observe(plan.time, plan.start, self._state, angle)
+
+    def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
+        """The plan for the state (12,) at `time` (ns), linearised near it."""
+        found = self._found(time, state)
+        if found is None:
+            self.observer.forget()
+            stages = self._settings.stages
+            angle, pose = (
+                np.asarray(rows, dtype=float)[: stages + 2]
+                for rows in (preview.tendon_angle, preview.reference)
+            )
+            self._stiffness = self._stiffness_of(angle, pose)
+            nominal, sag = self._nominal(preview)
+            start = self._model.at_rest(state, nominal[0])
+            still = np.zeros((stages + 1, len(LEGS)))
+            new = _Plan(time, start, nominal, sag, still, _no_motion(stages))
+            return self._linearised(new)
+        self._model.set_wrench(self.observer.wrench, state[2])
+        start = self._model.measured(found.start, state)
+        nominal, sag = self._nominal(preview)
+        return replace(found, time=time, start=start, nominal=nominal, sag=sag)
+
+    def _found(self, time: int, state: Array) -> _Plan | None:
+        """The prepared plan at `time`; None if there is none, or if the robot is elsewhere."""
+        if self._plan is None:
+            return None
+        missed = round(self._share(time)) - 1
+        if not 0 <= missed <= MISSED_MAX:
+            return None
+        self.prepare()
+        found = self._next
+        assert found is not None
+        if missed > 1:
+            self.observer.forget()
+        for _ in range(missed):
+            found = replace(self._moved_on(found), linear=found.linear)
+        gap = self._model.place(found.start) - state[PLACE]
+        is_near = norm(gap[:2]) < (1 + missed) * JUMP
+        return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
+
+    def _share(self, time: int) -> float:
+        """Stages from the first one of the present plan to `time` (ns)."""
+        assert self._plan is not None
+        return 1e-9 * (time - self._plan.time) / self._dt
+
+    def _nominal(self, preview: GaitPreview) -> tuple[Array, float]:
+        """Angles (K + 2, 4) of the gait, turned on to carry the wrench on the torso, and the sag.
+
+        The torso sags by the mean force that the largest tendon angle does not give.
+        """
+        gait = np.asarray(preview.tendon_angle, dtype=float)
+        angle = gait[: self._settings.stages + 2]
+        carried = angle - product(self._shares, self.observer.wrench) / self._stiffness
+        nominal = np.clip(carried, 0.0, self._robot.tendon.angle_max)
+        missing = float(product(carried - nominal, self._stiffness).mean())  # N
+        return nominal, missing / self._settings.observer.stiffness[0]
+
+    def _stiffness_of(self, angle: Array, pose: Array) -> Array:
+        """Mean stiffness (4,) of the legs, N/rad, at tendon angles (n, 4) and poses (n, >= 6)."""
+        height = self._robot.clamp_heights(*pose[:, [5, 0, 1]].T)
+        return np.asarray(self._springs.at(angle, height).slope.mean(axis=0))
+
+    def _angles(self, plan: _Plan) -> Array:
+        """Tendon angles (K + 1, 4) of a plan."""
+        nominal = plan.nominal[:-1]
+        return np.clip(nominal + plan.deviation, *self._problem.range(nominal))
+
+    def _moved_on(self, plan: _Plan) -> _Plan:
+        """The plan a stage later, where the nominal robot has executed it."""
+        return _Plan(
+            plan.time + round(self._dt * 1e9),
+            self._model.after(plan.start, self._angles(plan)[:2]),
+            _shifted(plan.nominal),
+            plan.sag,
+            _shifted(plan.deviation),
+            plan.motion,
+        )
+
+    def _linearised(self, plan: _Plan) -> _Plan:
+        """The plan with the slopes of its motion, by finite differences."""
+        angle, step = self._angles(plan), self._settings.step
+        basis, most = self._problem.basis, self._robot.tendon.angle_max
+        beyond = (angle + step * basis > most).any(axis=(1, 2))
+        steps = np.where(beyond, -step, step)[:, None, None]
+        plans = np.vstack([angle[None], angle + steps * basis])
+        pose = self._model.roll_out(plan.start, plans).pose
+        yaw = self._model.place(plan.start)[2]
+        slopes = self._problem.errors(pose[1:], pose[0], yaw) / steps[:, 0]
+        diverged = ~np.isfinite(slopes).all(axis=1)
+        slopes[diverged] = 0.0  # no change along them
+        return replace(plan, linear=self._problem.linearised(slopes))
+
+    def _improved(
+        self, plan: _Plan, state: Array, preview: GaitPreview
+    ) -> tuple[_Plan, Rollouts, str]:
+        """The plan after a step of the problem and its rollout, or the fault."""
+        problem, observer, place = self._problem, self.observer, state[PLACE]
+        rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
+        wanted = problem.reference(rows, place, observer.drift, plan.sag)
+        if observer.model_mismatch:
+            plan = replace(plan, deviation=self._settings.limits.decay * plan.deviation)
+        before = self._model.roll_out(plan.start, self._angles(plan)[None])
+        error = problem.errors(before.pose, wanted, yaw)[0]
+        if not np.isfinite(error).all():
+            return plan, before, "the rollout diverges"
+        if observer.model_mismatch:
+            return plan, before, ""
+        assert plan.linear is not None
+        change = problem.change(error, plan.linear, plan.deviation, plan.nominal[:-1])
+        if change is None:
+            return plan, before, "the quadratic programme is not solved"
+        least = problem.cost(error, plan.deviation)
+        for share in SHARES:
+            tried = replace(plan, deviation=plan.deviation + share * change)
+            after = self._model.roll_out(plan.start, self._angles(tried)[None])
+            error = problem.errors(after.pose, wanted, yaw)[0]
+            if problem.cost(error, tried.deviation) < least:
+                return tried, after, ""
+        return plan, before, ""
+
+    def _fall_back(self, cause: Status, fault: str) -> TendonPlan:
+        """The last plan a stage later, with smaller deviations; nothing without one or too late."""
+        self._missed += 1
+        limits = self._settings.limits
+        if self._plan is None or self._missed > limits.cycles:
+            used_up = f"fallback used up after {limits.cycles} cycles"
+            why = "no plan yet" if self._plan is None else used_up
+            force = _no_motion(self._settings.stages).force
+            plan = TendonPlan(np.zeros((0, len(LEGS))), np.zeros(len(LEGS)), force)
+            cause, fault = Status.STOPPED, f"{why}; {fault}"
+        else:
+            moved = self._moved_on(self._plan)
+            self._plan = replace(moved, deviation=limits.decay * moved.deviation)
+            self._next = self._state = None
+            self.observer.forget()
+            self._note_disturbances()
+            plan = self._published(self._plan)
+        return replace(plan, status=cause, message=fault, fallback_cycles=self._missed)
+
+    def _published(
+        self, plan: _Plan, preview: GaitPreview | None = None, share: float = 0.0
+    ) -> TendonPlan:
+        """The present plan from `share` of a stage on; its preview, if it is new."""
+        angle, motion = self._angles(plan), plan.motion
+        rate, later = first_rate(angle, self._dt), _shifted(angle, share)[:-1]
+        return TendonPlan(
+            later,
+            rate,
+            motion.force,
+            pose=motion.pose,
+            foot=motion.foot,
+            status=Status.MODEL_MISMATCH if self._model_mismatch else Status.SOLVED,
+            message=self._model_mismatch,
+            report=self._report(plan, later[0], rate, preview),
+        )
+
+    def _note_disturbances(self) -> None:
+        """Note those of the present plan, which plans between two stages report again.
+
+        The observer goes on in `prepare`, at a time that does not depend on the messages.
+        """
+        observer, limit = self.observer, self._settings.observer.misfit_max
+        self._disturbances = PlanReport(
+            mass=self._robot.mass - observer.wrench[0] / GRAVITY,
+            drift=observer.drift.copy(),
+            wrench=observer.wrench.copy(),
+        )
+        misfit = f"model mismatch: misfit {observer.misfit:.1f}, limit {limit:g}"
+        self._model_mismatch = misfit if observer.model_mismatch else ""
+
+    def _report(
+        self, plan: _Plan, angle: Array, rate: Array, preview: GaitPreview | None
+    ) -> PlanReport:
+        """Disturbances, and margins of the first stage of a plan."""
+        fx, fy, normal = plan.motion.force[0].T
+        friction = np.full(len(LEGS), math.nan)
+        if preview is not None:
+            friction = preview.friction[0] * normal - np.maximum(np.abs(fx), np.abs(fy))
+        least, largest = self._problem.range(plan.nominal)
+        return replace(
+            self._disturbances,
+            slack_normal_min=normal,
+            slack_friction=friction,
+            slack_angle=np.minimum(angle - least, largest - angle),
+            slack_rate=self._settings.limits.rate - np.abs(rate),
+        )
+
+
+def _shares(balance: Array) -> Array:
+    """Least forces (4, 3) of the legs for a wrench: B^T (B B^T)^-1 with the balance B (3, 4)."""
+    return np.asarray(product(balance.T, inverse(product(balance, balance.T))))
+
+
+def _no_motion(stages: int) -> Rollouts:
+    """No prediction: no poses, no places of the feet, and forces of zero."""
+    force = np.zeros((stages, len(LEGS), 3))
+    return Rollouts(np.zeros((0, 6)), force, force[:0])
+
+
+def _shifted(rows: Array, share: float = 1.0) -> Array:
+    """Rows (n, 4) moved on by a share of a stage; the last one stays."""
+    return (1.0 - share) * rows + share * np.vstack([rows[1:], rows[-1:]])

@@ -1,0 +1,206 @@
+"""Stiffness of a leg whose foot sticks: an independent energy, unit loads, the static leg."""
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_simpson, simpson
+from scipy.spatial.transform import Rotation
+
+from slot_core import config
+from slot_core.dynamics.rod import sections
+from slot_core.robot import read_robot
+from slot_lab.leg_tests.leg_map import StaticLeg
+from slot_lab.leg_tests.sticking_leg import StickingLeg
+
+ROBOT = read_robot()
+# Natural shapes: that of the robot, and parabolas that turn by 21 and 49 deg.
+SHAPES = (6.356, -1.810, 0.0, 0.02175), (0.0, -1.0, 0.0, 0.0), (0.0, -3.0, 0.0, 0.0)
+
+
+def standing(nodes, angle, height):
+    """Static leg, pulled at its height from the slack leg above."""
+    leg = StaticLeg(ROBOT, nodes)
+    for h in np.linspace(0.12, height, 20):
+        leg.solve(0.0, h)
+    for part in np.linspace(0.0, angle, 20):
+        here = leg.solve(part, height)
+    return here
+
+
+class Standing:
+    """Energy of a standing leg as a chain of frames, in NumPy and with SciPy's rotations."""
+
+    def __init__(self, model, node, angle, height):
+        self.rod, self.tendon, self.floor = model.rod, model.tendon, model.floor
+        self.weight, self.height = -model.gravity[2] * model.rod.mass, height
+        self.node = np.column_stack([node[:, 0], np.zeros(len(node)), node[:, 1]])
+        self.cable = model.tendon.spool_radius * angle - model.tendon.relaxed
+        self.corner = self.corners(
+            self.node, np.tile([0.0, -1.0, 0.0], (len(node) - 1, 1))
+        )
+        self.touching = height + self.corner[:, 2] < 0.0
+
+    def corners(self, node, director):
+        """(P, 3) m, contact points, in the order of the floor's stiffness."""
+        side = self.floor.half_width * director[:, None, None] * [[-1.0], [1.0]]
+        return (np.stack([node[:-1], node[1:]], axis=1)[:, :, None] + side).reshape(
+            -1, 3
+        )
+
+    def energy(self, move):
+        """J; move: shift and turn of the clamp, shifts of the nodes behind, turns of segments."""
+        n = len(self.node) - 1
+        shift = np.vstack([move[:3], move[6 : 6 + 3 * n].reshape(-1, 3)])
+        node, before = self.node + shift, Rotation.from_rotvec(move[3:6])
+        before *= Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+        rod, stored, cable, directors = self.rod, 0.0, self.cable, []
+        for k, (begin, chord) in enumerate(
+            zip(np.diff(self.node, axis=0), np.diff(node, axis=0))
+        ):
+            length = np.linalg.norm(chord)
+            old, t = begin / np.linalg.norm(begin), chord / length
+            axis = np.cross(old, t)
+            small = np.linalg.norm(axis)
+            axis *= np.arctan2(small, old @ t) / small if small else 0.0
+            turn = Rotation.from_rotvec(move[6 + 3 * n + k] * t) * Rotation.from_rotvec(
+                axis
+            )
+            d = turn.apply([0.0, -1.0, 0.0])
+            own = Rotation.from_matrix(np.column_stack([t, d, np.cross(t, d)]))
+            x, y, z = (before.inv() * own).as_rotvec() - [0.0, rod.rest_angle[k], 0.0]
+            stretch = length - rod.rest_length[k] - rod.shortening[k] * (y * y + z * z)
+            stored += rod.axial[k] * stretch**2 + rod.torsion[k] * x**2
+            stored += rod.bending[k] * y**2 + rod.lateral[k] * z**2
+            cable += self.tendon.along[k] * stretch
+            cable += self.tendon.around[k] * (y + rod.rest_angle[k])
+            before = own
+            directors.append(d)
+        corner = self.corners(node, np.array(directors))
+        gone = corner - self.corner
+        springs = (self.height + corner[:, 2]) ** 2 + self.floor.bristle * (
+            gone[:, :2] ** 2
+        ).sum(1)
+        stored += (self.floor.stiffness * springs)[self.touching].sum()
+        stored += self.tendon.stiffness * max(0.0, cable) ** 2
+        return stored / 2 + self.weight @ node[:, 2]
+
+
+def hessian(function, size, step):
+    """Second differences (size, size) about zero."""
+    found, move = np.zeros((size, size)), step * np.eye(size)
+    for i in range(size):
+        for j in range(i + 1):
+            both, apart = move[i] + move[j], move[i] - move[j]
+            value = (
+                function(both) + function(-both) - function(apart) - function(-apart)
+            )
+            found[i, j] = found[j, i] = value / (4 * step * step)
+    return found
+
+
+@pytest.mark.parametrize(("angle_deg", "height"), [(63.0, 0.04), (100.0, 0.07)])
+def test_stiffness_is_that_of_an_independent_energy(angle_deg, height):
+    """The clamp's part of the Hessian less what the free nodes and segments give way."""
+    angle, nodes = np.radians(angle_deg), 5
+    here, leg = standing(nodes, angle, height), StickingLeg(ROBOT, nodes)
+    chain = Standing(leg.model, here.node, angle, height)
+    whole = hessian(chain.energy, 6 + 4 * (nodes - 1), 1e-5)
+    free = whole[6:, 6:]
+    expected = whole[:6, :6] - whole[:6, 6:] @ np.linalg.solve(free, whole[6:, :6])
+    assert np.linalg.eigvalsh(free).min() > 0.0
+    found = leg.stiffness(here.node, angle, height)
+    # Rounding of an energy of some 1e-1 J over squared steps of 1e-5 leaves 1e-6 N/m in terms of up
+    # to 1e5 N/m; the differences neglect the fourth derivative.
+    np.testing.assert_allclose(found[:3, :3], expected[:3, :3], rtol=1e-4, atol=0.02)
+    np.testing.assert_allclose(found[3:], expected[3:], rtol=1e-3, atol=2e-3)
+
+
+def unit_loads(leg, shape, nodes=4001):
+    """(3, 3) compliance of the tip over force y, moments x and z, by the unit-load integral."""
+    x = np.linspace(0.0, leg.reach, nodes)
+    slope = shape.deriv()(x)
+    arc = cumulative_simpson(np.hypot(1.0, slope), x=x, initial=0.0)
+    section = sections(leg, arc / arc[-1])
+    t = np.column_stack([np.ones(nodes), np.zeros(nodes), slope])
+    t /= np.linalg.norm(t, axis=1, keepdims=True)
+    across = np.cross(t, [0.0, 1.0, 0.0])
+    arm = np.column_stack([x[-1] - x, np.zeros(nodes), shape(x[-1]) - shape(x)])
+    moments = [np.cross(arm, [0.0, 1.0, 0.0]), [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    twist = [(m * t).sum(1) for m in moments]
+    bend = [(m * across).sum(1) for m in moments]
+    return np.array(
+        [
+            [
+                simpson(a * c / section.torsion + b * d / section.lateral, x=arc)
+                for c, d in zip(twist, bend)
+            ]
+            for a, b in zip(twist, bend)
+        ]
+    )
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_stiffness_sideways_of_an_unloaded_leg_is_that_of_unit_loads(shape):
+    """Bending and twist of the natural curve, whose tip is held by the springs of its two edges."""
+    robot = config.replace(ROBOT, {"leg.natural_shape": shape, "leg.density": 1.0})
+    coarse, fine = chains(robot)
+    # A chain has no hinge at its tip, so that moments of the edges bend it by some tenths of a
+    # segment too little: an error of first order, which the extrapolation removes.
+    assert sideways(coarse) == pytest.approx(held_on_edges(robot, fine), rel=0.015)
+    both = 2 * sideways(fine) - sideways(coarse)
+    assert both == pytest.approx(held_on_edges(robot, fine), rel=3e-4)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_on_its_centre_line_the_compliance_of_the_foot_is_that_of_a_unit_force(shape):
+    changes = {
+        "leg.natural_shape": shape,
+        "leg.density": 1.0,
+        "leg.contact_width": 1e-4,
+    }
+    robot = config.replace(ROBOT, changes)
+    leg, force_alone = chains(robot)[0], unit_loads(robot.leg, robot.leg.shape)[0, 0]
+    assert sideways(leg) == pytest.approx(held_on_edges(robot, leg), rel=1e-4)
+    # The edges, 0.1 mm apart, still hold 5e-5 N m/rad; the floor yields by 0.4 % of the leg.
+    assert sideways(leg) == pytest.approx(1.0 / force_alone, rel=6e-3)
+
+
+def held_on_edges(robot, leg):
+    """N/m, of a leg whose tip is held by the springs of its two edges."""
+    tip, half = 2 * leg.model.floor.stiffness[-1], leg.model.floor.half_width
+    springs = np.diag([1.0 / tip, 1.0 / (tip * half**2), 1.0 / (tip * half**2)])
+    return np.linalg.inv(unit_loads(robot.leg, robot.leg.shape) + springs)[0, 0]
+
+
+def chains(robot):
+    return StickingLeg(robot, 61), StickingLeg(robot, 121)
+
+
+def sideways(leg):
+    """N/m, of the natural leg above the floor."""
+    return leg.stiffness(leg.model.rod.node, 0.0, 1.0)[1, 1]
+
+
+@pytest.mark.parametrize("angle_deg", [85.0, 95.0])
+def test_without_the_longitudinal_force_it_is_the_stiffness_on_a_floor_without_friction(
+    angle_deg,
+):
+    """Where one node touches, the stuck foot let go along the leg is the foot of the static leg."""
+    angle, height = np.radians(angle_deg), 0.1
+    here = standing(61, angle, height)
+    held = StickingLeg(ROBOT, 61).stiffness(here.node, angle, height)
+    assert np.count_nonzero(height + here.node[:, 1] < 0.0) == 1
+    # The static leg's last pseudo time step, 1000 s, leaves 8e-6 of damping.
+    assert held[2, 2] - held[0, 2] ** 2 / held[0, 0] == pytest.approx(
+        -here.stiffness, rel=3e-5
+    )
+    assert held[0, 2] / held[0, 0] == pytest.approx(here.foot_rise, rel=3e-5)
+
+
+def test_a_leg_above_the_floor_has_the_stiffness_of_one_that_just_touches():
+    leg = StickingLeg(ROBOT, 61)
+    here = standing(61, np.radians(40.0), 0.08)
+    lowest = -here.node[:, 1].min()
+    assert here.force == 0.0
+    above = leg.stiffness(here.node, np.radians(40.0), 0.08)
+    touching = leg.stiffness(here.node, np.radians(40.0), lowest - 1e-8)
+    np.testing.assert_allclose(above[:3, :3], touching[:3, :3], rtol=1e-5, atol=1e-3)

@@ -1,0 +1,107 @@
+"""Disturbance observer: a payload, a drift and a tendon that is too long are found."""
+
+import numpy as np
+import pytest
+from nominal_walk import WALK, torso_of
+
+from slot_core.robot import GRAVITY, read_robot
+from slot_core.rollout_mpc.disturbance_observer import DisturbanceObserver
+from slot_core.rollout_mpc.nominal_robot import NominalRobot
+from slot_core.rollout_mpc.settings import read_rollout_mpc
+from slot_core.simulation.closed_loop import ClosedLoop
+
+SETTINGS, DT, ANGLE = read_rollout_mpc(), 0.033, 1.3
+SCALE = np.array([0.02, 0.02, 0.007, 0.002, 0.002, 0.002])
+
+
+class Watch:
+    """The observer, and a nominal robot on which a wrench acts and that drifts.
+
+    share: of a tick, from one estimate to the next.
+    """
+
+    def __init__(self, drift=(0.0, 0.0, 0.0), wrench=(0.0, 0.0, 0.0), share=1.0):
+        self.plant, self.model = (
+            NominalRobot(read_robot(), SETTINGS.nominal, DT) for _ in range(2)
+        )
+        self.observer = DisturbanceObserver(self.model, SETTINGS.observer, SCALE, DT)
+        self.plant.set_wrench(np.array(wrench), 0.0)
+        self.state, self.command = np.eye(12)[5] * 0.05, np.full((2, 4), ANGLE)
+        self.real = self.plant.at_rest(self.state, self.command[0])
+        self.step, self.drift, self.time = share * DT, np.array(drift), 0
+
+    def go_on(self, ticks, yaw=0.0):
+        """The observer after so many estimates, with an error of their yaw (rad)."""
+        for _ in range(ticks):
+            self.model.set_wrench(self.observer.wrench, 0.0)
+            seen = self.state + np.eye(12)[2] * yaw
+            start = self.model.measured(self.real, self.state)
+            self.observer.observe(self.time, start, seen, self.command[0])
+            self.real = self.plant.after(
+                self.plant.measured(self.real, self.state), self.command
+            )
+            self.state = torso_of(self.plant, self.real)
+            self.state[[3, 4, 2]] += self.step * self.drift
+            self.time += round(1e9 * self.step)
+        return self.observer
+
+
+def watched(ticks, **settings):
+    """The observer after so many estimates."""
+    return Watch(**settings).go_on(ticks)
+
+
+def test_without_a_disturbance_nothing_is_found():
+    observer = watched(60)
+    assert np.abs(observer.wrench).max() < 1e-9
+    assert np.abs(observer.drift).max() < 1e-9
+
+
+def test_a_wrench_is_found():
+    wrench = np.array([-3.0, 0.1, -0.15])
+    assert watched(300, wrench=wrench).wrench == pytest.approx(wrench, rel=0.1)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.8, 1.3])
+def test_a_drift_is_found_in_the_heading_frame(share):
+    drift = (0.01, -0.005, 0.02)
+    assert watched(120, drift=drift, share=share).drift == pytest.approx(
+        drift, abs=1e-3
+    )
+
+
+def test_a_steady_drift_is_no_misfit_but_a_robot_that_moves_otherwise_is():
+    watch = Watch(drift=(0.03, 0.0, 0.05), wrench=(-3.0, 0.0, 0.0))
+    observer = watch.go_on(120)
+    assert not observer.model_mismatch
+    assert observer.misfit < 1.0
+    found = observer.drift[0]
+    watch.drift[:] = 0.0
+    far = [
+        watch.go_on(1, 0.2 * (-1) ** k * (k < 60)).model_mismatch for k in range(200)
+    ]
+    assert far.index(True) in range(3, 20)
+    assert not far[-1]  # once it moves as the model again
+    assert abs(observer.drift[0]) < 0.01 * found
+
+
+def test_a_forgotten_motion_leaves_the_estimates():
+    watch = Watch(wrench=(-3.0, 0.0, 0.0))
+    before = watch.go_on(120).wrench.copy()
+    watch.observer.forget()
+    np.testing.assert_array_equal(watch.go_on(SETTINGS.observer.window).wrench, before)
+    assert not np.array_equal(watch.go_on(1).wrench, before)
+
+
+@pytest.mark.parametrize("mass", [0.2, 0.4])
+def test_a_payload_of_the_walking_robot_is_weighed(mass):
+    changes = {"scene.payload.mass": mass}
+    last = list(
+        ClosedLoop("flat", "walk", WALK, 1, "rollout_mpc", changes=changes).run(200)
+    )[-60:]
+    weight = np.mean([-tick.plan.report.wrench[0] for tick in last])
+    empty = list(ClosedLoop("flat", "walk", WALK, 1, "rollout_mpc").run(200))[-60:]
+    weight += np.mean(
+        [tick.plan.report.wrench[0] for tick in empty]
+    )  # of the model's own error
+    assert weight / GRAVITY == pytest.approx(mass, rel=0.3)
