@@ -1,4 +1,4 @@
-"""Architecture: allowed imports between folders, no circles, names."""
+"""Architecture: allowed imports between folders, no circles, names, and a budget of size."""
 
 import ast
 import collections
@@ -265,3 +265,39 @@ def test_no_file_name_has_a_leading_underscore():
 def test_launch_is_imported_only_by_the_launch_file():
     for path in modules().values():
         assert not tops(path) & {"launch", "launch_ros"}, path
+
+
+# Statements that each part of the repository may have. What goes beyond brings its own cut.
+BUDGET = {
+    "src/slot_core": 13_700,
+    "src/slot_lab": 5_900,
+    "src/slot_paper": 700,
+    "src/slot_nodes": 2_150,
+    "slot_bringup": 2_700,
+    "scripts": 4_400,
+    "test": 15_900,
+}
+
+
+def statements(path: Path) -> int:
+    """Number of statements of a Python file, those within others too."""
+    tree = ast.parse((ROOT / path).read_text())
+    return sum(isinstance(node, ast.stmt) for node in ast.walk(tree))
+
+
+def test_each_package_keeps_its_budget_of_statements():
+    sizes = {path: statements(path) for path in tracked()}
+    counts = {
+        package: sum(n for path, n in sizes.items() if path.is_relative_to(package))
+        for package in BUDGET
+    }
+    beyond = {name: n for name, n in counts.items() if n > BUDGET[name]}
+    largest = sorted(sizes, key=sizes.__getitem__)[-3:]
+    named = ", ".join(f"{path} {sizes[path]}" for path in reversed(largest))
+    assert not beyond, f"beyond BUDGET: {beyond}; all: {counts}; largest: {named}"
+    assert sum(counts.values()) == sum(sizes.values()), "a file outside of BUDGET"
+
+
+def test_the_formatter_lays_out_all_code():
+    kept = [p for p in tracked() if "# fmt: " + "skip" in (ROOT / p).read_text()]
+    assert kept == []
