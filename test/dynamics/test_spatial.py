@@ -1,35 +1,17 @@
 """Legs in space: equations of motion from an independent energy, conservation, torsion."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from planar_energy import mass_matrix
+from rod_robots import FLOATING, ROBOT, UNDAMPED, simulator
 from scipy.spatial.transform import Rotation
 
-from slot_core import config
-from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
-from slot_core.robot import read_robot
 from slot_core.section import torsion_constant
-from slot_core.simulation.rod_robot import RodRobot
-
-ROBOT = read_robot()
-UNDAMPED = config.replace(ROBOT, {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0})
-
-
-def simulator(robot=ROBOT, servo="torque_speed", **changes):
-    """A robot in the scene `flat` without settling; solver__step is solver.step."""
-    changes = {name.replace("__", "."): value for name, value in changes.items()}
-    changes = {"start.settle": 0.0} | changes
-    scene = config.replace(read_scene("flat"), changes)
-    return RodRobot(robot, scene, dataclasses.replace(read_servo(), model=servo))
 
 
 def kicked(robot=ROBOT, **changes):
     """A floating robot whose legs are struck sideways and downwards and set to twist."""
-    floating = {"gravity": [0.0, 0.0, 0.0], "start__height": 5.0}
-    sim = simulator(robot=robot, **floating | changes)
+    sim = simulator(robot=robot, **FLOATING | changes)
     sim.set_motion(np.array([0.3, 0.2, 0.1]), np.array([3.0, 4.0, 5.0]))
     state, part = sim.state, sim.model.rod.arc / sim.model.rod.arc[-1]
     state.node_velocity[:, :, 1] += (
@@ -177,7 +159,7 @@ def test_energy_of_undamped_legs_is_conserved_in_flight():
 
 
 def test_a_motion_in_the_planes_of_the_legs_stays_in_them():
-    sim = simulator()
+    sim = simulator(start__settle=0.0)
     for k in range(60):
         sim.advance(10, np.full(4, min(1.1, 0.03 * k)))
         assert np.abs(sim.state.node[:, :, 1]).max() < 1e-9  # m
