@@ -37,11 +37,15 @@ from slot_core.dynamics.algebra import (
     times,
     times_transposed,
 )
-from slot_core.dynamics.clamp import add_to_torso, couple
 from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.handle import contents
 from slot_core.dynamics.lanes import all_lanes, in_lanes, one_lane
-from slot_core.dynamics.spatial.elimination import eliminate, substitute
+from slot_core.dynamics.spatial.elimination import (
+    add_to_torso,
+    couple,
+    eliminate,
+    substitute,
+)
 from slot_core.dynamics.spatial.leg import (
     advance_bristles,
     finish,

@@ -1,4 +1,12 @@
-"""Quantities computed from a state: node positions, ground forces, momentum, energy."""
+"""Quantities computed from a state: node positions, ground forces, momentum, energy.
+
+The masses of a segment move linearly between its nodes (`rod.py`). With its coupling mu, spin
+inertia I, chord e, difference of its nodes' velocities u and swirl S it adds to the lumped masses
+
+    angular momentum I S - mu e x u,      kinetic energy (I S.S - mu u.u) / 2.
+
+Position and velocity of the nodes are those of `points`.
+"""
 
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
@@ -44,7 +52,11 @@ def _to_odom(model, state, leg, v):
 
 @helper
 def _contact_point(model, state, position, velocity, leg, p):
-    """Node of contact point p of a leg, its position and velocity, odom, m and m/s."""
+    """Node of contact point p of a leg, its position and velocity, odom, m and m/s.
+
+    The points of a leg are numbered as in `contact.Floor`. A segment turns with
+    w = e x u / e.e + S, its chord e, difference of velocities u and swirl S.
+    """
     reach = model.floor.half_width
     k = p // 4
     i = p // 4 + (p // 2) % 2
@@ -60,7 +72,11 @@ def _contact_point(model, state, position, velocity, leg, p):
 
 @kernel
 def ground_forces(model, state, position, velocity, force):
-    """Write the force (4, 3), N, odom, of the floor on each leg."""
+    """Write the force (4, 3), N, odom, of the floor on each leg.
+
+    The sum over its contact points of N n - drag v - held (`contact.py`), without growth of the
+    bristles within a step.
+    """
     force[:] = 0.0
     floor, friction = model.floor, model.friction
     for leg in range(4):
@@ -99,7 +115,10 @@ def _gap(terrain, r):
 
 @kernel
 def momenta(model, state, position, velocity, out):
-    """Write out (2, 3): momentum (kg m/s) and angular momentum about odom's origin (kg m^2/s)."""
+    """Write out (2, 3): momentum (kg m/s) and angular momentum about odom's origin (kg m^2/s).
+
+    Of torso, payload and legs; bristles and cables have no mass.
+    """
     out[:] = 0.0
     _add_momentum(out, model.torso.mass, state.position, state.velocity)
     _add_momentum(out, model.payload[0], *_payload(model, state))
@@ -128,7 +147,10 @@ def _add_momentum(out, mass, r, v):
 
 @kernel
 def energy(model, state, segments, position, velocity):
-    """J: kinetic, gravity (zero at odom's origin), rods, cables, floor and bristles."""
+    """J: kinetic, gravity (zero at odom's origin), rods, cables, floor and bristles.
+
+    segments: scratch arrays of one rod.
+    """
     floor = model.floor
     total = 0.5 * dot(state.rate, times(model.torso.inertia, state.rate))
     total += _point_energy(model, model.torso.mass, state.position, state.velocity)

@@ -44,7 +44,9 @@ class Rod(NamedTuple):
     anchor: int  # the node where the tendon ends
     anchor_share: float  # share of that node's bending that lies before the anchor
     damping_time: float  # s, beta
-    relaxation: Array  # (2, 2) shares and times (s) of the Maxwell branches, see spatial/relaxation
+    relaxation: (
+        Array  # (2, 2) shares and times (s) of the Maxwell branches, see spatial/strain
+    )
 
 
 class Links(NamedTuple):

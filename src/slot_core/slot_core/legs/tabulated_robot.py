@@ -42,11 +42,10 @@ constant there. The table belongs to the robot of `config/robot.yaml`: after a c
 `scripts/calibrate --leg-map`.
 """
 
-from typing import NamedTuple
+from operator import attrgetter
 
 import numpy as np
 
-from slot_core.arrays import Array, checked
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import build_model, build_scheme, state_space, work_space
@@ -131,13 +130,6 @@ class TabulatedRobot(KernelRobot):
                 f"simulation diverged at {self.time:.4f} s: {limit}", state
             )
 
-    def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
-        """Set the motion of the torso: (3,) m/s in odom, (3,) rad/s in base_link; or ValueError."""
-        velocity = checked("velocity", velocity, (3,))
-        angular_velocity = checked("angular velocity", angular_velocity, (3,))
-        self.state.velocity[:] = velocity
-        self.state.rate[:] = angular_velocity
-
     @property
     def nodes(self) -> Array:
         """(4, 2, 3) m in odom: clamp and foot, in contact or the lowest point of the leg."""
@@ -159,30 +151,21 @@ class TabulatedRobot(KernelRobot):
         return self.feet.force.copy()
 
 
-class _Requirement(NamedTuple):
-    """A setting and the value that the table requires."""
-
-    name: str
-    value: object
-    needed: object
-
-
 def _require_tabulated(scene: Scene) -> None:
     """Raise ConfigError at the first setting that the table does not cover."""
-    floor, made_for = scene.floor, read_scene("flat").floor
-    needs = (
-        _Requirement("floor.height_map", floor.height_map, ""),
-        _Requirement("floor.contact", floor.contact, made_for.contact),
-        _Requirement("floor.stiffness", floor.stiffness, made_for.stiffness),
-        _Requirement(
-            "floor.line_stiffness", floor.line_stiffness, made_for.line_stiffness
-        ),
-        _Requirement("solver.halvings", scene.solver.halvings, 0),
-    )
-    for need in needs:
-        if need.value != need.needed:
+    made_for = read_scene("flat").floor
+    needs = {
+        "floor.height_map": "",
+        "floor.contact": made_for.contact,
+        "floor.stiffness": made_for.stiffness,
+        "floor.line_stiffness": made_for.line_stiffness,
+        "solver.halvings": 0,
+    }
+    for name, needed in needs.items():
+        value = attrgetter(name)(scene)
+        if value != needed:
             raise ConfigError(
-                f"{need.name} = {quoted(need.value)}: legs of the model 'map' need {need.needed!r}"
+                f"{name} = {quoted(value)}: legs of the model 'map' need {needed!r}"
             )
 
 

@@ -75,7 +75,8 @@ def acting(lever, m):
 def hinge(mesh, work, k, inv, before, behind):
     """Write the form of the hinge at node k over (s, w) of the segments before and behind it.
 
-    inv is 1 / (theta h), and 0 in statics; before, behind: levers of both.
+    inv is 1 / (theta h), and 0 in statics; before, behind: levers of both. Writes work.form (8, 9),
+    the tangent | negative gradient, work.stretch (8,), and the hinge's moments, N m.
     """
     s, beta, tension = work.segments, mesh.damping_time, work.tension[k]
     viscous = 1.0 + beta * inv
@@ -237,9 +238,11 @@ def spread_last(F, Q):
 
 @helper
 def assemble(mesh, work, inv):
-    """Write the blocks of all hinges to work.factor, at the strains of the iterate."""
+    """Write the blocks of all hinges to work.factor (N, 11, 12), at the strains of the iterate.
+
+    A hinge's form is complete with the terms of the segment before it, which need both its hinges.
+    """
     F, Q, last = work.factor, work.form, work.normal.size - 1
-    # A hinge's segment before it is complete with the moment of this hinge.
     ahead = segment(work, 0)
     hinge(mesh, work, 0, inv, SECTION, ahead)
     spread(F[0], Q, 1.0, 0.0)

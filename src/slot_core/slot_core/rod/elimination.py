@@ -17,7 +17,10 @@ from slot_core.rod.assembly import assemble
 
 @helper
 def node(mesh, work, dead, i, inv, F, at):
-    """Add inertia and dead load of node i to the diagonal and the last column of F."""
+    """Add inertia and dead load of node i to the diagonal and the last column of F.
+
+    dead (N, 3): forces, N; at: row of F of the node's displacement along x.
+    """
     mass = mesh.mass[i] * inv
     for c in range(3):
         F[at + c, at + c] += mass * inv
@@ -27,7 +30,10 @@ def node(mesh, work, dead, i, inv, F, at):
 
 @helper
 def prescribe(held, gap, F, rows):
-    """Replace the equations of the held unknowns among the first of F by x = gap."""
+    """Replace the equations of the held unknowns among the first of F by x = gap.
+
+    held (n,): which of the first n are held; rows: number of equations of F.
+    """
     for c in range(held.size):
         if held[c]:
             for i in range(rows):

@@ -21,11 +21,10 @@ from slot_core import config
 from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import dot, plus, put, row
-from slot_core.dynamics.clamp import couple
 from slot_core.dynamics.model import Model, build_model, spatial_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.spatial.elimination import eliminate, substitute
+from slot_core.dynamics.spatial.elimination import couple, eliminate, substitute
 from slot_core.dynamics.spatial.leg import SpatialLeg, hold_clamp, load_leg
 from slot_core.dynamics.spatial.strain import point_along
 from slot_core.robot import RobotParameters

@@ -10,6 +10,18 @@ with the change lambda of the tendon's tension; the last column is the gradient.
 
     X_i = X_k + s,      Phi_k = t x s / l + t w = A s + t w.
 
+With the form F beyond node i, the hinge at node k and the contact at the segment's begin, the
+equations of the segment over (u, Y, lambda | 1), Y = (X_k, Phi_{k-1}), have the blocks
+
+    [ D    R^T ]      D (4 x 4): pivot over u,      R: rows of Y and lambda, and the gradient,
+    [ R    S   ]
+
+so that u = -D^-1 R^T (Y, lambda, 1) and the form over Y is the Schur complement S - R D^-1 R^T. The
+back substitution goes from the clamp to the tip (`follow`).
+
+At the clamp a taut tendon adds lambda dl - lambda^2 / (2 kappa) with kappa = k + c / (theta h), in
+place of its full matrix kappa grad l grad l^T, and lambda is eliminated too (`couple`).
+
 The tangent of a hinge is in `hinge.py`. What is left antisymmetric in the block of one segment
 comes from spins not being coordinates; it is left out. The twist about a segment has the inertia of
 its section's polar moment. The mass moves linearly between two nodes, which adds -mu (ds/dt)^2 / 2
@@ -21,7 +33,7 @@ to the energy of the lumped masses.
 
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import add, cross, dot, minus, plus, put, row, scaled
-from slot_core.dynamics.lanes import largest, like
+from slot_core.dynamics.lanes import largest, like, total, where
 from slot_core.dynamics.spatial.floor_contact import add_contact
 from slot_core.dynamics.spatial.hinge import Symmetric, bend, between, rows
 from slot_core.dynamics.spatial.quadratic_form import (
@@ -41,7 +53,10 @@ from slot_core.dynamics.spatial.strain import frame_before, growth
 def eliminate(model, leg, inv, place):
     """Eliminate the segments of a leg from tip to clamp; returns whether all pivots were positive.
 
-    Writes leg.form and leg.back. inv = 1 / (theta h); place: the torso's centre in odom, m.
+    Writes leg.form (7, 8), the form at the clamp, and leg.back (N-1, 4, 8), rows for `follow`.
+
+    inv = 1 / (theta h), 1/s; place (3,): the torso's centre in odom, m. Strains, tension and frames
+    are those of `load_leg` at the iterate.
     """
     nothing = like(0.0, leg.friction[0])
     zero = (nothing, nothing, nothing)
@@ -63,8 +78,11 @@ def eliminate(model, leg, inv, place):
 def _reduce(model, leg, k, inv, place, form, both, one):
     """Eliminate segment k: the form over its begin and over the segment before it.
 
-    u solves the pivot's system for the columns of X_k, Phi_{k-1}, lambda and the gradient; the form
-    loses their products (a Schur complement).
+    form: of the leg beyond the segment's end; both, one: its entries of lambda with itself and of
+    lambda's gradient. Returns the new form, whether the pivot was positive, and the new entries.
+
+    x, r, pulled, loaded are the columns of X_k, Phi_{k-1}, lambda and the gradient over u, and w,
+    z, wc, wo the pivot's solutions for them.
     """
     s, rod = leg.segments, model.rod
     t, scale = row(s.direction, k), s.per_length[k]
@@ -118,9 +136,12 @@ def _reduce(model, leg, k, inv, place, form, both, one):
 def _pivot(form, begin, t, scale, axial, p, normal, inertia, spin):
     """Factors of the 4 x 4 pivot over u = (s, w) of a segment.
 
-    The form beyond it, mapped by X = s and Phi = A s + t w; the stretch, axial p p^T; the geometric
-    stiffness of its axial force and of the moment on it; less the inertia that its masses have
-    beyond lumped ones, and its spin's.
+    It has four parts: the form beyond the segment, mapped by X = s and Phi = A s + t w; the stretch,
+    axial p p^T with the derivative p (4) of l - c; the geometric stiffness of the axial force,
+    normal (N), and of the moment on the segment; the inertia of its spin, less the mass times
+    1 / (theta h)^2 by which lumped masses exceed linearly moving ones, N/m.
+
+    t: direction; scale: 1 / l, 1/m; axial: N/m.
     """
     P, moment = form.place, begin.moment
     ax, ay, az = _arms((form.x, form.y, form.z), t, scale)
@@ -155,13 +176,18 @@ def _pivot(form, begin, t, scale, axial, p, normal, inertia, spin):
 def _columns_of_place(form, begin, t, scale):
     """Columns of X_k over u: of the form beyond, and of the contact at the segment's begin."""
     px, py, pz = rows(form.place)
-    ax, ay, az = _arms((form.x, form.y, form.z), t, scale)
-    bx, by, bz = _arms((begin.x, begin.y, begin.z), t, scale)
     return (
-        (*add(add(px, ax), bx), dot(form.x, t) + dot(begin.x, t)),
-        (*add(add(py, ay), by), dot(form.y, t) + dot(begin.y, t)),
-        (*add(add(pz, az), bz), dot(form.z, t) + dot(begin.z, t)),
+        _column_of_place(px, form.x, begin.x, t, scale),
+        _column_of_place(py, form.y, begin.y, t, scale),
+        _column_of_place(pz, form.z, begin.z, t, scale),
     )
+
+
+@helper
+def _column_of_place(p, behind, begin, t, scale):
+    """p + behind A + begin A over s, and (behind + begin).t over w."""
+    s = add(add(p, _arm(behind, t, scale)), _arm(begin, t, scale))
+    return (*s, dot(behind, t) + dot(begin, t))
 
 
 @helper
@@ -179,7 +205,10 @@ def _bulged(k, axial, b):
 
 @helper
 def _spun(rod, leg, k, inv, form, hinge):
-    """Form over (X_k, Phi_k) of the turn of segment k alone: beyond it, its hinge and its spin."""
+    """Form over (X_k, Phi_k) of the turn of segment k alone: beyond it, its hinge and its spin.
+
+    The spin's angular momentum changes by I (Omega t - S_n), a moment on the segment over theta h.
+    """
     own, inertia = leg.spin[k], rod.spin[k] * inv
     nothing = 0.0 * own
     zero = (nothing, nothing, nothing)
@@ -200,7 +229,7 @@ def _spun(rod, leg, k, inv, form, hinge):
 
 @helper
 def _add_node(model, leg, i, inv, form):
-    """Add inertia and weight of node i to the form."""
+    """Add inertia and weight of node i to the form: m (V - V_n) / (theta h) - m g."""
     mass, P = model.rod.mass[i], form.place
     inertia = mass * inv * inv
     change = minus(row(leg.velocity, i), row(leg.before, i))
@@ -282,6 +311,50 @@ def _write(F, form, both, one):
 
 
 @helper
+def couple(tendon, leg, inv):
+    """Eliminate lambda; writes leg.reduced (6, 7), the form over the displacements of the clamp.
+
+    leg.release (7,) are lambda's factors: lambda = release . (X, Phi, 1).
+    """
+    F, release, reduced = leg.form, leg.release, leg.reduced
+    taut = tendon.stiffness + tendon.damping * inv
+    stiffness = where(leg.pull[0] > 0.0, like(taut, F[6, 6]), like(0.0, F[6, 6]))
+    factor = stiffness / (1.0 - stiffness * F[6, 6])
+    for c in range(6):
+        release[c] = factor * F[6, c]
+    release[6] = factor * F[6, 7]
+    for r in range(6):
+        for c in range(6):
+            reduced[r, c] = F[r, c] + F[r, 6] * release[c]
+        reduced[r, 6] = F[r, 7] + F[r, 6] * release[6]
+
+
+@helper
+def add_to_torso(leg, matrix, vector):
+    """Add a leg's form, mapped by leg.clamp, to the torso's system; in lanes, of all legs."""
+    reduced, half, L = leg.reduced, leg.product, leg.clamp
+    for r in range(6):
+        for c in range(6):
+            value = reduced[r, 0] * L[0, c]
+            for k in range(1, 6):
+                value += reduced[r, k] * L[k, c]
+            half[r, c] = value
+    for r in range(6):
+        value = L[0, r] * reduced[0, 6]
+        for k in range(1, 6):
+            value += L[k, r] * reduced[k, 6]
+        vector[r] += total(value)
+        for c in range(r + 1):
+            value = L[0, r] * half[0, c]
+            for k in range(1, 6):
+                value += L[k, r] * half[k, c]
+            value = total(value)
+            matrix[r, c] += value
+            if c < r:
+                matrix[c, r] += value
+
+
+@helper
 def substitute(leg, vector, inv):
     """Back substitution of the torso's increments in a leg; updates V, the spins and the tension.
 
@@ -315,7 +388,11 @@ def _move(leg, i, X, inv, most):
 
 @helper
 def follow(leg, k, X, turn, tension):
-    """Displacement of a segment's end, its rotation and its turn w, from those at its begin."""
+    """Displacement of a segment's end, its rotation and its turn w, from those at its begin.
+
+    X (3), m, and turn (3), rad: displacement of node k and rotation of the segment before it;
+    tension: change lambda, N.
+    """
     t = row(leg.segments.direction, k)
     s = (
         _entry(leg.back, k, 0, X, turn, tension),

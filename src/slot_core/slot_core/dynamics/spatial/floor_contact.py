@@ -1,4 +1,22 @@
-"""Forces of the floor on the edges of a spatial leg, as parts of its quadratic form."""
+"""Forces of the floor on the edges of a spatial leg, as parts of its quadratic form.
+
+A contact point lies at the arm a from node i, half the leg's width along the director of segment k
+or against it. It moves with the velocity u of its segment:
+
+    u = V_i + w x a,      w = t x (V_{k+1} - V_k) / l + Omega t.
+
+With the floor's normal n, the gap g and the friction law of `contact.py`, the floor's force on it is
+
+    f = N n - drag v - held,      N = max(0, -k g - d u.n),      v = u - (u.n) n.
+
+In a Newton iteration the point is displaced by X + Phi x a, which changes its velocity by
+1 / (theta h) times as much. The tangent -df is
+
+    C = c 1 + s n n^T,      c = drag / (theta h),      s = k + d / (theta h) - c while N > 0, else 0,
+
+over X, and C mapped by Phi -> Phi x a over Phi. The arm turns with the segment; the moment of f
+about the node adds the symmetric part of Phi -> -(Phi x a) x f.
+"""
 
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
@@ -19,7 +37,11 @@ from slot_core.dynamics.terrain import clearance
 
 @helper
 def add_contact(model, leg, k, end, inv, place, form):
-    """Add the floor's forces on both edges of segment k at its begin or end (0, 1)."""
+    """Add the floor's forces on both edges of segment k at its begin or end (0, 1) to the form.
+
+    inv = 1 / (theta h), 1/s; place: torso's centre in odom, m. Writes the points' friction limits
+    and the floor's slopes below them, which bristles need at the end of the step.
+    """
     floor, i = model.floor, k + end
     if i < floor.first:
         return form
@@ -41,11 +63,10 @@ def add_contact(model, leg, k, end, inv, place, form):
 
 @helper
 def _touch(floor, leg, k, i, p, a, gap, up, inv, form):
-    """Add the floor's force on contact point p, at a (3 numbers), m, from node i, and its tangent.
+    """Add the floor's force on contact point p and its tangent to the form.
 
-    The force -g on the leg has over (X, Phi) the tangent C = drag 1 + stiff up up^T of a point that
-    moves by X + Phi x a. The arm a turns with the segment: -(Phi x a) x f with f = -g is added
-    without its antisymmetric part.
+    i: its node; a (3 numbers): its arm, m; gap, m; up (3 numbers): the floor's normal, leg axes.
+    g = -f is the gradient that the force adds.
     """
     u = add(row(leg.velocity, i), cross(angular_velocity(leg, k), a))
     vn = dot(up, u)

@@ -66,7 +66,9 @@ def bend(rod, s, k, before, viscous, normal, tendon, tension):
 
     viscous: derivative of the moment over the stiffness by the strain in a step, 1 in statics;
     normal: axial force of segment k, N; tendon, tension (N): a tendon along the rod (`tendon.py`).
-    The correction c_k of the segment's length adds the axial force to both bending stiffnesses.
+
+    mu = B (e + beta de/dt) with the strains e of `strain.py`, and the material's relaxation. The
+    correction c_k of the segment's length adds the axial force to both bending stiffnesses.
     """
     x, y, z = s.twist[k], s.turn[k], s.side[k]
     vt, vd, vb = _derivative(before, x, y, z, s.curl[k])

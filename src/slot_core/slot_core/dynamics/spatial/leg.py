@@ -29,13 +29,14 @@ from slot_core.dynamics.algebra import (
 from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.spatial.floor_contact import angular_velocity
-from slot_core.dynamics.spatial.relaxation import relax, remember
 from slot_core.dynamics.spatial.strain import (
     Segments,
     frame_before,
     measure,
     orient,
     point_along,
+    relax,
+    remember,
 )
 from slot_core.dynamics.tendon import pull
 
