@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import one_buffer
+from slot_core.arrays import Array, one_buffer
 from slot_core.dynamics.contact import Floor
 from slot_core.dynamics.rod import Rod, discretise
 from slot_core.dynamics.scene import FloorSettings, Scene, SolverSettings

@@ -46,6 +46,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import build_model, build_scheme, state_space, work_space

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import one_buffer
+from slot_core.arrays import Array, one_buffer
 from slot_core.dynamics.spatial.strain import Segments, segments
 from slot_core.rod.mesh import Mesh
 

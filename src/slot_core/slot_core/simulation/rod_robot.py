@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.handle import Handle
