@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from leg_energy import mass_matrix
 from numba import njit
-from planar_energy import mass_matrix
 from scipy.linalg import eigh
 
 from slot_core.dynamics.rod import build, discretise

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from planar_energy import mass_matrix, strains
+from leg_energy import mass_matrix, strains
 from rod_robots import FLOATING, ROBOT, simulator
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation

@@ -1,7 +1,7 @@
 """Arguments of a kernel, unpacked once.
 
-Numba unpacks the arrays of a tuple at every call, which takes longer than a time step for those of
-a robot. A `Handle` keeps the unpacked tuple in memory; passing it costs as much as an integer.
+Numba unpacks the arrays of a tuple at every call, which takes longer for the arrays of
+a robot than a time step. A `Handle` keeps the unpacked tuple in memory; passing it costs as much as an integer.
 """
 
 # mypy: disable-error-code="no-untyped-def,misc,no-untyped-call"

@@ -274,7 +274,7 @@ def _each_lane(function):
             function(lane(x, 3)),
         )
 
-    @overload(function, jit_options=OPTIONS)  # type: ignore[arg-type]
+    @overload(function, jit_options=OPTIONS)
     def chosen(x):
         return each if isinstance(x, _Lanes) else None
 

@@ -75,7 +75,7 @@ class MechanicalState(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Scratch space of the torso. "Step axes" are those of `integrator.py`."""
+    """Scratch space of the torso. `integrator.py` defines its "step axes"."""
 
     matrix: Array  # (6, 6)
     vector: Array  # (6,)

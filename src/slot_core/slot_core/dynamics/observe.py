@@ -5,7 +5,7 @@ inertia I, chord e, difference of its nodes' velocities u and swirl S it adds to
 
     angular momentum I S - mu e x u,      kinetic energy (I S.S - mu u.u) / 2.
 
-Position and velocity of the nodes are those of `points`.
+`points` writes position and velocity of the nodes, which the other kernels take.
 """
 
 # mypy: disable-error-code="no-untyped-def"

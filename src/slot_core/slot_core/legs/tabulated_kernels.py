@@ -43,8 +43,8 @@ TILT_MAX_DEG, COS_TILT_MAX = 60.0, 0.5  # largest tilt of the torso
 NORMAL_PER_DROP_MIN = (
     0.25  # least D, so that a foot that moves ahead of the torso cannot lock it
 )
-# Of friction, normal force and side rate of a foot, each of which needs the others. They continue
-# those of the step before: 3 leave 2 um in stand and step, 20 iterations as the reference.
+# Of friction, normal force and side rate of a foot, each of which needs the others. They begin
+# where the step before ended: 3 leave 2 um in stand and step, 20 iterations as the reference.
 ITERATIONS = 3
 
 

@@ -32,9 +32,9 @@ Neglected: vibration of the legs (first frequency: 10 Hz hanging, 25 Hz standing
 friction on the shape of a leg beyond the path of its foot, along the leg (where it carries load
 below 80 mm its stiffness there is 1 to 20 N/mm); slip and lifting of an edge of the foot, which
 turns it in its place after 1 to 4 mm, so that at 10 mm a leg has some 0.4 of the force k_y y; the
-force y^2/2 dk_y/deta, some 0.1 N at 10 mm; the tilt of gravity in a leg. Contact is that of the
+force y^2/2 dk_y/deta, some 0.1 N at 10 mm; the tilt of gravity in a leg. The contact law is set as in the
 scene `flat`. Mass and inertia of the undeformed legs are added to the torso, with the centre of
-mass at that of the torso.
+mass at the torso's.
 
 The table is interpolated bilinearly. Below the lowest and above the highest height, force and
 tension are extrapolated linearly from the cell at the edge, down to zero; the other columns are

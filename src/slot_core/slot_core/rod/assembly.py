@@ -1,8 +1,8 @@
 """Tangent and gradient of a rod, hinge by hinge, over the unknowns of Newton's method.
 
-The unknowns are the turn of the base's section (3, and one that is not used), then of every node
+The unknowns are the turn of the base's section (3, and an unused entry), then of every node
 its displacement (3) and the turn w of the segment behind it about itself, last the displacement of
-the tip's node, the turn of the tip's section (3) and one not used: x has 4 N + 7 entries. The hinge
+the tip's node, the turn of the tip's section (3) and an unused entry: x has 4 N + 7 entries. The hinge
 at node k depends on x[4 k : 4 k + 11]. Over the difference s of a segment's two displacements and
 w, its rotation is
 
@@ -155,7 +155,7 @@ def _stretch(g, Q, bulge, before, behind, axial):
 def own(mesh, work, k, inv, lever):
     """Add the terms of segment k alone to the form, as the segment before a hinge.
 
-    Its geometric stiffness, its spin, and what is left of its inertia (`dynamics/rod.py`). Both
+    Its geometric stiffness, its spin, and the rest of its inertia (`dynamics/rod.py`). Both
     hinges must have their moments.
     """
     Q, t, scale = work.form, lever.t, work.segments.per_length[k]
@@ -184,7 +184,7 @@ def spread(F, Q, sign, share):
     """Write a hinge's form to F (11, 12) over its unknowns; the upper half.
 
     sign, share: -1 and 1, since s before the hinge is share times the node's displacement plus
-    sign times that of the node before; +1 and 0 for the base's section.
+    sign times the displacement of the node before; +1 and 0 for the base's section.
     """
     for i in range(3):
         for j in range(3):

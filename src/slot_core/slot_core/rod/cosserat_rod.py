@@ -189,8 +189,8 @@ class CosseratRod:
     ) -> Equilibrium:
         """Move the rod to its equilibrium under loads, by continuation from the present loads.
 
-        The present loads are those of the last step or equilibrium; they are zero at first and
-        after the state was set. The rod must be near an equilibrium under them.
+        The last step or equilibrium has set the present loads; they are zero at first and after the
+        state was set. The rod must be near an equilibrium under them.
 
         Raises EquilibriumError with the last load factor that was reached; the rod is then in that
         equilibrium. Raises RodError for `stay_stable` with a moment or a follower force, which have
@@ -301,7 +301,7 @@ class CosseratRod:
         return np.sign(found) * np.sqrt(np.abs(found)) / (2 * math.pi)
 
     def _rest(self) -> None:
-        """Let the supports stay where they are; the axial forces are those of the strains."""
+        """Let the supports stay where they are; the axial forces follow from the strains."""
         kernels.pose(self.mesh, self._work)
         for end, node in ((0, 0), (1, self.nodes - 1)):
             self._target[end, 0] = self._work.node[node]

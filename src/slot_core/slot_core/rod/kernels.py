@@ -93,7 +93,7 @@ def stage(work, tau):
 
 @helper
 def start(mesh, work, target, h):
-    """First iterate of a step: the velocities at its start, and those of the supports."""
+    """First iterate of a step: the velocities at its start, and the supports' velocities."""
     s, n = work.segments, work.spin.size
     show_tip(work, work.node, work.frame)
     point_along(s, work.node)
@@ -310,7 +310,7 @@ def pose(mesh, work):
 
 @helper
 def relax(mesh, work):
-    """Set the independent axial forces to those of the strains."""
+    """Set the independent axial forces from the strains."""
     strain_posture(mesh, work)
     for k in range(work.tension.size):
         work.tension[k] = mesh.axial[k] * work.segments.extension[k]

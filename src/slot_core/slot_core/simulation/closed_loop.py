@@ -68,7 +68,7 @@ class ClosedLoop:
 
         velocity: (3,) m/s, m/s, rad/s, or None for the gait's `cruise`. policy: name or
         file (`policy.py`). changes: values by dotted name below one of `CHANGEABLE`, as
-        `scene.payload.mass`; those of the robot change the simulated one, not the controller's.
+        `scene.payload.mass`; changes of the robot concern the simulated one, not the controller's.
         path: followed instead of the velocity. lost_odometry: begin and duration of a gap, s.
         make: builds the plant. Raises ConfigError for a bad argument or configuration.
         """

@@ -1,10 +1,10 @@
 """One leg whose clamp is held level and at rest: its model, its arrays, and a step of its motion.
 
-The equations are those of the robot with the torso at rest, integrated with backward Euler:
+The robot's equations with the torso at rest, integrated with backward Euler:
 
     M (V - V_n) / tau = F(x_n + tau V, V),      x_{n+1} = x_n + tau V.
 
-The leg is that of the simulation (`dynamics/spatial`). Loads in its plane neither bend it sideways
+The simulation has the same leg (`dynamics/spatial`). Loads in its plane neither bend it sideways
 nor twist it, to the last bit, so that it stays in its plane.
 """
 

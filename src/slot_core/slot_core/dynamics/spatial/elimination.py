@@ -22,8 +22,8 @@ back substitution goes from the clamp to the tip (`follow`).
 At the clamp a taut tendon adds lambda dl - lambda^2 / (2 kappa) with kappa = k + c / (theta h), in
 place of its full matrix kappa grad l grad l^T, and lambda is eliminated too (`couple`).
 
-The tangent of a hinge is in `hinge.py`. What is left antisymmetric in the block of one segment
-comes from spins not being coordinates; it is left out. The twist about a segment has the inertia of
+The tangent of a hinge is in `hinge.py`. An antisymmetric rest in the block of one
+segment comes from spins not being coordinates; it is left out. The twist about a segment has the inertia of
 its section's polar moment. The mass moves linearly between two nodes, which adds -mu (ds/dt)^2 / 2
 to the energy of the lumped masses.
 """
@@ -55,8 +55,8 @@ def eliminate(model, leg, inv, place):
 
     Writes leg.form (7, 8), the form at the clamp, and leg.back (N-1, 4, 8), rows for `follow`.
 
-    inv = 1 / (theta h), 1/s; place (3,): the torso's centre in odom, m. Strains, tension and frames
-    are those of `load_leg` at the iterate.
+    inv = 1 / (theta h), 1/s; place (3,): the torso's centre in odom, m. `load_leg` has
+    written strains, tension and frames at the iterate.
     """
     nothing = like(0.0, leg.friction[0])
     zero = (nothing, nothing, nothing)

@@ -44,8 +44,8 @@ from slot_core.dynamics.tendon import pull
 class SpatialLeg(NamedTuple):
     """Parameters, state views and scratch arrays of one leg in leg axes; no step allocates memory.
 
-    The arrays of four legs have one axis more, the last (`lanes.py`). "Step axes" are those of
-    `integrator.py`.
+    The arrays of four legs have one axis more, the last (`lanes.py`). `integrator.py` defines the
+    "step axes".
     """
 
     axes: Array  # (3, 3) base_link to leg axes

@@ -105,7 +105,7 @@ def orient(s, begin, director, spin, rate, time):
     """Write the directors after `time` (s), from directors (N-1, 3) at directions begin (N-1, 3).
 
     A director turns as little as its segment's direction allows, then about the segment by the
-    segment's own rate `spin` (N-1,) less that of the axes, `rate` (3 numbers), rad/s.
+    segment's own rate `spin` (N-1,) less the axes' `rate` (3 numbers), rad/s.
     """
     for k in range(s.length.size):
         t = row(s.direction, k)
