@@ -43,7 +43,7 @@ from slot_core.rod.statics import (
     follow,
     free_unknowns,
 )
-from slot_core.rod.work import place, work_space
+from slot_core.rod.work import frame_rows, place, work_space
 
 NO_LOADS = Loads()
 ORIGIN = Pose()
@@ -132,7 +132,7 @@ class CosseratRod:
         work.node[:n], work.velocity[:n] = given["position"], given["velocity"]
         work.director[: n - 1], work.swirl[: n - 1] = given["director"], given["swirl"]
         for frame, axes in zip(work.frame, given["ends"]):
-            frame[:] = np.transpose(axes) * np.array([[1.0], [-1.0], [-1.0]])
+            frame[:] = frame_rows(axes)
         work.turning[:] = 0.0
         work.driven[:] = work.velocity[[0, n - 1]]
         self._apply(NO_LOADS)
@@ -156,10 +156,8 @@ class CosseratRod:
         for end, pose in ((0, base), (1, tip)):
             if pose is not None:
                 axes = Rotation.from_rotvec(pose.rotation).as_matrix()
-                self._target[end, 0], self._target[end, 1:] = (
-                    pose.position,
-                    _frame(axes),
-                )
+                self._target[end, 0] = pose.position
+                self._target[end, 1:] = frame_rows(axes)
         self._run(h, 1, loads, self._no_record)
 
     def run(
@@ -362,8 +360,3 @@ def _axes(frame: Array) -> Array:
     """(3, 3) columns tangent, width, normal of a section with the frame rows t, d, b."""
     axes: Array = np.transpose(frame * np.array([[1.0], [-1.0], [-1.0]]))
     return axes
-
-
-def _frame(axes: Array) -> Array:
-    """(3, 3) rows t, d, b of a section with the axes tangent, width, normal as columns."""
-    return np.array([axes[:, 0], -axes[:, 1], -axes[:, 2]])

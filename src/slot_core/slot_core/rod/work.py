@@ -96,13 +96,13 @@ def place(mesh: Mesh, work: RodWork, position: Array, axes: Array) -> None:
     n = len(mesh.mass)
     work.node[:n] = position + mesh.natural @ axes.T
     c, s = np.cos(mesh.turn), np.sin(mesh.turn)
-    work.frame[0] = _frame(axes)
-    work.frame[1] = _frame(
+    work.frame[0] = frame_rows(axes)
+    work.frame[1] = frame_rows(
         axes @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
     )
     work.director[:] = work.frame[0, 1]
 
 
-def _frame(axes: Array) -> Array:
-    """Rows t, d, b of a section with the axes (columns) tangent, width, normal."""
+def frame_rows(axes: Array) -> Array:
+    """(3, 3) rows t, d, b of a section with the axes tangent, width, normal as columns."""
     return np.array([axes[:, 0], -axes[:, 1], -axes[:, 2]])
