@@ -6,6 +6,7 @@ from numba import njit
 from rod_robots import ROBOT, simulator
 
 from slot_core import config
+from slot_core.dynamics.algebra import add, scaled
 from slot_core.dynamics.contact import (
     RELEASING,
     advance_bristle,
@@ -107,8 +108,7 @@ def drag_along(floor, path, limit, slope, h):
     """Bristles (n, 3) of a point with velocities (n, 3), each for a time h; limits mu N (n,)."""
     bristle, out = np.zeros(3), np.zeros((len(path), 3))
     for i in range(len(path)):
-        x, y, z = path[i]
-        advance_bristle(floor, bristle, limit[i], STIFFNESS, slope, h, x, y, z)
+        advance_bristle(floor, bristle, limit[i], STIFFNESS, slope, h, path[i])
         out[i] = bristle
     return out
 
@@ -116,13 +116,8 @@ def drag_along(floor, path, limit, slope, h):
 @njit
 def force_at(floor, limit, tau, bristle, v):
     hold = friction_force(floor, limit, tau, STIFFNESS, DAMPING, bristle, v)
-    return np.array(
-        [
-            hold.drag * v[0] + hold.x,
-            hold.drag * v[1] + hold.y,
-            hold.drag * v[2] + hold.z,
-        ]
-    )
+    x, y, z = add(scaled(hold.drag, v), hold.held)
+    return np.array([x, y, z])
 
 
 FLAT = np.zeros(2)

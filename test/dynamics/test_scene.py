@@ -5,7 +5,6 @@ import pytest
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
 
 PUSH = "pushes: {left: {time: %s, duration: 1, force: [0, 0, 0], moment: [0, 0, 0]}}"
 
@@ -100,17 +99,3 @@ def test_the_shipped_scenes_can_be_read():
         scene = read_scene(name)
         ratio = scene.sensors.odometry.period / scene.solver.step
         assert ratio == pytest.approx(round(ratio), abs=1e-9)
-
-
-def test_a_scenes_voltage_is_bounded_by_those_for_which_the_servos_maker_has_figures():
-    bounds = {name: meta for name, _, meta in config.leaves(read_scene("flat"))}[
-        "supply_voltage"
-    ]
-    voltage = read_servo().voltage
-    assert (bounds["low"], bounds["high"]) == (voltage[0], voltage[-1])
-
-
-def test_the_scene_of_an_almost_empty_battery_is_flat_at_a_lower_voltage():
-    flat, battery = read_scene("flat"), read_scene("low_battery")
-    assert battery.supply_voltage < flat.supply_voltage == read_servo().nominal_voltage
-    assert config.replace(battery, {"supply_voltage": flat.supply_voltage}) == flat

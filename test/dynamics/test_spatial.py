@@ -1,35 +1,17 @@
 """Legs in space: equations of motion from an independent energy, conservation, torsion."""
 
-import dataclasses
-
 import numpy as np
 import pytest
-from planar_energy import mass_matrix
+from leg_energy import chain_strains, directions, elastic_energy, mass_matrix
+from rod_robots import FLOATING, ROBOT, UNDAMPED, simulator
 from scipy.spatial.transform import Rotation
 
-from slot_core import config
-from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
-from slot_core.robot import read_robot
 from slot_core.section import torsion_constant
-from slot_core.simulation.rod_robot import RodRobot
-
-ROBOT = read_robot()
-UNDAMPED = config.replace(ROBOT, {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0})
-
-
-def simulator(robot=ROBOT, servo="torque_speed", **changes):
-    """A robot in the scene `flat` without settling; solver__step is solver.step."""
-    changes = {name.replace("__", "."): value for name, value in changes.items()}
-    changes = {"start.settle": 0.0} | changes
-    scene = config.replace(read_scene("flat"), changes)
-    return RodRobot(robot, scene, dataclasses.replace(read_servo(), model=servo))
 
 
 def kicked(robot=ROBOT, **changes):
     """A floating robot whose legs are struck sideways and downwards and set to twist."""
-    floating = {"gravity": [0.0, 0.0, 0.0], "start__height": 5.0}
-    sim = simulator(robot=robot, **floating | changes)
+    sim = simulator(robot=robot, **FLOATING | changes)
     sim.set_motion(np.array([0.3, 0.2, 0.1]), np.array([3.0, 4.0, 5.0]))
     state, part = sim.state, sim.model.rod.arc / sim.model.rod.arc[-1]
     state.node_velocity[:, :, 1] += (
@@ -46,47 +28,20 @@ def kicked(robot=ROBOT, **changes):
 
 
 class Chain:
-    """Energy of a leg as a chain of frames, in NumPy and with SciPy's rotations."""
+    """Energy of a leg of a robot as a chain of frames, in odom."""
 
     def __init__(self, sim, leg):
-        model, self.rod, self.tendon = sim.model, sim.model.rod, sim.model.tendon
-        self.cable = (
-            model.tendon.spool_radius * sim.state.tendon_angle[leg]
-            - model.tendon.relaxed
-        )
-        axes = model.axes[leg].T
-        self.turn = sim.rotation @ axes  # leg axes to odom
-        self.node = sim.nodes[leg]
-        self.director = sim.state.director[leg] @ self.turn.T
+        self.model, self.angle = sim.model, sim.state.tendon_angle[leg]
+        turn = sim.rotation @ sim.model.axes[leg].T  # leg axes to odom
+        self.clamp = Rotation.from_matrix(turn)
+        self.node, self.director = sim.nodes[leg], sim.state.director[leg] @ turn.T
 
     def energy(self, node, twist):
-        """J, at nodes (N, 3) in odom, segments turned about themselves by twist (N-1,), rad."""
-        rod, before = (
-            self.rod,
-            Rotation.from_matrix(self.turn @ np.diag([1.0, -1.0, -1.0])),
+        """J, at nodes (N, 3), segments turned about themselves by twist (N-1,), rad."""
+        found, _ = chain_strains(
+            self.model.rod, self.clamp, self.node, self.director, node, twist
         )
-        old, total, pulled = directions(self.node), 0.0, self.cable
-        for k, t in enumerate(directions(node)):
-            axis = np.cross(old[k], t)
-            angle = np.arctan2(np.linalg.norm(axis), old[k] @ t)
-            size = np.linalg.norm(axis)
-            transport = Rotation.from_rotvec(axis * (angle / size if size else 0.0))
-            d = (Rotation.from_rotvec(twist[k] * t) * transport).apply(self.director[k])
-            own = Rotation.from_matrix(np.column_stack([t, d, np.cross(t, d)]))
-            x, y, z = (before.inv() * own).as_rotvec() - [0.0, rod.rest_angle[k], 0.0]
-            length = np.linalg.norm(node[k + 1] - node[k])
-            stretch = length - rod.rest_length[k] - rod.shortening[k] * (y * y + z * z)
-            total += rod.axial[k] * stretch**2 + rod.torsion[k] * x**2
-            total += rod.bending[k] * y**2 + rod.lateral[k] * z**2
-            pulled += self.tendon.along[k] * stretch + self.tendon.around[k] * y
-            pulled += self.tendon.around[k] * rod.rest_angle[k]
-            before = own
-        return (total + self.tendon.stiffness * max(0.0, pulled) ** 2) / 2
-
-
-def directions(node):
-    chord = np.diff(node, axis=0)
-    return chord / np.linalg.norm(chord, axis=1, keepdims=True)
+        return elastic_energy(self.model, self.angle, *found)
 
 
 def in_odom(sim, leg, vectors):
@@ -177,7 +132,7 @@ def test_energy_of_undamped_legs_is_conserved_in_flight():
 
 
 def test_a_motion_in_the_planes_of_the_legs_stays_in_them():
-    sim = simulator()
+    sim = simulator(start__settle=0.0)
     for k in range(60):
         sim.advance(10, np.full(4, min(1.1, 0.03 * k)))
         assert np.abs(sim.state.node[:, :, 1]).max() < 1e-9  # m

@@ -25,7 +25,7 @@ FLOOR = build_floor(read_scene("flat").floor, ROD, ROBOT.leg.contact_width)
 
 @njit
 def rotate(out, w):
-    rotation(out, w[0], w[1], w[2])
+    rotation(out, w)
 
 
 @njit

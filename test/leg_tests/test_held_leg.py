@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from planar_energy import leg_energy
+from leg_energy import leg_energy
 
 from slot_core import config
 from slot_core.robot import read_robot

@@ -4,7 +4,7 @@ import csv
 
 import numpy as np
 import pytest
-from planar_energy import leg_energy
+from leg_energy import leg_energy
 from scipy.optimize import minimize
 
 from slot_core import config

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from leg_energy import chain_strains, elastic_energy
 from scipy.integrate import cumulative_simpson, simpson
 from scipy.spatial.transform import Rotation
 
@@ -27,61 +28,36 @@ def standing(nodes, angle, height):
 
 
 class Standing:
-    """Energy of a standing leg as a chain of frames, in NumPy and with SciPy's rotations."""
+    """Energy of a standing leg as a chain of frames whose contact points stay in contact."""
 
     def __init__(self, model, node, angle, height):
-        self.rod, self.tendon, self.floor = model.rod, model.tendon, model.floor
-        self.weight, self.height = -model.gravity[2] * model.rod.mass, height
+        self.model, self.angle, self.height = model, angle, height
         self.node = np.column_stack([node[:, 0], np.zeros(len(node)), node[:, 1]])
-        self.cable = model.tendon.spool_radius * angle - model.tendon.relaxed
-        self.corner = self.corners(
-            self.node, np.tile([0.0, -1.0, 0.0], (len(node) - 1, 1))
-        )
+        self.director = np.tile([0.0, -1.0, 0.0], (len(node) - 1, 1))
+        self.corner = self.corners(self.node, self.director)
         self.touching = height + self.corner[:, 2] < 0.0
 
     def corners(self, node, director):
         """(P, 3) m, contact points, in the order of the floor's stiffness."""
-        side = self.floor.half_width * director[:, None, None] * [[-1.0], [1.0]]
-        return (np.stack([node[:-1], node[1:]], axis=1)[:, :, None] + side).reshape(
-            -1, 3
-        )
+        width = self.model.floor.half_width * director
+        side = width[:, None, None] * [[-1.0], [1.0]]
+        ends = np.stack([node[:-1], node[1:]], axis=1)[:, :, None]
+        return (ends + side).reshape(-1, 3)
 
     def energy(self, move):
         """J; move: shift and turn of the clamp, shifts of the nodes behind, turns of segments."""
-        n = len(self.node) - 1
+        floor, n = self.model.floor, len(self.node) - 1
         shift = np.vstack([move[:3], move[6 : 6 + 3 * n].reshape(-1, 3)])
-        node, before = self.node + shift, Rotation.from_rotvec(move[3:6])
-        before *= Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
-        rod, stored, cable, directors = self.rod, 0.0, self.cable, []
-        for k, (begin, chord) in enumerate(
-            zip(np.diff(self.node, axis=0), np.diff(node, axis=0))
-        ):
-            length = np.linalg.norm(chord)
-            old, t = begin / np.linalg.norm(begin), chord / length
-            axis = np.cross(old, t)
-            small = np.linalg.norm(axis)
-            axis *= np.arctan2(small, old @ t) / small if small else 0.0
-            turn = Rotation.from_rotvec(move[6 + 3 * n + k] * t) * Rotation.from_rotvec(
-                axis
-            )
-            d = turn.apply([0.0, -1.0, 0.0])
-            own = Rotation.from_matrix(np.column_stack([t, d, np.cross(t, d)]))
-            x, y, z = (before.inv() * own).as_rotvec() - [0.0, rod.rest_angle[k], 0.0]
-            stretch = length - rod.rest_length[k] - rod.shortening[k] * (y * y + z * z)
-            stored += rod.axial[k] * stretch**2 + rod.torsion[k] * x**2
-            stored += rod.bending[k] * y**2 + rod.lateral[k] * z**2
-            cable += self.tendon.along[k] * stretch
-            cable += self.tendon.around[k] * (y + rod.rest_angle[k])
-            before = own
-            directors.append(d)
-        corner = self.corners(node, np.array(directors))
-        gone = corner - self.corner
-        springs = (self.height + corner[:, 2]) ** 2 + self.floor.bristle * (
-            gone[:, :2] ** 2
-        ).sum(1)
-        stored += (self.floor.stiffness * springs)[self.touching].sum()
-        stored += self.tendon.stiffness * max(0.0, cable) ** 2
-        return stored / 2 + self.weight @ node[:, 2]
+        node, clamp = self.node + shift, Rotation.from_rotvec(move[3:6])
+        found, directors = chain_strains(
+            self.model.rod, clamp, self.node, self.director, node, move[6 + 3 * n :]
+        )
+        corner = self.corners(node, directors)
+        slid = ((corner - self.corner)[:, :2] ** 2).sum(1)
+        springs = (self.height + corner[:, 2]) ** 2 + floor.bristle * slid
+        stored = (floor.stiffness * springs)[self.touching].sum() / 2
+        weight = -self.model.gravity[2] * self.model.rod.mass @ node[:, 2]
+        return stored + weight + elastic_energy(self.model, self.angle, *found)
 
 
 def hessian(function, size, step):

@@ -137,17 +137,18 @@ def test_forces_on_a_tilted_torso_are_those_of_the_table_at_its_four_feet(rpy_de
     assert turning == pytest.approx(moment, rel=5e-3, abs=5e-4)
 
 
+def stored(angle):
+    """Integral of the table's force over the height (m), J, at a tendon angle (rad)."""
+    force, knots = read("force_N"), np.linspace(0.015, 0.12, 22)
+    values = [force(angle, h) for h in knots]
+    return make_interp_spline(knots, values, k=1).antiderivative()
+
+
 @pytest.mark.parametrize("robot", [ELASTIC, ROBOT])
 def test_energy_does_not_grow_in_a_bounce(robot):
     """On held spools, without friction; potential energy: integral of the table's force."""
-    force, angle, knots = (
-        read("force_N"),
-        math.radians(70.0),
-        np.linspace(0.015, 0.12, 22),
-    )
-    line = make_interp_spline(
-        knots, [force(angle, h) for h in knots], k=1
-    ).antiderivative()
+    angle = math.radians(70.0)
+    line = stored(angle)
     sim = at_rest(simulator(robot, **{"solver.step": 5e-4} | SMOOTH), angle, 0.085)
     energies = []
     for _ in range(800):
@@ -178,10 +179,7 @@ def energy(sim, line, sideways):
 @pytest.mark.parametrize("robot", [ELASTIC, ROBOT])
 def test_energy_of_a_robot_that_slides_and_turns_does_not_grow(robot, law):
     """Its feet stick, bend their legs sideways, and slip; equal stiffness sideways everywhere."""
-    force, knots, sideways = read("force_N"), np.linspace(0.015, 0.12, 22), 100.0
-    line = make_interp_spline(
-        knots, [force(STANCE, h) for h in knots], k=1
-    ).antiderivative()
+    line, sideways = stored(STANCE), 100.0
     sim = simulator(robot, **{"floor.friction_law": law, "start.settle": 5.0})
     sim.legs.table[:, :, 5] = sideways
     sim.set_motion(np.array([0.5, -0.3, 0.0]), np.array([0.0, 0.0, 3.0]))

@@ -12,8 +12,6 @@ from benchmarks.rod import exact
 from benchmarks.rod.exact import LEG, TPU
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import (
-    CLAMPED,
-    FREE,
     PINNED,
     ROLLER,
     Circle,
@@ -174,28 +172,26 @@ def test_end_moment_closes_the_circle(nodes, axis):
     assert error(rod, (0.0, 0.0, 0.0)) < 2.6e-5 * (31 / nodes) ** 3
 
 
-def test_short_cantilever_has_the_unit_load_deflection():
-    rod = CosseratRod(UNIT, OBLONG)
-    rod.solve_static(Loads(force=(0.0, 2e-4, 1e-4)))
-    np.testing.assert_allclose(place(rod)[1:], [1e-4 / 3, 1e-4 / 3], rtol=2e-6)
+def round_column():
+    return CosseratRod(UNIT, Geometry(1.0, Uniform(1e6, 1.0, 1.0, 0.8)))
+
+
+def pinned_column():
+    return slender(base=PINNED, tip=ROLLER)
 
 
 @pytest.mark.parametrize(
-    ("base", "tip", "load"),
-    [(CLAMPED, FREE, math.pi**2 / 4), (PINNED, ROLLER, math.pi**2)],
+    ("column", "load", "planes"),
+    [
+        (slender, exact.EULER, 1),
+        (pinned_column, math.pi**2, 1),
+        (round_column, exact.EULER, 2),
+    ],
 )
-def test_column_becomes_unstable_at_eulers_load(base, tip, load):
-    rod = slender(base=base, tip=tip)
-    found = rod.solve_static(Loads(force=(-1.2 * load, 0.0, 0.0)))
-    assert found.branch is Branch.UNSTABLE
-    assert found.negative_pivots == 1
+def test_column_becomes_unstable_at_eulers_load(column, load, planes):
+    found = column().solve_static(Loads(force=(-1.2 * load, 0.0, 0.0)))
+    assert (found.branch, found.negative_pivots) == (Branch.UNSTABLE, planes)
     assert found.critical[0] * 1.2 == pytest.approx(1.0, rel=1e-4)
-
-
-def test_round_column_becomes_unstable_in_both_planes_at_once():
-    rod = CosseratRod(UNIT, Geometry(1.0, Uniform(1e6, 1.0, 1.0, 0.8)))
-    found = rod.solve_static(Loads(force=(-1.2 * exact.EULER, 0.0, 0.0)))
-    assert (found.branch, found.negative_pivots) == (Branch.UNSTABLE, 2)
 
 
 @pytest.mark.parametrize("side", [1, -1])

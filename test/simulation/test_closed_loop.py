@@ -95,21 +95,20 @@ def test_robot_turns_in_place_at_the_commanded_rate():
     assert np.linalg.norm(position[:, :2], axis=1).max() < 0.03
 
 
-# On split friction it turns by 3 deg/s, faster than its steering.
+# On split friction it turns by 3 deg/s, faster than its steering; on 5 deg its feet slide all the
+# time. Measured: 10 and 270 mm aside, 35 mm/s uphill.
 @pytest.mark.parametrize(
-    ("scene", "error", "aside"), [("slippery", 3e-3, 0.03), ("split", 0.016, 0.4)]
+    ("scene", "slow", "fast", "aside"),
+    [
+        ("slippery", 0.047, 0.053, 0.03),
+        ("split", 0.034, 0.066, 0.4),
+        ("slope5", 0.02, 0.05, math.inf),
+    ],
 )
-def test_robot_holds_its_speed_on_other_floors(scene, error, aside):
+def test_robot_walks_on_and_stays_upright_on_other_floors(scene, slow, fast, aside):
     position, rpy, _ = walk(15.0, scene)
-    assert mean_velocity(position, 6.0)[0] == pytest.approx(0.05, abs=error)
-    assert np.abs(position[:, 1]).max() < aside  # measured: 10 and 270 mm
-    assert np.degrees(np.abs(rpy[:, :2])).max() < 12.0
-
-
-def test_robot_climbs_an_incline_of_5_deg_slowly_and_stays_upright():
-    """Its feet slide all the time; measured: 35 mm/s of the commanded 50 uphill."""
-    position, rpy, _ = walk(15.0, "slope5")
-    assert 0.02 < mean_velocity(position, 6.0)[0] < 0.05
+    assert slow < mean_velocity(position, 6.0)[0] < fast
+    assert np.abs(position[:, 1]).max() < aside
     assert np.degrees(np.abs(rpy[:, :2])).max() < 12.0
 
 

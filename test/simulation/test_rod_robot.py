@@ -1,28 +1,18 @@
 """The robot on rods: conservation, an independent solver of its equations, standing, refusals."""
 
-import dataclasses
-
 import numpy as np
 import pytest
-from planar_energy import mass_matrix, strains
+from leg_energy import mass_matrix, strains
+from rod_robots import FLOATING, ROBOT, simulator
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.robot import GRAVITY, read_robot
+from slot_core.robot import GRAVITY
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.leg_tests.level_leg import at_nodes
-
-ROBOT = read_robot()
-
-
-def simulator(robot=ROBOT, servo="torque_speed", **changes):
-    """A robot in the scene `flat` with changes: solver__step is solver.step."""
-    changes = {name.replace("__", "."): value for name, value in changes.items()}
-    scene = config.replace(read_scene("flat"), changes)
-    return RodRobot(robot, scene, dataclasses.replace(read_servo(), model=servo))
 
 
 class VerticalDrop:
@@ -237,8 +227,7 @@ PULLED = np.array([0.2, 0.6, 1.0, 1.4])  # rad
 
 def test_directors_are_across_their_segments_and_turn_with_the_clamp():
     """A floating robot that has tumbled, with legs pulled unequally."""
-    changes = {"gravity": [0.0, 0.0, 0.0], "start__height": 5.0, "start__settle": 0.0}
-    sim = simulator(**changes)
+    sim = simulator(**FLOATING)
     sim.set_motion(np.zeros(3), np.array([3.0, 4.0, 5.0]))
     sim.advance(100, PULLED)
     assert np.degrees(np.arccos(sim.rotation[2, 2])) > 20.0

@@ -1,4 +1,4 @@
-"""Check of the arrays that go to kernels, which trust shapes, types and values."""
+"""Arrays that go to kernels, which trust shapes, types and values: checks and buffers."""
 
 from typing import Any
 
@@ -31,3 +31,11 @@ def checked(
     if finite and not np.isfinite(array).all():
         raise error(f"{name}: a value is not finite")
     return array
+
+
+def one_buffer(shapes: dict[str, tuple[int, ...]]) -> tuple[Array, dict[str, Array]]:
+    """A buffer of zeros, and by name views of these shapes in it, one after the other."""
+    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes.values()])
+    buffer = np.zeros(ends[-1])
+    parts = zip(shapes.items(), np.split(buffer, ends[:-1]))
+    return buffer, {name: part.reshape(shape) for (name, shape), part in parts}

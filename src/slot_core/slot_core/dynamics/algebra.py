@@ -1,6 +1,11 @@
-"""Products, rotations and a linear solver for small matrices in the kernels, written out."""
+"""Vectors of three numbers, small matrices and rotations in the kernels, written out.
+
+A vector is a tuple of three numbers, or of three Lanes (`lanes.py`); where it is only read it may
+be an array (3,). Sums run from left to right: their order decides the last bit.
+"""
 
 # mypy: disable-error-code="no-untyped-def"
+# ruff: noqa: PLR0917 - kernels take their arguments by position
 
 import math
 
@@ -10,22 +15,100 @@ from slot_core.elementary import cos, sin
 
 
 @helper
-def times(m, x, y, z):
-    """m (3, 3) times the vector (x, y, z)."""
+def row(a, i):
+    """Row i of an array (n, 3) as a vector."""
+    return a[i, 0], a[i, 1], a[i, 2]
+
+
+@helper
+def put(a, i, v):
+    """Write a vector into row i of an array (n, 3)."""
+    a[i, 0] = v[0]
+    a[i, 1] = v[1]
+    a[i, 2] = v[2]
+
+
+@helper
+def store(out, v):
+    """Write a vector into an array (3,)."""
+    out[0] = v[0]
+    out[1] = v[1]
+    out[2] = v[2]
+
+
+@helper
+def add(a, b):
+    """a + b."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@helper
+def minus(a, b):
+    """a - b."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@helper
+def scaled(share, v):
+    """share v."""
+    return share * v[0], share * v[1], share * v[2]
+
+
+@helper
+def plus(a, share, b):
+    """a + share b."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
+
+
+@helper
+def combined(x, a, y, b, z, c):
+    """x a + y b + z c."""
     return (
-        m[0, 0] * x + m[0, 1] * y + m[0, 2] * z,
-        m[1, 0] * x + m[1, 1] * y + m[1, 2] * z,
-        m[2, 0] * x + m[2, 1] * y + m[2, 2] * z,
+        x * a[0] + y * b[0] + z * c[0],
+        x * a[1] + y * b[1] + z * c[1],
+        x * a[2] + y * b[2] + z * c[2],
     )
 
 
 @helper
-def times_transposed(m, x, y, z):
-    """The transpose of m (3, 3) times the vector (x, y, z)."""
+def dot(a, b):
+    """Scalar product a.b."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@helper
+def plus_dot(start, a, b):
+    """start + a.b, summed from the start on."""
+    return start + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@helper
+def cross(a, b):
+    """Vector product a x b."""
     return (
-        m[0, 0] * x + m[1, 0] * y + m[2, 0] * z,
-        m[0, 1] * x + m[1, 1] * y + m[2, 1] * z,
-        m[0, 2] * x + m[1, 2] * y + m[2, 2] * z,
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+@helper
+def times(m, v):
+    """m v for a matrix m (3, 3)."""
+    return (
+        m[0, 0] * v[0] + m[0, 1] * v[1] + m[0, 2] * v[2],
+        m[1, 0] * v[0] + m[1, 1] * v[1] + m[1, 2] * v[2],
+        m[2, 0] * v[0] + m[2, 1] * v[1] + m[2, 2] * v[2],
+    )
+
+
+@helper
+def times_transposed(m, v):
+    """m^T v for a matrix m (3, 3)."""
+    return (
+        m[0, 0] * v[0] + m[1, 0] * v[1] + m[2, 0] * v[2],
+        m[0, 1] * v[0] + m[1, 1] * v[1] + m[2, 1] * v[2],
+        m[0, 2] * v[0] + m[1, 2] * v[1] + m[2, 2] * v[2],
     )
 
 
@@ -50,31 +133,24 @@ def orthonormalise(out, r):
 
 
 @helper
-def rotation(out, wx, wy, wz):
-    """Write into out (3, 3) the rotation matrix of the vector w, rad (Rodrigues' formula)."""
-    square = wx * wx + wy * wy + wz * wz
+def rotation(out, w):
+    """Write into out (3, 3) the rotation matrix of a vector w, rad, by Rodrigues' formula.
+
+    R = 1 + a [w] + b [w]^2 with a = sin |w| / |w|, b = (1 - cos |w|) / |w|^2.
+    """
+    x, y, z = w[0], w[1], w[2]
+    square = x * x + y * y + z * z
     if all_lanes(square < 1e-4):  # series, exact to double precision
         a = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
         b = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
     else:
         square = max(1e-12, square)  # no 0 / 0 in a lane at rest
         angle = math.sqrt(square)
-        a, b = sin(angle) / angle, (1.0 - cos(angle)) / square
-    out[0, 0], out[0, 1], out[0, 2] = (
-        1.0 - b * (wy * wy + wz * wz),
-        b * wx * wy - a * wz,
-        b * wx * wz + a * wy,
-    )
-    out[1, 0], out[1, 1], out[1, 2] = (
-        b * wx * wy + a * wz,
-        1.0 - b * (wx * wx + wz * wz),
-        b * wy * wz - a * wx,
-    )
-    out[2, 0], out[2, 1], out[2, 2] = (
-        b * wx * wz - a * wy,
-        b * wy * wz + a * wx,
-        1.0 - b * (wx * wx + wy * wy),
-    )
+        a = sin(angle) / angle
+        b = (1.0 - cos(angle)) / square
+    put(out, 0, (1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y))
+    put(out, 1, (b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x))
+    put(out, 2, (b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)))
 
 
 @helper
@@ -83,9 +159,8 @@ def cosine_sine(angle):
     square = angle * angle
     if all_lanes(square < 1e-4):
         c = 1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0))
-        return c, angle * (
-            1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
-        )
+        share = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
+        return c, angle * share
     return cos(angle), sin(angle)
 
 
@@ -107,37 +182,3 @@ def solve(H, g):
             value -= H[k, j] * g[j]
         g[k] = value / H[k, k]
     return definite
-
-
-@helper
-def row(a, i):
-    """Row i of an array (n, 3) as three numbers."""
-    return a[i, 0], a[i, 1], a[i, 2]
-
-
-@helper
-def put(a, i, v):
-    """Write three numbers into row i of an array (n, 3)."""
-    a[i, 0], a[i, 1], a[i, 2] = v[0], v[1], v[2]
-
-
-@helper
-def dot(a, b):
-    """Scalar product of three numbers each."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@helper
-def cross(a, b):
-    """Vector product of three numbers each."""
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
-
-
-@helper
-def plus(a, share, b):
-    """a + share b, of three numbers each."""
-    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]

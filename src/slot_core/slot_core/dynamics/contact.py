@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 from slot_core.arrays import Array
 from slot_core.compiled import helper
+from slot_core.dynamics.algebra import dot, plus, scaled, store, times_transposed
 from slot_core.dynamics.lanes import like, where
 from slot_core.dynamics.terrain import Terrain
 
@@ -52,12 +53,10 @@ class Floor(NamedTuple):
 
 
 class Friction(NamedTuple):
-    """Friction force -(drag v_t + (x, y, z)): drag in N s/m, x, y, z in N."""
+    """Friction force -(drag v_t + held): drag in N s/m, held in N."""
 
     drag: float
-    x: float
-    y: float
-    z: float
+    held: tuple[float, float, float]
 
 
 @helper
@@ -89,22 +88,15 @@ def friction_force(floor, limit, tau, stiffness, damping, bristle, v):
     v: velocity in the floor's plane, m/s; bristle: deflection in that plane at the step's start, m;
     tau: time for which it has grown with v since, s. Viscous friction does not use the bristle.
     """
-    zero = like(0.0, limit)
     if floor.bristle == 0.0:
-        slip = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
-        return Friction(
-            limit / math.sqrt(slip + floor.friction_velocity**2), zero, zero, zero
-        )
+        zero = like(0.0, limit)
+        drag = limit / math.sqrt(dot(v, v) + floor.friction_velocity**2)
+        return Friction(drag, (zero, zero, zero))
     k, d = floor.bristle * stiffness, floor.bristle * damping
     rate = k * tau + d
-    fx, fy, fz = (
-        k * bristle[0] + rate * v[0],
-        k * bristle[1] + rate * v[1],
-        k * bristle[2] + rate * v[2],
-    )
-    share = min(1.0, limit / math.sqrt(fx * fx + fy * fy + fz * fz + TINY**2))
-    k = share * k
-    return Friction(share * rate, k * bristle[0], k * bristle[1], k * bristle[2])
+    force = plus(scaled(k, bristle), rate, v)
+    share = min(1.0, limit / math.sqrt(dot(force, force) + TINY**2))
+    return Friction(share * rate, scaled(share * k, bristle))
 
 
 @helper
@@ -113,26 +105,20 @@ def tangential(axes, bristle, up):
 
     axes (3, 3): rows are odom's axes in the other axes; up (3,) is in the other axes too.
     """
-    a, b, c = bristle[0], bristle[1], bristle[2]
-    x = a * axes[0, 0] + b * axes[1, 0] + c * axes[2, 0]
-    y = a * axes[0, 1] + b * axes[1, 1] + c * axes[2, 1]
-    z = a * axes[0, 2] + b * axes[1, 2] + c * axes[2, 2]
-    along = x * up[0] + y * up[1] + z * up[2]
-    return x - along * up[0], y - along * up[1], z - along * up[2]
+    v = times_transposed(axes, bristle)
+    return plus(v, -dot(v, up), up)
 
 
 @helper
-def advance_bristle(floor, bristle, limit, stiffness, slope, h, x, y, z):
+def advance_bristle(floor, bristle, limit, stiffness, slope, h, v):
     """Integrate a bristle (3,), m, odom, over h (s) in place, then map it back to mu N / k_t.
 
-    It grows with the part of the velocity (x, y, z), m/s, in the floor's plane. limit: mu N, N;
-    slope (2,): of the floor along odom's x and y.
+    It grows with the part of the velocity v, m/s, in the floor's plane. limit: mu N, N; slope (2,):
+    of the floor along odom's x and y.
     """
     a, b = slope[0], slope[1]
-    along = (z - a * x - b * y) / (1.0 + a * a + b * b)
-    x = bristle[0] + h * (x + along * a)
-    y = bristle[1] + h * (y + along * b)
-    z = bristle[2] + h * (z - along)
+    along = (v[2] - a * v[0] - b * v[1]) / (1.0 + a * a + b * b)
+    grown = plus(bristle, h, (v[0] + along * a, v[1] + along * b, v[2] - along))
     longest = limit / (floor.bristle * stiffness)
-    share = min(1.0, longest / math.sqrt(x * x + y * y + z * z + TINY**2))
-    bristle[0], bristle[1], bristle[2] = share * x, share * y, share * z
+    share = min(1.0, longest / math.sqrt(dot(grown, grown) + TINY**2))
+    store(bristle, scaled(share, grown))

@@ -1,7 +1,7 @@
 """Arguments of a kernel, unpacked once.
 
-Numba unpacks the arrays of a tuple at every call, which takes longer than a time step for those of
-a robot. A `Handle` keeps the unpacked tuple in memory; passing it costs as much as an integer.
+Numba unpacks the arrays of a tuple at every call, which takes longer for the arrays of
+a robot than a time step. A `Handle` keeps the unpacked tuple in memory; passing it costs as much as an integer.
 """
 
 # mypy: disable-error-code="no-untyped-def,misc,no-untyped-call"
@@ -65,13 +65,18 @@ def _unbox(kind, handle, c):
     return NativeValue(pointer)
 
 
+def _load(context, builder, handle, pointer):
+    """The tuple at a pointer."""
+    kind = context.get_value_type(handle.content).as_pointer()
+    return builder.load(builder.bitcast(pointer, kind), align=1)
+
+
 @intrinsic
 def contents(typingctx, handle):
     """The tuple of a handle."""
 
     def build(context, builder, sig, args):
-        kind = context.get_value_type(handle.content).as_pointer()
-        return builder.load(builder.bitcast(args[0], kind), align=1)
+        return _load(context, builder, handle, args[0])
 
     return handle.content(handle), build
 
@@ -81,8 +86,8 @@ def contents_at(typingctx, handle, address):
     """The tuple at the address of a handle of the same type as `handle`."""
 
     def build(context, builder, sig, args):
-        kind = context.get_value_type(handle.content).as_pointer()
-        return builder.load(builder.inttoptr(args[1], kind), align=1)
+        pointer = builder.inttoptr(args[1], ir.IntType(8).as_pointer())
+        return _load(context, builder, handle, pointer)
 
     return handle.content(handle, address), build
 

@@ -23,18 +23,29 @@ import math
 
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import (
+    dot,
+    minus,
     orthonormalise,
+    plus,
     product,
+    put,
     rotation,
+    row,
+    scaled,
     solve,
+    store,
     times,
     times_transposed,
 )
-from slot_core.dynamics.clamp import add_to_torso, couple
 from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.handle import contents
 from slot_core.dynamics.lanes import all_lanes, in_lanes, one_lane
-from slot_core.dynamics.spatial.elimination import eliminate, substitute
+from slot_core.dynamics.spatial.elimination import (
+    add_to_torso,
+    couple,
+    eliminate,
+    substitute,
+)
 from slot_core.dynamics.spatial.leg import (
     advance_bristles,
     finish,
@@ -118,20 +129,18 @@ def lost(state, legs, limit):
     The code is 0 for the torso and 1 + leg N + node for a node. A tendon angle that is not finite
     is reported at the leg's node 0: under a slack tendon no node would show it.
     """
-    r, v, w = state.position, state.velocity, state.rate
-    if not r[0] * r[0] + r[1] * r[1] + r[2] * r[2] < math.inf:
+    if not dot(state.position, state.position) < math.inf:
         return 0
-    if not v[0] * v[0] + v[1] * v[1] + v[2] * v[2] < limit * limit:
+    if not dot(state.velocity, state.velocity) < limit * limit:
         return 0
-    if not w[0] * w[0] + w[1] * w[1] + w[2] * w[2] < limit * limit:
+    if not dot(state.rate, state.rate) < limit * limit:
         return 0
     fine = True
     for leg in legs:
-        u = leg.node_velocity
         fine = fine & all_lanes(leg.angle[0] * leg.angle[0] < math.inf)
-        for i in range(u.shape[0]):
-            square = u[i, 0] * u[i, 0] + u[i, 1] * u[i, 1] + u[i, 2] * u[i, 2]
-            fine = fine & all_lanes(square < limit * limit)
+        for i in range(leg.node_velocity.shape[0]):
+            u = row(leg.node_velocity, i)
+            fine = fine & all_lanes(dot(u, u) < limit * limit)
     return -1 if fine else _which(state.node_velocity, state.tendon_angle, limit)
 
 
@@ -143,8 +152,8 @@ def _which(velocity, angle, limit):
         if not angle[leg] * angle[leg] < math.inf:
             return 1 + leg * nodes
         for i in range(nodes):
-            x, y, z = velocity[leg, i, 0], velocity[leg, i, 1], velocity[leg, i, 2]
-            if not x * x + y * y + z * z < limit * limit:
+            u = row(velocity[leg], i)
+            if not dot(u, u) < limit * limit:
                 return 1 + leg * nodes + i
     return -1
 
@@ -193,34 +202,26 @@ def step(model, state, work, legs, h, scheme):
 @helper
 def predict_torso(model, state, work, h, theta):
     """Set the step axes and the torso's first iterate V = V_n."""
-    w, v, g = state.rate, state.velocity, model.gravity
-    tau = theta * h
-    rotation(work.turn, tau * w[0], tau * w[1], tau * w[2])
-    product(work.rotation, state.rotation, work.turn)
-    motion, field = work.motion, work.field
-    motion[0, 0], motion[0, 1], motion[0, 2] = times_transposed(
-        work.rotation, v[0], v[1], v[2]
-    )
-    field[3, 0], field[3, 1], field[3, 2] = times_transposed(
-        work.rotation, g[0], g[1], g[2]
-    )
-    for i in range(3):
-        for k in range(3):
-            field[k, i] = work.rotation[k, i]
-        motion[1, i] = motion[4, i] = w[i]
-        motion[3, i] = motion[0, i]
+    motion, field, axes = work.motion, work.field, work.rotation
+    rotation(work.turn, scaled(theta * h, state.rate))
+    product(axes, state.rotation, work.turn)
+    v = times_transposed(axes, state.velocity)
+    put(motion, 0, v)
+    put(motion, 1, state.rate)
+    put(motion, 3, v)
+    put(motion, 4, state.rate)
+    for k in range(3):
+        put(field, k, row(axes, k))
+    put(field, 3, times_transposed(axes, model.gravity))
 
 
 @helper
 def start_torso(model, state, work, tau):
     """Assemble the torso's system without the legs; returns its position at the stage, odom, m."""
-    motion, axes, gravity = work.motion, work.rotation, work.field[3]
-    v, w, v0, w0 = motion[0], motion[1], motion[3], motion[4]
-    dx, dy, dz = times(axes, v[0], v[1], v[2])
-    position = state.position
-    place = (position[0] + tau * dx, position[1] + tau * dy, position[2] + tau * dz)
-    for i in range(3):
-        motion[2, i] = tau * (w[i] - w0[i])
+    motion, axes, gravity = work.motion, work.rotation, row(work.field, 3)
+    v, w, v0, w0 = row(motion, 0), row(motion, 1), row(motion, 3), row(motion, 4)
+    place = plus(state.position, tau, times(axes, v))
+    put(motion, 2, scaled(tau, minus(w, w0)))
     work.matrix[:] = 0.0
     work.vector[:] = 0.0
     H, g, inv = work.matrix, work.vector, 1.0 / tau
@@ -229,7 +230,8 @@ def start_torso(model, state, work, tau):
         add_payload(H, g, model.payload, inv, gravity, v, v0, w, w0)
     add_push(g, model.push, axes)
     held = (state.corner_bristle, work.limit, work.slope)
-    add_corners(H, g, model.torso, model.floor, inv, place, axes, v, w, motion[2], held)
+    turn = row(motion, 2)
+    add_corners(H, g, model.torso, model.floor, inv, place, axes, v, w, turn, held)
     return place
 
 
@@ -237,35 +239,36 @@ def start_torso(model, state, work, tau):
 def _to_leg_axes(work, leg):
     """Torso's motion, odom's axes and gravity in the axes of a leg."""
     for k in range(3):
-        x, y, z = work.motion[k, 0], work.motion[k, 1], work.motion[k, 2]
-        leg.motion[k, 0], leg.motion[k, 1], leg.motion[k, 2] = times(leg.axes, x, y, z)
+        put(leg.motion, k, times(leg.axes, row(work.motion, k)))
     for k in range(4):
-        x, y, z = work.field[k, 0], work.field[k, 1], work.field[k, 2]
-        leg.field[k, 0], leg.field[k, 1], leg.field[k, 2] = times(leg.axes, x, y, z)
+        put(leg.field, k, times(leg.axes, row(work.field, k)))
 
 
 @helper
 def bend_corners(model, state, work, h):
     """Integrate the bristles of the torso's corners over the step."""
-    v, w, corners = work.motion[0], work.motion[1], model.torso.corners
+    floor, corners = model.floor, model.torso.corners
+    v, w = row(work.motion, 0), row(work.motion, 1)
     for k in range(corners.shape[0]):
-        x, y, z = at(v, w, corners[k, 0], corners[k, 1], corners[k, 2])
-        x, y, z = times(work.rotation, x, y, z)
-        bristle, stiffness = state.corner_bristle[k], model.floor.corner_stiffness
-        advance_bristle(
-            model.floor, bristle, work.limit[k], stiffness, work.slope[k], h, x, y, z
-        )
+        u = times(work.rotation, at(v, w, row(corners, k)))
+        limit, slope = work.limit[k], work.slope[k]
+        bristle, stiffness = state.corner_bristle[k], floor.corner_stiffness
+        advance_bristle(floor, bristle, limit, stiffness, slope, h, u)
 
 
 @helper
 def finish_torso(state, work, h, theta):
     """The torso at the end of the step, except its rate: the legs still need the old one."""
-    v, v0 = work.motion[0], work.motion[3]
-    tau = theta * h
+    axes, motion, tau = work.rotation, work.motion, theta * h
+    v, v0 = motion[0], motion[3]
     for i in range(3):
         state.specific_force[i] = (v[i] - v0[i]) / tau - work.field[3, i]
-        work.motion[2, i] = v0[i] + (v[i] - v0[i]) / theta
-    _move(state, work, h)
+        motion[2, i] = v0[i] + (v[i] - v0[i]) / theta
+    store(state.position, plus(state.position, h, times(axes, v)))
+    store(state.velocity, times(axes, motion[2]))
+    rotation(work.turn, scaled(h, motion[1]))
+    product(work.next, state.rotation, work.turn)
+    orthonormalise(state.rotation, work.next)
 
 
 @helper
@@ -274,18 +277,3 @@ def finish_rate(state, work, theta):
     w, w0 = work.motion[1], work.motion[4]
     for i in range(3):
         state.rate[i] = w0[i] + (w[i] - w0[i]) / theta
-
-
-@helper
-def _move(state, work, h):
-    """Torso's position, velocity and rotation at the end of the step."""
-    motion, w = work.motion, work.motion[1]
-    dx, dy, dz = times(work.rotation, motion[0, 0], motion[0, 1], motion[0, 2])
-    state.position[0] += h * dx
-    state.position[1] += h * dy
-    state.position[2] += h * dz
-    vx, vy, vz = times(work.rotation, motion[2, 0], motion[2, 1], motion[2, 2])
-    state.velocity[0], state.velocity[1], state.velocity[2] = vx, vy, vz
-    rotation(work.turn, h * w[0], h * w[1], h * w[2])
-    product(work.next, state.rotation, work.turn)
-    orthonormalise(state.rotation, work.next)

@@ -179,64 +179,57 @@ def where(typingctx, mask, a, b):
     return kind(mask, kind, kind), build
 
 
-def _bits(builder, mask):
-    return builder.bitcast(mask, ir.IntType(COUNT))
+def _reduced(value, kind, lanes, build):
+    """Typing and code of a reduction: `build(builder, lanes)` of Lanes, a plain value as it is."""
+    if not isinstance(value, type(lanes)):
+        return kind(kind), lambda context, builder, sig, args: args[0]
+    return kind(lanes), lambda context, builder, sig, args: build(builder, args[0])
+
+
+def _compared(sign, bits):
+    """Comparison of the four bits of a mask with a number."""
+
+    def build(builder, mask):
+        found = builder.bitcast(mask, ir.IntType(COUNT))
+        return builder.icmp_unsigned(sign, found, ir.IntType(COUNT)(bits))
+
+    return build
 
 
 @intrinsic
 def any_lane(typingctx, mask):
     """Whether the mask is set for at least one leg."""
-    if not isinstance(mask, _Mask):
-        return types.boolean(types.boolean), lambda context, builder, sig, args: args[0]
-
-    def build(context, builder, sig, args):
-        return builder.icmp_unsigned(
-            "!=", _bits(builder, args[0]), ir.IntType(COUNT)(0)
-        )
-
-    return types.boolean(MASK), build
+    return _reduced(mask, types.boolean, MASK, _compared("!=", 0))
 
 
 @intrinsic
 def all_lanes(typingctx, mask):
     """Whether the mask is set for all legs."""
-    if not isinstance(mask, _Mask):
-        return types.boolean(types.boolean), lambda context, builder, sig, args: args[0]
-
-    def build(context, builder, sig, args):
-        return builder.icmp_unsigned(
-            "==", _bits(builder, args[0]), ir.IntType(COUNT)(-1)
-        )
-
-    return types.boolean(MASK), build
+    return _reduced(mask, types.boolean, MASK, _compared("==", -1))
 
 
 @intrinsic
 def total(typingctx, value):
-    """Sum over the legs."""
-    if not isinstance(value, _Lanes):
-        return types.float64(types.float64), lambda context, builder, sig, args: args[0]
+    """Sum over the legs, (FL + FR) + (RL + RR)."""
 
-    def build(context, builder, sig, args):
-        a, b, c, d = (_lane(builder, args[0], k) for k in range(COUNT))
+    def build(builder, value):
+        a, b, c, d = (_lane(builder, value, k) for k in range(COUNT))
         return builder.fadd(builder.fadd(a, b), builder.fadd(c, d))
 
-    return types.float64(LANES), build
+    return _reduced(value, types.float64, LANES, build)
 
 
 @intrinsic
 def largest(typingctx, value):
     """Largest over the legs."""
-    if not isinstance(value, _Lanes):
-        return types.float64(types.float64), lambda context, builder, sig, args: args[0]
 
-    def build(context, builder, sig, args):
-        best, *others = (_lane(builder, args[0], k) for k in range(COUNT))
+    def build(builder, value):
+        best, *others = (_lane(builder, value, k) for k in range(COUNT))
         for other in others:
             best = builder.select(builder.fcmp_ordered(">", other, best), other, best)
         return best
 
-    return types.float64(LANES), build
+    return _reduced(value, types.float64, LANES, build)
 
 
 @intrinsic(prefer_literal=True)
@@ -270,23 +263,24 @@ def like(typingctx, value, sample):
     return kind(kind, sample), lambda context, builder, sig, args: args[0]
 
 
-@overload(cos, jit_options=OPTIONS)  # type: ignore[arg-type]
-def _cos(x):
-    """Cosine of each lane in turn: slow, for rare use, as those below."""
-    if isinstance(x, _Lanes):
-        return lambda x: join(
-            cos(lane(x, 0)), cos(lane(x, 1)), cos(lane(x, 2)), cos(lane(x, 3))
+def _each_lane(function):
+    """Overload a function of one number by its values lane by lane: slow, for rare use."""
+
+    def each(x):
+        return join(
+            function(lane(x, 0)),
+            function(lane(x, 1)),
+            function(lane(x, 2)),
+            function(lane(x, 3)),
         )
-    return None
+
+    @overload(function, jit_options=OPTIONS)
+    def chosen(x):
+        return each if isinstance(x, _Lanes) else None
 
 
-@overload(sin, jit_options=OPTIONS)  # type: ignore[arg-type]
-def _sin(x):
-    if isinstance(x, _Lanes):
-        return lambda x: join(
-            sin(lane(x, 0)), sin(lane(x, 1)), sin(lane(x, 2)), sin(lane(x, 3))
-        )
-    return None
+_each_lane(cos)
+_each_lane(sin)
 
 
 @overload(atan2, jit_options=OPTIONS)  # type: ignore[arg-type]

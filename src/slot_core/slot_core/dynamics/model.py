@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import Array
+from slot_core.arrays import Array, one_buffer
 from slot_core.dynamics.contact import Floor
 from slot_core.dynamics.rod import Rod, discretise
 from slot_core.dynamics.scene import FloorSettings, Scene, SolverSettings
@@ -71,11 +71,11 @@ class MechanicalState(NamedTuple):
     drive: Array  # (4, 3) state of the servos, see `servo.spool_rate`
     bristle: Array  # (4, P, 3) m, odom, and (8, 3) of the torso's corners; zero with viscous friction
     corner_bristle: Array
-    memory: Array  # (4, N-1, 4, 2) strains of `spatial/relaxation.py`; empty without branches
+    memory: Array  # (4, N-1, 4, 2) strains of the branches (`spatial/strain.py`); empty without
 
 
 class Work(NamedTuple):
-    """Scratch space of the torso. "Step axes" are those of `integrator.py`."""
+    """Scratch space of the torso. `integrator.py` defines its "step axes"."""
 
     matrix: Array  # (6, 6)
     vector: Array  # (6,)
@@ -87,6 +87,10 @@ class Work(NamedTuple):
     limit: Array  # (8,) N, mu times the normal force of the corners
     slope: Array  # (8, 2) of the floor below the corners
     counter: Array  # (3,) halvings, steps with a pivot not positive, steps with no halving left
+
+
+LEG_STATE = ("node", "node_velocity", "director", "swirl", "drive", "bristle", "memory")
+"""Arrays of the state with one row for each leg; in memory the legs are the last axis."""
 
 
 def state_space(nodes: int, points: int, relaxes: bool = False) -> MechanicalState:
@@ -113,19 +117,8 @@ def state_space(nodes: int, points: int, relaxes: bool = False) -> MechanicalSta
         "corner_bristle": (8, 3),
         "memory": (n if relaxes else 0, 4, 2, 4),
     }
-    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes.values()])
-    buffer = np.zeros(ends[-1])
-    parts = zip(shapes.items(), np.split(buffer, ends[:-1]))
-    views = {name: part.reshape(shape) for (name, shape), part in parts}
-    for name in (
-        "node",
-        "node_velocity",
-        "director",
-        "swirl",
-        "drive",
-        "bristle",
-        "memory",
-    ):
+    buffer, views = one_buffer(shapes)
+    for name in LEG_STATE:
         views[name] = np.moveaxis(views[name], -1, 0)
     return MechanicalState(buffer, **views)
 
@@ -183,29 +176,32 @@ def spatial_leg(nodes: int, lanes: tuple[int, ...] = (), points: int = 0) -> Spa
 def leg_lanes(model: Model, state: MechanicalState) -> SpatialLeg:
     """The four legs of a robot in lanes; their state arrays are views of `state`."""
     legs = spatial_leg(len(model.rod.node), (4,), state.bristle.shape[1])
-    legs.axes[:] = model.axes.transpose(1, 2, 0)
-    legs.root[:] = model.root.T
-    legs.clamp[:] = model.clamp.transpose(1, 2, 0)
+    for name in ("axes", "root", "clamp"):
+        getattr(legs, name)[:] = np.moveaxis(getattr(model, name), 0, -1)
     return legs._replace(
         friction=model.friction,
         fault=model.fault,
-        node=state.node.transpose(1, 2, 0),
-        node_velocity=state.node_velocity.transpose(1, 2, 0),
-        director=state.director.transpose(1, 2, 0),
-        swirl=state.swirl.transpose(1, 2, 0),
         angle=state.tendon_angle[None],
         rate=state.tendon_rate[None],
         tension=state.tension[None],
-        drive=state.drive.T,
-        bristle=state.bristle.transpose(1, 2, 0),
-        memory=state.memory.transpose(1, 2, 3, 0),
+        **{name: np.moveaxis(getattr(state, name), 0, -1) for name in LEG_STATE},
     )
 
 
 def work_space() -> Work:
     """Scratch space for the torso."""
-    shapes = [(6, 6), (6,), (3, 3), (3, 3), (3, 3), (5, 3), (4, 3), (8,), (8, 2), (3,)]
-    return Work(*(np.zeros(shape) for shape in shapes))
+    return Work(
+        matrix=np.zeros((6, 6)),
+        vector=np.zeros(6),
+        turn=np.zeros((3, 3)),
+        next=np.zeros((3, 3)),
+        rotation=np.zeros((3, 3)),
+        motion=np.zeros((5, 3)),
+        field=np.zeros((4, 3)),
+        limit=np.zeros(8),
+        slope=np.zeros((8, 2)),
+        counter=np.zeros(3),
+    )
 
 
 def clamp_maps(axes: Array, root: Array) -> Array:

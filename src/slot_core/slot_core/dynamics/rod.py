@@ -6,8 +6,8 @@ error fall with the fourth power of the segments' length for tip loads and natur
 one plane:
 
 - A hinge has the stiffness E I_i / w_i. The deflection of the chain is then a sum over its hinges
-  that approximates the integral over the curvature. The weights w_i are those of Gregory's rule of
-  fourth order, applied on both sides of the tendon's anchor, where the curvature jumps.
+  that approximates the integral over the curvature. The weights w_i are Gregory's, of fourth
+  order, applied on both sides of the tendon's anchor, where the curvature jumps.
 - The length of a segment is corrected by c_i = h^3/24 (change of curvature)^2, h its arc length:
   h^2/12 of it comes from the hinges' sum, -h^2/24 from the chord being shorter than its arc.
 - The mass moves linearly between two nodes. The kinetic energy of a segment is
@@ -44,7 +44,9 @@ class Rod(NamedTuple):
     anchor: int  # the node where the tendon ends
     anchor_share: float  # share of that node's bending that lies before the anchor
     damping_time: float  # s, beta
-    relaxation: Array  # (2, 2) shares and times (s) of the Maxwell branches, see spatial/relaxation
+    relaxation: (
+        Array  # (2, 2) shares and times (s) of the Maxwell branches, see spatial/strain
+    )
 
 
 class Links(NamedTuple):
@@ -155,7 +157,7 @@ def sections(leg: Leg, fraction: Array) -> Sections:
 def lumped(per_length: Array, step: Array) -> Array:
     """(N,) kg, the masses of segments of `step` (m) at their ends, for a linear course between.
 
-    Total and centre of mass are those of the segments.
+    Total and centre of mass stay the same.
     """
     mass = np.zeros(len(per_length))
     mass[:-1] += step / 6 * (2 * per_length[:-1] + per_length[1:])

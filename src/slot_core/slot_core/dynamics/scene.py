@@ -98,7 +98,7 @@ class Push:
 class SolverSettings:
     """Model of the legs and discretisation; the scheme is in `integrator.py`.
 
-    `paper` legs have nodes and steps of their own (config/paper.yaml), `map` legs have neither.
+    Nodes and steps of `paper` legs are in config/paper.yaml; `map` legs have neither.
     """
 
     legs: str = choice(
@@ -285,7 +285,7 @@ class Scene:
 def read_scene(name: str) -> Scene:
     """The scene of `config/scene/<name>.yaml`.
 
-    A file with `like: OTHER` holds, by dotted name, only what it changes of that other scene.
+    A file with `like: OTHER` holds, by dotted name, only its changes of the other scene.
     `solver: NAME` stands for the settings of `config/solver/NAME.yaml`. `parameters: NAME` stands
     for the `scene` values of that set of `config/parameters`, unless the file has its own. Raises
     ConfigError; for an unknown name it lists the known ones.

@@ -226,6 +226,15 @@ class KernelRobot(SimulatedRobot):
         )
         self.model.push[:] += np.concatenate(parts)
 
+    def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
+        """Set a rigid motion of the whole robot: (3,) m/s in odom, (3,) rad/s in base_link.
+
+        Raises ValueError for other shapes, or values that are not finite.
+        """
+        velocity = checked("velocity", velocity, (3,))
+        self.state.rate[:] = checked("angular velocity", angular_velocity, (3,))
+        self.state.velocity[:] = velocity
+
     def damage_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
         """Lengthen the tendon of leg 0 .. 3 by `slack` (m), negative: shorten it, or break it.
 

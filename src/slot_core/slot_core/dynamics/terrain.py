@@ -16,7 +16,8 @@ from slot_core import config
 from slot_core.arrays import Array
 from slot_core.compiled import OPTIONS, helper
 from slot_core.config import ConfigError
-from slot_core.dynamics.lanes import LANES, join, lane
+from slot_core.dynamics.algebra import minus, plus_dot, row, scaled
+from slot_core.dynamics.lanes import LANES, join, lane, like
 from slot_core.refusal import read_text
 
 SIZE_MAX = 10_000_000  # bytes of a height map
@@ -90,20 +91,24 @@ def _cell(x, spacing, count):
 
 
 @helper
-def tilted(axes, below, rise):
-    """Gap (m) of a point at height `rise` (m) above `below`, and the ground's normal (3,).
+def clearance(terrain, centre, axes, r):
+    """Gap (m) of a point above the floor, the floor's normal (3 numbers), and the Ground below.
 
-    axes (3, 3): rows are odom's axes in the axes of the returned normal. The gap is the distance
-    from the plane tangent to the ground.
+    r (3 numbers): m from `centre` (3, odom), in axes of which `axes` (3, 3) has odom's in its rows;
+    the normal is in the same axes. The gap is the distance from the plane tangent to the ground.
     """
+    up = row(axes, 2)
+    height = plus_dot(centre[2], up, r)
+    level = like(0.0, height)
+    if not is_uneven(terrain):
+        return height, up, Ground(level, level, level)
+    east = plus_dot(centre[0], row(axes, 0), r)
+    north = plus_dot(centre[1], row(axes, 1), r)
+    below = ground(terrain, east, north)
     a, b = below.slope_x, below.slope_y
     tall = 1.0 / math.sqrt(1.0 + a * a + b * b)
-    up = (
-        (axes[2, 0] - a * axes[0, 0] - b * axes[1, 0]) * tall,
-        (axes[2, 1] - a * axes[0, 1] - b * axes[1, 1]) * tall,
-        (axes[2, 2] - a * axes[0, 2] - b * axes[1, 2]) * tall,
-    )
-    return rise * tall, up
+    up = minus(minus(up, scaled(a, row(axes, 0))), scaled(b, row(axes, 1)))
+    return (height - below.height) * tall, scaled(tall, up), below
 
 
 def ground(terrain, x, y):

@@ -17,9 +17,18 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.compiled import helper
-from slot_core.dynamics.algebra import times_transposed
+from slot_core.dynamics.algebra import (
+    cross,
+    dot,
+    minus,
+    plus,
+    row,
+    scaled,
+    times,
+    times_transposed,
+)
 from slot_core.dynamics.contact import friction_force, normal_force, tangential
-from slot_core.dynamics.terrain import Ground, ground, is_uneven, tilted
+from slot_core.dynamics.terrain import clearance
 from slot_core.robot import Torso
 
 
@@ -45,13 +54,9 @@ def add_inertia(H, g, torso, inv, gravity, v, v0, w, w0):
     inv = 1 / (theta h); gravity (3,) in body axes.
     """
     J = torso.inertia
-    Lx = J[0, 0] * w[0] + J[0, 1] * w[1] + J[0, 2] * w[2]
-    Ly = J[1, 0] * w[0] + J[1, 1] * w[1] + J[1, 2] * w[2]
-    Lz = J[2, 0] * w[0] + J[2, 1] * w[1] + J[2, 2] * w[2]
-    g[3] += w[1] * Lz - w[2] * Ly
-    g[4] += w[2] * Lx - w[0] * Lz
-    g[5] += w[0] * Ly - w[1] * Lx
+    gyroscopic = cross(w, times(J, w))
     for i in range(3):
+        g[3 + i] += gyroscopic[i]
         H[i, i] += torso.mass * inv * inv
         g[i] += torso.mass * ((v[i] - v0[i]) * inv - gravity[i])
         for j in range(3):
@@ -65,25 +70,20 @@ def add_payload(H, g, payload, inv, gravity, v, v0, w, w0):
 
     Force on the torso: m (g - dv/dt - dw/dt x p - w x (w x p)).
     """
-    mass, x, y, z = payload[0], payload[1], payload[2], payload[3]
+    mass, p = payload[0], (payload[1], payload[2], payload[3])
     rest = (0.0, 0.0, 0.0)
-    ux, uy, uz = at(v, w, x, y, z)
-    sx, sy, sz = at(v0, w0, x, y, z)
-    cx, cy, cz = at(rest, w, x, y, z)
-    cx, cy, cz = at(rest, w, cx, cy, cz)
-    f = (
-        mass * (gravity[0] - (ux - sx) * inv - cx),
-        mass * (gravity[1] - (uy - sy) * inv - cy),
-        mass * (gravity[2] - (uz - sz) * inv - cz),
-    )
-    _add_point(H, g, x, y, z, f, 0.0, mass * inv * inv, rest)
+    change = minus(at(v, w, p), at(v0, w0, p))
+    centripetal = at(rest, w, at(rest, w, p))
+    free = minus(minus(gravity, scaled(inv, change)), centripetal)
+    _add_point(H, g, p, scaled(mass, free), 0.0, mass * inv * inv, rest)
 
 
 @helper
 def add_push(g, push, rotation):
     """Add an external force and moment: push (6,), N and N m about the centre, in odom."""
     for k in range(2):
-        f = times_transposed(rotation, push[3 * k], push[3 * k + 1], push[3 * k + 2])
+        odom = (push[3 * k], push[3 * k + 1], push[3 * k + 2])
+        f = times_transposed(rotation, odom)
         for i in range(3):
             g[3 * k + i] -= f[i]
 
@@ -96,94 +96,59 @@ def add_corners(H, g, torso, floor, inv, place, axes, v, w, turn, held):
     their limits (8,) and the floor's slopes (8, 2), used by bristle friction only.
     """
     bristle, limit, slope = held
+    stiffness, damping = floor.corner_stiffness, floor.corner_damping
     for k in range(torso.corners.shape[0]):
-        x, y, z = torso.corners[k, 0], torso.corners[k, 1], torso.corners[k, 2]
-        r = (
-            x + turn[1] * z - turn[2] * y,
-            y + turn[2] * x - turn[0] * z,
-            z + turn[0] * y - turn[1] * x,
-        )
-        gap, up, below = _gap(floor.terrain, place, axes, r)
+        p = row(torso.corners, k)
+        gap, up, below = clearance(floor.terrain, place, axes, at(p, turn, p))
         if floor.bristle > 0.0:
-            limit[k], slope[k, 0], slope[k, 1] = 0.0, below.slope_x, below.slope_y
+            limit[k] = 0.0
+            slope[k, 0] = below.slope_x
+            slope[k, 1] = below.slope_y
         if gap >= 0.0:
             continue
-        ux, uy, uz = at(v, w, x, y, z)
-        vn = up[0] * ux + up[1] * uy + up[2] * uz
-        u = (ux - vn * up[0], uy - vn * up[1], uz - vn * up[2])
-        normal = normal_force(floor.corner_stiffness, floor.corner_damping, gap, vn)
+        u = at(v, w, p)
+        vn = dot(up, u)
+        u = plus(u, -vn, up)
+        normal = normal_force(stiffness, damping, gap, vn)
         most, stuck = floor.corner_friction * normal, u
         if floor.bristle > 0.0:
             limit[k] = most
             stuck = tangential(axes, bristle[k], up)
-        hold = friction_force(
-            floor,
-            most,
-            1.0 / inv,
-            floor.corner_stiffness,
-            floor.corner_damping,
-            stuck,
-            u,
-        )
+        hold = friction_force(floor, most, 1.0 / inv, stiffness, damping, stuck, u)
         if normal > 0.0:
-            f = (
-                up[0] * normal - hold.drag * u[0] - hold.x,
-                up[1] * normal - hold.drag * u[1] - hold.y,
-                up[2] * normal - hold.drag * u[2] - hold.z,
-            )
+            f = minus(minus(scaled(normal, up), scaled(hold.drag, u)), hold.held)
             drag = hold.drag * inv
-            stiff = floor.corner_stiffness + floor.corner_damping * inv - drag
-            _add_point(H, g, x, y, z, f, stiff, drag, up)
+            _add_point(H, g, p, f, stiffness + damping * inv - drag, drag, up)
 
 
 @helper
-def _gap(terrain, place, axes, r):
-    """Gap (m) of a point r (body axes, from the centre at `place`), floor's normal, and Ground."""
-    up = (axes[2, 0], axes[2, 1], axes[2, 2])
-    height = place[2] + up[0] * r[0] + up[1] * r[1] + up[2] * r[2]
-    if not is_uneven(terrain):
-        return height, up, Ground(0.0, 0.0, 0.0)
-    east = place[0] + axes[0, 0] * r[0] + axes[0, 1] * r[1] + axes[0, 2] * r[2]
-    north = place[1] + axes[1, 0] * r[0] + axes[1, 1] * r[1] + axes[1, 2] * r[2]
-    below = ground(terrain, east, north)
-    gap, up = tilted(axes, below, height - below.height)
-    return gap, up, below
-
-
-@helper
-def at(v, w, x, y, z):
-    """Velocity of the point (x, y, z) of a rigid body: v + w x (x, y, z)."""
+def at(v, w, p):
+    """Velocity of the point p of a rigid body: v + w x p."""
     return (
-        v[0] + w[1] * z - w[2] * y,
-        v[1] + w[2] * x - w[0] * z,
-        v[2] + w[0] * y - w[1] * x,
+        v[0] + w[1] * p[2] - w[2] * p[1],
+        v[1] + w[2] * p[0] - w[0] * p[2],
+        v[2] + w[0] * p[1] - w[1] * p[0],
     )
 
 
 @helper
-def _add_point(H, g, x, y, z, f, stiff, drag, up):
-    """Add force f and tangent C = stiff up up^T + drag I of a point (x, y, z) of the body."""
-    _subtract(g, x, y, z, f)
-    lever = (y * up[2] - z * up[1], z * up[0] - x * up[2], x * up[1] - y * up[0])
-    add_row(H, stiff, (up[0], up[1], up[2], lever[0], lever[1], lever[2]))
+def _add_point(H, g, p, f, stiff, drag, up):
+    """Add force f and tangent C = stiff up up^T + drag I of a point p of the body."""
+    subtract_force(g, p, f)
+    x, y, z = p
+    add_row(H, stiff, (*up, *cross(p, up)))
     add_row(H, drag, (1.0, 0.0, 0.0, 0.0, z, -y))
     add_row(H, drag, (0.0, 1.0, 0.0, -z, 0.0, x))
     add_row(H, drag, (0.0, 0.0, 1.0, y, -x, 0.0))
 
 
 @helper
-def _subtract(g, x, y, z, f):
-    """g -= (f, moment of f about the centre) for the force f at (x, y, z)."""
-    force = (
-        f[0],
-        f[1],
-        f[2],
-        y * f[2] - z * f[1],
-        z * f[0] - x * f[2],
-        x * f[1] - y * f[0],
-    )
-    for i in range(6):
-        g[i] -= force[i]
+def subtract_force(g, p, f):
+    """g -= (f, moment of f about the centre) for the force f at the point p."""
+    moment = cross(p, f)
+    for i in range(3):
+        g[i] -= f[i]
+        g[3 + i] -= moment[i]
 
 
 @helper

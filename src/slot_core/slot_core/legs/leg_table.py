@@ -67,7 +67,10 @@ def read_leg_table(columns: Sequence[str]) -> LegTable:
 def interpolate(  # type: ignore[no-untyped-def]  # noqa: PLR0917
     angles, heights, table, angle, height, out
 ):
-    """Rows (k, c) of a table (m, n, c) at k points, bilinear; outside: at the edge."""
+    """Rows (k, c) of a table (m, n, c) at k points, bilinear; outside: at the edge.
+
+    angles (m,), heights (n,): the grid, rising; angle, height (k,): the points; out (k, c).
+    """
     for k in range(len(angle)):
         i, p = _place(angles, angle[k])
         j, q = _place(heights, height[k])
@@ -79,7 +82,10 @@ def interpolate(  # type: ignore[no-untyped-def]  # noqa: PLR0917
 
 @helper
 def _place(grid, value):  # type: ignore[no-untyped-def]
-    """Index of the cell of a rising grid that holds a value, and the share of its upper end."""
+    """Index of the cell of a rising grid that holds a value, and the share of its upper end.
+
+    Below the grid the share is 0, above it 1.
+    """
     inside = min(max(value, grid[0]), grid[-1])
     index = min(max(np.searchsorted(grid, inside, side="right") - 1, 0), len(grid) - 2)
     return index, (inside - grid[index]) / (grid[index + 1] - grid[index])

@@ -7,7 +7,20 @@ from typing import NamedTuple
 
 from slot_core.arrays import Array
 from slot_core.compiled import helper, kernel
-from slot_core.dynamics.algebra import dot, plus, solve, times
+from slot_core.dynamics.algebra import (
+    add,
+    cross,
+    dot,
+    minus,
+    plus,
+    plus_dot,
+    put,
+    row,
+    scaled,
+    solve,
+    store,
+    times,
+)
 from slot_core.dynamics.contact import (
     advance_bristle,
     coefficient,
@@ -23,15 +36,15 @@ from slot_core.dynamics.integrator import (
     start_torso,
 )
 from slot_core.dynamics.servo import spool_rate
-from slot_core.dynamics.torso import add_row, at
+from slot_core.dynamics.torso import add_row, at, subtract_force
 
 TOO_FAST, TOO_TILTED = range(2)  # kinds of divergence
 TILT_MAX_DEG, COS_TILT_MAX = 60.0, 0.5  # largest tilt of the torso
 NORMAL_PER_DROP_MIN = (
     0.25  # least D, so that a foot that moves ahead of the torso cannot lock it
 )
-# Of friction, normal force and side rate of a foot, each of which needs the others. They continue
-# those of the step before: 3 leave 2 um in stand and step, 20 iterations as the reference.
+# Of friction, normal force and side rate of a foot, each of which needs the others. They begin
+# where the step before ended: 3 leave 2 um in stand and step, 20 iterations as the reference.
 ITERATIONS = 3
 
 
@@ -114,10 +127,9 @@ def advance(machine, steps):
 @helper
 def divergence_of(state, limit):
     """Kind of divergence of the torso, or -1; limit: m/s and rad/s."""
-    v, w = state.velocity, state.rate
-    if not v[0] * v[0] + v[1] * v[1] + v[2] * v[2] < limit * limit:
+    if not dot(state.velocity, state.velocity) < limit * limit:
         return TOO_FAST
-    if not w[0] * w[0] + w[1] * w[1] + w[2] * w[2] < limit * limit:
+    if not dot(state.rate, state.rate) < limit * limit:
         return TOO_FAST
     return -1 if state.rotation[2, 2] > COS_TILT_MAX else TOO_TILTED
 
@@ -127,15 +139,12 @@ def one_step(model, legs, state, feet, work, scheme):
     """One step in place: the theta scheme of `integrator.py` for the torso's velocities alone."""
     h, theta = scheme.step, scheme.theta
     tau, definite = theta * h, True
+    floor = model.floor
     predict_torso(model, state, work, h, theta)
     for k in range(4):
-        angle, torque = (
-            state.tendon_angle[k],
-            model.tendon.spool_radius * state.tension[k],
-        )
-        rate = spool_rate(
-            model.servo, state.drive[k], feet.command[k], angle, torque, h
-        )
+        angle, command = state.tendon_angle[k], feet.command[k]
+        torque = model.tendon.spool_radius * state.tension[k]
+        rate = spool_rate(model.servo, state.drive[k], command, angle, torque, h)
         state.tendon_rate[k] = rate
     for _ in range(scheme.iterations):
         place = start_torso(model, state, work, tau)
@@ -145,14 +154,12 @@ def one_step(model, legs, state, feet, work, scheme):
         for i in range(3):
             work.motion[0, i] += work.vector[i] / tau
             work.motion[1, i] += work.vector[3 + i] / tau
-    if model.floor.bristle > 0.0:
+    if floor.bristle > 0.0:
         bend_corners(model, state, work, h)
         for k in range(4):
-            u, stiffness = state.node_velocity[k, 0], model.floor.stiffness[-1]
             bristle, limit = state.bristle[k, 0], feet.limit[k]
-            advance_bristle(
-                model.floor, bristle, limit, stiffness, feet.flat, h, u[0], u[1], u[2]
-            )
+            slip, stiffness = state.node_velocity[k, 0], floor.stiffness[-1]
+            advance_bristle(floor, bristle, limit, stiffness, feet.flat, h, slip)
     finish_torso(state, work, h, theta)
     finish_rate(state, work, theta)
     for k in range(4):
@@ -172,41 +179,32 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     here, foot = _contact_point(legs, state, feet, work, k, place, angle, tau)
     drop_rate, slip = _slip_and_drop_rate(work, a, here, foot, rate)
     force_slope = min(0.0, here.force_h)
-    leg_force = max(
-        0.0, here.force + beta * (force_slope * drop_rate + here.force_a * rate)
-    )
+    force_rate = force_slope * drop_rate + here.force_a * rate
+    leg_force = max(0.0, here.force + beta * force_rate)
     leg_force *= here.force > 0.0
     spring = here.sideways * (tau + beta)
     load = leg_force * foot.lean - here.sideways * state.node[k, 0, 1]
-    mu = _mu(model, state, k, slip, a)
+    own, other = model.friction[0, k], model.friction[1, k]
+    outward, released = dot(slip, a), state.tendon_rate[k]
+    mu = coefficient(model.floor, own, other, released, outward, dot(slip, slip))
     held = (leg_force, spring, load, slip)
     friction, normal, side, slip = _friction(
         model, state, feet, axes, k, mu, tau, held, foot
     )
     drop_rate += foot.lean * side
-    fx = -friction.drag * slip[0] - friction.x
-    fy = -friction.drag * slip[1] - friction.y
-    fz = -friction.drag * slip[2] - friction.z
-    stiffness = (
-        -force_slope * (1.0 + beta * inv) / foot.normal_per_drop**2 * (leg_force > 0.0)
-    )
-    _add_force(work.vector, foot, normal, (fx, fy, fz))
+    f = minus(scaled(-friction.drag, slip), friction.held)
+    stiffness = -force_slope * (1.0 + beta * inv) / foot.normal_per_drop**2
+    stiffness *= leg_force > 0.0
+    subtract_force(work.vector, foot.place, plus(f, normal, foot.up))
     _add_stiffness(work.matrix, foot, stiffness, friction.drag * inv, spring * inv)
-    along = fx * a[0] + fy * a[1] + fz * a[2] + normal * foot.slope
+    along = dot(f, a) + normal * foot.slope
     tension = here.tension - here.x_a * along / radius
     tension += beta * (here.tension_h * drop_rate + here.tension_a * rate)
     state.tension[k] = max(0.0, tension) * (here.tension > 0.0)
     feet.limit[k] = mu * normal
     feet.side_rate[k] = side
-    up = foot.up
-    _to_odom(state.node_velocity[k, 0], axes, slip[0], slip[1], slip[2])
-    _to_odom(
-        feet.force[k],
-        axes,
-        normal * up[0] + fx,
-        normal * up[1] + fy,
-        normal * up[2] + fz,
-    )
+    store(state.node_velocity[k, 0], times(axes, slip))
+    put(feet.force, k, times(axes, add(scaled(normal, foot.up), f)))
 
 
 @helper
@@ -215,32 +213,28 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
 
     The drop of the foot below the clamp follows from its place along the leg at the last iterate.
     """
-    axes, small, a, b = work.rotation, work.motion[2], legs.outward[k], legs.left[k]
-    ux, uy, uz = axes[2, 0], axes[2, 1], axes[2, 2]
-    c, x, y = (
-        legs.clamps[k],
-        state.node[k, 0, 0],
-        state.node[k, 0, 1] + tau * feet.side_rate[k],
-    )
-    c = (c[0] + y * b[0], c[1] + y * b[1], c[2])
-    px, py, pz = c[0] + x * a[0], c[1] + x * a[1], c[2] + x * a[2]
-    px, py, pz = at((px, py, pz), small, px, py, pz)
-    drop = (place[2] + ux * px + uy * py + uz * pz) / uz
+    a, b, clamp = legs.outward[k], legs.left[k], legs.clamps[k]
+    x, y = state.node[k, 0, 0], state.node[k, 0, 1] + tau * feet.side_rate[k]
+    root = (clamp[0] + y * b[0], clamp[1] + y * b[1], clamp[2])
+    up = row(work.rotation, 2)
+    p = plus(root, x, a)
+    drop = plus_dot(place[2], up, at(p, work.motion[2], p)) / up[2]
     here = _interpolate(legs, angle, drop)
     x = here.x
-    state.node[k, 0, 0], state.node[k, 0, 2] = x, -drop
-    slope = ux * a[0] + uy * a[1] + uz * a[2]
-    per_drop = max(NORMAL_PER_DROP_MIN, uz - slope * here.x_h)
-    m = (here.x_h * a[0], here.x_h * a[1], here.x_h * a[2] - 1.0)
-    lean = (ux * b[0] + uy * b[1]) / per_drop
+    state.node[k, 0, 0] = x
+    state.node[k, 0, 2] = -drop
+    slope = dot(up, a)
+    per_drop = max(NORMAL_PER_DROP_MIN, up[2] - slope * here.x_h)
+    path = (here.x_h * a[0], here.x_h * a[1], here.x_h * a[2] - 1.0)
+    lean = (up[0] * b[0] + up[1] * b[1]) / per_drop
     foot = Foot(
-        place=(c[0] + x * a[0], c[1] + x * a[1], c[2] + x * a[2] - drop),
-        up=(ux, uy, uz),
+        place=(root[0] + x * a[0], root[1] + x * a[1], root[2] + x * a[2] - drop),
+        up=up,
         slope=slope,
         normal_per_drop=per_drop,
-        path=m,
+        path=path,
         lean=lean,
-        across=(b[0] + lean * m[0], b[1] + lean * m[1], lean * m[2]),
+        across=(b[0] + lean * path[0], b[1] + lean * path[1], lean * path[2]),
     )
     return here, foot
 
@@ -251,21 +245,11 @@ def _slip_and_drop_rate(work, a, here, foot, rate):
 
     Of a foot that does not move sideways in its leg.
     """
-    p, up, m, shift_rate = foot.place, foot.up, foot.path, here.x_a * rate
-    bx, by, bz = at(work.motion[0], work.motion[1], p[0], p[1], p[2])
-    normal = up[0] * bx + up[1] * by + up[2] * bz
-    drop_rate = (normal + foot.slope * shift_rate) / foot.normal_per_drop
-    sx = bx + m[0] * drop_rate + a[0] * shift_rate
-    sy = by + m[1] * drop_rate + a[1] * shift_rate
-    sz = bz + m[2] * drop_rate + a[2] * shift_rate
-    sn = up[0] * sx + up[1] * sy + up[2] * sz
-    return drop_rate, (sx - sn * up[0], sy - sn * up[1], sz - sn * up[2])
-
-
-@helper
-def _to_odom(out, axes, x, y, z):
-    """Rotate a vector from step axes to odom and write it to `out`."""
-    out[0], out[1], out[2] = times(axes, x, y, z)
+    up, shift_rate = foot.up, here.x_a * rate
+    rigid = at(work.motion[0], work.motion[1], foot.place)
+    drop_rate = (dot(up, rigid) + foot.slope * shift_rate) / foot.normal_per_drop
+    slip = plus(plus(rigid, drop_rate, foot.path), shift_rate, a)
+    return drop_rate, plus(slip, -dot(up, slip), up)
 
 
 @helper
@@ -278,17 +262,24 @@ def _interpolate(legs, angle, height):
     place = (height - legs.height_low) / legs.height_step
     j = _cell_at(place, table.shape[1])
     t = place - j
-    da, dh = 1.0 / legs.angle_step, 1.0 / legs.height_step
-    f, fh, fa = _cell(table, i, j, 0, u, t, dh, da)
     inside = min(1.0, max(0.0, t))
-    x = _cell(table, i, j, 1, u, inside, dh, da)[0]
-    xa = _cell(table, i, j, 3, u, inside, dh, da)[0]
-    xh = _cell(table, i, j, 4, u, inside, dh, da)[0]
-    s, sh, sa = _cell(table, i, j, 2, u, t, dh, da)
-    sideways = _cell(table, i, j, 5, u, inside, dh, da)[0]
-    if f <= 0.0:
-        f = fh = fa = 0.0
-    return LegResponse(f, fh, fa, x, xh, xa, max(0.0, s), sh, sa, sideways)
+    da, dh = 1.0 / legs.angle_step, 1.0 / legs.height_step
+    force, force_h, force_a = _cell(table, i, j, 0, u, t, dh, da)
+    tension, tension_h, tension_a = _cell(table, i, j, 2, u, t, dh, da)
+    if force <= 0.0:
+        force = force_h = force_a = 0.0
+    return LegResponse(
+        force=force,
+        force_h=force_h,
+        force_a=force_a,
+        x=_cell(table, i, j, 1, u, inside, dh, da)[0],
+        x_h=_cell(table, i, j, 4, u, inside, dh, da)[0],
+        x_a=_cell(table, i, j, 3, u, inside, dh, da)[0],
+        tension=max(0.0, tension),
+        tension_h=tension_h,
+        tension_a=tension_a,
+        sideways=_cell(table, i, j, 5, u, inside, dh, da)[0],
+    )
 
 
 @helper
@@ -300,19 +291,13 @@ def _cell_at(place, count):
 @helper
 def _cell(table, i, j, c, u, t, dh, da):
     """Bilinear value of column c in cell (i, j), and its derivatives over height and angle."""
-    low = table[i, j, c] + t * (table[i, j + 1, c] - table[i, j, c])
-    high = table[i + 1, j, c] + t * (table[i + 1, j + 1, c] - table[i + 1, j, c])
-    rise = (1.0 - u) * (table[i, j + 1, c] - table[i, j, c])
-    rise += u * (table[i + 1, j + 1, c] - table[i + 1, j, c])
+    rise_low = table[i, j + 1, c] - table[i, j, c]
+    rise_high = table[i + 1, j + 1, c] - table[i + 1, j, c]
+    low = table[i, j, c] + t * rise_low
+    high = table[i + 1, j, c] + t * rise_high
+    rise = (1.0 - u) * rise_low
+    rise += u * rise_high
     return low + u * (high - low), rise * dh, (high - low) * da
-
-
-@helper
-def _mu(model, state, k, slip, a):
-    own, other, rate = model.friction[0, k], model.friction[1, k], state.tendon_rate[k]
-    square = slip[0] * slip[0] + slip[1] * slip[1] + slip[2] * slip[2]
-    outward = slip[0] * a[0] + slip[1] * a[1] + slip[2] * a[2]
-    return coefficient(model.floor, own, other, rate, outward, square)
 
 
 @helper
@@ -324,34 +309,21 @@ def _friction(model, state, feet, axes, k, mu, tau, held, foot):
     """
     floor, m, w = model.floor, foot.path, foot.across
     leg_force, spring, load, start = held
-    stiffness, damping, side = floor.stiffness[-1], floor.damping[-1], feet.side_rate[k]
+    stiffness, damping = floor.stiffness[-1], floor.damping[-1]
     bristle = start
     if floor.bristle > 0.0:
         bristle = tangential(axes, state.bristle[k, 0], foot.up)
-    normal, slip = leg_force / foot.normal_per_drop, plus(start, side, w)
+    side, normal = feet.side_rate[k], leg_force / foot.normal_per_drop
+    slip = plus(start, side, w)
     f = friction_force(floor, mu * normal, tau, stiffness, damping, bristle, slip)
     for _ in range(ITERATIONS):
-        rest = (f.x, f.y, f.z)
-        side = (load - f.drag * dot(start, w) - dot(rest, w)) / (
-            spring + f.drag * dot(w, w)
-        )
+        resistance = spring + f.drag * dot(w, w)
+        side = (load - f.drag * dot(start, w) - dot(f.held, w)) / resistance
         slip = plus(start, side, w)
-        normal = (
-            max(0.0, leg_force - f.drag * dot(slip, m) - dot(rest, m))
-            / foot.normal_per_drop
-        )
+        pressed = max(0.0, leg_force - f.drag * dot(slip, m) - dot(f.held, m))
+        normal = pressed / foot.normal_per_drop
         f = friction_force(floor, mu * normal, tau, stiffness, damping, bristle, slip)
     return f, normal, side, slip
-
-
-@helper
-def _add_force(g, foot, normal, f):
-    """g -= the normal force (N) and friction f on the foot, with their moments."""
-    p, up = foot.place, foot.up
-    x, y, z = f[0] + normal * up[0], f[1] + normal * up[1], f[2] + normal * up[2]
-    force = (x, y, z, p[1] * z - p[2] * y, p[2] * x - p[0] * z, p[0] * y - p[1] * x)
-    for i in range(6):
-        g[i] -= force[i]
 
 
 @helper
@@ -363,33 +335,20 @@ def _add_stiffness(H, foot, stiffness, drag, spring):
     C = drag (1 - drag w w^T / (spring + drag w.w)).
     """
     x, y, z = foot.place
-    up, m, w, per = foot.up, foot.path, foot.across, 1.0 / foot.normal_per_drop
-    n = (
-        up[0],
-        up[1],
-        up[2],
-        y * up[2] - z * up[1],
-        z * up[0] - x * up[2],
-        x * up[1] - y * up[0],
-    )
+    m, w, per = foot.path, foot.across, 1.0 / foot.normal_per_drop
+    n = (*foot.up, *cross(foot.place, foot.up))
+    s = (*w, *cross(foot.place, w))
     add_row(H, stiffness, n)
     add_row(H, drag, _add_rows((1.0, 0.0, 0.0, 0.0, z, -y), m[0] * per, n))
     add_row(H, drag, _add_rows((0.0, 1.0, 0.0, -z, 0.0, x), m[1] * per, n))
     add_row(H, drag, _add_rows((0.0, 0.0, 1.0, y, -x, 0.0), m[2] * per, n))
-    s = (
-        w[0],
-        w[1],
-        w[2],
-        y * w[2] - z * w[1],
-        z * w[0] - x * w[2],
-        x * w[1] - y * w[0],
-    )
     yielding = -drag * drag / (spring + drag * dot(w, w))
     add_row(H, yielding, _add_rows(s, dot(w, m) * per, n))
 
 
 @helper
 def _add_rows(e, m, n):
+    """e + m n, of six numbers each."""
     return (
         e[0] + m * n[0],
         e[1] + m * n[1],

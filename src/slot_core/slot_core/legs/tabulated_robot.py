@@ -32,9 +32,9 @@ Neglected: vibration of the legs (first frequency: 10 Hz hanging, 25 Hz standing
 friction on the shape of a leg beyond the path of its foot, along the leg (where it carries load
 below 80 mm its stiffness there is 1 to 20 N/mm); slip and lifting of an edge of the foot, which
 turns it in its place after 1 to 4 mm, so that at 10 mm a leg has some 0.4 of the force k_y y; the
-force y^2/2 dk_y/deta, some 0.1 N at 10 mm; the tilt of gravity in a leg. Contact is that of the
+force y^2/2 dk_y/deta, some 0.1 N at 10 mm; the tilt of gravity in a leg. The contact law is set as in the
 scene `flat`. Mass and inertia of the undeformed legs are added to the torso, with the centre of
-mass at that of the torso.
+mass at the torso's.
 
 The table is interpolated bilinearly. Below the lowest and above the highest height, force and
 tension are extrapolated linearly from the cell at the edge, down to zero; the other columns are
@@ -42,11 +42,11 @@ constant there. The table belongs to the robot of `config/robot.yaml`: after a c
 `scripts/calibrate --leg-map`.
 """
 
-from typing import NamedTuple
+from operator import attrgetter
 
 import numpy as np
 
-from slot_core.arrays import Array, checked
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import build_model, build_scheme, state_space, work_space
@@ -131,13 +131,6 @@ class TabulatedRobot(KernelRobot):
                 f"simulation diverged at {self.time:.4f} s: {limit}", state
             )
 
-    def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
-        """Set the motion of the torso: (3,) m/s in odom, (3,) rad/s in base_link; or ValueError."""
-        velocity = checked("velocity", velocity, (3,))
-        angular_velocity = checked("angular velocity", angular_velocity, (3,))
-        self.state.velocity[:] = velocity
-        self.state.rate[:] = angular_velocity
-
     @property
     def nodes(self) -> Array:
         """(4, 2, 3) m in odom: clamp and foot, in contact or the lowest point of the leg."""
@@ -159,30 +152,21 @@ class TabulatedRobot(KernelRobot):
         return self.feet.force.copy()
 
 
-class _Requirement(NamedTuple):
-    """A setting and the value that the table requires."""
-
-    name: str
-    value: object
-    needed: object
-
-
 def _require_tabulated(scene: Scene) -> None:
     """Raise ConfigError at the first setting that the table does not cover."""
-    floor, made_for = scene.floor, read_scene("flat").floor
-    needs = (
-        _Requirement("floor.height_map", floor.height_map, ""),
-        _Requirement("floor.contact", floor.contact, made_for.contact),
-        _Requirement("floor.stiffness", floor.stiffness, made_for.stiffness),
-        _Requirement(
-            "floor.line_stiffness", floor.line_stiffness, made_for.line_stiffness
-        ),
-        _Requirement("solver.halvings", scene.solver.halvings, 0),
-    )
-    for need in needs:
-        if need.value != need.needed:
+    made_for = read_scene("flat").floor
+    needs = {
+        "floor.height_map": "",
+        "floor.contact": made_for.contact,
+        "floor.stiffness": made_for.stiffness,
+        "floor.line_stiffness": made_for.line_stiffness,
+        "solver.halvings": 0,
+    }
+    for name, needed in needs.items():
+        value = attrgetter(name)(scene)
+        if value != needed:
             raise ConfigError(
-                f"{need.name} = {quoted(need.value)}: legs of the model 'map' need {need.needed!r}"
+                f"{name} = {quoted(value)}: legs of the model 'map' need {needed!r}"
             )
 
 

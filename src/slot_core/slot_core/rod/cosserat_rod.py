@@ -43,7 +43,7 @@ from slot_core.rod.statics import (
     follow,
     free_unknowns,
 )
-from slot_core.rod.work import place, work_space
+from slot_core.rod.work import frame_rows, place, work_space
 
 NO_LOADS = Loads()
 ORIGIN = Pose()
@@ -132,7 +132,7 @@ class CosseratRod:
         work.node[:n], work.velocity[:n] = given["position"], given["velocity"]
         work.director[: n - 1], work.swirl[: n - 1] = given["director"], given["swirl"]
         for frame, axes in zip(work.frame, given["ends"]):
-            frame[:] = np.transpose(axes) * np.array([[1.0], [-1.0], [-1.0]])
+            frame[:] = frame_rows(axes)
         work.turning[:] = 0.0
         work.driven[:] = work.velocity[[0, n - 1]]
         self._apply(NO_LOADS)
@@ -156,10 +156,8 @@ class CosseratRod:
         for end, pose in ((0, base), (1, tip)):
             if pose is not None:
                 axes = Rotation.from_rotvec(pose.rotation).as_matrix()
-                self._target[end, 0], self._target[end, 1:] = (
-                    pose.position,
-                    _frame(axes),
-                )
+                self._target[end, 0] = pose.position
+                self._target[end, 1:] = frame_rows(axes)
         self._run(h, 1, loads, self._no_record)
 
     def run(
@@ -189,8 +187,8 @@ class CosseratRod:
     ) -> Equilibrium:
         """Move the rod to its equilibrium under loads, by continuation from the present loads.
 
-        The present loads are those of the last step or equilibrium; they are zero at first and
-        after the state was set. The rod must be near an equilibrium under them.
+        The last step or equilibrium has set the present loads; they are zero at first and after the
+        state was set. The rod must be near an equilibrium under them.
 
         Raises EquilibriumError with the last load factor that was reached; the rod is then in that
         equilibrium. Raises RodError for `stay_stable` with a moment or a follower force, which have
@@ -301,7 +299,7 @@ class CosseratRod:
         return np.sign(found) * np.sqrt(np.abs(found)) / (2 * math.pi)
 
     def _rest(self) -> None:
-        """Let the supports stay where they are; the axial forces are those of the strains."""
+        """Let the supports stay where they are; the axial forces follow from the strains."""
         kernels.pose(self.mesh, self._work)
         for end, node in ((0, 0), (1, self.nodes - 1)):
             self._target[end, 0] = self._work.node[node]
@@ -362,8 +360,3 @@ def _axes(frame: Array) -> Array:
     """(3, 3) columns tangent, width, normal of a section with the frame rows t, d, b."""
     axes: Array = np.transpose(frame * np.array([[1.0], [-1.0], [-1.0]]))
     return axes
-
-
-def _frame(axes: Array) -> Array:
-    """(3, 3) rows t, d, b of a section with the axes tangent, width, normal as columns."""
-    return np.array([axes[:, 0], -axes[:, 1], -axes[:, 2]])

@@ -11,13 +11,16 @@ positive definite: the number of negative pivots is the number of unstable direc
 import math
 
 from slot_core.compiled import helper
-from slot_core.dynamics.algebra import cross, row
+from slot_core.dynamics.algebra import combined, cross, row
 from slot_core.rod.assembly import assemble
 
 
 @helper
 def node(mesh, work, dead, i, inv, F, at):
-    """Add inertia and dead load of node i to the diagonal and the last column of F."""
+    """Add inertia and dead load of node i to the diagonal and the last column of F.
+
+    dead (N, 3): forces, N; at: row of F of the node's displacement along x.
+    """
     mass = mesh.mass[i] * inv
     for c in range(3):
         F[at + c, at + c] += mass * inv
@@ -27,17 +30,20 @@ def node(mesh, work, dead, i, inv, F, at):
 
 @helper
 def prescribe(held, gap, F, rows):
-    """Replace the equations of the held unknowns among the first of F by x = gap."""
+    """Replace the equations of the held unknowns among the first of F by x = gap.
+
+    held (n,): which of the first n are held; rows: number of equations of F.
+    """
     for c in range(held.size):
         if held[c]:
             for i in range(rows):
-                F[i, F.shape[1] - 1] -= (
-                    F[i, c] * gap[c]
-                )  # 0 but in the last block, which is full
+                # 0 but in the last block, which is full
+                F[i, F.shape[1] - 1] -= F[i, c] * gap[c]
                 F[i, c] = 0.0
             for j in range(F.shape[1] - 1):
                 F[c, j] = 0.0
-            F[c, c], F[c, F.shape[1] - 1] = 1.0, gap[c]
+            F[c, c] = 1.0
+            F[c, F.shape[1] - 1] = gap[c]
 
 
 @helper
@@ -115,11 +121,8 @@ def _last(mesh, work, loads, inv, shift):
 @helper
 def follower_force(frame, f):
     """Force f (3,) along the axes of a section with the frame (3, 3), in fixed axes."""
-    return (
-        f[0] * frame[0, 0] - f[1] * frame[1, 0] - f[2] * frame[2, 0],
-        f[0] * frame[0, 1] - f[1] * frame[1, 1] - f[2] * frame[2, 1],
-        f[0] * frame[0, 2] - f[1] * frame[1, 2] - f[2] * frame[2, 2],
-    )
+    t, d, b = row(frame, 0), row(frame, 1), row(frame, 2)
+    return combined(f[0], t, -f[1], d, -f[2], b)
 
 
 @helper
@@ -128,10 +131,8 @@ def load_tip(work, loads, F):
 
     The force turns by Phi x f. The hinge's moment m has the antisymmetric tangent Phi x m / 2.
     """
-    f, m = (
-        follower_force(work.stage_frame[1], loads[2]),
-        row(work.moment, work.normal.size - 1),
-    )
+    f = follower_force(work.stage_frame[1], loads[2])
+    m = row(work.moment, work.normal.size - 1)
     for i in range(3):
         e = (1.0 * (i == 0), 1.0 * (i == 1), 1.0 * (i == 2))
         turn, half = cross(e, f), cross(e, m)

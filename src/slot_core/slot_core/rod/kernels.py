@@ -11,10 +11,23 @@ spin's angular momentum is kept as a vector, as in `dynamics/spatial/leg.py`.
 import math
 
 from slot_core.compiled import helper, kernel
-from slot_core.dynamics.algebra import cross, dot, plus, put, rotation, row, times
+from slot_core.dynamics.algebra import (
+    add,
+    combined,
+    cross,
+    dot,
+    minus,
+    plus,
+    put,
+    rotation,
+    row,
+    scaled,
+    times,
+)
 from slot_core.dynamics.spatial.refine import refine
 from slot_core.dynamics.spatial.strain import (
     frame,
+    frame_before,
     measure,
     orient,
     point_along,
@@ -38,31 +51,29 @@ def copy(out, source):
 @helper
 def end_frame(work, out, source, end, turn):
     """Turn the frame of an end's section by a rotation vector (3 numbers), rad."""
-    m = work.rotation
-    rotation(m, turn[0], turn[1], turn[2])
+    rotation(work.rotation, turn)
     for i in range(3):
-        v = row(source[end], i)
-        put(out[end], i, times(m, v[0], v[1], v[2]))
+        put(out[end], i, times(work.rotation, row(source[end], i)))
 
 
 @helper
 def show_tip(work, nodes, frames):
     """Let the last row of the nodes stand for the tip's section."""
     n = work.spin.size
-    put(nodes, n, plus(row(nodes, n - 1), 1.0, row(frames[1], 0)))
+    put(nodes, n, add(row(nodes, n - 1), row(frames[1], 0)))
     put(work.segments.director, n - 1, row(frames[1], 1))
 
 
 @helper
 def look(mesh, work):
     """Strains and their rates at the stage, after its frames."""
-    n, f = work.spin.size, work.stage_frame
-    rate, t = row(work.rate, 1), row(f[1], 0)
-    put(work.speed, n, plus(row(work.speed, n - 1), 1.0, cross(rate, t)))
+    n, s = work.spin.size, work.segments
+    rate, t = row(work.rate, 1), row(work.stage_frame[1], 0)
+    put(work.speed, n, add(row(work.speed, n - 1), cross(rate, t)))
     work.spin[n - 1] = dot(rate, t)
-    base = (row(f[0], 0), row(f[0], 1), row(f[0], 2))
-    measure(work.segments, mesh, work.speed, work.spin, base, row(work.rate, 0))
-    refine(mesh.refinement, work.segments, mesh)
+    base = frame_before(s, 0, work.stage_frame[0])
+    measure(s, mesh, work.speed, work.spin, base, row(work.rate, 0))
+    refine(mesh.refinement, s, mesh)
 
 
 @helper
@@ -72,14 +83,8 @@ def stage(work, tau):
     for i in range(n):
         put(work.stage, i, plus(row(work.node, i), tau, row(work.speed, i)))
     for end in range(2):
-        w = row(work.rate, end)
-        end_frame(
-            work,
-            work.stage_frame,
-            work.frame,
-            end,
-            (tau * w[0], tau * w[1], tau * w[2]),
-        )
+        turn = scaled(tau, row(work.rate, end))
+        end_frame(work, work.stage_frame, work.frame, end, turn)
     show_tip(work, work.stage, work.stage_frame)
     point_along(work.segments, work.stage)
     orient(work.segments, work.begin, work.from_director, work.spin, ZERO, tau)
@@ -88,7 +93,7 @@ def stage(work, tau):
 
 @helper
 def start(mesh, work, target, h):
-    """First iterate of a step: the velocities at its start, and those of the supports."""
+    """First iterate of a step: the velocities at its start, and the supports' velocities."""
     s, n = work.segments, work.spin.size
     show_tip(work, work.node, work.frame)
     point_along(s, work.node)
@@ -113,12 +118,14 @@ def drive(mesh, work, target, end, h):
             work.speed[i, c] = (target[0, c] - work.node[i, c]) / h
     if not (held[3] or held[4] or held[5]):
         return
-    f, a, b, c = work.frame[end], row(target, 1), row(target, 2), row(target, 3)
+    f = work.frame[end]
     own = (row(f, 0), row(f, 1), row(f, 2))
-    v, _ = rotation_vector(own, (a, b, c))
+    wanted = (row(target, 1), row(target, 2), row(target, 3))
+    v, _ = rotation_vector(own, wanted)
+    turn = combined(v[0], own[0], v[1], own[1], v[2], own[2])
     for j in range(3):
         if held[3 + j]:
-            work.rate[end, j] = (v[0] * f[0, j] + v[1] * f[1, j] + v[2] * f[2, j]) / h
+            work.rate[end, j] = turn[j] / h
 
 
 @helper
@@ -142,13 +149,13 @@ def finish(mesh, work, h, theta):
     """State at the end of the step from the stage."""
     s, n, past = work.segments, work.spin.size, 1.0 / theta
     for k in range(n - 1):
-        t, p, own = row(s.direction, k), row(work.swirl, k), work.spin[k]
-        change = (own * t[0] - p[0], own * t[1] - p[1], own * t[2] - p[2])
+        p = row(work.swirl, k)
+        change = minus(scaled(work.spin[k], row(s.direction, k)), p)
         put(work.swirl, k, plus(p, past, change))
     for i in range(n):
         v, p = row(work.speed, i), row(work.before, i)
         put(work.node, i, plus(row(work.node, i), h, v))
-        put(work.velocity, i, plus(p, past, plus(v, -1.0, p)))
+        put(work.velocity, i, plus(p, past, minus(v, p)))
     point_along(s, work.node)
     orient(s, work.begin, work.from_director, work.spin, ZERO, h)
     copy(work.director, s.director)
@@ -172,8 +179,7 @@ def finish_end(mesh, work, end, h):
             work.velocity[i, c] = v + 0.5 * (v - work.driven[end, c])
         work.driven[end, c] = v
     if mesh.held[end, 3] or mesh.held[end, 4] or mesh.held[end, 5]:
-        w = row(work.rate, end)
-        end_frame(work, f, f, end, (h * w[0], h * w[1], h * w[2]))
+        end_frame(work, f, f, end, scaled(h, row(work.rate, end)))
         return
     follow(work, end, k)
 
@@ -183,15 +189,14 @@ def follow(work, end, k):
     """Carry the frame of a free end with segment k, from the stage to the end of the step."""
     s, x = work.segments, work.stage
     now = frame(s, k)
-    t = plus(row(x, k + 1), -1.0, row(x, k))
-    scale = 1.0 / math.sqrt(dot(t, t))
-    t = (scale * t[0], scale * t[1], scale * t[2])
+    chord = minus(row(x, k + 1), row(x, k))
+    t = scaled(1.0 / math.sqrt(dot(chord, chord)), chord)
     d = row(work.stage_director, end)
     b = cross(t, d)
     for i in range(3):
         v = row(work.stage_frame[end], i)
         p, q, r = dot(v, t), dot(v, d), dot(v, b)
-        own = plus(plus((0.0, 0.0, 0.0), p, now[0]), q, now[1])
+        own = plus(plus(ZERO, p, now[0]), q, now[1])
         put(work.frame[end], i, plus(own, r, now[2]))
 
 
@@ -254,16 +259,15 @@ def displace(work, x):
     end_frame(
         work, work.stage_frame, work.stage_frame, 1, (x[at], x[at + 1], x[at + 2])
     )
-    put(work.stage, 0, plus(row(work.stage, 0), 1.0, (x[4], x[5], x[6])))
+    put(work.stage, 0, add(row(work.stage, 0), (x[4], x[5], x[6])))
     for k in range(n - 1):
         i, t, d = 4 * k + 4, row(s.direction, k), row(work.from_director, k)
         u = (x[i + 4] - x[i], x[i + 5] - x[i + 1], x[i + 6] - x[i + 2])
         turn = plus(cross(t, u), s.length[k] * x[i + 3], t)
-        scale = s.per_length[k]
-        rotation(m, scale * turn[0], scale * turn[1], scale * turn[2])
-        ahead, length = times(m, t[0], t[1], t[2]), s.length[k] + dot(t, u)
+        rotation(m, scaled(s.per_length[k], turn))
+        ahead, length = times(m, t), s.length[k] + dot(t, u)
         put(work.stage, k + 1, plus(row(work.stage, k), length, ahead))
-        put(work.from_director, k, turned(times(m, d[0], d[1], d[2]), ahead, 0.0))
+        put(work.from_director, k, turned(times(m, d), ahead, 0.0))
     show_tip(work, work.stage, work.stage_frame)
     point_along(s, work.stage)
     copy(work.begin, s.direction)
@@ -306,7 +310,7 @@ def pose(mesh, work):
 
 @helper
 def relax(mesh, work):
-    """Set the independent axial forces to those of the strains."""
+    """Set the independent axial forces from the strains."""
     strain_posture(mesh, work)
     for k in range(work.tension.size):
         work.tension[k] = mesh.axial[k] * work.segments.extension[k]

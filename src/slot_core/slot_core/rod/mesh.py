@@ -1,8 +1,8 @@
 """Numbers of a discretised rod: the chain of the robot's legs, with a hinge at both ends.
 
 Node 0 carries the hinge between the base's section and the first segment, node N - 1 that between
-the last segment and the tip's section. The weights of the hinges and the error of fourth order are
-those of `dynamics/rod.py`. An end's section has no mass.
+the last segment and the tip's section. Weights of the hinges and error are as
+in `dynamics/rod.py`, of fourth order. An end's section has no mass.
 
 The tip's section takes the place of a segment N - 1 of unit length, without axial stiffness, so
 that the kernels of strains and hinges treat all hinges alike.
@@ -19,7 +19,7 @@ from slot_core.rod.model import Geometry, Material, Support, need, numbers
 
 
 class NoTendon(NamedTuple):
-    """Derivatives of a tendon's length, which a rod has not: zero at all hinges and segments."""
+    """Derivatives of a tendon's length, zero at all hinges and segments: a rod has no tendon."""
 
     around: Array  # (N,)
     along: Array  # (N,)

@@ -34,9 +34,11 @@ def need(holds: bool, rule: str) -> None:
         raise RodError(rule)
 
 
-def need_finite(*values: float) -> None:
-    """Raise RodError for a value that is not finite."""
-    need(all(math.isfinite(value) for value in values), f"{values} must be finite")
+def need_positive(name: str, *values: float) -> None:
+    """Raise RodError for a value that is not above 0 and finite."""
+    shown = values[0] if len(values) == 1 else values
+    good = all(0.0 < value < math.inf for value in values)
+    need(good, f"{name} {shown} must be above 0 and finite")
 
 
 def need_vector(name: str, values: Vector) -> None:
@@ -70,16 +72,10 @@ class Material:
 
     def __post_init__(self) -> None:
         for name in ("young_modulus", "shear_modulus", "density"):
-            need(
-                getattr(self, name) > 0.0,
-                f"{name} {getattr(self, name)} must be above 0",
-            )
+            need_positive(name, getattr(self, name))
         need(
-            self.damping_time >= 0.0,
-            f"damping_time {self.damping_time} must not be below 0",
-        )
-        need_finite(
-            self.young_modulus, self.shear_modulus, self.density, self.damping_time
+            0.0 <= self.damping_time < math.inf,
+            f"damping_time {self.damping_time} must be finite and not below 0",
         )
 
 
@@ -110,9 +106,8 @@ class Rectangle:
     thickness: tuple[float, float]  # m, at base and tip
 
     def __post_init__(self) -> None:
-        need(self.width > 0.0, f"width {self.width} must be above 0")
-        need(min(self.thickness) > 0.0, f"thickness {self.thickness} must be above 0")
-        need_finite(self.width, *self.thickness)
+        need_positive("width", self.width)
+        need_positive("thickness", *self.thickness)
 
     def area(self, fraction: Array) -> Array:
         """Area, m^2."""
@@ -141,8 +136,7 @@ class Circle:
     diameter: tuple[float, float]  # m, at base and tip
 
     def __post_init__(self) -> None:
-        need(min(self.diameter) > 0.0, f"diameter {self.diameter} must be above 0")
-        need_finite(*self.diameter)
+        need_positive("diameter", *self.diameter)
 
     def area(self, fraction: Array) -> Array:
         """Area, m^2."""
@@ -172,9 +166,7 @@ class Uniform:
     torsion: float  # m^4, torsion constant
 
     def __post_init__(self) -> None:
-        values = (self.area_m2, self.inner, self.outer, self.torsion)
-        need(min(values) > 0.0, f"section {values} must be above 0")
-        need_finite(*values)
+        need_positive("section", self.area_m2, self.inner, self.outer, self.torsion)
 
     def area(self, fraction: Array) -> Array:
         """Area, m^2."""
@@ -210,8 +202,7 @@ class Geometry:
     curvature: float | Callable[[Array], Array] = 0.0
 
     def __post_init__(self) -> None:
-        need(self.length > 0.0, f"length {self.length} must be above 0")
-        need_finite(self.length)
+        need_positive("length", self.length)
 
     def natural_shape(self, nodes: int) -> Array:
         """(nodes, 3) natural x, z and angle from x to z, m, m, rad, from the origin along x.

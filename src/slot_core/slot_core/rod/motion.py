@@ -52,7 +52,7 @@ class RodState:
 
 @dataclass(frozen=True)
 class Energy:
-    """Energies, J. The potential is that of gravity and dead forces, zero at the origin."""
+    """Energies, J. The potential of gravity and dead forces is zero at the origin."""
 
     kinetic: float
     elastic: float

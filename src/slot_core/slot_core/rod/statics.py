@@ -250,8 +250,8 @@ class _Path:
     def critical_shape(self, loads: RodLoads) -> tuple[float, Array]:
         """Lowest eigenvalue of the tangent in the metric, and its shape (4 N + 7,).
 
-        The shape is scaled so that its largest turn in absolute value is 1, of those of a segment
-        about the axes and about itself.
+        The shape is scaled so that the largest turn of a segment, about an axis or about itself,
+        is 1 in absolute value.
         """
         mesh, size = self.mesh, len(self.mesh.metric)
         matrix, free = np.zeros((size, size)), free_unknowns(mesh)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import Array
+from slot_core.arrays import Array, one_buffer
 from slot_core.dynamics.spatial.strain import Segments, segments
 from slot_core.rod.mesh import Mesh
 
@@ -24,9 +24,7 @@ class RodWork(NamedTuple):
     frame: Array  # (2, 3, 3) of the base's and the tip's section
     turning: Array  # (2, 3) rad/s, their angular velocity in the last stage
     driven: Array  # (2, 3) m/s, their nodes' velocity in the last stage
-    posture: (
-        Array  # the iterate of statics, and the stage of a step; its parts are views:
-    )
+    posture: Array  # the iterate of statics, and the stage of a step, in these views:
     stage: Array  # (N + 1, 3) m
     begin: Array  # (N, 3) directions from which the directors `from_director` are carried on
     from_director: Array  # (N, 3)
@@ -41,9 +39,7 @@ class RodWork(NamedTuple):
     moment: Array  # (N, 3) N m, of the hinges, with the independent axial force
     residual: Array  # (N, 3) N m, the same with the axial force of the strains
     normal: Array  # (N,) N, axial force of the strains
-    stretch: (
-        Array  # (N, 8) derivative of a segment's extension over (s, w) before, behind
-    )
+    stretch: Array  # (N, 8) derivative of l - c over (s, w) before, behind
     form: Array  # (8, 9) tangent | -gradient of a hinge over (s, w) before, behind
     factor: Array  # (N, 11, 12) tangent | -gradient of the hinges, factorised in place
     last: Array  # (6, 7) the same of the last node and the tip's section
@@ -56,18 +52,15 @@ class RodWork(NamedTuple):
 def work_space(mesh: Mesh) -> RodWork:
     """Work arrays of a rod; `place` moves it to a pose."""
     n = len(mesh.mass)
-    shapes = {
-        "stage": (n + 1, 3),
-        "begin": (n, 3),
-        "from_director": (n, 3),
-        "stage_frame": (2, 3, 3),
-        "tension": (n,),
-    }
-    posture = np.zeros(sum(int(np.prod(shape)) for shape in shapes.values()))
-    views, start = {}, 0
-    for name, shape in shapes.items():
-        end = start + int(np.prod(shape))
-        views[name], start = posture[start:end].reshape(shape), end
+    posture, views = one_buffer(
+        {
+            "stage": (n + 1, 3),
+            "begin": (n, 3),
+            "from_director": (n, 3),
+            "stage_frame": (2, 3, 3),
+            "tension": (n,),
+        }
+    )
     return RodWork(
         node=np.zeros((n + 1, 3)),
         velocity=np.zeros((n + 1, 3)),
@@ -103,13 +96,13 @@ def place(mesh: Mesh, work: RodWork, position: Array, axes: Array) -> None:
     n = len(mesh.mass)
     work.node[:n] = position + mesh.natural @ axes.T
     c, s = np.cos(mesh.turn), np.sin(mesh.turn)
-    work.frame[0] = _frame(axes)
-    work.frame[1] = _frame(
+    work.frame[0] = frame_rows(axes)
+    work.frame[1] = frame_rows(
         axes @ np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
     )
     work.director[:] = work.frame[0, 1]
 
 
-def _frame(axes: Array) -> Array:
-    """Rows t, d, b of a section with the axes (columns) tangent, width, normal."""
+def frame_rows(axes: Array) -> Array:
+    """(3, 3) rows t, d, b of a section with the axes tangent, width, normal as columns."""
     return np.array([axes[:, 0], -axes[:, 1], -axes[:, 2]])

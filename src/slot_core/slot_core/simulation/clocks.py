@@ -108,7 +108,7 @@ class BusClock(RealTimeClock):
     def __init__(
         self, plant: RobotSimulator, servos: EmulatedServos, portion: int
     ) -> None:
-        """`servos`: those of the plant; `portion` as for RealTimeClock."""
+        """`servos`: of the plant; `portion` as for RealTimeClock."""
         super().__init__(plant, portion)
         self._servos, self._step = servos, to_ns(plant.robot.scene.solver.step)
         self._last = 0  # ns, `now` of the last call

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -43,6 +43,12 @@ class _Parts(NamedTuple):
     scene: Scene
     servo: ServoSettings
 
+    def changed(self, changes: Mapping[str, Any]) -> _Parts:
+        """The parts with the changes, by dotted name; raises ConfigError."""
+        return _Parts(
+            *(changed(part, name, changes) for name, part in self._asdict().items())
+        )
+
 
 class ClosedLoop:
     """Closed loop of the controller and the simulated robot in a scene.
@@ -68,26 +74,22 @@ class ClosedLoop:
 
         velocity: (3,) m/s, m/s, rad/s, or None for the gait's `cruise`. policy: name or
         file (`policy.py`). changes: values by dotted name below one of `CHANGEABLE`, as
-        `scene.payload.mass`; those of the robot change the simulated one, not the controller's.
+        `scene.payload.mass`; changes of the robot concern the simulated one, not the controller's.
         path: followed instead of the velocity. lost_odometry: begin and duration of a gap, s.
         make: builds the plant. Raises ConfigError for a bad argument or configuration.
         """
         given = changes or {}
-        for name in given:
-            if name.partition(".")[0] not in CHANGEABLE:
-                raise config.ConfigError(
-                    f"{name}: expected one of {', '.join(CHANGEABLE)}"
-                )
+        _require_below(CHANGEABLE, given)
         nominal, simulated = read_robot(), read_scene(scene)
         self.gaits = changed(read_gaits(), "gait", given)
         settings = changed(policy_class(policy).read_settings(policy), "policy", given)
         chosen = make_policy(policy, nominal, lambda: 0.0, settings)
         self.controller = Controller(nominal, chosen, gait, velocity, path, self.gaits)
         self._parts = _Parts(
-            changed(read_robot(simulated.parameters), "robot", given),
-            changed(simulated, "scene", given),
-            changed(read_servo(simulated.parameters), "servo", given),
-        )
+            read_robot(simulated.parameters),
+            simulated,
+            read_servo(simulated.parameters),
+        ).changed(given)
         self._localizer = make_localizer(self._parts.scene.sensors.camera)
         self.plant = make(*self._parts, np.random.default_rng(seed))
         begin, duration = lost_odometry
@@ -100,17 +102,8 @@ class ClosedLoop:
         Raises ConfigError for another name, or a value that is not allowed or cannot change
         (`RobotSimulator.change`); nothing has changed then.
         """
-        for name in changes:
-            if name.partition(".")[0] not in _Parts._fields:
-                raise config.ConfigError(
-                    f"{name}: expected one of {', '.join(_Parts._fields)}"
-                )
-        robot, scene, servo = self._parts
-        parts = _Parts(
-            changed(robot, "robot", changes),
-            changed(scene, "scene", changes),
-            changed(servo, "servo", changes),
-        )
+        _require_below(_Parts._fields, changes)
+        parts = self._parts.changed(changes)
         self.plant.change(*parts)
         self._parts = parts
 
@@ -156,6 +149,13 @@ class ClosedLoop:
 
     def _is_lost(self, stamp: int) -> bool:
         return self._lost_from <= stamp < self._lost_until
+
+
+def _require_below(parts: Sequence[str], changes: Mapping[str, Any]) -> None:
+    """Raise ConfigError for a dotted name that begins with none of the parts."""
+    for name in changes:
+        if name.partition(".")[0] not in parts:
+            raise config.ConfigError(f"{name}: expected one of {', '.join(parts)}")
 
 
 def changed(settings: Settings, name: str, changes: Mapping[str, Any]) -> Settings:

@@ -1,4 +1,4 @@
-"""Faults of a simulated robot: those of its scene, and those injected in a run."""
+"""Faults of a simulated robot, planned in its scene or injected in a run."""
 
 import dataclasses
 from functools import partial

@@ -116,7 +116,8 @@ class RobotSimulator:
             sensors = self._scene.sensors
             imu = self._read_imu() if sensors.imu.enabled else []
             joints = self._read_joints() if self._reads_joints else []
-            self._at_rest = [*imu, *joints, self._odometry_or_image(self._truth(), 0.0)]
+            truth = true_odometry(self.robot, stamp)
+            self._at_rest = [*imu, *joints, self._odometry_or_image(truth, 0.0)]
         return self._at_rest
 
     def start(self, stamp: int) -> None:
@@ -224,16 +225,12 @@ class RobotSimulator:
 
     def _read_odometry(self) -> list[Reading]:
         """Return the ground truth now; schedule odometry or image after its delay, in order."""
-        truth = self._truth()
+        truth = true_odometry(self.robot, self.now)
         reading = self._odometry_or_image(truth, to_seconds(self.now - self._started))
         delay = self._odometry.delay() if self._camera is None else self._camera.delay
         self._delivered = max(self._delivered, self.now + to_ns(delay))
         self.timeline.schedule(self._delivered, lambda: [reading])
         return [self._true_state(truth)] if self._scene.sensors.truth else []
-
-    def _truth(self) -> OdometryReading:
-        """Odometry without noise, now."""
-        return true_odometry(self.robot, self.now)
 
     def _odometry_or_image(self, truth: OdometryReading, since: float) -> Reading:
         """Odometry, or the image in its place, `since` the start (s)."""

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from slot_core.arrays import Array, checked
+from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.handle import Handle
@@ -93,17 +93,12 @@ class RodRobot(KernelRobot):
             )
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
-        """Set a rigid motion of the whole robot: (3,) m/s in odom, (3,) rad/s in base_link.
-
-        Raises ValueError for other shapes, or values that are not finite.
-        """
-        velocity = checked("velocity", velocity, (3,))
-        angular_velocity = checked("angular velocity", angular_velocity, (3,))
-        self.state.velocity[:] = velocity
-        self.state.rate[:] = angular_velocity
+        """Set a rigid motion of torso and legs: (3,) m/s in odom, (3,) rad/s in base_link."""
+        super().set_motion(velocity, angular_velocity)
         to_base = Transform(self.rotation, self.position).inverse
         arm = to_base.apply(self.nodes)
-        body = product(to_base.rotation, velocity) + np.cross(angular_velocity, arm)
+        body = product(to_base.rotation, self.velocity)
+        body = body + np.cross(self.angular_velocity, arm)
         for leg, axes in enumerate(self.model.axes):
             self.state.node_velocity[leg] = product(body[leg], axes.T)
 

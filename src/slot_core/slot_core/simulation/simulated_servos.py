@@ -7,7 +7,7 @@
 In lockstep they are stepped on the robot's clock, which holds the robot in its starting pose until
 its servos first follow a command. From then on a servo without torque moves as on a robot. In every
 cycle the servos take the newest permission; in every second one they report, and the supervisor
-steps on the report. Times `now` are those of a clock that never goes back, ns.
+steps on the report. Times `now`, ns, never go back.
 """
 
 import dataclasses
@@ -128,7 +128,7 @@ class SimulatedServos(ABC):
 
 
 class DirectServos(SimulatedServos):
-    """Servos behind the watchdog, without a bus; they have no faults of their own.
+    """Servos behind the watchdog, without a bus; they have no faults.
 
     With torque off a servo turns to a slack tendon at its own speed. Until the limits of the
     supervisor are received, commands are rejected.

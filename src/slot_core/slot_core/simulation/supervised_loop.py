@@ -43,8 +43,8 @@ MAKERS: dict[str, PlantMaker] = {"sim": RobotSimulator, "fake_bus": make_bus_pla
 class SupervisedLoop:
     """Closed loop with the supervisor, which stands the robot up and lets it walk.
 
-    The time limits are those of `config/supervisor.yaml`, on the robot's clock: whatever happens
-    takes the same simulated time on every machine. Deterministic like `ClosedLoop`, and equal to
+    The time limits of `config/supervisor.yaml` run on the robot's clock: every event takes the same
+    simulated time on every machine. Deterministic like `ClosedLoop`, and equal to
     the graph in lockstep.
     """
 

@@ -1,10 +1,10 @@
 """One leg whose clamp is held level and at rest: its model, its arrays, and a step of its motion.
 
-The equations are those of the robot with the torso at rest, integrated with backward Euler:
+The robot's equations with the torso at rest, integrated with backward Euler:
 
     M (V - V_n) / tau = F(x_n + tau V, V),      x_{n+1} = x_n + tau V.
 
-The leg is that of the simulation (`dynamics/spatial`). Loads in its plane neither bend it sideways
+The simulation has the same leg (`dynamics/spatial`). Loads in its plane neither bend it sideways
 nor twist it, to the last bit, so that it stays in its plane.
 """
 
@@ -21,11 +21,10 @@ from slot_core import config
 from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import dot, plus, put, row
-from slot_core.dynamics.clamp import couple
 from slot_core.dynamics.model import Model, build_model, spatial_leg
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.dynamics.spatial.elimination import eliminate, substitute
+from slot_core.dynamics.spatial.elimination import couple, eliminate, substitute
 from slot_core.dynamics.spatial.leg import SpatialLeg, hold_clamp, load_leg
 from slot_core.dynamics.spatial.strain import point_along
 from slot_core.robot import RobotParameters

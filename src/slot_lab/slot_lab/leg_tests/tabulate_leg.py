@@ -1,6 +1,6 @@
 """Writes the map of one leg at rest: force and stiffness over tendon angle and height.
 
-Grid and number of nodes are those of config/leg_map.yaml. The policies and the simulation of the
+config/leg_map.yaml has the grid and the number of nodes. The policies and the simulation of the
 level `map` read the map.
 """
 

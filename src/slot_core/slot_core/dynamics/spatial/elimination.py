@@ -10,8 +10,20 @@ with the change lambda of the tendon's tension; the last column is the gradient.
 
     X_i = X_k + s,      Phi_k = t x s / l + t w = A s + t w.
 
-The tangent of a hinge is in `hinge.py`. What is left antisymmetric in the block of one segment
-comes from spins not being coordinates; it is left out. The twist about a segment has the inertia of
+With the form F beyond node i, the hinge at node k and the contact at the segment's begin, the
+equations of the segment over (u, Y, lambda | 1), Y = (X_k, Phi_{k-1}), have the blocks
+
+    [ D    R^T ]      D (4 x 4): pivot over u,      R: rows of Y and lambda, and the gradient,
+    [ R    S   ]
+
+so that u = -D^-1 R^T (Y, lambda, 1) and the form over Y is the Schur complement S - R D^-1 R^T. The
+back substitution goes from the clamp to the tip (`follow`).
+
+At the clamp a taut tendon adds lambda dl - lambda^2 / (2 kappa) with kappa = k + c / (theta h), in
+place of its full matrix kappa grad l grad l^T, and lambda is eliminated too (`couple`).
+
+The tangent of a hinge is in `hinge.py`. An antisymmetric rest in the block of one
+segment comes from spins not being coordinates; it is left out. The twist about a segment has the inertia of
 its section's polar moment. The mass moves linearly between two nodes, which adds -mu (ds/dt)^2 / 2
 to the energy of the lumped masses.
 """
@@ -20,19 +32,31 @@ to the energy of the lumped masses.
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
 from slot_core.compiled import helper
-from slot_core.dynamics.algebra import cross, dot, plus, row
-from slot_core.dynamics.lanes import largest, like
+from slot_core.dynamics.algebra import add, cross, dot, minus, plus, put, row, scaled
+from slot_core.dynamics.lanes import largest, like, total, where
 from slot_core.dynamics.spatial.floor_contact import add_contact
-from slot_core.dynamics.spatial.hinge import Symmetric, bend
-from slot_core.dynamics.spatial.quadratic_form import Form, dot4, factor, solve, sum_of
-from slot_core.dynamics.spatial.strain import frame
+from slot_core.dynamics.spatial.hinge import Symmetric, bend, between, rows
+from slot_core.dynamics.spatial.quadratic_form import (
+    Form,
+    dot4,
+    dots,
+    factor,
+    less,
+    solve,
+    solve_rows,
+    sum_of,
+)
+from slot_core.dynamics.spatial.strain import frame_before, growth
 
 
 @helper
 def eliminate(model, leg, inv, place):
     """Eliminate the segments of a leg from tip to clamp; returns whether all pivots were positive.
 
-    Writes leg.form and leg.back. inv = 1 / (theta h); place: the torso's centre in odom, m.
+    Writes leg.form (7, 8), the form at the clamp, and leg.back (N-1, 4, 8), rows for `follow`.
+
+    inv = 1 / (theta h), 1/s; place (3,): the torso's centre in odom, m. `load_leg` has
+    written strains, tension and frames at the iterate.
     """
     nothing = like(0.0, leg.friction[0])
     zero = (nothing, nothing, nothing)
@@ -52,274 +76,282 @@ def eliminate(model, leg, inv, place):
 
 @helper
 def _reduce(model, leg, k, inv, place, form, both, one):
-    """Eliminate segment k: the form over its begin and over the segment before it."""
+    """Eliminate segment k: the form over its begin and over the segment before it.
+
+    form: of the leg beyond the segment's end; both, one: its entries of lambda with itself and of
+    lambda's gradient. Returns the new form, whether the pivot was positive, and the new entries.
+
+    x, r, pulled, loaded are the columns of X_k, Phi_{k-1}, lambda and the gradient over u, and w,
+    z, wc, wo the pivot's solutions for them.
+    """
     s, rod = leg.segments, model.rod
-    t, per_length, along = row(s.direction, k), s.per_length[k], model.tendon.along[k]
+    t, scale = row(s.direction, k), s.per_length[k]
+    along = model.tendon.along[k]
     whole, beta = 1.0 + s.firm[0], rod.damping_time
     viscous = whole + beta * inv
     axial = viscous * rod.axial[k]
-    normal = rod.axial[k] * (
-        whole * s.extension[k] + beta * s.extension_rate[k] + s.lag[k, 3]
-    )
+    strain = whole * s.extension[k] + beta * s.extension_rate[k] + s.lag[k, 3]
+    normal = rod.axial[k] * strain
     normal += leg.pull[0] * along
-    before = (row(leg.frame, 0), row(leg.frame, 1), row(leg.frame, 2))
-    if k > 0:
-        before = frame(s, k - 1)
+    before = frame_before(s, k, leg.frame)
     hinge = bend(rod, s, k, before, viscous, normal, model.tendon, leg.pull[0])
-    # Contact of the segment's begin moves with X_k and Phi_k.
-    m = hinge.moment
-    begin = add_contact(
-        model, leg, k, 0, inv, place, _spun(rod, leg, k, inv, form, hinge)
-    )
-    moment, turn = begin.moment, begin.turn
-    P, B = form.place, begin.place
-    ax, ay, az = (
-        _arm(form.x, t, per_length),
-        _arm(form.y, t, per_length),
-        _arm(form.z, t, per_length),
-    )
-    bx, by, bz = (
-        _arm(begin.x, t, per_length),
-        _arm(begin.y, t, per_length),
-        _arm(begin.z, t, per_length),
-    )
-    # Columns of X_k over u.
-    x1 = (
-        P.xx + ax[0] + bx[0],
-        P.xy + ax[1] + bx[1],
-        P.xz + ax[2] + bx[2],
-        dot(form.x, t) + dot(begin.x, t),
-    )
-    x2 = (
-        P.xy + ay[0] + by[0],
-        P.yy + ay[1] + by[1],
-        P.yz + ay[2] + by[2],
-        dot(form.y, t) + dot(begin.y, t),
-    )
-    x3 = (
-        P.xz + az[0] + bz[0],
-        P.yz + az[1] + bz[1],
-        P.zz + az[2] + bz[2],
-        dot(form.z, t) + dot(begin.z, t),
-    )
-    # The pivot: the form beyond, stretch with p = d(l - c) over u, and geometric stiffness.
-    fx, fy, fz = (
-        (turn.xx, turn.xy, turn.xz),
-        (turn.xy, turn.yy, turn.yz),
-        (turn.xz, turn.yz, turn.zz),
-    )
-    ft = (dot(fx, t), dot(fy, t), dot(fz, t))
-    ux, uy, uz = (
-        _arm(fx, t, per_length),
-        _arm(fy, t, per_length),
-        _arm(fz, t, per_length),
-    )
-    wx, wy, wz = (
-        _arm((ux[0], uy[0], uz[0]), t, per_length),
-        _arm((ux[1], uy[1], uz[1]), t, per_length),
-        _arm((ux[2], uy[2], uz[2]), t, per_length),
-    )
     bulge = hinge.bulge
-    p, pw = plus(t, 1.0, _arm(bulge, t, per_length)), dot(bulge, t)
-    across, mt = normal * per_length, dot(moment, t)
-    q, square, half = cross(t, moment), per_length * per_length, 0.5 * per_length
-    g = (
-        square * q[0] - 0.5 * across * t[0],
-        square * q[1] - 0.5 * across * t[1],
-        square * q[2] - 0.5 * across * t[2],
+    # contact of the segment's begin moves with X_k and Phi_k
+    begin = _spun(rod, leg, k, inv, form, hinge)
+    begin = add_contact(model, leg, k, 0, inv, place, begin)
+    stretch = (*add(t, _arm(bulge, t, scale)), dot(bulge, t))  # d(l - c) over u
+    inertia = inv * inv * rod.coupling[k]
+    spin = rod.spin[k] * inv * inv
+    pivot = _pivot(form, begin, t, scale, axial, stretch, normal, inertia, spin)
+    # columns of X_k, of Phi_{k-1}: P^T ([m] / 2 - K) - axial p bulge^T, of lambda, of the gradient
+    x = _columns_of_place(form, begin, t, scale)
+    c = between(hinge.tangent, hinge.moment)
+    r = (
+        _column(c[0], t, scale, -axial * bulge[0], stretch),
+        _column(c[1], t, scale, -axial * bulge[1], stretch),
+        _column(c[2], t, scale, -axial * bulge[2], stretch),
     )
-    own = across - inv * inv * rod.coupling[k]
-    turning = _arm(ft, t, per_length)
-    pivot = factor(
-        P.xx + 2.0 * ax[0] + wx[0] + axial * p[0] * p[0] + 2.0 * t[0] * g[0] + own,
-        P.xy + ax[1] + ay[0] + wx[1] + axial * p[0] * p[1] + t[0] * g[1] + t[1] * g[0],
-        P.xz + ax[2] + az[0] + wx[2] + axial * p[0] * p[2] + t[0] * g[2] + t[2] * g[0],
-        dot(form.x, t)
-        + turning[0]
-        + axial * p[0] * pw
-        + half * (moment[0] - mt * t[0]),
-        P.yy + 2.0 * ay[1] + wy[1] + axial * p[1] * p[1] + 2.0 * t[1] * g[1] + own,
-        P.yz + ay[2] + az[1] + wy[2] + axial * p[1] * p[2] + t[1] * g[2] + t[2] * g[1],
-        dot(form.y, t)
-        + turning[1]
-        + axial * p[1] * pw
-        + half * (moment[1] - mt * t[1]),
-        P.zz + 2.0 * az[2] + wz[2] + axial * p[2] * p[2] + 2.0 * t[2] * g[2] + own,
-        dot(form.z, t)
-        + turning[2]
-        + axial * p[2] * pw
-        + half * (moment[2] - mt * t[2]),
-        dot(ft, t) + axial * pw * pw + rod.spin[k] * inv * inv,
-    )
-    # Columns of Phi_{k-1} over u: P^T (-K - [m] / 2) - axial p bulge^T.
-    K = hinge.tangent
-    c1 = (-K.xx, -K.xy - 0.5 * m[2], -K.xz + 0.5 * m[1])
-    c2 = (-K.xy + 0.5 * m[2], -K.yy, -K.yz - 0.5 * m[0])
-    c3 = (-K.xz - 0.5 * m[1], -K.yz + 0.5 * m[0], -K.zz)
-    r1 = _column(c1, t, per_length, p, pw, -axial * bulge[0])
-    r2 = _column(c2, t, per_length, p, pw, -axial * bulge[1])
-    r3 = _column(c3, t, per_length, p, pw, -axial * bulge[2])
-    # Columns of lambda and of the gradient.
-    force = plus(plus(form.force, normal, t), -inv * rod.coupling[k], _lag(leg, k))
-    rc = _lift(
-        plus(form.pull, along, t), plus(form.twist, 1.0, hinge.tendon), t, per_length
-    )
-    ro = _lift(force, moment, t, per_length)
-    w1, w2, w3 = solve(pivot, x1), solve(pivot, x2), solve(pivot, x3)
-    z1, z2, z3 = solve(pivot, r1), solve(pivot, r2), solve(pivot, r3)
-    wc, wo = solve(pivot, rc), solve(pivot, ro)
-    _store(leg.back[k], w1, w2, w3, z1, z2, z3, wc, wo)
-    c, o, h = form.pull, form.force, hinge.tendon
+    pulled = _lift(plus(form.pull, along, t), add(form.twist, hinge.tendon), t, scale)
+    force = plus(form.force, normal, t)
+    force = plus(force, -inv * rod.coupling[k], growth(leg.velocity, leg.before, k))
+    loaded = _lift(force, begin.moment, t, scale)
+    w, z = solve_rows(pivot, x), solve_rows(pivot, r)
+    wc, wo = solve(pivot, pulled), solve(pivot, loaded)
+    _store(leg.back[k], w, z, wc, wo)
     form = Form(
-        Symmetric(
-            P.xx + B.xx - dot4(x1, w1),
-            P.xy + B.xy - dot4(x1, w2),
-            P.xz + B.xz - dot4(x1, w3),
-            P.yy + B.yy - dot4(x2, w2),
-            P.yz + B.yz - dot4(x2, w3),
-            P.zz + B.zz - dot4(x3, w3),
-        ),
-        (-dot4(x1, z1), -dot4(x1, z2), -dot4(x1, z3)),
-        (-dot4(x2, z1), -dot4(x2, z2), -dot4(x2, z3)),
-        (-dot4(x3, z1), -dot4(x3, z2), -dot4(x3, z3)),
-        Symmetric(
-            K.xx + axial * bulge[0] * bulge[0] - dot4(r1, z1),
-            K.xy + axial * bulge[0] * bulge[1] - dot4(r1, z2),
-            K.xz + axial * bulge[0] * bulge[2] - dot4(r1, z3),
-            K.yy + axial * bulge[1] * bulge[1] - dot4(r2, z2),
-            K.yz + axial * bulge[1] * bulge[2] - dot4(r2, z3),
-            K.zz + axial * bulge[2] * bulge[2] - dot4(r3, z3),
-        ),
-        (c[0] - dot4(x1, wc), c[1] - dot4(x2, wc), c[2] - dot4(x3, wc)),
-        (-h[0] - dot4(r1, wc), -h[1] - dot4(r2, wc), -h[2] - dot4(r3, wc)),
-        (
-            o[0] + begin.force[0] - dot4(x1, wo),
-            o[1] + begin.force[1] - dot4(x2, wo),
-            o[2] + begin.force[2] - dot4(x3, wo),
-        ),
-        (-m[0] - dot4(r1, wo), -m[1] - dot4(r2, wo), -m[2] - dot4(r3, wo)),
+        place=less(sum_of(form.place, begin.place), x, w),
+        x=scaled(-1.0, dots(z, x[0])),
+        y=scaled(-1.0, dots(z, x[1])),
+        z=scaled(-1.0, dots(z, x[2])),
+        turn=less(_bulged(hinge.tangent, axial, bulge), r, z),
+        pull=minus(form.pull, dots(x, wc)),
+        twist=minus(scaled(-1.0, hinge.tendon), dots(r, wc)),
+        force=minus(add(form.force, begin.force), dots(x, wo)),
+        moment=minus(scaled(-1.0, hinge.moment), dots(r, wo)),
     )
-    return form, pivot.positive, both - dot4(rc, wc), one - dot4(rc, wo)
+    return form, pivot.positive, both - dot4(pulled, wc), one - dot4(pulled, wo)
 
 
 @helper
-def _lag(leg, k):
-    """Change of V - V_n along segment k, m/s."""
-    v, before = leg.velocity, leg.before
+def _pivot(form, begin, t, scale, axial, p, normal, inertia, spin):
+    """Factors of the 4 x 4 pivot over u = (s, w) of a segment.
+
+    It has four parts: the form beyond the segment, mapped by X = s and Phi = A s + t w; the stretch,
+    axial p p^T with the derivative p (4) of l - c; the geometric stiffness of the axial force,
+    normal (N), and of the moment on the segment; the inertia of its spin, less the mass times
+    1 / (theta h)^2 by which lumped masses exceed linearly moving ones, N/m.
+
+    t: direction; scale: 1 / l, 1/m; axial: N/m.
+    """
+    P, moment = form.place, begin.moment
+    ax, ay, az = _arms((form.x, form.y, form.z), t, scale)
+    fx, fy, fz = rows(begin.turn)
+    ux, uy, uz = _arms((fx, fy, fz), t, scale)
+    wx = _arm((ux[0], uy[0], uz[0]), t, scale)
+    wy = _arm((ux[1], uy[1], uz[1]), t, scale)
+    wz = _arm((ux[2], uy[2], uz[2]), t, scale)
+    ft = (dot(fx, t), dot(fy, t), dot(fz, t))
+    turning = _arm(ft, t, scale)
+    across = normal * scale
+    own = across - inertia
+    g = plus(scaled(scale * scale, cross(t, moment)), -0.5 * across, t)
+    level = dot(moment, t)
+    half = scaled(0.5 * scale, plus(moment, -level, t))
+    px, py, pz = axial * p[0], axial * p[1], axial * p[2]
+    return factor(
+        xx=P.xx + 2.0 * ax[0] + wx[0] + px * p[0] + 2.0 * t[0] * g[0] + own,
+        xy=P.xy + ax[1] + ay[0] + wx[1] + px * p[1] + t[0] * g[1] + t[1] * g[0],
+        xz=P.xz + ax[2] + az[0] + wx[2] + px * p[2] + t[0] * g[2] + t[2] * g[0],
+        xw=dot(form.x, t) + turning[0] + px * p[3] + half[0],
+        yy=P.yy + 2.0 * ay[1] + wy[1] + py * p[1] + 2.0 * t[1] * g[1] + own,
+        yz=P.yz + ay[2] + az[1] + wy[2] + py * p[2] + t[1] * g[2] + t[2] * g[1],
+        yw=dot(form.y, t) + turning[1] + py * p[3] + half[1],
+        zz=P.zz + 2.0 * az[2] + wz[2] + pz * p[2] + 2.0 * t[2] * g[2] + own,
+        zw=dot(form.z, t) + turning[2] + pz * p[3] + half[2],
+        ww=dot(ft, t) + axial * p[3] * p[3] + spin,
+    )
+
+
+@helper
+def _columns_of_place(form, begin, t, scale):
+    """Columns of X_k over u: of the form beyond, and of the contact at the segment's begin."""
+    px, py, pz = rows(form.place)
     return (
-        v[k + 1, 0] - v[k, 0] - before[k + 1, 0] + before[k, 0],
-        v[k + 1, 1] - v[k, 1] - before[k + 1, 1] + before[k, 1],
-        v[k + 1, 2] - v[k, 2] - before[k + 1, 2] + before[k, 2],
+        _column_of_place(px, form.x, begin.x, t, scale),
+        _column_of_place(py, form.y, begin.y, t, scale),
+        _column_of_place(pz, form.z, begin.z, t, scale),
+    )
+
+
+@helper
+def _column_of_place(p, behind, begin, t, scale):
+    """p + behind A + begin A over s, and (behind + begin).t over w."""
+    s = add(add(p, _arm(behind, t, scale)), _arm(begin, t, scale))
+    return (*s, dot(behind, t) + dot(begin, t))
+
+
+@helper
+def _bulged(k, axial, b):
+    """K + axial b b^T."""
+    return Symmetric(
+        xx=k.xx + axial * b[0] * b[0],
+        xy=k.xy + axial * b[0] * b[1],
+        xz=k.xz + axial * b[0] * b[2],
+        yy=k.yy + axial * b[1] * b[1],
+        yz=k.yz + axial * b[1] * b[2],
+        zz=k.zz + axial * b[2] * b[2],
     )
 
 
 @helper
 def _spun(rod, leg, k, inv, form, hinge):
-    """Form over (X_k, Phi_k) of the turn of segment k alone: beyond it, its hinge and its spin."""
-    t, before, inertia = (
-        row(leg.segments.direction, k),
-        leg.spin_before,
-        rod.spin[k] * inv,
+    """Form over (X_k, Phi_k) of the turn of segment k alone: beyond it, its hinge and its spin.
+
+    The spin's angular momentum changes by I (Omega t - S_n), a moment on the segment over theta h.
+    """
+    own, inertia = leg.spin[k], rod.spin[k] * inv
+    nothing = 0.0 * own
+    zero = (nothing, nothing, nothing)
+    spun = scaled(own, row(leg.segments.direction, k))
+    gained = minus(spun, row(leg.spin_before, k))
+    return Form(
+        place=Symmetric(nothing, nothing, nothing, nothing, nothing, nothing),
+        x=zero,
+        y=zero,
+        z=zero,
+        turn=sum_of(form.turn, hinge.tangent),
+        pull=zero,
+        twist=zero,
+        force=zero,
+        moment=plus(add(form.moment, hinge.moment), inertia, gained),
     )
-    o, m, own = form.moment, hinge.moment, leg.spin[k]
-    zero = (0.0 * own, 0.0 * own, 0.0 * own)
-    none = Symmetric(zero[0], zero[0], zero[0], zero[0], zero[0], zero[0])
-    moment = (
-        o[0] + m[0] + inertia * (own * t[0] - before[k, 0]),
-        o[1] + m[1] + inertia * (own * t[1] - before[k, 1]),
-        o[2] + m[2] + inertia * (own * t[2] - before[k, 2]),
-    )
-    turn = sum_of(form.turn, hinge.tangent)
-    return Form(none, zero, zero, zero, turn, zero, zero, zero, moment)
 
 
 @helper
 def _add_node(model, leg, i, inv, form):
-    """Add inertia and weight of node i to the form."""
-    mass, o, P = model.rod.mass[i], form.force, form.place
-    rate, inertia = mass * inv, mass * inv * inv
-    force = (
-        o[0] + rate * (leg.velocity[i, 0] - leg.before[i, 0]) - mass * leg.field[3, 0],
-        o[1] + rate * (leg.velocity[i, 1] - leg.before[i, 1]) - mass * leg.field[3, 1],
-        o[2] + rate * (leg.velocity[i, 2] - leg.before[i, 2]) - mass * leg.field[3, 2],
-    )
-    place = Symmetric(P.xx + inertia, P.xy, P.xz, P.yy + inertia, P.yz, P.zz + inertia)
+    """Add inertia and weight of node i to the form: m (V - V_n) / (theta h) - m g."""
+    mass, P = model.rod.mass[i], form.place
+    inertia = mass * inv * inv
+    change = minus(row(leg.velocity, i), row(leg.before, i))
+    force = plus(form.force, mass * inv, change)
     return Form(
-        place,
-        form.x,
-        form.y,
-        form.z,
-        form.turn,
-        form.pull,
-        form.twist,
-        force,
-        form.moment,
+        place=Symmetric(
+            xx=P.xx + inertia,
+            xy=P.xy,
+            xz=P.xz,
+            yy=P.yy + inertia,
+            yz=P.yz,
+            zz=P.zz + inertia,
+        ),
+        x=form.x,
+        y=form.y,
+        z=form.z,
+        turn=form.turn,
+        pull=form.pull,
+        twist=form.twist,
+        force=minus(force, scaled(mass, row(leg.field, 3))),
+        moment=form.moment,
     )
 
 
 @helper
-def _arm(r, t, per_length):
-    """r A for a row r: (r x t) / l, since A s = t x s / l."""
-    c = cross(r, t)
-    return per_length * c[0], per_length * c[1], per_length * c[2]
+def _arm(r, t, scale):
+    """r A for a row r: (r x t) / l, since A s = t x s / l; scale = 1 / l."""
+    return scaled(scale, cross(r, t))
 
 
 @helper
-def _lift(force, moment, t, per_length):
+def _arms(rows, t, scale):
+    """The rows of M A for the three rows of M."""
+    return _arm(rows[0], t, scale), _arm(rows[1], t, scale), _arm(rows[2], t, scale)
+
+
+@helper
+def _lift(force, moment, t, scale):
     """Right-hand side of u = (s, w) of a force on the segment's end and a moment on the segment."""
-    a = _arm(moment, t, per_length)
-    return force[0] + a[0], force[1] + a[1], force[2] + a[2], dot(t, moment)
+    return (*add(force, _arm(moment, t, scale)), dot(t, moment))
 
 
 @helper
-def _column(c, t, per_length, p, pw, share):
-    """Right-hand side of u of a moment c on the segment, and share times the stretch (p, pw)."""
-    a = _arm(c, t, per_length)
-    return (
-        a[0] + share * p[0],
-        a[1] + share * p[1],
-        a[2] + share * p[2],
-        dot(t, c) + share * pw,
-    )
+def _column(c, t, scale, share, p):
+    """Right-hand side of u of a moment c on the segment, and share times the stretch p (4)."""
+    return (*plus(_arm(c, t, scale), share, p), dot(t, c) + share * p[3])
 
 
 @helper
-def _store(back, w1, w2, w3, z1, z2, z3, wc, wo):
+def _store(back, w, z, wc, wo):
     """Store the rows of -u over (X, Phi, lambda, 1) for the back substitution."""
     for r in range(4):
-        back[r, 0], back[r, 1], back[r, 2] = w1[r], w2[r], w3[r]
-        back[r, 3], back[r, 4], back[r, 5] = z1[r], z2[r], z3[r]
-        back[r, 6], back[r, 7] = wc[r], wo[r]
+        for c in range(3):
+            back[r, c] = w[c][r]
+            back[r, 3 + c] = z[c][r]
+        back[r, 6] = wc[r]
+        back[r, 7] = wo[r]
 
 
 @helper
 def _write(F, form, both, one):
     """Write the form at the clamp to F (7, 8)."""
-    P, T = form.place, form.turn
-    F[0, 0], F[0, 1], F[0, 2], F[1, 1], F[1, 2], F[2, 2] = (
-        P.xx,
-        P.xy,
-        P.xz,
-        P.yy,
-        P.yz,
-        P.zz,
-    )
-    F[3, 3], F[3, 4], F[3, 5], F[4, 4], F[4, 5], F[5, 5] = (
-        T.xx,
-        T.xy,
-        T.xz,
-        T.yy,
-        T.yz,
-        T.zz,
-    )
+    places, turns = rows(form.place), rows(form.turn)
+    coupling = (form.x, form.y, form.z)
     for c in range(3):
-        F[0, 3 + c], F[1, 3 + c], F[2, 3 + c] = form.x[c], form.y[c], form.z[c]
-        F[c, 6], F[3 + c, 6] = form.pull[c], form.twist[c]
-        F[c, 7], F[3 + c, 7] = form.force[c], form.moment[c]
-    F[6, 6], F[6, 7] = both, one
+        for r in range(3):
+            F[r, c] = places[r][c]
+            F[r, 3 + c] = coupling[r][c]
+            F[3 + r, 3 + c] = turns[r][c]
+        F[c, 6] = form.pull[c]
+        F[3 + c, 6] = form.twist[c]
+        F[c, 7] = form.force[c]
+        F[3 + c, 7] = form.moment[c]
+    F[6, 6] = both
+    F[6, 7] = one
     for r in range(1, 7):
         for c in range(r):
             F[r, c] = F[c, r]
+
+
+@helper
+def couple(tendon, leg, inv):
+    """Eliminate lambda; writes leg.reduced (6, 7), the form over the displacements of the clamp.
+
+    leg.release (7,) are lambda's factors: lambda = release . (X, Phi, 1).
+    """
+    F, release, reduced = leg.form, leg.release, leg.reduced
+    taut = tendon.stiffness + tendon.damping * inv
+    stiffness = where(leg.pull[0] > 0.0, like(taut, F[6, 6]), like(0.0, F[6, 6]))
+    factor = stiffness / (1.0 - stiffness * F[6, 6])
+    for c in range(6):
+        release[c] = factor * F[6, c]
+    release[6] = factor * F[6, 7]
+    for r in range(6):
+        for c in range(6):
+            reduced[r, c] = F[r, c] + F[r, 6] * release[c]
+        reduced[r, 6] = F[r, 7] + F[r, 6] * release[6]
+
+
+@helper
+def add_to_torso(leg, matrix, vector):
+    """Add a leg's form, mapped by leg.clamp, to the torso's system; in lanes, of all legs."""
+    reduced, half, L = leg.reduced, leg.product, leg.clamp
+    for r in range(6):
+        for c in range(6):
+            value = reduced[r, 0] * L[0, c]
+            for k in range(1, 6):
+                value += reduced[r, k] * L[k, c]
+            half[r, c] = value
+    for r in range(6):
+        value = L[0, r] * reduced[0, 6]
+        for k in range(1, 6):
+            value += L[k, r] * reduced[k, 6]
+        vector[r] += total(value)
+        for c in range(r + 1):
+            value = L[0, r] * half[0, c]
+            for k in range(1, 6):
+                value += L[k, r] * half[k, c]
+            value = total(value)
+            matrix[r, c] += value
+            if c < r:
+                matrix[c, r] += value
 
 
 @helper
@@ -337,7 +369,8 @@ def substitute(leg, vector, inv):
         moved[r] = value
         tension += release[r] * value
     leg.pull[0] = max(0.0, leg.pull[0] + tension)
-    X, turn = (moved[0], moved[1], moved[2]), (moved[3], moved[4], moved[5])
+    X = (moved[0], moved[1], moved[2])
+    turn = (moved[3], moved[4], moved[5])
     most = _move(leg, 0, X, inv, like(0.0, tension))
     for k in range(leg.segments.length.size):
         X, turn, w = follow(leg, k, X, turn, tension)
@@ -349,36 +382,34 @@ def substitute(leg, vector, inv):
 @helper
 def _move(leg, i, X, inv, most):
     """Add a displacement to the velocity of node i; the largest squared displacement so far."""
-    leg.velocity[i, 0] += X[0] * inv
-    leg.velocity[i, 1] += X[1] * inv
-    leg.velocity[i, 2] += X[2] * inv
+    put(leg.velocity, i, plus(row(leg.velocity, i), inv, X))
     return max(most, dot(X, X))
 
 
 @helper
 def follow(leg, k, X, turn, tension):
-    """Displacement of a segment's end, its rotation and its turn w, from those at its begin."""
-    a, b = (
-        _row(leg.back, k, 0, X, turn, tension),
-        _row(leg.back, k, 1, X, turn, tension),
+    """Displacement of a segment's end, its rotation and its turn w, from those at its begin.
+
+    X (3), m, and turn (3), rad: displacement of node k and rotation of the segment before it;
+    tension: change lambda, N.
+    """
+    t = row(leg.segments.direction, k)
+    s = (
+        _entry(leg.back, k, 0, X, turn, tension),
+        _entry(leg.back, k, 1, X, turn, tension),
+        _entry(leg.back, k, 2, X, turn, tension),
     )
-    c, w = (
-        _row(leg.back, k, 2, X, turn, tension),
-        _row(leg.back, k, 3, X, turn, tension),
-    )
-    t, scale = row(leg.segments.direction, k), leg.segments.per_length[k]
-    r = cross(t, (a, b, c))
-    r = (scale * r[0] + w * t[0], scale * r[1] + w * t[1], scale * r[2] + w * t[2])
-    return (X[0] + a, X[1] + b, X[2] + c), r, w
+    w = _entry(leg.back, k, 3, X, turn, tension)
+    turned = plus(scaled(leg.segments.per_length[k], cross(t, s)), w, t)
+    return add(X, s), turned, w
 
 
 @helper
-def _row(back, k, r, X, turn, tension):
+def _entry(back, k, r, X, turn, tension):
+    """Entry r of u = (s, w) of segment k."""
     value = back[k, r, 7] + back[k, r, 6] * tension
     value += back[k, r, 0] * X[0] + back[k, r, 1] * X[1] + back[k, r, 2] * X[2]
-    return -(
-        value
-        + back[k, r, 3] * turn[0]
-        + back[k, r, 4] * turn[1]
-        + back[k, r, 5] * turn[2]
-    )
+    value += back[k, r, 3] * turn[0]
+    value += back[k, r, 4] * turn[1]
+    value += back[k, r, 5] * turn[2]
+    return -value

@@ -16,6 +16,7 @@ With the derivative V^T of the rotation vector psi by Phi_k - Phi_{k-1} (`strain
 from typing import NamedTuple
 
 from slot_core.compiled import helper
+from slot_core.dynamics.algebra import combined, dot, plus, scaled
 from slot_core.dynamics.lanes import like
 
 
@@ -40,80 +41,88 @@ class Hinge(NamedTuple):
 
 
 @helper
+def rows(a):
+    """The three rows of a symmetric matrix."""
+    return (a.xx, a.xy, a.xz), (a.xy, a.yy, a.yz), (a.xz, a.yz, a.zz)
+
+
+@helper
+def _derivative(before, x, y, z, c):
+    """Columns of V = (t, d, b) (1 + [psi] / 2 + c [psi]^2) for psi = (x, y, z) behind a frame."""
+    t, d, b = before
+    xy = c * x * y
+    xz = c * x * z
+    yz = c * y * z
+    return (
+        combined(1.0 - c * (y * y + z * z), t, xy + 0.5 * z, d, xz - 0.5 * y, b),
+        combined(xy - 0.5 * z, t, 1.0 - c * (x * x + z * z), d, yz + 0.5 * x, b),
+        combined(xz + 0.5 * y, t, yz - 0.5 * x, d, 1.0 - c * (x * x + y * y), b),
+    )
+
+
+@helper
 def bend(rod, s, k, before, viscous, normal, tendon, tension):
     """The hinge at node k behind the frame `before` = (t, d, b).
 
     viscous: derivative of the moment over the stiffness by the strain in a step, 1 in statics;
     normal: axial force of segment k, N; tendon, tension (N): a tendon along the rod (`tendon.py`).
+
+    mu = B (e + beta de/dt) with the strains e of `strain.py`, and the material's relaxation. The
+    correction c_k of the segment's length adds the axial force to both bending stiffnesses.
     """
-    t, d, b = before
-    x, y, z, c, beta = s.twist[k], s.turn[k], s.side[k], s.curl[k], rod.damping_time
-    # V = (t, d, b) (1 + [psi] / 2 + c [psi]^2), whose columns belong to the components of psi.
-    vt = _mapped(
-        t, d, b, 1.0 - c * (y * y + z * z), c * x * y + 0.5 * z, c * x * z - 0.5 * y
-    )
-    vd = _mapped(
-        t, d, b, c * x * y - 0.5 * z, 1.0 - c * (x * x + z * z), c * y * z + 0.5 * x
-    )
-    vb = _mapped(
-        t, d, b, c * x * z + 0.5 * y, c * y * z - 0.5 * x, 1.0 - c * (x * x + y * y)
-    )
-    bend, q = y - rod.rest_angle[k], -2.0 * rod.shortening[k]
-    around, along, geometric = tendon.around[k], tendon.along[k], q * normal
+    x, y, z = s.twist[k], s.turn[k], s.side[k]
+    vt, vd, vb = _derivative(before, x, y, z, s.curl[k])
+    bent = y - rod.rest_angle[k]
+    shorter = -2.0 * rod.shortening[k]
+    geometric = shorter * normal
+    around, along = tendon.around[k], tendon.along[k]
+    # mu, and B with its geometric part
     twist, inner, outer = rod.torsion[k], rod.bending[k], rod.lateral[k]
-    whole, lag = 1.0 + s.firm[0], s.lag[k]
+    whole, beta, lag = 1.0 + s.firm[0], rod.damping_time, s.lag[k]
     mt = twist * (whole * x + beta * s.twist_rate[k] + lag[0])
-    md = inner * (whole * bend + beta * s.turn_rate[k] + lag[1])
-    md += tension * around + geometric * bend
+    md = inner * (whole * bent + beta * s.turn_rate[k] + lag[1])
+    md += tension * around + geometric * bent
     mb = outer * (whole * z + beta * s.side_rate[k] + lag[2]) + geometric * z
-    m = _mapped(vt, vd, vb, mt, md, mb)
-    bulge = _mapped(vt, vd, vb, like(0.0, x), q * bend, q * z)
-    psi = _mapped(t, d, b, x, y, z)
-    level = -(psi[0] * m[0] + psi[1] * m[1] + psi[2] * m[2]) / 6.0
-    kt, kd, kb = (
-        viscous * twist,
-        viscous * inner + geometric,
-        viscous * outer + geometric,
+    moment = combined(mt, vt, md, vd, mb, vb)
+    et = scaled(viscous * twist, vt)
+    ed = scaled(viscous * inner + geometric, vd)
+    eb = scaled(viscous * outer + geometric, vb)
+    stiffness = (
+        combined(et[0], vt, ed[0], vd, eb[0], vb),
+        combined(et[1], vt, ed[1], vd, eb[1], vb),
+        combined(et[2], vt, ed[2], vd, eb[2], vb),
     )
-    third = (psi[0] / 12.0, psi[1] / 12.0, psi[2] / 12.0)
-    et, ed, eb = (
-        (kt * vt[0], kt * vt[1], kt * vt[2]),
-        (kd * vd[0], kd * vd[1], kd * vd[2]),
-        (kb * vb[0], kb * vb[1], kb * vb[2]),
+    t, d, b = before
+    bulge = combined(like(0.0, x), vt, shorter * bent, vd, shorter * z, vb)
+    return Hinge(
+        moment=moment,
+        tangent=_tangent(stiffness, combined(x, t, y, d, z, b), moment),
+        tendon=plus(scaled(around, vd), along, bulge),
+        bulge=bulge,
     )
-    tangent = Symmetric(
-        et[0] * vt[0] + ed[0] * vd[0] + eb[0] * vb[0] + 2.0 * third[0] * m[0] + level,
-        et[0] * vt[1]
-        + ed[0] * vd[1]
-        + eb[0] * vb[1]
-        + third[0] * m[1]
-        + third[1] * m[0],
-        et[0] * vt[2]
-        + ed[0] * vd[2]
-        + eb[0] * vb[2]
-        + third[0] * m[2]
-        + third[2] * m[0],
-        et[1] * vt[1] + ed[1] * vd[1] + eb[1] * vb[1] + 2.0 * third[1] * m[1] + level,
-        et[1] * vt[2]
-        + ed[1] * vd[2]
-        + eb[1] * vb[2]
-        + third[1] * m[2]
-        + third[2] * m[1],
-        et[2] * vt[2] + ed[2] * vd[2] + eb[2] * vb[2] + 2.0 * third[2] * m[2] + level,
-    )
-    length = (
-        around * vd[0] + along * bulge[0],
-        around * vd[1] + along * bulge[1],
-        around * vd[2] + along * bulge[2],
-    )
-    return Hinge(m, tangent, length, bulge)
 
 
 @helper
-def _mapped(a, b, c, x, y, z):
-    """x a + y b + z c for vectors a, b, c."""
+def between(k, m):
+    """Rows of [m] / 2 - K, the tangent between the segments on both sides of a hinge."""
+    x, y, z = 0.5 * m[0], 0.5 * m[1], 0.5 * m[2]
     return (
-        x * a[0] + y * b[0] + z * c[0],
-        x * a[1] + y * b[1] + z * c[1],
-        x * a[2] + y * b[2] + z * c[2],
+        (-k.xx, -k.xy - z, -k.xz + y),
+        (-k.xy + z, -k.yy, -k.yz - x),
+        (-k.xz - y, -k.yz + x, -k.zz),
+    )
+
+
+@helper
+def _tangent(k, psi, m):
+    """K = V B V^T + (m psi^T + psi m^T - 2 (psi.m) 1) / 12; k: the three rows of V B V^T."""
+    level = -dot(psi, m) / 6.0
+    x, y, z = psi[0] / 12.0, psi[1] / 12.0, psi[2] / 12.0
+    return Symmetric(
+        xx=k[0][0] + 2.0 * x * m[0] + level,
+        xy=k[0][1] + x * m[1] + y * m[0],
+        xz=k[0][2] + x * m[2] + z * m[0],
+        yy=k[1][1] + 2.0 * y * m[1] + level,
+        yz=k[1][2] + y * m[2] + z * m[1],
+        zz=k[2][2] + 2.0 * z * m[2] + level,
     )

@@ -13,28 +13,39 @@ from typing import NamedTuple
 from slot_core.arrays import Array
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import (
+    add,
     cross,
     dot,
+    minus,
     plus,
     product,
     put,
     rotation,
     row,
+    scaled,
+    store,
     times,
 )
 from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.spatial.floor_contact import angular_velocity
-from slot_core.dynamics.spatial.relaxation import relax, remember
-from slot_core.dynamics.spatial.strain import Segments, measure, orient, point_along
+from slot_core.dynamics.spatial.strain import (
+    Segments,
+    frame_before,
+    measure,
+    orient,
+    point_along,
+    relax,
+    remember,
+)
 from slot_core.dynamics.tendon import pull
 
 
 class SpatialLeg(NamedTuple):
     """Parameters, state views and scratch arrays of one leg in leg axes; no step allocates memory.
 
-    The arrays of four legs have one axis more, the last (`lanes.py`). "Step axes" are those of
-    `integrator.py`.
+    The arrays of four legs have one axis more, the last (`lanes.py`). `integrator.py` defines the
+    "step axes".
     """
 
     axes: Array  # (3, 3) base_link to leg axes
@@ -87,45 +98,41 @@ def predict(model, state, leg, h, theta):
     leg.rate[0] = spool_rate(
         model.servo, leg.drive, leg.command[0], leg.angle[0], torque, h
     )
-    w = state.rate
-    wx, wy, wz = times(leg.axes, w[0], w[1], w[2])
-    leg.axis_rate[0], leg.axis_rate[1], leg.axis_rate[2] = wx, wy, wz
+    w = times(leg.axes, state.rate)
+    store(leg.axis_rate, w)
     to_stage, to_end = leg.forth, leg.whole
-    rotation(to_stage, -theta * h * wx, -theta * h * wy, -theta * h * wz)
-    rotation(to_end, -h * wx, -h * wy, -h * wz)
-    rest = (theta - 1.0) * h
-    rotation(leg.turns, rest * wx, rest * wy, rest * wz)
-    rx, ry, rz = leg.root[0], leg.root[1], leg.root[2]
+    past = 1.0 - theta
+    rotation(to_stage, scaled(-theta * h, w))
+    rotation(to_end, scaled(-h, w))
+    rotation(leg.turns, scaled((theta - 1.0) * h, w))
+    root = (leg.root[0], leg.root[1], leg.root[2])
     for i in range(leg.node.shape[0]):
-        u, r = row(leg.node_velocity, i), row(leg.node, i)
-        u = times(to_stage, u[0], u[1], u[2])
+        u = times(to_stage, row(leg.node_velocity, i))
         put(leg.velocity, i, u)
         put(leg.before, i, u)
-        x, y, z = times(to_end, rx + r[0], ry + r[1], rz + r[2])
-        past = 1.0 - theta
-        leg.base[i, 0] = past * r[0] + theta * (x - rx)
-        leg.base[i, 1] = past * r[1] + theta * (y - ry)
-        leg.base[i, 2] = past * r[2] + theta * (z - rz)
+        r = row(leg.node, i)
+        turned = minus(times(to_end, add(root, r)), root)
+        put(leg.base, i, plus(scaled(past, r), theta, turned))
     point_along(leg.segments, leg.node)
     for k in range(leg.spin.shape[0]):
         t, s = row(leg.segments.direction, k), row(leg.swirl, k)
         put(leg.begin, k, t)
         leg.spin[k] = dot(t, s)
-        put(leg.spin_before, k, times(to_stage, s[0], s[1], s[2]))
+        put(leg.spin_before, k, times(to_stage, s))
     remember(leg.segments, model.rod.relaxation, leg.memory, theta * h)
 
 
 @helper
 def stage(leg, tau):
     """Stage positions and frames of a leg, m, and the clamp's velocity from the torso's, m/s."""
-    velocity, base, motion, q = leg.velocity, leg.base, leg.motion, leg.turns
-    v, w, turn = row(motion, 0), row(motion, 1), row(motion, 2)
+    velocity, base = leg.velocity, leg.base
+    v, w, turn = row(leg.motion, 0), row(leg.motion, 1), row(leg.motion, 2)
     root = (leg.root[0], leg.root[1], leg.root[2])
     put(leg.stage, 0, cross(turn, root))
-    put(velocity, 0, plus(v, 1.0, cross(w, root)))
+    put(velocity, 0, add(v, cross(w, root)))
     for i in range(1, leg.stage.shape[0]):
-        u = plus(row(velocity, i), -1.0, v)
-        put(leg.stage, i, plus(row(base, i), tau, times(q, u[0], u[1], u[2])))
+        u = times(leg.turns, minus(row(velocity, i), v))
+        put(leg.stage, i, plus(row(base, i), tau, u))
     point_along(leg.segments, leg.stage)
     rate = (leg.axis_rate[0], leg.axis_rate[1], leg.axis_rate[2])
     orient(leg.segments, leg.begin, leg.director, leg.spin, rate, tau)
@@ -135,17 +142,19 @@ def stage(leg, tau):
 @helper
 def hold_clamp(leg):
     """Frame of the clamp at the stage: rows t outward, d to the right, b downward, turned."""
-    turn, f, r = row(leg.motion, 2), leg.frame, leg.whole
-    rotation(r, turn[0], turn[1], turn[2])
+    f, r = leg.frame, leg.whole
+    rotation(r, row(leg.motion, 2))
     for c in range(3):
-        f[0, c], f[1, c], f[2, c] = r[c, 0], -r[c, 1], -r[c, 2]
+        f[0, c] = r[c, 0]
+        f[1, c] = -r[c, 1]
+        f[2, c] = -r[c, 2]
 
 
 @helper
 def load_leg(model, leg, tau):
     """Strains and tendon tension of a leg at the iterate."""
-    s, f, rate = leg.segments, leg.frame, leg.rate[0]
-    clamp = (row(f, 0), row(f, 1), row(f, 2))
+    s, rate = leg.segments, leg.rate[0]
+    clamp = frame_before(s, 0, leg.frame)
     measure(s, model.rod, leg.velocity, leg.spin, clamp, row(leg.motion, 1))
     leg.pull[0] = pull(s, model.tendon, leg.angle[0] + tau * rate, rate, leg.fault)
 
@@ -153,51 +162,46 @@ def load_leg(model, leg, tau):
 @helper
 def advance_bristles(floor, leg, h):
     """Integrate the bristles of a leg's contact points over the step."""
-    f = leg.field
     for p in range(4 * (floor.first - 1), leg.bristle.shape[0]):
-        k, reach = p // 4, floor.half_width
+        k = p // 4
+        reach = floor.half_width
         if p % 2 == 0:
             reach = -reach
-        d = row(leg.segments.director, k)
-        a = (reach * d[0], reach * d[1], reach * d[2])
-        u = plus(
-            row(leg.velocity, k + (p // 2) % 2), 1.0, cross(angular_velocity(leg, k), a)
-        )
-        x, y, z = times(f, u[0], u[1], u[2])
-        bristle = leg.bristle[p]
-        advance_bristle(
-            floor, bristle, leg.limit[p], floor.stiffness[p], leg.slope[p], h, x, y, z
-        )
+        arm = scaled(reach, row(leg.segments.director, k))
+        u = row(leg.velocity, k + (p // 2) % 2)
+        u = times(leg.field, add(u, cross(angular_velocity(leg, k), arm)))
+        limit, stiffness = leg.limit[p], floor.stiffness[p]
+        advance_bristle(floor, leg.bristle[p], limit, stiffness, leg.slope[p], h, u)
 
 
 @helper
 def finish(model, state, work, leg, h, theta):
     """Nodes in leg axes, frames, tension and tendon angle at the end of the step."""
-    relax(leg.segments, model.rod, leg.memory, h, theta)
-    v, w, w0 = work.motion[0], work.motion[1], state.rate
-    w = times(leg.axes, w[0], w[1], w[2])
-    ox, oy, oz = times(leg.axes, w0[0], w0[1], w0[2])
-    v = times(leg.axes, v[0], v[1], v[2])
-    whole, back, rest, past = leg.whole, leg.back_turn, leg.forth, 1.0 / theta
-    rotation(whole, -h * w[0], -h * w[1], -h * w[2])
-    rotation(back, theta * h * ox, theta * h * oy, theta * h * oz)
-    product(rest, whole, back)
-    rx, ry, rz = leg.root[0], leg.root[1], leg.root[2]
+    s, past = leg.segments, 1.0 / theta
+    relax(s, model.rod, leg.memory, h, theta)
+    v = times(leg.axes, work.motion[0])
+    w = times(leg.axes, work.motion[1])
+    w0 = times(leg.axes, state.rate)
+    to_end, rest = leg.whole, leg.forth
+    rotation(to_end, scaled(-h, w))
+    rotation(leg.back_turn, scaled(theta * h, w0))
+    product(rest, to_end, leg.back_turn)
+    root = (leg.root[0], leg.root[1], leg.root[2])
     for i in range(leg.node.shape[0]):
-        u, p, r = row(leg.velocity, i), row(leg.before, i), row(leg.node, i)
+        u, p = row(leg.velocity, i), row(leg.before, i)
         if i > 0:
-            x, y, z = times(whole, rx + r[0], ry + r[1], rz + r[2])
-            d = times(rest, u[0] - v[0], u[1] - v[1], u[2] - v[2])
-            put(leg.node, i, (x + h * d[0] - rx, y + h * d[1] - ry, z + h * d[2] - rz))
-        e = plus(p, past, plus(u, -1.0, p))
-        put(leg.node_velocity, i, times(rest, e[0], e[1], e[2]))
+            r = times(to_end, add(root, row(leg.node, i)))
+            moved = plus(r, h, times(rest, minus(u, v)))
+            put(leg.node, i, minus(moved, root))
+        u = plus(p, past, minus(u, p))
+        put(leg.node_velocity, i, times(rest, u))
     for k in range(leg.spin.shape[0]):
-        t, p, own = row(leg.segments.direction, k), row(leg.spin_before, k), leg.spin[k]
-        e = plus(p, past, (own * t[0] - p[0], own * t[1] - p[1], own * t[2] - p[2]))
-        put(leg.swirl, k, times(rest, e[0], e[1], e[2]))
-    point_along(leg.segments, leg.node)
-    orient(leg.segments, leg.begin, leg.director, leg.spin, w, h)
+        p = row(leg.spin_before, k)
+        gained = minus(scaled(leg.spin[k], row(s.direction, k)), p)
+        put(leg.swirl, k, times(rest, plus(p, past, gained)))
+    point_along(s, leg.node)
+    orient(s, leg.begin, leg.director, leg.spin, w, h)
     for k in range(leg.spin.shape[0]):
-        put(leg.director, k, row(leg.segments.director, k))
+        put(leg.director, k, row(s.director, k))
     leg.tension[0] = leg.pull[0]
     leg.angle[0] += h * leg.rate[0]

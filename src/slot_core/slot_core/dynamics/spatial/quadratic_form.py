@@ -51,11 +51,17 @@ def sum_of(a, b):
 def factor(xx, xy, xz, xw, yy, yz, yw, zz, zw, ww):
     """Factors of a symmetric 4 x 4 matrix, and whether it is positive definite."""
     d0 = 1.0 / xx
-    l10, l20, l30 = xy * d0, xz * d0, xw * d0
-    yy, yz, yw = yy - l10 * xy, yz - l10 * xz, yw - l10 * xw
+    l10 = xy * d0
+    l20 = xz * d0
+    l30 = xw * d0
+    yy = yy - l10 * xy
+    yz = yz - l10 * xz
+    yw = yw - l10 * xw
     d1 = 1.0 / yy
-    l21, l31 = yz * d1, yw * d1
-    zz, zw = zz - l20 * xz - l21 * yz, zw - l20 * xw - l21 * yw
+    l21 = yz * d1
+    l31 = yw * d1
+    zz = zz - l20 * xz - l21 * yz
+    zw = zw - l20 * xw - l21 * yw
     d2 = 1.0 / zz
     l32 = zw * d2
     ww = ww - l30 * xw - l31 * yw - l32 * zw
@@ -76,6 +82,31 @@ def solve(p, r):
 
 
 @helper
+def solve_rows(p, rows):
+    """Solutions for the three right-hand sides of a block."""
+    return solve(p, rows[0]), solve(p, rows[1]), solve(p, rows[2])
+
+
+@helper
 def dot4(a, b):
     """Product of two rows of four numbers."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+
+
+@helper
+def dots(rows, b):
+    """Products of three rows with a fourth, of four numbers each."""
+    return dot4(rows[0], b), dot4(rows[1], b), dot4(rows[2], b)
+
+
+@helper
+def less(a, left, right):
+    """a - left right^T, symmetric, for blocks of three rows of four numbers."""
+    return Symmetric(
+        xx=a.xx - dot4(left[0], right[0]),
+        xy=a.xy - dot4(left[0], right[1]),
+        xz=a.xz - dot4(left[0], right[2]),
+        yy=a.yy - dot4(left[1], right[1]),
+        yz=a.yz - dot4(left[1], right[2]),
+        zz=a.zz - dot4(left[2], right[2]),
+    )

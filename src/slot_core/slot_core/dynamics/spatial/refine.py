@@ -30,7 +30,15 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.compiled import helper
-from slot_core.dynamics.algebra import cross, plus, put, row
+from slot_core.dynamics.algebra import (
+    add,
+    cross,
+    minus,
+    plus,
+    put,
+    row,
+    scaled,
+)
 
 
 class Refinement(NamedTuple):
@@ -66,40 +74,43 @@ def refine(r, s, rod):
     if not r.active:
         return
     for k in range(n):
-        scale, c = 1.0 / r.extent[k], r.curvature[k]
-        x, y, z = s.twist[k], s.turn[k] - rod.rest_angle[k], s.side[k]
-        put(r.moment, k, (rod.torsion[k] * x, rod.bending[k] * y, rod.lateral[k] * z))
-        x, y, z = scale * x, scale * y, scale * z
-        put(r.strain, k, (x, y, z))
-        put(r.shift, k, (0.0 * x, x * z / 24.0, x * (c - y) / 24.0))
+        psi = (s.twist[k], s.turn[k] - rod.rest_angle[k], s.side[k])
+        eta = scaled(1.0 / r.extent[k], psi)
+        twist = eta[0]
+        put(r.moment, k, _stiffened(rod, k, psi))
+        put(r.strain, k, eta)
+        across = (twist * eta[2] / 24.0, twist * (r.curvature[k] - eta[1]) / 24.0)
+        put(r.shift, k, (0.0 * twist, across[0], across[1]))
     for k in range(n):
-        before, behind = max(k - 1, 0), min(k + 1, n - 1)
-        put(r.delta, k, _delta(r, rod, k, before, behind))
-    put(r.delta, 0, plus(row(r.delta, 0), r.step**2, _begin(r, rod, 0)))
-    put(r.delta, n - 1, plus(row(r.delta, n - 1), -(r.step**2), _begin(r, rod, n - 1)))
+        put(r.delta, k, _delta(r, rod, k))
+    square = r.step**2
+    put(r.delta, 0, plus(row(r.delta, 0), square, _begin(r, rod, 0)))
+    put(r.delta, n - 1, plus(row(r.delta, n - 1), -square, _begin(r, rod, n - 1)))
 
 
 @helper
-def _rate(a, per, before, behind):
-    """Derivative of the rows of a along the arc."""
-    return (
-        per * (a[behind, 0] - a[before, 0]),
-        per * (a[behind, 1] - a[before, 1]),
-        per * (a[behind, 2] - a[before, 2]),
-    )
+def _stiffened(rod, k, v):
+    """B v: the moment of hinge k, N m, for a rotation vector v, times 1 / weight for a strain."""
+    return rod.torsion[k] * v[0], rod.bending[k] * v[1], rod.lateral[k] * v[2]
 
 
 @helper
-def _delta(r, rod, k, before, behind):
+def _rate(r, a, k):
+    """Derivative of the rows of a along the arc at hinge k."""
+    before = max(k - 1, 0)
+    behind = min(k + 1, r.extent.size - 1)
+    per_length = 1.0 / ((behind - before) * r.step)
+    return scaled(per_length, minus(row(a, behind), row(a, before)))
+
+
+@helper
+def _delta(r, rod, k):
     """Correction of hinge k but for the jump at the ends, times the hinge's stiffness."""
-    per, square, slope = 1.0 / ((behind - before) * r.step), r.step**2, r.slope[k]
-    eta, mu, z, c = row(r.strain, k), row(r.moment, k), row(r.shift, k), r.curvature[k]
+    square, slope, c = r.step**2, r.slope[k], r.curvature[k]
+    eta, mu, z = row(r.strain, k), row(r.moment, k), row(r.shift, k)
     kappa = (eta[0], eta[1] + c, eta[2])
-    rate, push = (
-        _rate(r.strain, per, before, behind),
-        _rate(r.moment, per, before, behind),
-    )
-    g = plus(push, 1.0, cross(kappa, mu))
+    rate = _rate(r, r.strain, k)
+    g = add(_rate(r, r.moment, k), cross(kappa, mu))
     spread = plus(z, 1.0 / 12.0, (rate[0], rate[1] + 2.0 * slope, rate[2]))
     e, n = r.tilt[k, 0], r.tilt[k, 1]
     tilt = (e * eta[0], e * eta[1] + n * c, e * eta[2])
@@ -107,7 +118,7 @@ def _delta(r, rod, k, before, behind):
     m = plus(m, -square / 24.0, cross(kappa, cross(kappa, mu)))
     twist = square * (eta[2] * g[1] - eta[1] * g[2]) / 12.0
     v = cross(kappa, plus(z, 1.0 / 24.0, (rate[0], rate[1] + 3.0 * slope, rate[2])))
-    v = plus(v, 1.0, _rate(r.shift, per, before, behind))
+    v = add(v, _rate(r, r.shift, k))
     scale = square * r.extent[k]
     return (
         m[0] - twist + scale * rod.torsion[k] * v[0],
@@ -119,6 +130,6 @@ def _delta(r, rod, k, before, behind):
 @helper
 def _begin(r, rod, k):
     """Jump z - 5/96 kappa0 x eta at an end, times the hinge's stiffness over h^2."""
-    eta, z, c = row(r.strain, k), row(r.shift, k), 5.0 / 96.0 * r.curvature[k]
-    v = plus(z, -1.0, (c * eta[2], 0.0 * c, -c * eta[0]))
-    return rod.torsion[k] * v[0], rod.bending[k] * v[1], rod.lateral[k] * v[2]
+    eta, z = row(r.strain, k), row(r.shift, k)
+    c = 5.0 / 96.0 * r.curvature[k]
+    return _stiffened(rod, k, minus(z, (c * eta[2], 0.0 * c, -c * eta[0])))

@@ -10,7 +10,19 @@ are planar: psi0_k = (0, rest angle, 0). With e = psi - psi0,
     c_k = q_k (e_d^2 + e_b^2),      q_k = h_k^3 / (24 w_k^2).
 
 B_k = diag(G J, E I, E I_b) / w_k, with the weights w_k and the correction c_k of `rod.py`.
-Kelvin-Voigt damping adds beta times the strain rates to the strains.
+Kelvin-Voigt damping adds beta times the strain rates to the strains. A material that relaxes has two
+Maxwell branches beside the springs, each with the share g of the modulus and the relaxation time T.
+With a strain e of a segment (twist, bending in the plane and sideways, extension) and the strain a
+of the branch's damper,
+
+    stress / modulus = e + beta de/dt + sum g (e - a),      da/dt = (e - a) / T.
+
+The theta scheme's stage value of a is (a_n + r e) / (1 + r), r = theta h / T, so that in a step
+
+    stress / modulus = (1 + A) e + beta de/dt + lag,
+    A = sum g / (1 + r),      lag = -sum a_n g / (1 + r).
+
+For slow loads the modulus is Young's, for fast ones (1 + sum g) times as large.
 
 The derivative of a rotation vector is d(psi) = (1 - [psi]/2 + c [psi]^2) beta with the difference
 beta of the segments' spins in the frame before the hinge and c = (1 - x cot x) / psi^2, x = psi / 2
@@ -29,7 +41,17 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.compiled import helper
-from slot_core.dynamics.algebra import cosine_sine, cross, dot, put, row
+from slot_core.dynamics.algebra import (
+    add,
+    cosine_sine,
+    cross,
+    dot,
+    minus,
+    plus,
+    put,
+    row,
+    scaled,
+)
 from slot_core.dynamics.lanes import all_lanes, like, where
 from slot_core.elementary import atan2
 
@@ -50,30 +72,32 @@ class Segments(NamedTuple):
     side: Array  # about b, sideways
     side_rate: Array
     curl: Array  # (N-1,) c
-    firm: Array  # (1,) part of the strains of twist, turn, side and extension that adds to them,
-    lag: Array  # (N-1, 4) and what adds besides, in a material that relaxes (`relaxation.py`)
+    firm: Array  # (1,) A, by which a material that relaxes is firmer in a step,
+    lag: Array  # (N-1, 4) and what its branches add to twist, turn, side and extension
 
 
 def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Segments:
     """Scratch arrays for one rod of N nodes, or for four with the axis `lanes` = (4,)."""
     n = nodes - 1
-    shapes = [(n, 3), (n, 3), *[(n,)] * 11, (1,), (n, 4)]
-    return Segments(*(np.zeros(shape + lanes) for shape in shapes))
+    shapes = dict.fromkeys(Segments._fields, (n,)) | {
+        "direction": (n, 3),
+        "director": (n, 3),
+        "firm": (1,),
+        "lag": (n, 4),
+    }
+    return Segments(**{name: np.zeros(shape + lanes) for name, shape in shapes.items()})
 
 
 @helper
 def point_along(s, node):
     """Write directions and lengths of the segments between nodes (N, 3), m."""
     for k in range(s.length.size):
-        x, y, z = (
-            node[k + 1, 0] - node[k, 0],
-            node[k + 1, 1] - node[k, 1],
-            node[k + 1, 2] - node[k, 2],
-        )
-        length = math.sqrt(x * x + y * y + z * z)
+        chord = minus(row(node, k + 1), row(node, k))
+        length = math.sqrt(dot(chord, chord))
         per_length = 1.0 / length
-        s.length[k], s.per_length[k] = length, per_length
-        put(s.direction, k, (x * per_length, y * per_length, z * per_length))
+        s.length[k] = length
+        s.per_length[k] = per_length
+        put(s.direction, k, scaled(per_length, chord))
 
 
 @helper
@@ -81,7 +105,7 @@ def orient(s, begin, director, spin, rate, time):
     """Write the directors after `time` (s), from directors (N-1, 3) at directions begin (N-1, 3).
 
     A director turns as little as its segment's direction allows, then about the segment by the
-    segment's own rate `spin` (N-1,) less that of the axes, `rate` (3 numbers), rad/s.
+    segment's own rate `spin` (N-1,) less the axes' `rate` (3 numbers), rad/s.
     """
     for k in range(s.length.size):
         t = row(s.direction, k)
@@ -98,25 +122,35 @@ def frame(s, k):
 
 
 @helper
+def frame_before(s, k, clamp):
+    """Frame (t, d, b) before the hinge at node k; clamp (3, 3): rows t, d, b before the first."""
+    before = (row(clamp, 0), row(clamp, 1), row(clamp, 2))
+    if k > 0:
+        before = frame(s, k - 1)
+    return before
+
+
+@helper
+def growth(velocity, before, k):
+    """Change of V - V_n along segment k, m/s; V, V_n: (N, 3) velocities of the nodes."""
+    along = minus(row(velocity, k + 1), row(velocity, k))
+    return add(minus(along, row(before, k + 1)), row(before, k))
+
+
+@helper
 def transported(d, a, t):
     """Vector d, normal to the unit vector a, turned with a to the unit vector t."""
     share = dot(d, t) / (1.0 + dot(a, t))
-    return (
-        d[0] - share * (a[0] + t[0]),
-        d[1] - share * (a[1] + t[1]),
-        d[2] - share * (a[2] + t[2]),
-    )
+    return plus(d, -share, add(a, t))
 
 
 @helper
 def turned(d, t, angle):
     """Unit vector d turned about the unit vector t, normal to it, by an angle (rad)."""
     c, s = cosine_sine(angle)
-    b = cross(t, d)
-    x, y, z = c * d[0] + s * b[0], c * d[1] + s * b[1], c * d[2] + s * b[2]
+    v = plus(scaled(c, d), s, cross(t, d))
     # one Newton step to the length 1 removes the rounding errors of many steps
-    scale = 1.5 - 0.5 * (x * x + y * y + z * z)
-    return scale * x, scale * y, scale * z
+    return scaled(1.5 - 0.5 * dot(v, v), v)
 
 
 @helper
@@ -124,67 +158,50 @@ def measure(s, rod, velocity, spin, clamp, clamp_rate):
     """Write extensions, rotation vectors and their rates, after `point_along` and `orient`.
 
     velocity (N, 3) m/s; spin (N-1,) rad/s; clamp: frame (t, d, b) of the clamp; clamp_rate (3
-    numbers), rad/s.
+    numbers), rad/s. The rate of psi is beta - psi x beta / 2 + c psi x (psi x beta).
     """
     before, rate = clamp, clamp_rate
     for k in range(s.length.size):
         own = frame(s, k)
         t = own[0]
-        ux, uy, uz = (
-            velocity[k + 1, 0] - velocity[k, 0],
-            velocity[k + 1, 1] - velocity[k, 1],
-            velocity[k + 1, 2] - velocity[k, 2],
-        )
-        w = cross(t, (ux, uy, uz))
-        scale, turning = s.per_length[k], spin[k]
-        w = (
-            w[0] * scale + turning * t[0],
-            w[1] * scale + turning * t[1],
-            w[2] * scale + turning * t[2],
-        )
+        stretching = minus(row(velocity, k + 1), row(velocity, k))
+        w = plus(scaled(s.per_length[k], cross(t, stretching)), spin[k], t)
         psi, curl = rotation_vector(before, own)
-        beta = (w[0] - rate[0], w[1] - rate[1], w[2] - rate[2])
+        beta = minus(w, rate)
         beta = (dot(before[0], beta), dot(before[1], beta), dot(before[2], beta))
         across = cross(psi, beta)
-        again = cross(psi, across)
-        psi_rate = (
-            beta[0] - 0.5 * across[0] + curl * again[0],
-            beta[1] - 0.5 * across[1] + curl * again[1],
-            beta[2] - 0.5 * across[2] + curl * again[2],
-        )
-        s.twist[k], s.turn[k], s.side[k], s.curl[k] = psi[0], psi[1], psi[2], curl
-        s.twist_rate[k], s.turn_rate[k], s.side_rate[k] = (
-            psi_rate[0],
-            psi_rate[1],
-            psi_rate[2],
-        )
-        bend, side, q = psi[1] - rod.rest_angle[k], psi[2], rod.shortening[k]
-        s.extension[k] = (
-            s.length[k] - rod.rest_length[k] - q * (bend * bend + side * side)
-        )
-        s.extension_rate[k] = (
-            t[0] * ux
-            + t[1] * uy
-            + t[2] * uz
-            - 2.0 * q * (bend * psi_rate[1] + side * psi_rate[2])
-        )
+        psi_rate = plus(plus(beta, -0.5, across), curl, cross(psi, across))
+        s.curl[k] = curl
+        s.twist[k], s.turn[k], s.side[k] = psi
+        s.twist_rate[k], s.turn_rate[k], s.side_rate[k] = psi_rate
+        bend, side = psi[1] - rod.rest_angle[k], psi[2]
+        q = rod.shortening[k]
+        bulge = q * (bend * bend + side * side)
+        bulging = 2.0 * q * (bend * psi_rate[1] + side * psi_rate[2])
+        s.extension[k] = s.length[k] - rod.rest_length[k] - bulge
+        s.extension_rate[k] = dot(t, stretching) - bulging
         before, rate = own, w
 
 
 @helper
 def rotation_vector(a, b):
-    """Rotation vector from frame a to frame b, components in either, and its factor c.
+    """Rotation vector psi from frame a to frame b, components in either, and its factor c.
 
     With g = tan(psi/2) n (Rodrigues) and y = g.g, psi = 2 atan(|g|)/|g| g; up to |g| = 1/4 by
     Gregory's series, whose first neglected term is below 1e-16 there.
     """
-    g1 = dot(a[2], b[1]) - dot(a[1], b[2])
-    g2 = dot(a[0], b[2]) - dot(a[2], b[0])
-    g3 = dot(a[1], b[0]) - dot(a[0], b[1])
     scale = 1.0 / (1.0 + dot(a[0], b[0]) + dot(a[1], b[1]) + dot(a[2], b[2]))
-    g1, g2, g3 = g1 * scale, g2 * scale, g3 * scale
-    y = g1 * g1 + g2 * g2 + g3 * g3
-    small, tail = y < 0.0625, like(0.0, y)
+    g = scaled(
+        scale,
+        (
+            dot(a[2], b[1]) - dot(a[1], b[2]),
+            dot(a[0], b[2]) - dot(a[2], b[0]),
+            dot(a[1], b[0]) - dot(a[0], b[1]),
+        ),
+    )
+    y = dot(g, g)
+    small = y < 0.0625
+    tail = like(0.0, y)
     for n in range(12, -1, -1):
         tail = 1.0 / (2 * n + 3) - y * tail
     share = 1.0 - y * tail
@@ -193,7 +210,7 @@ def rotation_vector(a, b):
         share = where(small, share, atan2(size, like(1.0, size)) / size)
         tail = where(small, tail, (1.0 - share) / max(y, like(1e-12, y)))
     twice = 2.0 * share
-    return (twice * g1, twice * g2, twice * g3), tail / (twice * twice)
+    return scaled(twice, g), tail / (twice * twice)
 
 
 @helper
@@ -216,3 +233,37 @@ def elastic_energy(s, rod, node, director):
         energy += rod.bending[k] * bend * bend + rod.lateral[k] * psi[2] * psi[2]
         before = own
     return 0.5 * energy
+
+
+@helper
+def remember(s, relaxation, memory, tau):
+    """Write A and the lag (N-1, 4) of a step with the stage at tau (s) into the segments s.
+
+    relaxation (2, 2): shares and times; memory (N-1 or 0, 4, 2): the strains a.
+    """
+    first = relaxation[0, 0] / (1.0 + tau / relaxation[1, 0])
+    second = relaxation[0, 1] / (1.0 + tau / relaxation[1, 1])
+    s.firm[0] = first + second
+    for k in range(memory.shape[0]):
+        for c in range(4):
+            s.lag[k, c] = -first * memory[k, c, 0] - second * memory[k, c, 1]
+
+
+@helper
+def relax(s, rod, memory, h, theta):
+    """Advance the strains a over a step from the strains at its stage."""
+    first = h / (rod.relaxation[1, 0] + theta * h)
+    second = h / (rod.relaxation[1, 1] + theta * h)
+    for k in range(memory.shape[0]):
+        bend = s.turn[k] - rod.rest_angle[k]
+        _approach(memory[k, 0], s.twist[k], first, second)
+        _approach(memory[k, 1], bend, first, second)
+        _approach(memory[k, 2], s.side[k], first, second)
+        _approach(memory[k, 3], s.extension[k], first, second)
+
+
+@helper
+def _approach(a, strain, first, second):
+    """Move both strains a (2,) towards a strain by a share each."""
+    a[0] += first * (strain - a[0])
+    a[1] += second * (strain - a[1])
