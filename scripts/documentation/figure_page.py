@@ -21,7 +21,7 @@ CANNOT_WRITE = 2  # exit code
 INTRODUCTION = """\
 # Figures
 
-[README](../../README.md)
+[README](../../README.md) | previous: [The paper](paper.md)
 
 Every figure here is measured: `scripts/bench NAME` runs a benchmark, and `scripts/docs --figures` writes its
 section again. A quick run has fewer repeats and rougher figures. A check compares a figure with its goal;
