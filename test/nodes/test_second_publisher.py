@@ -2,7 +2,6 @@
 
 import copy
 
-import numpy as np
 import pytest
 from sensor_msgs.msg import JointState
 
@@ -87,17 +86,6 @@ def test_a_second_publisher_lets_a_walking_robot_relax_with_a_line_that_names_bo
     walking.run(0.1)
     fault = f"FAULT: slack after: servos: {line}"
     assert fault in walking.log_lines("supervisor")
-
-
-def test_commands_of_a_second_publisher_are_not_followed(walking, intruder):
-    """They ask for tendons at their limit; the servos move towards slack only."""
-    begin, forged = walking.now(), walking.last("/desired_joint_angles")
-    intruder("desired_joint_angles", JointState(name=forged.name, position=[2.0] * 4))
-    relaxed = decode.stamp(first_relax(walking, begin))
-    goals = np.array([m.goal for m in walking.since("/servo_health", relaxed)])
-    walking.wait_for_torque_off(begin)
-    assert np.all(goals <= goals[0])
-    assert goals[0].max() < 2.0
 
 
 def test_a_forged_permission_brings_no_torque_in_estop(walking, intruder):

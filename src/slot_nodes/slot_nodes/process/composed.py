@@ -22,6 +22,12 @@ CONTROLLER = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapp
 CHAIN = ("sim_robot", *CONTROLLER, "supervisor")
 
 
+def node_class(name: str) -> type[Node]:
+    """Class of a node of the graph by the node's name."""
+    words = "".join(part.capitalize() for part in name.split("_"))
+    return getattr(import_module(f"slot_nodes.{name}_node"), f"{words}Node")
+
+
 class ComposedNodes:
     """Nodes of one process, on one executor."""
 
@@ -38,10 +44,7 @@ class ComposedNodes:
         try:
             with mailbox.in_use():
                 for name in (name for name in CHAIN if name in names):
-                    made = (
-                        "".join(part.capitalize() for part in name.split("_")) + "Node"
-                    )
-                    node = getattr(import_module(f"slot_nodes.{name}_node"), made)()
+                    node = node_class(name)()
                     self.nodes.append(node)
                     self._executor.add_node(node)
         except BaseException:
