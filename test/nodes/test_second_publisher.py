@@ -15,7 +15,7 @@ TOPICS = {
     "servo_limits": (ServoLimits, qos.STATE, "supervisor"),
     "desired_joint_angles": (JointState, qos.CONTROL, "force_mapper"),
 }
-FORGED = 0.002  # s, between two forged messages
+FORGED = 0.02  # s, between two forged messages
 LATEST = 0.05  # s, from a cause to its first report
 
 
