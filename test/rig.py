@@ -99,9 +99,7 @@ class Rig:
 
     def subscribe(self, topic, kind, profile):
         """Keep the messages of a topic."""
-        self.node.create_subscription(
-            kind, topic, self.messages[topic].append, profile
-        )
+        self.node.create_subscription(kind, topic, self.messages[topic].append, profile)
 
     def publisher(self, kind, topic, profile):
         """Publisher of the test."""

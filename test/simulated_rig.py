@@ -23,7 +23,7 @@ from slot_bringup.processes import command_line
 from slot_core.clock import SECOND
 from slot_core.dynamixel.brand import DYNAMIXEL
 from slot_core.dynamixel.driver import Driver
-from slot_core.dynamixel.emulator.memory_port import MemoryPort
+from slot_core.dynamixel.emulator.emulated_legs import MemoryPort
 from slot_core.servos import registry
 from slot_core.simulation import simulated_servos
 from slot_nodes import (
@@ -88,7 +88,9 @@ class SimulatedRig(Rig):
         def make(node, name, **options):
             given = {"context": self.context, "cli_args": self._arguments}
             # nobody asks for parameters, whose services are the half of all that is waited for
-            make_node(node, name, **given | options | {"start_parameter_services": False})
+            make_node(
+                node, name, **given | options | {"start_parameter_services": False}
+            )
 
         def log(logger, message, severity, **_):
             self._logs[logger.name.split(".")[0]].append(message)
@@ -162,7 +164,9 @@ class SimulatedRig(Rig):
         """Start nodes, also again; `parameters` for this start only."""
         for name in names:
             values = {**self._parameters.get(name, {}), **(parameters or {})}
-            options = [w for item in values.items() for w in ("-p", "{}:={}".format(*item))]
+            options = [
+                w for item in values.items() for w in ("-p", "{}:={}".format(*item))
+            ]
             self._arguments = [*command_line(self.specs[name])[1:], *options]
             self.exit_codes.pop(name, None)
             self._nodes[name] = node_class(name)()

@@ -94,7 +94,7 @@ def test_a_forged_permission_brings_no_torque_in_estop(walking, intruder):
     walking.wait_for_torque_off(walking.now())
     begin = walking.now()
     intruder("robot_state", forged)
-    walking.run(2.0)
+    walking.run(1.0)
     assert not has_torque(walking, begin)
 
 
@@ -119,5 +119,5 @@ def test_beside_a_second_publisher_the_robot_does_not_stand_up(
     walking.run(0.5)
     begin = walking.now()
     walking.request("ready")
-    walking.run(3.0)
+    walking.run(1.0)
     assert not any(walking.since("/servo_health", begin)[-1].torque)

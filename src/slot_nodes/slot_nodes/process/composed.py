@@ -6,7 +6,7 @@ time anyway, robot and supervisor share the process too.
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 
 import rclpy.utilities
@@ -22,7 +22,7 @@ CONTROLLER = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapp
 CHAIN = ("sim_robot", *CONTROLLER, "supervisor")
 
 
-def node_class(name: str) -> type[Node]:
+def node_class(name: str) -> Callable[[], Node]:
     """Class of a node of the graph by the node's name."""
     words = "".join(part.capitalize() for part in name.split("_"))
     return getattr(import_module(f"slot_nodes.{name}_node"), f"{words}Node")
