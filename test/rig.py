@@ -53,10 +53,9 @@ NEXT_REQUEST = {
     State.STANDING: "walk",
 }
 TICK = 0.033  # s, between two odometry readings
-JOINTS, GAINS = read_settings().joints, read_settings().gains
 # counts, largest motion under load when torque comes on: before, gearbox friction holds up to 0.1
 # of the stall torque (emulator.yaml); then the position loop, with p/128 of 885 steps a count.
-SAG = 1 + 0.1 * 885 * 128 / GAINS.p
+SAG = 1 + 0.1 * 885 * 128 / read_settings().gains.p
 
 
 class Rig:
@@ -338,11 +337,6 @@ def maker(kind):
             rig.close()
 
     return make_rig
-
-
-def servo_angle(tendon_angle):
-    """Angle of a servo at a tendon angle, as configured, both rad."""
-    return np.radians(JOINTS.zero_deg[0]) + JOINTS.servo_per_tendon * tendon_angle
 
 
 def nanoseconds(stamp):
