@@ -102,12 +102,9 @@ class DynamixelDriverNode(LifecycleNode):
         runtime.wall_timer(self, DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         self.create_service(SetBool, "~/torque", self._on_torque)
         for leg in LEGS:
-            self._create_servo_service(
-                f"~/reboot_{leg.lower()}", partial(self._reboot, leg)
-            )
-            self._create_servo_service(
-                f"~/zero_{leg.lower()}", partial(self._zero, leg)
-            )
+            name = leg.lower()
+            self._create_servo_service(f"~/reboot_{name}", partial(self._reboot, leg))
+            self._create_servo_service(f"~/zero_{name}", partial(self._zero, leg))
 
     def _answer_invalid_transitions(self) -> None:
         """Answer a transition that the state does not have; with rclpy 7.1 the node would end."""

@@ -34,12 +34,13 @@ def subscribe(
     numbered: bool = False,
     group: PolledGroup | None = None,
 ) -> Subscription | None:
-    """Subscribe; a ValueError of the callback drops the message and is logged once a second.
+    """Subscribe; a ValueError of the callback drops the message.
 
-    overridable: whether parameters can override the quality of service. numbered: whether the
-    callback also gets the number of the message on its topic. group: see `PassiveSubscriptions`. Returns None for
-    a topic that a node of the same process publishes: its messages come without DDS. Where that
-    node is made later, the subscription that is returned is destroyed then.
+    It is logged once a second. overridable: whether parameters can override the quality of service.
+    numbered: whether the callback also gets the number of the message on its topic. group: see
+    `PassiveSubscriptions`. Returns None for a topic that a node of the same process publishes: its
+    messages come without DDS. Where that node is made later, the subscription that is returned is
+    destroyed then.
     """
 
     def receive(message: Any, number: int = 0) -> None:
