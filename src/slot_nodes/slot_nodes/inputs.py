@@ -1,5 +1,7 @@
 """Input checks of the nodes: an unusable message is dropped, with one line that says why."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
