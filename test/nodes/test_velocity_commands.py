@@ -62,5 +62,6 @@ def test_a_publisher_of_the_other_type_is_named(walking):
     with listener("teleop") as (node, _):
         node.create_publisher(wrong, "cmd_vel", qos.SENSOR)
         walking.wait_for(lambda: list(walking.last("/robot_state").warnings) == [line])
-    assert walking.log_lines("gait_scheduler") == [line]  # once
+    # once; DDS may tell the name of a new node a moment after its publisher
+    assert walking.log_lines("gait_scheduler").count(line) == 1
     walking.wait_for(lambda: not walking.last("/robot_state").warnings)
