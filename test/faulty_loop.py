@@ -96,12 +96,6 @@ class FaultyLoop(SupervisedLoop):
     def lose_odometry(self):
         self.change_odometry = lambda o: None
 
-    def jump_odometry(self):
-        """Let the position of the odometry jump by 10 cm."""
-        self.change_odometry = lambda o: dataclasses.replace(
-            o, position=o.position + np.array([0.1, 0, 0])
-        )
-
     def spoil_odometry(self):
         """Let the position of the odometry be NaN."""
         self.change_odometry = lambda o: dataclasses.replace(

@@ -1,10 +1,8 @@
 """The running graph under test: processes, their messages and services, faults, recovery."""
 
-import contextlib
 import os
 import signal
 import subprocess
-import threading
 import time
 from collections import defaultdict
 
@@ -15,7 +13,6 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 from real_graph import PATIENT, changed_config
 from sensor_msgs.msg import JointState
@@ -34,6 +31,7 @@ from slot_core.safety.states import State
 from slot_msgs.msg import LegStates, RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
 from slot_nodes import qos
+from slot_nodes.process.executor import DirectExecutor
 
 WAIT_LIMIT = 60.0  # s, of any wait on a busy machine
 TOPICS = {
@@ -55,10 +53,9 @@ NEXT_REQUEST = {
     State.STANDING: "walk",
 }
 TICK = 0.033  # s, between two odometry readings
-JOINTS, GAINS = read_settings().joints, read_settings().gains
 # counts, largest motion under load when torque comes on: before, gearbox friction holds up to 0.1
 # of the stall torque (emulator.yaml); then the position loop, with p/128 of 885 steps a count.
-SAG = 1 + 0.1 * 885 * 128 / GAINS.p
+SAG = 1 + 0.1 * 885 * 128 / read_settings().gains.p
 
 
 class Rig:
@@ -69,56 +66,39 @@ class Rig:
     ):
         """`config`: as for `changed_config`; `parameters`: by node; `only`: nodes to
         start now, else all; `arguments`: of the graph."""
-        self._describe(
-            directory, config, parameters, {"hardware": "fake_bus"} | arguments
-        )
-        self.children = {}
-        self._open_node()
-        self.start(*(self.specs if only is None else only))
-
-    def _describe(self, directory, config, parameters, arguments):
-        """Configuration and nodes; no messages yet."""
         self.directory, self.bus = directory, directory / "bus"
-        self.config, self._parameters = (
-            changed_config(directory, config),
-            parameters or {},
-        )
+        self.config = changed_config(directory, config)
+        self._parameters = parameters or {}
         graph = read_graph()
-        values = {a.name: a.default for a in graph.arguments} | arguments
+        values = {a.name: a.default for a in graph.arguments}
+        values |= {"hardware": "fake_bus"} | arguments
         if values["hardware"] == "fake_bus":
             values["port"] = str(self.bus)
         self.specs = {spec.name: spec for spec in graph.nodes(values)}
-        self._injected = set()  # (kind, leg)
-        self.messages, self.transitions = (
-            defaultdict(list),
-            [],
-        )  # (since, State, reason)
+        self.children = {}
+        self.messages = defaultdict(list)
+        self.transitions = []  # (since, State, reason)
+        self._clients = {}
+        self._open_node()
+        self.start(*(self.specs if only is None else only))
 
-    def _open_node(self):
-        """Subscribe to TOPICS, and receive in a thread."""
+    def _open_node(self, executor=DirectExecutor):
+        """Make the node of the test, and subscribe to TOPICS."""
         self.context = Context()
-        rclpy.init(
-            args=[],
-            context=self.context,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
+        no_handlers = SignalHandlerOptions.NO
+        rclpy.init(args=[], context=self.context, signal_handler_options=no_handlers)
         self.node = rclpy.create_node("tester", context=self.context)
+        self._executor = executor(context=self.context)
+        self._executor.add_node(self.node)
         for topic, (kind, profile) in TOPICS.items():
-            self.node.create_subscription(
-                kind, topic, self.messages[topic].append, profile
-            )
+            self.subscribe(topic, kind, profile)
         self.node.create_subscription(
             RobotState, "/robot_state", self._on_state, qos.STATE
         )
-        self._clients = {}
-        self._executor = SingleThreadedExecutor(context=self.context)
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin, daemon=True)
-        self._thread.start()
 
-    def _spin(self):
-        with contextlib.suppress(ExternalShutdownException):
-            self._executor.spin()
+    def subscribe(self, topic, kind, profile):
+        """Keep the messages of a topic."""
+        self.node.create_subscription(kind, topic, self.messages[topic].append, profile)
 
     def publisher(self, kind, topic, profile):
         """Publisher of the test."""
@@ -131,6 +111,12 @@ class Rig:
     def every(self, period, action):
         """Call a function of the test with a period, s; returns a timer with `cancel`."""
         return self.node.create_timer(period, action)
+
+    def run(self, seconds):
+        """Let the graph run, and receive its messages."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            self._executor.spin_once(left)
 
     def _on_state(self, message):
         now = (nanoseconds(message.since), State(message.state), message.reason)
@@ -171,9 +157,14 @@ class Rig:
         self.children[name].send_signal(number)
         return now
 
-    def exit_code(self, name, limit=WAIT_LIMIT):
+    def runs(self, name):
+        """Whether a node runs."""
+        return name in self.children and self.children[name].poll() is None
+
+    def exit_code(self, name):
         """Exit code of a node; waits until it ends by itself."""
-        return self.children[name].wait(limit)
+        self.wait_for(lambda: not self.runs(name), what=f"{name} does not end")
+        return self.children[name].returncode
 
     def now(self):
         """Present time of the messages' clock."""
@@ -181,21 +172,16 @@ class Rig:
 
     def wait_for(self, condition, limit=WAIT_LIMIT, what="condition not met"):
         """Wait until a condition is true, at most `limit` s; returns its value."""
-        end = time.monotonic() + limit
+        end = self.now() + limit * 1e9
         while not (value := condition()):
-            assert time.monotonic() < end, f"{what}: {self.recent_events()}"
-            time.sleep(0.01)
+            assert self.now() < end, f"{what}: {self.recent_events()}"
+            self.run(0.01)
         return value
 
     def recent_events(self):
         """Last transitions and the ends of all logs, for the message of a failure."""
-        logs = {name: self.log(name)[-2000:] for name in self.children}
-        return "\n".join(
-            [
-                *map(str, self.transitions[-12:]),
-                *(f"{n}:\n{t}" for n, t in logs.items()),
-            ]
-        )
+        logs = [f"{name}:\n{self.log(name)[-2000:]}" for name in self.specs]
+        return "\n".join([*map(str, self.transitions[-12:]), *logs])
 
     def call(self, kind, service, /, **request):
         """Call a service; returns its answer."""
@@ -218,9 +204,6 @@ class Rig:
             InjectFault, "/sim_robot/inject", kind=kind, leg=leg, clear=clear, **values
         )
         assert answer.success, answer.message
-        self._injected = {*self._injected, (kind, leg)} - (
-            {(kind, leg)} if clear else set()
-        )
         return now
 
     @property
@@ -298,23 +281,19 @@ class Rig:
         finally:
             port.close()
 
-    def walk(self, limit=WAIT_LIMIT):
+    def walk(self):
         """Bring the robot to WALKING from any state, by the requests of an operator."""
-        self._request_until_walking(limit, lambda: time.sleep(0.05))
-
-    def _request_until_walking(self, limit, pause):
-        """Make the requests that lead to WALKING for at most `limit` s, with pauses between."""
-        end = self.now() + limit * 1e9
+        end = self.now() + WAIT_LIMIT * 1e9
         refusal = ""
         while self.state is not State.WALKING:
             assert self.now() < end, f"{refusal}: {self.recent_events()}"
             if self.state in NEXT_REQUEST:
                 refusal = self.request(NEXT_REQUEST[self.state])
-            pause()
+            self.run(0.05)
 
     def stop(self, name):
         """Interrupt a node unless it has ended; returns its exit code."""
-        if self.children[name].poll() is None:
+        if self.runs(name):
             self.send_signal(name, signal.SIGINT)
         return self.exit_code(name)
 
@@ -325,7 +304,7 @@ class Rig:
             or self.now() - self.transitions[-1][0] < 5e8
         ):
             self.walk()
-            time.sleep(0.05)
+            self.run(0.05)
 
     def close(self):
         """End every node; returns the exit codes."""
@@ -339,7 +318,6 @@ class Rig:
                 os.killpg(child.pid, signal.SIGKILL)
                 child.wait()
         self.context.try_shutdown()
-        self._thread.join(5)
         return {name: child.returncode for name, child in self.children.items()}
 
 
@@ -359,11 +337,6 @@ def maker(kind):
             rig.close()
 
     return make_rig
-
-
-def servo_angle(tendon_angle):
-    """Angle of a servo at a tendon angle, as configured, both rad."""
-    return np.radians(JOINTS.zero_deg[0]) + JOINTS.servo_per_tendon * tendon_angle
 
 
 def nanoseconds(stamp):

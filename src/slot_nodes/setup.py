@@ -10,6 +10,7 @@ NODES = (
     "sim_robot",
     "state_estimator",
     "supervisor",
+    "visualizer",
 )
 
 setup(
@@ -24,7 +25,6 @@ setup(
         "console_scripts": [
             *(f"{n} = slot_nodes.{n}_node:main" for n in NODES),
             "controller = slot_nodes.process.composed:main",
-            "visualizer = slot_nodes.visualization.visualizer_node:main",
         ]
     },
     extras_require={"test": ["pytest"]},

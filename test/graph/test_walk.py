@@ -27,15 +27,6 @@ CHAIN = (
     "/tendon_plan",
     "/desired_joint_angles",
 )
-OTHERS = (
-    "/clock",
-    "/imu",
-    "/joint_states",
-    "/tf",
-    "/force_map/status",
-    "/ground_truth/odom",
-    "/ground_truth/legs",
-)
 PERIOD = round(read_scene("flat").sensors.odometry.period * SECOND)  # ns
 DURATION = 5.0  # s of the robot's time
 BESIDE = 2.5  # s, of the graph in the namespace
@@ -81,11 +72,6 @@ def walk(bags):
 @pytest.fixture(scope="module")
 def messages(walk):
     return read(walk)
-
-
-def test_every_topic_is_recorded(messages):
-    for topic in (*CHAIN, *OTHERS, "/robot_state", "/servo_health"):
-        assert len(messages[topic]) > 100, topic
 
 
 def test_every_odometry_passes_the_chain_with_its_stamp(messages):

@@ -3,6 +3,7 @@
 import pytest
 from std_msgs.msg import Bool
 
+from slot_bringup.monitor import listener
 from slot_core.safety.states import State
 from slot_msgs.msg import EmergencyStop, RobotState
 from slot_msgs.srv import ForgetSource
@@ -74,31 +75,17 @@ def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(
     )  # slack
 
 
-def test_a_source_that_was_pressed_and_lost_is_released_only_by_forget(
-    walking, sources
-):
-    button, _ = sources
-    button.send(pressed=True)
-    walking.run(PERIOD)
-    button.lose()
-    walking.run(1.0)
-    assert "e-stop pressed at button (silent" in walking.request("reset")
-    forgotten = [
-        walking.call(ForgetSource, "/supervisor/forget", source=name).success
-        for name in ("terminal", "button")
-    ]
-    assert forgotten == [False, True]
-    assert walking.request("reset") == ""
-
-
 def test_a_publisher_of_another_type_counts_as_pressed(walking, sources):
     begin = walking.now()
-    foreign = walking.publisher(Bool, "estop", qos.SENSOR)
-    _, reason = walking.wait_for_state(State.ESTOP, begin)
+    with listener("foreign") as (node, _):
+        node.create_publisher(Bool, "estop", qos.SENSOR)
+        _, reason = walking.wait_for_state(State.ESTOP, begin)
     name = "a publisher of std_msgs/msg/Bool"
     assert reason == f"e-stop pressed at {name}"
-    walking.destroy_publisher(foreign)
+    walking.wait_for(lambda: walking.node.count_publishers("estop") == len(sources))
     walking.run(1.0)
     assert "RESET refused" in walking.request("reset")
-    assert walking.call(ForgetSource, "/supervisor/forget", source=name).success
+    forget = "/supervisor/forget"
+    assert not walking.call(ForgetSource, forget, source="terminal").success
+    assert walking.call(ForgetSource, forget, source=name).success
     assert walking.request("reset") == ""

@@ -7,7 +7,6 @@ import pytest
 from geometry_msgs.msg import PoseStamped, Vector3
 from sensor_msgs.msg import Imu
 
-from slot_core.messages import decode
 from slot_core.robot import TENDON_JOINTS, read_robot
 from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
@@ -15,169 +14,138 @@ from slot_msgs.srv import SetGait
 from slot_nodes import qos
 
 TOPICS = {
-    "odom": (None, qos.SENSOR),
-    "imu": (Imu, qos.SENSOR),
-    "mpc_state": (MpcState, qos.CONTROL),
-    "gait_preview": (GaitPreview, qos.CONTROL),
-    "tendon_plan": (TendonPlan, qos.CONTROL),
-    "desired_joint_angles": (None, qos.CONTROL),
-    "body_pose": (PoseStamped, qos.SENSOR),
+    "/imu": (Imu, qos.SENSOR),
+    "/mpc_state": (MpcState, qos.CONTROL),
+    "/gait_preview": (GaitPreview, qos.CONTROL),
+    "/tendon_plan": (TendonPlan, qos.CONTROL),
 }
 NAN, INF = math.nan, math.inf
-TICKS = 15  # of the controller that must follow: half a second
-
-
-class Graph:
-    """A walking graph, and publishers of the test."""
-
-    def __init__(self, rig):
-        self.rig = rig
-        self.publishers = {  # those of the nodes: a second one of a command stops the robot
-            topic: next(iter(rig.publishers_of(topic)), None)
-            or rig.publisher(kind, topic, profile)
-            for topic, (kind, profile) in TOPICS.items()
-        }
-        for topic, (kind, profile) in TOPICS.items():
-            if kind is not None:
-                rig.subscribe(f"/{topic}", kind, profile)
-
-    def last(self, topic):
-        """Newest message of a node."""
-        received = self.rig.messages[f"/{topic}"]
-        return next(m for m in reversed(received) if m.header.frame_id != "intruder")
-
-    def continues(self):
-        """Wait for TICKS commands newer than now; check the range of all commands."""
-        begin = self.rig.now()
-        commands = self.rig.messages["/desired_joint_angles"]
-        self.rig.wait_for(
-            lambda: sum(decode.stamp(m) > begin for m in commands) >= TICKS
-        )
-        assert self.rig.exit_codes == {}
-        assert self.rig.state in {State.WALKING, State.HOLD}
-        limit = read_robot().tendon.angle_max
-        for message in commands:
-            if message.header.frame_id != "intruder":
-                assert tuple(message.name) == TENDON_JOINTS
-                assert all(0.0 <= angle <= limit for angle in message.position)
-
-    def send(self, topic, change):
-        """Send a changed copy of the last message of a topic."""
-        message = copy.deepcopy(self.last(topic))
-        message.header.frame_id = "intruder"
-        change(message)
-        self.publishers[topic].publish(message)
-
-    def disturb(self, topic, change):
-        """Send an invalid copy, with the same stamp, after each of the next TICKS messages."""
-        for _ in range(TICKS):
-            before = self.last(topic)
-            self.rig.wait_for(lambda before=before: self.last(topic) is not before)
-            self.send(topic, change)
+TICKS = 15  # of the controller: half a second
+ANGLE_MAX = read_robot().tendon.angle_max
 
 
 @pytest.fixture(scope="module")
-def made(simulate):
-    return Graph(simulate())
-
-
-@pytest.fixture
-def graph(made):
-    made.rig.walk_steadily()
+def rig(simulate):
+    made = simulate()
+    for topic, (kind, profile) in TOPICS.items():
+        made.subscribe(topic, kind, profile)
     return made
 
 
-def sets(**values):
-    """Function that sets attributes of a message; `__` in a name stands for the dot."""
+def last(rig, topic):
+    """Newest message of the node that publishes a topic."""
+    received = reversed(rig.messages[topic])
+    return next(m for m in received if m.header.frame_id != "intruder")
 
-    def change(message):
-        for name, value in values.items():
-            *parents, last = name.split("__")
-            part = message
-            for parent in parents:
-                part = getattr(part, parent)
-            setattr(part, last, value)
 
-    return change
+def send(rig, topic, values):
+    """Publish a copy of the last message of a topic with other values."""
+    message = copy.deepcopy(last(rig, topic))
+    message.header.frame_id = "intruder"
+    for name, value in values.items():
+        *parents, attribute = name.split(".")
+        part = message
+        for parent in parents:
+            part = getattr(part, parent)
+        setattr(part, attribute, value)
+    # as its node: a second publisher of a command stops the robot
+    rig.publisher_of(topic).publish(message)
+
+
+def assert_walks_on(rig):
+    """TICKS commands follow, in their range."""
+    begin = rig.now()
+    rig.wait_for(lambda: len(rig.since("/desired_joint_angles", begin)) >= TICKS)
+    assert rig.exit_codes == {}
+    assert rig.state in {State.WALKING, State.HOLD}
+    for message in rig.messages["/desired_joint_angles"]:
+        if message.header.frame_id != "intruder":
+            assert tuple(message.name) == TENDON_JOINTS
+            assert all(0.0 <= angle <= ANGLE_MAX for angle in message.position)
 
 
 @pytest.mark.parametrize(
-    ("topic", "change"),
+    ("topic", "values"),
     [
-        ("desired_joint_angles", sets(position=[NAN] * 4)),
-        ("desired_joint_angles", sets(position=[1.0] * 3)),
-        ("desired_joint_angles", sets(name=["a", "b", "c", "d"])),
-        ("desired_joint_angles", sets(velocity=[NAN] * 4)),
-        ("desired_joint_angles", sets(velocity=[1.0] * 3)),
-        ("tendon_plan", sets(angle=[NAN] * 88)),
-        ("tendon_plan", sets(rate=[INF] * 4)),
-        ("tendon_plan", sets(force=[])),
-        ("tendon_plan", sets(angle=[1.0] * 7)),
-        ("gait_preview", sets(stages=0)),
-        ("gait_preview", sets(stages=7)),
-        ("gait_preview", sets(stages=2**32 - 1)),  # no array of that size is made
-        ("gait_preview", sets(dt=0.0)),
-        ("gait_preview", sets(tendon_angle=[])),
-        ("gait_preview", sets(tendon_angle=[1.0] * 16)),
-        ("gait_preview", sets(tendon_angle=[NAN] * 96)),
-        ("mpc_state", sets(position__x=NAN)),
-        ("mpc_state", sets(rpy__x=INF, position__z=1e308)),
-        ("odom", sets(pose__pose__position__x=NAN)),
-        ("odom", sets(pose__pose__orientation__w=0.0)),
-        ("imu", sets(angular_velocity__x=NAN)),
+        ("/desired_joint_angles", {"position": [NAN] * 4}),
+        ("/desired_joint_angles", {"position": [1.0] * 3}),
+        ("/desired_joint_angles", {"name": ["a", "b", "c", "d"]}),
+        ("/desired_joint_angles", {"velocity": [NAN] * 4}),
+        ("/desired_joint_angles", {"velocity": [1.0] * 3}),
+        ("/tendon_plan", {"angle": [NAN] * 88}),
+        ("/tendon_plan", {"rate": [INF] * 4}),
+        ("/tendon_plan", {"force": []}),
+        ("/tendon_plan", {"angle": [1.0] * 7}),
+        ("/gait_preview", {"stages": 0}),
+        ("/gait_preview", {"stages": 7}),
+        ("/gait_preview", {"stages": 2**32 - 1}),  # no array of that size is made
+        ("/gait_preview", {"dt": 0.0}),
+        ("/gait_preview", {"tendon_angle": []}),
+        ("/gait_preview", {"tendon_angle": [1.0] * 16}),
+        ("/gait_preview", {"tendon_angle": [NAN] * 96}),
+        ("/mpc_state", {"position.x": NAN}),
+        ("/mpc_state", {"rpy.x": INF, "position.z": 1e308}),
+        ("/odom", {"pose.pose.position.x": NAN}),
+        ("/odom", {"pose.pose.orientation.w": 0.0}),
+        ("/imu", {"angular_velocity.x": NAN}),
     ],
 )
-def test_invalid_message_with_a_present_stamp_is_refused_and_the_robot_walks_on(
-    graph, topic, change
+def test_invalid_messages_with_present_stamps_are_refused_and_the_robot_walks_on(
+    walking, topic, values
 ):
-    graph.disturb(topic, change)
-    graph.continues()
+    """One after each of five messages."""
+    for _ in range(5):
+        before = last(walking, topic)
+        walking.wait_for(lambda before=before: last(walking, topic) is not before)
+        send(walking, topic, values)
+    assert_walks_on(walking)
 
 
 @pytest.mark.parametrize(
-    ("topic", "change", "name", "line"),
+    ("topic", "values", "name", "line"),
     [
         (
-            "tendon_plan",
-            sets(angle=[NAN] * 88),
+            "/tendon_plan",
+            {"angle": [NAN] * 88},
             "force_mapper",
             "tendon_plan refused: angle[0, 0] = nan: expected a finite number",
         ),
         (
-            "mpc_state",
-            sets(position__x=NAN),
+            "/mpc_state",
+            {"position.x": NAN},
             "gait_scheduler",
             "mpc_state refused: state[3] = nan: expected a finite number",
         ),
         (
-            "desired_joint_angles",
-            sets(position=[-0.1] * 4),
+            "/desired_joint_angles",
+            {"position": [-0.1] * 4},
             "sim_robot",
             "desired_joint_angles refused: command FL = -0.1 rad is not inside [0, 2.029]",
         ),
     ],
 )
-def test_refused_message_is_logged_with_value_and_limit(
-    graph, topic, change, name, line
+def test_a_refused_message_is_logged_with_value_and_limit(
+    walking, topic, values, name, line
 ):
-    graph.send(topic, change)
-    graph.rig.run(0.01)
-    assert line in graph.rig.log(name)
+    send(walking, topic, values)
+    walking.run(0.01)
+    assert line in walking.log(name)
 
 
-def test_a_body_pose_is_followed_unless_it_is_invalid_or_out_of_range(graph):
+def test_a_body_pose_is_followed_unless_it_is_invalid_or_out_of_range(walking):
+    poses = walking.publisher(PoseStamped, "body_pose", qos.SENSOR)
+
     def command(height, w=1.0):
         pose = PoseStamped()
         pose.pose.position.z, pose.pose.orientation.w = height, w
-        graph.publishers["body_pose"].publish(pose)
+        poses.publish(pose)
 
-    assert graph.rig.call(
-        SetGait, "/set_gait", gait="walk", velocity=Vector3(x=0.05)
-    ).success
+    request = {"gait": "walk", "velocity": Vector3(x=0.05)}
+    assert walking.call(SetGait, "/set_gait", **request).success
     command(0.065)
-    graph.rig.wait_for(lambda: graph.last("gait_preview").pose[0] == 0.065)
+    walking.wait_for(lambda: last(walking, "/gait_preview").pose[0] == 0.065)
     for height, w in ((NAN, 1.0), (INF, 1.0), (0.5, 1.0), (0.06, 0.0), (0.06, NAN)):
         command(height, w)
-    graph.continues()
-    assert graph.last("gait_preview").pose[0] == 0.065
-    assert "body_pose refused: " in graph.rig.log("gait_scheduler")
+    assert_walks_on(walking)
+    assert last(walking, "/gait_preview").pose[0] == 0.065
+    assert "body_pose refused: " in walking.log("gait_scheduler")

@@ -80,8 +80,9 @@ def test_a_killed_supervisor_ends_in_hold_then_relax_and_the_robot_walks_again_w
 
 def test_a_supervisor_that_is_restarted_after_an_estop_waits_for_an_operator(walking):
     """Though the graph is unattended."""
+    begin = walking.now()
     walking.request("estop")
-    walking.wait_for_state(State.ESTOP, walking.now())
+    walking.wait_for_state(State.ESTOP, begin)
     walking.kill("supervisor")
     walking.run(1.0)
     begin = walking.now()

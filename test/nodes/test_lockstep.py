@@ -42,15 +42,14 @@ def test_an_estop_is_released_by_the_source_that_has_pressed_it_alone(rig):
 
     def send(source, pressed):
         estop.publish(EmergencyStop(source=source, pressed=pressed))
-        rig.run(0.3)
+        rig.run(0.01)
 
     send("terminal", pressed=False)
     rig.wait_for(lambda: rig.state is State.WALKING)
     send("button", pressed=True)
-    assert rig.state is State.ESTOP
-    for _ in range(5):
-        send("terminal", pressed=False)
-        assert "e-stop pressed at button" in rig.request("reset")
+    send("terminal", pressed=False)
+    rig.wait_for(lambda: rig.state is State.ESTOP)
+    assert "e-stop pressed at button" in rig.request("reset")
     send("button", pressed=False)
     assert rig.request("reset") == ""
     assert rig.wait_for(lambda: rig.state is State.IDLE)

@@ -38,7 +38,7 @@ def rig(simulate):
 
 def set_parameters(rig, *wanted):
     """The answer of mpc_controller to `ros2 param set`."""
-    return rig._nodes["mpc_controller"][1].set_parameters_atomically(list(wanted))
+    return rig.node_of("mpc_controller").set_parameters_atomically(list(wanted))
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,7 @@ from slot_core.drawing import shapes
 from slot_core.robot import read_robot
 from slot_msgs.msg import LegStates
 from slot_nodes import messages
-from slot_nodes.visualization.markers import shapes_to_msg
-from slot_nodes.visualization.visualizer_node import VisualizerNode
+from slot_nodes.visualizer_node import VisualizerNode, shapes_to_msg
 
 ROBOT = read_robot()
 STILL = np.array([0.0, 0.0, 0.0, 1.0])

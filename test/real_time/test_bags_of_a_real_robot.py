@@ -110,7 +110,7 @@ def assert_replays(bag):
     assert [c.topic for c in comparisons] == OUTPUTS
     for comparison in comparisons:
         line = str(comparison)
-        assert not comparison.left_out, line
+        assert not comparison.why, line
         assert comparison.first is None, comparison.first
         assert comparison.largest == 0.0, line
         assert comparison.compared >= TICKS, line

@@ -22,10 +22,10 @@ DRIVER_PROGRAM = (
 # Raises ZeroDivisionError in its first diagnostics under torque.
 BROKEN_DRIVER = """
 from slot_nodes import diagnostics, dynamixel_driver_node
-original = diagnostics.to_msg
-def to_msg(stamp, session, *rest):
+original = diagnostics.of_servos
+def of_servos(stamp, session, *rest):
     return original(stamp // (not session.bus.active), session, *rest)
-diagnostics.to_msg = to_msg
+diagnostics.of_servos = of_servos
 dynamixel_driver_node.main()
 """
 

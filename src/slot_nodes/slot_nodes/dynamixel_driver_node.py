@@ -42,7 +42,6 @@ from slot_core.servos.servo_bus import (
 from slot_core.servos.session import ServoSession
 from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import diagnostics, inputs, messages, qos, runtime
-from slot_nodes.health_publisher import HealthPublisher
 
 PORT_PERIOD = 0.1  # s, between two checks for the port
 DIAGNOSTICS_PERIOD = 1.0  # s
@@ -96,19 +95,16 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _create_outputs(self) -> None:
         self._joints = runtime.publisher(self, JointState, "joint_states", qos.SENSOR)
-        self._health = HealthPublisher(self)
+        self._health = diagnostics.HealthReport(self, self._session)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, "diagnostics", qos.SENSOR
         )
         runtime.wall_timer(self, DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         self.create_service(SetBool, "~/torque", self._on_torque)
         for leg in LEGS:
-            self._create_servo_service(
-                f"~/reboot_{leg.lower()}", partial(self._reboot, leg)
-            )
-            self._create_servo_service(
-                f"~/zero_{leg.lower()}", partial(self._zero, leg)
-            )
+            name = leg.lower()
+            self._create_servo_service(f"~/reboot_{name}", partial(self._reboot, leg))
+            self._create_servo_service(f"~/zero_{name}", partial(self._zero, leg))
 
     def _answer_invalid_transitions(self) -> None:
         """Answer a transition that the state does not have; with rclpy 7.1 the node would end."""
@@ -219,12 +215,9 @@ class DynamixelDriverNode(LifecycleNode):
         inputs.require_sole_publisher(self, topic, self._session.watchdog.relax)
 
     def _on_robot_state(self, message: RobotState) -> None:
-        inputs.require_sole_supervisor(self, message, self._session.watchdog.relax)
-        permission = decode.permission(message, time.monotonic_ns())
         now = self.get_clock().now().nanoseconds
-        inputs.require_present_permission(
-            message, now, self._session.watchdog.clock_jump
-        )
+        inputs.require_supervisor(self, message, now, self._session.watchdog)
+        permission = decode.permission(message, time.monotonic_ns())
         self._session.permit(permission)
         if permission.action is Action.OFF and self._active:
             self.trigger_deactivate()
@@ -252,13 +245,13 @@ class DynamixelDriverNode(LifecycleNode):
         reading = cycle.joints(stamp, self._servo.tendon_stall(self._session.voltage))
         if reading is not None:
             self._joints.publish(messages.joints_to_msg(reading))
-        self._health.publish(stamp, self._session)
+        self._health.publish_health(stamp)
 
     def _publish_diagnostics(self) -> None:
         pace = self._session.pace(time.monotonic_ns())
         stamp = self.get_clock().now().nanoseconds
         self._diagnostics.publish(
-            diagnostics.to_msg(stamp, self._session, pace, self._cycle)
+            diagnostics.of_servos(stamp, self._session, pace, self._cycle)
         )
 
     def _on_torque(

@@ -87,23 +87,12 @@ class GaitSchedulerNode(Node):
     def _on_velocity(self, message: TwistStamped | Twist) -> None:
         """Set the velocity; a zero stamp, as of a plain `ros2 topic pub`, stands for now."""
         stamp, velocity = decode.velocity(message)
-        try:
-            self._scheduler.set_velocity(
-                stamp or self.get_clock().now().nanoseconds, velocity
-            )
-        except ConfigError as error:
-            self.get_logger().warning(
-                f"cmd_vel refused: {error}", throttle_duration_sec=1.0
-            )
+        stamp = stamp or self.get_clock().now().nanoseconds
+        self._scheduler.set_velocity(stamp, velocity)
 
     def _on_pose(self, message: PoseStamped) -> None:
         """Set height, roll and pitch of the torso; place and yaw of the pose are not used."""
-        try:
-            self._scheduler.set_pose(decode.body_pose(message))
-        except ConfigError as error:
-            self.get_logger().warning(
-                f"body_pose refused: {error}", throttle_duration_sec=1.0
-            )
+        self._scheduler.set_pose(decode.body_pose(message))
 
     def _on_gait(
         self, request: SetGait.Request, response: SetGait.Response

@@ -1,7 +1,9 @@
 """Input checks of the nodes: an unusable message is dropped, with one line that says why."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rclpy.node import Node
@@ -19,6 +21,9 @@ from slot_nodes import qos, runtime
 from slot_nodes.process import intra_process
 from slot_nodes.process.executor import PolledGroup
 
+if TYPE_CHECKING:  # a node imports only the core modules that it runs
+    from slot_core.safety.watchdog import Watchdog
+
 
 def subscribe(
     node: Node,
@@ -31,12 +36,13 @@ def subscribe(
     numbered: bool = False,
     group: PolledGroup | None = None,
 ) -> Subscription | None:
-    """Subscribe; a ValueError of the callback drops the message and is logged once a second.
+    """Subscribe; a ValueError of the callback drops the message.
 
-    overridable: whether parameters can override the quality of service. numbered: whether the
-    callback also gets the number of the message on its topic. group: see `PassiveSubscriptions`. Returns None for
-    a topic that a node of the same process publishes: its messages come without DDS. Where that
-    node is made later, the subscription that is returned is destroyed then.
+    It is logged once a second. overridable: whether parameters can override the quality of service.
+    numbered: whether the callback also gets the number of the message on its topic. group: see
+    `PassiveSubscriptions`. Returns None for a topic that a node of the same process publishes: its
+    messages come without DDS. Where that node is made later, the subscription that is returned is
+    destroyed then.
     """
 
     def receive(message: Any, number: int = 0) -> None:
@@ -140,15 +146,6 @@ def require_present(stamp: int, now: int, limit: float) -> None:
         raise ValueError(f"stamped {off:+.3g} s from now, limit {limit:g} s")
 
 
-def require_present_permission(message: RobotState, now: int, limit: float) -> None:
-    """Raise ValueError for a HOLD or PASS stamped more than `limit` (s) from `now` (ns).
-
-    It may be the latched state of a supervisor that is gone. RELAX and OFF are always accepted.
-    """
-    if message.action in (RobotState.ACTION_HOLD, RobotState.ACTION_PASS):
-        require_present(decode.stamp(message), now, limit)
-
-
 def require_sole_publisher(
     node: Node, topic: str, relax: Callable[[str], None]
 ) -> None:
@@ -172,12 +169,17 @@ def _full_name(endpoint: TopicEndpointInfo) -> str:
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
 
-def require_sole_supervisor(
-    node: Node, message: RobotState, relax: Callable[[str], None]
+def require_supervisor(
+    node: Node, message: RobotState, now: int, watchdog: Watchdog
 ) -> None:
-    """Check who publishes /robot_state, for HOLD or PASS; RELAX and OFF are always accepted."""
+    """Raise ValueError for a HOLD or PASS that may not be of the supervisor that runs.
+
+    Another node publishes the topic too, or the stamp is far from `now` (ns): the latched state of
+    a supervisor that is gone. RELAX and OFF are always accepted.
+    """
     if message.action in (RobotState.ACTION_HOLD, RobotState.ACTION_PASS):
-        require_sole_publisher(node, "robot_state", relax)
+        require_sole_publisher(node, "robot_state", watchdog.relax)
+        require_present(decode.stamp(message), now, watchdog.clock_jump)
 
 
 def require_nominal(preview: GaitPreview) -> None:

@@ -111,7 +111,10 @@ def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> No
     interrupt = Interrupt()
     try:
         with interrupt:
-            _init()
+            try:
+                rclpy.init()  # its handlers of signals call those set before
+            except RuntimeError as error:  # arguments that are not YAML, a wrong domain
+                raise config.ConfigError(error) from None
             node = make_node()
             for one in getattr(node, "nodes", [node]):
                 fix_clock(one)
@@ -173,16 +176,6 @@ def fix_clock(node: Node) -> None:
     node.set_descriptor(
         "use_sim_time", ParameterDescriptor(type=kind, description=text, read_only=True)
     )
-
-
-def _init() -> None:
-    """Initialise rclpy, whose handlers of signals call those set before."""
-    try:
-        rclpy.init()
-    except (
-        RuntimeError
-    ) as error:  # arguments that are not YAML, a domain that is not a number
-        raise config.ConfigError(error) from None
 
 
 def declare_settings(

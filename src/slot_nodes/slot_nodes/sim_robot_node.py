@@ -21,6 +21,7 @@ the node writes its state to a file and ends.
 
 import time
 from collections.abc import Callable, Iterable
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
@@ -61,8 +62,8 @@ from slot_core.simulation.simulated_servos import (
     make_servos,
 )
 from slot_msgs.msg import LegStates, RobotState, ServoHealth, ServoLimits
-from slot_nodes import fault_service, inputs, messages, qos, runtime
-from slot_nodes.health_publisher import HealthPublisher
+from slot_msgs.srv import InjectFault
+from slot_nodes import diagnostics, inputs, messages, qos, runtime
 
 FROZEN_PERIOD = 0.1  # s, between two readings of the frozen robot in lockstep
 REAL_TIME_PERIOD = 0.002  # s, between two advances of the simulation
@@ -101,8 +102,8 @@ class SimRobotNode(Node):
         text = (
             "directory for the state of a diverged simulation; empty: working directory"
         )
-        dump = runtime.declare(self, "dump", "", text)
-        self._save_state = partial(fault_service.save_state, dump, scene)
+        self._dump = runtime.declare(self, "dump", "", text)
+        self._scene = scene
         text = "port of emulated servos, in lockstep without one; empty: servos of servo.yaml"
         link = runtime.declare(self, "bus", "", text)
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
@@ -123,7 +124,7 @@ class SimRobotNode(Node):
         self._speed = Speed(PACE_WINDOW)
         self._action: Action | None = None  # of the servos, as last logged
         self._create_publishers()
-        fault_service.serve(self, self._plant)
+        self.create_service(InjectFault, "~/inject", self._on_inject)
         self.create_subscription(Bool, "recording", self._on_recording, qos.STATE)
         period = FROZEN_PERIOD if self._lockstep else settings.sensors.odometry.period
         self._timer = runtime.wall_timer(self, period, self._publish_at_rest)
@@ -145,8 +146,8 @@ class SimRobotNode(Node):
             raise ConfigError(f"sim_robot: servos refused: {error}") from None
         if isinstance(servos, BusServos) and not self._lockstep:
             return servos  # the driver takes commands, obeys the supervisor and reports
-        if not self._lockstep:
-            self._health = HealthPublisher(self)
+        if isinstance(servos, DirectServos) and not self._lockstep:
+            self._health = diagnostics.HealthReport(self, servos)
         on_state = partial(self._on_robot_state, servos)
 
         def on_limits(message: ServoLimits) -> None:
@@ -244,10 +245,7 @@ class SimRobotNode(Node):
     def _on_robot_state(self, servos: SimulatedServos, message: RobotState) -> None:
         permission = decode.permission(message, self._servo_time())
         try:
-            inputs.require_sole_supervisor(self, message, servos.watchdog.relax)
-            inputs.require_present_permission(
-                message, self._now(), servos.watchdog.clock_jump
-            )
+            inputs.require_supervisor(self, message, self._now(), servos.watchdog)
             servos.permit(permission)
         finally:
             self._continue(StampedHealth, decode.stamp(message))
@@ -309,7 +307,7 @@ class SimRobotNode(Node):
         servos = self._servos
         servos.step(time.monotonic_ns())
         if isinstance(servos, DirectServos):
-            self._health.publish(self._now(), servos)
+            self._health.publish_health(self._now())
             self._log_action(servos.action, servos.watchdog.reason)
 
     def _log_action(self, action: Action, reason: str) -> None:
@@ -329,6 +327,34 @@ class SimRobotNode(Node):
         self._frozen = True  # time stops while the driver switches the servos off
         self.get_logger().fatal(f"{error}; {self._save_state(error)}")
         raise SystemExit(1) from None
+
+    def _save_state(self, divergence: DivergenceError) -> str:
+        """Write the state of a diverged simulation; return a line with its path or the error."""
+        name = f"lost_{datetime.now():%Y%m%d_%H%M%S}.npz"
+        path = Path(self._dump, name).absolute()
+        try:
+            divergence.save(path, self._scene)
+        except OSError as error:
+            return f"its state could not be written: {error}"
+        return f"its state is in {path}"
+
+    def _on_inject(
+        self, request: InjectFault.Request, response: InjectFault.Response
+    ) -> InjectFault.Response:
+        faults = self._plant.faults
+        try:
+            if request.clear:
+                faults.clear(request.kind, request.leg)
+            else:
+                faults.inject(decode.fault(request))
+        except ValueError as error:
+            response.message = str(error)
+            return response
+        done = "cleared" if request.clear else "injected"
+        line = f"fault {done}: {request.kind} at {request.leg}"
+        self.get_logger().warning(line)
+        response.success = True
+        return response
 
     def destroy_node(self) -> None:
         """Switch emulated servos off, or wait for the driver to do so, then destroy the node."""

@@ -2,7 +2,7 @@
 
 from functools import partial
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from sensor_msgs.msg import Imu
@@ -13,8 +13,7 @@ from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.messages import decode
 from slot_msgs.msg import MpcState, StageRecord
-from slot_nodes import inputs, messages, qos, runtime, stage_record
-from slot_nodes.graph_diagnostics import GraphDiagnostics, of_estimator
+from slot_nodes import diagnostics, inputs, messages, qos, runtime, stage_record
 from slot_nodes.process import intra_process
 
 
@@ -39,10 +38,8 @@ class StateEstimatorNode(Node):
         mounts.publish(
             messages.mounts_to_tf(settings.mounts.imu, settings.mounts.camera)
         )
-        self._diagnostics, self._afterwards = (
-            GraphDiagnostics(self),
-            intra_process.afterwards(),
-        )
+        self._diagnostics = diagnostics.DiagnosticReport(self)
+        self._afterwards = intra_process.afterwards()
         profile = inputs.sensor_profile(self, qos.SENSOR)
         self._imu = inputs.subscribe(self, Imu, "imu", self._on_imu, profile)
         inputs.subscribe(self, Odometry, "odom", self._on_odometry, profile)
@@ -86,11 +83,12 @@ class StateEstimatorNode(Node):
     def _publish_rest(self, estimate: Estimate) -> None:
         """Publish the outputs for which no command waits."""
         self._tf.publish(messages.state_to_tf(estimate))
-        describe = partial(self._describe, estimate.validity)
-        self._diagnostics.publish(estimate.stamp, describe)
+        self._diagnostics.publish(estimate.stamp, partial(self._describe, estimate))
 
-    def _describe(self, validity: Validity) -> list[DiagnosticStatus]:
-        return [of_estimator(validity, self._estimator.incline)]
+    def _describe(self, estimate: Estimate) -> DiagnosticArray:
+        incline = self._estimator.incline
+        status = diagnostics.of_estimator(estimate.validity, incline)
+        return diagnostics.array(estimate.stamp, [status])
 
 
 def main() -> None:

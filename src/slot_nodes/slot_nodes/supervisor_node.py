@@ -43,7 +43,7 @@ from slot_msgs.msg import (
 )
 from slot_msgs.srv import ForgetSource, SetGait
 from slot_nodes import inputs, messages, qos, runtime
-from slot_nodes.graph_diagnostics import SupervisorDiagnostics
+from slot_nodes.diagnostics import SupervisorDiagnostics
 
 ESTOP_TYPE = "slot_msgs/msg/EmergencyStop"
 LIMITS_PERIOD = 1.0  # s, between two messages with the limits of the servos

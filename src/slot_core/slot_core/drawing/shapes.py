@@ -1,7 +1,7 @@
 """Shapes that show the robot in a 3-D viewer: bent legs, tendons, forces, torso and paths.
 
-A shape is points and colours in odom, for any viewer: `slot_nodes.visualization` makes ROS markers
-of it, `slot_bringup.playing.scene_view` shows it in the browser.
+A shape is points and colours in odom, for any viewer: `visualizer_node` makes ROS
+markers of it, `slot_bringup.playing.scene_view` shows it in the browser.
 """
 
 import itertools

@@ -6,7 +6,7 @@ time anyway, robot and supervisor share the process too.
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 
 import rclpy.utilities
@@ -20,6 +20,12 @@ from slot_nodes.process.intra_process import Mailbox
 # In the order of the data: a node that calls `inputs.process_received` is made after the publisher.
 CONTROLLER = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
 CHAIN = ("sim_robot", *CONTROLLER, "supervisor")
+
+
+def node_class(name: str) -> Callable[[], Node]:
+    """Class of a node of the graph by the node's name."""
+    words = "".join(part.capitalize() for part in name.split("_"))
+    return getattr(import_module(f"slot_nodes.{name}_node"), f"{words}Node")
 
 
 class ComposedNodes:
@@ -38,10 +44,7 @@ class ComposedNodes:
         try:
             with mailbox.in_use():
                 for name in (name for name in CHAIN if name in names):
-                    made = (
-                        "".join(part.capitalize() for part in name.split("_")) + "Node"
-                    )
-                    node = getattr(import_module(f"slot_nodes.{name}_node"), made)()
+                    node = node_class(name)()
                     self.nodes.append(node)
                     self._executor.add_node(node)
         except BaseException:

@@ -1,14 +1,18 @@
-"""Diagnostics of the graph: conditions, overruns, fallbacks and disturbances, without a bus."""
+"""Diagnostics: conditions, overruns, fallbacks, disturbances and servos; when they are published."""
 
 import math
+import types
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from slot_core.estimation.estimate import Validity
-from slot_core.safety.states import State
+from slot_core.robot import LEGS
+from slot_core.safety.states import Action, State
+from slot_core.servos.servo_bus import ServoStatus
+from slot_core.servos.session import BusPace
 from slot_msgs.msg import TendonPlan
-from slot_nodes import graph_diagnostics
+from slot_nodes import diagnostics, runtime
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
@@ -74,17 +78,17 @@ def test_a_lost_estimate_and_a_fault_are_reported_at_once(walking):
 def test_overruns_and_fallbacks_of_the_controller_are_reported(
     changes, passed, level, message
 ):
-    status = graph_diagnostics.of_controller(TendonPlan(**changes), passed)
+    status = diagnostics.of_controller(TendonPlan(**changes), passed)
     assert (status.level, status.message) == (level, message)
 
 
 def test_disturbances_are_in_plain_units_and_empty_where_they_are_unknown():
     plan = TendonPlan(mass=2.3, drift=[0.03, -0.04, 0.1], wrench=[-2.94, 0.0, 0.1])
-    status = graph_diagnostics.of_disturbances(plan, 2.0)
+    status = diagnostics.of_disturbances(plan, 2.0)
     assert status.message == "payload 0.3 kg, slip 50 mm/s"
     values = {v.key: v.value for v in status.values}
     assert values["slip_mm_s"] == "30, -40"
-    unknown = graph_diagnostics.of_disturbances(TendonPlan(mass=math.nan), 2.0)
+    unknown = diagnostics.of_disturbances(TendonPlan(mass=math.nan), 2.0)
     assert {v.value for v in unknown.values} == {""}
 
 
@@ -97,8 +101,47 @@ def test_disturbances_are_in_plain_units_and_empty_where_they_are_unknown():
     ],
 )
 def test_the_incline_is_reported_where_it_is_known(validity, level):
-    known = graph_diagnostics.of_estimator(validity, (0.1, 0.01))
+    known = diagnostics.of_estimator(validity, (0.1, 0.01))
     assert (known.level, known.message) == (level, validity.name)
     assert [v.value for v in known.values] == ["5.73", "0.573"]
-    vague = graph_diagnostics.of_estimator(validity, (0.1, 0.1))
+    vague = diagnostics.of_estimator(validity, (0.1, 0.1))
     assert [v.value for v in vague.values] == ["", ""]
+
+
+@pytest.mark.parametrize("silent", LEGS)
+def test_a_silent_servo_is_an_error_of_that_servo_alone(silent):
+    health = [ServoStatus(leg, 1) for leg in LEGS]  # all with one id
+    session = types.SimpleNamespace(
+        bus=types.SimpleNamespace(
+            health=health, active=False, facts=types.SimpleNamespace(brand="")
+        ),
+        watchdog=types.SimpleNamespace(overdue=False),
+        silent=lambda: {silent: "the line of its silence"},
+        reason="",
+        action=Action.PASS,
+    )
+    message = diagnostics.of_servos(0, session, BusPace(100.0, 0.01, 0.01, 0), None)
+    found = [(status.level, status.message) for status in message.status[1:]]
+    sound = (OK, "sound")
+    broken = (ERROR, "the line of its silence")
+    assert found == [broken if leg == silent else sound for leg in LEGS]
+
+
+def test_a_report_comes_every_period_at_a_change_and_when_the_clock_went_back(
+    monkeypatch,
+):
+    published = []
+    publisher = types.SimpleNamespace(publish=published.append)
+    monkeypatch.setattr(runtime, "publisher", lambda *_: publisher)
+    report = diagnostics.PeriodicReport(None, None, "", 0.05)
+    begin, period = 500_000_000, 50_000_000  # ns
+    wanted = {
+        begin: "hold",
+        begin + period - 2: "pass",
+        begin + 2 * period - 2: "pass",
+        begin - period: "pass",
+    }
+    for stamp, key in wanted.items():
+        for later in (0, 1):  # the second is not due
+            report.publish(stamp + later, lambda stamp=stamp: stamp, key)
+    assert published == list(wanted)

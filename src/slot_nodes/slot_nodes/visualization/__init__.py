@@ -1,1 +1,0 @@
-"""The robot as markers for RViz and Foxglove."""
