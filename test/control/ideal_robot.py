@@ -16,18 +16,12 @@ NOTHING = np.zeros(3)
 AHEAD = np.array([0.05, 0.0, 0.0])
 
 
-def state(x=0.0, y=0.0, yaw=0.0, z=0.06):
-    row = np.zeros(12)
-    row[[3, 4, 2, 5]] = x, y, yaw, z
-    return row
-
-
 class Ideal:
     """A robot that moves exactly as its reference says, after `seconds` of ticks."""
 
     def __init__(self, gait="stand", velocity=NOTHING, path=None, seconds=0.0):
         self.scheduler = GaitScheduler(GAITS, ROBOT, SPRINGS, gait, velocity, path)
-        self.now, self.state, self.previews = SECOND, state(), []
+        self.now, self.state, self.previews = SECOND, 0.06 * np.eye(12)[5], []
         self.run(seconds)
 
     def run(self, seconds):
@@ -52,6 +46,5 @@ class Ideal:
 
 def stands(preview):
     """Whether the legs are loaded, corrected and at rest over the horizon."""
-    return preview.corrected and bool(
-        np.ptp(preview.tendon_angle, axis=0).max() < 1e-12
-    )
+    moves = np.ptp(preview.tendon_angle, axis=0).max()
+    return preview.corrected and bool(moves < 1e-12)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ideal_robot import AHEAD, GAITS, NOTHING, TICK, Ideal, stands
+from ideal_robot import AHEAD, GAITS, NOTHING, WALK, Ideal, stands
 
 from slot_core.clock import SECOND
 from slot_core.config import ConfigError
@@ -18,12 +18,11 @@ def test_a_velocity_command_expires_and_the_robot_stops_but_a_requested_velocity
     assert robot.run(5.0)[-1].command.velocity == pytest.approx(AHEAD)
     robot.scheduler.set_velocity(robot.now, AHEAD)
     early = robot.run(GAITS.velocity_timeout)[-1]
-    late = robot.run(3.0)
     assert early.command.velocity == pytest.approx(AHEAD)
+    late = robot.run(3.0)
     assert not late[2].command.velocity.any()
     assert late[-1].reference[0, 9:11] == pytest.approx(0.0)
     assert stands(late[-1])
-    assert np.ptp(late[-1].tendon_angle, axis=0) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("late", [-1.0, 0.52, 10_000.0])
@@ -32,14 +31,11 @@ def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refus
 ):
     """A stamp from the future might never expire, and an old command may be a late stop."""
     robot = Ideal("walk", AHEAD, seconds=3.0)
-    with pytest.raises(
-        ConfigError, match=r"stamp is [+-]\d+\.\d{3} s from the state's \(limit 0\.5 s"
-    ) as refusal:
+    message = r"stamp is [+-]\d+\.\d{3} s from the state's \(limit 0\.5 s"
+    with pytest.raises(ConfigError, match=message):
         robot.scheduler.set_velocity(robot.now + round(late * SECOND), AHEAD)
-    assert "\n" not in str(refusal.value)
-    after = robot.run(
-        0.1
-    )  # in which a stamp just too far ahead would come within the limit
+    # in this time a stamp just too far ahead would come within the limit
+    after = robot.run(0.1)
     assert not np.any([preview.command.velocity for preview in after])
 
 
@@ -63,12 +59,9 @@ def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refus
     ],
 )
 def test_a_refused_command_changes_nothing_and_names_value_and_limit(call, message):
-    robot, other = Ideal("walk", AHEAD), Ideal("walk", AHEAD)
-    robot.run(2.0)
-    other.run(2.0)
-    with pytest.raises(ConfigError, match=message) as refusal:
+    robot, other = (Ideal("walk", AHEAD, seconds=2.0) for _ in range(2))
+    with pytest.raises(ConfigError, match=message):
         call(robot.scheduler)
-    assert "\n" not in str(refusal.value)
     for mine, theirs in zip(robot.run(1.0), other.run(1.0)):
         assert (mine.tendon_angle == theirs.tendon_angle).all()
         assert (mine.command.velocity == theirs.command.velocity).all()
@@ -77,11 +70,9 @@ def test_a_refused_command_changes_nothing_and_names_value_and_limit(call, messa
 @pytest.mark.parametrize("gait", GAITS.strides)
 def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(gait):
     rng = np.random.default_rng(0)
-    axes, random = (
-        np.vstack([np.eye(3), -np.eye(3)]),
-        rng.normal(size=(200, 3)) * [0.1, 0.1, 0.5],
-    )
-    for wanted in np.vstack([10.0 * axes, random, 1e6 * random[:3], [[0.5, 0.0, 1.0]]]):
+    axes = 10.0 * np.vstack([np.eye(3), -np.eye(3)])
+    random = rng.normal(size=(200, 3)) * [0.1, 0.1, 0.5]
+    for wanted in np.vstack([axes, random, 1e6 * random[:3], [[0.5, 0.0, 1.0]]]):
         given, remark = GAITS.clipped(gait, wanted)
         GAITS.require_velocity(gait, given)
         share = np.linalg.norm(given) / np.linalg.norm(wanted)
@@ -92,34 +83,22 @@ def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(gait
                 GAITS.require_velocity(gait, 1.0001 * given)
         else:
             assert (given == wanted).all()
-        assert GAITS.clipped(gait, given)[1] == ""
 
 
 def test_a_clipped_velocity_is_said_while_it_is_in_force():
     robot = Ideal("walk", AHEAD, seconds=2.0)
     robot.scheduler.set_velocity(robot.now, [0.5, 0.0, 1.0])  # of teleop_twist_keyboard
     clipped, *_, expired = robot.run(GAITS.velocity_timeout + 0.2)
-    v_x, _, turn = clipped.command.velocity
-    assert turn == pytest.approx(2.0 * v_x)
+    v_x = clipped.command.velocity[0]
     said = f"velocity clipped to the reach of gait walk: v_x 0.5 to {v_x:.3g}, yaw rate 1 to"
     assert clipped.remark.startswith(said)
     assert expired.remark == ""
-    robot.scheduler.set_velocity(robot.now, [0.5, 0.0, 0.0])
     robot.scheduler.request("stand", NOTHING)
-    assert robot.run(0.033)[-1].remark == ""
     robot.scheduler.set_velocity(robot.now, [0.02, 0.0, 0.0])
     standing = robot.run(0.033)[-1]
     assert standing.remark.endswith("gait stand: v_x 0.02 to 0")
-    assert not standing.command.velocity.any()
-
-
-def test_a_request_during_a_blend_waits_for_its_end():
-    robot = Ideal("walk", AHEAD, seconds=3.0)
     robot.scheduler.request("stand", NOTHING)
-    assert robot.run(0.5)[-1].gait == "stand"
-    robot.scheduler.request("walk", AHEAD)
-    assert robot.run(0.4)[-1].gait == "stand"
-    assert robot.run(0.3)[-1].gait == "walk"
+    assert robot.run(0.033)[-1].remark == ""
 
 
 @pytest.mark.parametrize("jump", [-500.0, -0.04, 5.0, 1e4])
@@ -140,45 +119,45 @@ def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
     robot = Ideal("stand", NOTHING, Route(points, "kept"), seconds=0.5)
     robot.scheduler.request("walk", AHEAD)
     robot.run(3.0)
-    before, strides = robot.state[3], 5 * GAITS.strides["walk"].period
+    before, strides = robot.state[3], 5 * WALK.period
     robot.run(strides)
     assert robot.state[3] - before == pytest.approx(AHEAD[0] * strides, rel=0.05)
+    # without velocity it stands, wherever the path leads
     robot.scheduler.request("walk", NOTHING)
-    assert stands(
-        robot.run(3.0)[-1]
-    )  # without velocity it stands, wherever the path leads
+    assert stands(robot.run(3.0)[-1])
+
+
+def test_a_path_asks_no_more_than_the_gait_reaches():
+    """Where the path turns by 90 deg the heading along it would change at 1.6 rad/s."""
+    corner = Route(np.array([[0.0, 0.0], [0.05, 0.0], [0.05, 0.5]]), "along")
+    robot = Ideal("walk", AHEAD, corner, seconds=6.0)
+    rates = [preview.reference[0, 8] for preview in robot.previews]
+    assert max(np.abs(rates)) <= WALK.forward_steering.rate_max + 1e-9
 
 
 def test_while_the_servos_do_not_follow_the_phase_waits_and_nothing_is_corrected():
     robot = Ideal("walk", AHEAD, seconds=3.0)
     robot.scheduler.set_followed(False)
-    before = robot.run(0.033)[-1]
-    held = robot.run(2.0)[-1]
+    before, *_, held = robot.run(2.0)
     assert held.phase == before.phase
     assert not held.command.followed
+    assert not held.corrected
     assert (held.tendon_angle == held.tendon_angle[0]).all()  # over the horizon too
     robot.scheduler.set_followed(True)
-    passed = (robot.run(0.1)[-1].phase - before.phase) % 1.0
+    moving = robot.run(SETTLING - 0.1)
+    assert not any(preview.corrected for preview in moving)
+    passed = (moving[2].phase - before.phase) % 1.0
     assert passed == pytest.approx(0.1 / held.period, abs=0.02)
-
-
-@pytest.mark.parametrize("gait", ["stand", "walk"])
-def test_angles_are_corrected_once_the_servos_have_followed_for_a_while(gait):
-    robot = Ideal(gait, AHEAD if gait == "walk" else NOTHING)
-    assert robot.run(1.1)[-1].corrected
-    robot.scheduler.set_followed(False)
-    assert not any(preview.corrected for preview in robot.run(1.0))
-    robot.scheduler.set_followed(True)
-    assert not any(preview.corrected for preview in robot.run(SETTLING - 0.1))
     assert robot.run(0.2)[-1].corrected
 
 
-def test_slack_legs_are_not_corrected():
-    robot = Ideal("lie", seconds=3.0)
-    assert not robot.previews[-1].corrected
+def test_slack_legs_are_without_angle_contact_and_correction():
+    robot = Ideal("lie", seconds=4.0)
+    lying = robot.previews[-1]
+    assert not np.any([lying.tendon_angle, lying.contact])
+    assert not lying.corrected
     robot.scheduler.request("stand", NOTHING)
-    changing = robot.run(0.5)
-    assert not any(preview.corrected for preview in changing)
+    assert not any(preview.corrected for preview in robot.run(0.5))
     assert robot.run(2.0)[-1].corrected
 
 
@@ -189,20 +168,3 @@ def test_the_reference_stays_near_the_robot_and_begins_anew_after_a_jump(place):
     gap = robot.run(0.033)[0].reference[0, [3, 4, 2]] - robot.state[[3, 4, 2]]
     assert np.hypot(*gap[:2]) < GAITS.lead + 0.01  # of the sway
     assert abs(gap[2]) <= GAITS.heading_lead
-
-
-def test_everything_commanded_can_be_set_from_a_recorded_preview():
-    robot, replayed = Ideal("stand"), Ideal("stand")
-    robot.run(0.5)
-    robot.scheduler.request("walk", AHEAD)
-    robot.run(3.0)
-    robot.scheduler.set_velocity(robot.now, np.array([0.0, 0.03, 0.05]))
-    robot.scheduler.set_pose(np.array([0.06, 0.0, 0.0]))
-    robot.run(2.0)
-    robot.scheduler.request("sit", NOTHING)
-    robot.run(2.0)
-    for preview in robot.previews:
-        replayed.scheduler.set_command(preview.command)
-        (again,) = replayed.run(TICK / SECOND)
-        assert (again.tendon_angle == preview.tendon_angle).all()
-        assert (again.reference[:, 5] == preview.reference[:, 5]).all()

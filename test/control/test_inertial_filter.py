@@ -145,11 +145,8 @@ def test_a_walk_agrees_with_the_plain_filter():
             plain.use_gyro(gyro)
             compiled.correct(motion)
             plain.correct(motion)
-            state, cov = compiled.output()
+            state, _ = compiled.output()
             np.testing.assert_allclose(state, plain.state(), rtol=0, atol=3e-11)
-            np.testing.assert_allclose(
-                cov[3:6, 3:6], plain.cov[3:6, 3:6], rtol=1e-8, atol=1e-14
-            )
             scale = np.sqrt(np.diag(plain.cov))
             difference = (compiled.state.cov - plain.cov) / np.outer(scale, scale)
             assert np.abs(difference).max() < 1e-9
