@@ -255,13 +255,6 @@ def test_missing_imu_is_flagged_and_estimates_continue_from_the_odometry():
     assert np.all(np.abs(error(present, motion)) < 5 * sigma)
 
 
-def test_without_any_imu_estimates_come_one_reading_late():
-    readings = odometry_messages(Walk(), 1.0)
-    estimates, _ = run(readings)
-    assert [e.stamp for e in estimates] == [m[1] for m in readings[:-1]]
-    assert set(validities(estimates[N:])) == {Validity.IMU_MISSING}
-
-
 @pytest.mark.parametrize("false", [6.0, -6.0])
 def test_a_filter_that_a_false_force_has_led_astray_is_valid_again_within_a_second(
     false,

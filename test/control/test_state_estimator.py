@@ -21,7 +21,6 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from slot_core.clock import SECOND
-from slot_core.estimation.estimate import Validity
 from slot_core.estimation.state_estimator import StateEstimator
 from slot_core.robot import GRAVITY
 
@@ -39,17 +38,6 @@ def test_dead_reckoning_error_falls_with_the_square_of_the_imu_interval():
     assert np.all(np.abs(order - 2) < 0.1)  # the next order's share at 200 Hz
     # h^2/12 |f''| t^2/2 with |f''| = omega^2 f_0 + |w|^2 g = 100 m/s^4
     assert errors[0] < 1e-4
-
-
-def test_without_noise_the_error_is_the_discretisation_error():
-    motion = Walk()
-    estimates, _ = run(clean(motion, 3.0))
-    valid = [e for e in estimates if e.validity == Validity.VALID]
-    errors = np.array([error(e, motion) for e in valid])
-    rms = np.sqrt(np.mean(errors**2, axis=0)).reshape(4, 3).max(axis=1)
-    # angle, p and v: far below the odometry's noise; omega: third derivative of the tilt times
-    # the square of the interval, 0.22 rad (2 pi / 0.7 s)^3 (5 ms)^2 = 4e-3 rad/s
-    assert np.all(rms < [1e-4, 2e-5, 4e-3, 2e-4]), rms
 
 
 CASES = {

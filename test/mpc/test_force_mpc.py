@@ -144,17 +144,6 @@ def test_full_turns_of_the_reference_do_not_matter():
     assert np.abs(a[:, :2]).max() > 1e-3  # the yaw error is not zero
 
 
-def test_a_preview_as_long_as_the_horizon_repeats_its_last_reference():
-    reference = np.tile(state(), (H + 1, 1))
-    reference[:, 5] = np.linspace(0.04, 0.06, H + 1)
-    reference[H] = reference[H - 1]
-    whole, short = (
-        new_mpc().step(torso(), preview(n, reference=reference[:n])).force
-        for n in (H + 1, H)
-    )
-    np.testing.assert_allclose(whole, short, atol=1e-9)  # roundoff
-
-
 def test_slacks_are_those_of_the_first_stage():
     contact = np.ones((H + 1, 4), dtype=bool)
     contact[0, 3] = False
