@@ -108,13 +108,13 @@ def test_amplitudes_are_bounded_by_an_ellipsoid():
 
 
 def test_offsets_shift_the_angles_within_the_range():
-    offset = np.radians([5.0, -5.0, 90.0, -90.0])
-    plain, shifted = (stride_table([0.05, 0, 0], offset=o) for o in (NO_OFFSET, offset))
-    angle = np.clip(plain[:, :2] + offset[:2], *np.radians(WALK.range_deg))
-    assert shifted[:, :2] == pytest.approx(angle, abs=0.15)
-    # 90 deg more or less leave little of the range
-    assert shifted[:, 2].min() > plain[:, 2].min() + np.radians(30.0)
-    assert shifted[:, 3].max() < plain[:, 3].max() - np.radians(30.0)
+    offset, stride = np.radians([5.0, -5.0, 90.0, -90.0]), filled()
+    plain, shifted = (
+        stride_table([0.05, 0, 0], stride=stride, offset=o)[:, :4]
+        for o in (NO_OFFSET, offset)
+    )
+    expected = np.clip(plain + offset, *np.radians(stride.range_deg))
+    assert shifted == pytest.approx(expected, abs=1e-12)
 
 
 def test_rates_and_velocities_of_the_torso_are_the_derivatives_of_its_angles_and_sway():

@@ -101,9 +101,7 @@ def test_a_robot_at_rest_balances_its_weight_at_its_heights(gait, pose):
 
 def reached(name, share):
     """Velocity that a gait reaches when a share (3,) of its largest ones is commanded."""
-    gait = GAITS.find(name)
-    asked = share * np.array(gait.speeds)
-    return gait.reached(asked) if name in GAITS.strides else asked
+    return GAITS.clipped(name, share * np.array(GAITS.find(name).speeds))[0]
 
 
 def test_no_sequence_of_commands_asks_for_more_than_the_final_check_lets_pass():
