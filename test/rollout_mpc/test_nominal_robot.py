@@ -2,16 +2,13 @@
 
 import numpy as np
 import pytest
-from nominal_walk import torso_of
+from nominal_walk import ROBOT, SETTINGS, torso_of
 
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.tabulated_robot import TabulatedRobot
-from slot_core.robot import read_robot
 from slot_core.rollout_mpc.nominal_robot import NominalRobot, nominal_scene
-from slot_core.rollout_mpc.settings import read_rollout_mpc
 
-ROBOT, SETTINGS = read_robot(), read_rollout_mpc().nominal
-DT, STAGES = 0.033, 22
+NOMINAL, DT, STAGES = SETTINGS.nominal, 0.033, 22
 STANDING = np.array([0.02, -0.01, 0.4, 0.1, -0.2, 0.055, 0, 0, 0, 0, 0, 0])
 
 
@@ -24,7 +21,7 @@ def plans(count, seed=0):
 
 @pytest.fixture
 def model():
-    return NominalRobot(ROBOT, SETTINGS, DT)
+    return NominalRobot(ROBOT, NOMINAL, DT)
 
 
 def test_a_rollout_is_the_motion_of_the_simulated_robot(model):
@@ -32,14 +29,14 @@ def test_a_rollout_is_the_motion_of_the_simulated_robot(model):
     several = plans(3)
     start = model.at_rest(STANDING, several[0, 0])
     found = model.roll_out(start, several)
-    step = DT / (SETTINGS.cycles * SETTINGS.steps)
-    robot = TabulatedRobot(ROBOT, nominal_scene(SETTINGS, step), read_servo())
+    step = DT / (NOMINAL.cycles * NOMINAL.steps)
+    robot = TabulatedRobot(ROBOT, nominal_scene(NOMINAL, step), read_servo())
     for plan, pose, force in zip(several, found.pose, found.force):
         robot.state.buffer[:], robot.feet.side_rate[:] = start
         for k in range(STAGES):
-            for share in np.arange(SETTINGS.cycles) / SETTINGS.cycles:
+            for share in np.arange(NOMINAL.cycles) / NOMINAL.cycles:
                 angle = plan[k] + share * (plan[k + 1] - plan[k])
-                robot.advance(SETTINGS.steps, angle)
+                robot.advance(NOMINAL.steps, angle)
             np.testing.assert_allclose(force[k], robot.ground_force, rtol=0, atol=1e-9)
             # rounding
             there = [*robot.rpy, *robot.position]

@@ -3,12 +3,11 @@
 import cvxpy as cp
 import numpy as np
 import pytest
+from nominal_walk import ROBOT, SETTINGS
 
-from slot_core.robot import read_robot
 from slot_core.rollout_mpc.problem import PlanProblem
-from slot_core.rollout_mpc.settings import read_rollout_mpc
 
-SETTINGS, ANGLE_MAX, DT = read_rollout_mpc(), read_robot().tendon.angle_max, 0.033
+ANGLE_MAX, DT = ROBOT.tendon.angle_max, 0.033
 K = SETTINGS.stages
 
 
