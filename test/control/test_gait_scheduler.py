@@ -131,6 +131,7 @@ def test_no_sequence_of_commands_asks_for_more_than_the_final_check_lets_pass():
     assert robot.steps.max() < 1.05 * gate.rate_max * gate.burst
     angle = np.array([preview.tendon_angle for preview in robot.previews])
     assert 0.0 <= angle.min() <= angle.max() <= ROBOT.tendon.angle_max  # NaN is not
+    assert min(preview.normal_force.min() for preview in robot.previews) >= 0.0
     assert {preview.gait for preview in robot.previews} == set(GAITS.gaits)
     replayed = Ideal()
     for preview in robot.previews:
@@ -290,6 +291,15 @@ def test_a_clipped_velocity_is_said_while_it_is_in_force():
     said = f"velocity clipped to the reach of gait walk: v_x 0.5 to {v_x:.3g}, yaw rate 1 to"
     assert clipped.remark.startswith(said)
     assert expired.remark == ""
+
+
+def test_a_request_during_a_blend_waits_for_its_end():
+    robot = Ideal("walk", AHEAD, seconds=3.0)
+    robot.scheduler.request("stand", NOTHING)
+    assert robot.run(0.5)[-1].gait == "stand"
+    robot.scheduler.request("walk", AHEAD)
+    later = robot.run(0.7)
+    assert (later[11].gait, later[-1].gait) == ("stand", "walk")
 
 
 @pytest.mark.parametrize("jump", [-500.0, -0.04, 5.0, 1e4])

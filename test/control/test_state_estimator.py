@@ -123,7 +123,6 @@ def test_the_filter_does_not_depend_on_the_interleaving_of_the_streams(seed):
     messages, rng = noisy(Walk(), 2.0, 3, GYRO_BIAS), np.random.default_rng(seed)
     shift = rng.uniform(-0.02, 0.02)
     shuffled = arriving(messages, lambda: shift + rng.uniform(-0.016, 0.016))
-    assert [m[1] for m in shuffled] != [m[1] for m in messages]
     (expected, one), (estimates, other) = run(messages), run(shuffled)
     assert [e.stamp for e in estimates] == [e.stamp for e in expected]
     alike = [(a, b) for a, b in zip(estimates, expected) if a.time == b.time]
