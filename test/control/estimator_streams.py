@@ -70,20 +70,12 @@ class Walk:
         return state, attitude, attitude.inv().apply(omega), force
 
 
-class Spin(Walk):
-    """Constant rotation about a tilted axis, sinusoidal translation."""
-
-    AXIS = np.array([0.6, -0.9, 1.4])  # rad/s, in base_link
-
-    def at(self, t):
-        state, _, _, _ = super().at(t)
-        attitude = Rotation.from_rotvec(self.AXIS * t)
-        acceleration = -self.amplitude[3:] * self.omega[3:] ** 2
-        acceleration = acceleration * np.sin(self.omega[3:] * t + self.phase[3:])
-        force = attitude.inv().apply(acceleration + UP)
-        state[:3] = attitude.as_euler("ZYX")[::-1]
-        state[6:9] = attitude.apply(self.AXIS)
-        return state, attitude, self.AXIS, force
+def spin():
+    """Constant rotation about an axis that is tilted in base_link, sinusoidal translation."""
+    motion = Walk(turn=1.7)
+    motion.amplitude[:3] = 0.0
+    motion.offset[:2] = 0.5, -0.6
+    return motion
 
 
 def imu_messages(motion, duration, rate=200, rng=None, bias=0.0):
@@ -118,14 +110,13 @@ def arrivals(*streams):
     return sorted((m for s in streams for m in s), key=lambda m: (m[1], m[0]))
 
 
-def run(messages, settings=SETTINGS):
+def run(messages, settings=SETTINGS, estimator=None):
     """Estimates and estimator after all messages; polled after each message."""
-    estimator = StateEstimator(settings)
+    estimator = StateEstimator(settings) if estimator is None else estimator
     estimates: list[Estimate] = []
     for kind, stamp, values in messages:
         (estimator.add_imu if kind == "imu" else estimator.add_odometry)(stamp, *values)
-        while (estimate := estimator.poll()) is not None:
-            estimates.append(estimate)
+        estimates += iter(estimator.poll, None)
     return estimates, estimator
 
 
@@ -148,40 +139,37 @@ def clean(motion, duration):
     return arrivals(imu_messages(motion, duration), odometry_messages(motion, duration))
 
 
-def without_odometry(messages, keep=1):
-    """The messages with every odometry reading after the first `keep` made unusable."""
-    count, result = 0, []
-    for kind, stamp, values in messages:
-        count += kind == "odometry"
-        damage = kind == "odometry" and count > keep
-        result.append(
-            (kind, stamp, (np.full(3, np.nan), *values[1:]) if damage else values)
-        )
-    return result
+def changed(messages, readings, change):
+    """The messages with `change(*values)` in the odometry readings of a slice."""
+    stamps = {m[1] for m in [m for m in messages if m[0] == "odometry"][readings]}
+    return [
+        (kind, t, change(*v) if kind == "odometry" and t in stamps else v)
+        for kind, t, v in messages
+    ]
 
 
-def with_jump(messages, start, shift, stop=np.inf):
-    """The messages with the odometry positions from `start` to `stop` shifted by `shift` m."""
-    count, result = -1, []
-    for kind, stamp, values in messages:
-        count += kind == "odometry"
-        if kind == "odometry" and start <= count < stop:
-            values = (values[0] + shift, *values[1:])  # noqa: PLW2901
-        result.append((kind, stamp, values))
-    return result
+def with_jump(messages, readings, shift):
+    """The messages with odometry positions shifted by `shift` m."""
+    return changed(messages, readings, lambda p, *rest: (p + shift, *rest))
 
 
 def validities(estimates):
     return [e.validity for e in estimates]
 
 
-def same(a, b):
-    return [
-        (e.stamp, e.state.tobytes(), e.covariance.tobytes(), e.validity) for e in a
-    ] == [(e.stamp, e.state.tobytes(), e.covariance.tobytes(), e.validity) for e in b]
+def same(*streams):
+    """Whether estimates are equal to the last bit."""
+    a, b = (
+        [
+            (e.stamp, e.lead, e.validity, e.state.tobytes(), e.covariance.tobytes())
+            for e in stream
+        ]
+        for stream in streams
+    )
+    return a == b
 
 
 def arriving(messages, delay):
-    """The messages in the order of their arrival, `delay(kind)` s after their stamps."""
-    at = [stamp + delay(kind) * SECOND for kind, stamp, _ in messages]
+    """The messages in the order of their arrival, the odometry `delay()` s after its stamp."""
+    at = [m[1] + (delay() * SECOND if m[0] == "odometry" else 0) for m in messages]
     return [messages[i] for i in np.argsort(at, kind="stable")]

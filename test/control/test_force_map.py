@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.mpc import cases
-from benchmarks.mpc.cases import standing
+from benchmarks.mpc.cases import standing, state
 from slot_core import config
 from slot_core.control.force_map import ForceMap, read_force_map
 from slot_core.control.policy import Status, TendonPlan
@@ -15,6 +14,7 @@ from slot_core.robot import read_robot
 
 ROBOT = read_robot()
 HEIGHT = 0.06
+LEVEL = state(p=(0, 0, HEIGHT))
 THETA = np.radians([0.0, 60.0, 120.0])
 HEIGHTS = np.array([0.02, 0.06, 0.10])
 SLOPES = np.array([[5.0, 6.0, 7.0], [8.0, 9.0, 10.0], [11.0, 12.0, 13.0]])
@@ -25,10 +25,6 @@ def preview(angle_deg=60.0):
     return standing(15, normal_force=np.full((15, 4), 5.3), tendon_angle=angle)
 
 
-def state(height=HEIGHT, rpy=(0, 0, 0)):
-    return cases.state(rpy, (0, 0, height))
-
-
 def of_forces(name, *normal, status=Status.SOLVED):
     """A plan of normal forces (4,) N alone."""
     force = np.zeros((1, 4, 3))
@@ -36,88 +32,56 @@ def of_forces(name, *normal, status=Status.SOLVED):
     return TendonPlan(np.zeros((0, 4)), np.zeros(4), force, status, map=name)
 
 
-@pytest.fixture
-def make():
+def make(**changes):
     table = np.zeros((3, 3, 4))  # force, slope, stiffness, contact
     table[..., 1] = SLOPES
-
-    def build(**changes):
-        settings = config.replace(read_force_map(), changes)
-        springs = LegSprings(LegTable(THETA, HEIGHTS, table), settings.slope_min)
-        return ForceMap(ROBOT, settings, springs)
-
-    return build
+    settings = config.replace(read_force_map(), changes)
+    springs = LegSprings(LegTable(THETA, HEIGHTS, table), settings.slope_min)
+    return ForceMap(ROBOT, settings, springs)
 
 
-def test_planned_angles_and_rates_are_passed_on_to_the_last_bit(make):
-    angle, rate = np.array([[0.3, 1.1, 2.0, 0.0], [0.4, 1.2, 2.0, 0.1]]), np.arange(4.0)
-    command = make().step(
-        TendonPlan(angle, rate, np.ones((2, 4, 3))), preview(), state()
-    )
+def test_planned_angles_and_rates_are_passed_on_and_clipped_beyond_the_limit():
+    angle = np.array([[-0.1, 0.5, 3.0, 1.0], [0.4, 1.2, 2.0, 0.1]])
+    plan = TendonPlan(angle, np.arange(4.0), np.ones((2, 4, 3)))
+    command = make().step(plan, preview(), LEVEL)
     assert command.map == "planned"
-    np.testing.assert_array_equal(command.angle, angle[0])
-    np.testing.assert_array_equal(command.rate, rate)
-    assert not command.saturated.any()
+    assert command.angle.tolist() == [0.0, 0.5, ROBOT.tendon.angle_max, 1.0]
+    assert command.saturated.tolist() == [True, False, True, False]
+    np.testing.assert_array_equal(command.rate, plan.rate)
 
 
-def test_a_deviation_from_the_force_of_the_gait_is_divided_by_the_slope(make):
+def test_a_deviation_from_the_force_of_the_gait_is_divided_by_the_slope():
+    """The slope at the clamps' heights of a tilted torso; the rate is the gait's."""
+    rpy, demand = (0.05, -0.08, 0.7), preview()
+    demand.tendon_angle[1] += 0.033 * np.array([1.0, -2.0, 0.5, 0.0])
     plan = of_forces("incremental", 5.3, 5.8, 4.8, 6.3)
-    command = make().step(plan, preview(), state())
-    assert command.slope == pytest.approx(9.0)
-    assert command.angle - np.radians(60) == pytest.approx(
-        np.array([0, 0.5, -0.5, 1.0]) / 9.0
-    )
-
-
-def test_the_incremental_slope_is_that_at_the_clamp_height_of_a_tilted_torso(make):
-    rpy = (0.05, -0.08, 0.7)
-    command = make().step(
-        of_forces("incremental", *[5.3] * 4), preview(), state(HEIGHT, rpy)
-    )
+    command = make().step(plan, demand, state(rpy, (0, 0, HEIGHT)))
     rotation = Rotation.from_euler("ZYX", rpy[::-1]).as_matrix()
     heights = HEIGHT + (ROBOT.clamps @ rotation.T)[:, 2]
     assert command.slope == pytest.approx(9.0 + (heights - 0.06) / 0.04)
+    correction = np.array([0, 0.5, -0.5, 1.0]) / command.slope
+    assert command.angle - np.radians(60) == pytest.approx(correction)
+    assert command.rate == pytest.approx([1.0, -2.0, 0.5, 0.0])
 
 
-def test_the_incremental_correction_is_bounded(make):
+def test_the_incremental_correction_is_bounded():
     plan = of_forces("incremental", 0, 50, 5.3, 5.3)
-    command = make(correction_max_deg=10.0).step(plan, preview(), state())
+    command = make(correction_max_deg=10.0).step(plan, preview(), LEVEL)
     assert np.degrees(command.angle) == pytest.approx([50.0, 70.0, 60.0, 60.0])
 
 
-def test_a_planned_angle_beyond_the_limit_is_clipped_and_reported(make):
-    angle = np.array([[-0.1, 0.5, 3.0, 1.0]])
-    command = make().step(
-        TendonPlan(angle, np.zeros(4), np.ones((1, 4, 3))), preview(), state()
-    )
-    assert command.angle.tolist() == [0.0, 0.5, ROBOT.tendon.angle_max, 1.0]
-    assert command.saturated.tolist() == [True, False, True, False]
-
-
-def test_a_plan_that_has_stopped_holds_the_last_angles(make):
-    force_map, stopped = (
-        make(),
-        of_forces("incremental", 1.0, 2.0, 3.0, 4.0, status=Status.STOPPED),
-    )
-    assert np.degrees(
-        force_map.step(stopped, preview(70.0), state()).angle
-    ) == pytest.approx(70.0)
-    last = force_map.step(
-        of_forces("incremental", 5.0, 5.3, 5.1, 4.9), preview(), state()
-    )
-    held = force_map.step(stopped, preview(70.0), state())
-    assert held.map == "hold"
-    assert (held.angle == last.angle).all()
+def test_a_plan_that_has_stopped_holds_the_last_angles():
+    force_map, lifted = make(), preview(70.0)
+    stopped = of_forces("incremental", 1.0, 2.0, 3.0, 4.0, status=Status.STOPPED)
+    first = force_map.step(stopped, lifted, LEVEL)
+    assert np.degrees(first.angle) == pytest.approx(70.0)
+    solved = of_forces("incremental", 5.0, 5.3, 5.1, 4.9)
+    last = force_map.step(solved, preview(), LEVEL)
+    held = force_map.step(stopped, lifted, LEVEL)
+    assert (held.map, held.angle.tolist()) == ("hold", last.angle.tolist())
     assert held.rate.tolist() == [0.0] * 4
 
 
-def test_an_unknown_map_is_refused(make):
+def test_an_unknown_map_is_refused():
     with pytest.raises(ValueError, match="map 'cubic': expected incremental"):
-        make().step(of_forces("cubic", *[5.3] * 4), preview(), state())
-
-
-def test_a_command_goes_on_at_the_rate_of_the_gait(make):
-    demand = preview()
-    demand.tendon_angle[1] += 0.033 * np.array([1.0, -2.0, 0.5, 0.0])
-    command = make().step(of_forces("incremental", *[5.3] * 4), demand, state())
-    assert command.rate == pytest.approx([1.0, -2.0, 0.5, 0.0])
+        make().step(of_forces("cubic", *[5.3] * 4), preview(), LEVEL)

@@ -1,61 +1,38 @@
 """A key frame holds all that an object depends on: one made afresh goes on to the last bit."""
 
 import json
-from dataclasses import dataclass, is_dataclass
+from dataclasses import is_dataclass
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-from estimator_streams import SETTINGS, Walk, imu_messages, odometry_messages
+from estimator_streams import SETTINGS, Walk, arriving, noisy, run, same
 
 from slot_core.control.controller import Controller
 from slot_core.control.policies import POLICIES
-from slot_core.control.policy import Policy, make_policy
+from slot_core.control.policy import make_policy
 from slot_core.estimation.state_estimator import StateEstimator
 from slot_core.gait.route import Route
-from slot_core.key_frame import StateParts, capture, has_state, restore
+from slot_core.key_frame import StateParts, capture, restore
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
 VELOCITY = np.array([0.05, 0.0, 0.05])
 
 
-def shuffled(seed):
-    """A walk whose odometry comes up to 60 ms late, in part lost, amid the IMU's samples."""
-    rng = np.random.default_rng(seed)
-    motion = Walk()
-    odometry = [
-        m for m in odometry_messages(motion, 3.0, rng=rng) if not 1.2e9 < m[1] < 1.5e9
-    ]
-    late = [(m[1] + int(rng.integers(0, 60_000_000)), m) for m in odometry]
-    return [
-        m
-        for _, m in sorted(
-            [*late, *((m[1], m) for m in imu_messages(motion, 3.0, rng=rng))],
-            key=lambda entry: entry[0],
-        )
-    ]
-
-
-def feed(estimator, messages):
-    """The estimates of messages, as bytes."""
-    found = []
-    for kind, stamp, values in messages:
-        (estimator.add_imu if kind == "imu" else estimator.add_odometry)(stamp, *values)
-        while (estimate := estimator.poll()) is not None:
-            whole = estimate.state.tobytes(), estimate.covariance.tobytes()
-            found.append((estimate.stamp, estimate.lead, estimate.validity, *whole))
-    return found
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_an_estimator_goes_on_from_a_key_frame_at_any_message(seed):
-    messages, rng = shuffled(seed), np.random.default_rng(seed)
+    """Odometry that comes up to 60 ms late, in part lost, amid the IMU's samples."""
+    rng = np.random.default_rng(seed)
+    walk = noisy(Walk(), 3.0, seed)
+    kept = [m for m in walk if m[0] == "imu" or not 1.2e9 < m[1] < 1.5e9]
+    messages = arriving(kept, lambda: rng.uniform(0.0, 0.06))
     for at in [0, 1, *rng.integers(2, len(messages), 6)]:
-        first, second = StateEstimator(SETTINGS), StateEstimator(SETTINGS)
-        feed(first, messages[:at])
+        _, first = run(messages[:at])
+        second = StateEstimator(SETTINGS)
         restore(second, capture(first))
-        assert feed(second, messages[at:]) == feed(first, messages[at:])
+        rest = (run(messages[at:], estimator=each)[0] for each in (first, second))
+        assert same(*rest)
 
 
 def equal(a, b):
@@ -70,46 +47,36 @@ def equal(a, b):
 @pytest.mark.parametrize("policy", [*POLICIES])
 def test_scheduler_policy_and_map_go_on_from_key_frames_in_a_walk(policy):
     ticks = list(ClosedLoop("flat", "walk", VELOCITY, 1, policy).run(50))
-    route = lambda: Route(np.array([[0.0, 0.0], [0.02, 0.0], [0.2, 0.1]]), "along")  # noqa: E731
-    parts = [
+    first, second = (
         Controller(
             read_robot(),
             make_policy(policy, read_robot(), lambda: 0.0),
             "walk",
             VELOCITY,
-            route(),
+            Route(np.array([[0.0, 0.0], [0.02, 0.0], [0.2, 0.1]]), "along"),
         )
         for _ in range(2)
-    ]
-    first, second = parts
+    )
 
-    def step(controller, tick):
+    def step(controller, estimate):
         controller.policy.prepare()
-        preview = controller.scheduler.step(tick.estimate.time, tick.estimate.state)
-        plan = controller.policy.step(tick.estimate, preview)
-        return (
-            preview,
-            plan,
-            controller.force_map.step(plan, preview, tick.estimate.state),
-        )
+        preview = controller.scheduler.step(estimate.time, estimate.state)
+        plan = controller.policy.step(estimate, preview)
+        command = controller.force_map.step(plan, preview, estimate.state)
+        return preview, plan, command
 
     for tick in ticks[:32]:
-        step(first, tick)
+        step(first, tick.estimate)
     for name in ("scheduler", "policy", "force_map"):
         text = capture(getattr(first, name))
         assert 0 < len(text) < 150_000
         restore(getattr(second, name), text)
     for tick in ticks[32:]:
-        assert all(map(equal, step(first, tick), step(second, tick)))
+        assert all(map(equal, step(first, tick.estimate), step(second, tick.estimate)))
 
 
 class Value(NamedTuple):
     rows: np.ndarray
-
-
-@dataclass(frozen=True)
-class Other:
-    name: str
 
 
 class Thing:
@@ -134,13 +101,7 @@ def test_what_no_key_frame_can_hold_is_refused():
     thing.value = object()
     with pytest.raises(TypeError, match="object is no part of a key frame"):
         capture(thing)
-
-    class OfAUser(Policy):
-        def step(self, estimate, preview):
-            return None
-
-    assert capture(OfAUser(None, None, None)) == ""
-    assert not has_state(OfAUser(None, None, None))
+    assert capture(object()) == ""
 
 
 @pytest.mark.parametrize(
@@ -150,8 +111,7 @@ def test_what_no_key_frame_can_hold_is_refused():
         {"rows": {"array": ["|O8", [2, 3], "A" * 64]}},
         {"rows": {"array": ["<f8", [2, 3], "AAAA"]}},
         {"rows": 1.0},
-        {"value": {"Other": {"name": ""}}},  # not a class of this state
-        {"value": {"Popen": {"args": "true"}}},
+        {"value": {"Popen": {"args": "true"}}},  # not a class of this state
         {"value": {"Value": {}}},
         {"more": 1},
     ],

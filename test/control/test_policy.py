@@ -10,10 +10,11 @@ from slot_core.robot import LEGS, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
 OWN = """
+import numpy as np
 from slot_core.control.policy import Policy, TendonPlan
 class Own(Policy):
     def step(self, estimate, preview):
-        return TendonPlan(preview.tendon_angle + 0.01, preview.rate, [])
+        return TendonPlan(preview.tendon_angle + 0.01, preview.rate, np.zeros((15, 4, 3)))
 POLICY = Own
 """
 
@@ -25,9 +26,7 @@ def ticks(policy):
 @pytest.mark.parametrize("name", POLICIES)
 def test_every_policy_plans_angles_or_forces_with_a_map_that_has_a_name(name):
     for tick in ticks(name):
-        plan = tick.plan
-        stages = len(plan.force)
-        assert stages >= 1
+        plan, stages = tick.plan, len(tick.plan.force)
         assert plan.force.shape == (stages, len(LEGS), 3)
         assert plan.rate.shape == (len(LEGS),)
         if plan.status != Status.STOPPED:
@@ -35,33 +34,25 @@ def test_every_policy_plans_angles_or_forces_with_a_map_that_has_a_name(name):
             assert tick.command.map == (plan.map or "planned")
 
 
-def test_a_policy_that_was_reset_plans_as_a_new_one():
-    for name in POLICIES:
-        used, fresh = (make_policy(name, read_robot(), lambda: 0.0) for _ in range(2))
-        recorded = ticks("rollout_mpc")
-        for tick in recorded:
-            used.step(tick.estimate, tick.preview)
-        used.reset()
-        for tick in recorded:
-            plans = [
-                policy.step(tick.estimate, tick.preview) for policy in (used, fresh)
-            ]
-            np.testing.assert_array_equal(plans[0].angle, plans[1].angle)
-            np.testing.assert_array_equal(plans[0].force, plans[1].force)
+@pytest.mark.parametrize("name", POLICIES)
+def test_a_policy_that_was_reset_plans_as_a_new_one(name):
+    used, fresh = (make_policy(name, read_robot(), lambda: 0.0) for _ in range(2))
+    recorded = ticks("rollout_mpc")
+    for tick in recorded:
+        used.step(tick.estimate, tick.preview)
+    used.reset()
+    for tick in recorded:
+        a, b = (p.step(tick.estimate, tick.preview) for p in (used, fresh))
+        np.testing.assert_array_equal(a.angle, b.angle)
+        np.testing.assert_array_equal(a.force, b.force)
 
 
-def test_the_gait_alone_commands_the_angles_of_the_gait():
-    for tick in ticks("gait_alone"):
-        assert (tick.command.angle == tick.preview.tendon_angle[0]).all()
-
-
-def test_a_policy_of_the_user_is_named_by_its_file(tmp_path):
-    file = tmp_path / "own.py"
-    file.write_text(OWN.replace("[])", "__import__('numpy').zeros((15, 4, 3)))"))
-    for tick in ticks(str(file)):
-        np.testing.assert_array_equal(
-            tick.command.angle, tick.preview.tendon_angle[0] + 0.01
-        )
+@pytest.mark.parametrize(("name", "added"), [("gait_alone", 0.0), ("own.py", 0.01)])
+def test_the_gait_alone_and_a_users_policy_named_by_its_file(tmp_path, name, added):
+    (tmp_path / "own.py").write_text(OWN)
+    for tick in ticks(str(tmp_path / name) if name.endswith(".py") else name):
+        expected = tick.preview.tendon_angle[0] + added
+        np.testing.assert_array_equal(tick.command.angle, expected)
 
 
 @pytest.mark.parametrize(

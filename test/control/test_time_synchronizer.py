@@ -1,34 +1,24 @@
 """Messages are matched by their stamp."""
 
+import pytest
+
 from slot_core.estimation.time_synchronizer import TimeSynchronizer
 
+OLD = [("b", stamp) for stamp in range(100, 110)]
+# messages by topic and stamp, and which of them complete a set
+CASES = {
+    "in any order": ([("b", 7), ("a", 8), ("a", 7)], [2]),
+    "once": ([("a", 1), ("b", 1), ("b", 1)], [1]),
+    "a lost one costs its own set alone": ([*OLD, ("a", 100), ("a", 109)], [11]),
+    "a clock set back delays nothing": ([*OLD, ("a", 1), ("b", 1)], [11]),
+}
 
-def test_set_is_returned_when_it_is_complete():
-    synchronizer = TimeSynchronizer("a", "b", "c")
-    assert synchronizer.add("c", 7, "c7") is None
-    assert synchronizer.add("a", 7, "a7") is None
-    assert synchronizer.add("a", 8, "a8") is None
-    assert synchronizer.add("b", 7, "b7") == ("a7", "b7", "c7")
 
-
-def test_lost_message_costs_only_its_own_set():
+@pytest.mark.parametrize("case", CASES)
+def test_a_set_is_returned_when_it_is_complete(case):
+    messages, complete = CASES[case]
     synchronizer = TimeSynchronizer("a", "b", depth=3)
-    for stamp in range(10):
-        synchronizer.add("a", stamp, stamp)
-    assert synchronizer.add("b", 0, 0) is None  # dropped for newer sets
-    assert synchronizer.add("b", 9, 9) == (9, 9)
-
-
-def test_clock_that_is_set_back_delays_nothing():
-    synchronizer = TimeSynchronizer("a", "b", depth=3)
-    for stamp in range(100, 110):
-        synchronizer.add("a", stamp, stamp)
-    assert synchronizer.add("a", 1, 1) is None
-    assert synchronizer.add("b", 1, 1) == (1, 1)
-
-
-def test_set_is_returned_once():
-    synchronizer = TimeSynchronizer("a", "b")
-    synchronizer.add("a", 1, 1)
-    assert synchronizer.add("b", 1, 1) == (1, 1)
-    assert synchronizer.add("b", 1, 1) is None
+    for number, (topic, stamp) in enumerate(messages):
+        found = synchronizer.add(topic, stamp, f"{topic}{stamp}")
+        expected = (f"a{stamp}", f"b{stamp}") if number in complete else None
+        assert found == expected

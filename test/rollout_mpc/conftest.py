@@ -1,15 +1,9 @@
-"""A rollout MPC, and recorded ticks of a robot that walks with it."""
+"""Recorded ticks of a robot that walks with the rollout MPC."""
 
 import pytest
-from nominal_walk import ROBOT, SETTINGS, WALK
+from nominal_walk import WALK
 
-from slot_core.rollout_mpc.rollout_mpc import RolloutMpc
 from slot_core.simulation.closed_loop import ClosedLoop
-
-
-@pytest.fixture
-def policy():
-    return RolloutMpc(ROBOT, SETTINGS, lambda: 0.0)
 
 
 @pytest.fixture(scope="session")
