@@ -161,15 +161,16 @@ def _ticks(walk: Walk) -> list[tuple[int, str, Any]]:
             if not (tick in walk.unanswered and name == "/desired_joint_angles"):
                 entries.append((_wall(walk, t, delay), name, built))
         entries.append((_wall(walk, t), "/odom", _odometry(walk, "/odom", t)))
-        entries.append(
-            (_wall(walk, t, latency[-1]), "/force_map/status", _status(walk, t))
-        )
-        stamp, supply = walk.start + t, [walk.voltage] * 4
-        state = message("/robot_state", stamp, action=3)
-        health = message("/servo_health", stamp, action=3, voltage=supply)
-        entries += [(_wall(walk, t), "/robot_state", state)]
-        entries += [(_wall(walk, t), "/servo_health", health)]
-        entries += [(_wall(walk, t), "/stage_record", message("/stage_record", stamp))]
+        stamp, saturated = walk.start + t, angles(t) >= np.radians(100.0)
+        for name, delay, fields in (
+            ("/force_map/status", latency[-1], {"saturated": saturated}),
+            ("/robot_state", 0.0, {"action": 3}),
+            ("/servo_health", 0.0, {"action": 3, "voltage": [walk.voltage] * 4}),
+            ("/stage_record", 0.0, {}),
+        ):
+            entries.append(
+                (_wall(walk, t, delay), name, message(name, stamp, **fields))
+            )
     return entries
 
 
@@ -222,13 +223,6 @@ def _chain(walk: Walk, tick: int, t: float) -> list[Any]:
     ]
 
 
-def _status(walk: Walk, t: float) -> Any:
-    saturated = angles(t) >= np.radians(100.0)
-    return message(
-        "/force_map/status", walk.start + t, map="incremental", saturated=saturated
-    )
-
-
 def swing(t: float) -> Array:
     """(4,) a sine per leg, each at another phase."""
     return np.sin(2 * np.pi * t / STRIDE + np.pi * np.array([0.0, 1.0, 0.5, -0.5]))
@@ -252,23 +246,34 @@ def _truth(walk: Walk) -> list[tuple[int, str, Any]]:
         entries.append(
             (wall, "/ground_truth/odom", _odometry(walk, "/ground_truth/odom", t))
         )
-        entries.append((wall, "/joint_states", joints(walk.start + t, t)))
+        joints = (
+            message(  # in the reverse order of the legs: a driver may publish any order
+                "/joint_states",
+                walk.start + t,
+                name=list(TENDON_JOINTS[::-1]),
+                position=(0.97 * angles(t - 0.04))[::-1],
+                velocity=np.zeros(4),
+                effort=np.array([0.5, 2.0 if t >= 2.0 else 0.5, 0.5, 0.5]),
+            )
+        )
+        entries.append((wall, "/joint_states", joints))
         if k % 4 == 0:
-            entries.append((wall, "/ground_truth/legs", _legs(walk, t)))
+            legs = message(
+                "/ground_truth/legs",
+                walk.start + t,
+                tension=50 * angles(t),
+                ground_force=np.column_stack(
+                    [
+                        0.1 * normal_forces(t),
+                        np.zeros(4),
+                        1.05 * normal_forces(t - 0.03),
+                    ]
+                ),
+                nodes=NODES,
+                position=leg_nodes(walk, t),
+            )
+            entries.append((wall, "/ground_truth/legs", legs))
     return entries
-
-
-def joints(stamp: float, t: float) -> Any:
-    """Joint states in the reverse order of the legs: a driver may publish any order."""
-    torque = np.array([0.5, 0.5, 2.0, 0.5]) if t >= 2.0 else np.full(4, 0.5)
-    return message(
-        "/joint_states",
-        stamp,
-        name=list(TENDON_JOINTS[::-1]),
-        position=(0.97 * angles(t - 0.04))[::-1].copy(),
-        velocity=np.zeros(4),
-        effort=torque[::-1].copy(),
-    )
 
 
 def leg_nodes(walk: Walk, t: float) -> Array:
@@ -283,20 +288,6 @@ def leg_nodes(walk: Walk, t: float) -> Array:
     nodes = clamps[:, None] * (1 - s) + feet[:, None] * s
     nodes[..., 2] += 0.035 * np.sin(np.pi * s[..., 0]) ** 1.5
     return nodes
-
-
-def _legs(walk: Walk, t: float) -> Any:
-    force = np.column_stack(
-        [0.1 * normal_forces(t), np.zeros(4), 1.05 * normal_forces(t - 0.03)]
-    )
-    return message(
-        "/ground_truth/legs",
-        walk.start + t,
-        tension=50 * angles(t),
-        ground_force=force,
-        nodes=NODES,
-        position=leg_nodes(walk, t),
-    )
 
 
 def write_old(path: Path, topic: str, now: Any, field: str = "") -> Path:

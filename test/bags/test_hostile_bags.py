@@ -1,18 +1,17 @@
 """Damaged and hostile bags are read, or refused in one short line, by everything that reads bags."""
 
 import contextlib
-import dataclasses
 import io
 import math
 import struct
 import zipfile
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
 import pytest
 from damage import examples, refusable, require_short, spliced
-from hypothesis import given, reject
-from hypothesis import strategies as st
+from hypothesis import given
 
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.message_types import message_types
@@ -86,83 +85,24 @@ def test_a_damaged_file_of_a_bag_is_read_or_refused(tmp_path, data):
 
 BAG, TYPES = Bag(WALK), message_types()
 PART = [entry for entry in BAG.raw() if entry[1] < BAG.start_ns + 500_000_000]
-ESCAPE, EMPTY = "\x1b]0;x\x07", "empty"
-NUMBERS = [math.nan, math.inf, -1e30, 9.0, 0.0, -1, 0, 99, 2**31 - 1, True, EMPTY]
-
-
-def fields(message, path=""):
-    """Dotted name and value of every value of a message."""
-    for field in dataclasses.fields(message):
-        value = getattr(message, field.name)
-        if dataclasses.is_dataclass(value):
-            yield from fields(value, f"{path}{field.name}.")
-        else:
-            yield path + field.name, value
-
-
-def hostile_like(value):
-    """Values that a field which holds this one should not have."""
-    if isinstance(value, list):
-        return [[], [ESCAPE] * len(value)] if isinstance(value[0], str) else [[]]
-    return ["", ESCAPE * 300] if isinstance(value, str) else NUMBERS
-
-
-CHANGES = {
-    topic: [
-        (name, new)
-        for name, old in fields(BAG.decode(topic, data))
-        for new in hostile_like(old)
-    ]
-    for topic, _, data in PART
-}
-"""Names of fields and values that they should not have, by the topic."""
-
-
-def change(message, name, value):
-    """Set a field of a message, of an array all elements."""
-    *parents, last = name.split(".")
-    for parent in parents:
-        message = getattr(message, parent)
-    old = getattr(message, last)
-    if isinstance(old, np.ndarray):
-        value = old[:0] if value == EMPTY else np.full_like(old, value)
-    setattr(message, last, value)
+ESCAPE = "\x1b]0;x\x07"
 
 
 def write_part(path, topic="", changes=(), *, late=0, text=None, origin=None):
     """Write the begin of the walk with fields of a topic changed, or texts in their place."""
     with BagWriter(path, read_record_settings(), origin) as out:
         for name, time, data in PART:
-            kind = BAG.topics[name]
-            if name == topic:
-                message = BAG.decode(name, data)
-                if text is not None:
-                    kind, message = (
-                        "std_msgs/msg/String",
-                        TYPES.types["std_msgs/msg/String"](text),
-                    )
-                for field, value in changes:
-                    change(message, field, value)
-                data = bytes(TYPES.serialize_cdr(message, kind))  # noqa: PLW2901
-            out.write(name, kind, time + late, data)
-
-
-@given(
-    st.sampled_from(sorted(CHANGES)).flatmap(
-        lambda topic: st.tuples(
-            st.just(topic),
-            st.lists(st.sampled_from(CHANGES[topic]), min_size=1, max_size=4),
-        )
-    )
-)
-@examples(20)
-def test_a_bag_with_hostile_messages_is_read_or_refused(tmp_path_factory, changed):
-    path = tmp_path_factory.mktemp("bag") / "walk"
-    try:
-        write_part(path, *changed)
-    except (OverflowError, TypeError, ValueError, struct.error):
-        reject()  # no message can hold it
-    require_readable(path)
+            kind, message = BAG.topics[name], BAG.decode(name, data)
+            if name == topic and text is not None:
+                kind = "std_msgs/msg/String"
+                message = TYPES.types[kind](text)
+            for field, new in changes if name == topic else ():
+                *parents, last = field.split(".")
+                inside = reduce(getattr, parents, message)
+                old = getattr(inside, last)
+                filled = isinstance(old, np.ndarray) and np.isscalar(new)
+                setattr(inside, last, np.full_like(old, new) if filled else new)
+            out.write(name, kind, time + late, TYPES.serialize_cdr(message, kind))
 
 
 def archive(encrypted=False, size=1000, begin=0):
@@ -247,7 +187,7 @@ BAGS = {
         "changes": [("pose.pose.position.x", math.nan)],
     },
     "joints of NaN": {"topic": "/joint_states", "changes": [("position", math.nan)]},
-    "no joints": {"topic": "/joint_states", "changes": [("position", EMPTY)]},
+    "no joints": {"topic": "/joint_states", "changes": [("position", np.empty(0))]},
     "other joints": {"topic": "/joint_states", "changes": [("name", [ESCAPE] * 4)]},
     "equal stamps": {"topic": "/odom", "changes": [("header.stamp.sec", 1)]},
 }

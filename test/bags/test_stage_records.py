@@ -2,10 +2,11 @@
 
 import json
 import re
-from collections import deque
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
+from std_msgs.msg import String
 from synthetic_walk import TYPES
 from test_replay import WALK
 
@@ -14,87 +15,59 @@ from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.key_frame import capture
 from slot_core.messages import decode
 from slot_core.recording.bag_writer import BagWriter
-from slot_core.recording.message_types import message_types
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags import check_bag as replay
 from slot_lab.bags import replay_command
 from slot_lab.bags.bag import Bag
+from slot_msgs.msg import StageRecord
+from slot_nodes import messages
 
-NEW = message_types()
-RECORD, STRING = "slot_msgs/msg/StageRecord", "std_msgs/msg/String"
 LATENCY = 40_000_000  # ns, at most, of a reading
 EVERY = 12  # records from a key frame to the next
-
-
-def vector(values):
-    return NEW.types["geometry_msgs/msg/Vector3"](*map(float, values))
-
-
-def header(stamp):
-    time = NEW.types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
-    return NEW.types["std_msgs/msg/Header"](time, "")
-
-
-def state_message(estimate):
-    x = estimate.state
-    lead = NEW.types["builtin_interfaces/msg/Duration"](*divmod(estimate.lead, 10**9))
-    parts = (vector(x[i : i + 3]) for i in range(0, 12, 3))
-    covariance = estimate.covariance.ravel()
-    return NEW.types["slot_msgs/msg/MpcState"](
-        header(estimate.stamp), lead, *parts, covariance, int(estimate.validity)
-    )
 
 
 class Recording:
     """A state estimator that takes readings in an order of its own, and what is recorded of it."""
 
-    def __init__(self, seed):
-        self.rng, self.entries = np.random.default_rng(seed), []
-        self.estimator = StateEstimator(read_estimator())
-        self.number, self.taken, self.stamp = 0, [], 0
-
-    def run(self, state):
+    def __init__(self, seed, state=False):
         """Take the walk's readings, each after a latency; state: whether there are key frames."""
+        rng, estimator = np.random.default_rng(seed), StateEstimator(read_estimator())
+        self.entries, self.number, self.taken, self.stamp = [], 0, [], 0
         self._record(0, "")
         source = Bag(WALK)
-        readings = [(t, time, m) for t, time, m in source.merged("/odom", "/imu")]
-        late = [time + int(self.rng.integers(0, LATENCY)) for _, time, _ in readings]
+        readings = list(source.merged("/odom", "/imu"))
+        late = [time + int(rng.integers(0, LATENCY)) for _, time, _ in readings]
         for k in np.argsort(late):
             topic, time, message = readings[k]
-            kind = source.topics[topic]
+            kind, now = source.topics[topic], late[k]
             self.entries.append((time, topic, kind, TYPES.serialize_cdr(message, kind)))
-            self._take(late[k], topic, message, state)
-        return self
-
-    def _take(self, now, topic, message, state):
-        self.taken.append((("/odom", "/imu").index(topic), decode.stamp(message)))
-        if topic == "/odom":
-            self.estimator.add_odometry(*decode.torso_odometry(message))
-        else:
-            self.estimator.add_imu(*decode.imu(message))
-        while (estimate := self.estimator.poll()) is not None:
-            self.stamp = estimate.stamp
-            self._write(
-                now, "/mpc_state", "slot_msgs/msg/MpcState", state_message(estimate)
-            )
-            due = state and self.number % EVERY == 0
-            self._record(now + 1, capture(self.estimator) if due else "")
+            self.taken.append((("/odom", "/imu").index(topic), decode.stamp(message)))
+            if topic == "/odom":
+                estimator.add_odometry(*decode.torso_odometry(message))
+            else:
+                estimator.add_imu(*decode.imu(message))
+            while (estimate := estimator.poll()) is not None:
+                self.stamp = estimate.stamp
+                self.write(now, "/mpc_state", messages.state_to_msg(estimate))
+                due = state and self.number % EVERY == 0
+                self._record(now + 1, capture(estimator) if due else "")
 
     def _record(self, now, state):
         topics, stamps = zip(*self.taken) if self.taken else ((), ())
-        record = NEW.types[RECORD](
-            header(self.stamp),
-            "state_estimator",
-            self.number,
-            np.array(topics, np.uint8),
-            np.array(stamps, np.int64),
-            state,
+        record = StageRecord(
+            header=messages.header(self.stamp),
+            node="state_estimator",
+            number=self.number,
+            taken=topics,
+            stamp=stamps,
+            state=state,
         )
         self.number, self.taken = self.number + 1, []
-        self._write(now, "/stage_record", RECORD, record)
+        self.write(now, "/stage_record", record)
 
-    def _write(self, now, topic, kind, message):
-        self.entries.append((now, topic, kind, NEW.serialize_cdr(message, kind)))
+    def write(self, now, topic, message):
+        kind = f"{type(message).__module__.split('.')[0]}/msg/{type(message).__name__}"
+        self.entries.append((now, topic, kind, serialize_message(message)))
 
     def bag(self, path, keep=lambda k, entry: True):
         """The bag of the entries to keep, in the order of their times."""
@@ -113,15 +86,12 @@ def states(path):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_order_in_which_the_estimator_took_its_readings_is_replayed(tmp_path, seed):
-    path = Recording(seed).run(state=False).bag(tmp_path / "bag")
+    recording = Recording(seed)
+    path = recording.bag(tmp_path / "bag")
     found = states(path)
     assert found.compared == Bag(path).counts["/mpc_state"] > 30
     assert found.largest == 0.0
-    without = (
-        Recording(seed)
-        .run(state=False)
-        .bag(tmp_path / "old", lambda _, entry: entry[1] != "/stage_record")
-    )
+    without = recording.bag(tmp_path / "old", lambda _, e: e[1] != "/stage_record")
     assert states(without).largest > 0.0  # the order matters
 
 
@@ -129,21 +99,21 @@ def test_the_order_in_which_the_estimator_took_its_readings_is_replayed(tmp_path
 def test_a_bag_begun_in_mid_run_is_compared_from_its_first_key_frame_on(
     tmp_path, share
 ):
-    recording = Recording(1).run(state=True)
+    recording = Recording(1, state=True)
     times = [entry[0] for entry in recording.entries]
     begin = np.quantile([t for t in times if t], share)
     found = states(recording.bag(tmp_path / "bag", lambda _, entry: entry[0] >= begin))
     assert found.compared > 4
     assert (found.largest, found.gaps) == (0.0, 0)
     assert f", from {to_seconds(found.begin):.3f} s on" in str(found)
-    bare = Recording(1).run(state=False)
+    bare = Recording(1)
     with pytest.raises(replay.BagError, match="begins mid-run"):
         states(bare.bag(tmp_path / "bare", lambda _, entry: entry[0] >= begin))
 
 
 @pytest.mark.parametrize("topic", ["/imu", "/stage_record"])
 def test_after_a_lost_message_the_replay_goes_on_at_the_next_key_frame(tmp_path, topic):
-    recording = Recording(2).run(state=True)
+    recording = Recording(2, state=True)
     ordered = sorted(recording.entries, key=lambda entry: entry[0])
     places = [k for k, entry in enumerate(ordered) if entry[1] == topic]
     lost = places[len(places) // 3]
@@ -158,36 +128,16 @@ def test_after_a_lost_message_the_replay_goes_on_at_the_next_key_frame(tmp_path,
         )
 
 
-def named(path, node):
-    """The bag of a walk whose states were published by a node of that name."""
-    recording = Recording(3).run(state=False)
-    recording._write(
-        1,
-        "/recorded_nodes",
-        STRING,
-        NEW.types[STRING](json.dumps({"/mpc_state": [node]})),
-    )
-    source = Bag(WALK)
-    for topic in ("/gait_preview",):
-        for time, message in source.messages(topic):
-            kind = source.topics[topic]
-            recording.entries.append(
-                (time, topic, kind, TYPES.serialize_cdr(message, kind))
-            )
-    return recording.bag(path)
-
-
-def test_the_output_of_a_node_of_a_users_own_is_left_out_and_its_node_named(
-    tmp_path, capsys
-):
-    path = named(tmp_path / "bag", "/fred/my_filter")
+def test_the_output_of_a_node_of_a_users_own_is_left_out_and_its_node_named(tmp_path):
+    recording = Recording(3)
+    nodes = json.dumps({"/mpc_state": ["/fred/my_filter"]})
+    recording.write(1, "/recorded_nodes", String(data=nodes))
+    path = recording.bag(tmp_path / "bag")
     with pytest.raises(replay.BagError, match="no stage can be compared"):
         replay.check_bag(Bag(path), 0.0)
     (found, *_) = replay.check_bag(Bag(path), 0.0, only=["state_estimator"])
     assert found.compared > 30
     assert str(found).endswith("; published by /fred/my_filter")
-    ours = named(tmp_path / "ours", "/fred/state_estimator")
-    assert "published" not in str(states(ours))
 
 
 @pytest.mark.parametrize("option", ["--skip", "--only"])
@@ -197,14 +147,3 @@ def test_stages_are_left_out_at_request_with_a_line_that_says_so(capsys, option)
     for topic in replay.STAGES:
         left_out = f"left out: {option} mpc_controller" in lines[topic]
         assert left_out == ((topic == "/tendon_plan") == (option == "--skip"))
-
-
-def test_readings_of_one_stamp_are_taken_in_their_order():
-    """The node refuses the first: a replay does so too, and takes the second."""
-    from slot_lab.bags.replayed_stages import _take_next  # noqa: PLC0415
-
-    readings = [m for _, m in Bag(WALK).messages("/odom")][:2]
-    readings[0].child_frame_id = "camera_link"
-    waiting = deque(readings)
-    assert _take_next(StateEstimator(read_estimator()), "/odom", waiting)
-    assert not waiting

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from recorded_run import record
 
-from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.bag import Bag
 from slot_lab.bags.check_bag import check_bag
 
 EXAMPLES = Path(__file__).parents[2] / "scripts" / "examples"
@@ -50,7 +50,6 @@ def test_the_five_lines_of_the_readme(tmp_path):
 
 def test_walk(output):
     x = numbers(r"x +(-?[\d.]+) m", output("walk.py"))
-    assert len(x) == 10
     assert x[-1] > 0.4  # m: 9 s at 50 mm/s, less the start
 
 
@@ -85,6 +84,18 @@ def test_rod_bends(output):
     ]
 
 
+def test_servo_bus_moves_one_tendon_to_its_goal_and_ends_with_torque_off(capsys):
+    end = runpy.run_path(str(EXAMPLES / "servo_bus.py"))
+    text = capsys.readouterr().out
+    first, *_, last = numbers(r"([\d.]+) rad", text)
+    assert first == pytest.approx(0.2, abs=0.002)  # one count of the encoder
+    # below the goal by the droop of a proportional controller under load
+    assert last == pytest.approx(1.0, abs=0.03)
+    assert end["servos"].angles()[1:] == pytest.approx(0.2, abs=0.03)
+    assert text.endswith("torque off\n")
+    assert end["servos"].powered() == ()
+
+
 def test_read_a_bag(tmp_path, output):
     text = output("read_a_bag.py")
     assert "/joint_states  sensor_msgs/msg/JointState" in text
@@ -98,7 +109,3 @@ def test_the_graph_walks_with_a_controller_of_ones_own_and_its_bag_replays(tmp_p
     compared = {c.topic: c for c in check_bag(recorded, 0.0, OWN)}
     assert compared["/tendon_plan"].compared > 50
     assert [c.largest for c in compared.values()] == [0.0] * 4
-    with pytest.raises(
-        BagError, match=r"its policy is a file, own_controller\.py: add --policy"
-    ):
-        check_bag(recorded, 0.0)

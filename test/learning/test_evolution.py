@@ -1,9 +1,10 @@
 """The evolution strategy learns; its networks are those that ONNX runs."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from slot_core.control.walk_actions import observation_size
 from slot_core.gait.gait import LEFT_RIGHT
 
 pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
@@ -22,16 +23,6 @@ TASK = make_task(duration=0.4, servos=False, drawn={"scene.floor.friction": (0.2
 SMALL = Evolution(150, pairs=8, sigma=(0.06, 0.01), rate=(0.04, 0.002), test_every=1)
 
 
-class Client:
-    """Of dask.distributed, in this process."""
-
-    def map(self, call, items, pure):
-        return [call(item) for item in items]
-
-    def gather(self, futures):
-        return futures
-
-
 def test_it_climbs_a_hill_from_its_antithetic_pairs():
     count = shape_of(TASK).size
     goal = np.random.default_rng(5).standard_normal(count)
@@ -45,25 +36,23 @@ def test_it_climbs_a_hill_from_its_antithetic_pairs():
     assert found[-1].steps == 150 * 16 * 12
 
 
-def test_the_first_network_does_nothing_and_its_return_is_that_of_the_gait_alone():
-    shape = shape_of(TASK)
-    first = next(learn(TASK, SMALL, lambda walks: np.zeros(len(walks.seeds)))).best[
-        None
-    ]
-    assert (
-        shape.actions(first, np.ones((1, observation_size("amplitudes")))) == 0.0
-    ).all()
-    seeds = np.array([1, 2, 1])
-    found = returns(Walks(TASK, SMALL, np.tile(first, (3, 1)), seeds))
-    assert found[0] == found[2] != found[1]
-
-
 def test_parts_on_workers_return_what_one_process_does():
-    rng = np.random.default_rng(1)
-    walks = Walks(
-        TASK, SMALL, rng.standard_normal((5, shape_of(TASK).size)), np.arange(5)
+    client = SimpleNamespace(  # of dask.distributed, in this process
+        map=lambda call, items, pure: [call(item) for item in items],
+        gather=list,
     )
-    assert spread(Client(), 2)(walks) == pytest.approx(returns(walks), abs=1e-12)
+    parameters = np.random.default_rng(1).standard_normal((5, shape_of(TASK).size))
+    walks = Walks(TASK, SMALL, parameters, np.arange(5))
+    assert spread(client, 2)(walks) == pytest.approx(returns(walks), abs=1e-12)
+
+
+def test_the_gait_half_a_stride_later_is_its_mirror_image():
+    phase, velocity = np.linspace(0.0, 0.4, 5), np.array([0.05, 0.01, 0.02])
+    now = TASK.stride.stride_table(phase, velocity)
+    mirrored = spaces.MIRRORED_VELOCITY * velocity
+    later = TASK.stride.stride_table(phase + 0.5, mirrored)
+    assert later[:, LEFT_RIGHT] == pytest.approx(now[:, :4], abs=1e-9)
+    assert later[:, 8:] == pytest.approx(spaces.MIRRORED_STATE * now[:, 8:], abs=1e-9)
 
 
 @pytest.mark.parametrize("actions", ["amplitudes", "tendons"])
@@ -79,18 +68,3 @@ def test_a_network_acts_on_the_mirror_image_by_the_mirror_image(actions, servos)
     assert np.abs(action - action @ mirror.action).max() > 0.1
     there = shape.actions(parameters, seen @ mirror.seen)
     assert there == pytest.approx(action @ mirror.action, abs=1e-12)
-
-
-def test_the_gait_half_a_stride_later_is_its_mirror_image():
-    stride, phase = TASK.stride, np.linspace(0.0, 0.4, 5)
-    velocity = np.array([0.05, 0.01, 0.02])
-    now, later = (
-        stride.stride_table(phase + s, f * velocity)
-        for s, f in ((0.0, np.ones(3)), (0.5, spaces.MIRRORED_VELOCITY))
-    )
-    assert later[:, LEFT_RIGHT] == pytest.approx(now[:, :4], abs=1e-9)
-    assert later[:, 8:] == pytest.approx(spaces.MIRRORED_STATE * now[:, 8:], abs=1e-9)
-    later, now = (
-        [np.sin(2 * np.pi * p), np.cos(2 * np.pi * p)] for p in (phase + 0.5, phase)
-    )
-    assert np.transpose(later) == pytest.approx(spaces.HALF_STRIDE * np.transpose(now))

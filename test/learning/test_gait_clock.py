@@ -1,73 +1,70 @@
-"""The gait of many robots is that of the gait scheduler."""
+"""The gait of many robots is that of the gait scheduler; their course that of the command."""
 
 import numpy as np
 import pytest
 
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait_scheduler import GaitScheduler
+from slot_core.gait.reference import moved
 
 pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
 from slot_lab.learning.gait_clock import GaitClock
+from slot_lab.learning.rewards import PLACE, Course
 from slot_lab.learning.task import make_task
 
+TASK = make_task()
+DT = TASK.gaits.dt
 VELOCITY = np.array([[0.05, 0.0, 0.0], [0.03, -0.02, 0.02]])
 TICKS = 90
 
 
-@pytest.fixture(scope="module")
-def walked():
-    """Clock and schedulers over the ticks, for robots that lag behind, drift and turn."""
-    task = make_task()
-    dt, rng = task.gaits.dt, np.random.default_rng(0)
+def test_angles_phase_velocity_and_reference_are_those_of_the_scheduler():
+    """For robots that lag behind, drift and turn."""
     schedulers = [
-        GaitScheduler(task.gaits, task.robot, read_springs(), task.gait, v)
+        GaitScheduler(TASK.gaits, TASK.robot, read_springs(), TASK.gait, v)
         for v in VELOCITY
     ]
-    clock, state, rows = GaitClock(task, 2), np.zeros((2, 12)), []
+    clock, state = GaitClock(TASK, 2), np.zeros((2, 12))
+    rng = np.random.default_rng(0)
     state[:, 5] = 0.04
+    clock.reset(np.arange(2), VELOCITY, state)
     for tick in range(TICKS):
-        if tick == 0:
-            clock.reset(np.arange(2), VELOCITY, state)
-        else:
+        if tick:
             clock.step(state)
-        previews = [
-            scheduler.step(round(1e9 * dt * tick), s)
-            for scheduler, s in zip(schedulers, state)
-        ]
-        rows.append(
-            (previews, clock.angles, clock.reference, clock.phase, clock.velocity)
-        )
+        # The preview's posture is linear over its stages, whatever the height does: during the
+        # blend, angles a step ahead differ.
+        most = 0.02 if tick < 41 else 1e-9
+        for i, scheduler in enumerate(schedulers):
+            preview = scheduler.step(round(1e9 * DT * tick), state[i])
+            if tick:
+                ahead, angle = preview.velocity_ahead[0], preview.tendon_angle
+                assert clock.phase[i] == pytest.approx(preview.phase, abs=1e-12)
+                assert clock.velocity[i] == pytest.approx(ahead, abs=1e-12)
+                assert clock.angles[0, i] == pytest.approx(angle[0], abs=1e-9)
+                assert clock.angles[1, i] == pytest.approx(angle[1], abs=most)
+                assert clock.reference[i] == pytest.approx(
+                    preview.reference[0], abs=1e-9
+                )
         state = state.copy()
-        state[:, 3:5] += dt * np.array([[0.04, 0.005], [0.01, 0.0]])
-        state[:, 2] += dt * np.array([0.01, -0.02])
+        state[:, 3:5] += DT * np.array([[0.04, 0.005], [0.01, 0.0]])
+        state[:, 2] += DT * np.array([0.01, -0.02])
         state[:, [0, 1]] = 0.02 * rng.standard_normal((2, 2))
-    return rows
 
 
-def test_angles_phase_velocity_and_reference_are_those_of_the_scheduler(walked):
-    for previews, angles, reference, phase, velocity in walked[1:]:
-        for i, preview in enumerate(previews):
-            assert phase[i] == pytest.approx(preview.phase, abs=1e-12)
-            assert velocity[i] == pytest.approx(preview.velocity_ahead[0], abs=1e-12)
-            assert angles[0, i] == pytest.approx(preview.tendon_angle[0], abs=1e-9)
-            assert reference[i] == pytest.approx(preview.reference[0], abs=1e-9)
-
-
-def test_angles_a_step_ahead_differ_during_the_blend_only(walked):
-    for tick, (previews, angles, *_) in enumerate(walked[1:]):
-        # the preview's posture is linear over its stages, whatever the height does
-        most = 0.02 if tick < 40 else 1e-9
-        for i, preview in enumerate(previews):
-            assert angles[1, i] == pytest.approx(preview.tendon_angle[1], abs=most)
-
-
-def test_robots_that_start_anew_do_not_change_the_others():
-    task, state = make_task(), np.zeros((2, 12))
-    clocks = [GaitClock(task, 2), GaitClock(task, 2)]
-    for clock in clocks:
-        clock.reset(np.arange(2), VELOCITY, state)
-        for _ in range(20):
-            clock.step(state)
-    clocks[0].reset(np.array([1]), VELOCITY[:1], state[:1])
-    assert (clocks[0].angles[:, 0] == clocks[1].angles[:, 0]).all()
-    assert clocks[0].phase[1] == 0.0 < clocks[1].phase[1]
+def test_gaps_are_those_of_the_stray_and_not_of_the_swing():
+    faster, aside, turn = 0.004, 0.03, 0.1
+    course, state = Course(TASK, 2), np.zeros((2, 12))
+    place = np.array([[0.1, 0.2, 0.7], [0.0, 0.0, -3.0]])  # x, y, yaw
+    state[:, PLACE] = place
+    course.reset(np.arange(2), state)
+    for tick in range(1, TICKS):
+        place = moved(place, VELOCITY, DT)
+        swing = np.sin(2 * np.pi * DT * tick / TASK.stride.period)
+        way = np.array([faster * DT * tick + 0.01 * swing, aside, 0.0])
+        state[:, PLACE] = moved(place, np.tile(way, (2, 1)), 1.0)
+        state[:, PLACE[2]] += turn + 0.03 * swing + 2 * np.pi
+        course.step(VELOCITY, state)
+    assert course.place == pytest.approx(place, abs=1e-12)
+    assert course.faster == pytest.approx([faster] * 2, abs=1e-3)
+    assert course.aside == pytest.approx([aside] * 2)
+    assert course.turn == pytest.approx([turn] * 2, abs=1e-3)

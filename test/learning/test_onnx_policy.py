@@ -1,5 +1,6 @@
 """A learned network as a policy: what it plans, what is refused, the graph that walks with it."""
 
+import re
 import sys
 from dataclasses import replace
 
@@ -8,8 +9,7 @@ import pytest
 from recorded_run import record
 
 from slot_core.config import ConfigError
-from slot_core.control.gait_alone import gait_plan
-from slot_core.control.onnx_policy import GAIT, KIND, OnnxPolicy
+from slot_core.control.onnx_policy import GAIT, KIND
 from slot_core.control.policy import make_policy, policy_class
 from slot_core.control.walk_actions import ANGLE_MAX
 from slot_core.robot import read_robot
@@ -51,13 +51,6 @@ def test_it_acts_as_the_network_that_was_learned(tmp_path):
         assert policy.act(seen) == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_network_of_zeros_plans_the_gait(tmp_path, tick):
-    policy = make_policy(f"onnx:{network(tmp_path, scale=0.0)[0]}", read_robot())
-    plan, alone = policy.step(tick.estimate, tick.preview), gait_plan(tick.preview)
-    assert (plan.angle == alone.angle).all()
-    assert (plan.force == alone.force).all()
-
-
 def test_tendon_actions_are_added_to_the_angles_of_every_stage(tmp_path, tick):
     shape = NetworkShape(21, 4)
     file, _ = network(tmp_path, shape, {GAIT: "walk", KIND: "tendons"})
@@ -72,14 +65,11 @@ def test_outside_its_gait_and_while_servos_do_not_follow_it_plans_the_gait(
     tmp_path, tick, changes
 ):
     policy = make_policy(f"onnx:{network(tmp_path)[0]}", read_robot())
-    assert (
-        policy.step(tick.estimate, tick.preview).angle != tick.preview.tendon_angle
-    ).any()
     preview = replace(tick.preview, **changes)
     assert (policy.step(tick.estimate, preview).angle == preview.tendon_angle).all()
 
 
-def test_an_estimate_that_is_not_finite_gets_the_gait(tmp_path, tick):
+def test_an_estimate_or_action_that_is_not_finite_gets_the_gait(tmp_path, tick):
     policy = make_policy(f"onnx:{network(tmp_path)[0]}", read_robot())
     lost = replace(tick.estimate, state=np.full(12, np.nan))
     plans = [policy.step(e, tick.preview) for e in (lost, lost, tick.estimate)]
@@ -91,13 +81,18 @@ def test_an_estimate_that_is_not_finite_gets_the_gait(tmp_path, tick):
     assert plans[0].message.startswith("state[0] = nan: outside")
     assert (plans[1].angle == tick.preview.tendon_angle).all()
     assert (plans[2].angle != tick.preview.tendon_angle).any()
-
-
-def test_an_action_that_is_not_finite_gets_the_gait_and_says_so(tmp_path, tick):
-    policy = make_policy(f"onnx:{network(tmp_path, scale=np.nan)[0]}", read_robot())
-    plan = policy.step(tick.estimate, tick.preview)
+    odd = make_policy(f"onnx:{network(tmp_path, scale=np.nan)[0]}", read_robot())
+    plan = odd.step(tick.estimate, tick.preview)
     assert (plan.status.name, plan.message) == ("NOT_SOLVED", "action not finite")
     assert (plan.angle == tick.preview.tendon_angle).all()
+
+
+def refusal_of(file):
+    """The line that refuses a network's file."""
+    with pytest.raises(ConfigError) as refused:
+        policy_class(f"onnx:{file}").read_settings(f"onnx:{file}")
+    (line,) = str(refused.value).splitlines()
+    return line
 
 
 @pytest.mark.parametrize(
@@ -114,42 +109,23 @@ def test_a_network_for_something_else_is_refused_in_one_line(
     tmp_path, shape, about, named
 ):
     file, _ = network(tmp_path, shape, about)
-    with pytest.raises(ConfigError, match=named) as refused:
-        policy_class(f"onnx:{file}").read_settings(f"onnx:{file}")
-    assert len(str(refused.value).splitlines()) == 1
+    assert re.search(named, refusal_of(file))
 
 
-def test_a_network_that_takes_five_observations_at_once_is_refused_in_one_line(
-    tmp_path,
+def test_a_file_that_is_no_network_of_one_robot_is_refused_in_one_line(
+    tmp_path, monkeypatch
 ):
     file, _ = network(tmp_path)
     model = onnx.load(file)
     for port in (model.graph.input[0], model.graph.output[0]):
         port.type.tensor_type.shape.dim[0].dim_value = 5
-    onnx.save(model, file)
-    with pytest.raises(
-        ConfigError, match=r"net\.onnx: \w+: .*[Ee]xpected: 5"
-    ) as refused:
-        OnnxPolicy.read_settings(f"onnx:{file}")
-    assert len(str(refused.value).splitlines()) == 1
-
-
-@pytest.mark.parametrize("content", [None, b"", b"no network", b"\x08" * 5000])
-def test_a_file_that_is_no_network_is_refused_in_one_line(tmp_path, content):
-    file = tmp_path / "net.onnx"
-    if content is not None:
+    for content in (model.SerializeToString(), b"", b"no network", b"\x08" * 5000):
         file.write_bytes(content)
-    with pytest.raises(ConfigError, match=r"net\.onnx") as refused:
-        OnnxPolicy.read_settings(f"onnx:{file}")
-    assert len(str(refused.value).splitlines()) == 1
-
-
-def test_without_onnxruntime_it_says_how_to_install_it(tmp_path, monkeypatch):
+        assert "net.onnx" in refusal_of(file)
+    file.unlink()
+    assert "net.onnx" in refusal_of(file)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(
-        ConfigError, match="onnxruntime is missing; run scripts/setup --learn"
-    ):
-        OnnxPolicy.read_settings(f"onnx:{tmp_path}/net.onnx")
+    assert refusal_of(file).endswith("is missing; run scripts/setup --learn")
 
 
 def test_a_policy_that_sees_the_servos_is_not_exported(tmp_path):

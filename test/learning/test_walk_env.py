@@ -18,14 +18,10 @@ FRICTION = {"scene.floor.friction": (0.2, 0.6)}
 SHORT = {"duration": 0.4, "drawn": FRICTION}
 
 
-def walked(env, count, seed=3, action=None):
-    """Observations and rewards of so many steps."""
-    found = [env.reset(seed=seed)[0]]
-    still = np.zeros(env.action_space.shape) if action is None else action
-    steps = [env.step(still)[:2] for _ in range(count)]
-    return np.array(found + [seen for seen, _ in steps]), np.array(
-        [r for _, r in steps]
-    )
+def walked(env, count, seed=3):
+    """Observations of so many steps without an action."""
+    first, still = env.reset(seed=seed)[0], np.zeros(env.action_space.shape)
+    return np.array([first, *(env.step(still)[0] for _ in range(count))])
 
 
 @pytest.mark.parametrize("actions", ["amplitudes", "tendons"])
@@ -62,20 +58,18 @@ def test_without_actions_it_is_the_closed_loop_with_the_gait_alone(level):
 )
 def test_equal_seeds_give_equal_episodes_and_others_do_not(kind):
     env = kind(**SHORT)
-    first, again, other = (walked(env, 5, seed)[0] for seed in (3, 3, 4))
+    first, again, other = (walked(env, 5, seed) for seed in (3, 3, 4))
     assert (first == again).all()
     assert not (first == other).all()
 
 
-def test_threads_change_nothing():
-    one, two = (walked(WalkVectorEnv(3, threads=n, **SHORT), 8)[0] for n in (1, 2))
+def test_neither_threads_nor_the_place_of_a_robot_change_its_episode():
+    one, two, alone = (
+        walked(WalkVectorEnv(len(seeds), threads=threads, **SHORT), 8, seeds)
+        for seeds, threads in (([5, 6, 7], 1), ([5, 6, 7], 2), ([7], 1))
+    )
     assert (one == two).all()
-
-
-def test_a_seed_of_its_own_gives_a_robot_the_same_episode_in_any_place():
-    one, many = WalkVectorEnv(1, **SHORT), WalkVectorEnv(3, **SHORT)
-    alone, together = walked(one, 5, [7])[0], walked(many, 5, [5, 6, 7])[0]
-    assert together[:, 2] == pytest.approx(alone[:, 0], abs=1e-6)
+    assert one[:, 2] == pytest.approx(alone[:, 0], abs=1e-6)
 
 
 def test_many_robots_walk_as_far_as_the_one_with_sensors_and_servo_bus():
@@ -103,22 +97,17 @@ def test_an_episode_ends_after_its_time_and_the_next_step_begins_another():
     assert env._ticks.tolist() == [1, 1]
 
 
-def test_a_robot_that_falls_ends_its_episode_without_a_reward():
-    env = WalkVectorEnv(1, level="map")
-    env.reset(seed=1)
-    env._robots.robots[0].push(np.zeros(3), np.array([3.0, 0.0, 0.0]))
-    steps = [env.step(np.zeros((1, 3))) for _ in range(30)]
-    fell = [bool(terminated[0]) for _, _, terminated, _, _ in steps]
+def test_a_robot_that_falls_ends_its_episode_alone_and_without_a_reward():
+    still, both = np.zeros((2, 3)), [WalkVectorEnv(2, level="map") for _ in range(2)]
+    for env in both:
+        env.reset(seed=1)
+    both[0]._robots.robots[0].push(np.zeros(3), np.array([3.0, 0.0, 0.0]))
+    steps = [[env.step(still) for env in both] for _ in range(30)]
+    fell = [bool(terminated[0]) for (_, _, terminated, _, _), _ in steps]
     assert any(fell)
-    assert steps[fell.index(True)][1] == 0.0
-
-
-@pytest.mark.parametrize("scene", ["push", "tendon_breaks"])
-def test_what_comes_at_a_time_of_its_own_is_not_for_many_robots(scene):
-    with pytest.raises(
-        ConfigError, match="its pushes and faults come at times of their own"
-    ):
-        WalkVectorEnv(1, scene=scene)
+    assert steps[fell.index(True)][0][1][0] == 0.0
+    for beside, without in steps:  # the other robot goes on as if it were alone
+        assert (beside[0][1] == without[0][1]).all()
 
 
 def test_what_is_drawn_is_set_for_all_values_or_for_each():
@@ -131,10 +120,9 @@ def test_what_is_drawn_is_set_for_all_values_or_for_each():
     task = make_task(drawn=drawn)
     values = task.draw(np.random.default_rng(1))
     scene, servo = task.world(values)
-    assert len(set(scene.floor.friction)) == 1
-    assert 0.2 <= scene.floor.friction[0] <= 0.6
-    assert scene.payload.place[0] == scene.payload.place[2] == 0.0
-    assert -0.02 <= scene.payload.place[1] <= 0.02
+    (friction,), (x, y, z) = set(scene.floor.friction), scene.payload.place
+    assert 0.2 <= friction <= 0.6
+    assert x == z == 0.0 < abs(y) <= 0.02
     assert 0.01 <= servo.lag <= 0.02
     assert 0.02 <= task.commanded(values)[0] <= 0.04
 
@@ -154,11 +142,12 @@ def test_what_is_drawn_is_set_for_all_values_or_for_each():
         ),
         ({"drawn": {"scene.floor.mu": (0.1, 0.2)}}, "scene: floor.mu is not a setting"),
         ({"drawn": {"scene.floor.friction": (-2.0, -1.0)}}, r"friction\[0\] = -"),
+        ({"scene": "push"}, "its pushes and faults come at times of their own"),
     ],
 )
 def test_a_wrong_task_is_refused_with_name_value_and_limit(arguments, named):
     with pytest.raises(ConfigError, match=named):
-        WalkEnv(**{"velocity": (0.0, 0.0, 0.0), **arguments})
+        WalkVectorEnv(1, **{"velocity": (0.0, 0.0, 0.0), **arguments})
 
 
 @pytest.mark.parametrize(
@@ -172,13 +161,8 @@ def test_a_wrong_task_is_refused_with_name_value_and_limit(arguments, named):
 )
 def test_speed_place_and_heading_off_the_course_cost(strayed, term, value):
     values = [np.array([value]) for value in strayed]
-    rest = (
-        np.zeros((1, 12)),
-        *values,
-        np.zeros((1, 2)),
-        np.zeros((1, 4)),
-        np.zeros((1, 3)),
-    )
-    terms = rewards.reward_terms(rewards.Transition(*rest))
+    others = (np.zeros((1, size)) for size in (2, 4, 3))
+    moved = rewards.Transition(np.zeros((1, 12)), *values, *others)
+    terms = rewards.reward_terms(moved)
     expected = dict.fromkeys(rewards.WEIGHTS, 0.0) | {"walking": 1.0, term: value}
     assert terms == pytest.approx(expected, abs=1e-9)

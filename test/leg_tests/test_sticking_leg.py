@@ -5,26 +5,16 @@ import pytest
 from leg_energy import chain_strains, elastic_energy
 from scipy.integrate import cumulative_simpson, simpson
 from scipy.spatial.transform import Rotation
+from test_leg_map import pulled
 
 from slot_core import config
 from slot_core.dynamics.rod import sections
 from slot_core.robot import read_robot
-from slot_lab.leg_tests.leg_map import StaticLeg
 from slot_lab.leg_tests.sticking_leg import StickingLeg
 
 ROBOT = read_robot()
 # Natural shapes: that of the robot, and parabolas that turn by 21 and 49 deg.
 SHAPES = (6.356, -1.810, 0.0, 0.02175), (0.0, -1.0, 0.0, 0.0), (0.0, -3.0, 0.0, 0.0)
-
-
-def standing(nodes, angle, height):
-    """Static leg, pulled at its height from the slack leg above."""
-    leg = StaticLeg(ROBOT, nodes)
-    for h in np.linspace(0.12, height, 20):
-        leg.solve(0.0, h)
-    for part in np.linspace(0.0, angle, 20):
-        here = leg.solve(part, height)
-    return here
 
 
 class Standing:
@@ -77,7 +67,7 @@ def hessian(function, size, step):
 def test_stiffness_is_that_of_an_independent_energy(angle_deg, height):
     """The clamp's part of the Hessian less what the free nodes and segments give way."""
     angle, nodes = np.radians(angle_deg), 5
-    here, leg = standing(nodes, angle, height), StickingLeg(ROBOT, nodes)
+    here, leg = pulled(nodes, angle, height)[1], StickingLeg(ROBOT, nodes)
     chain = Standing(leg.model, here.node, angle, height)
     whole = hessian(chain.energy, 6 + 4 * (nodes - 1), 1e-5)
     free = whole[6:, 6:]
@@ -118,42 +108,20 @@ def unit_loads(leg, shape, nodes=4001):
 def test_stiffness_sideways_of_an_unloaded_leg_is_that_of_unit_loads(shape):
     """Bending and twist of the natural curve, whose tip is held by the springs of its two edges."""
     robot = config.replace(ROBOT, {"leg.natural_shape": shape, "leg.density": 1.0})
-    coarse, fine = chains(robot)
+    floor = StickingLeg(robot, 121).model.floor
+    tip, edge = 2 * floor.stiffness[-1], 2 * floor.stiffness[-1] * floor.half_width**2
+    compliance = unit_loads(robot.leg, robot.leg.shape) + np.diag(
+        [1 / tip, 1 / edge, 1 / edge]
+    )
+    expected = np.linalg.inv(compliance)[0, 0]
+    coarse, fine = (  # N/m, of the natural leg above the floor
+        leg.stiffness(leg.model.rod.node, 0.0, 1.0)[1, 1]
+        for leg in (StickingLeg(robot, 61), StickingLeg(robot, 121))
+    )
     # A chain has no hinge at its tip, so that moments of the edges bend it by some tenths of a
     # segment too little: an error of first order, which the extrapolation removes.
-    assert sideways(coarse) == pytest.approx(held_on_edges(robot, fine), rel=0.015)
-    both = 2 * sideways(fine) - sideways(coarse)
-    assert both == pytest.approx(held_on_edges(robot, fine), rel=3e-4)
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_on_its_centre_line_the_compliance_of_the_foot_is_that_of_a_unit_force(shape):
-    changes = {
-        "leg.natural_shape": shape,
-        "leg.density": 1.0,
-        "leg.contact_width": 1e-4,
-    }
-    robot = config.replace(ROBOT, changes)
-    leg, force_alone = chains(robot)[0], unit_loads(robot.leg, robot.leg.shape)[0, 0]
-    assert sideways(leg) == pytest.approx(held_on_edges(robot, leg), rel=1e-4)
-    # The edges, 0.1 mm apart, still hold 5e-5 N m/rad; the floor yields by 0.4 % of the leg.
-    assert sideways(leg) == pytest.approx(1.0 / force_alone, rel=6e-3)
-
-
-def held_on_edges(robot, leg):
-    """N/m, of a leg whose tip is held by the springs of its two edges."""
-    tip, half = 2 * leg.model.floor.stiffness[-1], leg.model.floor.half_width
-    springs = np.diag([1.0 / tip, 1.0 / (tip * half**2), 1.0 / (tip * half**2)])
-    return np.linalg.inv(unit_loads(robot.leg, robot.leg.shape) + springs)[0, 0]
-
-
-def chains(robot):
-    return StickingLeg(robot, 61), StickingLeg(robot, 121)
-
-
-def sideways(leg):
-    """N/m, of the natural leg above the floor."""
-    return leg.stiffness(leg.model.rod.node, 0.0, 1.0)[1, 1]
+    assert coarse == pytest.approx(expected, rel=0.015)
+    assert 2 * fine - coarse == pytest.approx(expected, rel=3e-4)
 
 
 @pytest.mark.parametrize("angle_deg", [85.0, 95.0])
@@ -162,7 +130,7 @@ def test_without_the_longitudinal_force_it_is_the_stiffness_on_a_floor_without_f
 ):
     """Where one node touches, the stuck foot let go along the leg is the foot of the static leg."""
     angle, height = np.radians(angle_deg), 0.1
-    here = standing(61, angle, height)
+    here = pulled(61, angle, height)[1]
     held = StickingLeg(ROBOT, 61).stiffness(here.node, angle, height)
     assert np.count_nonzero(height + here.node[:, 1] < 0.0) == 1
     # The static leg's last pseudo time step, 1000 s, leaves 8e-6 of damping.
@@ -170,13 +138,3 @@ def test_without_the_longitudinal_force_it_is_the_stiffness_on_a_floor_without_f
         -here.stiffness, rel=3e-5
     )
     assert held[0, 2] / held[0, 0] == pytest.approx(here.foot_rise, rel=3e-5)
-
-
-def test_a_leg_above_the_floor_has_the_stiffness_of_one_that_just_touches():
-    leg = StickingLeg(ROBOT, 61)
-    here = standing(61, np.radians(40.0), 0.08)
-    lowest = -here.node[:, 1].min()
-    assert here.force == 0.0
-    above = leg.stiffness(here.node, np.radians(40.0), 0.08)
-    touching = leg.stiffness(here.node, np.radians(40.0), lowest - 1e-8)
-    np.testing.assert_allclose(above[:3, :3], touching[:3, :3], rtol=1e-5, atol=1e-3)

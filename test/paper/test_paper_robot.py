@@ -30,10 +30,6 @@ def leg(**changes):
     return PaperLegs(ROBOT, config.replace(PRINTED, changes))
 
 
-def heights(leg):
-    return leg.node[0, 1]
-
-
 def simulator(start=UNSETTLED, scene="flat", **changes):
     scene = config.replace(read_scene(scene), start)
     return PaperRobot(ROBOT, scene, read_servo(), config.replace(PRINTED, changes))
@@ -92,13 +88,9 @@ def test_a_step_integrates_the_printed_equations_of_a_leg():
     legs.velocity += rng.normal(size=legs.velocity.shape)
     legs.angle += 0.01 * rng.normal(size=legs.angle.shape)
     legs.rate += rng.normal(size=legs.rate.shape)
-    assert 0 < (heights(legs) < 0.0).sum() < PRINTED.nodes
+    assert 0 < (legs.node[0, 1] < 0.0).sum() < PRINTED.nodes
     h, forces = legs.settings.step, printed_forces(legs, 10.0)
-    velocity, rate, node = (
-        legs.velocity[0].copy(),
-        legs.rate[0].copy(),
-        legs.node[0].copy(),
-    )
+    velocity, rate, node = (x[0].copy() for x in (legs.velocity, legs.rate, legs.node))
     legs.advance(1, [10.0])
     np.testing.assert_allclose(legs.base_force[0], forces[0, :2])
     forces[0, 0] = 0.0  # the guide of the base
@@ -115,7 +107,7 @@ def test_a_step_integrates_the_printed_equations_of_a_leg():
 def test_below_the_step_limit_a_pulled_and_released_leg_comes_to_rest(changes):
     moving, found = leg(**changes), []
     for _ in pull_and_release(moving, 1.0):
-        found.append((heights(moving)[0], np.abs(moving.velocity).max()))
+        found.append((moving.node[0, 1, 0], np.abs(moving.velocity).max()))
     height, speed = np.array(found).T
     assert height.max() - height[0] > 0.07  # m: the leg was lifted
     assert speed.max() < 2.0  # m/s; the profile itself moves the base at 0.3 m/s
@@ -136,46 +128,14 @@ def test_a_sudden_pull_diverges_above_the_step_limit_of_the_contact(tension):
         leg(**SOFT).advance(10000, [tension])
 
 
-@pytest.mark.parametrize("factor", [0.0, 100.0])
-def test_bending_stiffness_changes_the_angles_and_no_position(factor):
+def test_bending_stiffness_changes_the_angles_which_overflow_and_no_position():
     plain, changed = leg(**SOFT), leg(**SOFT)
-    changed.bending = factor * changed.bending
-    plain.advance(20, [1.0])
-    changed.advance(20, [1.0])
-    assert np.abs(plain.angle).max() > 1e-3
-    assert np.abs(plain.angle - changed.angle).max() > 1e-4
+    changed.bending = 100.0 * changed.bending
     for _ in zip(pull_and_release(plain, 1.0), pull_and_release(changed, 1.0)):
         np.testing.assert_array_equal(plain.node, changed.node)
         np.testing.assert_array_equal(plain.velocity, changed.velocity)
-
-
-def test_the_angle_state_overflows_within_a_tenth_of_a_second_without_an_error():
-    pulled = leg(**SOFT)
-    for time in pull_and_release(pulled, 1.0):
-        if time > 0.1:
-            break
-    assert not np.isfinite(pulled.angle).any()
-    assert np.isfinite(pulled.node).all()
-
-
-def test_the_bending_moments_are_anti_restoring():
-    """One node turned, no damping: the moments turn it further and its neighbours the other way."""
-    turned = leg(**SOFT, damping=0.0)
-    turned.angle[0, 10] = 1e-6
-    turned.advance(1, [0.0])
-    assert turned.angle[0, 10] > 1e-6
-    assert turned.angle[0, 9] < 0.0 > turned.angle[0, 11]
-
-
-@pytest.mark.parametrize("stiffness", [400.0, 1600.0])
-def test_the_lift_is_the_tension_over_the_stiffness_of_a_restoring_spring(stiffness):
-    pulled = leg(**SOFT, **AIRBORNE, restoring_stiffness=stiffness)
-    for time in pull_and_release(pulled, 1.0):
-        if time > 0.5:  # the tension is constant
-            break
-    # The first segment, stretched by up to 110 % and far from vertical, carries up to 3 % of it.
-    lift = heights(pulled)[0] - pulled.initial[1, 0]
-    assert lift == pytest.approx(FULL / stiffness, rel=0.035)
+    assert not np.isfinite(plain.angle).any()
+    assert np.isfinite(plain.node).all()
 
 
 def test_a_step_integrates_the_printed_equations_of_the_torso():
@@ -217,22 +177,12 @@ def test_the_ground_force_is_that_of_the_tips_below_the_floor():
 
 
 def test_the_torsos_spring_carries_the_robot_and_no_leg_does():
-    """The tips are off the floor, and no leg carries weight of the torso."""
     sim = simulator({"start.tendon_angle_deg": 63.0}, **STABLE)
     sag = ROBOT.torso.mass * GRAVITY / PRINTED.torso_stiffness
     assert sim.position[2] == pytest.approx(0.0218 - sag, abs=1e-5)
     assert sim.specific_force == pytest.approx([0.0, 0.0, GRAVITY], abs=1e-2)
     assert np.abs(sim.angular_velocity).max() < 1e-9
     assert not sim.ground_force.any()
-    legs, lift = sim.legs, (sim.nodes[..., 2] - sim.legs.initial[1]).sum(axis=1)
-    load = sim.tension * legs.pull[1].sum() - legs.mass.sum() * GRAVITY - legs.base_load
-    assert PRINTED.restoring_stiffness * lift == pytest.approx(load, rel=1e-4)
-
-
-def test_the_printed_numbers_diverge_with_time_leg_and_node():
-    message = r"^simulation diverged at 0\.00\d0 s: leg FL node \d+ is beyond 1000\.0 m/s or not a"
-    with pytest.raises(DivergenceError, match=message):
-        simulator({})
 
 
 def test_a_plant_runs_the_papers_robot(monkeypatch):
@@ -242,20 +192,19 @@ def test_a_plant_runs_the_papers_robot(monkeypatch):
     robot = plant.RobotSimulator(ROBOT, scene, read_servo(), np.random.default_rng(1))
     robot.start(0)
     robot.command(np.full(4, 1.0))
-    *others, odometry = robot.advance_to_odometry()
+    *_, odometry = robot.advance_to_odometry()
     assert isinstance(odometry, readings.OdometryReading)
-    assert {type(reading).__name__ for reading in others} == {
-        "ImuReading",
-        "JointReading",
-        "TrueState",
-    }
     np.testing.assert_array_equal(robot.robot.tendon_angle, 1.0)
     torque = np.full(4, 1.0 / math.radians(270) * 1.5)
     assert robot.robot.servo_torque == pytest.approx(torque)
 
 
-def test_unsupported_scenes_and_steps_are_refused_by_name():
+def test_unsupported_scenes_and_steps_are_refused_and_the_printed_numbers_diverge():
     with pytest.raises(ConfigError, match="gravity along z alone"):
         simulator(scene="slope5", **STABLE)
     with pytest.raises(ConfigError, match=r"no multiple of 0\.0003 s"):
         simulator(step=3e-4)
+    with pytest.raises(
+        DivergenceError, match=r"^simulation .* at 0\.00\d0 s: leg FL node"
+    ):
+        simulator({})

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from synthetic_walk import WALL, message, write_messages, write_old
 
-from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.bag import Bag
 from slot_lab.bags.topics import PLANS
 from slot_lab.report import constraint_map
 from slot_lab.report.constraint_map import map_figure, read_map
@@ -35,7 +35,7 @@ def slipping(tmp_path):
     """Sixty cycles; the rear left leg slips in three of them, of which two are not solved."""
     cycles = [cycle() for _ in range(60)]
     cycles[20] = cycle(friction=-0.25)
-    cycles[21] = cycle(friction=-0.5, status=1)
+    cycles[21] = cycle(friction=-0.9e-4, status=1)
     cycles[22] = cycle(friction=-0.125, status=4)
     return write_cycles(tmp_path / "slipping", cycles)
 
@@ -44,25 +44,11 @@ def test_every_constraint_has_a_row_of_slack(slipping):
     found = read_map(Bag(slipping))
     assert len(found.constraints) == 4 * 5 + 2
     slack = dict(zip(found.constraints, found.slack))
-    assert slack["RL friction"][20:23] == pytest.approx([-0.25, -0.5, -0.125])
+    assert slack["RL friction"][20:23] == pytest.approx([-0.25, -0.9e-4, -0.125])
     assert slack["FR largest normal"] == pytest.approx(np.full(60, 7.0))
     assert slack["total support"] == pytest.approx(np.full(60, 28.0))
-    assert found.time[-1] == pytest.approx(59 / 30, abs=1e-6)
-
-
-def test_a_violation_is_slack_below_the_solvers_tolerance(tmp_path):
-    path = write_cycles(tmp_path / "bag", [cycle(-0.9e-4), cycle(-1.1e-4)])
-    assert read_map(Bag(path)).violated.sum(axis=0).tolist() == [0, 1]
-
-
-def test_the_plot_is_red_exactly_where_a_constraint_is_violated(slipping):
-    """A cell is red if its red exceeds twice its green."""
-    found = read_map(Bag(slipping)).active  # it has no balance constraint
-    assert len(found.constraints) == 4 * 5 + 1
-    mesh = map_figure(found).axes[0].collections[0]
-    colours = mesh.cmap(mesh.norm(mesh.get_array()))
-    red = colours[..., 0] > 2 * colours[..., 1]
-    assert np.array_equal(red, found.violated)
+    # A violation is slack below the solver's tolerance, 1e-4.
+    assert found.violated.sum(axis=0)[20:23].tolist() == [1, 0, 1]
 
 
 def test_a_single_violated_cycle_shows_in_a_long_walk(tmp_path, monkeypatch):
@@ -82,12 +68,6 @@ def test_fields_missing_from_older_messages_are_listed_and_left_out(tmp_path):
     assert not any("balance" in name for name in found.constraints)
 
 
-def test_a_bag_without_forces_is_refused(tmp_path):
-    path = write_messages(tmp_path / "bag", [(WALL, "/odom", message("/odom", 1.0))])
-    with pytest.raises(BagError, match="holds no messages"):
-        read_map(Bag(path))
-
-
 def test_the_command_draws_a_bag_and_its_exit_code_reports_violations(
     tmp_path, slipping, capsys
 ):
@@ -99,5 +79,5 @@ def test_the_command_draws_a_bag_and_its_exit_code_reports_violations(
     assert (tmp_path / "map.png").exists()
     assert main([str(slipping)]) == 1
     assert (tmp_path / "slipping_constraints.png").exists()
-    assert "-0.5000 N" in capsys.readouterr().out
+    assert "-0.2500 N" in capsys.readouterr().out
     assert main([str(tmp_path / "nothing")]) == 2

@@ -21,17 +21,15 @@ def bag(tmp_path_factory):
     return Bag(write_walk(tmp_path_factory.mktemp("bags") / "walk", WALK))
 
 
-def preview(stamp=1.0, speed=0.05, height=0.06):
-    """A preview of STAGES stages; with a roll, along the direction of a yaw."""
+def preview():
+    """A preview of STAGES stages at 60 mm and 50 mm/s, to the left."""
     reference = np.zeros((STAGES, 12))
-    reference[:, 0], reference[:, 2] = 0.02, np.pi / 2
-    reference[:, 3] = 0.01 * np.arange(STAGES)
-    reference[:, 5], reference[:, 10] = height, speed
+    reference[:, [2, 5, 10]] = np.pi / 2, 0.06, 0.05
     each = np.zeros((STAGES, 4))
     arrays = dict.fromkeys(("friction", "normal_force", "tendon_angle"), each)
     return message(
         "/gait_preview",
-        stamp,
+        1.0,
         gait="walk",
         stages=STAGES,
         contact=each.astype(bool),
@@ -63,6 +61,22 @@ def joints(torque):
     )
 
 
+def test_legs_reach_from_the_clamps_to_the_feet_with_their_tendons_below():
+    turn, place = (
+        Rotation.from_euler("xyz", [0.2, -0.1, 0.9]),
+        np.array([0.3, -0.2, 0.08]),
+    )
+    drawn = shapes.natural_legs(place, turn.as_quat(), ROBOT, 30)
+    assert np.allclose(drawn.nodes[:, 0], place + turn.apply(ROBOT.clamps))
+    assert np.allclose(drawn.nodes[:, -1], place + turn.apply(ROBOT.feet))
+    tendon = shapes.tendon_strips(drawn, np.zeros(4), ROBOT, 1.0).points
+    apart = (tendon - drawn.nodes[:, : tendon.shape[1]]).reshape(-1, 3)
+    assert np.allclose(np.linalg.norm(apart, axis=1), ROBOT.tendon.offset)
+    assert np.all(turn.inv().apply(apart)[:, 2] < -0.8 * ROBOT.tendon.offset)
+    share = tendon.shape[1] / 30  # up to the anchor
+    assert share == pytest.approx(ROBOT.tendon.end_fraction, abs=1.5 / 30)
+
+
 def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
     drawing, seen = Drawing(ROBOT, TORQUE), {}
     for topic, _, received in bag.merged(
@@ -90,7 +104,6 @@ def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
 
 def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_the_servos():
     drawing = Drawing(ROBOT, TORQUE)
-    assert drawing.receive("/imu", object()) == {}  # is not drawn
     assert drawing.receive("/joint_states", joints(np.zeros(4))) == {}  # no pose yet
     state = message("/mpc_state", 1.0, rpy=[0.1, 0.0, 0.5], position=[0.2, 0.1, 0.07])
     seen = drawing.receive("/mpc_state", state)
@@ -104,53 +117,8 @@ def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_
     assert np.allclose(
         loaded["tendons"].colours[[0, 2, 3]], [shapes.SLACK, *2 * [shapes.LOADED]]
     )
-
-
-def test_the_exact_pose_replaces_the_estimate_once_there_is_one():
-    drawing = Drawing(ROBOT, TORQUE)
     drawing.receive("/ground_truth/legs", legs(leg_nodes(WALK, 0.0)))
-    assert drawing.receive("/mpc_state", message("/mpc_state", 1.0)) == {}
-    assert drawing.receive("/joint_states", joints(np.ones(4))) == {}
-
-
-def test_the_reference_is_a_box_in_its_pose_with_its_way_over_the_horizon():
-    seen = Drawing(ROBOT, TORQUE).receive("/gait_preview", preview())
-    corners = seen["reference"].points[0]
-    assert np.allclose(corners.mean(axis=0)[[2]], 0.06, atol=1e-9)
-    half_y = np.abs(corners[:, 0]).max()  # turned by 90 deg: the width lies along x
-    assert half_y == pytest.approx(ROBOT.torso.size[1] / 2, rel=0.05)
-    assert np.allclose(seen["horizon"].points[0, :, 0], [0.0, 0.01, 0.02])
-
-
-def test_a_plan_shows_the_predicted_way_of_torso_and_feet():
-    drawing = Drawing(ROBOT, TORQUE)
-    pose, foot = np.arange(12.0).reshape(2, 6), np.arange(24.0)
-    fields = {"stages": 2, "force": np.ones(24), "pose": pose.ravel(), "foot": foot}
-    plan = message("/tendon_plan", 1.0, **fields)
-    assert drawing.receive("/tendon_plan", plan) == {}  # no pose yet
-    drawing.receive("/mpc_state", message("/mpc_state", 1.0))
-    seen = drawing.receive("/tendon_plan", plan)
-    assert np.array_equal(seen["predicted_path"].points, pose[None, :, 3:])
-    assert np.array_equal(
-        seen["predicted_feet"].points[1], [[3.0, 4.0, 5.0], [15.0, 16.0, 17.0]]
-    )
-    plan.foot = foot[:-1]
-    with pytest.raises(ValueError, match="foot has 23 values"):
-        drawing.receive("/tendon_plan", plan)
-
-
-def test_disturbances_are_curves_in_a_users_units():
-    fields = {
-        "wrench": np.array([-0.981, 0.0, 0.0]),
-        "drift": np.array([0.02, -0.01, np.pi / 180]),
-    }
-    seen = traces.values(
-        "/tendon_plan",
-        message("/tendon_plan", 1.0, stages=1, force=np.ones(12), **fields),
-    )
-    assert seen["disturbance/mpc"] == pytest.approx(
-        [1.0, 2.0, -1.0, 1.0]
-    )  # 100 g, cm/s, deg/s
+    assert drawing.receive("/mpc_state", state) == {}  # the exact pose counts
 
 
 @pytest.mark.parametrize(
@@ -194,6 +162,16 @@ def test_curves_of_the_torso_are_along_its_heading_in_the_units_of_their_plots(b
     assert reference["height/reference"] == pytest.approx([60.0])
 
 
+def test_states_are_named_and_disturbances_in_a_users_units():
+    walking = message("/robot_state", 1.0, state=3)
+    assert traces.states("/robot_state", walking) == {"supervisor": "WALKING"}
+    plan = message("/tendon_plan", 1.0, stages=1, status=2, force=np.zeros(12))
+    plan.wrench[0], plan.drift[:] = -0.981, [0.02, -0.01, np.pi / 180]
+    assert traces.states("/tendon_plan", plan) == {"mpc": "LATE"}
+    seen = traces.values("/tendon_plan", plan)["disturbance/mpc"]
+    assert seen == pytest.approx([1.0, 2.0, -1.0, 1.0])  # 100 g, cm/s, deg/s
+
+
 def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(bag):
     for topic, curve, rate, gain, late in (
         ("/joint_states", "angle/measured", 120, 0.97, 0.04),
@@ -207,15 +185,3 @@ def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(bag)
     truth = traces.values("/ground_truth/legs", legs(leg_nodes(WALK, 0.0)))
     assert np.array_equal(truth["tension/simulated"], [0.0, 70.0, 140.0, 9.0])
     assert np.array_equal(truth["force/ground"], np.full(4, 5.0))
-
-
-def test_states_are_named_by_their_messages():
-    assert traces.values("/imu", object()) == traces.states("/imu", object()) == {}
-    walking = message("/robot_state", 1.0, state=3)
-    late = message(
-        "/tendon_plan", 1.0, stages=1, force=np.zeros(12), status=2, solve_time=0.004
-    )
-    assert traces.states("/robot_state", walking) == {"supervisor": "WALKING"}
-    assert traces.states("/tendon_plan", late) == {"mpc": "LATE"}
-    assert traces.values("/tendon_plan", late)["solve_time/mpc"] == pytest.approx([4.0])
-    assert traces.states("/gait_preview", preview()) == {"gait": "walk"}

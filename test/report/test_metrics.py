@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from synthetic_walk import RATE, STRIDE, Walk, write_walk
 
 from slot_core.dynamics.servo import read_servo
-from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import Ticks, TorsoTrack, stride_mean
 from slot_lab.report.metrics import walk_metrics
 
@@ -38,9 +39,7 @@ def metrics_of(tmp_path_factory):
     return compute
 
 
-def test_straight_walk_with_a_course_error_gives_its_speed_distance_and_drift(
-    metrics_of,
-):
+def test_a_straight_rolling_walk_has_the_figures_of_its_closed_form(metrics_of):
     m = metrics_of(WALK)
     duration = (
         4 * STRIDE
@@ -54,28 +53,23 @@ def test_straight_walk_with_a_course_error_gives_its_speed_distance_and_drift(
     )
     assert m.lateral_drift_max == pytest.approx(abs(m.lateral_drift_end), abs=ROUNDING)
     assert m.yaw_drift == pytest.approx(0.0, abs=ROUNDING)
-
-
-def test_sinusoidal_roll_gives_its_amplitude_and_rms_as_tilt(metrics_of):
-    m = metrics_of(WALK)
     # Sampling a sine at 120 Hz misses its peak by at most 1 - cos(pi / (120 STRIDE)) = 7e-4; the
     # spans of whole strides are cut to samples, which moves the RMS by half a sample in 345.
     assert m.tilt_max == pytest.approx(0.1, rel=1e-3)
     assert m.tilt_rms == pytest.approx(0.1 / math.sqrt(2), rel=3e-3)
     assert m.height_mean == pytest.approx(0.06, abs=0.004 * 3e-3)
     assert m.height_std == pytest.approx(0.004 / math.sqrt(2), rel=3e-3)
+    # The third leg's torque exceeds the limit from t = 2 s on; joints are recorded in reverse.
+    assert m.servo_saturated == pytest.approx((0.0, 0.0, OVER / SAMPLES, 0.0))
+    # Angles 65 + 38 sin(phase) deg exceed 100 deg for acos(35 / 38) / pi of a stride; counted in
+    # odometries, a stride of 21.6 of them is right to one in 21.
+    assert m.saturated == pytest.approx((math.acos(35 / 38) / math.pi,) * 4, abs=1 / 21)
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 3.0])
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 3.0])
 def test_tilt_is_the_angle_between_the_z_axes_whatever_the_yaw(angle):
-    yaw, direction = 2.0, 0.7
-    half = np.sin(angle / 2)
-    tilt = np.array(
-        [half * np.cos(direction), half * np.sin(direction), 0.0, np.cos(angle / 2)]
-    )
-    z, w = np.sin(yaw / 2), np.cos(yaw / 2)
-    x, y, _, v = tilt
-    yawed = [w * x - z * y, w * y + z * x, z * v, w * v]  # Hamilton product yaw * tilt
+    tilt = Rotation.from_rotvec(angle * np.array([np.cos(0.7), np.sin(0.7), 0.0]))
+    yawed = (Rotation.from_euler("z", 2.0) * tilt).as_quat()
     motion = TorsoTrack(
         "", np.zeros(1), np.zeros((1, 3)), np.array([yawed]), np.zeros((1, 3))
     )
@@ -113,11 +107,11 @@ def test_injected_latencies_come_out_per_stage(metrics_of):
 def test_late_and_missing_commands_are_misses(metrics_of):
     clean = metrics_of(TIMING)
     assert (clean.deadline_misses, clean.unanswered, clean.missed_ticks) == (0, 0, 0)
-    m = metrics_of(replace(TIMING, late=(60, 61), unanswered=(70,)))
+    m = metrics_of(replace(TIMING, late=(60, 61), unanswered=(70,), fallback=(40, 90)))
     assert (m.deadline_misses, m.unanswered) == (3, 1)
-    assert m.ticks == clean.ticks
-    assert m.stages["mpc_controller"].max == pytest.approx(0.006 + 1 / RATE, abs=1e-6)
-    assert m.end_to_end.count == m.ticks - 1
+    assert (m.ticks, m.end_to_end.count) == (clean.ticks, clean.ticks - 1)
+    assert (m.fallback_cycles, m.longest_fallback) == (2, 1)
+    assert m.violation_max == pytest.approx(1e-6 * (LAST + 1), rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -145,40 +139,15 @@ def test_events_in_the_warm_up_are_left_out(metrics_of, warm_up, counted):
     assert found == counted
 
 
-@pytest.mark.parametrize("factor", [0.5, 1.0, 8.0])
-def test_real_time_factor_is_graph_time_over_wall_time(metrics_of, factor):
-    m = metrics_of(replace(TIMING, real_time_factor=factor))
-    assert m.real_time_factor == pytest.approx(factor, rel=1e-6)
-
-
-def test_late_machine_is_said_as_the_simulated_time_behind_real_time(metrics_of):
+def test_a_late_machine_is_behind_real_time_but_not_in_lockstep(metrics_of):
     assert metrics_of(WALK).behind.max == pytest.approx(0.0, abs=ROUNDING)
-    late = metrics_of(
-        replace(WALK, real_time_factor=0.5)
-    ).behind  # at time t it is t behind
-    assert late.max == pytest.approx(round(WALK.duration * 120) / 120, abs=ROUNDING)
-    assert late.p50 == pytest.approx((WARM_UP + WALK.duration) / 2, abs=1 / 120)
-
-
-@pytest.mark.parametrize("without", [{"lockstep": True}, {"truth": False}])
-def test_nothing_is_behind_real_time_in_lockstep_and_on_hardware(metrics_of, without):
-    m = metrics_of(replace(WALK, real_time_factor=0.5, **without))
-    assert m.behind.count == 0
-
-
-def test_largest_violation_and_fallbacks_are_those_after_the_warm_up(metrics_of):
-    m = metrics_of(replace(TIMING, fallback=(40, 90)))
-    assert (m.fallback_cycles, m.longest_fallback) == (2, 1)
-    assert m.violation_max == pytest.approx(1e-6 * (LAST + 1), rel=1e-12)
-
-
-def test_saturation_is_counted_per_leg(metrics_of):
-    # The third leg's torque exceeds the limit from t = 2 s on; joints are recorded in reverse
-    m = metrics_of(WALK)
-    assert m.servo_saturated == pytest.approx((0.0, 0.0, OVER / SAMPLES, 0.0))
-    # Angles 65 + 38 sin(phase) deg exceed 100 deg for acos(35 / 38) / pi of a stride; counted in
-    # odometries, a stride of 21.6 of them is right to one in 21.
-    assert m.saturated == pytest.approx((math.acos(35 / 38) / math.pi,) * 4, abs=1 / 21)
+    m = metrics_of(replace(WALK, real_time_factor=0.5))  # at time t it is t behind
+    assert m.real_time_factor == pytest.approx(0.5, rel=1e-6)
+    behind = m.behind
+    assert behind.max == pytest.approx(round(WALK.duration * 120) / 120, abs=ROUNDING)
+    assert behind.p50 == pytest.approx((WARM_UP + WALK.duration) / 2, abs=1 / 120)
+    lockstep = metrics_of(replace(WALK, real_time_factor=0.5, lockstep=True))
+    assert lockstep.behind.count == 0
 
 
 @pytest.mark.parametrize(
@@ -206,6 +175,7 @@ def test_without_ground_truth_the_state_estimate_is_the_stated_source(metrics_of
     truth = metrics_of(WALK)
     m = metrics_of(replace(WALK, truth=False))
     assert (truth.source, m.source) == ("/ground_truth/odom", "/mpc_state")
+    assert m.behind.count == 0  # the robot's own clock is real time
     assert m.mean_v_x == pytest.approx(0.05 * math.cos(COURSE), abs=ROUNDING)
     assert m.tilt_max == pytest.approx(
         0.1, rel=2e-2
@@ -213,11 +183,6 @@ def test_without_ground_truth_the_state_estimate_is_the_stated_source(metrics_of
     assert all(
         math.isnan(f) for f in (*m.servo_saturated, *m.servo_load)
     )  # no joint states either
-
-
-def test_bag_shorter_than_the_warm_up_is_refused(metrics_of):
-    with pytest.raises(BagError, match=r"holds 3\.9 s, the warm-up leaves out 30\.0 s"):
-        metrics_of(WALK, warm_up=30.0)
 
 
 def test_stride_mean_of_a_speed_with_ripple_is_the_speed():

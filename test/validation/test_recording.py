@@ -26,32 +26,17 @@ def csv(tmp_path):
     return write
 
 
-def test_a_simple_table_is_the_torso(csv):
-    track = read_recording(csv("# a comment", HEAD, *ROWS)).points["torso"]
-    assert track.t[-1] == pytest.approx(0.3)
-    assert track.position[3] == pytest.approx([0.1, 0.0, 0.03])
-    assert track.rpy is None
-
-
-def test_an_attitude_is_read_and_yaw_unwrapped(csv):
+def test_a_table_is_the_torso_and_its_yaw_unwrapped(csv):
     rows = [
         f"{row},0,0.1,{yaw}"
         for row, yaw in zip(ROWS, [3.0, 3.1, -3.1, -3.0, *[-2.9] * 6])
     ]
-    track = read_recording(csv(f"{HEAD},roll,pitch,yaw", *rows)).points["torso"]
+    track = read_recording(csv("# a comment", f"{HEAD},roll,pitch,yaw", *rows)).points[
+        "torso"
+    ]
+    assert track.t[-1] == pytest.approx(0.3)
+    assert track.position[3] == pytest.approx([0.1, 0.0, 0.03])
     assert track.rpy[3] == pytest.approx([0.0, 0.1, 2 * np.pi - 3.0])
-
-
-def test_written_points_are_read_again(tmp_path):
-    rows = [(n / 30, "torso", np.array([1.0, 0.0, n / 100])) for n in range(10)]
-    rows += [(t + 0.01, "FL_tip", place) for t, _, place in rows]
-    write_points(tmp_path / "p.csv", rows, ["a", "b"])
-    points = read_recording(tmp_path / "p.csv").points
-    assert set(points) == {"torso", "FL_tip"}
-    assert points["FL_tip"].t[0] == pytest.approx(0.01)
-    assert points["torso"].position == pytest.approx(
-        np.array([place for _, _, place in rows[:10]])
-    )
 
 
 @pytest.mark.parametrize(
@@ -92,8 +77,6 @@ def test_the_shipped_single_leg_gives_the_papers_table_and_plots(tmp_path, capsy
         validate.main([*files, "--out", str(tmp_path)]) == NOT_EXPLAINED
     )  # another robot
     text = capsys.readouterr().out
-    assert "fixed base" in text
-    assert "accuracy" in text
     assert "verdict: not explained: chi-square" in text.splitlines()[-1]
     assert "largest: base z" in text.splitlines()[-1]
     assert (tmp_path / "summary.txt").read_text().splitlines()[-1] == text.splitlines()[

@@ -2,17 +2,15 @@
 
 import functools
 
-import cv2
 import numpy as np
 
 from benchmarks.estimation.filmed_robot import Stage, filmed
 from slot_core.geometry import Transform, optical
 from slot_core.robot import read_robot
-from slot_core.vision.board import SQUARE, make_board, print_of
+from slot_core.vision.board import make_board, print_of
 from slot_core.vision.camera import nominal
 from slot_core.vision.settings import read_vision
 from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
-from slot_lab.film.calibration import chessboard
 
 VISION = read_vision()
 CAMERA = nominal(VISION.camera)
@@ -43,15 +41,6 @@ def image_from_torso(base, name="wall", settings=None, **made):
     return synthetic(**made).image([Surface(sheet, corners)])
 
 
-def image_from_world(base):
-    """Image of the camera in the world, of the board on the torso at `base`."""
-    shown = board("torso")
-    placed = Transform.of(VISION.world_camera.position, VISION.world_camera.rpy)
-    corners = (optical(placed).inverse @ base @ shown.pose).apply(shown.outline)
-    sheet = print_of(shown, VISION.dictionary_number)
-    return synthetic().image([Surface(sheet, corners)])
-
-
 def natural_robot(base):
     """The robot with stress-free legs and its torso at `base`."""
     robot = read_robot()
@@ -60,24 +49,6 @@ def natural_robot(base):
     legs = robot.clamps[:, None] + x[:, None] * robot.outward[:, None]
     legs[..., 2] += drop
     return filmed(robot, base, base.apply(legs), np.zeros((4, 0, 3)))
-
-
-def write_chessboard(folder, count):
-    """Write images of the ChArUco board, held in all parts of the image and tilted."""
-    rng = np.random.default_rng(0)
-    shown = chessboard(VISION)
-    size = np.array(shown.getChessboardSize()) * shown.getSquareLength()  # m
-    # 3000 px per m
-    sheet = shown.generateImage(np.round(3000.0 * size).astype(int).tolist())
-    camera = SyntheticCamera(CAMERA, Imperfections(), rng)
-    folder.mkdir()
-    for number in range(count):
-        distance = rng.uniform(0.35, 0.7)
-        ray = CAMERA.rays(rng.uniform(0.2, 0.8, 2) * [CAMERA.width, CAMERA.height])
-        tilt = np.array([np.pi, 0.0, 0.0]) + rng.uniform(-0.6, 0.6, 3)
-        pose = Transform.of(distance * np.array([*ray, 1.0]), tilt)
-        surface = Surface(sheet, pose.apply(SQUARE * [*size, 0.0]))
-        cv2.imwrite(str(folder / f"{number:03d}.png"), camera.image([surface]))
 
 
 @functools.cache
