@@ -31,7 +31,7 @@ ROBOT = read_robot()
 WRITTEN = {"rtol": 1e-5, "atol": 1e-9}  # the URDF is written with six digits
 
 
-TORSO, DRUM = "link[@name='torso_link']", "visual/geometry/cylinder"
+TORSO = "link[@name='torso_link']"
 
 
 def tabled():
@@ -42,19 +42,21 @@ def tabled():
     for i, j in zip(*np.triu_indices(3)):
         axes = "xyz"[i] + "xyz"[j]
         yield f"{TORSO}/inertial/inertia", f"i{axes}", ROBOT.torso.inertia[i, j]
-    servo = read_servo()
-    volts = servo.nominal_voltage
+    servo, volts = read_servo(), read_servo().nominal_voltage
     for k, leg in enumerate(LEGS):
         clamp = f"joint[@name='{leg}_clamp']/origin"
         x, y, _ = ROBOT.outward[k]
         yield clamp, "xyz", ROBOT.clamps[k]
         yield clamp, "rpy", [0.0, 0.0, np.arctan2(y, x)]
-        limit = f"joint[@name='{TENDON_JOINTS[k]}']/limit"
-        yield limit, "lower", 0.0
-        yield limit, "upper", ROBOT.tendon.angle_max
-        yield limit, "effort", servo.tendon_stall(volts)
-        yield limit, "velocity", servo.tendon_speed(volts)
-        spool = f"link[@name='{leg}_spool_link']/{DRUM}"
+        limits = {
+            "lower": 0.0,
+            "upper": ROBOT.tendon.angle_max,
+            "effort": servo.tendon_stall(volts),
+            "velocity": servo.tendon_speed(volts),
+        }
+        for name, limit in limits.items():
+            yield f"joint[@name='{TENDON_JOINTS[k]}']/limit", name, limit
+        spool = f"link[@name='{leg}_spool_link']/visual/geometry/cylinder"
         yield spool, "radius", ROBOT.tendon.spool_radius
         yield spool, "length", ROBOT.leg.width
 
@@ -83,42 +85,32 @@ def test_links_form_one_tree_rooted_in_the_base_frame():
 
 @pytest.mark.parametrize("leg", LEGS)
 def test_a_spool_turns_about_its_drum_at_the_clamp_of_its_leg(leg):
-    joints = (URDF.find(f"joint[@name='{leg}_{name}']") for name in ("clamp", "tendon"))
-    clamp, tendon = joints
+    names = f"{leg}_clamp", f"{leg}_tendon"
+    clamp, tendon = (URDF.find(f"joint[@name='{name}']") for name in names)
     assert (clamp.get("type"), tendon.get("type")) == ("fixed", "revolute")
     ends = [j.find(end).get("link") for j in (clamp, tendon) for end in SIDES]
-    assert ends == [
-        f"leg_{leg}_link",
-        BASE_FRAME,
-        f"{leg}_spool_link",
-        f"leg_{leg}_link",
-    ]
+    link, spool = f"leg_{leg}_link", f"{leg}_spool_link"
+    assert ends == [link, BASE_FRAME, spool, link]
     assert tendon.find("origin") is None
-    spool = URDF.find(f"link[@name='{leg}_spool_link']")
-    rpy = numbers(spool, "visual/origin", "rpy")  # about fixed axes
+    # about fixed axes
+    rpy = numbers(URDF.find(f"link[@name='{spool}']"), "visual/origin", "rpy")
     drum = Rotation.from_euler("xyz", rpy).apply([0, 0, 1])
     np.testing.assert_allclose(np.abs(drum @ numbers(tendon, "axis", "xyz")), 1.0)
 
 
 @pytest.mark.parametrize("leg", LEGS)
 def test_boxes_of_a_leg_join_along_its_natural_shape(leg):
+    """With six digits, m."""
     start = np.zeros(3)
     for visual in URDF.find(f"link[@name='leg_{leg}_link']").findall("visual"):
-        length, width, thickness = numbers(visual, "geometry/box", "size")
+        length = numbers(visual, "geometry/box", "size")[0]
+        turn = Rotation.from_euler("xyz", numbers(visual, "origin", "rpy"))
+        half = turn.apply([length / 2, 0, 0])
         centre = numbers(visual, "origin", "xyz")
-        along = Rotation.from_euler("xyz", numbers(visual, "origin", "rpy")).apply(
-            [length, 0, 0]
-        )
-        # m, six digits
-        np.testing.assert_allclose(centre - along / 2, start, atol=1e-6)
-        start = centre + along / 2
+        np.testing.assert_allclose(centre - half, start, atol=1e-6)
+        start = centre + half
         drop = ROBOT.leg.shape(start[0]) - ROBOT.leg.shape(0.0)
         np.testing.assert_allclose(start, [start[0], 0.0, drop], atol=1e-6)
-        taper = [ROBOT.leg.thickness_clamp, ROBOT.leg.thickness_tip]
-        expected = np.interp(centre[0], [0, ROBOT.leg.reach], taper)
-        np.testing.assert_allclose(
-            [width, thickness], [ROBOT.leg.width, expected], **WRITTEN
-        )
     np.testing.assert_allclose(start[0], ROBOT.leg.reach, atol=1e-6)  # up to the tip
 
 
