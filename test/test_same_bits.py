@@ -160,102 +160,67 @@ def files():
 
 def is_kernel(node):
     """Whether a function is compiled."""
-    names = {
-        part.id
-        for part in getattr(node, "decorator_list", ())
-        if isinstance(part, ast.Name)
-    }
-    return bool(names & {"helper", "kernel", "unlocked_kernel"})
+    names = (d.id for d in node.decorator_list if isinstance(d, ast.Name))
+    return not {"helper", "kernel", "unlocked_kernel"}.isdisjoint(names)
 
 
-class Calls(ast.NodeVisitor):
-    """Lines that may differ by processor."""
-
-    def __init__(self, name):
-        self.name, self.found, self.compiled = name, [], False
-
-    def visit_FunctionDef(self, node):
-        if node.name in FREE:
-            return
-        before, self.compiled = self.compiled, self.compiled or is_kernel(node)
-        self.generic_visit(node)
-        self.compiled = before
-
-    def note(self, node, what):
-        self.found.append(f"{self.name}:{node.lineno}: {what}")
-
-    def visit_Attribute(self, node):
-        if isinstance(node.value, ast.Name):
-            if node.value.id == "math" and node.attr not in MATH:
-                self.note(node, f"math.{node.attr}")
-            if node.value.id == "np" and node.attr in NUMPY:
-                self.note(node, f"np.{node.attr}")
-            if node.value.id == "rng" and node.attr not in DRAWS:
-                self.note(node, f"rng.{node.attr}")
-        elif isinstance(node.value, ast.Attribute):
-            if node.value.attr == "random" and node.attr not in {
-                "Generator",
-                "default_rng",
-            }:
-                self.note(node, f"np.random.{node.attr}")
-            if node.value.attr in {"_rng", "_trouble"} and node.attr not in DRAWS:
-                self.note(node, f"{node.value.attr}.{node.attr}")
-        if node.attr == "dot" and not isinstance(node.value, ast.Name):
-            self.note(node, ".dot")
-        self.generic_visit(node)
-
-    def visit_BinOp(self, node):
-        self._operator(node)
-        self.generic_visit(node)
-
-    def visit_AugAssign(self, node):
-        self._operator(node)
-        self.generic_visit(node)
-
-    def _operator(self, node):
-        if isinstance(node.op, ast.MatMult):
-            self.note(node, "@")
-        if isinstance(node.op, ast.Pow):
-            exponent = node.right if isinstance(node, ast.BinOp) else node.value
-            exponent = exponent.value if isinstance(exponent, ast.Constant) else None
-            if not (self.compiled and isinstance(exponent, int)) and not whole(node):
-                self.note(node, "**")
-
-    def visit_Call(self, node):
-        if isinstance(node.func, ast.Name) and node.func.id in {"sum", "pow"}:
-            self.note(node, f"{node.func.id}()")
-        self.generic_visit(node)
-
-    def visit_Import(self, node):
-        self._imported(node, [alias.name for alias in node.names])
-
-    def visit_ImportFrom(self, node):
-        self._imported(node, [f"{node.module}.{alias.name}" for alias in node.names])
-
-    def _imported(self, node, names):
-        for name in names:
-            if name.split(".")[0] in LIBRARIES and name not in MAY_IMPORT.get(
-                self.name, ()
-            ):
-                self.note(node, f"import {name}")
+def differs(node, file, compiled):
+    """Part of a node's code that may differ by processor, or ""."""
+    match node:
+        case ast.Attribute(value=ast.Name(id="math"), attr=name) if name not in MATH:
+            return f"math.{name}"
+        case ast.Attribute(value=ast.Name(id="np"), attr=name) if name in NUMPY:
+            return f"np.{name}"
+        case ast.Attribute(value=ast.Attribute(attr="random"), attr=name) if (
+            name not in {"Generator", "default_rng"}
+        ):
+            return f"np.random.{name}"
+        case ast.Attribute(
+            value=ast.Name(id="rng") | ast.Attribute(attr="_rng" | "_trouble"),
+            attr=name,
+        ) if name not in DRAWS:
+            return f"{name} of a generator"
+        case ast.Attribute(attr="dot"):
+            return ".dot"
+        case ast.BinOp(op=ast.MatMult()) | ast.AugAssign(op=ast.MatMult()):
+            return "@"
+        case (
+            ast.BinOp(op=ast.Pow(), left=base, right=exponent)
+            | ast.AugAssign(op=ast.Pow(), target=base, value=exponent)
+        ) if not exact(base, exponent, compiled):
+            return "**"
+        case ast.Call(func=ast.Name(id="sum" | "pow" as name)):
+            return f"{name}()"
+        case ast.Import(names=names) | ast.ImportFrom(names=names):
+            start = f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
+            imported = {f"{start}{alias.name}" for alias in names}
+            others = imported - MAY_IMPORT.get(file, set())
+            return " ".join(n for n in others if n.split(".")[0] in LIBRARIES)
+    return ""
 
 
-def whole(node):
-    """Whether a power is one of integers or of two, as 2**53 and (-1) ** n: exact everywhere."""
-    base = node.left if isinstance(node, ast.BinOp) else node.target
-    if isinstance(base, ast.UnaryOp):
-        base = base.operand
-    if isinstance(base, ast.Call):
-        base = base.args[0]  # Fraction(2)
-    return isinstance(base, ast.Constant) and base.value in {1, 2}
+def exact(base, exponent, compiled):
+    """Whether a power is the same everywhere: of a kernel, by an integer; or of one or two."""
+    match base:
+        case ast.Constant(value=1 | 2):
+            return True
+        case ast.UnaryOp(operand=inner) | ast.Call(args=[inner, *_]):  # Fraction(2)
+            return exact(inner, exponent, compiled)
+    return compiled and isinstance(getattr(exponent, "value", None), int)
 
 
 def test_control_path_and_plant_call_nothing_that_differs_by_processor():
     found = []
     for name, path in files().items():
-        calls = Calls(name)
-        calls.visit(ast.parse(path.read_text()))
-        found += calls.found
+        tree, free, compiled = ast.parse(path.read_text()), set(), set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef) and node.name in FREE:
+                free |= {*ast.walk(node)}
+            if isinstance(node, ast.FunctionDef) and is_kernel(node):
+                compiled |= {*ast.walk(node)}
+        for node in {*ast.walk(tree)} - free:
+            if what := differs(node, name, node in compiled):
+                found.append(f"{name}:{node.lineno}: {what}")
     assert not found, "\n".join(found)
 
 
@@ -288,19 +253,12 @@ def called(path):
 
 
 UMATH = np._core._multiarray_umath
-
-
-def numpy_features():
-    """Features of this processor that NumPy can do without."""
-    return " ".join(
-        name for name in UMATH.__cpu_dispatch__ if UMATH.__cpu_features__[name]
-    )
-
-
+# Features of this processor that NumPy can do without.
+FEATURES = [n for n in UMATH.__cpu_dispatch__ if UMATH.__cpu_features__[n]]
 # Variables that let libraries choose other code, as they do on another processor.
 LIBRARIES_OF_OTHERS = {
     "OPENBLAS_CORETYPE": "Prescott",
-    "NPY_DISABLE_CPU_FEATURES": numpy_features(),
+    "NPY_DISABLE_CPU_FEATURES": " ".join(FEATURES),
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
