@@ -4,7 +4,6 @@ import os
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
-import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -15,7 +14,6 @@ from slot_bringup.operator_screen import (
     KEYS,
     QUIT,
     SILENCE,
-    Motion,
     OperatorView,
     lines,
 )
@@ -166,15 +164,6 @@ def test_the_screen_shows_state_warnings_problems_gait_and_what_is_wrong_with_a_
     }
     problems = [line[4:] for line in shown if "late" in line]
     assert problems == ["controller: late", "servo bus: late"]
-
-
-def test_velocity_and_pace_are_means_over_some_strides():
-    motion = Motion()
-    for k in range(60):
-        torso = np.array([0.0, 0.0, 0.0, 0.0015 * k, 0.0, 0.0612, *np.zeros(6)])
-        motion.add(0.1 * k, 0.05 * k, torso)  # at half of real time
-    line = "reached  +0.030 +0.000 m/s  +0.0 deg/s   real-time factor 0.50"
-    assert motion.lines(5.9)[0] == line
 
 
 @pytest.mark.parametrize("which", State)

@@ -4,7 +4,6 @@ import signal
 import subprocess
 import sys
 from contextlib import closing
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +13,6 @@ from slot_core.dynamixel.checks import write_zero
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.emulator.pseudo_terminal import PseudoTerminal
-from slot_core.dynamixel.port import UDEV_RULE
 from slot_core.dynamixel.settings import read_settings
 
 PATIENT = 0.1  # s, answer timeout on a busy machine
@@ -136,8 +134,3 @@ def test_emulate_answers_at_its_link_until_interrupted(tmp_path, dynamixel_yaml)
         process.send_signal(signal.SIGINT)
     assert process.wait(10) == 0
     assert not link.exists()
-
-
-def test_the_shipped_udev_rule_is_the_one_in_the_error_message():
-    shipped = Path(__file__).parents[2] / "slot_bringup" / "udev" / "99-dynamixel.rules"
-    assert UDEV_RULE in shipped.read_text().splitlines()

@@ -4,25 +4,19 @@ import os
 import time
 from pathlib import Path
 
-import pytest
 from synthetic_walk import Walk, write_walk
 
 from slot_bringup import view
 from slot_bringup.playing import main_page
 
 
-@pytest.fixture
-def opened(monkeypatch, tmp_path):
-    """Addresses that were opened in the browser, on a machine with a display; an empty directory."""
-    addresses = []
-    monkeypatch.setattr(main_page.webbrowser, "open", addresses.append)
+def test_a_run_is_written_into_its_folder_and_opened(monkeypatch, refusal, tmp_path):
+    """On a machine with a display."""
+    opened = []
+    monkeypatch.setattr(main_page.webbrowser, "open", opened.append)
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.chdir(tmp_path)
-    return addresses
-
-
-def test_a_run_is_written_into_its_folder_and_opened(opened, monkeypatch, refusal):
     line = refusal(view.main)
     assert line.startswith("scripts/view: no bag in /")
     assert "/bags: name one, or make one by scripts/run" in line

@@ -115,13 +115,3 @@ def test_a_refusal_is_shown_as_text_and_the_next_act_takes_it_away(played):
     assert "outside" not in played.run(0.2)
     played.page.do(lambda r: r.change({"scene.<b>": 1}))
     assert "&lt;b&gt;" in played.run(0.2)
-
-
-def test_a_simulation_that_diverges_asks_for_a_reset(played):
-    played.run(1.0)
-    played.page.do(lambda r: r.loop.plant.robot.set_tip_to_nan(0))
-    text = played.run(0.5)
-    assert "diverged" in text
-    assert ": reset" in text
-    played.page._on_time("reset")
-    assert "diverged" not in played.run(0.5)
