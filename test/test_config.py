@@ -4,6 +4,7 @@ import dataclasses
 import os
 
 import pytest
+from damage import require_short
 
 from slot_core import config
 from slot_core.config import ConfigError, choice, flag, quantity
@@ -101,7 +102,7 @@ def test_replaced_values_are_checked_like_values_read():
     with pytest.raises(ConfigError, match=r"inner.gain = 11.0: outside"):
         config.replace(outer, {"inner.gain": 11.0})
     for changes in (None, [1], "text"):
-        with pytest.raises(ConfigError, match="p.yaml: expected a mapping of dotted"):
+        with pytest.raises(ConfigError, match=r"p\.yaml: expected a mapping of"):
             config.replace(outer, changes, "p.yaml")
     for name in ("inner.none", "count.x", "inner.gain.x.y", "table.b", "none.gain"):
         with pytest.raises(ConfigError, match=rf"override: {name} is not a setting"):
@@ -119,10 +120,8 @@ def test_what_is_refused_is_quoted_short_and_printable(value, name):
     for mapping in refused:
         with pytest.raises(ConfigError) as refusal:
             config.build(Outer, mapping, "f.yaml")
-        line = str(refusal.value)
-        assert line.startswith("f.yaml: ")
-        assert line.isprintable()
-        assert len(line) <= 300
+        require_short(str(refusal.value))
+        assert str(refusal.value).startswith("f.yaml: ")
 
 
 def test_a_missing_file_names_the_known_ones_and_a_pipe_is_refused_without_reading(
@@ -187,7 +186,5 @@ def test_a_file_that_cannot_be_a_configuration_is_one_line(
     (tmp_path / "broken.yaml").write_text(text)
     with pytest.raises(ConfigError) as refusal:
         config.read(Inner, "broken")
-    line = str(refusal.value)
-    assert line.startswith(message)
-    assert line.isprintable()
-    assert len(line) <= 300
+    require_short(str(refusal.value))
+    assert str(refusal.value).startswith(message)

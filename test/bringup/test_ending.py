@@ -9,7 +9,6 @@ from slot_bringup.graph import END, GO_ON, REFUSED, RESTART, NodeSpec
 from slot_bringup.processes import Processes
 
 
-
 @pytest.fixture
 def start(tmp_path, monkeypatch):
     """A function that starts a shell script as a node."""
@@ -26,15 +25,16 @@ def start(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("trap", "code", "line"),
+    "end",
     [
         ("", -9, "did not end within 0.2 s of SIGINT: killed"),
         ("exit 3", 3, "ended with exit code 3: its last words"),
     ],
 )
 def test_a_node_that_is_killed_or_fails_at_its_end_is_named(
-    start, monkeypatch, capsys, trap, code, line
+    start, monkeypatch, capsys, end
 ):
+    trap, code, line = end
     if not trap:
         monkeypatch.setattr(processes, "STOP_TIMEOUT", 0.2)
     loop = "while :; do sleep 0.01; done"

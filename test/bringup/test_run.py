@@ -130,17 +130,3 @@ def test_a_graph_slower_than_real_time_says_so_with_its_share(
         progress.update_truth(Odometry(header=stamp))
         progress.update_plan(TendonPlan(skipped=int(skipped * passed)))
     assert progress.slowness() == found
-
-
-@pytest.mark.parametrize(
-    ("arguments", "remedy"),
-    [
-        ("", "use --lockstep, or run fewer processes (--composed)"),
-        ("--composed", "use --lockstep, or run fewer processes"),
-        ("--hardware real", "run fewer processes (--composed)"),
-        ("--lockstep", ""),
-        ("--hardware none", ""),
-    ],
-)
-def test_the_remedy_fits_the_run(arguments, remedy):
-    assert run._remedy(vars(parse(arguments.split()))) == remedy

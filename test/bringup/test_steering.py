@@ -19,9 +19,9 @@ class Keys(steering.SteeringKeys):
     """Keys that keep what they publish, in a graph that hears one type of /cmd_vel."""
 
     def __init__(self, heard="TwistStamped"):
-        topic = SimpleNamespace(publish=lambda m: self.published.append(m))
-        info = SimpleNamespace(topic_type=f"geometry_msgs/msg/{heard}")
         self.published = []
+        topic = SimpleNamespace(publish=self.published.append)
+        info = SimpleNamespace(topic_type=f"geometry_msgs/msg/{heard}")
         node = {"create_publisher": lambda *_: topic}
         node["get_subscriptions_info_by_topic"] = lambda _: [info]
         super().__init__(SimpleNamespace(**node))

@@ -70,7 +70,9 @@ def numbers(element, path, attribute):
 def test_links_form_one_tree_rooted_in_the_base_frame():
     links = [element.get("name") for element in URDF.iter("link")]
     joints = URDF.findall("joint")
-    parents = {j.find("child").get("link"): [j.find("parent").get("link")] for j in joints}
+    parents = {
+        j.find("child").get("link"): [j.find("parent").get("link")] for j in joints
+    }
     assert len(links) == len(set(links)) == 2 + 2 * len(LEGS)
     assert sorted([BASE_FRAME, *parents]) == sorted(links)
     order = graphlib.TopologicalSorter(parents).static_order()

@@ -7,7 +7,6 @@ import re
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,7 +17,6 @@ from benchmarks import harness
 from benchmarks.locomotion import margins
 from benchmarks.locomotion.plots import COLOURS
 from documentation import DOC, ROOT, figure_page, pictures
-from slot_bringup.graph import read_graph
 
 PAGES = [ROOT / "README.md", *sorted(DOC.rglob("*.md"))]
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
@@ -85,35 +83,9 @@ def test_the_tables_of_arguments_topics_and_parameters_are_those_of_today(tmp_pa
     assert same == names, f"scripts/docs --tables writes them again: {others}"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (
-            ["--output", "x"],
-            "unknown arguments: --output x; "
-            "expected --out DIR, --tables, --pictures or --figures",
-        ),
-        (["--out", "/dev/null"], "--out /dev/null: not a directory that can be made"),
-    ],
-)
-def test_a_site_that_cannot_be_made_is_refused_before_the_work(arguments, reason):
-    command = [ROOT / "scripts" / "docs", *arguments]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (ended.returncode, ended.stderr) == (2, f"scripts/docs: {reason}\n")
-
-
 def test_version_and_licence_are_the_same_everywhere():
     manifests = [ROOT / "slot_msgs", ROOT / "slot_bringup", *(ROOT / "src").iterdir()]
     packages = [ElementTree.parse(folder / "package.xml") for folder in manifests]
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     for name in ("version", "license"):
         assert {p.findtext(name) for p in packages} == {citation[name]}
-
-
-def test_the_workflow_of_github_calls_what_there_is():
-    workflow = (ROOT / ".github/workflows/ci.yml").read_text()
-    files = set(re.findall(r"(?:scripts|test|slot_bringup)/[\w/.]*\w", workflow))
-    assert len(files) > 5
-    assert {file for file in files if not (ROOT / file).exists()} == set()
-    arguments = set(re.findall(r"(\w+):=", workflow))
-    assert arguments <= {argument.name for argument in read_graph().arguments}

@@ -60,7 +60,7 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> str:
     variables = environment() | {"ROS_DOMAIN_ID": process_domain()}
 
     def start(role: str) -> subprocess.Popen[str]:
-        tracer = "strace -ff -yy -e trace=network,openat -o".split()
+        tracer = ["strace", "-ff", "-yy", "-e", "trace=network,openat", "-o"]
         return subprocess.Popen(
             [*tracer, str(folder / role), "python", str(PEER), role],
             env=variables,
