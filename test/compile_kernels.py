@@ -41,13 +41,9 @@ def compile_many(kind, scene):
     ManyRobots([kind(ROBOT, start, read_servo())]).advance(np.zeros((1, 1, 4)), NO_STEP)
 
 
-def compile_legs():
-    """A leg at rest and one with friction, at a held clamp."""
+def compile_others():
+    """A leg with friction at a held clamp, the public rod, and the solver of forces."""
     HeldLeg(ROBOT, 4, 0.0, 0.2).pull(0.01, 1.0)
-
-
-def compile_rod():
-    """The public rod."""
     rod = CosseratRod(
         Material(1e7, 3e6, 1200.0, 0.0), Geometry(0.2, Rectangle(0.02, (0.01, 0.01)))
     )
@@ -55,14 +51,9 @@ def compile_rod():
     rod.run(1e-3, NO_STEP)
     rod.solve_static()
     _ = rod.energy(), rod.tangent()
-
-
-def compile_mpc():
-    """The solver of ground reaction forces."""
     ForceMpc(ROBOT, read_mpc(), time.perf_counter)
 
 
 if __name__ == "__main__":
-    legs = [(compile_robot, ()), (compile_legs, ())]
     many = [(compile_many, (RodRobot, "flat")), (compile_many, (TabulatedRobot, "map"))]
-    warm_up.run([*legs, *many, (compile_rod, ()), (compile_mpc, ())])
+    warm_up.run([(compile_robot, ()), *many, (compile_others, ())])

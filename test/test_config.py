@@ -4,6 +4,7 @@ import dataclasses
 import os
 
 import pytest
+from damage import require_short
 
 from slot_core import config
 from slot_core.config import ConfigError, choice, flag, quantity
@@ -100,6 +101,9 @@ def test_replaced_values_are_checked_like_values_read():
     assert config.replace(outer, {"inner.gain": 4.0}).inner.gain == 4.0
     with pytest.raises(ConfigError, match=r"inner.gain = 11.0: outside"):
         config.replace(outer, {"inner.gain": 11.0})
+    for changes in (None, [1], "text"):
+        with pytest.raises(ConfigError, match=r"p\.yaml: expected a mapping of"):
+            config.replace(outer, changes, "p.yaml")
     for name in ("inner.none", "count.x", "inner.gain.x.y", "table.b", "none.gain"):
         with pytest.raises(ConfigError, match=rf"override: {name} is not a setting"):
             config.replace(outer, {name: 1})
@@ -110,34 +114,25 @@ def test_replaced_values_are_checked_like_values_read():
 )
 @pytest.mark.parametrize("name", ["count", "law", "on", "inner", "table"])
 def test_what_is_refused_is_quoted_short_and_printable(value, name):
+    key = value if isinstance(value, (str, int)) else ""
     refused = [changed(**{name: value}), value]
-    if isinstance(value, (str, int)):
-        refused += [{**GOOD, value: 1}, changed(table={value: 1})]
+    refused += [{**GOOD, key: 1}, changed(table={key: 1})]
     for mapping in refused:
         with pytest.raises(ConfigError) as refusal:
             config.build(Outer, mapping, "f.yaml")
-        line = str(refusal.value)
-        assert line.startswith("f.yaml: ")
-        assert line.isprintable()
-        assert len(line) <= 300
+        require_short(str(refusal.value))
+        assert str(refusal.value).startswith("f.yaml: ")
 
 
-@pytest.mark.parametrize("changes", [None, [1], "text"])
-def test_changes_that_are_no_mapping_are_refused(changes):
-    outer = config.build(Outer, GOOD, "f.yaml")
-    with pytest.raises(
-        ConfigError, match=r"p\.yaml: expected a mapping of dotted names"
-    ):
-        config.replace(outer, changes, "p.yaml")
-
-
-def test_a_missing_file_names_the_known_ones(tmp_path, monkeypatch):
+def test_a_missing_file_names_the_known_ones_and_a_pipe_is_refused_without_reading(
+    tmp_path, monkeypatch
+):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
-    (tmp_path / "known.yaml").write_text("{}")
-    with pytest.raises(
-        ConfigError, match=r"no configuration 'absent' \(known: known\)"
-    ):
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(ConfigError, match=r"configuration 'absent' \(known: pipe\)"):
         config.read(Outer, "absent")
+    with pytest.raises(ConfigError, match=r"pipe\.yaml: not a regular file"):
+        config.read(Outer, "pipe")
 
 
 @pytest.mark.parametrize(
@@ -161,6 +156,8 @@ def test_a_missing_file_names_the_known_ones(tmp_path, monkeypatch):
             "".join(f"{n}: 1\n" for n in range(80_000)) + "7: 1\n",
             "broken.yaml: the key 7 is",
         ),
+        (f"gain: 1{'0' * 20}\naxes: [0, 0]\n", "broken.yaml: "),
+        (f"gain: 1{'0' * 5000}\naxes: [0, 0]\n", "broken.yaml: "),
     ],
     ids=[
         "broken",
@@ -178,6 +175,8 @@ def test_a_missing_file_names_the_known_ones(tmp_path, monkeypatch):
         "no date",
         "list as a key",
         "many keys",
+        "beyond 64 bits",
+        "long integer",
     ],
 )
 def test_a_file_that_cannot_be_a_configuration_is_one_line(
@@ -186,26 +185,6 @@ def test_a_file_that_cannot_be_a_configuration_is_one_line(
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     (tmp_path / "broken.yaml").write_text(text)
     with pytest.raises(ConfigError) as refusal:
-        config.load("broken")
+        config.read(Inner, "broken")
+    require_short(str(refusal.value))
     assert str(refusal.value).startswith(message)
-    assert "\n" not in str(refusal.value)
-
-
-def test_a_pipe_in_the_place_of_a_file_is_refused_without_reading(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
-    os.mkfifo(tmp_path / "pipe.yaml")
-    with pytest.raises(ConfigError, match=r"pipe\.yaml: not a regular file"):
-        config.load("pipe")
-
-
-@pytest.mark.parametrize("digits", [20, 400, 5000])
-def test_an_integer_beyond_64_bits_is_refused_in_one_line(
-    tmp_path, monkeypatch, digits
-):
-    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
-    (tmp_path / "large.yaml").write_text(f"gain: 1{'0' * digits}\naxes: [0, 0]\n")
-    with pytest.raises(ConfigError, match=r"^large\.yaml: ") as refusal:
-        config.read(Inner, "large")
-    assert len(str(refusal.value)) < 200

@@ -54,33 +54,27 @@ def recorded(plant, milliseconds, read):
 
 
 @pytest.mark.parametrize("solver", ["standard", "map"])
-def test_a_planned_tendon_breaks_at_its_time_and_recovers_after_its_duration(solver):
-    plant = make(solver, broken=planned("tendon_broken", "RL", 0.010, 0.020))
+def test_a_planned_fault_begins_at_its_time_on_its_leg_and_ends_after_its_duration(
+    solver,
+):
+    broken = planned("tendon_broken", "RL", 0.010, 0.020)
+    longer = planned("tendon_slack", "FR", 0.010, 0.0, 0.003)
+    plant = make(solver, broken=broken, longer=longer)
     plant.start(START)
     tension = recorded(plant, 60, lambda: plant.robot.tension)
-    assert (tension[:11, 2] > 1.0).all()
+    assert (tension[:11] > 1.0).all()
     # the tension is that of the last step's stage
     assert (tension[11:31, 2] == 0.0).all()
     assert tension[60, 2] > 1.0
-    assert (tension[:, [0, 1, 3]] > 1.0).all()
-
-
-@pytest.mark.parametrize("solver", ["standard", "map"])
-def test_tendon_slack_lowers_the_tension_of_its_leg_only(solver):
-    plant = make(solver, longer=planned("tendon_slack", "FR", 0.010, 0.0, 0.003))
-    plant.start(START)
-    tension = recorded(plant, 12, lambda: plant.robot.tension)
     assert tension[11, 1] < 0.8 * tension[10, 1]
     # no effect on the others within one step
-    assert tension[11, [0, 2, 3]] == pytest.approx(tension[10, [0, 2, 3]], rel=0.05)
+    assert tension[11, [0, 3]] == pytest.approx(tension[10, [0, 3]], rel=0.05)
+    assert (tension[:, [0, 3]] > 1.0).all()
 
 
 def test_a_fault_adds_to_the_tendon_damage_of_the_scene_and_ends_without_it():
-    tendons = {
-        "tendons.slack": [0.001, 0, 0, 0],
-        "tendons.broken": [False, True, False, False],
-    }
-    plant = make(tendons=tendons)
+    broken = {"tendons.broken": [False, True, False, False]}
+    plant = make(tendons={"tendons.slack": [0.001, 0, 0, 0]} | broken)
     plant.start(START)
     plant.faults.inject(Fault("tendon_slack", "all", 0, 0.01, 0.002))
     plant.faults.inject(Fault("tendon_broken", "all", 0, 0.01, 0))
@@ -95,6 +89,8 @@ def test_the_end_of_a_replaced_or_cleared_fault_does_not_end_its_successor():
     plant.start(START)
     slack = plant.robot.model.fault[0]
     plant.faults.inject(Fault("tendon_slack", "FL", 0, 0.010, 0.001))
+    with pytest.raises(ValueError, match="no fault 'tendon_slack' at 'FR'"):
+        plant.faults.clear("tendon_slack", "FR")
     advance(plant, 5)
     plant.faults.inject(Fault("tendon_slack", "all", 0, 0.020, 0.002))
     advance(plant, 10)  # beyond the end of the first
@@ -114,13 +110,6 @@ def test_a_fault_injected_before_the_start_acts_at_once_and_its_time_runs_from_t
     assert holds[0] == 0.0
     plant.start(START + 1000 * MILLISECOND)
     assert recorded(plant, 15, lambda: holds[0]).tolist() == [0.0] * 10 + [1.0] * 6
-
-
-def test_clearing_an_absent_fault_is_refused():
-    plant = make()
-    plant.faults.inject(Fault("tendon_broken", "FL", 0, 0, 0))
-    with pytest.raises(ValueError, match="no fault 'tendon_broken' at 'FR'"):
-        plant.faults.clear("tendon_broken", "FR")
 
 
 @pytest.mark.parametrize(
@@ -183,24 +172,19 @@ def test_an_invalid_fault_is_refused_by_name(change, message):
         config.build(Fault, planned("tendon_slack") | change, "bad.yaml")
 
 
-def test_a_fault_of_the_bus_begins_and_ends_by_simulated_time():
+def test_a_robot_on_a_bus_has_faults_of_its_bus_and_of_its_legs_by_simulated_time():
     plant = make(bus=True, warm=planned("overheating", "RR", 0.010, 0.020, 90.0))
     plant.start(START)
-    servo = plant.emulated.bus.servos[3]
-    hot = recorded(plant, 40, lambda: servo.forced_temperature == 90.0)
+    bus = plant.emulated.bus
+    hot = recorded(plant, 40, lambda: bus.servos[3].forced_temperature == 90.0)
     assert np.flatnonzero(hot).tolist() == list(range(10, 30))
-
-
-def test_a_robot_on_a_bus_supports_the_faults_of_its_legs_too():
-    plant = make(bus=True)
-    plant.start(START)
     plant.faults.inject(Fault("tendon_broken", "FL", 0, 0, 0))
     plant.faults.inject(Fault("unplugged", "FL", 0, 0, 0))
     advance(plant, 2)
     assert plant.robot.tension[0] == 0.0
-    assert plant.emulated.bus.unplugged
+    assert bus.unplugged
     plant.faults.clear("unplugged", "FL")
-    assert not plant.emulated.bus.unplugged
+    assert not bus.unplugged
 
 
 def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(
@@ -210,37 +194,28 @@ def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(
     plant.start(START)
     command = plant.robot.tendon_angle + 0.1
     plant.command(command)
-    with pytest.raises(
-        DivergenceError, match=r"in step 21 at 0\.0200 s: .* not a number"
-    ) as raised:
+    where = r"in step 21 at 0\.0200 s: .* not a number"
+    with pytest.raises(DivergenceError, match=where) as raised:
         advance(plant, 100)
-    raised.value.save(tmp_path / "log" / "lost.npz", "flat")
-    state = np.load(
-        tmp_path / "log" / "lost.npz"
-    )  # numbers and text: nothing to unpickle
+    path = tmp_path / "log" / "lost.npz"
+    raised.value.save(path, "flat")
+    state = np.load(path)  # numbers and text: nothing to unpickle
     assert str(state["scene"]) == "flat"
-    assert str(state["message"]) == str(raised.value)
     assert state["time"] == pytest.approx(20 * STEP)
     assert state["command"] == pytest.approx(command, abs=0.0)
-    assert state["halvings"] > 0
     damaged = np.isnan(state["before_nodes"]).any(axis=2)
     assert np.argwhere(damaged).tolist() == [[2, read_scene("flat").solver.nodes - 1]]
-    assert np.isnan(state["nodes"]).any()
-    assert (
-        state["before_node_velocity"].shape
-        == state["node_velocity"].shape
-        == (4, 22, 3)
-    )
-    assert state["before_position"][2] == pytest.approx(0.04, abs=0.01)  # it stands
-    names = {
-        "position",
-        "rotation",
-        "velocity",
-        "angular_velocity",
-        "tendon_angle",
-        "tension",
-    }
-    assert names <= set(state)
+    assert set(state) >= STATE
+
+
+STATE = {
+    "position",
+    "rotation",
+    "velocity",
+    "angular_velocity",
+    "tendon_angle",
+    "tension",
+}
 
 
 @pytest.mark.parametrize("solver", ["map", "paper"])
@@ -252,7 +227,6 @@ def test_every_model_attaches_its_state_to_the_divergence(solver, monkeypatch):
     plant.command(np.full(4, 0.5))
     with pytest.raises(DivergenceError) as raised:
         advance(plant, 10)
-    assert raised.value.state["command"].tolist() == [0.5] * 4
-    assert {"time", "position", "velocity", "nodes", "tendon_angle"} <= set(
-        raised.value.state
-    )
+    state = raised.value.state
+    assert state["command"].tolist() == [0.5] * 4
+    assert {"time", "nodes"} | STATE <= set(state)

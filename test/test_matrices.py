@@ -27,9 +27,12 @@ def test_shapes_that_do_not_fit_are_refused():
         product(np.ones((2, 3)), np.ones((2, 3)))
 
 
-def test_sparse_products_are_those_of_scipy():
+def test_sparse_products_and_norms_are_those_of_scipy_and_numpy():
     a, x = sparse.random(40, 30, 0.2, format="csc", rng=RNG), RNG.normal(size=30)
     np.testing.assert_allclose(sparse_product(a, x), a @ x, atol=1e-14)
+    b = RNG.normal(size=(4, 3))
+    np.testing.assert_allclose(norm(b), np.linalg.norm(b, axis=1))
+    assert isinstance(norm(b[0]), float)
 
 
 def test_the_inverse_of_a_definite_matrix_and_nan_for_another():
@@ -40,17 +43,9 @@ def test_the_inverse_of_a_definite_matrix_and_nan_for_another():
     assert np.isnan(inverse(-np.eye(2))).any()
 
 
-def test_norms_along_the_last_axis():
-    a = RNG.normal(size=(4, 3))
-    np.testing.assert_allclose(norm(a), np.linalg.norm(a, axis=1))
-    assert isinstance(norm(a[0]), float)
-
-
 def test_interpolation_is_that_of_numpy_also_on_plateaus_beyond_the_grid_and_at_nan():
-    grid, values = (
-        np.array([0.0, 1.0, 1.0, 2.0, 2.0]),
-        np.array([3.0, 1.0, 2.0, 5.0, 6.0]),
-    )
+    grid = np.array([0.0, 1.0, 1.0, 2.0, 2.0])
+    values = np.array([3.0, 1.0, 2.0, 5.0, 6.0])
     x = np.array([-1.0, 0.0, 0.3, 1.0, 1.5, 2.0, 3.0, np.nan])
     np.testing.assert_allclose(
         interpolated(x, grid, values), np.interp(x, grid, values)

@@ -160,102 +160,67 @@ def files():
 
 def is_kernel(node):
     """Whether a function is compiled."""
-    names = {
-        part.id
-        for part in getattr(node, "decorator_list", ())
-        if isinstance(part, ast.Name)
-    }
-    return bool(names & {"helper", "kernel", "unlocked_kernel"})
+    names = (d.id for d in node.decorator_list if isinstance(d, ast.Name))
+    return not {"helper", "kernel", "unlocked_kernel"}.isdisjoint(names)
 
 
-class Calls(ast.NodeVisitor):
-    """Lines that may differ by processor."""
-
-    def __init__(self, name):
-        self.name, self.found, self.compiled = name, [], False
-
-    def visit_FunctionDef(self, node):
-        if node.name in FREE:
-            return
-        before, self.compiled = self.compiled, self.compiled or is_kernel(node)
-        self.generic_visit(node)
-        self.compiled = before
-
-    def note(self, node, what):
-        self.found.append(f"{self.name}:{node.lineno}: {what}")
-
-    def visit_Attribute(self, node):
-        if isinstance(node.value, ast.Name):
-            if node.value.id == "math" and node.attr not in MATH:
-                self.note(node, f"math.{node.attr}")
-            if node.value.id == "np" and node.attr in NUMPY:
-                self.note(node, f"np.{node.attr}")
-            if node.value.id == "rng" and node.attr not in DRAWS:
-                self.note(node, f"rng.{node.attr}")
-        elif isinstance(node.value, ast.Attribute):
-            if node.value.attr == "random" and node.attr not in {
-                "Generator",
-                "default_rng",
-            }:
-                self.note(node, f"np.random.{node.attr}")
-            if node.value.attr in {"_rng", "_trouble"} and node.attr not in DRAWS:
-                self.note(node, f"{node.value.attr}.{node.attr}")
-        if node.attr == "dot" and not isinstance(node.value, ast.Name):
-            self.note(node, ".dot")
-        self.generic_visit(node)
-
-    def visit_BinOp(self, node):
-        self._operator(node)
-        self.generic_visit(node)
-
-    def visit_AugAssign(self, node):
-        self._operator(node)
-        self.generic_visit(node)
-
-    def _operator(self, node):
-        if isinstance(node.op, ast.MatMult):
-            self.note(node, "@")
-        if isinstance(node.op, ast.Pow):
-            exponent = node.right if isinstance(node, ast.BinOp) else node.value
-            exponent = exponent.value if isinstance(exponent, ast.Constant) else None
-            if not (self.compiled and isinstance(exponent, int)) and not whole(node):
-                self.note(node, "**")
-
-    def visit_Call(self, node):
-        if isinstance(node.func, ast.Name) and node.func.id in {"sum", "pow"}:
-            self.note(node, f"{node.func.id}()")
-        self.generic_visit(node)
-
-    def visit_Import(self, node):
-        self._imported(node, [alias.name for alias in node.names])
-
-    def visit_ImportFrom(self, node):
-        self._imported(node, [f"{node.module}.{alias.name}" for alias in node.names])
-
-    def _imported(self, node, names):
-        for name in names:
-            if name.split(".")[0] in LIBRARIES and name not in MAY_IMPORT.get(
-                self.name, ()
-            ):
-                self.note(node, f"import {name}")
+def differs(node, file, compiled):
+    """Whether a node's code may differ by processor."""
+    found = False
+    match node:
+        case ast.Attribute(value=ast.Name(id="math"), attr=name):
+            found = name not in MATH
+        case ast.Attribute(value=ast.Name(id="np"), attr=name):
+            found = name in NUMPY
+        case ast.Attribute(value=ast.Attribute(attr="random"), attr=name):
+            found = name not in {"Generator", "default_rng"}
+        case ast.Attribute(
+            value=ast.Name(id="rng") | ast.Attribute(attr="_rng" | "_trouble"),
+            attr=name,
+        ):
+            found = name not in DRAWS
+        case (
+            ast.Attribute(attr="dot")
+            | ast.BinOp(op=ast.MatMult())
+            | ast.AugAssign(op=ast.MatMult())
+            | ast.Call(func=ast.Name(id="sum" | "pow"))
+        ):
+            found = True
+        case (
+            ast.BinOp(op=ast.Pow(), left=base, right=exponent)
+            | ast.AugAssign(op=ast.Pow(), target=base, value=exponent)
+        ):
+            found = not exact(base, exponent, compiled)
+        case ast.Import(names=names) | ast.ImportFrom(names=names):
+            start = f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
+            imported = {f"{start}{alias.name}" for alias in names}
+            others = imported - MAY_IMPORT.get(file, set())
+            found = any(name.split(".")[0] in LIBRARIES for name in others)
+    return found
 
 
-def whole(node):
-    """Whether a power is one of integers or of two, as 2**53 and (-1) ** n: exact everywhere."""
-    base = node.left if isinstance(node, ast.BinOp) else node.target
-    if isinstance(base, ast.UnaryOp):
-        base = base.operand
-    if isinstance(base, ast.Call):
-        base = base.args[0]  # Fraction(2)
-    return isinstance(base, ast.Constant) and base.value in {1, 2}
+def exact(base, exponent, compiled):
+    """Whether a power is the same everywhere: of a kernel, by an integer; or of one or two."""
+    match base:
+        case ast.Constant(value=1 | 2):
+            return True
+        case ast.UnaryOp(operand=inner) | ast.Call(args=[inner, *_]):  # Fraction(2)
+            return exact(inner, exponent, compiled)
+    return compiled and isinstance(getattr(exponent, "value", None), int)
 
 
 def test_control_path_and_plant_call_nothing_that_differs_by_processor():
     found = []
     for name, path in files().items():
-        calls = Calls(name)
-        calls.visit(ast.parse(path.read_text()))
-        found += calls.found
+        tree, free, compiled = ast.parse(path.read_text()), set(), set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef) and node.name in FREE:
+                free |= {*ast.walk(node)}
+            if isinstance(node, ast.FunctionDef) and is_kernel(node):
+                compiled |= {*ast.walk(node)}
+        for node in {*ast.walk(tree)} - free:
+            if differs(node, name, node in compiled):
+                found.append(f"{name}:{node.lineno}: {ast.unparse(node)}")
     assert not found, "\n".join(found)
 
 
@@ -265,7 +230,12 @@ def test_compiled_kernels_call_nothing_of_the_c_library_that_differs_by_processo
             pass
     objects = set(cached_objects())
     assert len(objects) >= 20
-    found = {f"{path.name}: {symbol}" for path in objects for symbol in called(path)}
+    found = set()
+    for path in objects:  # functions that its table of symbols names
+        symbols = {
+            part.decode(errors="ignore") for part in path.read_bytes().split(b"\0")
+        }
+        found |= {f"{path.name}: {symbol}" for symbol in symbols & C_LIBRARY}
     assert not found
 
 
@@ -280,27 +250,13 @@ def cached_objects():
                 )
 
 
-def called(path):
-    """Functions in C_LIBRARY that an object file names in its table of symbols."""
-    return {
-        part.decode(errors="ignore") for part in path.read_bytes().split(b"\0")
-    } & C_LIBRARY
-
-
 UMATH = np._core._multiarray_umath
-
-
-def numpy_features():
-    """Features of this processor that NumPy can do without."""
-    return " ".join(
-        name for name in UMATH.__cpu_dispatch__ if UMATH.__cpu_features__[name]
-    )
-
-
+# Features of this processor that NumPy can do without.
+FEATURES = [n for n in UMATH.__cpu_dispatch__ if UMATH.__cpu_features__[n]]
 # Variables that let libraries choose other code, as they do on another processor.
 LIBRARIES_OF_OTHERS = {
     "OPENBLAS_CORETYPE": "Prescott",
-    "NPY_DISABLE_CPU_FEATURES": numpy_features(),
+    "NPY_DISABLE_CPU_FEATURES": " ".join(FEATURES),
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-FMA,-AVX2,-FMA4",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",

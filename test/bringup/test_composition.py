@@ -1,24 +1,11 @@
 """The launcher's choice between one process for the controller's nodes and one for each."""
 
-from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
 from slot_bringup import composition
 from slot_bringup.arguments import parse
-
-
-@pytest.fixture
-def machine(monkeypatch):
-    """A machine with two cores, whose controller takes a quarter of one; both can be changed."""
-    found = SimpleNamespace(cores=2.0, load=0.25)
-    monkeypatch.setattr(composition, "available_cores", lambda: found.cores)
-    monkeypatch.setattr(composition, "core_load", lambda *_: found.load)
-    return found
-
-
-def choose(*words):
-    return composition.choose(vars(parse(words)))
 
 
 @pytest.mark.parametrize(
@@ -27,30 +14,34 @@ def choose(*words):
         (2.0, 0.395, "one process: its load is 0.79 of a core, limit 0.8"),
         (2.0, 0.405, "four processes: its load is 0.81 of a core, limit 0.8"),
         (1.5, 2.0, "one process: 1.5 cores for the graph, less than 2"),
+        (
+            2.0,
+            ValueError("no sensor"),
+            "four processes: its policy fails, ValueError: no sensor",
+        ),
     ],
 )
 def test_the_controller_has_one_process_where_one_core_carries_it_or_there_is_no_second(
-    machine, cores, load, line
+    monkeypatch, cores, load, line
 ):
-    machine.cores, machine.load = cores, load
-    assert choose() == (line.startswith("one"), f"controller in {line}")
+    monkeypatch.setattr(composition, "available_cores", lambda: cores)
+    monkeypatch.setattr(composition, "core_load", Mock(side_effect=[load]))
+    chosen = composition.choose(vars(parse([])))
+    assert chosen == (line.startswith("one"), f"controller in {line}")
 
 
-def test_what_is_asked_for_is_not_measured(monkeypatch):
+@pytest.mark.parametrize(
+    ("words", "composed"),
+    [
+        (["--composed"], True),
+        (["--separate"], False),
+        (["--lockstep"], True),
+        (["--lockstep", "--separate"], False),
+    ],
+)
+def test_what_is_asked_for_is_not_measured(monkeypatch, words, composed):
     monkeypatch.setattr(composition, "core_load", None)  # cannot be called
-    assert choose("--composed") == (True, "")
-    assert choose("--separate") == (False, "")
-    assert choose("--lockstep") == (True, "")
-    assert choose("--lockstep", "--separate") == (False, "")
-
-
-def test_a_policy_that_fails_has_a_process_of_its_own(machine, monkeypatch):
-    def fail(*_):
-        raise ValueError("no sensor")
-
-    monkeypatch.setattr(composition, "core_load", fail)
-    line = "controller in four processes: its policy fails, ValueError: no sensor"
-    assert choose() == (False, line)
+    assert composition.choose(vars(parse(words))) == (composed, "")
 
 
 @pytest.mark.parametrize(

@@ -8,71 +8,63 @@ from slot_bringup import processes
 from slot_bringup.graph import END, GO_ON, REFUSED, RESTART, NodeSpec
 from slot_bringup.processes import Processes
 
-KILLED = ("", -9, "node did not end within 0.2 s of SIGINT: killed")
-FAILED = ("exit 3", 3, "node ended with exit code 3: its last words")
-
 
 @pytest.fixture
 def start(tmp_path, monkeypatch):
     """A function that starts a shell script as a node."""
 
-    def start(name, script, if_it_ends=END):
-        monkeypatch.setattr(
-            processes, "command_line", lambda _: ["/bin/bash", "-c", script]
-        )
+    def start(script, if_it_ends=END):
+        words = ["/bin/bash", "-c", script]
+        monkeypatch.setattr(processes, "command_line", lambda _: words)
         started = Processes(tmp_path)
-        started.start(
-            [NodeSpec(name, "of_no_python_package", {}, if_it_ends=if_it_ends)]
-        )
+        spec = NodeSpec("viewer", "of_no_python_package", {}, if_it_ends=if_it_ends)
+        started.start([spec])
         return started
 
     return start
 
 
-@pytest.mark.parametrize("case", [KILLED, FAILED])
+@pytest.mark.parametrize(
+    "end",
+    [
+        ("", -9, "did not end within 0.2 s of SIGINT: killed"),
+        ("exit 3", 3, "ended with exit code 3: its last words"),
+    ],
+)
 def test_a_node_that_is_killed_or_fails_at_its_end_is_named(
-    start, monkeypatch, capsys, case
+    start, monkeypatch, capsys, end
 ):
-    trap, code, line = case
-    if case is KILLED:
+    trap, code, line = end
+    if not trap:
         monkeypatch.setattr(processes, "STOP_TIMEOUT", 0.2)
     loop = "while :; do sleep 0.01; done"
-    started = start("node", f"trap '{trap}' INT; echo its last words; echo; {loop}")
-    while started.last_line("node") != "its last words":
+    started = start(f"trap '{trap}' INT; echo its last words; echo; {loop}")
+    while started.last_line("viewer") != "its last words":
         time.sleep(0.01)
-    assert started.stop() == {"node": code}
-    assert capsys.readouterr().err == f"scripts/run: {line}\n"
-
-
-@pytest.fixture
-def ended(start):
-    """A function that starts a process, which ends with a code; the processes."""
-
-    def end(if_it_ends, code):
-        started = start("viewer", f"echo its last words; exit {code}", if_it_ends)
-        started._children["viewer"].join()
-        return started
-
-    return end
+    assert started.stop() == {"viewer": code}
+    assert capsys.readouterr().err == f"scripts/run: viewer {line}\n"
 
 
 @pytest.mark.parametrize(
     ("if_it_ends", "code"), [(END, 3), (GO_ON, REFUSED), (RESTART, REFUSED)]
 )
 def test_a_process_that_is_needed_or_refuses_its_configuration_ends_the_graph(
-    ended, if_it_ends, code
+    start, if_it_ends, code
 ):
-    assert ended(if_it_ends, code).failed() == ("viewer", code)
+    started = start(f"exit {code}", if_it_ends)
+    started._children["viewer"].join()
+    assert started.failed() == ("viewer", code)
 
 
 @pytest.mark.parametrize(
     ("if_it_ends", "restarts"), [(GO_ON, 0), (RESTART, processes.RESTARTS)]
 )
 def test_a_process_that_is_not_needed_is_restarted_a_few_times_then_missed(
-    ended, if_it_ends, restarts
+    start, if_it_ends, restarts
 ):
-    started = ended(if_it_ends, 3)
+    started = start("echo its last words; exit 3", if_it_ends)
     line = "at 1.5 s viewer ended with exit code 3: its last words; "
+    started._children["viewer"].join()
     for _ in range(restarts):
         assert started.restart_ended(1.5) == [line + "restarted"]
         started._children["viewer"].join()

@@ -33,9 +33,8 @@ def test_the_gait_reaches_every_speed(velocity):
 
 
 def test_acceleration_and_progress_are_those_of_the_robot():
-    turn = read_gaits().turn_acceleration
-    assert FOLLOW["max_angular_accel"] <= turn
-    assert BEHAVIOR["rotational_acc_lim"] <= turn
+    turns = FOLLOW["max_angular_accel"], BEHAVIOR["rotational_acc_lim"]
+    assert max(turns) <= read_gaits().turn_acceleration
     progress = NODES["controller_server"]["progress_checker"]
     slowest = progress["required_movement_radius"] / progress["movement_time_allowance"]
     assert slowest < 0.5 * FOLLOW["regulated_linear_scaling_min_speed"]

@@ -4,7 +4,6 @@ import os
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
-import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -15,7 +14,6 @@ from slot_bringup.operator_screen import (
     KEYS,
     QUIT,
     SILENCE,
-    Motion,
     OperatorView,
     lines,
 )
@@ -37,21 +35,6 @@ def state(which=State.WALKING, **fields):
     return message
 
 
-def health(**fields):
-    sound = {
-        "action": RobotState.ACTION_PASS,
-        "torque": [True] * 4,
-        "silence": [0.01] * 4,
-        "temperature": [31.0, 32.0, 33.0, 34.0],
-        "voltage": [11.9] * 4,
-    }
-    return ServoHealth(**sound | fields)
-
-
-def screen(**parts):
-    return lines(OperatorView(**{"state": state(), "state_time": NOW} | parts), NOW)
-
-
 class FakeNode:
     """Node that records published messages and service calls."""
 
@@ -65,11 +48,10 @@ class FakeNode:
         )
 
     def create_client(self, _, name):
-        def call(request):
-            self.called.append(name)
-            return MagicMock()
-
-        return SimpleNamespace(service_is_ready=lambda: self._ready, call_async=call)
+        return SimpleNamespace(
+            service_is_ready=lambda: self._ready,
+            call_async=lambda _: self.called.append(name) or MagicMock(),
+        )
 
     create_subscription = create_timer = MagicMock()
 
@@ -83,9 +65,8 @@ def test_every_request_of_the_supervisor_has_a_key_and_a_command():
 
 @pytest.mark.parametrize("key", [*KEYS, "a", "W", "\x1b", "\n"])
 def test_a_key_calls_its_service_if_it_has_one_and_no_other(key):
-    node = FakeNode()
+    node, wanted = FakeNode(), KEYS.get(key)
     assert operate.Operator(node).press(key)
-    wanted = KEYS.get(key)
     assert node.called == ([f"supervisor/{wanted}"] if wanted else [])
     assert wanted or not node.published
 
@@ -95,13 +76,15 @@ def test_the_e_stop_is_published_at_once_and_until_the_supervisor_is_in_estop():
     operator = operate.Operator(node)
     operator._publish_estop()
     operator.press(" ")
-    operator._on_state(state(State.WALKING))
-    operator._publish_estop()
-    operator._on_state(state(State.ESTOP))
-    operator._publish_estop()
-    assert node.published == [
-        (pressed, False) for pressed in (False, True, True, False)
-    ]
+    for reported in (State.WALKING, State.ESTOP):
+        operator._on_state(state(reported))
+        operator._publish_estop()
+    sent = [(pressed, False) for pressed in (False, True, True, False)]
+    assert node.published == sent
+    # four of five messages may be lost
+    assert read_supervisor().timing.estop >= 5 * operate.ESTOP_PERIOD
+    operator.press("w")
+    assert operator.view.answer == "walk: no supervisor answers"
 
 
 def test_a_terminal_that_quits_is_not_missed_once_the_supervisor_knows():
@@ -112,16 +95,6 @@ def test_a_terminal_that_quits_is_not_missed_once_the_supervisor_knows():
     left, waited = node.published
     assert left == (False, True)
     assert waited.nanoseconds == operate.LEAVE_TIME * 1e9
-
-
-def test_four_of_five_e_stop_messages_may_be_lost():
-    assert read_supervisor().timing.estop >= 5 * operate.ESTOP_PERIOD
-
-
-def test_a_request_without_a_supervisor_is_refused_at_once():
-    operator = operate.Operator(FakeNode(ready=False))
-    operator.press("w")
-    assert operator.view.answer == "walk: no supervisor answers"
 
 
 @pytest.mark.parametrize(
@@ -160,71 +133,50 @@ def test_quitting_is_refused_under_torque():
     assert not operate.Operator(FakeNode()).press(QUIT)  # without a supervisor
 
 
-def test_the_screen_shows_state_warnings_and_what_is_wrong_with_a_servo():
-    message = state(
-        reason="walk requested", warnings=["node mpc_controller silent for 1 s"]
-    )
-    broken = health(hardware_error=[0, 0, 0x20, 0], torque=[True, True, False, True])
-    stall = float(read_servo().tendon_stall(11.9))  # at the voltage of `health`
-    effort = [0.5 * stall] * 4
-    angles = JointState(name=TENDON_JOINTS, position=[0.5] * 4, effort=effort)
-    shown = screen(state=message, health=broken, joints=angles)
-    assert shown[:2] == [
-        "WALKING for 2.5 s: walk requested",
-        "  ! node mpc_controller silent for 1 s",
-    ]
-    legs = {line[:2]: line.split() for line in shown if line[:2] in LEGS}
-    assert {leg: words[-2:] for leg, words in legs.items()} == {
-        "FL": ["on", "none"],
-        "FR": ["on", "none"],
-        "RL": ["off", "overload"],
-        "RR": ["on", "none"],
-    }
-    assert {words[3] for words in legs.values()} == {"50"}  # %, of the stall torque
-
-
-def test_problems_of_every_reporter_stay_on_the_screen():
-    """The supervisor's own is above, with its state."""
-    operator = operate.Operator(FakeNode())
+def test_the_screen_shows_state_warnings_problems_gait_and_what_is_wrong_with_a_servo():
+    """The supervisor's own problem is above, with its state."""
+    operator, warnings = operate.Operator(FakeNode()), ["node mpc_controller is silent"]
     for name in ("controller", "servo bus", "supervisor"):
         status = DiagnosticStatus(name=name, level=b"\x01", message="late")
         operator._on_diagnostics(DiagnosticArray(status=[status]))
-    shown = screen(health=health(), diagnostics=operator.view.diagnostics)
-    assert [line[4:] for line in shown if "late" in line] == [
-        "controller: late",
-        "servo bus: late",
-    ]
-
-
-def test_velocity_commanded_and_measured_place_and_pace_are_shown():
-    motion, now = Motion(), NOW + 5.9
-    for k in range(60):
-        torso = np.array([0.0, 0.0, 0.0, 0.0015 * k, 0.0, 0.0612, *np.zeros(6)])
-        motion.add(NOW + 0.1 * k, 0.05 * k, torso)  # at half of real time
-    preview = GaitPreview(
-        gait="walk", velocity=[0.04, 0.0, -0.1], pose=[0.06, 0.0, 0.1]
+    effort = [0.5 * float(read_servo().tendon_stall(11.9))] * 4  # at this voltage
+    view = operator.view
+    view.state, view.state_time = state(reason="as asked", warnings=warnings), NOW
+    view.joints = JointState(name=TENDON_JOINTS, position=[0.5] * 4, effort=effort)
+    view.health = ServoHealth(
+        action=RobotState.ACTION_PASS,
+        hardware_error=[0, 0, 0x20, 0],
+        torque=[True, True, False, True],
+        voltage=[11.9] * 4,
     )
-    shown = lines(OperatorView(state(), now, preview=preview, motion=motion), now)
-    assert shown[2:4] == [
-        "walk     +0.040 +0.000 m/s  -5.7 deg/s   height 60 mm   roll +0.0   pitch +5.7 deg",
-        "reached  +0.030 +0.000 m/s  +0.0 deg/s   real-time factor 0.50",
-    ]
-    assert shown[4].startswith("x +0.088   y +0.000 m   z 61 mm")
-
-
-def test_an_outdated_state_is_not_shown():
-    shown = screen(state_time=NOW - SILENCE - 0.1)
-    assert shown[0].startswith("NO STATE from the supervisor for 0.6 s")
-    assert not any("WALKING" in line for line in shown)
+    velocity, pose = [0.04, 0.0, -0.1], [0.06, 0.0, 0.1]
+    view.preview = GaitPreview(gait="walk", velocity=velocity, pose=pose)
+    shown = lines(view, NOW)
+    assert shown[:2] == ["WALKING for 2.5 s: as asked", f"  ! {warnings[0]}"]
+    assert shown[3].startswith("walk     +0.040 +0.000 m/s  -5.7 deg/s   height 60 mm")
+    legs = {line[:2]: line.split() for line in shown if line[:2] in LEGS}
+    sound = ["50", "on", "none"]  # % of the stall torque
+    assert {leg: [words[3], *words[-2:]] for leg, words in legs.items()} == {
+        "FL": sound,
+        "FR": sound,
+        "RL": ["50", "off", "overload"],
+        "RR": sound,
+    }
+    problems = [line[4:] for line in shown if "late" in line]
+    assert problems == ["controller: late", "servo bus: late"]
 
 
 @pytest.mark.parametrize("which", State)
 def test_the_first_line_is_red_in_relax_estop_and_fault_and_without_a_present_state(
     which,
 ):
-    alarming = which in (State.RELAX, State.ESTOP, State.FAULT)
-    assert OperatorView(state=state(which), state_time=NOW).alarming(NOW) == alarming
-    assert OperatorView(state=state(which), state_time=NOW - 1.0).alarming(NOW)
+    view = OperatorView(state=state(which), state_time=NOW)
+    assert view.alarming(NOW) == (which in (State.RELAX, State.ESTOP, State.FAULT))
+    later = NOW + SILENCE + 0.1
+    assert view.alarming(later)
+    shown = lines(view, later)
+    assert shown[0].startswith("NO STATE from the supervisor for 0.6 s")
+    assert not any(which.name in line for line in shown[1:])
 
 
 @pytest.mark.parametrize(
@@ -250,28 +202,23 @@ def test_an_action_calls_the_service_of_its_node(arguments, name, fields):
     assert {field: getattr(wanted.request, field) for field in fields} == fields
 
 
-def test_the_live_display_without_a_terminal_is_refused_in_one_line(
-    capsys, monkeypatch
-):
-    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
-    assert operate_command.main([]) == 1
-    message = "the live display needs a terminal, scripts/operate state none"
-    assert capsys.readouterr().err == f"scripts/operate: {message}\n"
-
-
 @pytest.mark.parametrize(
     ("arguments", "who"),
     [
         (["state"], "supervisor"),
         (["zero", "FL"], "driver of servos"),
         (["inject", "silent"], "simulated robot"),
+        ([], ""),
     ],
 )
-def test_without_a_graph_one_line_names_the_missing_node(
+def test_without_a_graph_or_a_terminal_one_line_says_so(
     arguments, who, capsys, monkeypatch
 ):
     monkeypatch.setattr(operate, "SEARCH_TIME", 0.2)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
     assert operate_command.main(arguments) == 1
     place = f"ROS domain {os.environ['ROS_DOMAIN_ID']}, namespace /"
-    message = f"no {who} answers in {place} within 0.2 s: does scripts/run run?"
+    message = "the live display needs a terminal, scripts/operate state none"
+    if who:
+        message = f"no {who} answers in {place} within 0.2 s: does scripts/run run?"
     assert capsys.readouterr().err == f"scripts/operate: {message}\n"

@@ -1,4 +1,4 @@
-"""URDF, RViz and Foxglove files against slot_core.robot and the messages of the graph."""
+"""URDF and Foxglove files against slot_core.robot and the messages of the graph."""
 
 import graphlib
 import json
@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 
 from slot_core.dynamics.servo import read_servo
-from slot_core.robot import BASE_FRAME, LEGS, ODOM_FRAME, TENDON_JOINTS, read_robot
+from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, read_robot
 from slot_msgs.msg import MpcState, TendonPlan
 
 ROOT = Path(__file__).parents[2]
@@ -25,13 +24,11 @@ MESSAGES = {
     "tendon_plan": TendonPlan,
     "desired_joint_angles": JointState,
 }
-LAYOUT = json.loads((SHARE / "foxglove/slot.json").read_text())
-RVIZ = yaml.safe_load((SHARE / "rviz/slot.rviz").read_text())["Visualization Manager"]
 ROBOT = read_robot()
 WRITTEN = {"rtol": 1e-5, "atol": 1e-9}  # the URDF is written with six digits
 
 
-TORSO, DRUM = "link[@name='torso_link']", "visual/geometry/cylinder"
+TORSO = "link[@name='torso_link']"
 
 
 def tabled():
@@ -42,19 +39,21 @@ def tabled():
     for i, j in zip(*np.triu_indices(3)):
         axes = "xyz"[i] + "xyz"[j]
         yield f"{TORSO}/inertial/inertia", f"i{axes}", ROBOT.torso.inertia[i, j]
-    servo = read_servo()
-    volts = servo.nominal_voltage
+    servo, volts = read_servo(), read_servo().nominal_voltage
     for k, leg in enumerate(LEGS):
         clamp = f"joint[@name='{leg}_clamp']/origin"
         x, y, _ = ROBOT.outward[k]
         yield clamp, "xyz", ROBOT.clamps[k]
         yield clamp, "rpy", [0.0, 0.0, np.arctan2(y, x)]
-        limit = f"joint[@name='{TENDON_JOINTS[k]}']/limit"
-        yield limit, "lower", 0.0
-        yield limit, "upper", ROBOT.tendon.angle_max
-        yield limit, "effort", servo.tendon_stall(volts)
-        yield limit, "velocity", servo.tendon_speed(volts)
-        spool = f"link[@name='{leg}_spool_link']/{DRUM}"
+        limits = {
+            "lower": 0.0,
+            "upper": ROBOT.tendon.angle_max,
+            "effort": servo.tendon_stall(volts),
+            "velocity": servo.tendon_speed(volts),
+        }
+        for name, limit in limits.items():
+            yield f"joint[@name='{TENDON_JOINTS[k]}']/limit", name, limit
+        spool = f"link[@name='{leg}_spool_link']/visual/geometry/cylinder"
         yield spool, "radius", ROBOT.tendon.spool_radius
         yield spool, "length", ROBOT.leg.width
 
@@ -71,59 +70,35 @@ def numbers(element, path, attribute):
 def test_links_form_one_tree_rooted_in_the_base_frame():
     links = [element.get("name") for element in URDF.iter("link")]
     joints = URDF.findall("joint")
-    ends = {name: [j.find(name).get("link") for j in joints] for name in SIDES}
+    parents = {
+        j.find("child").get("link"): [j.find("parent").get("link")] for j in joints
+    }
     assert len(links) == len(set(links)) == 2 + 2 * len(LEGS)
-    assert sorted([BASE_FRAME, *ends["child"]]) == sorted(links)
-    levels = graphlib.TopologicalSorter()
-    for child, parent in zip(ends["child"], ends["parent"]):
-        levels.add(child, parent)
-    assert next(levels.static_order()) == BASE_FRAME  # and there is no circle
+    assert sorted([BASE_FRAME, *parents]) == sorted(links)
+    order = graphlib.TopologicalSorter(parents).static_order()
+    assert next(order) == BASE_FRAME  # and there is no circle
     assert [*URDF.find("link")] == []  # KDL accepts no inertia on the root link
 
 
 @pytest.mark.parametrize("leg", LEGS)
 def test_a_spool_turns_about_its_drum_at_the_clamp_of_its_leg(leg):
-    joints = (URDF.find(f"joint[@name='{leg}_{name}']") for name in ("clamp", "tendon"))
-    clamp, tendon = joints
+    names = f"{leg}_clamp", f"{leg}_tendon"
+    clamp, tendon = (URDF.find(f"joint[@name='{name}']") for name in names)
     assert (clamp.get("type"), tendon.get("type")) == ("fixed", "revolute")
     ends = [j.find(end).get("link") for j in (clamp, tendon) for end in SIDES]
-    assert ends == [
-        f"leg_{leg}_link",
-        BASE_FRAME,
-        f"{leg}_spool_link",
-        f"leg_{leg}_link",
-    ]
+    link, spool = f"leg_{leg}_link", f"{leg}_spool_link"
+    assert ends == [link, BASE_FRAME, spool, link]
     assert tendon.find("origin") is None
-    spool = URDF.find(f"link[@name='{leg}_spool_link']")
-    rpy = numbers(spool, "visual/origin", "rpy")  # about fixed axes
+    # about fixed axes
+    rpy = numbers(URDF.find(f"link[@name='{spool}']"), "visual/origin", "rpy")
     drum = Rotation.from_euler("xyz", rpy).apply([0, 0, 1])
     np.testing.assert_allclose(np.abs(drum @ numbers(tendon, "axis", "xyz")), 1.0)
 
 
-@pytest.mark.parametrize("leg", LEGS)
-def test_boxes_of_a_leg_join_along_its_natural_shape(leg):
-    start = np.zeros(3)
-    for visual in URDF.find(f"link[@name='leg_{leg}_link']").findall("visual"):
-        length, width, thickness = numbers(visual, "geometry/box", "size")
-        centre = numbers(visual, "origin", "xyz")
-        along = Rotation.from_euler("xyz", numbers(visual, "origin", "rpy")).apply(
-            [length, 0, 0]
-        )
-        # m, six digits
-        np.testing.assert_allclose(centre - along / 2, start, atol=1e-6)
-        start = centre + along / 2
-        drop = ROBOT.leg.shape(start[0]) - ROBOT.leg.shape(0.0)
-        np.testing.assert_allclose(start, [start[0], 0.0, drop], atol=1e-6)
-        taper = [ROBOT.leg.thickness_clamp, ROBOT.leg.thickness_tip]
-        expected = np.interp(centre[0], [0, ROBOT.leg.reach], taper)
-        np.testing.assert_allclose(
-            [width, thickness], [ROBOT.leg.width, expected], **WRITTEN
-        )
-    np.testing.assert_allclose(start[0], ROBOT.leg.reach, atol=1e-6)  # up to the tip
-
-
 def test_plots_name_fields_that_the_messages_have():
-    plots = [c for name, c in LAYOUT["configById"].items() if name.startswith("Plot!")]
+    """Of Foxglove's layout."""
+    layout = json.loads((SHARE / "foxglove/slot.json").read_text())["configById"]
+    plots = [plot for name, plot in layout.items() if name.startswith("Plot!")]
     values = [path["value"] for plot in plots for path in plot["paths"]]
     assert len(values) == len(set(values)) == 11
     for value in values:
@@ -133,14 +108,3 @@ def test_plots_name_fields_that_the_messages_have():
         assert (index is None) == (length is None), value
         if length and length[1]:
             assert int(index) < int(length[1]), value
-
-
-def test_viewers_start_in_the_world_frame_on_the_topics_of_the_graph():
-    drawn = LAYOUT["configById"]["3D!slot"]
-    assert drawn["followTf"] == RVIZ["Global Options"]["Fixed Frame"] == ODOM_FRAME
-    shown = {d.get("Topic", {}).get("Value") for d in RVIZ["Displays"]} - {None, ""}
-    assert (
-        {"/visualization", "/odom", "/ground_truth/odom"}
-        == set(drawn["topics"])
-        <= shown
-    )

@@ -4,52 +4,41 @@ import os
 import time
 from pathlib import Path
 
-import pytest
 from synthetic_walk import Walk, write_walk
 
 from slot_bringup import view
 from slot_bringup.playing import main_page
 
 
-@pytest.fixture
-def opened(monkeypatch, tmp_path):
-    """Addresses that were opened in the browser, on a machine with a display; an empty directory."""
-    addresses = []
-    monkeypatch.setattr(main_page.webbrowser, "open", addresses.append)
+def test_a_run_is_written_into_its_folder_and_opened(monkeypatch, refusal, tmp_path):
+    """On a machine with a display."""
+    opened = []
+    monkeypatch.setattr(main_page.webbrowser, "open", opened.append)
     monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.chdir(tmp_path)
-    return addresses
-
-
-def test_without_a_bag_there_is_nothing_to_show(opened, refusal):
     line = refusal(view.main)
     assert line.startswith("scripts/view: no bag in /")
     assert "/bags: name one, or make one by scripts/run" in line
-
-
-def test_a_run_is_written_into_its_folder_and_opened(opened, monkeypatch):
     bag = write_walk(Path("bags/walk"), Walk(duration=1.0))
     page = bag.absolute() / view.PAGE
-    assert view.main([]) == 0
-    assert page.exists()
-    assert opened == [page.as_uri()]
-    assert view.main(["--no-browser"]) == 0
-    assert view.main(["--html", "other.html"]) == 0
+    for words in ([], ["--no-browser"], ["--html", "other.html"]):
+        assert view.main(words) == 0
     monkeypatch.delenv("DISPLAY")
     assert view.main([str(bag)]) == 0
-    assert len(opened) == 1
+    assert page.exists()
+    assert opened == [page.as_uri()]
 
 
 def test_the_newest_bag_is_shown_by_default(tmp_path):
-    files = [tmp_path / f"walk_{i}" / "walk.mcap" for i in (2, 1)]
-    for i, file in enumerate(files):
+    newest, older = (tmp_path / f"walk_{i}" / "walk.mcap" for i in (2, 1))
+    for age, file in enumerate([newest, older]):
         file.parent.mkdir()
         file.touch()
-        os.utime(file, (time.time() + i, time.time() + i))
-    files[0].with_name(view.PAGE).touch()  # of an older run that was shown last
+        os.utime(file, (1e9 - age, 1e9 - age))
+    older.with_name(view.PAGE).touch()  # of an older run that was shown last
     (tmp_path / "plots_of_a_film").mkdir()
-    assert view.newest_bag(tmp_path) == files[1].parent
+    assert view.newest_bag(tmp_path) == newest.parent
 
 
 def test_the_live_page_of_a_run_waits_for_its_graph_and_ends_with_it(

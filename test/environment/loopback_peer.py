@@ -8,32 +8,18 @@ from rclpy.executors import ExternalShutdownException
 from std_msgs.msg import String
 
 PERIOD = 0.02  # s between two questions
-
-
-def ask() -> None:
-    node = rclpy.create_node("ask")
-    answers: list[str] = []
-    node.create_subscription(
-        String, "answer", lambda message: answers.append(message.data), 10
-    )
-    questions = node.create_publisher(String, "question", 10)
-    node.create_timer(PERIOD, lambda: questions.publish(String(data="are you there?")))
-    while not answers:
+rclpy.init()
+role = sys.argv[1]
+node, heard = rclpy.create_node(role), []
+told, other = ("question", "answer") if role == "ask" else ("answer", "question")
+publisher = node.create_publisher(String, told, 10)
+node.create_subscription(String, other, heard.append, 10)
+if role == "ask":
+    node.create_timer(PERIOD, lambda: publisher.publish(String(data="are you there?")))
+with suppress(KeyboardInterrupt, ExternalShutdownException):
+    while role == "answer" or not heard:
         rclpy.spin_once(node)
-    print(answers[0])
-
-
-def answer() -> None:
-    node = rclpy.create_node("answer")
-    answers = node.create_publisher(String, "answer", 10)
-    node.create_subscription(
-        String, "question", lambda _: answers.publish(String(data="yes")), 10
-    )
-    rclpy.spin(node)
-
-
-if __name__ == "__main__":
-    rclpy.init()
-    with suppress(KeyboardInterrupt, ExternalShutdownException):
-        {"ask": ask, "answer": answer}[sys.argv[1]]()
-    rclpy.try_shutdown()
+        if role == "answer" and heard:
+            publisher.publish(String(data="yes"))
+    print(heard[0].data)
+rclpy.try_shutdown()

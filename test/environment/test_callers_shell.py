@@ -1,7 +1,6 @@
 """Programs of scripts/ in a caller's folder and shell: neither changes what they do."""
 
 import os
-import shlex
 import subprocess
 
 import pytest
@@ -27,108 +26,87 @@ MODULES = (
 )
 
 
-class Caller:
-    """A folder with modules of the caller's own, which write that they ran; variables of Python."""
-
-    def __init__(self, folder):
-        self.folder, self._ran = folder, folder / "ran"
-        for name in MODULES:
-            line = f"open({str(self._ran)!r}, 'a').write('{name} ')\nprint('my own script')\n"
-            (folder / f"{name}.py").write_text(line)
-        self.python = {
-            "MPLBACKEND": "module://own",
-            "PYTHONDEVMODE": "1",
-            "PYTHONHASHSEED": "own",
-            "PYTHONHOME": "/nowhere",
-            "PYTHONINSPECT": "1",
-            "PYTHONOPTIMIZE": "2",
-            "PYTHONPATH": f"{folder}:",
-            "PYTHONSTARTUP": str(folder / "random.py"),
-            "PYTHONWARNINGS": "error",
-        }
-
-    @property
-    def ran(self):
-        """Names of the caller's modules that were executed."""
-        return self._ran.read_text() if self._ran.exists() else ""
+@pytest.fixture
+def own(tmp_path):
+    """A folder with modules of the caller's own, which write `ran` there."""
+    for name in MODULES:
+        line = f"open({str(tmp_path / 'ran')!r}, 'a')\nprint('my own script')\n"
+        (tmp_path / f"{name}.py").write_text(line)
+    return tmp_path
 
 
 @pytest.fixture
-def caller(tmp_path):
-    folder = tmp_path / "own"
-    folder.mkdir()
-    return Caller(folder)
+def python(own):
+    """Variables of the caller's Python."""
+    return {
+        "MPLBACKEND": "module://own",
+        "PYTHONDEVMODE": "1",
+        "PYTHONHASHSEED": "own",
+        "PYTHONHOME": "/nowhere",
+        "PYTHONINSPECT": "1",
+        "PYTHONOPTIMIZE": "2",
+        "PYTHONPATH": f"{own}:",
+        "PYTHONSTARTUP": str(own / "random.py"),
+        "PYTHONWARNINGS": "error",
+    }
 
 
-def test_a_program_takes_no_settings_and_no_packages_of_the_callers_python(caller):
-    own = environment("--isolated")
-    assert own["PYTHONSAFEPATH"] == "1"  # no current directory, in child processes too
-    assert environment("--isolated", caller.python) == own
+def test_a_program_takes_no_settings_and_no_packages_of_the_callers_python(own, python):
+    isolated = environment("--isolated")
+    assert isolated["PYTHONSAFEPATH"] == "1"  # no current directory, in children too
+    assert environment("--isolated", python) == isolated
+    after = environment("", python)  # a shell of the caller's own keeps them
+    assert "PYTHONSAFEPATH" not in after
+    assert str(own) in after["PYTHONPATH"].split(":")
+    kept = {name: value for name, value in python.items() if name != "PYTHONPATH"}
+    assert after | kept == after
 
 
-def test_a_program_runs_the_python_of_the_repository_whatever_was_activated_since():
-    path = environment()["PATH"]
-    activated = environment("--isolated", {"PATH": f"/own/conda/bin:{path}"})["PATH"]
-    assert activated.startswith(f"{SLOT}venv/bin:")
-
-
-def test_a_program_keeps_the_packages_of_ros_workspaces_that_were_sourced():
+def test_a_program_runs_the_python_of_the_repository_with_packages_of_ros_workspaces():
+    """Whatever was activated since scripts/env was sourced."""
     kept = ["/ws/install/own_msgs/lib/python3/site-packages", "/ws/build/own_nodes"]
     given = {
         "AMENT_PREFIX_PATH": "/ws/install/own_nodes:/ws/install/own_msgs",
+        "PATH": f"/own/conda/bin:{environment()['PATH']}",
         "PYTHONPATH": ":".join([kept[0], "/home/own", kept[1]]),
     }
-    path = environment("--isolated", given)["PYTHONPATH"].split(":")
+    variables = environment("--isolated", given)
+    assert variables["PATH"].startswith(f"{SLOT}venv/bin:")
+    path = variables["PYTHONPATH"].split(":")
     assert [entry for entry in path if not entry.startswith(f"{ROOT}/")] == kept
-
-
-def test_a_shell_of_the_callers_own_keeps_its_python(caller):
-    after = environment("", caller.python)
-    assert "PYTHONSAFEPATH" not in after
-    assert str(caller.folder) in after["PYTHONPATH"].split(":")
-    assert caller.python.items() - after.items() == {
-        ("PYTHONPATH", caller.python["PYTHONPATH"])
-    }
 
 
 @pytest.mark.parametrize("program", PROGRAMS, ids=lambda path: path.name)
 def test_every_program_is_isolated(program):
     lines = [line.strip() for line in program.read_text().splitlines()]
-    sourced = [
-        line for line in lines if line.startswith(". ") and "/scripts/help" not in line
-    ]
-    assert all(
-        line.endswith(("scripts/env --underlay", 'env" --isolated', "env --isolated"))
-        for line in sourced
-    )
+    sourced = [line for line in lines if line.startswith(". ")]
+    ends = "scripts/env --underlay", 'env" --isolated', "env --isolated"
+    assert all(line.endswith(ends) for line in sourced if "/scripts/help" not in line)
 
 
-def test_a_graph_walks_in_a_folder_with_modules_of_the_callers_own(caller):
+def test_a_graph_walks_in_a_folder_with_modules_of_the_callers_own(own, python):
     """Its processes are the runner and the nodes; the bag's name has quotes and spaces."""
     name = 'it\'s a "bag" of ü: 1'
-    program = os.path.relpath(ROOT / "scripts/run", caller.folder)
-    given = {
+    program = os.path.relpath(ROOT / "scripts/run", own)
+    given = python | {
         "PATH": os.environ["PATH"],
         "ROS_DOMAIN_ID": process_domain(),
+        "ROS_SECURITY_ENABLE": "true",
         "CDPATH": "/",
     }
     done = subprocess.run(
-        [
-            "bash",
-            "-c",
-            f"{program} --lockstep --duration 0.5 --bag {shlex.quote(name)}",
-        ],
-        cwd=caller.folder,
-        env=given | caller.python | {"ROS_SECURITY_ENABLE": "true"},
+        [program, "--lockstep", "--duration", "0.5", "--bag", name],
+        cwd=own,
+        env=given,
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert not caller.ran
+    assert not (own / "ran").exists()
     assert "my own script" not in done.stdout + done.stderr
-    assert (caller.folder / name / "metadata.yaml").exists()
+    assert (own / name / "metadata.yaml").exists()
 
 
 def test_a_relative_path_is_not_looked_up_in_cdpath(tmp_path):

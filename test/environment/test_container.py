@@ -17,23 +17,15 @@ ROBOTS = {name: COMPOSE["services"][name] for name in ("robot", "camera")}
 LAUNCH = {"robot": "slot.launch.py", "camera": "d435_rtabmap.launch.py"}
 
 
-def launched(service, record):
-    """Words of the command that the container runs; compose replaces ${NAME:-default} and $$."""
-    text = re.sub(
-        r"(?<!\\$)\$\{\w+:-(.*?)\}", r"\1", ROBOTS[service]["command"]
-    ).replace("$$", "$")
-    bash, option, script = shlex.split(text)
-    echoed = script.replace("exec ros2", "echo ros2")
-    environment = {"PATH": "/usr/bin:/bin", "SLOT_RECORD": record}
-    return subprocess.check_output(
-        [bash, option, echoed], text=True, env=environment
-    ).split()
-
-
 @pytest.mark.parametrize(("record", "bags"), [("1", 1), ("", 0)])
 @pytest.mark.parametrize("service", ROBOTS)
 def test_the_container_of_the_robot_records_to_the_host(service, record, bags):
-    words = launched(service, record)
+    """Compose replaces ${NAME:-default} and $$ in the command."""
+    default = re.compile(r"(?<!\$)\$\{\w+:-(.*?)\}")
+    text = default.sub(r"\1", ROBOTS[service]["command"]).replace("$$", "$")
+    command = shlex.split(text.replace("exec ros2", "echo ros2"))
+    environment = {"PATH": "/usr/bin:/bin", "SLOT_RECORD": record}
+    words = subprocess.check_output(command, text=True, env=environment).split()
     assert words[:4] == ["ros2", "launch", "slot_bringup", LAUNCH[service]]
     given = dict(word.split(":=") for word in words[4:])
     assert set(given) <= {argument.name for argument in read_graph().arguments}

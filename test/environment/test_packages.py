@@ -11,16 +11,8 @@ import pytest
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = {
-    name: ROOT / path
-    for name, path in {
-        "slot_core": "src/slot_core",
-        "slot_lab": "src/slot_lab",
-        "slot_nodes": "src/slot_nodes",
-        "slot_paper": "src/slot_paper",
-        "slot_bringup": "slot_bringup",
-    }.items()
-}
+FOLDERS = [*(ROOT / "src").iterdir(), ROOT / "slot_bringup"]
+PACKAGES = {folder.name: folder for folder in FOLDERS}
 # Keys of rosdep by what is imported; other names are those of ROS packages.
 KEYS = {
     "clarabel": "python3-clarabel-pip",
@@ -55,8 +47,6 @@ STARTED = {  # by the launch files, part of the build, or named in a registry
         "slot_paper",
     },
 }
-CONFIG = ROOT / "config"
-OWN_KEYS = ROOT / "scripts/rosdep.yaml"
 
 
 def settings(file):
@@ -83,10 +73,11 @@ def imported(folder, name):
     found = set()
     for path in [*(folder / name).rglob("*.py"), *(folder / "launch").glob("*.py")]:
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                found |= {alias.name.partition(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom):
-                found.add(node.module.partition(".")[0])
+            match node:
+                case ast.Import(names=names):
+                    found |= {alias.name.partition(".")[0] for alias in names}
+                case ast.ImportFrom(module=module):
+                    found.add(module.partition(".")[0])
     return found - {name, *sys.stdlib_module_names} - OPTIONAL
 
 
@@ -94,17 +85,19 @@ def imported(folder, name):
 def test_a_package_names_every_dependency_and_no_other(package):
     folder = PACKAGES[package]
     manifest = ElementTree.parse(folder / "package.xml")
-    named = {element.text for element in manifest.findall("exec_depend")}
+    named, tests = (
+        {element.text for element in manifest.findall(f"{kind}_depend")}
+        for kind in ("exec", "test")
+    )
     needed = {KEYS.get(name, name) for name in imported(folder, package)}
     assert named == needed | STARTED.get(package, set())
-    tests = {element.text for element in manifest.findall("test_depend")}
     plain = package in ("slot_nodes", "slot_paper")
     drawn = set() if plain else {"python3-hypothesis"}
     assert tests == {"python3-pytest", "python3-pytest-timeout"} | drawn
 
 
 def test_keys_that_rosdep_lacks_stand_in_a_list_of_our_own():
-    content = yaml.safe_load(OWN_KEYS.read_text())
+    content = yaml.safe_load((ROOT / "scripts/rosdep.yaml").read_text())
     pinned = (ROOT / "scripts/requirements/runtime.txt").read_text()
     assert {"python3-clarabel-pip", "python3-mcap-pip"} <= set(content)
     for entry in content.values():
@@ -114,16 +107,12 @@ def test_keys_that_rosdep_lacks_stand_in_a_list_of_our_own():
 
 def test_the_configuration_is_installed_as_files_of_its_package(tmp_path):
     """In the sources it is a link that leads out of the package."""
-    command = [
-        sys.executable,
-        "setup.py",
-        "-q",
-        "build_py",
-        "--build-lib",
-        str(tmp_path),
-    ]
-    subprocess.run(command, cwd=PACKAGES["slot_core"], check=True)
+    words = ["setup.py", "-q", "build_py", "--build-lib", str(tmp_path)]
+    subprocess.run([sys.executable, *words], cwd=PACKAGES["slot_core"], check=True)
     installed = tmp_path / "slot_core" / "defaults"
-    found = {p.relative_to(installed) for p in installed.rglob("*") if p.is_file()}
-    assert found == {p.relative_to(CONFIG) for p in CONFIG.rglob("*") if p.is_file()}
+    found, expected = (
+        {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
+        for folder in (installed, ROOT / "config")
+    )
+    assert found == expected
     assert not any(path.is_symlink() for path in (installed, *installed.rglob("*")))

@@ -6,36 +6,20 @@ requirements: all phases run, and nothing is downloaded.
 
 import hashlib
 import os
-import re
 import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from sourced import ROOT, environment
 
-REQUIREMENTS = ROOT / "scripts/requirements"
-REQUIREMENT_FILES = (
-    "uv",
-    "build",
-    "ros",
-    "runtime",
-    "test",
-    "bench",
-    "docs",
-    "play",
-    "learn",
-)
-PINNED = re.compile(r"^([A-Za-z0-9._-]+)==(\S+) \\$")
-HASH = re.compile(r"^    --hash=sha256:[0-9a-f]{64}( \\)?$")
+Process = subprocess.Popen[str]
 
 # Builds nothing; waits while the file `hold` exists, so that a test can interrupt it.
-COLCON = """#!/bin/bash
-trap 'exit 130' INT  # else bash goes on if the signal comes between two of its children
+COLCON = """trap 'exit 130' INT  # else bash goes on if the signal comes between two of its children
 echo build >> "$STUBS/calls"
 while [ -e "$STUBS/hold" ]; do sleep 0.05; done
 mkdir -p "$SLOT_ROOT/.slot/install/lib/slot_nodes"
@@ -47,18 +31,11 @@ folder.mkdir(parents=True, exist_ok=True)
 (folder / "advance.kernel").touch()
 """
 # Logs its call; "installs" cmake if that is asked for.
-APT_GET = """#!/bin/bash
-echo "apt-get $*" >> "$STUBS/calls"
+APT_GET = """echo "apt-get $*" >> "$STUBS/calls"
 case " $* " in *" install "*" cmake"*) ln -sf /bin/true "$STUBS/bin/cmake" ;; esac
 """
-NO_ROOT = "#!/bin/bash\necho 1000\n"
-SUDO = '#!/bin/bash\n[ -e "$STUBS/sudoer" ] || exit 1\nshift\nexec "$@"\n'
-
-
-def pins(name: str) -> dict[str, str]:
-    """Package and version of every pin in a requirements file."""
-    lines = (REQUIREMENTS / f"{name}.txt").read_text().splitlines()
-    return {match[1]: match[2] for match in map(PINNED.match, lines) if match}
+NO_ROOT = "echo 1000\n"
+SUDO = '[ -e "$STUBS/sudoer" ] || exit 1\nshift\nexec "$@"\n'
 
 
 def executable(path: Path, text: str) -> None:
@@ -70,38 +47,42 @@ class Copy:
     """Copy of the packaging files, with stubs of the machine's tools."""
 
     def __init__(self, folder: Path) -> None:
-        self.root = folder / "slot"
-        self.stubs = folder / "stubs"
-        self.home = self.root / ".slot"
+        self.root, self.stubs = folder / "slot", folder / "stubs"
+        self.home, self.bin = self.root / ".slot", self.stubs / "bin"
+        self.log = self.stubs / "calls"
         skip = shutil.ignore_patterns(".slot", "__pycache__", "*.egg-info")
         for part in ("scripts", "config", "src", "slot_bringup", "slot_msgs"):
             shutil.copytree(ROOT / part, self.root / part, ignore=skip, symlinks=True)
         for path in (self.root / "scripts/requirements").glob("*.txt"):
             path.write_text("")
-        bin_ = self.stubs / "bin"
-        bin_.mkdir(parents=True)
+        self.bin.mkdir(parents=True)
+        self.log.touch()
         (self.stubs / "setup.bash").write_text('export PYTHONPATH="$STUBS"\n')
-        (self.root / "src/slot_core/slot_core/simulation/warm_up.py").write_text(
-            WARM_UP
-        )
-        executable(bin_ / "colcon", COLCON)
+        core = self.root / "src/slot_core/slot_core"
+        (core / "simulation/warm_up.py").write_text(WARM_UP)
+        self.tool("colcon", COLCON)
         for tool in ("cmake", "g++", "git", "make", "strace", "chromium"):
-            (bin_ / tool).symlink_to("/bin/true")
+            (self.bin / tool).symlink_to("/bin/true")
         self.variables = {
-            "PATH": f"{bin_}:{os.defpath}",
+            "PATH": f"{self.bin}:{os.defpath}",
             "STUBS": str(self.stubs),
             "SLOT_ROS": str(self.stubs),
             "XDG_CACHE_HOME": str(folder / "cache"),
             "SLOT_PIP": "1",
         }
 
-    def start(self, *arguments: str) -> subprocess.Popen[str]:
+    def tool(self, name: str, text: str) -> None:
+        """Replace a tool by a program."""
+        (self.bin / name).unlink(missing_ok=True)
+        executable(self.bin / name, f"#!/bin/bash\n{text}")
+
+    def start(self, *arguments: str, stderr: int = subprocess.PIPE) -> Process:
         return subprocess.Popen(
             [str(self.root / "scripts/setup"), *arguments],
             cwd="/",
             env=self.variables,
             stdin=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
+            stderr=stderr,
             text=True,
             start_new_session=True,
         )
@@ -113,23 +94,20 @@ class Copy:
 
     @property
     def calls(self) -> list[str]:
-        path = self.stubs / "calls"
-        return path.read_text().splitlines() if path.exists() else []
+        return self.log.read_text().splitlines()
 
     def restrict_tools(self) -> None:
         """Leave setup its own tools only: no compiler, no root rights."""
-        bin_ = self.stubs / "bin"
-        (bin_ / "cmake").unlink()
+        (self.bin / "cmake").unlink()
         used = (
-            "bash cat cut df dirname env find flock head id ln ls mkdir mv python3 rm sed sha256sum sleep sort "
+            "bash cat cut df dirname env find flock head ln ls mkdir mv python3 rm sed sha256sum sleep sort "
             "tail tr true uname xargs"
         )
         for tool in used.split():
-            (bin_ / tool).symlink_to(shutil.which(tool, path=os.defpath) or tool)
+            (self.bin / tool).symlink_to(shutil.which(tool, path=os.defpath) or tool)
         for name, text in {"id": NO_ROOT, "sudo": SUDO, "apt-get": APT_GET}.items():
-            (bin_ / name).unlink(missing_ok=True)
-            executable(bin_ / name, text)
-        self.variables["PATH"] = str(bin_)
+            self.tool(name, text)
+        self.variables["PATH"] = str(self.bin)
 
 
 @pytest.fixture
@@ -146,9 +124,9 @@ def ready(tmp_path_factory: pytest.TempPathFactory) -> Copy:
     return copy
 
 
-def until(condition: Callable[[], bool]) -> None:
-    """Wait until a condition holds."""
-    while not condition():
+def until_build(copy: Copy) -> None:
+    """Wait until the workspace is being built."""
+    while copy.calls != ["build"]:
         time.sleep(0.02)
 
 
@@ -162,22 +140,19 @@ def test_a_second_setup_prints_and_does_nothing(ready):
 
 
 def test_an_interrupted_setup_continues_with_the_interrupted_phase(copy):
-    hold = copy.stubs / "hold"
+    hold, stamp = copy.stubs / "hold", copy.home / "venv/.stamp"
     hold.touch()
     process = copy.start()
-    until(lambda: copy.calls == ["build"])
+    until_build(copy)
     os.killpg(process.pid, signal.SIGINT)
     output = process.communicate()[1]
     assert process.returncode == 130
     assert "interrupted" in output.splitlines()[-1]
-    venv = (copy.home / "venv/.stamp").stat().st_mtime_ns
-
+    venv = stamp.stat().st_mtime_ns
     hold.unlink()
     assert copy.setup()[0] == 0
     assert copy.calls == ["build", "build"]  # the interrupted phase is repeated,
-    assert (
-        copy.home / "venv/.stamp"
-    ).stat().st_mtime_ns == venv  # the finished one is not
+    assert stamp.stat().st_mtime_ns == venv  # the finished one is not
     assert copy.setup() == (0, "")
 
 
@@ -192,15 +167,14 @@ def test_a_broken_or_unfinished_venv_is_rebuilt(ready, loss):
 
 
 def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup(ready):
-    colcon = ready.stubs / "bin/colcon"
-    executable(colcon, "#!/bin/bash\necho no such message\nexit 3\n")
+    ready.tool("colcon", "echo no such message\nexit 3\n")
     (ready.root / "slot_msgs/msg/New.msg").write_text("float64 x\n")
     for _ in range(2):
         status, output = ready.setup()
         assert status == 1
         assert "no such message" in output
         assert str(ready.home / "log/setup-workspace.log") in output
-    executable(colcon, COLCON)
+    ready.tool("colcon", COLCON)
     assert ready.setup()[0] == 0
 
 
@@ -247,7 +221,7 @@ def test_extra_packages_are_installed_once_and_again_when_their_pins_change(
 def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_command(copy):
     """Without the right to install, the set-up for tests asks for no browser."""
     copy.restrict_tools()
-    (copy.stubs / "bin/chromium").unlink()
+    (copy.bin / "chromium").unlink()
     command = "Debian packages are missing; run: sudo apt-get install -y cmake"
     assert copy.setup("--test") == (1, f"setup: {command}\n")
     assert not copy.calls
@@ -263,12 +237,9 @@ def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_comman
 def test_only_names_of_debian_packages_reach_apt_get(copy):
     copy.restrict_tools()
     (copy.stubs / "sudoer").touch()
-    talking = copy.stubs / "talking"  # a Python that says more than it is asked
-    executable(
-        talking, "#!/bin/bash\necho 'my own; script'\n[[ $* = *version_info* ]]\n"
-    )
-    (copy.stubs / "bin/python3").unlink()
-    executable(copy.stubs / "bin/python3", f"#!/bin/bash\necho {talking}\n")
+    # a Python that says more than it is asked
+    copy.tool("talking", "echo 'my own; script'\n[[ $* = *version_info* ]]\n")
+    copy.tool("python3", f"echo {copy.bin}/talking\n")
     refusal = "setup: 'my own; script' is no name of a Debian package\n"
     assert copy.setup() == (1, refusal)
     assert not copy.calls
@@ -298,113 +269,42 @@ def test_uv_of_another_clone_installs_with_hashes_over_the_network_that_pip_woul
     assert copy.setup("--test")[0] == 0
     network = "/our/certificates.pem http://proxy.example:3128"
     start = f"uv https://mirror.example/simple {network} "
-    installs = [call.removeprefix(start) for call in copy.calls if call != "build"]
-    files = [Path(call.split()[-1]).name for call in installs]
+    calls = [call for call in copy.calls if call != "build"]
+    files = [Path(call.split()[-1]).name for call in calls]
     assert files == ["build.txt", "runtime.txt", "test.txt"]
-    for call in installs:
+    for call in calls:
+        assert call.startswith(start)
         assert "--require-hashes" in call
         assert f"--python {copy.home}/venv/bin/python" in call
-        assert not call.startswith("uv ")
-
-
-def no_uv(copy: Copy) -> None:
-    """It is looked for, and not found."""
-    del copy.variables["SLOT_PIP"]
-    (copy.root / "scripts/requirements/uv.txt").write_text(
-        f"no-such-uv==1.0 --hash=sha256:{'0' * 64}\n"
-    )
-    copy.variables["PIP_NO_INDEX"] = "1"
 
 
 def test_pip_installs_where_uv_cannot_be_had(copy):
-    no_uv(copy)
+    del copy.variables["SLOT_PIP"]
+    absent = f"no-such-uv==1.0 --hash=sha256:{'0' * 64}\n"
+    (copy.root / "scripts/requirements/uv.txt").write_text(absent)
+    copy.variables["PIP_NO_INDEX"] = "1"
     status, output = copy.setup()
     assert status == 0
     assert "uv cannot be had" in output
     subprocess.run([copy.home / "venv/bin/python", "-c", "import pip"], check=True)
 
 
-def build_says(reason: str) -> Callable[[Copy], None]:
-    """A build that ends with a line of a tool."""
-    script = f"#!/bin/bash\necho 'write: {reason}'\nexit 1\n"
-    return lambda copy: executable(copy.stubs / "bin/colcon", script)
+FULL = {
+    "device": "echo 'write: No space left on device'; exit 1",
+    "quota": "echo 'write: Disk quota exceeded'; exit 1",
+    # the last write of a phase had a line of the shell's own
+    "stamp": "cd $SLOT_ROOT/.slot; mkdir -p install/lib; ln -s /dev/full install/.stamp",
+}
 
 
-def no_room_for_uv(copy: Copy) -> None:
-    """With pip the set-up would go on, and keep no kernel."""
-    no_uv(copy)
-    executable(copy.stubs / "bin/df", "#!/bin/bash\nprintf 'Avail\\n0\\n'\n")
-
-
-def no_log(copy: Copy) -> None:
-    log = copy.home / "log/setup-venv.log"
-    log.parent.mkdir(parents=True)
-    log.symlink_to("/nowhere/log")
-
-
-def no_stamp(copy: Copy) -> None:
-    """The last write of a phase had a line of the shell's own."""
-    stamp = copy.home / "install/.stamp"
-    script = f"mkdir -p {stamp.parent}/lib\nln -s /dev/full {stamp}\n"
-    executable(copy.stubs / "bin/colcon", f"#!/bin/bash\n{script}")
-
-
-@pytest.mark.parametrize(
-    "fill",
-    [
-        build_says("No space left on device"),
-        build_says("Disk quota exceeded"),
-        no_room_for_uv,
-        no_log,
-        no_stamp,
-    ],
-)
-def test_full_disk_is_named_in_the_last_line(copy, fill):
-    fill(copy)
+@pytest.mark.parametrize("place", FULL)
+def test_full_disk_is_named_in_the_last_line(copy, place):
+    copy.tool("colcon", FULL[place])
     status, output = copy.setup()
     assert status == 1
-    phases, last = output.splitlines()[:-1], output.splitlines()[-1]
+    *phases, last = output.splitlines()
     assert last.startswith(f"setup: no space left in {copy.home}")
     assert all(phase.endswith(" s)") for phase in phases)
-
-
-def on_terminal(copy: Copy) -> tuple[subprocess.Popen[bytes], int]:
-    """A setup that writes to a terminal, and the terminal's other end."""
-    terminal, other = os.openpty()
-    process = subprocess.Popen(
-        [str(copy.root / "scripts/setup")],
-        env=copy.variables,
-        stdin=subprocess.DEVNULL,
-        stderr=other,
-    )
-    os.close(other)
-    return process, terminal
-
-
-def shown(terminal: int) -> str:
-    """Text of a terminal until no process has it any more."""
-    text = ""
-    with suppress(OSError):
-        while data := os.read(terminal, 4096):
-            text += data.decode()
-    return text
-
-
-def test_progress_on_a_terminal_is_one_line_with_a_bar(copy):
-    process, terminal = on_terminal(copy)
-    text = shown(terminal)
-    assert process.wait() == 0
-    assert "\n" not in text
-    python = r"setup: \[#* *\] installing the Python packages for Python 3\.\d+\.\d+, about \d+ s left"
-    assert re.search(python, text)
-    build = r"setup: \[#+ *\] building the messages and compiling the kernels, about \d+ s left"
-    assert re.search(build, text)
-
-
-def lock_is_free(copy: Copy) -> bool:
-    """No process of a setup holds its lock, soon at the latest."""
-    command = ["flock", "-w", "10", copy.home / "lock", "true"]
-    return subprocess.run(command, check=False).returncode == 0
 
 
 CUTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]
@@ -412,15 +312,21 @@ CUTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]
 
 @pytest.mark.parametrize("cut", CUTS)
 def test_no_process_goes_on_after_a_signal_on_a_terminal(copy, cut):
-    """Nor the bar's: the terminal is free, else this would not end."""
+    """Nor the bar's: the terminal is free and the lock, else this would not end."""
     (copy.stubs / "hold").touch()
-    process, terminal = on_terminal(copy)
-    until(lambda: copy.calls == ["build"])
+    terminal, other = os.openpty()
+    process, text = copy.start(stderr=other), ""
+    os.close(other)
+    until_build(copy)
     process.send_signal(cut)
     assert process.wait() == (130 if cut != signal.SIGKILL else -cut)
-    assert lock_is_free(copy)
-    last = shown(terminal).splitlines()[-1]
-    assert ("interrupted" in last) == (cut != signal.SIGKILL)
+    subprocess.run(["flock", "-w", "10", copy.home / "lock", "true"], check=True)
+    with suppress(OSError):  # until no process has it any more
+        while data := os.read(terminal, 4096):
+            text += data.decode()
+    assert "about " in text
+    assert "\n" not in text.rstrip()
+    assert ("interrupted" in text) == (cut != signal.SIGKILL)
 
 
 def test_with_a_ros_installation_python_outside_of_the_venv_keeps_its_own_packages(

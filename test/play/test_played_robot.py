@@ -5,9 +5,8 @@ import pytest
 
 from slot_core.config import ConfigError
 from slot_core.control.controller import Tick
-from slot_core.robot import LEGS
 from slot_core.safety.states import Request, State
-from slot_lab.play.played_robot import FRAME, KEPT, PlayedRobot
+from slot_lab.play.played_robot import FRAME, PlayedRobot
 
 UP = 3.0  # s, to stand up and settle
 
@@ -18,25 +17,23 @@ def run(robot, seconds):
     return robot.truth.odometry
 
 
-@pytest.fixture(scope="module")
-def robot():
-    """A robot that no test changes."""
-    return PlayedRobot()
+def state(robot, seconds):
+    """State after a while."""
+    run(robot, seconds)
+    return robot.loop.report.state
 
 
 @pytest.fixture
 def standing():
     robot = PlayedRobot()
-    run(robot, UP)
-    assert robot.loop.report.state is State.STANDING
+    assert state(robot, UP) is State.STANDING
     return robot
 
 
 @pytest.fixture
 def walking(standing):
     standing.wishes.gait, standing.wishes.velocity = "walk", np.array([0.05, 0.0, 0.0])
-    run(standing, 2.0)
-    assert standing.loop.report.state is State.WALKING
+    assert state(standing, 2.0) is State.WALKING
     return standing
 
 
@@ -106,7 +103,8 @@ def test_a_smooth_slope_lets_it_slide_and_a_rough_one_does_not(standing):
         {"scene.none": 1},
     ],
 )
-def test_what_cannot_change_is_refused_and_nothing_changes(robot, change):
+def test_what_cannot_change_is_refused_and_nothing_changes(change):
+    robot = PlayedRobot()
     model = robot.loop.plant.robot.model
     with pytest.raises(ConfigError):
         robot.change(change)
@@ -114,75 +112,56 @@ def test_what_cannot_change_is_refused_and_nothing_changes(robot, change):
     assert robot.changes == {}
 
 
-@pytest.mark.parametrize("leg", LEGS)
-def test_a_broken_tendon_is_found_and_can_be_mended(walking, leg):
+@pytest.mark.parametrize("leg", ["FL", "RR"])
+def test_a_broken_tendon_is_found_and_once_mended_and_reset_the_robot_walks(
+    walking, leg
+):
     walking.set_tendon(leg, broken=True)
-    run(walking, 1.0)
-    assert walking.loop.report.state is State.HOLD
+    assert state(walking, 1.0) is State.HOLD
     assert f"tendon {leg}" in walking.loop.report.reason
-    walking.set_tendon(leg, broken=False)
-    walking.set_tendon(leg, broken=False)  # mended already
-    walking.change({"scene.payload.mass": 0.1})  # which keeps what faults there are
-    assert walking.loop.plant.robot.model.fault[1].all()
-
-
-def test_once_its_tendons_are_mended_and_it_is_reset_it_rises_and_walks(walking):
-    walking.set_tendon("FL", broken=True)
-    run(walking, 1.0)
-    walking.set_tendon("FL", broken=False)
+    for _ in range(2):  # the second time it is mended already
+        walking.set_tendon(leg, broken=False)
     run(walking, 8.0)
     walking.request(Request.RESET)
     walking.wishes.up = True
-    run(walking, 8.0)
-    assert walking.loop.report.state is State.WALKING
+    assert state(walking, 8.0) is State.WALKING
 
 
-def test_a_change_keeps_a_broken_tendon_and_a_pull(standing):
+def test_a_push_ends_and_a_pull_and_a_broken_tendon_outlive_a_change(standing):
+    standing.push([0.0, 6.0, 0.0], 0.2)
+    assert run(standing, 0.12).velocity[1] > 0.01
+    run(standing, 0.2)
+    assert not standing.loop.plant.robot.model.push.any()
     standing.set_tendon("FL", broken=True)
-    standing.pull(np.array([1.0, 0.0, 0.0]))
-    run(standing, 0.1)
+    for force in (4.0, 2.0, 0.0, 1.0):
+        standing.pull(np.array([force, 0.0, 0.0]))
+        run(standing, 0.04)
+        assert standing.loop.plant.robot.model.push[0] == force
     standing.change({"scene.payload.mass": 0.1})
     model = standing.loop.plant.robot.model
     assert model.fault[1].tolist() == [0.0, 1.0, 1.0, 1.0]
     assert model.push.tolist() == [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 
 
-def test_a_push_ends_and_a_pull_is_held(standing):
-    standing.push([0.0, 6.0, 0.0], 0.2)
-    run(standing, 0.12)
-    assert standing.truth.odometry.velocity[1] > 0.01
-    run(standing, 0.2)
-    assert not standing.loop.plant.robot.model.push.any()
-    for force in (4.0, 2.0, 0.0):
-        standing.pull(np.array([0.0, force, 0.0]))
-        run(standing, 0.1)
-        assert standing.loop.plant.robot.model.push[1] == force
-
-
 def test_after_an_emergency_stop_it_rises_only_on_request(walking):
-    def after(seconds):
-        run(walking, seconds)
-        return walking.loop.report.state
-
     walking.loop.request(Request.ESTOP)
-    assert after(1.0) is State.ESTOP
+    assert state(walking, 1.0) is State.ESTOP
     with pytest.raises(ConfigError, match="STAND refused in ESTOP: reset first"):
         walking.stand_up()
     walking.set_gait("crawl")
-    assert after(1.0) is State.ESTOP
+    assert state(walking, 1.0) is State.ESTOP
     walking.request(Request.RESET)
-    assert after(1.0) is State.IDLE
+    assert state(walking, 1.0) is State.IDLE
     walking.stand_up()
-    assert after(5.0) is State.STANDING
+    assert state(walking, 5.0) is State.STANDING
     walking.set_gait("walk")
-    assert after(3.0) is State.WALKING
+    assert state(walking, 3.0) is State.WALKING
 
 
 def test_it_goes_on_under_another_policy(walking):
     for policy in ("force_mpc", "gait_alone"):
         walking.set_policy(policy)
-        run(walking, 1.0)
-        assert walking.loop.report.state is State.WALKING
+        assert state(walking, 1.0) is State.WALKING
     with pytest.raises(ConfigError):
         walking.set_policy("none")
     assert walking.policy == "gait_alone"
@@ -190,8 +169,6 @@ def test_it_goes_on_under_another_policy(walking):
 
 def test_a_reset_keeps_changes_and_wishes_and_a_lost_simulation_needs_one(walking):
     walking.change({"scene.payload.mass": 0.2})
-    walking.set_tendon("FL", broken=True)
-    walking.set_tendon("FL", broken=False)
     walking.set_tendon("RL", broken=True)
     walking.loop.plant.robot.set_tip_to_nan(0)
     walking.advance()
@@ -199,11 +176,11 @@ def test_a_reset_keeps_changes_and_wishes_and_a_lost_simulation_needs_one(walkin
     assert walking.advance() == []
     walking.reset()
     assert walking.time == 0.0
-    assert walking.loop.plant.robot.model.payload[0] == 0.2
-    assert walking.loop.plant.robot.model.fault[1].tolist() == [1.0, 1.0, 0.0, 1.0]
+    model = walking.loop.plant.robot.model
+    assert model.payload[0] == 0.2
+    assert model.fault[1].tolist() == [1.0, 1.0, 0.0, 1.0]
     walking.set_tendon("RL", broken=False)
-    run(walking, 6.0)
-    assert walking.loop.report.state is State.WALKING
+    assert state(walking, 6.0) is State.WALKING
 
 
 @pytest.mark.parametrize("scene", ["map", "paper", "none"])
@@ -213,11 +190,9 @@ def test_a_scene_without_rods_is_refused(scene):
 
 
 def test_it_keeps_what_happened_for_a_limited_time(standing, monkeypatch):
-    assert standing.time == pytest.approx(UP, abs=FRAME)
     ticks = [value for _, value in standing.history if isinstance(value, Tick)]
     assert len(ticks) == pytest.approx(UP / 0.033, abs=2)
     monkeypatch.setattr("slot_lab.play.played_robot.KEPT", 1.0)
     run(standing, FRAME)
     first, last = standing.history[0][0], standing.history[-1][0]
     assert last - first == pytest.approx(1e9, abs=2e7)
-    assert KEPT > 60

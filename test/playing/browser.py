@@ -34,11 +34,9 @@ class Browser:
     def __init__(self, directory: Path, address: str):
         command = [PROGRAM, *OPTIONS, f"--user-data-dir={directory}", "about:blank"]
         self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-        port = wait_for(lambda: _port(directory))
-        targets = f"http://127.0.0.1:{port}/json"
-        page = wait_for(
-            lambda: next((t for t in _json(targets) if t["type"] == "page"), None)
-        )
+        file = directory / "DevToolsActivePort"
+        port = wait_for(lambda: file.exists() and file.read_text().split("\n")[0])
+        page = wait_for(lambda: _page(f"http://127.0.0.1:{port}/json"))
         self._socket = connect(page["webSocketDebuggerUrl"], max_size=None, proxy=None)
         self._number = itertools.count(1)
         self.call("Page.enable")
@@ -134,11 +132,6 @@ def wait_for(find, said=str):
     return found
 
 
-def _port(directory):
-    file = directory / "DevToolsActivePort"
-    return file.exists() and file.read_text().split("\n")[0]
-
-
-def _json(address):
-    with urllib.request.urlopen(address) as answer:
-        return json.load(answer)
+def _page(targets):
+    with urllib.request.urlopen(targets) as answer:
+        return next((t for t in json.load(answer) if t["type"] == "page"), None)
