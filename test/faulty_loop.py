@@ -21,7 +21,7 @@ BEGIN = 1.0  # s since the start, of the fault; the robot walks since 0.34 s
 
 
 class FaultyLoop(SupervisedLoop):
-    """A walk, with dead nodes, late commands and bad inputs."""
+    """A walk, with dead nodes and bad inputs."""
 
     def __init__(self, hardware="sim", scene="flat", seed=0):
         super().__init__(scene, "walk", None, seed, hardware=hardware)
@@ -34,9 +34,6 @@ class FaultyLoop(SupervisedLoop):
         )
         self.estop = {}  # sources of the e-stop by name: whether it is pressed
         self.clock_offset = 0  # ns, of the computer's clock
-        self.delay = lambda: (
-            0.0
-        )  # s, by which the next tick of the controller arrives late
 
     def react(self, fault, last, limit, begin=BEGIN):
         """Walk for `begin` s, let `fault` happen, and run until the event `last` or for `limit` s.
@@ -171,11 +168,7 @@ class FaultyLoop(SupervisedLoop):
     def control(self, tick):
         angle = self.change_command(tick.command.angle)
         command = dataclasses.replace(tick.command, angle=angle)
-        arrive = partial(super().control, dataclasses.replace(tick, command=command))
-        if late := self.delay():
-            self.plant.timeline.act(self.plant.now + round(late * SECOND), arrive)
-        else:
-            arrive()
+        super().control(dataclasses.replace(tick, command=command))
 
     def supervise(self, report):
         for source, pressed in self.estop.items():

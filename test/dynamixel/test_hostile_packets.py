@@ -29,25 +29,21 @@ RANGES = [
 ]
 
 
-def written(name, value):
-    """Parameters that write a register."""
-    return TABLE[name].address.to_bytes(2, "little") + TABLE[name].encode(value)
-
-
-def written_to_all(name, value):
-    """Parameters that write a register of every servo."""
-    entries = b"".join(bytes([i]) + TABLE[name].encode(value) for i in IDS)
-    size = len(TABLE[name].encode(value))
-    return (
-        TABLE[name].address.to_bytes(2, "little") + size.to_bytes(2, "little") + entries
-    )
+def written(name, value, *ids):
+    """Parameters that write a register, or that of several servos."""
+    register, data = TABLE[name], TABLE[name].encode(value)
+    address = register.address.to_bytes(2, "little")
+    if not ids:
+        return address + data
+    entries = b"".join(bytes([identity]) + data for identity in ids)
+    return address + register.size.to_bytes(2, "little") + entries
 
 
 ADDRESS, SIZE = span(*FAST)
 READ = ADDRESS.to_bytes(2, "little") + SIZE.to_bytes(2, "little") + bytes(IDS)
 PACKETS = [  # the driver's, and those with the worst effects: torque off, reboot, action
-    build(BROADCAST, Instruction.SYNC_WRITE, written_to_all("goal_position", 2800)),
-    build(BROADCAST, Instruction.SYNC_WRITE, written_to_all("goal_pwm", 885)),
+    build(BROADCAST, Instruction.SYNC_WRITE, written("goal_position", 2800, *IDS)),
+    build(BROADCAST, Instruction.SYNC_WRITE, written("goal_pwm", 885, *IDS)),
     build(BROADCAST, Instruction.FAST_SYNC_READ, READ),
     build(BROADCAST, Instruction.SYNC_READ, READ),
     build(IDS[0], Instruction.WRITE, written("goal_position", 2800)),

@@ -21,17 +21,18 @@ ROBOT = read_robot()
 TICK = 10_000_000  # ns
 START = 1_000_000_000  # ns
 STEP = TICK * 1e-9  # s
-CYCLE = (
-    3 * STEP
-)  # s, between two estimates, commands and statuses of the MPC on the bench
+CYCLE = 3 * STEP  # s, between two estimates, commands and statuses of the MPC
 STRIDE = 0.6  # s, period of the gait
 HEIGHT = 0.04  # m, of the standing robot
 LOAD = TendonLoad(read_leg_table(("tension_N",)), ROBOT.tendon.spool_radius)
-
-
-def make_supervisor(**changes):
-    settings = config.replace(read_supervisor(), changes)
-    return Supervisor(ROBOT, settings, read_tendon_watch(ROBOT, settings.tendon))
+OVERLOAD = {"hardware_error": np.array([0x20, 0, 0, 0])}
+WAYS = {
+    State.IDLE: [],
+    State.READY: [Request.READY],
+    State.STANDING: [Request.READY, Request.STAND],
+    State.WALKING: [Request.READY, Request.STAND, Request.WALK],
+    State.ESTOP: [Request.ESTOP],
+}
 
 
 def state(roll=0.0, pitch=0.0):
@@ -45,37 +46,27 @@ def load(angle):
     return LOAD(np.asarray(angle, dtype=float), np.full(4, HEIGHT))[0]
 
 
-def health(**changes):
-    """Health of servos that follow commands, without faults but those of `changes`."""
-    return ServoHealth(
-        Action.PASS, "", np.ones(4, dtype=bool), np.full(4, 1.1), **changes
-    )
-
-
 class SupervisorBench:
     """A supervisor with its inputs; those named in `silent` are omitted."""
 
     def __init__(self, **changes):
-        self.supervisor = make_supervisor(**changes)
+        settings = config.replace(read_supervisor(), changes)
+        watch = read_tendon_watch(ROBOT, settings.tendon)
+        self.supervisor = Supervisor(ROBOT, settings, watch)
         self.now = START
         self.silent = set()
         self.command = np.full(4, 1.1)
         self.angle = np.array([1.0, 1.05, 1.1, 1.15])  # where the servos are
         self.state = state()
         self.validity = Validity.VALID
-        self.status, self.fallback_cycles = Status.SOLVED, 0
-        self.sources = {
-            "button": False
-        }  # of the e-stop, by name: whether it is pressed
+        self.status = Status.SOLVED
+        self.sources = {"button": False}  # of the e-stop: whether it is pressed
         self.torque = None  # N m; None: that of the tabulated leg
         self.watchdog = Watchdog(ROBOT.tendon.angle_max)
-        self.watchdog.set_limits(
-            config.replace(read_supervisor(), changes).servo_limits
-        )
+        self.watchdog.set_limits(settings.servo_limits)
         self.goals = unchanged(Action.OFF, np.zeros(4), False)  # of the servos
         self.health = {}  # differences from servos without faults
-        self.reports, self.torque_on = [], []
-        self._ticks = 0
+        self.reports = []
 
     def tick(self):
         """All inputs and one step; the servos follow at once."""
@@ -87,9 +78,8 @@ class SupervisorBench:
             torque = load(self.angle) if self.torque is None else self.torque
             s.receive_joints(now, now, self.angle, torque)
             s.receive_health(now, now, self.servo_health())
-        if self._ticks % 3 == 0:  # as the odometry, every 30 ms
+        if len(self.reports) % 3 == 0:  # as the odometry, every 30 ms
             self._send_cycle(now)
-        self._ticks += 1
         report = s.step(now)
         self.step_servos(now, report)
         self.reports.append(report)
@@ -103,7 +93,6 @@ class SupervisorBench:
         if report.action is Action.HOLD and not self.goals.torque:
             self.watchdog.engage(self.angle)  # torque comes on
         self.goals = self.watchdog.step(now)
-        self.torque_on.append(self.goals.torque)
         if self.goals.torque:
             self.angle = self.goals.angle
 
@@ -121,8 +110,7 @@ class SupervisorBench:
             estimate = Estimate(now, self.state, np.eye(12), self.validity)
             self.supervisor.receive_estimate(now, estimate)
         if "mpc" not in self.silent:
-            status = self.status, self.fallback_cycles
-            self.supervisor.receive_mpc(now, *status, STRIDE)
+            self.supervisor.receive_mpc(now, self.status, 0, STRIDE)
         if "command" not in self.silent:
             self.supervisor.receive_command(now, now, self.command)
             self.watchdog.offer(now, self.command)
@@ -140,50 +128,19 @@ class SupervisorBench:
         return math.inf
 
     def request(self, *requests):
-        """Make requests, with time for the servos to report between them."""
-        for k, request in enumerate(requests):
-            if k:
-                self.run(0.02)
+        """Make requests, with time for the servos to report after each of them."""
+        for request in requests:
             assert self.supervisor.request(self.now, request) == ""
-
-    def bring_to(self, wanted):
-        """Bring the robot to a state; returns the report there, None for HOLD and RELAX."""
-        self.run(0.3)
-        requests = {
-            State.IDLE: [],
-            State.READY: [Request.READY],
-            State.STANDING: [Request.READY, Request.STAND],
-            State.ESTOP: [Request.ESTOP],
-        }
-        if wanted in requests:
-            self.request(*requests[wanted])
-            return self._check_state(wanted)
-        self.request(Request.READY, Request.STAND)
-        self.run(1.0)
-        self.request(Request.WALK)
-        self.run(1.0)
-        if wanted is State.HOLD:
-            self.supervisor.receive_command(
-                self.now + 1, self.now + 1, np.full(4, math.nan)
-            )
-            self.silent.add("command")
-            self.tick()
-        elif wanted is State.RELAX:
-            self.request(Request.RELAX)
-        elif wanted is State.FAULT:
-            self.state = state(roll=1.0)
-            self.time_until(State.FAULT, 3.0)
-            self.state = state()
-        return self._check_state(wanted)
-
-    def _check_state(self, wanted):
-        report = self.tick() if wanted not in {State.HOLD, State.RELAX} else None
-        assert self.supervisor.state is wanted
-        return report
+            self.run(0.02)
 
 
-def bench_in(wanted):
-    """A bench whose robot is in a state."""
+def bench_in(wanted, **inputs):
+    """A bench whose robot has been in a state for a second; `inputs` as its attributes."""
     bench = SupervisorBench()
-    bench.bring_to(wanted)
+    vars(bench).update(inputs)
+    bench.run(0.3)
+    for request in WAYS[wanted]:
+        bench.request(request)
+        bench.run(1.0)
+    assert bench.supervisor.state is wanted
     return bench

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from slot_core import config
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_robot
 from slot_core.safety.rate_limiter import RateLimiter
@@ -18,9 +17,8 @@ TICK = 10_000_000  # ns
 MIDDLE = np.full(4, 1.0)
 
 
-def gate(angle=MIDDLE, **changes):
-    """A gate engaged at an angle."""
-    built = RateLimiter(config.replace(SETTINGS, changes), LIMIT)
+def gate(angle=MIDDLE):
+    built = RateLimiter(SETTINGS, LIMIT)
     built.engage(angle)
     return built
 
@@ -31,34 +29,26 @@ def run(built, action, seconds, start=0, **kwargs):
     return times[-1], [built.step(time, action, **kwargs) for time in times]
 
 
-BAD = {
-    "NaN": [1.0, math.nan, 1.0, 1.0],
-    "infinite": [1.0, 1.0, math.inf, 1.0],
-    "below": [1.0, 1.0, 1.0, -1e-9],
-    "above": [LIMIT * (1 + 1e-12), 1.0, 1.0, 1.0],
-    "too short": [1.0, 1.0, 1.0],
-    "nested": [[1.0, 1.0, 1.0, 1.0]],
-}
+REST = [0.0] * 4
+OUTSIDE = "rad is not inside [0, 2.029]"
+BAD = [
+    ([1.0, math.nan, 1.0, 1.0], REST, f"command FR = nan {OUTSIDE}"),
+    ([1.0, 1.0, math.inf, 1.0], REST, f"command RL = inf {OUTSIDE}"),
+    ([1.0, 1.0, 1.0, -1e-9], REST, f"command RR = -1e-09 {OUTSIDE}"),
+    ([LIMIT * (1 + 1e-12), 1.0, 1.0, 1.0], REST, f"command FL = 2.029 {OUTSIDE}"),
+    ([1.0, 1.0, 1.0], REST, "command has the shape (3,), limit (4,)"),
+    ([[1.0, 1.0, 1.0, 1.0]], REST, "command has the shape (1, 4), limit (4,)"),
+    (MIDDLE, [0.0, math.nan, 0.0, 0.0], "rate FR = nan rad/s is not finite"),
+    (MIDDLE, [0.0], "rate has the shape (1,), limit (4,)"),
+]
 
 
-@pytest.mark.parametrize("angle", BAD.values(), ids=BAD)
-def test_a_vector_with_a_bad_value_is_rejected_as_a_whole(angle):
+@pytest.mark.parametrize(("angle", "rate", "reason"), BAD)
+def test_a_vector_with_a_bad_value_is_rejected_as_a_whole_by_name(angle, rate, reason):
     built = gate()
-    assert "command" in built.offer(0, angle)
+    assert built.offer(0, angle, rate) == reason
     _, results = run(built, Action.PASS, 0.5, fast=True)
     assert (np.array([goals.angle for goals in results]) == MIDDLE).all()
-
-
-def test_a_rejection_names_leg_value_and_limit():
-    assert (
-        gate().offer(0, [1.0, 1.0, 2.5, 1.0])
-        == "command RL = 2.5 rad is not inside [0, 2.029]"
-    )
-    assert (
-        gate().offer(0, MIDDLE, [0.0, math.nan, 0.0, 0.0])
-        == "rate FR = nan rad/s is not finite"
-    )
-    assert gate().offer(0, MIDDLE, [0.0]) == "rate has the shape (1,), limit (4,)"
 
 
 def test_goals_go_on_at_the_rate_of_the_command_within_the_range_until_it_is_held():
@@ -111,7 +101,7 @@ def test_every_step_of_every_gait_passes_unchanged():
             assert not goals.slewed.any()
 
 
-@pytest.mark.parametrize("angle", [0.0, 0.7, LIMIT])
+@pytest.mark.parametrize("angle", [0.0, LIMIT])
 def test_relax_ends_slack_and_without_torque_within_relax_time(angle):
     built = gate(np.full(4, angle))
     time, results = run(built, Action.RELAX, SETTINGS.relax_time)
@@ -123,25 +113,9 @@ def test_relax_ends_slack_and_without_torque_within_relax_time(angle):
     assert falling.max(initial=0.0) <= 0.0
     # a ramp: only the first step may use the rest of its budget at once
     assert falling.min(initial=0.0) >= -SETTINGS.relax_rate * SETTINGS.burst - 1e-12
-
-
-def test_torque_goes_off_after_relax_time_even_if_steps_are_rare():
-    built = gate(np.full(4, LIMIT))
-    built.step(0, Action.RELAX)
-    assert not built.step(round(SETTINGS.relax_time * 1e9), Action.RELAX).torque
-
-
-def test_off_switches_torque_off_at_once():
-    built = gate()
-    assert built.step(0, Action.PASS).torque
-    assert not built.step(0, Action.OFF).torque
-
-
-def test_a_ramp_longer_than_relax_time_is_refused():
-    with pytest.raises(
-        config.ConfigError, match=r"relax_time = 0\.5: the ramp .* takes 1\.015 s"
-    ):
-        gate(relax_time=0.5)
+    rare = gate(np.full(4, angle))  # steps
+    rare.step(0, Action.RELAX)
+    assert not rare.step(time, Action.RELAX).torque
 
 
 def test_no_sequence_of_commands_and_actions_exceeds_range_or_rate():
@@ -162,9 +136,7 @@ def test_no_sequence_of_commands_and_actions_exceeds_range_or_rate():
         times.append(time * 1e-9)
         angles.append(goals.angle)
     angle = np.array(angles)
-    assert np.isfinite(angle).all()
-    assert angle.min() >= 0.0
-    assert angle.max() <= LIMIT
+    assert ((angle >= 0.0) & (angle <= LIMIT)).all()
     for lag in (1, 3, 10):
         moved = np.abs(angle[lag:] - angle[:-lag]).max(axis=1)
         span = np.array(times[lag:]) - np.array(times[:-lag])

@@ -1,11 +1,13 @@
 """Start-up without an operator: each request once, and none after a fault."""
 
-import numpy as np
 import pytest
 from supervisor_bench import START, TICK, SupervisorBench, state
 
 from slot_core.safety.states import Request, State
 from slot_core.safety.ticked_supervisor import StartUp
+
+READY, STAND, WALK = Request.READY, Request.STAND, Request.WALK
+ALL = (READY, STAND, WALK)
 
 
 def run(bench, start_up, seconds):
@@ -15,50 +17,25 @@ def run(bench, start_up, seconds):
     return bench.supervisor.state
 
 
-@pytest.mark.parametrize(
-    ("steps", "goal"),
-    [
-        ((Request.READY, Request.STAND), State.STANDING),
-        ((Request.READY, Request.STAND, Request.WALK), State.WALKING),
-        ((), State.IDLE),
-    ],
-)
-def test_start_up_reaches_the_state_of_its_last_request(steps, goal):
-    bench = SupervisorBench()
-    assert run(bench, StartUp(*steps), 2.0) is goal
-    assert all(
-        "by the start-up" in r.reason
-        for r in bench.reports
-        if r.state is goal and steps
-    )
-
-
 def test_start_up_repeats_a_refused_request_and_returns_the_reason():
-    bench, start_up = SupervisorBench(), StartUp(Request.READY)
-    assert "no report of the servos" in start_up.request_next(
-        bench.supervisor, bench.now
-    )
+    bench, start_up = SupervisorBench(), StartUp(READY)
     bench.run(0.1)
     bench.silent.add("servos")
     bench.run(0.6)
     assert run(bench, start_up, 1.0) is State.IDLE
-    assert "READY refused in IDLE: servo FL silent" in start_up.request_next(
-        bench.supervisor, bench.now
-    )
+    reason = start_up.request_next(bench.supervisor, bench.now)
+    assert "READY refused in IDLE: servo FL silent" in reason
     bench.silent.clear()
     assert run(bench, start_up, 0.5) is State.READY
-
-
-ALL = (Request.READY, Request.STAND, Request.WALK)
 
 
 @pytest.mark.parametrize(
     ("steps", "request_", "goal"),
     [
-        (ALL[:1], Request.STAND, State.READY),  # refused: torque is not on yet
-        (ALL[:2], Request.STAND, State.STANDING),
-        (ALL[:1], Request.WALK, State.READY),  # refused too
-        (ALL[:1], Request.READY, State.READY),
+        (ALL[:1], STAND, State.READY),  # refused: torque is not on yet
+        (ALL[:2], STAND, State.STANDING),
+        (ALL[:1], WALK, State.READY),  # refused too
+        (ALL[:1], READY, State.READY),
         (ALL[:2], Request.RELAX, State.IDLE),
         (ALL, Request.RELAX, State.IDLE),
     ],
@@ -72,18 +49,6 @@ def test_start_up_makes_no_request_after_one_of_the_operator(steps, request_, go
     assert run(bench, start_up, 3.0) is goal
 
 
-def test_stand_in_a_hold_of_the_start_up_is_not_overridden():
-    bench, start_up = SupervisorBench(), StartUp(*ALL)
-    while bench.supervisor.state is not State.STANDING:
-        run(bench, start_up, 0.01)
-    bench.supervisor.receive_command(bench.now + 1, bench.now + 1, np.full(4, np.nan))
-    bench.silent.add("command")
-    assert run(bench, start_up, 0.1) is State.HOLD
-    bench.request(Request.STAND)
-    bench.silent.clear()
-    assert run(bench, start_up, 3.0) is State.STANDING
-
-
 @pytest.mark.parametrize(
     ("supervised", "goal"),
     [(0, State.WALKING), (START + TICK, State.WALKING), (1, State.IDLE)],
@@ -94,19 +59,14 @@ def test_start_up_begins_only_where_the_servos_have_obeyed_no_earlier_supervisor
     bench, start_up = SupervisorBench(), StartUp(*ALL)
     bench.health["supervised"] = supervised
     assert run(bench, start_up, 3.0) is goal
-    waits = goal is State.IDLE
-    assert (
-        "earlier supervisor" in start_up.request_next(bench.supervisor, bench.now)
-    ) == waits
+    reason = start_up.request_next(bench.supervisor, bench.now)
+    assert ("earlier supervisor" in reason) == (goal is State.IDLE)
     bench.health["supervised"] = 0  # the servos' node has been restarted too
     assert run(bench, start_up, 1.0) is goal
 
 
 def test_start_up_makes_no_request_after_a_fault():
-    bench, start_up = (
-        SupervisorBench(),
-        StartUp(Request.READY, Request.STAND, Request.WALK),
-    )
+    bench, start_up = SupervisorBench(), StartUp(*ALL)
     bench.silent.add("command")  # STAND is refused without commands
     assert run(bench, start_up, 1.0) is State.READY
     bench.state = state(roll=1.0)

@@ -1,39 +1,22 @@
 """A brand of servos in one file runs in simulation and driver node as they are."""
 
-import shutil
-
 import numpy as np
 import pytest
-import yaml
 from ideal_servos import IdealServos, make_brand
-from real_graph import domain  # noqa: F401 - a fixture
+from real_graph import domain, set_values  # noqa: F401 - a fixture
 from simulated_rig import SimulatedRig
 from std_srvs.srv import Trigger
 from stub_supervisor import DRIVER, StubSupervisor
 
-from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.safety.states import Action, State
 from slot_core.servos import registry
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 
-@pytest.fixture
-def name_brand(tmp_path, monkeypatch):
-    """Name the brand of the servos in the configuration."""
-
-    def name(brand):
-        directory = tmp_path / "config"
-        shutil.copytree(config.config_dir(), directory)
-        (directory / "servo_bus.yaml").write_text(yaml.safe_dump({"brand": brand}))
-        monkeypatch.setenv("SLOT_CONFIG", str(directory))
-
-    return name
-
-
-def test_the_robot_stands_on_servos_of_another_brand(name_brand, monkeypatch):
+def test_the_robot_stands_on_servos_of_another_brand(own_config, monkeypatch):
     monkeypatch.setitem(registry.BRANDS, "ideal", make_brand)
-    name_brand("ideal")
+    set_values(own_config, {"servo_bus": {"brand": "ideal"}})
     loop = SupervisedLoop("flat", "stand", None, 0, hardware="fake_bus")
     reports = list(loop.run(3.0))
     assert reports[-1].state is State.STANDING
@@ -68,21 +51,20 @@ def test_the_driver_node_drives_servos_of_another_brand(tmp_path, monkeypatch):
     rig.close()
 
 
-def test_an_unknown_brand_is_refused_with_those_there_are(name_brand):
-    name_brand("other")
-    with pytest.raises(
-        ConfigError, match=r"brand = 'other': expected one of dynamixel"
-    ):
-        registry.read_brand()
-
-
-def test_a_brand_without_an_emulator_is_refused_as_a_simulated_robot(
-    name_brand, monkeypatch
+@pytest.mark.parametrize(
+    ("brand", "reason"),
+    [
+        ("other", r"brand = 'other': expected one of dynamixel"),
+        ("bare", "cannot be emulated"),
+    ],
+)
+def test_a_brand_that_is_unknown_or_has_no_emulator_cannot_be_simulated(
+    own_config, monkeypatch, brand, reason
 ):
     bare = registry.Brand(lambda: None, lambda settings: None)
     monkeypatch.setitem(registry.BRANDS, "bare", lambda: bare)
-    name_brand("bare")
-    with pytest.raises(ConfigError, match="cannot be emulated"):
+    set_values(own_config, {"servo_bus": {"brand": brand}})
+    with pytest.raises(ConfigError, match=reason):
         SupervisedLoop("flat", "stand", None, 0, hardware="fake_bus")
     with pytest.raises(ConfigError, match="have no tools"):
-        registry.read_brand().tools([])
+        bare.tools([])

@@ -36,13 +36,16 @@ class SessionRig:
         )
         self.time = 0.0
         self.bus = self.servos.connect(lambda: self.time)
-        self.session = ServoSession(
-            self.bus, read_robot().tendon.angle_max, PERIOD, self.sleep
-        )
+        self.session = self.fresh()
         self.session.watchdog.set_limits(read_supervisor().servo_limits)
         self.session.configure()
         self.permit(Action.HOLD)
         self.session.start()
+
+    def fresh(self):
+        """A session on the bus that nobody has told anything yet."""
+        limit = read_robot().tendon.angle_max
+        return ServoSession(self.bus, limit, PERIOD, self.sleep)
 
     @property
     def now(self):
@@ -53,7 +56,6 @@ class SessionRig:
         self.time += duration
 
     def permit(self, action, reason="the supervisor's reason"):
-        """Give the supervisor's permission."""
         self.session.permit(Permission(self.now, action, True, reason))
 
     def run(self, duration, angle=None, permission=Action.PASS):
@@ -70,10 +72,6 @@ class SessionRig:
                 changes.append((self.session.action, self.time))
             self.sleep(PERIOD)
         return changes
-
-    def torque(self):
-        """Legs whose servos have torque on."""
-        return self.servos.powered()
 
     def inject(self, kind, leg):
         self.servos.inject(Fault(kind, leg, 0.0, 0.0, 0.0))
@@ -101,74 +99,58 @@ def test_configure_switches_off_torque_left_on_by_a_killed_driver(rig):
     rig.run(0.2, SLIGHTLY)
     rig.bus.close()  # as the kernel does after a kill
     rig.sleep(1.0)
-    assert rig.torque() == LEGS
+    assert rig.servos.powered() == LEGS
     rig.session.configure()
-    assert rig.torque() == ()
+    assert rig.servos.powered() == ()
     rig.permit(Action.HOLD)
     rig.session.start()
     rig.inject("silent", "FL")
     with pytest.raises(RefusedError, match="FL"):
         rig.session.configure()
-    assert set(rig.torque()) <= {"FL"}
+    assert set(rig.servos.powered()) <= {"FL"}
 
 
-def test_a_permission_of_a_supervisor_that_has_ended_switches_no_torque_on(rig):
-    rig.permit(Action.OFF)
+def test_torque_is_refused_without_limits_or_a_fresh_permission(rig):
+    rig.session.stop()
+    rig.session = rig.fresh()
+    rig.permit(Action.PASS)
+    assert "no limits" in rig.session.offer(rig.now, rig.now, SLIGHTLY)
+    rig.session.step(rig.now)
+    with pytest.raises(RefusedError, match="no limits of the supervisor yet"):
+        rig.session.start()
+    rig.session.watchdog.set_limits(read_supervisor().servo_limits)
+    with pytest.raises(RefusedError, match="the supervisor does not permit it"):
+        rig.session.start()
     rig.permit(Action.HOLD)
     rig.sleep(TIMING.command_hold + 0.1)
-    with pytest.raises(
-        RefusedError, match=r"the supervisor's permission is 0\.\d+ s old"
-    ):
+    with pytest.raises(RefusedError, match=r"permission is 0\.\d+ s old"):
         rig.session.start()
-    assert rig.torque() == ()
-
-
-def test_commands_reach_the_servos(rig):
-    assert rig.run(0.5, SLIGHTLY) == [(Action.PASS, 0.0)]
-    assert rig.bus.goals() == pytest.approx(SLIGHTLY)
-    assert rig.servos.angles() == pytest.approx(SLIGHTLY, abs=0.01)
-    with pytest.raises(RefusedError, match="torque is on already"):
-        rig.session.start()
-
-
-def test_without_a_permission_torque_is_refused_until_there_is_one(rig):
-    rig.session.stop()
-    fresh = ServoSession(rig.bus, read_robot().tendon.angle_max, PERIOD, rig.sleep)
-    fresh.watchdog.set_limits(read_supervisor().servo_limits)
-    with pytest.raises(RefusedError, match="the supervisor does not permit it"):
-        fresh.start()
-    assert rig.torque() == ()
-    fresh.permit(Permission(rig.now, Action.HOLD, False, ""))
-    assert fresh.may_start(Permission(rig.now, Action.HOLD, False, ""))
-    fresh.start()
-    assert rig.torque() == LEGS
-
-
-def test_only_a_relax_begun_by_the_watchdog_has_its_own_reason(rig):
-    rig.run(0.2, SLIGHTLY)
-    rig.run(1.0, SLIGHTLY, Action.RELAX)
-    assert (rig.session.action, rig.session.watchdog.own_reason) == (Action.OFF, "")
+    assert rig.servos.powered() == ()
     rig.permit(Action.HOLD)
+    assert rig.session.may_start(rig.session.watchdog.permission)
     rig.session.start()
-    rig.run(0.1, SLIGHTLY)
-    rig.run(2.0)
-    assert "no command for 0.5" in rig.session.watchdog.own_reason
+    assert rig.servos.powered() == LEGS
 
 
-def test_permission_off_switches_torque_off_before_the_next_cycle(rig):
-    rig.run(0.2, SLIGHTLY)
-    rig.permit(Action.OFF, "e-stop pressed")
-    assert rig.torque() == ()
-    assert rig.session.reason == "torque off, after: e-stop pressed"
-
-
-def test_the_stamp_of_a_command_is_recorded_when_it_is_written_first(rig):
+def test_commands_reach_the_servos_and_their_stamp_is_recorded_once(rig):
     rig.permit(Action.PASS)
     rig.session.offer(rig.now, 123, SLIGHTLY)
     rig.session.step(rig.now)
     assert (rig.session.commanded, rig.session.written) == (123, rig.time)
     rig.run(0.05)
     assert (rig.session.commanded, rig.session.written) == (123, 0.0)
+    rig.run(0.5, SLIGHTLY)
+    assert rig.bus.goals() == pytest.approx(SLIGHTLY)
+    assert rig.servos.angles() == pytest.approx(SLIGHTLY, abs=0.01)
+    with pytest.raises(RefusedError, match="torque is on already"):
+        rig.session.start()
+
+
+def test_permission_off_switches_torque_off_before_the_next_cycle(rig):
+    rig.run(0.2, SLIGHTLY)
+    rig.permit(Action.OFF, "e-stop pressed")
+    assert rig.servos.powered() == ()
+    assert rig.session.reason == "torque off, after: e-stop pressed"
 
 
 @pytest.mark.parametrize("kind", ["overload", "watchdog"])
@@ -178,7 +160,11 @@ def test_a_fault_of_one_servo_relaxes_all_and_is_named(dynamixels, kind):
     actions = [action for action, _ in dynamixels.run(2.0, SLIGHTLY)]
     assert actions == [Action.RELAX, Action.OFF]
     assert "servo RL (id 2): " in dynamixels.session.reason
-    assert dynamixels.torque() == ()
+    assert dynamixels.servos.powered() == ()
+    hold = Permission(dynamixels.now, Action.HOLD, True, "")
+    assert not dynamixels.session.may_start(hold)  # until the permission has been OFF
+    dynamixels.permit(Action.OFF)
+    assert dynamixels.session.may_start(hold)
 
 
 def test_a_bus_watchdog_that_a_late_cycle_has_tripped_is_reported_with_the_delay(
@@ -187,15 +173,19 @@ def test_a_bus_watchdog_that_a_late_cycle_has_tripped_is_reported_with_the_delay
     dynamixels.run(0.2, SLIGHTLY)
     dynamixels.sleep(0.15)
     dynamixels.run(1.0, SLIGHTLY)
+    assert dynamixels.session.overruns == 1
     assert dynamixels.session.watchdog.own_reason == (
         "servo FL (id 5): stopped by its bus watchdog after 0.16 s without a bus cycle"
     )
 
 
-def test_a_silent_servo_relaxes_all_after_its_limit(rig):
+def test_a_silent_servo_has_no_joint_reading_and_relaxes_all_after_its_limit(rig):
     rig.run(0.2, SLIGHTLY)
+    reading = rig.cycle.joints(7, np.full(4, 1.4))
+    assert reading.angle == pytest.approx(rig.servos.angles(), abs=0.02)
     rig.inject("silent", "RR")
     (action, when), *_ = rig.run(TIMING.servo_silent + 0.1, SLIGHTLY)
+    assert rig.cycle.joints(8, np.full(4, 1.4)) is None
     assert action is Action.RELAX
     assert when - 0.2 == pytest.approx(TIMING.servo_silent, abs=2 * PERIOD)
     assert rig.session.reason.startswith("servo RR (id ")
@@ -206,7 +196,7 @@ def test_stop_relaxes_and_confirms_also_during_an_exchange(dynamixels):
     dynamixels.run(0.2, SLIGHTLY)
     dynamixels.bus.bus.port.is_using = True  # as an interrupt leaves it
     assert dynamixels.session.stop().complete
-    assert dynamixels.torque() == ()
+    assert dynamixels.servos.powered() == ()
     # with the gains of dynamixel.yaml the servos follow the ramp of 2 rad/s 0.05 rad behind
     assert dynamixels.servos.angles() == pytest.approx(np.zeros(4), abs=0.1)
     assert dynamixels.session.action is Action.OFF
@@ -220,34 +210,6 @@ def test_a_lost_port_raises_and_stop_confirms_no_servo(rig):
     assert not any(rig.session.stop().confirmed)
 
 
-def test_a_late_step_counts_as_an_overrun(rig):
-    rig.run(0.1, SLIGHTLY)
-    rig.sleep(0.03)
-    rig.run(0.1, SLIGHTLY)
-    assert rig.session.overruns == 1
-
-
-def test_a_cycle_with_a_silent_servo_has_no_joint_reading(rig):
-    rig.run(0.1, SLIGHTLY)
-    reading = rig.cycle.joints(7, np.full(4, 1.4))
-    assert reading is not None
-    assert reading.angle == pytest.approx(rig.servos.angles(), abs=0.02)
-    rig.inject("silent", "RR")
-    rig.run(0.02, SLIGHTLY)
-    assert rig.cycle.joints(8, np.full(4, 1.4)) is None
-
-
-def test_without_limits_torque_stays_off_and_commands_are_rejected(rig):
-    rig.session.stop()
-    fresh = ServoSession(rig.bus, read_robot().tendon.angle_max, PERIOD, rig.sleep)
-    with pytest.raises(RefusedError, match="no limits of the supervisor yet"):
-        fresh.start()
-    assert "no limits" in fresh.offer(rig.now, rig.now, SLIGHTLY)
-    fresh.permit(Permission(rig.now, Action.PASS, True, ""))
-    fresh.step(rig.now)
-    assert rig.torque() == ()
-
-
 def test_an_interrupted_stop_switches_torque_off(rig):
     rig.run(0.2, SLIGHTLY)
 
@@ -257,7 +219,7 @@ def test_an_interrupted_stop_switches_torque_off(rig):
     rig.session._sleep = interrupt
     with pytest.raises(KeyboardInterrupt):
         rig.session.stop()
-    assert rig.torque() == ()
+    assert rig.servos.powered() == ()
 
 
 @pytest.mark.parametrize(
