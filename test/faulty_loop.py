@@ -25,10 +25,7 @@ class FaultyLoop(SupervisedLoop):
 
     def __init__(self, hardware="sim", scene="flat", seed=0):
         super().__init__(scene, "walk", None, seed, hardware=hardware)
-        self.first, self.reasons = (
-            {},
-            {},
-        )  # s since the fault, and the reason of a state
+        self.first = {}  # s since the fault, of an event
         self.change_odometry = self.change_command = self.change_imu = lambda value: (
             value
         )
@@ -47,15 +44,13 @@ class FaultyLoop(SupervisedLoop):
         self.plant.timeline.every(CYCLE, self._watch)  # after the cycle of the servos
         fault(self)
         for report in self.run(limit):
-            self._note(report.state.name, report.reason)
-            for warning in report.warnings:
-                if warning.startswith("no usable IMU"):
-                    self._note("warned", warning)
+            self._note(report.state.name)
+            if any(line.startswith("no usable IMU") for line in report.warnings):
+                self._note("warned")
             if last in self.first:
                 return
 
     def _watch(self):
-        """Note what the servos do after a cycle."""
         self._note(self.servos.action.name)
         health = self.servos.report().health
         if isinstance(self.servos, BusServos):
@@ -71,30 +66,25 @@ class FaultyLoop(SupervisedLoop):
             self._note("slewed")
         return []
 
-    def _note(self, event, reason=""):
+    def _note(self, event):
         since = (self.plant.now - LOCKSTEP_START) / SECOND - self._fault_at
         self.first.setdefault(event, round(since, 9))
-        self.reasons.setdefault(event, reason)
 
     # faults
 
     def kill(self, *nodes):
-        """Let nodes neither receive nor send."""
         self.running -= {*nodes}
 
     def end_driver(self):
-        """End the driver as SIGKILL does."""
         self.servos.end = "killed"
 
     def inject(self, kind, value=0.0, leg="FL"):
-        """A fault of a leg or its servo."""
         self.plant.faults.inject(Fault(kind, leg, 0.0, 0.0, value))
 
     def lose_odometry(self):
         self.change_odometry = lambda o: None
 
     def spoil_odometry(self):
-        """Let the position of the odometry be NaN."""
         self.change_odometry = lambda o: dataclasses.replace(
             o, position=np.full(3, np.nan)
         )
@@ -103,17 +93,14 @@ class FaultyLoop(SupervisedLoop):
         self.change_imu = lambda i: None
 
     def spoil_imu(self):
-        """Let the acceleration be NaN."""
         self.change_imu = lambda i: dataclasses.replace(
             i, specific_force=np.full(3, np.nan)
         )
 
     def jam(self):
-        """Let the legs stay where they are, whatever they are commanded."""
         self.plant.command = lambda *_: None
 
     def tilt(self, axis):
-        """Let the odometry be tilted by 0.75 rad."""
         turn = Rotation.from_euler(axis, 0.75)
 
         def tilted(odometry):
@@ -123,7 +110,6 @@ class FaultyLoop(SupervisedLoop):
         self.change_odometry = tilted
 
     def spoil_problem(self):
-        """Let the MPC's problem have no solution."""
         step = self.loop.controller.scheduler.step
 
         def invalid(*arguments):
@@ -135,11 +121,9 @@ class FaultyLoop(SupervisedLoop):
         self.loop.controller.scheduler.step = invalid
 
     def spoil_command(self, value):
-        """Let commands have an angle that is not allowed."""
         self.change_command = lambda angle: np.array([*angle[:3], value])
 
     def jump_command(self):
-        """Let the commands jump over the whole range with every tick."""
         ends = iter(np.tile([0.0, ANGLE_MAX], 1000))
         self.change_command = lambda _: np.full(4, next(ends))
 
@@ -148,11 +132,9 @@ class FaultyLoop(SupervisedLoop):
         self.estop["button"] = True
 
     def lose_estop(self):
-        """Let one of two sources of the e-stop be lost."""
         self.estop.pop("terminal")
 
     def jump_clock(self):
-        """Let the computer's clock jump by 0.6 s."""
         self.clock_offset = 600_000_000
 
     # the loop

@@ -5,11 +5,12 @@ from scipy.spatial.transform import Rotation
 
 
 def strains(rod, node):
-    """Extensions (N-1,), m, and changes of the turning angles (N-1,), rad, at nodes (N, 2)."""
-    chord = np.diff(node, axis=0)
-    turn = np.diff(np.unwrap(np.arctan2(chord[:, 1], chord[:, 0])), prepend=0.0)
+    """Extensions (N-1,), m, and changes of the turning angles (N-1,), rad, at nodes (..., N, 2)."""
+    chord = np.diff(node, axis=-2)
+    x, z = chord[..., 0], chord[..., 1]
+    turn = np.diff(np.unwrap(np.arctan2(z, x)), prepend=0.0)
     bend = turn - rod.rest_angle
-    return np.hypot(*chord.T) - rod.rest_length - rod.shortening * bend**2, bend
+    return np.hypot(x, z) - rod.rest_length - rod.shortening * bend**2, bend
 
 
 def mass_matrix(rod):
@@ -52,8 +53,8 @@ def chain_strains(rod, clamp, node, director, moved, twist):  # noqa: PLR0917
     """
     before = clamp * Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
     found, directors = [], []
-    for k, t in enumerate(directions(moved)):
-        old, length = directions(node)[k], np.linalg.norm(moved[k + 1] - moved[k])
+    for k, (old, t) in enumerate(zip(directions(node), directions(moved))):
+        length = np.linalg.norm(moved[k + 1] - moved[k])
         axis = np.cross(old, t)
         size = np.linalg.norm(axis)
         axis *= np.arctan2(size, old @ t) / size if size else 0.0

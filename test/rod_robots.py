@@ -12,7 +12,11 @@ FLOATING = {"gravity": [0.0, 0.0, 0.0], "start__height": 5.0, "start__settle": 0
 
 
 def simulator(robot=ROBOT, servo="torque_speed", **changes):
-    """A robot in the scene `flat` with changes: solver__step is solver.step."""
+    """A robot in the scene `flat` with changes: solver__step is solver.step.
+
+    servo: model, or changes of its settings.
+    """
     changes = {name.replace("__", "."): value for name, value in changes.items()}
     scene = config.replace(read_scene("flat"), changes)
-    return RodRobot(robot, scene, config.replace(read_servo(), {"model": servo}))
+    settings = {"model": servo} if isinstance(servo, str) else servo
+    return RodRobot(robot, scene, config.replace(read_servo(), settings))

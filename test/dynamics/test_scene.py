@@ -92,10 +92,8 @@ def test_an_invalid_scene_is_refused_by_name_of_the_setting(scenes, text, messag
 
 
 def test_the_shipped_scenes_can_be_read():
-    names = [path.stem for path in (config.config_dir() / "scene").glob("*.yaml")]
-    assert {"flat", "slippery", "slope5", "split"} <= set(names)
-    for name in names:
+    for path in (config.config_dir() / "scene").glob("*.yaml"):
         # the controller runs at the period of the odometry, a whole number of time steps
-        scene = read_scene(name)
+        scene = read_scene(path.stem)
         ratio = scene.sensors.odometry.period / scene.solver.step
         assert ratio == pytest.approx(round(ratio), abs=1e-9)

@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from slot_core.section import torsion_constant
 
+PLACE = [0.04, -0.03, 0.05]  # m
+
 
 def kicked(robot=ROBOT, **changes):
     """A floating robot whose legs are struck sideways and downwards and set to twist."""
@@ -27,27 +29,6 @@ def kicked(robot=ROBOT, **changes):
     return sim
 
 
-class Chain:
-    """Energy of a leg of a robot as a chain of frames, in odom."""
-
-    def __init__(self, sim, leg):
-        self.model, self.angle = sim.model, sim.state.tendon_angle[leg]
-        turn = sim.rotation @ sim.model.axes[leg].T  # leg axes to odom
-        self.clamp = Rotation.from_matrix(turn)
-        self.node, self.director = sim.nodes[leg], sim.state.director[leg] @ turn.T
-
-    def energy(self, node, twist):
-        """J, at nodes (N, 3), segments turned about themselves by twist (N-1,), rad."""
-        found, _ = chain_strains(
-            self.model.rod, self.clamp, self.node, self.director, node, twist
-        )
-        return elastic_energy(self.model, self.angle, *found)
-
-
-def in_odom(sim, leg, vectors):
-    return vectors @ (sim.rotation @ sim.model.axes[leg].T).T
-
-
 def test_a_step_solves_the_equations_of_motion_of_an_independent_energy():
     """Backward Euler: mass times change of velocity over h is minus the gradient at the end."""
     h, leg = 1e-3, 1
@@ -55,44 +36,32 @@ def test_a_step_solves_the_equations_of_motion_of_an_independent_energy():
     sim = kicked(UNDAMPED, servo="ideal", solver__nodes=6, **step)
     sim.state.tendon_angle[:] = 1.0
     sim.advance(40, np.full(4, 1.0))  # bends, twists and pulls the legs
-    _, before = sim._observe()[0].copy(), sim._observe()[1].copy()
-    swirl = in_odom(sim, leg, sim.state.swirl[leg])
+    before = sim._observe()[1][leg].copy()
+    swirl = sim.state.swirl[leg] @ (sim.rotation @ sim.model.axes[leg].T).T
     sim.advance(1, np.full(4, 1.0))
-    chain, rod = Chain(sim, leg), sim.model.rod
-    change = mass_matrix(rod) @ (sim._observe()[1][leg] - before[leg]) / h
-    spin = in_odom(sim, leg, sim.state.swirl[leg]) - swirl
-    t, still, tiny = directions(chain.node), np.zeros(5), 1e-6
-    forces, moments = np.zeros((6, 3)), np.zeros(5)
-    for i, axis in np.ndindex(6, 3):
-        shift = np.zeros((6, 3))
-        shift[i, axis] = tiny
-        up, down = (chain.energy(chain.node + s * shift, still) for s in (1.0, -1.0))
-        forces[i, axis] = -(up - down) / (2 * tiny)
-    for k in range(5):
-        up, down = (
-            chain.energy(chain.node, s * tiny * np.eye(5)[k]) for s in (1.0, -1.0)
-        )
-        moments[k] = -(up - down) / (2 * tiny)
-    couple = rod.spin[:, None] * spin / h
+    rod, turn = sim.model.rod, sim.rotation @ sim.model.axes[leg].T  # leg axes to odom
+    node, director = sim.nodes[leg], sim.state.director[leg] @ turn.T
+    clamp = Rotation.from_matrix(turn)
+
+    def energy(shift):
+        """J, at nodes shifted by (6, 3), m, and segments turned by (5,), rad, all flat."""
+        moved, twist = node + shift[:18].reshape(6, 3), shift[18:]
+        found, _ = chain_strains(rod, clamp, node, director, moved, twist)
+        return elastic_energy(sim.model, 1.0, *found)
+
+    force = np.array([energy(-e) - energy(e) for e in 1e-6 * np.eye(23)]) / 2e-6
+    change = mass_matrix(rod) @ (sim._observe()[1][leg] - before) / h
+    spin = sim.state.swirl[leg] @ turn.T - swirl
+    t, couple = directions(node), rod.spin[:, None] * spin / h
     across = (
-        np.cross(couple, t)
-        / np.linalg.norm(np.diff(chain.node, axis=0), axis=1)[:, None]
+        np.cross(couple, t) / np.linalg.norm(np.diff(node, axis=0), axis=1)[:, None]
     )
     change[:-1] -= across  # the gyroscopic couple of the spins acts through the nodes
     change[1:] += across
-    assert np.ptp(chain.node @ sim.rotation[:, 1]) > 1e-3
+    assert np.ptp(node @ sim.rotation[:, 1]) > 1e-3
     # Forces of some newtons; differences of an energy of 1 J leave 1e-9 / 1e-6.
-    np.testing.assert_allclose(change[1:], forces[1:], atol=2e-3)
-    np.testing.assert_allclose(np.einsum("ki,ki->k", couple, t), moments, atol=2e-5)
-
-
-def test_two_newton_iterations_are_within_a_micrometre_of_the_solution():
-    found = []
-    for iterations in (2, 8):
-        sim = kicked(solver__iterations=iterations)
-        sim.advance(100, np.full(4, 1.5))
-        found.append(sim.nodes)
-    assert np.abs(found[0] - found[1]).max() < 1e-6
+    np.testing.assert_allclose(change[1:].ravel(), force[3:18], atol=2e-3)
+    np.testing.assert_allclose(np.einsum("ki,ki->k", couple, t), force[18:], atol=2e-5)
 
 
 @pytest.mark.parametrize("iterations", [1, 2])
@@ -103,32 +72,35 @@ def test_linear_momentum_is_conserved_to_rounding(iterations):
     np.testing.assert_allclose(sim.momentum()[0], before, rtol=1e-12)
 
 
-def test_angular_momentum_is_conserved_to_second_order():
-    errors = []
+@pytest.mark.parametrize(
+    ("load", "most"),
+    [({}, 1e-6), ({"payload__mass": 0.8, "payload__place": PLACE}, 1e-4)],
+)
+def test_momentum_is_conserved_to_second_order_while_the_tendons_pull(load, most):
+    """For a payload off the centre the rotation within a step is not exact."""
+    solver, errors = {"solver__theta": 0.5, "solver__iterations": 6}, []
     for step in (2e-3, 1e-3):
-        sim = kicked(solver__step=step, solver__theta=0.5, solver__iterations=6)
-        before = sim.momentum()[1]
+        sim = kicked(solver__step=step, **solver, **load)
+        before = np.array(sim.momentum())
         sim.advance(round(0.4 / step), np.full(4, 1.5))
-        errors.append(
-            np.linalg.norm(sim.momentum()[1] - before) / np.linalg.norm(before)
-        )
-    assert errors[0] < 1e-6
-    assert np.log2(errors[0] / errors[1]) > 1.9
+        change = np.linalg.norm(sim.momentum() - before, axis=1)
+        errors.append(change / np.linalg.norm(before, axis=1))
+    assert np.max(errors[0]) < most
+    # without a load the linear momentum is conserved to rounding
+    orders = np.log2(errors[0] / errors[1])[0 if load else 1 :]
+    assert (orders > 1.9).all()
 
 
 def test_energy_of_undamped_legs_is_conserved_in_flight():
-    errors = []
+    solver, errors = {"solver__theta": 0.5, "solver__iterations": 6}, []
     for step in (1e-3, 5e-4):
-        sim = kicked(
-            UNDAMPED, solver__step=step, solver__theta=0.5, solver__iterations=6
-        )
+        sim = kicked(UNDAMPED, solver__step=step, **solver)
         before = sim.energy()
         sim.advance(round(0.2 / step), np.zeros(4))
         errors.append(abs(sim.energy() / before - 1))
     assert errors[0] < 1e-4
-    assert (
-        np.log2(errors[0] / errors[1]) > 1.5
-    )  # 2 in the limit; the stiff modes converge last
+    # 2 in the limit; the stiff modes converge last
+    assert np.log2(errors[0] / errors[1]) > 1.5
 
 
 def test_a_motion_in_the_planes_of_the_legs_stays_in_them():

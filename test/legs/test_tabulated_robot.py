@@ -31,15 +31,6 @@ def simulator(robot=ROBOT, name="map", **changes):
     return TabulatedRobot(robot, scene, SERVO)
 
 
-def at_rest(sim, angle, height, rotation=None):
-    """Set a pose at rest; the velocity after a step of 1 us then gives the forces."""
-    sim.state.tendon_angle[:] = angle
-    sim.state.position[2] = height
-    if rotation is not None:
-        sim.state.rotation[:] = rotation.as_matrix()
-    return sim
-
-
 def read(name):
     """Column of the table over angle (rad) and height (m), interpolated by SciPy."""
     with (config.config_dir() / "leg_map.csv").open() as file:
@@ -76,31 +67,22 @@ def test_without_friction_each_leg_carries_a_quarter_of_the_weight_at_the_height
     assert sim.nodes[:, 1, 2] == pytest.approx(np.zeros(4), abs=1e-9)
 
 
-def test_free_fall_with_the_whole_mass_and_hanging_feet():
-    sim = simulator(**{"start.height": 0.5, "solver.theta": 0.5})
-    sim.advance(200, np.zeros(4))
-    assert sim.position[2] == pytest.approx(0.5 - GRAVITY * 0.2**2 / 2, abs=1e-12)
-    assert sim.velocity == pytest.approx([0.0, 0.0, -GRAVITY * 0.2], abs=1e-12)
-    assert np.abs(sim.specific_force).max() < 1e-9
-    assert not sim.ground_force.any()
-    drop = sim.nodes[:, 0, 2] - sim.nodes[:, 1, 2]
-    assert drop == pytest.approx(
-        np.full(4, 0.03)
-    )  # lowest height without force in the table
-
-
-def test_push_accelerates_mass_and_inertia_of_torso_and_legs():
-    sim = simulator(gravity=(0.0, 0.0, 0.0), **{"start.height": 1.0})
+def test_gravity_and_a_push_accelerate_mass_and_inertia_of_torso_and_legs():
+    """In flight with hanging feet, for 0.2 s."""
+    sim, t = simulator(**{"start.height": 0.5, "solver.theta": 0.5}), 0.2
     force, moment = np.array([3.0, -2.0, 1.0]), np.array([0.0, 0.0, 0.02])
     sim.push(force, moment)
-    sim.advance(20, np.zeros(4))
-    sim.push(-force, -moment)
-    sim.advance(20, np.zeros(4))
-    assert sim.velocity == pytest.approx(0.02 * force / ROBOT.mass, rel=1e-12)
-    turning = 0.02 * moment[2] / ROBOT.inertia[2, 2]
-    assert sim.angular_velocity == pytest.approx(
-        [0.0, 0.0, turning], rel=1e-9, abs=1e-12
-    )
+    sim.advance(200, np.zeros(4))
+    acceleration = force / ROBOT.mass - [0.0, 0.0, GRAVITY]
+    place = [0.0, 0.0, 0.5] + acceleration * t**2 / 2
+    assert sim.position == pytest.approx(place, abs=1e-9)
+    assert sim.velocity == pytest.approx(acceleration * t, rel=1e-9)
+    spin = np.linalg.solve(ROBOT.inertia, moment * t)
+    assert sim.angular_velocity == pytest.approx(spin, rel=1e-9, abs=1e-12)
+    assert not sim.ground_force.any()
+    drop = sim.nodes[:, 0, 2] - sim.nodes[:, 1, 2]
+    # lowest height without force in the table
+    assert drop == pytest.approx(np.full(4, 0.03))
 
 
 def forces_by_hand(angle, height, rotation):
@@ -125,9 +107,9 @@ def forces_by_hand(angle, height, rotation):
 def test_forces_on_a_tilted_torso_are_those_of_the_table_at_its_four_feet(rpy_deg):
     rotation = Rotation.from_euler("xyz", rpy_deg, degrees=True)
     step, height = 1e-6, 0.06
-    sim = at_rest(
-        simulator(**{"solver.step": step} | SMOOTH), math.radians(75), height, rotation
-    )
+    sim = simulator(**{"solver.step": step, "start.height": height} | SMOOTH)
+    sim.state.tendon_angle[:] = math.radians(75)
+    sim.state.rotation[:] = rotation.as_matrix()
     sim.state.node[:, 0, 0] = 0.16
     sim.advance(1, sim.tendon_angle)
     force, moment = forces_by_hand(math.radians(75), height, rotation)
@@ -144,27 +126,6 @@ def stored(angle):
     return make_interp_spline(knots, values, k=1).antiderivative()
 
 
-@pytest.mark.parametrize("robot", [ELASTIC, ROBOT])
-def test_energy_does_not_grow_in_a_bounce(robot):
-    """On held spools, without friction; potential energy: integral of the table's force."""
-    angle = math.radians(70.0)
-    line = stored(angle)
-    sim = at_rest(simulator(robot, **{"solver.step": 5e-4} | SMOOTH), angle, 0.085)
-    energies = []
-    for _ in range(800):
-        sim.advance(1, sim.tendon_angle)
-        z, v = sim.position[2], sim.velocity[2]
-        energies.append(ROBOT.mass * (v * v / 2 + GRAVITY * z) - 4 * line(z))
-    assert sim.tendon_angle == pytest.approx(np.full(4, angle), abs=1e-12)
-    start = ROBOT.mass * GRAVITY * 0.085 - 4 * line(0.085)
-    assert np.ptp(energies) > 1e-3  # J: dissipated by theta = 0.55 and beta
-    assert (
-        np.diff([start, *energies]).max() < 1e-9
-    )  # J, rounding; each step dissipates about 1e-6 J
-    if robot is ROBOT:
-        assert energies[-1] < start - 0.1
-
-
 def energy(sim, line, sideways):
     """J, of a robot on held spools: torso, legs in their planes (`line`) and sideways, bristles."""
     v, w, foot = sim.velocity, sim.angular_velocity, sim.state.node[:, 0]
@@ -175,6 +136,22 @@ def energy(sim, line, sideways):
     return (moving + springs) / 2 + weight - line(-foot[:, 2]).sum()
 
 
+@pytest.mark.parametrize("robot", [ELASTIC, ROBOT])
+def test_energy_does_not_grow_in_a_bounce(robot):
+    """On held spools, without friction; potential energy: integral of the table's force."""
+    angle, changes = math.radians(70.0), {"solver.step": 5e-4, "start.height": 0.085}
+    line, sim = stored(angle), simulator(robot, **changes | SMOOTH)
+    sim.state.tendon_angle[:] = angle
+    energies = [ROBOT.mass * GRAVITY * 0.085 - 4 * line(0.085)]
+    for _ in range(800):
+        sim.advance(1, sim.tendon_angle)
+        z, v = sim.position[2], sim.velocity[2]
+        energies.append(ROBOT.mass * (v * v / 2 + GRAVITY * z) - 4 * line(z))
+    assert energies[0] - energies[-1] > 1e-3  # J: dissipated by theta = 0.55 and beta
+    # J, rounding; each step dissipates about 1e-6 J
+    assert np.diff(energies).max() < 1e-9
+
+
 @pytest.mark.parametrize("law", ["viscous", "bristle"])
 @pytest.mark.parametrize("robot", [ELASTIC, ROBOT])
 def test_energy_of_a_robot_that_slides_and_turns_does_not_grow(robot, law):
@@ -183,12 +160,10 @@ def test_energy_of_a_robot_that_slides_and_turns_does_not_grow(robot, law):
     sim = simulator(robot, **{"floor.friction_law": law, "start.settle": 5.0})
     sim.legs.table[:, :, 5] = sideways
     sim.set_motion(np.array([0.5, -0.3, 0.0]), np.array([0.0, 0.0, 3.0]))
-    energies, furthest = [energy(sim, line, sideways)], 0.0
+    energies = [energy(sim, line, sideways)]
     for _ in range(500):
         sim.advance(1, sim.tendon_angle)
         energies.append(energy(sim, line, sideways))
-        furthest = max(furthest, np.abs(sim.state.node[:, 0, 1]).max())
-    assert furthest > 0.01  # m
     assert energies[0] - energies[-1] > 0.35  # J
     # On a tilted torso the legs are no exact potential, because the contact and the material on the
     # floor shift differently: at most 1e-6 J a step of 7e-4 J on average.

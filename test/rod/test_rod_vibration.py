@@ -12,51 +12,52 @@ from benchmarks.rod.exact import LEG, THIN_MATERIAL, TPU
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import FREE, Geometry, Loads, Rectangle, Uniform
 
-GOALS = [1e-6, 2e-5, 2e-4]  # of the first three frequencies at 31 nodes; fourth order
+BENDING = [1e-6, 2e-5, 2e-4]  # fourth order
+UNIFORM, TAPERED = (
+    exact.FREQUENCIES[name] / (2 * math.pi) for name in ("uniform", "tapered")
+)
+SPIN = 1e-6 * 3.0  # density times polar moment
+QUARTER_WAVES = (np.arange(3) + 0.5) * math.sqrt(0.8 / SPIN) / 2
 
 
-def nearest(rod, wanted, count=16):
-    """Largest relative errors of the frequencies (Hz) that a rod should have among its lowest."""
+def uniform(torsion):
+    return CosseratRod(UNIT, Geometry(1.0, Uniform(1e6, 1.0, 2.0, torsion)))
+
+
+# Rod, its lowest frequencies (Hz), how many to find, relative errors. Spins are lumped: twisting is
+# of second order. The leg sideways and in twist: Ritz's method.
+RODS = {
+    "uniform": (uniform(1e4), UNIFORM, 16, BENDING),
+    "uniform, sideways": (uniform(1e4), math.sqrt(2.0) * UNIFORM, 16, BENDING),
+    "uniform, twist": (uniform(0.8), QUARTER_WAVES, 90, [2e-4, 2e-3, 5e-3]),
+    "tapered": (
+        CosseratRod(THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (1e-3, 5e-4)))),
+        TAPERED,
+        16,
+        BENDING,
+    ),
+    "leg": (CosseratRod(TPU, LEG), exact.FREQUENCIES["leg"], 16, [2e-6, 3e-5, 2e-4]),
+    "leg, sideways": (
+        CosseratRod(TPU, LEG),
+        exact.sideways(TPU, LEG, 3),
+        16,
+        [2e-6, 3e-5, 2e-4],
+    ),
+    "leg, twist": (
+        CosseratRod(TPU, LEG, 61),
+        exact.twisting(TPU, LEG, 2),
+        40,
+        [2e-4, 6e-4],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RODS)
+def test_cantilever_has_the_frequencies_of_closed_forms_and_of_ritzs_method(name):
+    rod, wanted, count, errors = RODS[name]
     found = rod.natural_frequencies(count)
-    return np.array([np.abs(found / f - 1).min() for f in wanted])
-
-
-def test_uniform_cantilever_bends_in_both_planes_as_bernoullis_beam():
-    wanted = exact.FREQUENCIES["uniform"] / (2 * math.pi)
-    rod = CosseratRod(UNIT, Geometry(1.0, Uniform(1e6, 1.0, 2.0, 1e4)))
-    np.testing.assert_array_less(nearest(rod, wanted), GOALS)
-    np.testing.assert_array_less(nearest(rod, math.sqrt(2.0) * wanted), GOALS)
-
-
-def test_uniform_cantilever_twists_at_odd_quarter_waves():
-    rod = CosseratRod(UNIT, Geometry(1.0, Uniform(1e6, 1.0, 2.0, 0.8)))
-    spin = 1e-6 * 3.0  # density times polar moment
-    wanted = (np.arange(3) + 0.5) * math.pi * math.sqrt(0.8 / spin) / (2 * math.pi)
-    found = nearest(rod, wanted, count=90)
-    np.testing.assert_array_less(
-        found, [2e-4, 2e-3, 5e-3]
-    )  # lumped spins: second order
-
-
-def test_tapered_cantilever_has_its_known_frequencies():
-    rod = CosseratRod(THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (1e-3, 5e-4))))
-    wanted = exact.FREQUENCIES["tapered"] / (2 * math.pi)
-    np.testing.assert_array_less(nearest(rod, wanted), GOALS)
-
-
-def test_leg_has_its_known_frequencies_in_the_plane():
-    found = nearest(CosseratRod(TPU, LEG), exact.FREQUENCIES["leg"])
-    np.testing.assert_array_less(found, [2e-6, 3e-5, 2e-4])
-
-
-def test_leg_bends_sideways_as_in_ritzs_method():
-    found = nearest(CosseratRod(TPU, LEG), exact.sideways(TPU, LEG, 3))
-    np.testing.assert_array_less(found, [2e-6, 3e-5, 2e-4])
-
-
-def test_leg_twists_as_in_ritzs_method():
-    found = nearest(CosseratRod(TPU, LEG, 61), exact.twisting(TPU, LEG, 2), 40)
-    np.testing.assert_array_less(found, [2e-4, 6e-4])  # lumped spins: second order
+    nearest = [np.abs(found / frequency - 1).min() for frequency in wanted]
+    np.testing.assert_array_less(nearest, errors)
 
 
 def test_free_rod_has_six_rigid_modes_and_bernoullis_frequencies():

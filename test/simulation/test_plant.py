@@ -10,7 +10,6 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
 from slot_core.safety.states import State
 from slot_core.simulation.plant import RobotSimulator
-from slot_core.simulation.readings import TrueState
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
@@ -24,82 +23,39 @@ SECOND = {
 }
 
 
-def plant(**pushes):
-    changes = {"pushes": pushes, "start.settle": 0.3}
-    scene = config.replace(read_scene("flat"), changes)
-    return RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))
+def make(name="flat", servo=None, **changes):
+    scene = config.replace(read_scene(name), {"start.settle": 0.3} | changes)
+    rng = np.random.default_rng(0)
+    return RobotSimulator(read_robot(), scene, servo or read_servo(), rng)
 
 
-def acting_pushes(plant, milliseconds):
-    """(n, 6) external force and moment in each millisecond after the start."""
+@pytest.mark.parametrize("shift", [0.0, 4e-4])
+def test_pushes_act_from_their_time_for_their_duration_and_add_up(shift):
+    """External force and moment in each millisecond; a begin between two steps shifts no clock."""
+    first = FIRST | {"time": 0.1 + shift}
+    plant, acting = make(pushes={"first": first, "second": SECOND}), []
     plant.start(START)
-    acting = []
-    for k in range(milliseconds):
+    for k in range(1, 301):
         acting.append(plant.robot.model.push.copy())
-        list(plant.advance(START + (k + 1) * MILLISECOND))
-    return np.array(acting)
-
-
-def test_pushes_act_from_their_time_for_their_duration_and_add_up():
-    acting = acting_pushes(plant(first=FIRST, second=SECOND), 300)
-    expected = np.zeros((300, 6))
-    expected[100:150] += [*FORCE, *MOMENT]
+        list(plant.advance(START + k * MILLISECOND))
+        assert plant.now == START + k * MILLISECOND
+    expected, begin = np.zeros((300, 6)), 100 + np.ceil(shift).astype(int)
+    expected[begin : begin + 50] += [*FORCE, *MOMENT]
     expected[120:220, 0] += 2.0
     np.testing.assert_allclose(acting, expected, atol=1e-15)
 
 
-def test_push_between_two_time_steps_does_not_shift_the_clock():
-    odd = {**FIRST, "time": 0.1004, "duration": 0.0501}
-    each = plant(first=odd)
-    acting = acting_pushes(each, 200)
-    assert each.now == START + 200 * MILLISECOND
-    # Whole time steps: the push acts in 50 of them.
-    assert np.count_nonzero(acting[:, 1]) == pytest.approx(50, abs=1)
-    assert not acting[-1].any()
-
-
-def test_a_push_that_the_robot_does_not_support_is_refused_at_once():
-    scene = config.replace(
-        read_scene("paper"), {"pushes": {"first": FIRST}, "start.settle": 0.0}
-    )
-    with pytest.raises(
-        ConfigError, match="legs of the model 'paper' do not support pushes"
-    ):
-        RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))
-
-
 def test_a_command_goes_on_at_its_rate_for_a_tenth_of_a_second():
     """The ideal servo shows it: it follows its goal, which moves every 10 ms."""
-    ideal = config.replace(
-        read_servo(), {"model": "ideal", "lag": 1e-3, "ideal_rpm": 1000.0}
-    )
-    scene = config.replace(read_scene("flat"), {"start.settle": 0.3})
-    each = RobotSimulator(read_robot(), scene, ideal, np.random.default_rng(0))
-    each.start(START)
-    begin, rate = each.robot.tendon_angle, np.array([1.0, -0.5, 0.0, 2.0])
-    each.command(begin, rate)
-    for milliseconds, moved in [
-        (9, 0.0),
-        (19, 0.01),
-        (99, 0.09),
-        (200, 0.1),
-        (300, 0.1),
-    ]:
-        list(each.advance(START + milliseconds * MILLISECOND))
-        assert each.robot.tendon_angle == pytest.approx(begin + moved * rate, abs=1e-5)
-
-
-@pytest.mark.parametrize(("legs", "segments"), [("spatial", 21), ("map", 0)])
-def test_the_truth_has_the_directors_of_the_legs_that_have_a_width(legs, segments):
-    changes = {"solver.legs": legs, "solver.halvings": 0, "start.settle": 0.1}
-    scene = config.replace(read_scene("flat"), changes)
-    made = RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))
-    made.start(START)
-    truth = [
-        r for r in made.advance(START + 40 * MILLISECOND) if isinstance(r, TrueState)
-    ][-1]
-    assert truth.directors.shape == (4, segments, 3)
-    assert truth.nodes.shape[1] == {0: 2}.get(segments, segments + 1)
+    quick = {"model": "ideal", "lag": 1e-3, "ideal_rpm": 1000.0}
+    plant = make(servo=config.replace(read_servo(), quick))
+    plant.start(START)
+    begin, rate = plant.robot.tendon_angle, np.array([1.0, -0.5, 0.0, 2.0])
+    plant.command(begin, rate)
+    for milliseconds, moved in [(9, 0.0), (19, 0.01), (99, 0.09), (300, 0.1)]:
+        list(plant.advance(START + milliseconds * MILLISECOND))
+        goal = begin + moved * rate
+        assert plant.robot.tendon_angle == pytest.approx(goal, abs=1e-5)
 
 
 LOADS = [{"scene.payload.mass": 2.0}, {"robot.torso.mass": 4.0}]
@@ -118,14 +74,20 @@ def test_a_robot_of_twice_its_weight_settles_before_time_zero_and_ends_in_a_stan
     assert State.HOLD not in states
 
 
-def test_a_robot_that_does_not_come_to_rest_is_refused():
-    ice = {
-        "floor.friction": [0.0] * 4,
-        "floor.torso_friction": 0.0,
-        "start.settle": 0.3,
-    }
-    scene = config.replace(read_scene("slope5"), ice)
-    with pytest.raises(
-        ConfigError, match=r"start\.settle = 0\.3: after 10 s more the torso still"
-    ):
-        RobotSimulator(read_robot(), scene, read_servo(), np.random.default_rng(0))
+ICE = {"floor.friction": [0.0] * 4, "floor.torso_friction": 0.0}
+RESTLESS = r"start\.settle = 0\.3: after 10 s more the torso still"
+UNSUPPORTED = "legs of the model 'paper' do not support pushes"
+
+
+@pytest.mark.parametrize(
+    ("scene", "changes", "message"),
+    [
+        ("slope5", ICE, RESTLESS),
+        ("paper", {"pushes": {"first": FIRST}, "start.settle": 0.0}, UNSUPPORTED),
+    ],
+)
+def test_a_restless_robot_and_a_push_that_its_legs_do_not_support_are_refused(
+    scene, changes, message
+):
+    with pytest.raises(ConfigError, match=message):
+        make(scene, **changes)

@@ -46,24 +46,18 @@ def check_noise(samples, truth, sigma):
 
 
 def test_odometry_has_the_stated_noise_and_no_bias(flying):
-    sensor = OdometrySensor(SCENE.sensors.odometry, *np.random.default_rng(7).spawn(2))
+    """Its twist is in base_link."""
+    settings, turn = SCENE.sensors.odometry, Rotation.from_matrix(flying.rotation).inv()
+    sensor = OdometrySensor(settings, *np.random.default_rng(7).spawn(2))
     readings = [sensor.sample(true_odometry(flying, 5)) for _ in range(COUNT)]
-    settings, rotation = SCENE.sensors.odometry, Rotation.from_matrix(flying.rotation)
-    check_noise(
-        [r.position for r in readings], flying.position, settings.position_noise
-    )
-    errors = [
-        (Rotation.from_quat(r.quaternion) * rotation.inv()).as_rotvec()
-        for r in readings
-    ]
+    errors = [(Rotation.from_quat(r.quaternion) * turn).as_rotvec() for r in readings]
     check_noise(errors, 0.0, settings.orientation_noise)
-    body = rotation.inv().apply(flying.velocity)
-    check_noise([r.velocity for r in readings], body, settings.velocity_noise)
-    check_noise(
-        [r.angular_velocity for r in readings],
-        flying.angular_velocity,
-        settings.rate_noise,
-    )
+    for name, truth, sigma in (
+        ("position", flying.position, settings.position_noise),
+        ("velocity", turn.apply([0.4, -0.3, 0.2]), settings.velocity_noise),
+        ("angular_velocity", [0.5, 1.0, -0.7], settings.rate_noise),
+    ):
+        check_noise([getattr(r, name) for r in readings], truth, sigma)
     assert readings[0].stamp == 5
 
 
@@ -106,35 +100,21 @@ def test_a_jump_displaces_the_odometry_from_its_time_on(truth, begin, expected):
         np.testing.assert_allclose(a.quaternion, b.quaternion, atol=1e-12)
 
 
-def test_odometry_is_lost_in_a_dropout_and_by_its_share(truth):
-    dropout = troubled({"dropouts": {"gap": {"time": 1.0, "duration": 0.5}}})
+def test_odometry_is_lost_in_a_dropout_and_by_its_share_and_late_within_its_jitter(
+    truth,
+):
+    dropouts = {"dropouts": {"gap": {"time": 1.0, "duration": 0.5}}}
+    late = {"delay": 0.01, "jitter": 0.02}
+    gap, often = troubled(dropouts), troubled({"loss": 0.25} | late)
     lost = [
-        not dropout.sample(truth, s).quaternion.any() for s in (0.0, 0.9, 1.0, 1.4, 1.5)
+        not gap.sample(truth, s).quaternion.any() for s in (0.0, 0.9, 1.0, 1.4, 1.5)
     ]
     assert lost == [False, False, True, True, False]
-    often = troubled({"loss": 0.25})
-    share = np.mean(
-        [not often.sample(truth, 1.0).quaternion.any() for _ in range(COUNT)]
-    )
-    assert share == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / COUNT))
-
-
-def test_delay_varies_within_its_jitter_and_is_never_negative():
-    late = troubled({"delay": 0.01, "jitter": 0.02})
-    delays = [late.delay() for _ in range(COUNT)]
+    lost = [not often.sample(truth, 1.0).quaternion.any() for _ in range(COUNT)]
+    assert np.mean(lost) == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / COUNT))
+    delays = [often.delay() for _ in range(COUNT)]
     assert min(delays) == 0.0
     assert 0.029 < max(delays) <= 0.03
-
-
-def test_twist_is_in_base_link(flying):
-    """Against the velocity of 0.4, -0.3, 0.2 m/s in odom, rotated by SciPy."""
-    reading = true_odometry(flying, 0)
-    turn = Rotation.from_euler("xyz", [0.3, -0.2, 1.2])
-    np.testing.assert_allclose(
-        reading.velocity, turn.inv().apply([0.4, -0.3, 0.2]), atol=1e-12
-    )
-    np.testing.assert_allclose(reading.angular_velocity, [0.5, 1.0, -0.7], atol=1e-12)
-    assert abs(reading.quaternion @ turn.as_quat()) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_imu_has_the_stated_noise_and_a_constant_bias(standing):
@@ -149,15 +129,14 @@ def test_imu_has_the_stated_noise_and_a_constant_bias(standing):
     check_noise(biases, 0.0, settings.rate_bias)
 
 
-def test_accelerometer_at_rest_reads_minus_gravity(standing):
-    # After settling the robot still sinks by some um per step.
-    np.testing.assert_allclose(standing.specific_force, [0, 0, GRAVITY], atol=0.05)
-
-
-def test_accelerometer_in_free_fall_reads_only_the_reaction_of_the_legs(flying):
+def test_accelerometer_reads_minus_gravity_at_rest_and_in_free_fall_the_legs_reaction(
+    standing, flying
+):
     """At the torso's centre it is zero except for the reaction of the swinging legs.
 
     They are 7 % of the mass; 1 rad/s at 0.2 m gives 0.2 m/s^2, of which 7 % act on the torso.
     """
+    # After settling the robot still sinks by some um per step.
+    np.testing.assert_allclose(standing.specific_force, [0, 0, GRAVITY], atol=0.05)
     flying.advance(1, np.zeros(4))
     assert np.abs(flying.specific_force).max() < 0.1
