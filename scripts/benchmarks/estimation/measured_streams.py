@@ -1,7 +1,7 @@
 """Sensor streams of simulated walks with the true motion, and what a visual SLAM does to them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -111,21 +111,16 @@ def record(seed: int, duration: float) -> Streams:
 
 @dataclass(frozen=True)
 class Slam:
-    """Delay, loss and errors of the odometry between camera and estimator."""
+    """Delay of the odometry between camera and estimator, and a gap."""
 
     delay: float = 0.0  # s, mean
     jitter: float = 0.0  # s, largest deviation of the delay
-    loss: float = 0.0  # share of lost readings
     gap: tuple[float, float] = (0.0, 0.0)  # s after the first reading: none in between
-    jumps: tuple[
-        float, ...
-    ] = ()  # s after the first reading: single readings 0.2 m off
 
     def arrivals(self, streams: Streams, rng: np.random.Generator) -> list[Arrival]:
         """The readings with their times of arrival, ns, in that order."""
         start = min(r.stamp for r in streams.readings)
         result: list[Arrival] = []
-        jumps = list(self.jumps)
         for r in streams.readings:
             if isinstance(r, ImuReading):
                 result.append((r.stamp, r))
@@ -134,11 +129,7 @@ class Slam:
                 to_seconds(r.stamp - start),
                 self.delay + self.jitter * rng.uniform(-1, 1),
             )
-            if rng.random() < self.loss or self.gap[0] < since < self.gap[1]:
+            if self.gap[0] < since < self.gap[1]:
                 continue
-            jumped = r
-            if jumps and since >= jumps[0]:
-                jumps.pop(0)
-                jumped = replace(r, position=r.position + np.array([0.2, 0.0, 0.0]))
-            result.append((r.stamp + to_ns(max(late, 0.0)), jumped))
+            result.append((r.stamp + to_ns(max(late, 0.0)), r))
         return sorted(result, key=lambda item: (item[0], ARRIVAL_ORDER[type(item[1])]))
