@@ -73,6 +73,7 @@ class Data:
     sha256: str  # of the file
     rows: tuple[Datum, ...]
 
+
 def read_data(path: Path) -> Data:
     """Read a file of measurements; raises TableError."""
     table = read_table(path)

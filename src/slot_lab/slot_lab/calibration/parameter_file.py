@@ -141,5 +141,3 @@ def interval_of(interval: Sequence[float] | Array) -> list[float] | str:
     if any(math.isnan(value) for value in interval):
         return UNDETERMINED
     return [rounded(float(value), 4) for value in interval]
-
-
