@@ -49,15 +49,11 @@ class RecordingPlant(RobotSimulator):
         drift = np.abs(states[:, 4] - states[0, 4]).max()
         return states, {"v_x_mm_s": 1e3 * speed, "lateral_mm": 1e3 * drift}
 
-    def _read_odometry(self) -> list[Reading]:
-        pending = {event.number for event in self._events}
-        readings = super()._read_odometry()
-        for event in self._events:  # the one that it has scheduled is the delivery
-            if event.number not in pending:
-                self.readings += [
-                    r for r in event.action() if isinstance(r, OdometryReading)
-                ]
-        return readings
+    def _odometry_or_image(self, truth: OdometryReading, since: float) -> Reading:
+        reading = super()._odometry_or_image(truth, since)
+        if isinstance(reading, OdometryReading):
+            self.readings.append(reading)
+        return reading
 
 
 @dataclass(frozen=True)
