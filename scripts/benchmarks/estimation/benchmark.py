@@ -19,7 +19,6 @@ from benchmarks.estimation import methods, vision_rows
 from benchmarks.estimation.measured_streams import (
     WARM_UP,
     Arrival,
-    RecordingPlant,
     Slam,
     Streams,
     record,
@@ -183,7 +182,7 @@ def closed_loop_rows(seeds: Sequence[int], progress: Progress) -> list[Row]:
         progress(f"{len(seeds)} walks with odometry {1e3 * delay:g} ms late")
         late, found = {"scene.sensors.odometry.delay": delay}, []
         for seed in seeds:
-            states, figures = walked(RecordingPlant, seed, 10.0, late).motion()
+            states, figures = walked(seed, 10.0, late).motion()
             tilt = 1e3 * np.sqrt(np.mean(states[:, 0:2] ** 2))
             found.append(figures | {"tilt_mrad": tilt})
         means = {key: np.mean([each[key] for each in found]) for key in found[0]}

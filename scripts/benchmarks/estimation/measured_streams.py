@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,26 +79,20 @@ class Streams:
         return int(self.stamps[-1])
 
 
-Plant = TypeVar("Plant", bound=RobotSimulator)
-
-
 def walked(
-    make: type[Plant],
-    seed: int,
-    duration: float,
-    changes: Mapping[str, Any] | None = None,
-) -> Plant:
+    seed: int, duration: float, changes: Mapping[str, Any] | None = None
+) -> RecordingPlant:
     """The plant after a walk of `duration` (s) on the flat floor, changed as in `ClosedLoop`."""
-    loop = ClosedLoop("flat", "walk", None, seed, changes=changes, make=make)
+    loop = ClosedLoop("flat", "walk", None, seed, changes=changes, make=RecordingPlant)
     for _ in loop.run(round(duration / PERIOD)):
         pass
-    assert isinstance(loop.plant, make)
+    assert isinstance(loop.plant, RecordingPlant)
     return loop.plant
 
 
 def record(seed: int, duration: float) -> Streams:
     """Streams of a walk of `duration` (s) on the flat floor."""
-    plant = walked(RecordingPlant, seed, duration)
+    plant = walked(seed, duration)
     stamps, states = zip(*sorted(plant.truth, key=lambda entry: entry[0]))
     array = np.array(states)
     array[:, 2] = np.unwrap(array[:, 2])
