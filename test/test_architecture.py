@@ -75,7 +75,6 @@ REPEATED = {
     "tables.py": "tables of a validation, and of the paper",
     "model.py": "numerical form of the equations of the folder's subject",
     "settings.py": "settings class of the folder's YAML file",
-    "statics.py": "equilibria of the rod, and those of its benchmark",
     "elimination.py": "elimination of the legs, and of the public rod",
     "setup.py": "one in each ROS package",
     "conftest.py": "pytest fixtures of a folder",

@@ -60,7 +60,6 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
         "level": ("level", "nodes", "step", "error_mm", "us_per_ms"),
         "replay": ("gait", "friction", "own_v_x", "other_v_x", "goal"),
     },
-    "rod": {"buckling": ("column", "percent"), "published": ("case", "percent")},
     "servo": {
         "cycle": ("fast_sync_read", "usb_latency_ms", "rate_hz", "p99_ms"),
         "step": ("control", "load", "rise_ms", "overshoot_deg", "error_deg"),

@@ -126,7 +126,7 @@ PICTURES = {
         "benchmarks.robot.other_engine:draw_engines", "robot", kind="replay"
     ),
     "perturbations.png": Picture(
-        "benchmarks.perturbations.plots:draw_courses", "perturbations", True
+        "benchmarks.perturbations.benchmark:draw_courses", "perturbations", True
     ),
     "walk.png": Picture(
         commands=["scripts/run --duration 20 --bag {}/walk"], file="walk/walk.png"

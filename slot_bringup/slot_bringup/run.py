@@ -23,10 +23,8 @@ from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.topics import LEG_STATES
 from slot_lab.report import plots
 from slot_lab.report.metrics import summary_lines, walk_metrics
-from slot_lab.report.robot_drawing import filmstrip
 
 TO_WALK = "with --attended it waits for scripts/operate: r ready, s stand, w walk"
 
@@ -116,11 +114,8 @@ def report(
     if keep:
         (directory / "summary.txt").write_text("\n".join(lines) + "\n")
         plots.dashboard(bag, figures, directory / "walk.png")
-        written = "bag, summary.txt, walk.png"
-        if bag.counts.get(LEG_STATES):  # of simulated legs
-            filmstrip(bag, directory / "robot.png")
-            written += ", robot.png"
-        shown = shown and show(PROGRAM, ["", f"{written} and log/ are in {directory}"])
+        written = f"bag, summary.txt, walk.png and log/ are in {directory}"
+        shown = shown and show(PROGRAM, ["", written])
     return shown
 
 

@@ -21,7 +21,7 @@ HERE = Path(__file__).parent
 BAGS = ["walk", "turn", "path", "fault", "lost_odometry"]
 WALK = HERE / "walk"
 SIZE_MAX = 600_000  # bytes of a bag in the repository
-STATES = ["/odom", "/imu", "/mpc_state"]  # what the first stage needs
+STATES = ["/odom", "/imu", "/mpc_state", RECORDS]  # what the first stage needs
 TOPICS = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
 
 
@@ -80,7 +80,7 @@ def test_the_first_difference_is_reported(own_config, capsys):
 
 
 def part(path, *topics, name="walk", share=0.0, delay=0, origin=None):
-    """Copy of topics of a bag after a share of its states, without records of the stages.
+    """Copy of topics of a bag; of one after a share of its states, without records of the stages.
 
     delay: of the odometry, ns; origin: default the bag's.
     """
@@ -90,7 +90,7 @@ def part(path, *topics, name="walk", share=0.0, delay=0, origin=None):
     origin = origin or source.origin
     with BagWriter(path, read_record_settings(), origin) as bag:
         for topic, time, data in source.raw(*topics):
-            if time >= begin and topic != RECORDS:
+            if time >= begin and not (share and topic == RECORDS):
                 late = delay if topic == "/odom" else 0
                 bag.write(topic, source.topics[topic], time + late, data)
     return path
@@ -112,7 +112,7 @@ def test_readings_that_the_node_refuses_are_left_out(tmp_path):
     """An IMU that says it has no rate (REP 145), odometry of another frame."""
     source, path = Bag(WALK), tmp_path / "bag"
     with BagWriter(path, read_record_settings()) as bag:
-        for topic, time, data in source.raw("/odom", "/imu", "/mpc_state"):
+        for topic, time, data in source.raw(*STATES):
             kind = source.topics[topic]
             bag.write(topic, kind, time, data)
             message = TYPES.deserialize_cdr(data, kind)
@@ -120,7 +120,7 @@ def test_readings_that_the_node_refuses_are_left_out(tmp_path):
                 message.angular_velocity_covariance = np.full(9, -1.0)
             if topic == "/odom":
                 message.child_frame_id = "camera_link"
-            if topic != "/mpc_state":
+            if topic in ("/odom", "/imu"):
                 bag.write(topic, kind, time, TYPES.serialize_cdr(message, kind))
     (states, *_) = replay.check_bag(Bag(path), replay_command.TOLERANCE)
     assert states.compared > 40

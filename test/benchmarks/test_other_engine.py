@@ -17,7 +17,7 @@ from slot_core.section import second_moment, torsion_constant
 
 mujoco = pytest.importorskip("mujoco", reason="needs scripts/setup --bench")
 
-from benchmarks.robot import mujoco_robot, other_engine  # noqa: E402 - they need MuJoCo
+from benchmarks.robot import mujoco_robot  # noqa: E402 - they need MuJoCo
 
 ROBOT = read_robot()
 LEG = ROBOT.leg
@@ -99,15 +99,6 @@ def test_chain_bent_to_a_circular_arc_has_the_sideways_compliance_of_the_unit_lo
     ]
     found = sum(aside[joint.dofadr[0]] ** 2 / joint.stiffness[0] for joint in own)
     assert found == pytest.approx(arc_compliance(turn), rel=0.01)
-
-
-@pytest.mark.parametrize("turn_deg", [30.0, 90.0])
-def test_integral_of_the_rows_is_the_closed_form_on_a_circular_arc(turn_deg):
-    arc, radius = np.linspace(0.0, LENGTH, 22), LENGTH / math.radians(turn_deg)
-    nodes = radius * np.column_stack([np.sin(arc / radius), np.cos(arc / radius) - 1])
-    found = other_engine.sideways_compliance(LEG, arc, nodes)
-    # the spline's error through 22 nodes
-    assert found == pytest.approx(arc_compliance(math.radians(turn_deg)), rel=1e-5)
 
 
 def test_tendon_is_slack_until_the_spool_has_taken_up_its_slack():

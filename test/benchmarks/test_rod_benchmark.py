@@ -31,39 +31,6 @@ def test_elastica_by_elliptic_integrals_agrees_with_shooting(p):
     np.testing.assert_allclose(exact.elastica(p), tip(moment)[2:], atol=1e-9)
 
 
-@pytest.mark.parametrize("p", [1.0, 10.0])
-def test_follower_force_by_elliptic_integrals_agrees_with_integration_from_the_tip(p):
-    """From the tip there is no unknown: the force is normal to the tip, the moment is zero.
-
-    The integration starts at the tip, along x with the force along y, and ends at the clamp, whose
-    pose gives the tip in the clamp's frame.
-    """
-
-    def slope(_, state):
-        c, s = math.cos(state[0]), math.sin(state[0])
-        return [-state[1], p * c, -c, -s]
-
-    angle, _, x, y = integrated(slope, [0, 0, 0, 0])
-    c, s = math.cos(angle), math.sin(angle)
-    wanted = [-c * x - s * y, s * x - c * y]
-    np.testing.assert_allclose(exact.follower(p), wanted, atol=1e-9)
-
-
-def test_heavy_elastica_by_collocation_agrees_with_shooting_from_the_tip():
-    """From the tip, by t: a' = -M, M' = -w t cos a; the tip's angle makes the clamp's zero."""
-    w = 10.0
-
-    def back(angle):
-        def slope(t, state):
-            c, s = math.cos(state[0]), math.sin(state[0])
-            return [-state[1], -w * t * c, c, s]
-
-        return integrated(slope, [angle, 0, 0, 0])
-
-    angle = brentq(lambda a: back(a)[0], -math.pi / 2, 0.0, xtol=1e-14)
-    np.testing.assert_allclose(exact.heavy(w), back(angle)[2:], atol=1e-7)
-
-
 def test_leg_under_a_small_force_has_bernoullis_flexibility_in_both_planes():
     """Flexibility of the tapered leg: integral of (L - s)^2 / EI."""
     leg, tpu, p = exact.LEG, exact.TPU, 1e-4

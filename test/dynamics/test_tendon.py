@@ -8,9 +8,8 @@ from scipy.optimize import brentq
 
 from slot_core.dynamics.rod import build
 from slot_core.dynamics.tendon import route
-from slot_lab.leg_tests.leg_map import StaticLeg
+from slot_lab.leg_tests.leg_map import StaticLeg, tangent
 from slot_lab.leg_tests.level_leg import level_leg
-from slot_lab.leg_tests.sticking_leg import tangent
 
 
 def tension(angle, rate):

@@ -3,10 +3,10 @@
 import dataclasses
 
 import pytest
-
-from benchmarks.robot.hard_cases import (
+from stress_cases import (
     FOLDS,
     IMPACTS,
+    IN_SPACE,
     PARAMETERS,
     PULLS,
     STEPS,
@@ -14,7 +14,7 @@ from benchmarks.robot.hard_cases import (
 )
 
 CONVERGED = {**PULLS, **PARAMETERS, **STEPS}  # in every step
-CASES = {**IMPACTS, **FOLDS, **CONVERGED}
+CASES = {**IMPACTS, **FOLDS, **IN_SPACE, **CONVERGED}
 
 
 @pytest.mark.parametrize("name", CASES)

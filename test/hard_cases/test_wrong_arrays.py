@@ -32,8 +32,7 @@ from slot_core.vision.camera import nominal
 from slot_core.vision.detector import MarkerDetector
 from slot_core.vision.settings import read_vision
 from slot_lab.leg_tests.held_leg import HeldLeg
-from slot_lab.leg_tests.leg_map import StaticLeg
-from slot_lab.leg_tests.sticking_leg import StickingLeg
+from slot_lab.leg_tests.leg_map import StaticLeg, StickingLeg
 from slot_paper.leg import PaperLegs, read_paper
 from slot_paper.robot import PaperRobot
 

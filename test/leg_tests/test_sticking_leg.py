@@ -10,7 +10,7 @@ from test_leg_map import pulled
 from slot_core import config
 from slot_core.dynamics.rod import sections
 from slot_core.robot import read_robot
-from slot_lab.leg_tests.sticking_leg import StickingLeg
+from slot_lab.leg_tests.leg_map import StickingLeg
 
 ROBOT = read_robot()
 # Natural shapes: that of the robot, and parabolas that turn by 21 and 49 deg.

@@ -174,15 +174,16 @@ def pinned_column():
 
 
 @pytest.mark.parametrize(
-    ("column", "load", "planes"),
+    ("column", "kind", "load", "planes"),
     [
-        (slender, exact.EULER, 1),
-        (pinned_column, math.pi**2, 1),
-        (round_column, exact.EULER, 2),
+        (slender, "force", exact.EULER, 1),
+        (pinned_column, "force", math.pi**2, 1),
+        (round_column, "force", exact.EULER, 2),
+        (slender, "gravity", exact.GREENHILL, 1),
     ],
 )
-def test_column_becomes_unstable_at_eulers_load(column, load, planes):
-    found = column().solve_static(Loads(force=(-1.2 * load, 0.0, 0.0)))
+def test_column_becomes_unstable_at_its_critical_load(column, kind, load, planes):
+    found = column().solve_static(Loads(**{kind: (-1.2 * load, 0.0, 0.0)}))
     assert (found.branch, found.negative_pivots) == (Branch.UNSTABLE, planes)
     assert found.critical[0] * 1.2 == pytest.approx(1.0, rel=1e-4)
 

@@ -1,8 +1,8 @@
 """Sensor streams of simulated walks with the true motion, and what a visual SLAM does to them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,15 +49,11 @@ class RecordingPlant(RobotSimulator):
         drift = np.abs(states[:, 4] - states[0, 4]).max()
         return states, {"v_x_mm_s": 1e3 * speed, "lateral_mm": 1e3 * drift}
 
-    def _read_odometry(self) -> list[Reading]:
-        pending = {event.number for event in self._events}
-        readings = super()._read_odometry()
-        for event in self._events:  # the one that it has scheduled is the delivery
-            if event.number not in pending:
-                self.readings += [
-                    r for r in event.action() if isinstance(r, OdometryReading)
-                ]
-        return readings
+    def _odometry_or_image(self, truth: OdometryReading, since: float) -> Reading:
+        reading = super()._odometry_or_image(truth, since)
+        if isinstance(reading, OdometryReading):
+            self.readings.append(reading)
+        return reading
 
 
 @dataclass(frozen=True)
@@ -83,26 +79,20 @@ class Streams:
         return int(self.stamps[-1])
 
 
-Plant = TypeVar("Plant", bound=RobotSimulator)
-
-
 def walked(
-    make: type[Plant],
-    seed: int,
-    duration: float,
-    changes: Mapping[str, Any] | None = None,
-) -> Plant:
+    seed: int, duration: float, changes: Mapping[str, Any] | None = None
+) -> RecordingPlant:
     """The plant after a walk of `duration` (s) on the flat floor, changed as in `ClosedLoop`."""
-    loop = ClosedLoop("flat", "walk", None, seed, changes=changes, make=make)
+    loop = ClosedLoop("flat", "walk", None, seed, changes=changes, make=RecordingPlant)
     for _ in loop.run(round(duration / PERIOD)):
         pass
-    assert isinstance(loop.plant, make)
+    assert isinstance(loop.plant, RecordingPlant)
     return loop.plant
 
 
 def record(seed: int, duration: float) -> Streams:
     """Streams of a walk of `duration` (s) on the flat floor."""
-    plant = walked(RecordingPlant, seed, duration)
+    plant = walked(seed, duration)
     stamps, states = zip(*sorted(plant.truth, key=lambda entry: entry[0]))
     array = np.array(states)
     array[:, 2] = np.unwrap(array[:, 2])
@@ -111,21 +101,16 @@ def record(seed: int, duration: float) -> Streams:
 
 @dataclass(frozen=True)
 class Slam:
-    """Delay, loss and errors of the odometry between camera and estimator."""
+    """Delay of the odometry between camera and estimator, and a gap."""
 
     delay: float = 0.0  # s, mean
     jitter: float = 0.0  # s, largest deviation of the delay
-    loss: float = 0.0  # share of lost readings
     gap: tuple[float, float] = (0.0, 0.0)  # s after the first reading: none in between
-    jumps: tuple[
-        float, ...
-    ] = ()  # s after the first reading: single readings 0.2 m off
 
     def arrivals(self, streams: Streams, rng: np.random.Generator) -> list[Arrival]:
         """The readings with their times of arrival, ns, in that order."""
         start = min(r.stamp for r in streams.readings)
         result: list[Arrival] = []
-        jumps = list(self.jumps)
         for r in streams.readings:
             if isinstance(r, ImuReading):
                 result.append((r.stamp, r))
@@ -134,11 +119,7 @@ class Slam:
                 to_seconds(r.stamp - start),
                 self.delay + self.jitter * rng.uniform(-1, 1),
             )
-            if rng.random() < self.loss or self.gap[0] < since < self.gap[1]:
+            if self.gap[0] < since < self.gap[1]:
                 continue
-            jumped = r
-            if jumps and since >= jumps[0]:
-                jumps.pop(0)
-                jumped = replace(r, position=r.position + np.array([0.2, 0.0, 0.0]))
-            result.append((r.stamp + to_ns(max(late, 0.0)), jumped))
+            result.append((r.stamp + to_ns(max(late, 0.0)), r))
         return sorted(result, key=lambda item: (item[0], ARRIVAL_ORDER[type(item[1])]))

@@ -174,6 +174,7 @@ def _walking() -> list[LocomotionRow]:
         Case(QUARTER + 2.0, schedule=schedule, changes=friction(mu))
         for mu in (0.2, 0.4, 0.6)
     ]
+    quarter = partial(_turn_missed, turn=math.pi / 2)
     corner = ((0.0, 0.0), (EDGE, 0.0), (EDGE, EDGE))
     paths = {
         name: [
@@ -253,7 +254,7 @@ def _walking() -> list[LocomotionRow]:
         row("square of .6 m closes", "mm", 50.0, [square()], _gap),
         row("square of .6 m, heading", "deg", 5.0, [square()], _turn_missed),
         row("turn in place, rate", "rad/s", 0.01, turns, _turn_rate_missed, (2,)),
-        row("turn in place, 90 deg", "deg", 2.0, turns, _quarter_missed, (2,)),
+        row("turn in place, 90 deg", "deg", 2.0, turns, quarter, (2,)),
         row("turn in place, drift", "mm", 30.0, turns, _drift, (2,)),
         row(
             "v of .06 held in all directions",
@@ -478,10 +479,6 @@ def _gap(case: Case, motion: WalkMotion) -> float:
 
 def _turn_missed(case: Case, motion: WalkMotion, turn: float = 2 * math.pi) -> float:
     return DEG * float(abs(motion.rpy[-1, 2] - motion.rpy[0, 2] - turn))
-
-
-def _quarter_missed(case: Case, motion: WalkMotion) -> float:
-    return _turn_missed(case, motion, math.pi / 2)
 
 
 def _turned_late(case: Case, motion: WalkMotion) -> float:

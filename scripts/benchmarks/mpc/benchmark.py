@@ -5,7 +5,6 @@ are taken from the first stage's forces, which are applied, against a dual activ
 (`references.py`). The problem is the paper's, on forces.
 """
 
-import itertools
 import math
 import time
 from collections.abc import Iterable, Sequence
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import psutil
 
 from benchmarks.harness import (
     Check,
@@ -46,7 +44,6 @@ HORIZONS = (5, 10, 15, 30, 45, 60)
 STATES, RANDOM = 220, 60  # cases of the walk, random cases
 SEED = 1
 WRONG = 1e-3  # N, error above which an accepted solution counts as wrong
-MINUTE, HOUR = 1800, 108_000  # cycles at 30 Hz
 Solved = tuple[Sequence[Case], Array]  # cases, and the first forces of their optima
 
 
@@ -73,9 +70,6 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     rows += horizon_rows(settings, walk[: 20 if quick else 100])
     progress("CVXPY")
     rows.append(cvxpy_row(settings, walk[10 : 12 if quick else 18], solved[1][10:]))
-    if not quick:
-        progress("an hour of cycles")
-        rows.append(hour_row(settings, walk))
     draw(rows, out / "mpc.png")
     return rows, checks(rows, settings)
 
@@ -110,17 +104,6 @@ def optima(settings: MpcSettings, cases: Sequence[Case]) -> Array:
         mpc.step(*case)
         found.append(optimum(mpc.problem)[0])
     return np.array(found)
-
-
-def hour_row(settings: MpcSettings, walk: Sequence[Case]) -> dict[str, Any]:
-    """Growth of the controller's memory over an hour of cycles at 30 Hz, after the first minute."""
-    mpc, process = ForceMpc(read_robot(), settings, time.process_time), psutil.Process()
-    for n, case in zip(range(HOUR), itertools.cycle(walk)):
-        if n == MINUTE:
-            before = process.memory_info().rss
-        mpc.step(*case)
-    gained = (process.memory_info().rss - before) / 2**20
-    return {"kind": "hour", "cycles": HOUR, "gained_MB": gained}
 
 
 def controller(settings: MpcSettings, tolerance: float) -> ForceMpc:
@@ -222,12 +205,7 @@ def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]
     row = next(r for r in rows if r["kind"] == "solver" and r["tolerance"] == tolerance)
     time_of = {r["stages"]: r["median_ms"] for r in rows if r["kind"] == "horizon"}
     [published] = (r["median_ms"] for r in rows if r["kind"] == "cvxpy")
-    hour = [row["gained_MB"] for row in rows if row["kind"] == "hour"]
     return [
-        *(
-            at_most("growth of memory in an hour of cycles", gained, 1.0, "MB")
-            for gained in hour
-        ),
         at_most("error of the first forces, walk", row["error_max"], 1e-3, "N"),
         at_most(
             "error of the first forces, hard cases", row["hard_error_max"], 1e-3, "N"

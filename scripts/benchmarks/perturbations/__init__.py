@@ -1,1 +1,0 @@
-"""Benchmark of the closed loop's response to perturbations, and the paper's table."""

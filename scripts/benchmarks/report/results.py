@@ -35,7 +35,7 @@ CAPTIONS = {
 """Captions of images by the names of their files; others stand with their name."""
 
 EXAMPLE = "slot_bringup/example"
-MAP = "scripts/constraint_map {} --out {}/constraint_map.png"
+MAP = "scripts/view --map {} --out {}/constraint_map.png"
 RUNS = {
     "walk": ("Walk", "scripts/run --lockstep --bag {}", MAP),
     "crawl": ("Crawl", "scripts/run --lockstep --gait crawl --bag {}", MAP),

@@ -1,7 +1,7 @@
 """Rows that compare the robot on spatial rod legs with the same robot in MuJoCo.
 
 - sideways: a leg with a pulled tendon, no floor, no weight; its tip is pulled sideways. Deflection
-  per force in both engines, and by the unit-load integral along the bent leg.
+  per force in both engines.
 - loaded: the same with a quarter of the robot's weight on the tip, as a floor presses it upward.
 - stand: height of the torso under the scene's tendon angle.
 - replay: the gaits' tendon angles at amplitude one, without feedback, on floors of several
@@ -17,20 +17,18 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.interpolate import CubicSpline
 
 from benchmarks.harness import Check, Progress, at_most
 from benchmarks.robot.mujoco_robot import STEP, MujocoRobot
 from slot_core import config
 from slot_core.arrays import Array
 from slot_core.drawing import palette
-from slot_core.dynamics.rod import discretise, sections
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.gait.gait import Stride, read_gaits
 from slot_core.refusal import DivergenceError
-from slot_core.robot import GRAVITY, Leg, RobotParameters, read_robot
+from slot_core.robot import GRAVITY, RobotParameters, read_robot
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import stride_means
@@ -85,15 +83,12 @@ def sideways_row(
         own_leg(robot, scene, degrees, field, mass) for mass in (0.0, TIP_MASS)
     )
     other = other_leg(robot, scene, degrees, np.zeros(3), force * aside(robot))
-    shape = bare @ np.column_stack([robot.outward[0], [0.0, 0.0, 1.0]])
-    arc = discretise(robot.leg, len(bare), robot.tendon.end_fraction).arc
     return {
         "kind": "sideways",
         "tendon_deg": degrees,
         "nodes": len(bare),
         "own_mm_per_N": 1e3 * float((loaded[-1] - bare[-1]) @ aside(robot)) / force,
         "other_mm_per_N": 1e3 * float(other[-1] @ aside(robot)) / force,
-        "integral_mm_per_N": 1e3 * sideways_compliance(robot.leg, arc, shape),
     }
 
 
@@ -152,22 +147,6 @@ def held(kind: Any, robot: RobotParameters, scene: Scene, field: Array) -> Any:
     sim = kind(still, config.replace(scene, changes), read_servo())
     sim.push(-HELD * field, np.zeros(3))
     return sim
-
-
-def sideways_compliance(leg: Leg, arc: Array, nodes: Array) -> float:
-    """Deflection of a bent leg's tip per force, both normal to its plane, m/N: unit-load integral.
-
-    A unit force has at s the moment m = (r_L - r) x e_y: (m.b)^2 / E I_b + (m.t)^2 / G J, summed
-    over the natural length with the tangent t and the normal b in the plane. arc: (N,) m, natural
-    arc length; nodes: (N, 2) m, in the plane.
-    """
-    curve, s = CubicSpline(arc, nodes), np.linspace(0.0, arc[-1], 2001)
-    arm, tangent = nodes[-1] - curve(s), curve(s, 1)
-    tangent /= np.hypot(*tangent.T)[:, None]
-    bending = arm[:, 0] * tangent[:, 0] + arm[:, 1] * tangent[:, 1]
-    twist = arm[:, 0] * tangent[:, 1] - arm[:, 1] * tangent[:, 0]
-    part = sections(leg, s / arc[-1])
-    return float(np.trapezoid(bending**2 / part.lateral + twist**2 / part.torsion, s))
 
 
 def stand_row(robot: RobotParameters, scene: Scene) -> dict[str, Any]:

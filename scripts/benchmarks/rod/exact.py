@@ -80,29 +80,6 @@ def elastica(p: float) -> Array:
     return np.array([math.sqrt(2 * math.sin(angle) / p), 1 - 2 * second / math.sqrt(p)])
 
 
-def follower(p: float) -> Array:
-    """Tip (x, z) of the inextensible cantilever under a follower force p, normal to its tip.
-
-    The angle psi, from the tip backwards, obeys psi'' = p cos psi, so psi'^2 = 2 p sin psi. With
-    cos phi = sqrt(sin psi) lengths are elliptic integrals of modulus k^2 = 1/2: the tip's angle a
-    follows from sqrt p = K - F(phi(a)), and in the tip's axes
-
-        integral of cos psi = sqrt(2 sin a / p),  of sin psi = 2 (E - E(phi(a))) / sqrt p - 1.
-    """
-
-    def phi(angle: float) -> float:
-        return math.asin(math.sqrt(2) * math.sin((math.pi / 2 - angle) / 2))
-
-    def excess(angle: float) -> float:
-        return float(ellipk(0.5) - ellipkinc(phi(angle), 0.5)) - math.sqrt(p)
-
-    angle = brentq(excess, 1e-9, math.pi - 1e-9, xtol=1e-14)
-    along = math.sqrt(2 * math.sin(angle) / p)
-    across = 2 * (ellipe(0.5) - ellipeinc(phi(angle), 0.5)) / math.sqrt(p) - 1
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([c * along + s * across, s * along - c * across])
-
-
 def axes(q: Array) -> Array:
     """(3, 3, ...) columns tangent, width, normal of quaternions (4, ...) of any length."""
     w, x, y, z = q / np.sqrt((q * q).sum(axis=0))
@@ -197,14 +174,6 @@ def thin(loads: Loads) -> Array:
     return tip(THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (THIN, THIN))), loads)[
         [0, 2]
     ]
-
-
-def heavy(w: float) -> Array:
-    """Tip (x, z) of the inextensible cantilever under its own weight w along -z."""
-    thinner = THIN / 100
-    material = Material(12 / thinner**3, 4 / thinner**3, 1 / thinner, 0.0)
-    geometry = Geometry(1.0, Rectangle(1.0, (thinner, thinner)))
-    return tip(material, geometry, Loads(gravity=(0.0, 0.0, -w)))[[0, 2]]
 
 
 def sideways(material: Material, geometry: Geometry, count: int) -> Array:

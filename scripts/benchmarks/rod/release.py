@@ -22,7 +22,6 @@ from benchmarks.rod.exact import LEG, PUSH, TPU
 from slot_core.arrays import Array
 from slot_core.refusal import DivergenceError
 from slot_core.rod.cosserat_rod import CosseratRod
-from slot_core.rod.model import FREE
 from slot_core.rod.motion import RodState, Scheme
 
 DURATION, SAMPLES = 1.0, 100  # s, number of samples of the tip
@@ -151,43 +150,6 @@ def percent(tip: Array, exact: Array, start: Array) -> float:
     """RMS error of the tip's path (SAMPLES, 3), % of its deflection at the start (3,)."""
     deviation = math.sqrt(((tip - exact) ** 2).sum(axis=1).mean())
     return 100 * deviation / math.dist(start, (LEG.length, 0.0, 0.0))
-
-
-def energy_rows() -> Iterator[dict[str, Any]]:
-    """Largest and final change of energy over 1 s without damping, by integrator.
-
-    `flight`: the free leg tumbles, bends and twists, and keeps its momentum. `vibration`: the
-    clamped leg is released.
-    """
-    for theta, h in itertools.product((0.5, 0.55, 1.0), (1e-3, 5e-4, 2.5e-4)):
-        scheme = Scheme(theta, tolerance=1e-14)
-        released, bent = UNDAMPED.leg(17, scheme)
-        released.state = bent
-        for kind, rod in (("flight", thrown(scheme)), ("vibration", released)):
-            before, energy, change = rod.momentum(), rod.energy().total, [0.0]
-            for _ in range(50):
-                rod.run(h, round(DURATION / 50 / h))
-                change.append(rod.energy().total / energy - 1)
-            row = {"kind": kind, "theta": theta, "h": h}
-            row |= {"energy": max(map(abs, change)), "energy_end": change[-1]}
-            if kind == "flight":
-                row["momentum"] = max(
-                    float(np.linalg.norm(now - then) / np.linalg.norm(then))
-                    for now, then in zip(rod.momentum(), before)
-                )
-            yield row
-
-
-def thrown(scheme: Scheme) -> CosseratRod:
-    """The undamped leg in free flight: 11 rad/s, 0.4 m/s, and velocities that bend and twist it."""
-    rod = CosseratRod(UNDAMPED_TPU, LEG, 17, base=FREE, scheme=scheme)
-    state, rate = rod.state, np.array([6.0, 8.0, -4.0])
-    r = state.position
-    velocity = np.cross(rate, r) + np.array([0.3, -0.2, 0.1])
-    velocity[:, 1:] += np.outer((r[:, 0] - 0.1) ** 2, [40.0, 60.0])
-    swirl = np.outer(rate[0] + np.linspace(-20.0, 30.0, 16), [1.0, 0.0, 0.0])
-    rod.state = RodState(r, state.director, velocity, swirl, state.ends)
-    return rod
 
 
 def release_checks(rows: list[dict[str, Any]]) -> list[Check]:

@@ -1,7 +1,7 @@
-"""The servo bus: rate, CPU share, step responses of both control loops, age of a command.
+"""The servo bus: rate, step responses of both control loops, age of a command.
 
 The servos are emulated behind a pseudo-terminal in a separate process, with the transmission time
-of the bytes at 1 Mbaud. The CPU time is the driver's alone; the rate is the median cycle's, because
+of the bytes at 1 Mbaud. The rate is the median cycle's, because
 other processes share the machine. Step responses run in the emulated servos' time.
 """
 
@@ -45,8 +45,6 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     fast, plain = (row["rate_hz"] for row in cycles[:2])
     # Four answers in one packet: fewer bytes on the line.
     rate = at_least("rate with fast sync read over that without", fast / plain, 1.0)
-    progress("CPU share at 100 Hz")
-    share = share_row(2.0 if quick else 20.0)
     progress("step responses")
     steps = list(step_rows(out / "servo_step.png"))
     ages, attempts = {}, Attempts()
@@ -57,7 +55,7 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
             ages[nodes] = found
     age.draw(ages, out / "servo_age.png")
     aged = [age.row(found, nodes) for nodes, found in ages.items()]
-    rows = [*cycles, share, *steps, *aged, *attempts.rows]
+    rows = [*cycles, *steps, *aged, *attempts.rows]
     return rows, [rate, *age.checks(aged), *attempts.checks]
 
 
@@ -82,22 +80,6 @@ def cycle_rows(count: int) -> Iterator[Row]:
             "p99_ms": 1e3 * p99,
             "incomplete": sum(not cycle.complete for cycle in found),
         }
-
-
-def share_row(duration: float) -> Row:
-    """CPU time of the driver's process over elapsed time, with cycles at 100 Hz."""
-    with emulated({}, 0.0) as driver:
-        driver.activate()
-        begin, used, late = time.monotonic(), time.process_time(), 0
-        for number in range(round(duration / CYCLE)):
-            driver.command([1.0 + 0.3 * math.sin(0.05 * number)] * 4)
-            driver.cycle()
-            left = begin + (number + 1) * CYCLE - time.monotonic()
-            late += left < 0
-            time.sleep(max(left, 0.0))
-        share = (time.process_time() - used) / (time.monotonic() - begin)
-        driver.torque_off()
-    return {"kind": "share", "cpu_share": share, "overruns": late, "seconds": duration}
 
 
 def step_rows(path: Path) -> Iterator[Row]:

@@ -12,7 +12,7 @@ from slot_core.messages import decode
 from slot_core.progress import untold
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, RecordedStages, Replayed
-from slot_lab.bags.topics import OUTPUTS
+from slot_lab.bags.topics import ESTIMATE, OUTPUTS
 
 LACKING = "the bag holds no"
 MID_RUN = "the bag begins mid-run, after what the state depends on"
@@ -88,7 +88,7 @@ def check_bag(
     if all(c.why.startswith(LACKING) for c in comparisons):
         raise BagError(f"{bag.path}: holds no stage together with its input")
     if all(c.why for c in comparisons):
-        why = MID_RUN if any(c.why == MID_RUN for c in comparisons) else "left out"
+        why = next(c.why for c in comparisons if not c.why.startswith(LACKING))
         raise BagError(f"{bag.path}: {why}; no stage can be compared")
     return comparisons
 
@@ -108,9 +108,12 @@ def _reason(
         return f"--{'only' if only else 'skip'} {' '.join(only or skip)}"
     if not only and (others := recorded.own_nodes(topic)):
         return f"published by {', '.join(others)}, not by our {node}"
-    if not only and any(recorded.records.values()) and not recorded.records[node]:
-        return f"no record of {node} in the bag, as if another node had published it"
-    return MID_RUN if topic in REMEMBERING and recorded.begins_mid_run else ""
+    if topic in REMEMBERING and recorded.begins_mid_run:
+        return MID_RUN
+    another = not only and any(recorded.records.values())  # node may have published it
+    if not recorded.records[node] and (another or topic == ESTIMATE):
+        return f"no record of {node} in the bag"
+    return ""
 
 
 def compare(

@@ -7,8 +7,8 @@ policy, and recorded plans, previews and states to the force map. A stage whose 
 bag does not hold is left out. A bag that begins mid-run, such as a later file of a split one, is
 compared from its first key frame on: the nodes record their complete state every few seconds, and
 the state estimator the order in which it has taken odometry and IMU (slot_msgs/msg/StageRecord). Of
-a bag without these, as of an older revision, only the force map is compared then. The policy and
-the path that was followed are those that the bag names.
+a bag without these the state estimator is left out and, if it begins mid-run, all but the force
+map. The policy and the path that was followed are those that the bag names.
 """
 
 import argparse

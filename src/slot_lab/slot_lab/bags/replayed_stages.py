@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeVar
 
 from slot_core import config
-from slot_core.clock import to_ns, to_seconds
+from slot_core.clock import to_seconds
 from slot_core.control.force_map import (
     ForceMap,
     make_force_map,
@@ -23,7 +23,6 @@ from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.control.policy import Status, TendonPlan, policy_class
 from slot_core.control.tuned_policy import TunedPolicy
 from slot_core.estimation.estimate import Estimate, Validity
-from slot_core.estimation.inertial_filter import EstimatorSettings
 from slot_core.estimation.state_estimator import (
     BEFORE_ALL_TIMES,
     StateEstimator,
@@ -209,35 +208,16 @@ class Replayed:
 def estimates(recorded: RecordedStages) -> Replayed:
     """State estimates, as fields of MpcState, from the recorded odometry and IMU.
 
-    Readings that the node refuses are left out.
+    The readings are taken in the order of the node's records, those that it refuses left out. The
+    estimator starts as its node does, or at a key frame. Where a record or a reading is missing,
+    the estimates are unknown up to the next key frame.
     """
     settings = recorded.settings("state_estimator", read_estimator())
-    records = recorded.records["state_estimator"]
-    if records:
-        return _estimates_of_records(recorded, records, settings)
-    found, estimator = Replayed(), StateEstimator(settings)
-    for topic, message in _as_they_arrived(
-        recorded, to_ns(settings.timing.command_delay)
-    ):
-        with suppress(ValueError):
-            _take(estimator, topic, message)
-        found.fields.update(_polled(estimator))
-    return found
-
-
-def _estimates_of_records(
-    recorded: RecordedStages, records: list[Any], settings: EstimatorSettings
-) -> Replayed:
-    """Estimates from the readings in the order in which the node has taken them.
-
-    The estimator starts as its node does, or at a key frame. Where a record or a reading is
-    missing, the estimates are unknown up to the next key frame.
-    """
     found, readings = Replayed(), _by_topic_and_stamp(recorded.sensors)
     estimator: StateEstimator | None = None
     known: list[tuple[int, int]] = []  # stamps of the outputs: after, up to
     expected, before = -1, BEFORE_ALL_TIMES
-    for record in records:
+    for record in recorded.records["state_estimator"]:
         if record.number == 0:
             estimator, expected = StateEstimator(settings), 1
             continue
@@ -316,41 +296,6 @@ def _polled(estimator: StateEstimator) -> dict[int, Fields]:
             "validity": int(estimate.validity),
         }
     return fields
-
-
-def _as_they_arrived(recorded: RecordedStages, delay: int) -> Iterator[tuple[str, Any]]:
-    """Sensor readings in the order in which the estimator got them, as (topic, message).
-
-    The recorder may have received odometry and IMU in another order. A recorded state tells the
-    newest IMU sample it was predicted with, at header.stamp + lead - `delay` (ns), and its odometry
-    follows that sample. Other readings keep their order. Odometry before a first state
-    that is initialising is left out: the estimator did not listen yet.
-    """
-    first = next(iter(recorded.estimates.values()), None)
-    initial = first is not None and first.validity is Validity.INITIALISING
-    begin = first.stamp if first is not None and initial else BEFORE_ALL_TIMES
-    imu = {
-        decode.stamp(message)
-        for topic, message in recorded.sensors
-        if topic != ODOMETRY
-    }
-    place: dict[
-        int, int
-    ] = {}  # stamp of the odometry: stamp of the IMU sample before it
-    for stamp, estimate in recorded.estimates.items():
-        if estimate.validity != Validity.ODOMETRY_LOST and estimate.time - delay in imu:
-            place[stamp] = estimate.time - delay
-    after: dict[int, list[Any]] = {}
-    for topic, message in recorded.sensors:
-        if topic == ODOMETRY and decode.stamp(message) in place:
-            after.setdefault(place[decode.stamp(message)], []).append(message)
-    for topic, message in recorded.sensors:
-        stamp = decode.stamp(message)
-        if topic != ODOMETRY:
-            yield topic, message
-            yield from ((ODOMETRY, late) for late in after.pop(stamp, ()))
-        elif stamp not in place and stamp >= begin:
-            yield topic, message
 
 
 def _stepped(

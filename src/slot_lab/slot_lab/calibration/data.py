@@ -73,17 +73,6 @@ class Data:
     sha256: str  # of the file
     rows: tuple[Datum, ...]
 
-    def validity(self) -> dict[str, list[float]]:
-        """[least, largest] value of each condition, without `place`."""
-        values = {
-            name: [
-                getattr(row, name) for row in self.rows if name in CONDITIONS[row.kind]
-            ]
-            for name in BOUNDS
-            if name not in {"place", "value", "sigma"}
-        }
-        return {name: [min(v), max(v)] for name, v in values.items() if v}
-
 
 def read_data(path: Path) -> Data:
     """Read a file of measurements; raises TableError."""

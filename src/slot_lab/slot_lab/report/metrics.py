@@ -29,7 +29,6 @@ from slot_lab.bags.recorded_walk import (
     read_ticks,
     seconds,
 )
-from slot_lab.bags.topics import GROUND_TRUTH
 
 NOT_KNOWN = (math.nan,) * len(LEGS)
 NAME_WIDTH = 20
@@ -55,7 +54,6 @@ UNITS: dict[str, tuple[float, str]] = {
     "stages": MS,
     "end_to_end": MS,
     "real_time_factor": COUNT,
-    "behind": MS,
     "fallback_cycles": COUNT,
     "longest_fallback": COUNT,
     "violation_max": (1.0, "N"),
@@ -108,7 +106,6 @@ class WalkMetrics:
     stages: dict[str, Latency]  # by node
     end_to_end: Latency
     real_time_factor: float  # graph time over wall time
-    behind: Latency  # of the simulated time behind real time; empty in lockstep and on hardware
     fallback_cycles: int | None  # MPC cycles without a solution
     longest_fallback: int | None  # consecutive ones
     violation_max: float  # N, largest constraint violation
@@ -199,20 +196,7 @@ def _timing(bag: Bag, start: float) -> dict[str, Any]:
         "stages": {name: latency(ticks.latency[:, i]) for i, name in enumerate(STAGES)},
         "end_to_end": latency(ticks.end_to_end),
         "real_time_factor": float(np.ptp(ticks.stamp) / wall) if wall > 0 else math.nan,
-        "behind": latency(_behind(bag, start)),
     }
-
-
-def _behind(bag: Bag, start: float) -> Array:
-    """Simulated time behind real time, s, from its least in the bag.
-
-    The machine was late, or the robot's time has waited for a driver that was.
-    """
-    if bag.counts.get("/clock") or not bag.counts.get(GROUND_TRUTH):
-        return np.empty(0)
-    series = bag.series(GROUND_TRUTH)
-    behind = series.time - series.stamp
-    return seconds(behind[seconds(series.stamp) >= start], behind.min())
 
 
 def _control(bag: Bag, start: float) -> dict[str, Any]:
@@ -340,7 +324,6 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
         ("deadline misses", misses),
         ("  never answered", unanswered),
         ("real-time factor", _number(m.real_time_factor, "{:.2f}")),
-        ("  behind real time", _latency(m.behind)),
         ("MPC fallback", fallback),
         ("largest violation", _number(m.violation_max, "{:.1e} N")),
         ("map saturated", _per_leg(m.saturated)),

@@ -1,4 +1,4 @@
-"""Drawings of the robot at recorded times: as stills in a strip, or moving.
+"""Drawings of the robot at recorded times, and a walk that moves.
 
 Solids in an orthographic view, painted from far to near.
 """
@@ -33,12 +33,12 @@ from slot_core.messages import decode
 from slot_core.progress import Tell, untold
 from slot_core.refusal import InputError
 from slot_core.robot import LEGS, RobotParameters, read_robot
-from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import read_motion, seconds, stride_period
 from slot_lab.bags.topics import LEG_STATES
-from slot_lab.plot_file import write_plot
 
 SUN = np.array([0.25, -0.45, 0.86]) / np.linalg.norm([0.25, -0.45, 0.86])
+SHADOW = "#d3d9df"
 AMBIENT = 0.55  # brightness of a face turned away from the sun
 GROUND_HALF = (0.26, 0.22)  # m, of the ground drawn around the robot, along x and y
 GROUND_LINE = 0.1  # m between lines on the ground
@@ -125,7 +125,9 @@ def draw_robot(
     centre = np.array([pose.position[0], pose.position[1], 0.0])
     solids = [torso_solid(pose, robot), *leg_solids(pose, robot)]
     _draw_ground(ax, centre, camera)
-    _draw_shadow(ax, solids, centre, camera)
+    shadow = np.concatenate([solid.faces for solid in solids]) * [1.0, 1.0, 0.0]
+    polygons = list(camera.project(shadow - centre))
+    ax.add_collection(PolyCollection(polygons, color=SHADOW, zorder=2))
     _draw_solids(ax, solids, centre, camera)
     _draw_forces(ax, pose, centre, camera)
     ax.set_aspect("equal")
@@ -164,14 +166,6 @@ def _draw_solids(
     ax.add_collection(
         PolyCollection(list(polygons), color=shaded, linewidths=0.4, zorder=3)
     )
-
-
-def _draw_shadow(
-    ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint
-) -> None:
-    faces = np.concatenate([solid.faces for solid in solids]) * [1.0, 1.0, 0.0]
-    polygons = camera.project(faces - centre)
-    ax.add_collection(PolyCollection(list(polygons), color="#d3d9df", zorder=2))
 
 
 def _draw_ground(ax: Axes, centre: Array, camera: Viewpoint) -> None:
@@ -262,41 +256,6 @@ def draw_frame(pose: Snapshot, robot: RobotParameters) -> Image.Image:
     ax.set_ylim(-BELOW, ABOVE)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
-
-
-def filmstrip(bag: Bag, path: Path, stills: int = 5) -> None:
-    """Write a PNG with stills of the robot over its last stride.
-
-    Raises BagError if the bag holds no leg shapes (only the simulator publishes them).
-    """
-    write_plot(filmstrip_figure(bag, stills), path, DPI)
-
-
-def filmstrip_figure(bag: Bag, stills: int) -> Figure:
-    """The filmstrip; its axes are the stills in the order of time."""
-    robot, camera = read_robot(), Viewpoint()
-    poses = read_poses(bag, still_times(bag, stills), robot)
-    figure = Figure(figsize=(3.6 * stills, 2.2), dpi=DPI, layout="constrained")
-    for i, pose in enumerate(poses):
-        ax = figure.add_subplot(1, stills, i + 1, label=f"still {i}")
-        draw_robot(ax, pose, robot, camera)
-        ax.set_title(f"{pose.t:.2f} s", fontsize=11)
-    figure.supxlabel(
-        f"arrows: force of the ground, {1e-2 / FORCE_SCALE:.2f} N per cm", fontsize=9
-    )
-    return figure
-
-
-def still_times(bag: Bag, stills: int) -> Array:
-    """(stills,) s of graph time, evenly over the last stride; without a stride, over the run.
-
-    Raises BagError if the bag holds no leg shapes.
-    """
-    t = seconds(bag.series(LEG_STATES).stamp)
-    if not len(t):
-        raise BagError(f"{bag.path}: {LEG_STATES} holds no messages")
-    period = stride_period(bag) or np.inf
-    return np.linspace(max(t[0], t[-1] - period), t[-1], stills)
 
 
 def read_poses(bag: Bag, times: Array, robot: RobotParameters) -> list[Snapshot]:

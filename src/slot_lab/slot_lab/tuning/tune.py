@@ -163,18 +163,13 @@ def _start(options: argparse.Namespace) -> Stride:
     names = ("height_range", "period", "cruise")
     changes = {name: getattr(options, name) for name in names}
     if options.height is not None:
-        changes |= _rest(options.height) | {"height": options.height}
+        height, share = options.height, read_robot().weight / 4  # N, of a leg at rest
+        angle = read_springs().angle(np.array([share]), np.array([height]))[0]
+        centre = [round(float(np.degrees(angle)), 1)] * 4
+        changes |= {"height": height, "centre_deg": centre}
         changes["height_range"] = options.height_range or [options.height] * 2
     given = {name: value for name, value in changes.items() if value is not None}
     return config.replace(stride, given, where="scripts/tune")
-
-
-def _rest(height: float) -> dict[str, object]:
-    """Centre of a stride at a height (m): tendon angles of legs that carry a quarter each."""
-    angle = read_springs().angle(
-        np.array([read_robot().weight / 4]), np.array([height])
-    )[0]
-    return {"centre_deg": [round(float(np.degrees(angle)), 1)] * 4}
 
 
 def write_gait(path: Path, stride: Stride, head: Sequence[str]) -> None:

@@ -85,7 +85,9 @@ def simulate(
     scene, servo = parts.scene, parts.servo
     step = scene.solver.step
     if recorded.angles.measured:
-        servo = _imposed(servo, settings.hold)
+        # its spool follows the given angles
+        follows = {"model": "ideal", "ideal_rpm": FREE_RPM, "backlash_deg": 0.0}
+        servo = config.replace(servo, follows | {"lag": settings.hold / 2})
     commands = _commands(recorded, parts, settings, begin, end)
     sim = make_robot(parts.robot, config.replace(scene, {"start.settle": 0.0}), servo)
     settling = max(scene.start.settle, LEAST_SETTLING)
@@ -142,17 +144,6 @@ def write_predicted_points(
             places = zip(LEG_POINTS, at_shares(nodes))
             rows += [(t, f"{leg}_{name}", place) for name, place in places]
     write_points(path, rows, ["Predicted by scripts/twin"])
-
-
-def _imposed(servo: ServoSettings, hold: float) -> ServoSettings:
-    """A servo whose spool follows given angles."""
-    changes = {
-        "model": "ideal",
-        "ideal_rpm": FREE_RPM,
-        "lag": hold / 2,
-        "backlash_deg": 0.0,
-    }
-    return config.replace(servo, changes)
 
 
 def _commands(

@@ -222,7 +222,7 @@ class Errors:
     samples: int
 
 
-def errors(run: Array, measured: Array, block: int, seed: int = 0) -> Errors:
+def errors(run: Array, measured: Array, block: int) -> Errors:
     """Errors of series (n,) with blocks of `block` samples; raises ValueError for other shapes."""
     if run.shape != measured.shape or run.ndim != 1 or not len(run):
         raise ValueError(
@@ -232,7 +232,7 @@ def errors(run: Array, measured: Array, block: int, seed: int = 0) -> Errors:
     value = metrics(_parts(off[None])[:, 0].tolist(), span)
     interval = dict.fromkeys(NAMES, (math.nan, math.nan))
     if len(off) >= LEAST_BLOCKS * block:
-        drawn = _parts(_drawn(off, block, np.random.default_rng(seed)))
+        drawn = _parts(_drawn(off, block, np.random.default_rng(0)))
         ends = np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=1)
         crosses_zero = ends[0, 2] < 0.0 < ends[1, 2]
         ends[:, 2] = np.sort(np.abs(ends[:, 2]))

@@ -383,5 +383,3 @@ STEPS = {
         (1e-2, 13.0),
     )
 }
-
-CASES = {**IMPACTS, **PULLS, **PARAMETERS, **FOLDS, **IN_SPACE, **STEPS}
