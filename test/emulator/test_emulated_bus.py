@@ -344,7 +344,8 @@ def test_joint_conversions_are_inverse_to_each_other():
             assert joint.tendon(joint.counts(angle)) == pytest.approx(
                 angle, abs=RAD_PER_COUNT
             )
-        assert joint.tendon_torque(joint.servo_torque(0.3)) == pytest.approx(0.3)
+        torque = joint.direction * joint.ratio * joint.servo_torque(0.3)
+        assert torque == pytest.approx(0.3)
     with pytest.raises(ValueError, match="two servos with one id"):
         joints(dataclasses.replace(settings, ids=(1, 1, 2, 3)))
     with pytest.raises(ValueError, match="not within one turn"):

@@ -4,7 +4,7 @@ import pytest
 from supervisor_bench import bench_in
 
 from slot_core.clock import SECOND
-from slot_core.safety.emergency_stop import EmergencyStop
+from slot_core.safety.conditions import EmergencyStop
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import Request, State
 

@@ -75,7 +75,7 @@ class SerialPort(PortHandler):
 
     def clearPort(self) -> None:  # noqa: N802
         """Discard the bytes received so far; raises PortError."""
-        self._guard(self._discard)
+        self._guard(lambda: self.ser.reset_input_buffer())  # noqa: PLW0108 - ser may be None
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Up to `length` bytes; blocks until the first or the timeout; raises PortError."""
@@ -111,9 +111,6 @@ class SerialPort(PortHandler):
                 break
             dropped += len(data)
         return dropped
-
-    def _discard(self) -> None:
-        self.ser.reset_input_buffer()
 
     def _await(self, length: int, timeout: float) -> bytes:
         if length <= 0:  # the SDK asks for that after a corrupted length field

@@ -124,7 +124,10 @@ class StateEstimator:
         if rate is None or force is None or not self._advances("imu", stamp):
             return
         if self._mount is not None:
-            rate, force = _in_base(rate, force, *self._mount)
+            # f = R f_imu - w x (w x r); no IMU measures the angular acceleration's share
+            rotation, place = self._mount
+            rate = product(rotation, rate)
+            force = product(rotation, force) - np.cross(rate, np.cross(rate, place))
         sample = np.concatenate([rate, force])
         self._imu = self._imu.followed(stamp, sample, self._settings.buffers.imu)
         self._process_due()
@@ -246,7 +249,9 @@ class StateEstimator:
         if accepted:
             self._accept(stamp)
         else:
-            self._reject(motion)
+            self._rejected.append(motion)
+            if self._accepted < self._settings.gate.initial_readings:
+                self._accepted = 0  # not valid yet: the readings are counted anew
         if motion is not None and self._has_relocalised():
             self._start(motion)
             return
@@ -287,12 +292,6 @@ class StateEstimator:
         self._accepted_stamp = stamp
         self._accepted += 1
         self._rejected.clear()
-
-    def _reject(self, motion: OdometryMotion | None) -> None:
-        """Count a rejection; before the filter is valid it restarts the count of readings."""
-        self._rejected.append(motion)
-        if self._accepted < self._settings.gate.initial_readings:
-            self._accepted = 0
 
     def _has_relocalised(self) -> bool:
         """Whether `max_rejections` readings in a row were rejected and agree with each other."""
@@ -365,17 +364,6 @@ def _mount(imu: Mount) -> tuple[Array, Array] | None:
     rotation = matrix_of_rpy(imu.rpy)
     place = np.array(imu.position)
     return (rotation, place) if np.any(imu.rpy) or place.any() else None
-
-
-def _in_base(
-    rate: Array, force: Array, rotation: Array, place: Array
-) -> tuple[Array, Array]:
-    """Angular velocity and specific force of base_link from those of an IMU at `place` on it.
-
-    f = R f_imu - w x (w x r); the angular acceleration's share is neglected, as no IMU measures it.
-    """
-    w = product(rotation, rate)
-    return w, product(rotation, force) - np.cross(w, np.cross(w, place))
 
 
 def _known(variance: Array, nominal: Array) -> Array:

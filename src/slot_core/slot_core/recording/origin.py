@@ -67,7 +67,8 @@ class Origin:
             return []
         about = dict(self.about)
         revision = about.pop("revision", "unknown")
-        lines = [f"recorded by  revision {revision}, {_pairs(about)}"]
+        pairs = ", ".join(f"{name} {value}" for name, value in about.items())
+        lines = [f"recorded by  revision {revision}, {pairs}"]
         try:
             changed = (
                 f"differs in {', '.join(names)}"
@@ -147,7 +148,3 @@ def _zipped(files: Mapping[str, bytes]) -> bytes:
         for name, data in files.items():
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
     return packed.getvalue()
-
-
-def _pairs(values: Mapping[str, str]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in values.items())

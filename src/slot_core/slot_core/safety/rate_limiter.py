@@ -103,12 +103,17 @@ class RateLimiter:
 
     def step(self, time: int, action: Action, fast: bool = False) -> Goals:
         """Goals at `time`; `fast` allows `rate_max` instead of `approach_rate`."""
-        elapsed = self._elapsed(time)
+        elapsed = 0 if self._time is None else max(time - self._time, 0)
+        self._time = time
         if action is not self._action:
             self._action, self._since, self._relaxed = action, time, False
-        self._budget = np.minimum(self._budget + elapsed, self.settings.burst)
+        budget = self._budget + to_seconds(elapsed)
+        self._budget = np.minimum(budget, self.settings.burst)
         if action is Action.PASS:
-            return self._move(self._commanded(time), self._rate(time, fast))
+            age = to_seconds(time - self._accepted)
+            angle = extrapolated(self._target, self._target_rate, age)
+            goal = np.clip(angle, 0.0, self._angle_max)
+            return self._move(goal, self._rate(time, fast))
         if action is Action.RELAX:
             return self._relax(time)
         return unchanged(action, self._goal, action is Action.HOLD)
@@ -116,19 +121,6 @@ class RateLimiter:
     def restart_rate(self, time: int) -> None:
         """Start the growth of the rate from `approach_rate` to `rate_max` anew at `time`."""
         self._since = time
-
-    def _commanded(self, time: int) -> Array:
-        """Angles (4,), rad, of the command at `time`."""
-        age = to_seconds(time - self._accepted)
-        return np.clip(
-            extrapolated(self._target, self._target_rate, age), 0.0, self._angle_max
-        )
-
-    def _elapsed(self, time: int) -> float:
-        """Seconds since the last step."""
-        elapsed = 0 if self._time is None else max(time - self._time, 0)
-        self._time = time
-        return to_seconds(elapsed)
 
     def _rate(self, time: int, fast: bool) -> float:
         """Largest rate of the goals, rad/s."""

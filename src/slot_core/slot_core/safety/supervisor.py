@@ -172,7 +172,10 @@ class Supervisor:
             self._motion.observe(time, estimate.state, self._command)
         else:
             self._motion.pause()
-        self._height = self._clamp_heights(estimate.state)
+        state = estimate.state
+        self._height = np.full(len(LEGS), np.nan)
+        if np.isfinite(state).all():
+            self._height = self._robot.clamp_heights(state[5], *state[:2])
 
     def receive_command(
         self, now: int, stamp: int, angle: Array, rate: Array = AT_REST
@@ -427,9 +430,3 @@ class Supervisor:
             self._tendons = self._watch.state
         elif after is State.RELAX:
             self._faulty = condition in REASONS_TO_RELAX
-
-    def _clamp_heights(self, state: Array) -> Array:
-        """(4,) m over the floor; NaN where the state is not finite."""
-        if not np.isfinite(state).all():
-            return np.full(len(LEGS), np.nan)
-        return self._robot.clamp_heights(state[5], *state[:2])

@@ -30,14 +30,7 @@ from slot_core.safety.states import Action
 
 NO_LIMITS = "no limits of the supervisor yet"
 ZEROS, UNKNOWN = partial(np.zeros, len(LEGS)), partial(np.full, len(LEGS), np.nan)
-
-
-def _no() -> NDArray[np.bool_]:
-    return np.zeros(len(LEGS), dtype=np.bool_)
-
-
-def _no_error() -> NDArray[np.int64]:
-    return np.zeros(len(LEGS), dtype=np.int64)
+NO, NO_ERROR = partial(ZEROS, dtype=np.bool_), partial(ZEROS, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -63,11 +56,11 @@ class ServoHealth:
     torque: NDArray[np.bool_]  # as read back
     goal: Array  # rad, tendon angles sent to the servos last
     # whether the rate limit held it back
-    slewed: NDArray[np.bool_] = field(default_factory=_no)
+    slewed: NDArray[np.bool_] = field(default_factory=NO)
     # s since the last answer; inf: never answered
     silence: Array = field(default_factory=ZEROS)
     # bits of HardwareError
-    hardware_error: NDArray[np.int64] = field(default_factory=_no_error)
+    hardware_error: NDArray[np.int64] = field(default_factory=NO_ERROR)
     temperature: Array = field(default_factory=UNKNOWN)  # degC; NaN: not known
     voltage: Array = field(default_factory=UNKNOWN)  # V; NaN: not known
     # share of the last exchanges that failed

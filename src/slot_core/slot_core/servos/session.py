@@ -24,7 +24,6 @@ from slot_core.safety.rate_limiter import AT_REST
 from slot_core.safety.states import Action
 from slot_core.safety.watchdog import NO_LIMITS, Permission, ServoHealth, Watchdog
 from slot_core.servos.servo_bus import (
-    BusFacts,
     Cycle,
     RefusedError,
     ServoBus,
@@ -63,7 +62,14 @@ class ServoSession:
         Raises ConfigError for servos with a smaller range: the gait, the force map and the
         supervisor would not know of it.
         """
-        _check_range(bus.facts, angle_max)
+        facts = bus.facts
+        if facts.low > 0.0 or facts.high < angle_max:
+            low, high, largest = map(math.degrees, (facts.low, facts.high, angle_max))
+            raise ConfigError(
+                f"{facts.brand}.yaml: joints: range [{low:g}, {high:g}] deg, smaller than that of"
+                f" the tendon, [0, {largest:g}] deg; change tendon.angle_max_deg of robot.yaml"
+                " instead"
+            )
         self.bus = bus
         self.period = period
         self.action, self.reason = Action.OFF, "not started"
@@ -159,8 +165,11 @@ class ServoSession:
 
     def _command(self, now: int) -> None:
         """Step the watchdog, and give its goals to the bus."""
+        late = ""  # the bus cycle before, which has tripped a bus watchdog
+        if self._pause and any(servo.stopped for servo in self.bus.health):
+            late = f" after {self._pause:.2f} s without a bus cycle"
         for fault in [*self.faults(), *self.silent().values()][:1]:
-            self.watchdog.relax(fault + self._delay())
+            self.watchdog.relax(fault + late)
         goals = self.watchdog.step(now)
         self.action, self.reason = self.watchdog.action, self.watchdog.reason
         self._slewed = goals.slewed
@@ -171,15 +180,6 @@ class ServoSession:
             goals.action is not Action.HOLD
         ):  # goals under HOLD may be below the range of commands
             self.bus.command(goals.angle)
-
-    def _delay(self) -> str:
-        """How late the bus cycle was that has tripped a bus watchdog, for the reason; or ""."""
-        stopped = any(servo.stopped for servo in self.bus.health)
-        return (
-            f" after {self._pause:.2f} s without a bus cycle"
-            if stopped and self._pause
-            else ""
-        )
 
     def stop(self) -> TorqueOff:
         """Ramp the tendons to slack, then torque off, read back; blocks during the ramp.
@@ -277,15 +277,6 @@ class ServoSession:
         if pause > self.bus.facts.watchdog:
             self._pause = pause
         self._last_step = now
-
-
-def _check_range(facts: BusFacts, angle_max: float) -> None:
-    if facts.low > 0.0 or facts.high < angle_max:
-        low, high, largest = map(math.degrees, (facts.low, facts.high, angle_max))
-        raise ConfigError(
-            f"{facts.brand}.yaml: joints: range [{low:g}, {high:g}] deg, smaller than that of"
-            f" the tendon, [0, {largest:g}] deg; change tendon.angle_max_deg of robot.yaml instead"
-        )
 
 
 def _known(servos: tuple[ServoStatus, ...], name: str) -> Array:

@@ -142,13 +142,12 @@ class ClosedLoop:
             elif isinstance(r, ImageReading) and self._localizer is not None:
                 fix = self._localizer.locate(r.stamp, r.grey)
                 self.controller.estimator.add_odometry(*fix.odometry)
-            elif isinstance(r, OdometryReading) and not self._is_lost(r.stamp):
+            elif isinstance(r, OdometryReading):
+                if self._lost_from <= r.stamp < self._lost_until:
+                    continue
                 self.controller.estimator.add_odometry(
                     r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity
                 )
-
-    def _is_lost(self, stamp: int) -> bool:
-        return self._lost_from <= stamp < self._lost_until
 
 
 def _require_below(parts: Sequence[str], changes: Mapping[str, Any]) -> None:

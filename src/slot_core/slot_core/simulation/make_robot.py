@@ -52,7 +52,9 @@ def bring_to_rest(robot: SimulatedRobot) -> None:
         return
     angle = np.full(len(LEGS), math.radians(start.tendon_angle_deg))
     for _ in range(round(SETTLE_MAX / SETTLE_PIECE)):
-        speed, acceleration = _motion(robot)
+        turned = product(robot.rotation, robot.specific_force)
+        acceleration = norm(turned + np.array(robot.scene.gravity))  # m/s^2
+        speed = norm(robot.velocity)  # m/s
         if speed <= SPEED_AT_REST and acceleration <= ACCELERATION_AT_REST:
             robot.steps = 0
             return
@@ -62,11 +64,3 @@ def bring_to_rest(robot: SimulatedRobot) -> None:
         f" {1e3 * speed:.3g} mm/s, limit {1e3 * SPEED_AT_REST:g} mm/s, and"
         f" {acceleration:.3g} m/s^2, limit {ACCELERATION_AT_REST:g} m/s^2"
     )
-
-
-def _motion(robot: SimulatedRobot) -> tuple[float, float]:
-    """Speed, m/s, and acceleration, m/s^2, of the torso."""
-    acceleration = product(robot.rotation, robot.specific_force) + np.array(
-        robot.scene.gravity
-    )
-    return norm(robot.velocity), norm(acceleration)

@@ -171,9 +171,9 @@ class RobotSimulator:
     def advance(self, until: int) -> Iterator[Reading]:
         """Advance to `until` (ns) and yield each reading when it is due."""
         while self.timeline.next_due <= until:
-            event = self.timeline.pop()
-            self._simulate(event.due)
-            yield from event.action()
+            due, _, action = self.timeline.pop()
+            self._simulate(due)
+            yield from action()
         self._simulate(until)
 
     def advance_to_odometry(self) -> Iterator[Reading]:
@@ -192,18 +192,15 @@ class RobotSimulator:
         """Advance in whole time steps; the periods of `config/scene` are multiples of the step."""
         while (steps := (until - self.now) // self._step) > 0:
             if self.now >= self._next_cycle:
-                self._goal = self._commanded()
+                age = to_seconds(self.now - self._commanded_at)
+                angle = extrapolated(self._command, self._rate, age)
+                most = self.robot.parameters.tendon.angle_max
+                self._goal = np.clip(angle, 0.0, most)
                 self._next_cycle = self.now + to_ns(CYCLE)
             steps = min(steps, -((self.now - self._next_cycle) // self._step))
             if not self.held:
                 self._advance_robot(steps)
             self.timeline.now += steps * self._step
-
-    def _commanded(self) -> Array:
-        """Commanded tendon angles (4,), rad, now."""
-        age = to_seconds(self.now - self._commanded_at)
-        angle = extrapolated(self._command, self._rate, age)
-        return np.clip(angle, 0.0, self.robot.parameters.tendon.angle_max)
 
     def _advance_robot(self, steps: int) -> None:
         if self.emulated is None:
@@ -230,16 +227,14 @@ class RobotSimulator:
         delay = self._odometry.delay() if self._camera is None else self._camera.delay
         self._delivered = max(self._delivered, self.now + to_ns(delay))
         self.timeline.schedule(self._delivered, lambda: [reading])
-        return [self._true_state(truth)] if self._scene.sensors.truth else []
+        if not self._scene.sensors.truth:
+            return []
+        r = self.robot
+        shape = r.nodes, r.directors
+        return [TrueState(self.now, truth, r.tension, r.ground_force, *shape)]
 
     def _odometry_or_image(self, truth: OdometryReading, since: float) -> Reading:
         """Odometry, or the image in its place, `since` the start (s)."""
         if self._camera is not None:
             return self._camera.sample(self.robot, self.now)
         return self._odometry.sample(truth, since)
-
-    def _true_state(self, truth: OdometryReading) -> TrueState:
-        sim = self.robot
-        return TrueState(
-            self.now, truth, sim.tension, sim.ground_force, sim.nodes, sim.directors
-        )

@@ -88,8 +88,13 @@ class RodRobot(KernelRobot):
         done, where = integrator.advance(self.handle, steps)
         self.steps += done
         if where >= 0:
+            leg, node = divmod(where - 1, self.scene.solver.nodes)
+            place = f"leg {LEGS[leg]} node {node}" if where else "torso"
+            limit = self.scene.solver.speed_limit
             raise DivergenceError(
-                self._divergence_message(where), self.snapshot() | {"command": command}
+                f"simulation diverged in step {self.steps + 1} at {self.time:.4f} s: {place} is"
+                f" beyond {limit} m/s or not a number",
+                self.snapshot() | {"command": command},
             )
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
@@ -161,15 +166,6 @@ class RodRobot(KernelRobot):
     def _observe(self) -> tuple[Array, Array]:
         observe.points(self.model, self.state, self._points[0], self._points[1])
         return self._points[0], self._points[1]
-
-    def _divergence_message(self, where: int) -> str:
-        leg, node = divmod(where - 1, self.scene.solver.nodes)
-        place = f"leg {LEGS[leg]} node {node}" if where else "torso"
-        limit = self.scene.solver.speed_limit
-        return (
-            f"simulation diverged in step {self.steps + 1} at {self.time:.4f} s: {place} is beyond"
-            f" {limit} m/s or not a number"
-        )
 
 
 def _state_shapes(model: Model) -> list[tuple[int, ...]]:

@@ -56,7 +56,8 @@ class OdometrySensor:
         """
         s, noise = self._settings, normal(self._rng, (4, 3))
         displacement = self._displacement(since)
-        if self._is_lost(since):
+        within = any(d.time <= since < d.time + d.duration for d in s.dropouts.values())
+        if since > 0.0 and (self._trouble.random() < s.loss or within):
             return lost_odometry(truth.stamp)
         position = truth.position + s.position_noise * noise[0]
         turn = quaternion_of_vector(s.orientation_noise * noise[1])
@@ -95,11 +96,6 @@ class OdometrySensor:
             if since > 0.0 and j.time <= since
         ]
         return self._drift + np.sum(jumps, axis=0) if jumps else self._drift
-
-    def _is_lost(self, since: float) -> bool:
-        s = self._settings
-        within = any(d.time <= since < d.time + d.duration for d in s.dropouts.values())
-        return since > 0.0 and bool(self._trouble.random() < s.loss or within)
 
 
 class ImuSensor:

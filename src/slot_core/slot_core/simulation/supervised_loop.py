@@ -92,21 +92,17 @@ class SupervisedLoop:
         Raises DivergenceError when the simulation diverges.
         """
         if self.report is None:
-            yield self._begin()
+            self._take(self.plant.readings_at_rest(LOCKSTEP_START))
+            report = self.supervise(self.servos.report())
+            self.plant.start(LOCKSTEP_START)
+            self.servos.start()
+            assert report is not None
+            yield report
         end = self.plant.now + to_ns(seconds)
         while self.plant.now < end:
             report = self._take(self.plant.advance_to_reading(StampedHealth))
             if report is not None:
                 yield report
-
-    def _begin(self) -> Report:
-        """Take the readings at rest, step the supervisor once, start the robot's clock."""
-        self._take(self.plant.readings_at_rest(LOCKSTEP_START))
-        report = self.supervise(self.servos.report())
-        self.plant.start(LOCKSTEP_START)
-        self.servos.start()
-        assert report is not None
-        return report
 
     def _take(self, readings: Iterable[Reading]) -> Report | None:
         """Take readings in turn; returns the supervisor's report on the servos' reading."""
@@ -151,25 +147,17 @@ class SupervisedLoop:
         """Step the supervisor on a report of the servos, which take its permission."""
         if "supervisor" not in self.running:
             return None
-        last, self.report = self.report, self.ticked.step(report.stamp, report.health)
-        self.loop.controller.scheduler.set_followed(self.report.followed)
-        if last is None or (last.state, last.since) != (
-            self.report.state,
-            self.report.since,
-        ):
-            self._request_gait(self.report)
-        found = self.report
-        now = report.stamp
+        last, now, scheduler = self.report, report.stamp, self.loop.controller.scheduler
+        self.report = found = self.ticked.step(now, report.health)
+        scheduler.set_followed(found.followed)
+        changed = last is None or (last.state, last.since) != (found.state, found.since)
+        if changed and not found.keeps_gait:
+            walking = found.state is State.WALKING
+            scheduler.request(*(self._gait if walking else (STAND, np.zeros(3))))
         self.servos.permit(
             Permission(now, found.action, found.followed, found.reason, now)
         )
-        return self.report
-
-    def _request_gait(self, report: Report) -> None:
-        if not report.keeps_gait:
-            walking = report.state is State.WALKING
-            gait = self._gait if walking else (STAND, np.zeros(3))
-            self.loop.controller.scheduler.request(*gait)
+        return found
 
 
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from slot_core import config
 from slot_core.config import quantity
-from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.emulator.emulated_servo import EmulatedServo, ServoModel
 from slot_core.dynamixel.emulator.instructions import execute, read_data, uint16
 from slot_core.dynamixel.emulator.shaft import Motor
@@ -76,7 +76,10 @@ class EmulatedBus:
     def __init__(
         self, settings: EmulatorSettings, ids: Sequence[int], angles: Sequence[float]
     ) -> None:
-        motor = _motor(read_servo(), settings.servo.voltage)
+        servo, voltage = read_servo(), settings.servo.voltage
+        servo.require_voltage(voltage)
+        speed, stall = float(servo.speed(voltage)), float(servo.stall(voltage))
+        motor = Motor(voltage, speed, stall, servo.motor_time)
         self.settings = settings
         self.servos = tuple(
             EmulatedServo(identity, settings.servo, motor, angle)
@@ -263,13 +266,6 @@ _EVENTS = {  # faults that happen at once and are not taken back
 def read_emulator() -> EmulatorSettings:
     """The settings of `config/emulator.yaml`; raises ConfigError."""
     return config.read(EmulatorSettings, "emulator")
-
-
-def _motor(servo: ServoSettings, voltage: float) -> Motor:
-    """The motor of `servo.yaml` at a supply voltage (V); raises ConfigError."""
-    servo.require_voltage(voltage)
-    speed, stall = float(servo.speed(voltage)), float(servo.stall(voltage))
-    return Motor(voltage, speed, stall, servo.motor_time)
 
 
 def _requests(packet: Packet) -> Iterator[tuple[int, int, int]]:

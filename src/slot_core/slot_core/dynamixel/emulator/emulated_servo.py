@@ -168,11 +168,16 @@ class EmulatedServo:
         """Advance by dt s under a load torque (N m); a positive one lowers the angle."""
         self.time += dt
         self._boot_left = max(self._boot_left - dt, 0.0)
-        self._check_watchdog()
+        if self.watchdog_left() < 0.0:
+            self.stop_by_watchdog()
         self._unsimulated += dt
-        while self._unsimulated >= self.model.loop_period - 1e-9:
-            self._unsimulated -= self.model.loop_period
-            self._loop(load, self.model.loop_period)
+        h = self.model.loop_period
+        while self._unsimulated >= h - 1e-9:
+            self._unsimulated -= h
+            duty = self._duty(h) if self.memory["torque_enable"] else None
+            self.memory["present_pwm"] = round((duty or 0.0) * PWM_FULL)
+            shaft_duty = None if duty is None else self._sign * duty
+            self.shaft.advance(shaft_duty, load, self.voltage, h)
         self._protect(dt)
 
     def _restart(self) -> None:
@@ -191,16 +196,6 @@ class EmulatedServo:
         for name in ("position_p_gain", "position_i_gain", "position_d_gain"):
             memory.restore(name)
         memory["goal_position"] = self.position()
-
-    def _check_watchdog(self) -> None:
-        if self.watchdog_left() < 0.0:
-            self.stop_by_watchdog()
-
-    def _loop(self, load: float, h: float) -> None:
-        duty = self._duty(h) if self.memory["torque_enable"] else None
-        self.memory["present_pwm"] = round((duty or 0.0) * PWM_FULL)
-        shaft_duty = None if duty is None else self._sign * duty
-        self.shaft.advance(shaft_duty, load, self.voltage, h)
 
     def _duty(self, h: float) -> float:
         memory, mode = self.memory, self.memory["operating_mode"]
