@@ -208,7 +208,7 @@ def test_only_a_silent_servo_has_no_reading_and_is_retried_in_its_first_cycle(ri
     assert max(silence[1:]) < 0.02
     # The others have one failure: the fast sync read that lacks the answer of FL.
     assert rig.driver.health[0].error_rate > 5 * rig.driver.health[1].error_rate > 0
-    rig.bus.clear(Fault("silent", "FL", 0, 0, 0))
+    rig.bus.set_fault(Fault("silent", "FL", 0, 0, 0), False)
     assert rig.run(0.02, (0.5,) * 4)[-1].complete
 
 

@@ -84,7 +84,7 @@ def test_a_driver_can_configure_again_after_a_replug(rig, tmp_path):
     rig.driver.close()
     with pytest.raises(PortError, match="servos"):
         rig.driver.configure()
-    rig.bus.clear(Fault("unplugged", "all", 0, 0, 0))
+    rig.bus.set_fault(Fault("unplugged", "all", 0, 0, 0), False)
     wait_for(link.exists)
     rig.start()
     assert rig.run(0.02)[-1].complete

@@ -196,7 +196,7 @@ def test_fast_sync_read_is_answered_in_one_packet_that_may_not_be_too_long(bus):
 
 
 def test_servos_after_a_silent_one_in_a_sync_read_do_not_answer(bus):
-    bus.inject(Fault("silent", "FR", 0, 0, 0))  # id 4
+    bus.set_fault(Fault("silent", "FR", 0, 0, 0), True)  # id 4
     for ids, answered in ((b"\5\4\2\3", [5]), (b"\5\2\3\4", [5, 2, 3])):
         answers = send(bus, BROADCAST, Instruction.SYNC_READ, region("led") + ids)
         assert [answer[0] for answer in answers] == answered
@@ -277,7 +277,7 @@ def test_a_stalled_servo_switches_torque_off_by_overload(bus):
 
 def test_input_voltage_error_switches_torque_off_only_if_set_in_shutdown(bus):
     write(bus, "torque_enable", 1)  # default of Shutdown: without input voltage
-    bus.inject(Fault("undervoltage", "FL", 0, 0, 5.0))
+    bus.set_fault(Fault("undervoltage", "FL", 0, 0, 5.0), True)
     run(bus, 0.002)
     assert (read(bus, "hardware_error_status"), read(bus, "torque_enable")) == (1, 1)
 

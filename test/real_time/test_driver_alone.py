@@ -17,16 +17,17 @@ pytestmark = pytest.mark.real_time
 
 PULLED = 1.5  # rad
 DRIVER_PROGRAM = (
-    "from slot_nodes import dynamixel_driver_node; dynamixel_driver_node.main()"
+    "from slot_nodes import dynamixel_driver_node, runtime\n"
+    "runtime.run(dynamixel_driver_node.DynamixelDriverNode)"
 )
 # Raises ZeroDivisionError in its first diagnostics under torque.
 BROKEN_DRIVER = """
-from slot_nodes import diagnostics, dynamixel_driver_node
+from slot_nodes import diagnostics, dynamixel_driver_node, runtime
 original = diagnostics.of_servos
 def of_servos(stamp, session, *rest):
     return original(stamp // (not session.bus.active), session, *rest)
 diagnostics.of_servos = of_servos
-dynamixel_driver_node.main()
+runtime.run(dynamixel_driver_node.DynamixelDriverNode)
 """
 
 

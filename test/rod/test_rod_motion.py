@@ -12,8 +12,17 @@ from scipy.spatial.transform import Rotation
 from benchmarks.rod.exact import LEG, TPU
 from slot_core.refusal import DivergenceError
 from slot_core.rod.cosserat_rod import CosseratRod
-from slot_core.rod.model import FREE, Circle, Geometry, Loads, Material, Pose, Support
-from slot_core.rod.motion import RodState, Scheme
+from slot_core.rod.model import (
+    FREE,
+    Circle,
+    Geometry,
+    Loads,
+    Material,
+    Pose,
+    RodState,
+    Scheme,
+    Support,
+)
 
 
 def flying():

@@ -67,7 +67,7 @@ class IdealServos:
     def watchdog_left(self):
         return math.inf
 
-    def inject(self, fault):
+    def set_fault(self, fault, on):
         if fault.kind == "unplugged":
             self.unplugged = True
         else:

@@ -74,7 +74,7 @@ class SessionRig:
         return changes
 
     def inject(self, kind, leg):
-        self.servos.inject(Fault(kind, leg, 0.0, 0.0, 0.0))
+        self.servos.set_fault(Fault(kind, leg, 0.0, 0.0, 0.0), True)
 
 
 @pytest.fixture(params=["dynamixel", "ideal"])

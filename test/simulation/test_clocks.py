@@ -65,7 +65,7 @@ def test_lockstep_advances_from_one_reading_to_the_next_on_its_answer_alone(plan
 
 def test_real_time_advances_by_at_most_one_portion_and_reports_its_lag(plant):
     clock, present = RealTimeClock(plant, PORTION), NOW + 3 * PORTION + STEP // 2
-    clock.start(NOW)
+    plant.start(NOW)
     for portions in (1, 2, 3, 3):  # in whole steps
         list(clock.advance_to(present))
         assert plant.now == NOW + portions * PORTION
@@ -86,7 +86,7 @@ class LateDriver:
         self.driver.activate()
         self.watchdog = round(self.driver.facts.watchdog * SECOND)  # ns
         self.clock = BusClock(self.plant, self.plant.emulated, PORTION)
-        self.clock.start(NOW)
+        self.plant.start(NOW)
 
     def run(self, seconds, cycles=True):
         """Advance real time, with or without the bus cycles of the driver."""

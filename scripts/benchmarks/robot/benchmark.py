@@ -40,7 +40,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.refusal import DivergenceError
 from slot_core.robot import RobotParameters, read_robot
-from slot_core.rod.motion import Scheme
+from slot_core.rod.model import Scheme
 from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.rod_robot import RodRobot
 

@@ -23,7 +23,7 @@ from benchmarks.harness import timed
 from benchmarks.rod.exact import LEG, PUSH, TPU
 from benchmarks.rod.release import DURATION, SAMPLES, UNDAMPED, percent, release_row
 from slot_core.arrays import Array
-from slot_core.rod.motion import Scheme
+from slot_core.rod.model import Scheme
 
 FINE = {
     True: (30, 60),

@@ -22,8 +22,7 @@ from benchmarks.rod.exact import LEG, PUSH, TPU
 from slot_core.arrays import Array
 from slot_core.refusal import DivergenceError
 from slot_core.rod.cosserat_rod import CosseratRod
-from slot_core.rod.model import FREE
-from slot_core.rod.motion import RodState, Scheme
+from slot_core.rod.model import FREE, RodState, Scheme
 
 DURATION, SAMPLES = 1.0, 100  # s, number of samples of the tip
 OURS = "CosseratRod"

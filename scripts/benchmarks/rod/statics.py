@@ -11,8 +11,7 @@ from benchmarks.rod import exact
 from benchmarks.rod.exact import LEG, PUSH, THIN, THIN_MATERIAL, TPU
 from slot_core.arrays import Array
 from slot_core.rod.cosserat_rod import CosseratRod
-from slot_core.rod.model import Geometry, Loads, Material, Rectangle, Uniform
-from slot_core.rod.motion import RodState
+from slot_core.rod.model import Geometry, Loads, Material, Rectangle, RodState, Uniform
 
 NODES = (9, 17, 31, 61)
 STANDARD, FINE = 31, 61  # nodes at which the goals are set: in the plane, and in space

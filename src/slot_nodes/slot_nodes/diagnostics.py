@@ -90,8 +90,9 @@ class SupervisorDiagnostics:
 
     def publish(self, stamp: int, report: Report) -> None:
         """Publish the diagnostics at `stamp` (ns) if they are due; at once in a new state."""
-        make = partial(self._describe, stamp, report)
-        self._diagnostics.publish(stamp, make, report.state)
+        self._diagnostics.publish(
+            stamp, partial(self._describe, stamp, report), report.state
+        )
 
     def with_remark(self, report: Report) -> Report:
         """The report, whose warnings also name a command that the gait follows in part only."""
@@ -192,17 +193,9 @@ def of_servos(
     found = [
         _servo(s, active, silent.get(s.leg, ""), load) for s, load in zip(servos, loads)
     ]
-    message = array(stamp, [_bus(session, pace), *found])
-    for found_status in message.status:
-        found_status.hardware_id = session.bus.facts.brand
-    return message
-
-
-def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
-    level = ERROR if session.watchdog.overdue else OK
-    return status(
+    bus = status(
         "servo bus",
-        level,
+        ERROR if session.watchdog.overdue else OK,
         session.reason or "commands pass",
         action=session.action.value,
         rate_Hz=f"{pace.rate:.1f}",
@@ -210,6 +203,10 @@ def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
         cycle_longest_ms=f"{1e3 * pace.longest:.2f}",
         overruns=str(pace.overruns),
     )
+    message = array(stamp, [bus, *found])
+    for found_status in message.status:
+        found_status.hardware_id = session.bus.facts.brand
+    return message
 
 
 def _servo(

@@ -30,7 +30,6 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.robot import LEGS, read_robot
 from slot_core.safety.states import Action
-from slot_core.servos.brand import Brand
 from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_bus import (
     Cycle,
@@ -70,7 +69,8 @@ class DynamixelDriverNode(LifecycleNode):
             between=(0.0, 3600.0),
         )
         self._autostart = runtime.declare(self, "autostart", True, "configure at start")
-        self._session = make_session(brand, settings, 1.0 / rate)
+        angle_max = read_robot().tendon.angle_max
+        self._session = ServoSession(brand.make_bus(settings), angle_max, 1.0 / rate)
         self._port = self._session.bus.facts.port
         self._servo = read_servo()
         self._open = self._active = False
@@ -196,23 +196,22 @@ class DynamixelDriverNode(LifecycleNode):
             raise SystemExit(1)
 
     def _on_command(self, message: JointState) -> None:
-        self._require_sole_publisher("desired_joint_angles")
+        watchdog = self._session.watchdog
+        inputs.require_sole_publisher(self, "desired_joint_angles", watchdog.relax)
         stamp, angle, rate = decode.joint_command(message)
-        if self._session.watchdog.limits is None:
+        if watchdog.limits is None:
             return  # torque is off until the supervisor has sent them
         now = self.get_clock().now().nanoseconds
-        inputs.require_present(stamp, now, self._session.watchdog.clock_jump)
+        inputs.require_present(stamp, now, watchdog.clock_jump)
         if fault := self._session.offer(time.monotonic_ns(), stamp, angle, rate):
             raise ValueError(fault)
         if self._timer is not None:
             self._step()  # before the timer is due
 
     def _on_limits(self, message: ServoLimits) -> None:
-        self._require_sole_publisher("servo_limits")
-        self._session.watchdog.set_limits(decode.servo_limits(message))
-
-    def _require_sole_publisher(self, topic: str) -> None:
-        inputs.require_sole_publisher(self, topic, self._session.watchdog.relax)
+        watchdog = self._session.watchdog
+        inputs.require_sole_publisher(self, "servo_limits", watchdog.relax)
+        watchdog.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, message: RobotState) -> None:
         now = self.get_clock().now().nanoseconds
@@ -322,14 +321,3 @@ class DynamixelDriverNode(LifecycleNode):
     def _close(self) -> None:
         self._open = False
         self._session.bus.close()
-
-
-def make_session(brand: Brand, settings: Any, period: float) -> ServoSession:
-    """Bus and watchdog; raises ConfigError if the settings contradict each other."""
-    angle_max = read_robot().tendon.angle_max
-    return ServoSession(brand.make_bus(settings), angle_max, period, time.sleep)
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(DynamixelDriverNode)

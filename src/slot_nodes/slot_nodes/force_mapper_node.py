@@ -72,8 +72,3 @@ class ForceMapperNode(Node):
             self.get_logger().info(
                 f"tendon angle at its limit: {legs}", throttle_duration_sec=5.0
             )
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(ForceMapperNode)

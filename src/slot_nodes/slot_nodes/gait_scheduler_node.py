@@ -111,8 +111,3 @@ class GaitSchedulerNode(Node):
         self._scheduler.set_followed(request.data)
         response.success = True
         return response
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(GaitSchedulerNode)

@@ -24,6 +24,8 @@ from slot_nodes.process.executor import PolledGroup
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.safety.watchdog import Watchdog
 
+UNKNOWN = "UNKNOWN"  # in the name of a node that DDS tells a moment later
+
 
 def subscribe(
     node: Node,
@@ -156,15 +158,15 @@ def require_sole_publisher(
     name = node.resolve_topic_name(topic)
     if node.count_publishers(name) < 2:
         return
-    nodes = sorted(map(_full_name, node.get_publishers_info_by_topic(name)))
+    nodes = sorted(map(full_name, node.get_publishers_info_by_topic(name)))
     line = f"{name} has {len(nodes)} publishers, limit 1: {', '.join(nodes)}"
     relax(line)
     raise ValueError(line)
 
 
-def _full_name(endpoint: TopicEndpointInfo) -> str:
+def full_name(endpoint: TopicEndpointInfo) -> str:
     """Name of the node of a publisher, with its namespace."""
-    if "UNKNOWN" in endpoint.node_name:  # DDS has the name a moment later
+    if UNKNOWN in endpoint.node_name:
         return "a new node"
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 

@@ -89,8 +89,3 @@ class MarkerLocalizerNode(Node):
                 f"image at {to_seconds(fix.stamp):.3f} s: {reason}",
                 throttle_duration_sec=1.0,
             )
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(MarkerLocalizerNode)

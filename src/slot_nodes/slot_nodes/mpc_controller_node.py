@@ -104,8 +104,3 @@ class MpcControllerNode(Node):
     def _prepare(self) -> None:
         self._preparation.cancel()
         self._policy.prepare()
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(MpcControllerNode)

@@ -86,11 +86,5 @@ class StateEstimatorNode(Node):
         self._diagnostics.publish(estimate.stamp, partial(self._describe, estimate))
 
     def _describe(self, estimate: Estimate) -> DiagnosticArray:
-        incline = self._estimator.incline
-        status = diagnostics.of_estimator(estimate.validity, incline)
+        status = diagnostics.of_estimator(estimate.validity, self._estimator.incline)
         return diagnostics.array(estimate.stamp, [status])
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(StateEstimatorNode)

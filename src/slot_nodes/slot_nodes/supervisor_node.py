@@ -76,7 +76,9 @@ class SupervisorNode(Node):
         autostart = runtime.declare(
             self, "autostart", False, "stand up and walk without requests"
         )
-        self._start_up = StartUp(*self._start_up_requests() if autostart else ())
+        walk = [Request.WALK] * (self._walk.gait != STAND)
+        steps = [Request.READY, Request.STAND, *walk] if autostart else []
+        self._start_up = StartUp(*steps)
         self._ticked = TickedSupervisor(self._supervisor, self._start_up)
         self._gathered = LockstepInputs()
         self._last: Report | None = None
@@ -136,10 +138,6 @@ class SupervisorNode(Node):
         gaits.require_velocity(gait, np.array([v_x, v_y, turn]))
         return messages.gait_request(gait, v_x, v_y, turn)
 
-    def _start_up_requests(self) -> list[Request]:
-        walks = self._walk.gait != STAND
-        return [Request.READY, Request.STAND, *[Request.WALK][:walks]]
-
     def _subscribe_to_controller(self) -> None:
         """Subscribe to the controller; a silent gait scheduler shows as missing plans.
 
@@ -186,8 +184,9 @@ class SupervisorNode(Node):
 
     def _receive_plan(self, now: int, plan: TendonPlan) -> None:
         self._diagnostics.plan = plan
-        given = plan.status, plan.fallback_cycles, plan.period
-        self._supervisor.receive_mpc(now, *given)
+        self._supervisor.receive_mpc(
+            now, plan.status, plan.fallback_cycles, plan.period
+        )
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
@@ -316,8 +315,3 @@ class SupervisorNode(Node):
             walking = report.state is State.WALKING
             stand = messages.gait_request(STAND, 0.0, 0.0, 0.0)
             self._wanted["gait"] = self._walk if walking else stand
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(SupervisorNode)

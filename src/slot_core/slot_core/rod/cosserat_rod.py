@@ -15,7 +15,6 @@ one plane. Tangent and elimination are in `assembly.py` and `elimination.py`.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
@@ -26,15 +25,18 @@ from slot_core.rod.mesh import build_mesh
 from slot_core.rod.model import (
     CLAMPED,
     FREE,
+    MIDPOINT,
+    Energy,
     Geometry,
     Loads,
     Material,
     Pose,
     RodError,
+    RodState,
+    Scheme,
     Support,
     need,
 )
-from slot_core.rod.motion import MIDPOINT, Energy, RodState, Scheme
 from slot_core.rod.statics import (
     Equilibrium,
     EquilibriumError,
@@ -263,10 +265,6 @@ class CosseratRod:
         matrix[at, at] = mesh.spin[:-1]
         return matrix
 
-    def free_unknowns(self) -> NDArray[np.intp]:
-        """Indices of the unknowns of `tangent` that exist and that no support holds."""
-        return free_unknowns(self.mesh)
-
     def natural_frequencies(self, count: int, loads: Loads = NO_LOADS) -> Array:
         """Lowest undamped natural frequencies (count,), Hz, about the present state at rest.
 
@@ -280,7 +278,7 @@ class CosseratRod:
             raise RodError(
                 "natural frequencies need loads with a potential: no moment, no follower"
             )
-        free = self.free_unknowns()
+        free = free_unknowns(self.mesh)
         square = np.ix_(free, free)
         stiffness, mass = self.tangent(loads)[square], self.mass_matrix()[square]
         metric = np.diag(self.mesh.metric[free])
@@ -314,15 +312,13 @@ class CosseratRod:
         )
         self.time += h * done
         if done < steps:
+            # node with the largest last increment, of its place or of the segment behind
+            change = np.abs(self._work.change[4:-3].reshape(-1, 4))
+            fastest = np.nan_to_num(change, nan=np.inf).max(axis=1).argmax()
             raise DivergenceError(
                 f"diverged after t = {self.time:g} s in step {done + 1} of {steps} "
-                f"(h = {h:g} s), largest change at node {self._fastest()}"
+                f"(h = {h:g} s), largest change at node {fastest}"
             )
-
-    def _fastest(self) -> int:
-        """Node with the largest last increment, of its place or of the segment behind."""
-        change = np.abs(self._work.change[4:-3].reshape(-1, 4))
-        return int(np.nan_to_num(change, nan=np.inf).max(axis=1).argmax())
 
     def _apply(self, loads: Loads) -> None:
         """Set the present loads, unless they are set already."""

@@ -20,7 +20,7 @@ from scipy.linalg import eigh
 from slot_core.arrays import Array
 from slot_core.rod import kernels
 from slot_core.rod.mesh import Mesh
-from slot_core.rod.model import RodError
+from slot_core.rod.model import need
 from slot_core.rod.work import RodWork
 
 FIRST_PROBE = 64  # divisor of the first step, which measures the first rate of turn
@@ -61,16 +61,13 @@ class StaticSettings:
     critical_tolerance: float = 1e-6  # of critical load factors, relative
 
     def __post_init__(self) -> None:
-        if self.side not in {-1, 1}:
-            raise RodError(f"side {self.side} must be -1 or 1")
-        if not 0.0 < self.least_step <= self.first_step <= 1.0:
-            raise RodError(
-                f"steps {self.least_step}, {self.first_step} must be within 0 .. 1"
-            )
-        if not self.tolerance > 0.0 or not self.critical_tolerance > 0.0:
-            raise RodError(
-                f"tolerances {self.tolerance}, {self.critical_tolerance} must be above 0"
-            )
+        least, first = self.least_step, self.first_step
+        newton, critical = self.tolerance, self.critical_tolerance
+        need(self.side in {-1, 1}, f"side {self.side} must be -1 or 1")
+        within = 0.0 < least <= first <= 1.0
+        need(within, f"steps {least}, {first} must be within 0 .. 1")
+        above = newton > 0.0 and critical > 0.0
+        need(above, f"tolerances {newton}, {critical} must be above 0")
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ from slot_core.safety.states import Action
 
 NO_LIMITS = "no limits of the supervisor yet"
 ZEROS, UNKNOWN = partial(np.zeros, len(LEGS)), partial(np.full, len(LEGS), np.nan)
-NO, NO_ERROR = partial(ZEROS, dtype=np.bool_), partial(ZEROS, dtype=np.int64)
+NO = partial(np.zeros, len(LEGS), np.bool_)
+NO_ERROR = partial(np.zeros, len(LEGS), np.int64)
 
 
 @dataclass(frozen=True)

@@ -83,17 +83,9 @@ class RealTimeClock:
         """`portion`: largest time to simulate at once, ns, so that commands are taken between."""
         self._plant, self._portion = plant, portion
 
-    def start(self, now: int) -> None:
-        """Start the time of the robot at `now`."""
-        self._plant.start(now)
-
     def advance_to(self, now: int) -> Iterator[Reading]:
         """Advance towards `now` by at most one portion."""
         return self._plant.advance(min(now, self._plant.now + self._portion))
-
-    def lag(self, now: int) -> int:
-        """Time by which the robot is behind `now`, ns."""
-        return now - self._plant.now
 
 
 class BusClock(RealTimeClock):

@@ -112,8 +112,7 @@ class FaultInjection:
         """Apply a fault that is in `_faults` to a leg, or remove it."""
         if fault.kind in BUS_KINDS:
             assert self._emulated is not None
-            act = self._emulated.inject if on else self._emulated.clear
-            act(dataclasses.replace(fault, leg=leg))
+            self._emulated.set_fault(dataclasses.replace(fault, leg=leg), on)
         elif fault.kind != NAN:
             self._update_tendon(leg)
         elif on:

@@ -83,9 +83,9 @@ class DirectExecutor(SingleThreadedExecutor):
         if self._context.ok() and self._has_others():
             self._entities_changed = True  # a node may have been added or removed
             super().spin_once(timeout_sec=0.0)
-            for _ in (
-                self._waiting_tasks()
-            ):  # callbacks of an answer; nothing would wake them
+            # callbacks of an answer: nothing would wake rclpy, whose spin runs one task at a time
+            waiting = [t for t, *_ in self._tasks if not (t.done() or t.executing())]
+            for _ in waiting:
                 super().spin_once(timeout_sec=0.0)
             # rclpy takes the trigger of a signal, but ends only if the context has ended by then
             if self._sigint_gc is not None and self._sigint_gc._executor_triggered:
@@ -139,12 +139,6 @@ class DirectExecutor(SingleThreadedExecutor):
             if ready
             else []
         )
-
-    def _waiting_tasks(self) -> list[Any]:
-        """Tasks of rclpy that have not begun, of which its spin runs one at a time."""
-        return [
-            task for task, *_ in self._tasks if not (task.done() or task.executing())
-        ]
 
     def _has_others(self) -> bool:
         """Whether anything but a message or a timer is ready."""

@@ -121,17 +121,11 @@ class EmulatedBus:
         with self._lock:
             return min(servo.watchdog_left() for servo in self.servos)
 
-    def inject(self, fault: Fault) -> None:
-        """Start a fault now; its time is not used."""
+    def set_fault(self, fault: Fault, on: bool) -> None:
+        """Start a fault now, or end it: then hardware errors stay until the servo is rebooted."""
         with self._lock:
             for leg in fault.legs:
-                self._apply(LEGS.index(leg), fault, True)
-
-    def clear(self, fault: Fault) -> None:
-        """End a fault; hardware errors stay until the servo is rebooted."""
-        with self._lock:
-            for leg in fault.legs:
-                self._apply(LEGS.index(leg), fault, False)
+                self._apply(LEGS.index(leg), fault, on)
 
     def _apply(self, index: int, fault: Fault, on: bool) -> None:
         servo, line = self.servos[index], self._line[index]

@@ -129,13 +129,9 @@ class EmulatedDynamixels:
         """Time after which the first bus watchdog stops its servo, s; inf if none is armed."""
         return self.bus.watchdog_left()
 
-    def inject(self, fault: Fault) -> None:
-        """Start a fault now; its time is not used."""
-        self.bus.inject(fault)
-
-    def clear(self, fault: Fault) -> None:
-        """End a fault; hardware errors stay until the servo is rebooted."""
-        self.bus.clear(fault)
+    def set_fault(self, fault: Fault, on: bool) -> None:
+        """Start a fault now, or end it: then hardware errors stay until the servo is rebooted."""
+        self.bus.set_fault(fault, on)
 
     def connect(self, clock: Clock) -> Driver:
         """Driver of these servos in the same process, on a clock (s)."""
