@@ -128,13 +128,6 @@ EXCHANGES = {
             TWO[0] + b"\4\5",
             [(4, 0, b"\xd0\7\0\0"), (5, 0, b"\xe8\3\0\0")],
         ),
-        (BROADCAST, Instruction.BULK_WRITE, TWO[1] + b"\1" + TWO[2] + b"\x0a\0", []),
-        (
-            BROADCAST,
-            Instruction.BULK_READ,
-            TWO[1] + TWO[2],
-            [(5, 0, b"\1"), (4, 0, b"\x0a\0")],
-        ),
     ],
     "indirect data is an alias of the indirect address": [
         (5, Instruction.WRITE, INDIRECT + b"\x74\0\x75\0\x76\0\x77\0", DONE),
@@ -203,16 +196,6 @@ def test_servos_after_a_silent_one_in_a_sync_read_do_not_answer(bus):
     (reply,) = fast_read(bus, region("led") + b"\5\4")
     assert len(reply.data) < 8 + 2 * 5  # shorter than its length field says
     assert not list(Parser().feed(reply.data))
-
-
-def test_factory_reset_keeps_the_id_if_asked_and_rejects_a_full_broadcast(bus):
-    write(bus, "temperature_limit", 50)
-    assert send(bus, BROADCAST, Instruction.FACTORY_RESET, b"\xff") == []
-    assert read(bus, "temperature_limit") == 50
-    assert send(bus, 5, Instruction.FACTORY_RESET, b"\1") == [(5, 0, b"")]
-    run(bus, 0.5)
-    assert read(bus, "temperature_limit") == 72
-    assert read(bus, "id") == 5
 
 
 @pytest.mark.parametrize(

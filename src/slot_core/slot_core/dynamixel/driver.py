@@ -143,7 +143,10 @@ class Driver:
             self._regulate(readings, h)
             written = self.clock()
         else:
-            self._write_positions()
+            if self.active:
+                goals = zip(self.joints, self._goal)
+                counts = {joint.id: joint.counts(goal) for joint, goal in goals}
+                self.bus.sync_write("goal_position", counts)
             written = self.clock()
             readings = self._read()
         self._update_health(readings)
@@ -259,14 +262,6 @@ class Driver:
         ):
             self.bus.write_verified(joint.id, register, value)
         return []
-
-    def _write_positions(self) -> None:
-        """Write the goals while torque is on."""
-        if self.active:
-            goals = zip(self.joints, self._goal)
-            self.bus.sync_write(
-                "goal_position", {joint.id: joint.counts(goal) for joint, goal in goals}
-            )
 
     def _regulate(self, readings: tuple[ServoReading | None, ...], h: float) -> None:
         """Write the duty of the host PID."""

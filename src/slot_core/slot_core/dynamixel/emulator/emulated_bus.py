@@ -1,6 +1,6 @@
 """Emulated bus of four XL430-W250: instruction packets in, status packets out, faults, time.
 
-Every servo receives every byte. In a sync or bulk read each servo answers after the one before it
+Every servo receives every byte. In a sync read each servo answers after the one before it
 has answered: if one does not answer, those after it do not either (the worse of the two behaviours
 that users report). A packet with a wrong CRC is answered with the CRC error if it has the id of one
 servo, and not at all if it is a broadcast. Every intact instruction on the bus, of any id, restarts
@@ -170,7 +170,8 @@ class EmulatedBus:
     def _dispatch(
         self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]
     ) -> Iterator[Reply]:
-        if packet.instruction in _CHAINED and packet.id == BROADCAST:
+        chained = Instruction.SYNC_READ, Instruction.FAST_SYNC_READ
+        if packet.instruction in chained and packet.id == BROADCAST:
             yield from self._chain(packet, receivers)
             return
         for index, servo in sorted(receivers, key=lambda item: item[1].memory["id"]):
@@ -195,17 +196,15 @@ class EmulatedBus:
     def _chain(
         self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]
     ) -> Iterator[Reply]:
-        """Answers to a sync or bulk read, one servo after the other."""
+        """Answers to a sync read, one servo after the other."""
         by_id = {servo.memory["id"]: (index, servo) for index, servo in receivers}
-        fast = packet.instruction in {
-            Instruction.FAST_SYNC_READ,
-            Instruction.FAST_BULK_READ,
-        }
+        fast = packet.instruction == Instruction.FAST_SYNC_READ
         parts, delay = [], 0.0
-        requests = list(_requests(packet))
-        if fast and sum(size + FAST_OVERHEAD for _, _, size in requests) > PACKET_MAX:
+        address, size = uint16(packet.parameters[:2]), uint16(packet.parameters[2:4])
+        ids = packet.parameters[4:]
+        if fast and len(ids) * (size + FAST_OVERHEAD) > PACKET_MAX:
             return  # the answer is longer than a packet
-        for identity, address, size in requests:
+        for identity in ids:
             index, servo = by_id.get(identity, (-1, None))
             if servo is None or self._line[index].silent:
                 break
@@ -218,7 +217,7 @@ class EmulatedBus:
                 continue
             yield from self._answer(index, status(identity, error, data))
         if parts:
-            yield from self._fast_answer(parts, len(requests), delay)
+            yield from self._fast_answer(parts, len(ids), delay)
 
     def _fast_answer(
         self, parts: list[tuple[int, tuple[int, int, bytes]]], count: int, delay: float
@@ -245,12 +244,6 @@ class EmulatedBus:
         return self.servos[index].memory["return_delay_time"] * RETURN_DELAY_UNIT
 
 
-_CHAINED = {
-    Instruction.SYNC_READ,
-    Instruction.FAST_SYNC_READ,
-    Instruction.BULK_READ,
-    Instruction.FAST_BULK_READ,
-}
 _EVENTS = {  # faults that happen at once and are not taken back
     "overload": lambda servo: servo.trip(HardwareError.OVERLOAD),
     "watchdog": lambda servo: servo.stop_by_watchdog(),
@@ -260,18 +253,6 @@ _EVENTS = {  # faults that happen at once and are not taken back
 def read_emulator() -> EmulatorSettings:
     """The settings of `config/emulator.yaml`; raises ConfigError."""
     return config.read(EmulatorSettings, "emulator")
-
-
-def _requests(packet: Packet) -> Iterator[tuple[int, int, int]]:
-    """Ids, addresses and sizes that a sync or bulk read asks for."""
-    parameters = packet.parameters
-    if packet.instruction in {Instruction.SYNC_READ, Instruction.FAST_SYNC_READ}:
-        for identity in parameters[4:]:
-            yield identity, uint16(parameters[:2]), uint16(parameters[2:4])
-        return
-    for start in range(0, len(parameters) - 4, 5):
-        part = parameters[start : start + 5]
-        yield part[0], uint16(part[1:3]), uint16(part[3:5])
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:

@@ -23,6 +23,7 @@ from slot_core.dynamixel.table import (
     PWM_FULL,
     RAD_PER_COUNT,
     RAD_S_PER_UNIT,
+    TABLE,
     VOLTAGE_UNIT,
     WATCHDOG_UNIT,
     Mode,
@@ -71,8 +72,7 @@ class EmulatedServo:
         self._overload_time = 0.0  # s for which the load has been too high
         self._unsimulated = 0.0  # s, shorter than a loop period
         self._trajectory = angle / RAD_PER_COUNT  # counts
-        self._turns = 0
-        self.clear_turns()
+        self._turns = math.floor(angle / math.tau)
         self._restart()
 
     @property
@@ -113,18 +113,9 @@ class EmulatedServo:
 
     def reboot(self) -> None:
         """Reboot: RAM at its initial values, torque off, no answers for `boot_time`."""
-        self.memory.reset(eeprom=False)
+        self.memory.reset()
         self._restart()
         self._boot_left = self.model.boot_time
-
-    def factory_reset(self, keep: tuple[str, ...]) -> None:
-        """Set EEPROM to its initial values except `keep`, then reboot."""
-        self.memory.reset(eeprom=True, keep=keep)
-        self.reboot()
-
-    def clear_turns(self) -> None:
-        """Reset the turn count: the position is within one turn again."""
-        self._turns = math.floor(self.shaft.angle / math.tau)
 
     def driven(self) -> bool:
         """Whether instructions move it: torque, and a duty, a speed or a goal away from it."""
@@ -194,7 +185,7 @@ class EmulatedServo:
         memory["goal_pwm"] = memory["pwm_limit"]
         memory["profile_velocity"] = memory["profile_acceleration"] = 0
         for name in ("position_p_gain", "position_i_gain", "position_d_gain"):
-            memory.restore(name)
+            memory[name] = TABLE[name].initial
         memory["goal_position"] = self.position()
 
     def _duty(self, h: float) -> float:
@@ -254,10 +245,6 @@ class EmulatedServo:
         if not memory["min_voltage_limit"] <= volts <= memory["max_voltage_limit"]:
             self.trip(HardwareError.INPUT_VOLTAGE)
 
-    def moving(self) -> bool:
-        """Whether the speed is above Moving Threshold."""
-        return abs(self._velocity()) > self.memory["moving_threshold"]
-
     def temperature(self) -> float:
         """Measured temperature, degC."""
         forced = self.forced_temperature
@@ -272,7 +259,8 @@ class EmulatedServo:
         memory["present_load"] = self._sign * round(
             min(max(load, -1.0), 1.0) * LOAD_FULL
         )
-        memory["moving"] = int(self.moving())
+        moving = abs(self._velocity()) > memory["moving_threshold"]
+        memory["moving"] = int(moving)
         memory["position_trajectory"] = round(self._trajectory)
         memory["present_input_voltage"] = round(self.voltage / VOLTAGE_UNIT)
         memory["present_temperature"] = round(min(max(self.temperature(), 0.0), 255.0))

@@ -52,22 +52,11 @@ class Memory:
         self._bytes[register.address : register.end] = register.encode(value)
         self._values[name] = int(value)
 
-    def reset(self, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
-        """Set the writable registers of RAM, with `eeprom` of EEPROM too, to their initial values.
-
-        `keep`: names of registers that keep their values.
-        """
+    def reset(self) -> None:
+        """Set the writable registers of RAM to their initial values."""
         for register in REGISTERS:
-            if (
-                (eeprom or not register.eeprom)
-                and register.writable
-                and register.name not in keep
-            ):
+            if register.writable and not register.eeprom:
                 self[register.name] = register.initial
-
-    def restore(self, name: str) -> None:
-        """Set a register to its initial value."""
-        self[name] = TABLE[name].initial
 
     def read(self, address: int, size: int) -> bytes:
         """`size` bytes from an address; raises RegisterError."""
