@@ -30,8 +30,6 @@ from slot_core.safety.states import Action
 
 NO_LIMITS = "no limits of the supervisor yet"
 ZEROS, UNKNOWN = partial(np.zeros, len(LEGS)), partial(np.full, len(LEGS), np.nan)
-NO = partial(np.zeros, len(LEGS), np.bool_)
-NO_ERROR = partial(np.zeros, len(LEGS), np.int64)
 
 
 @dataclass(frozen=True)
@@ -57,11 +55,15 @@ class ServoHealth:
     torque: NDArray[np.bool_]  # as read back
     goal: Array  # rad, tendon angles sent to the servos last
     # whether the rate limit held it back
-    slewed: NDArray[np.bool_] = field(default_factory=NO)
+    slewed: NDArray[np.bool_] = field(
+        default_factory=lambda: np.zeros(len(LEGS), dtype=np.bool_)
+    )
     # s since the last answer; inf: never answered
     silence: Array = field(default_factory=ZEROS)
     # bits of HardwareError
-    hardware_error: NDArray[np.int64] = field(default_factory=NO_ERROR)
+    hardware_error: NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros(len(LEGS), dtype=np.int64)
+    )
     temperature: Array = field(default_factory=UNKNOWN)  # degC; NaN: not known
     voltage: Array = field(default_factory=UNKNOWN)  # V; NaN: not known
     # share of the last exchanges that failed
