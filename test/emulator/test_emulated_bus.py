@@ -73,7 +73,7 @@ NO_ACCESS, WRONG_SIZE = [(5, Error.ACCESS, b"")], [(5, Error.DATA_LENGTH, b"")]
 GAINS = "position_d_gain"  # D, I and P have adjacent addresses
 INDIRECT = TABLE["indirect_address_1"].address.to_bytes(2, "little")
 ALIAS = TABLE["indirect_data_1"].address.to_bytes(2, "little")
-TWO = region("goal_position"), b"\5\x41\0\1\0", b"\4\x64\0\2\0"
+GOAL = region("goal_position")
 # Instructions with their id and parameters, and (id, error, data) of every answer.
 EXCHANGES = {
     "ping": [
@@ -115,17 +115,17 @@ EXCHANGES = {
         (5, Instruction.READ, region("led"), [(5, 0, b"\1")]),
         (5, Instruction.READ, region("registered_instruction"), [(5, 0, b"\0")]),
     ],
-    "sync and bulk instructions address the named servos": [
+    "sync instructions address the named servos": [
         (
             BROADCAST,
             Instruction.SYNC_WRITE,
-            TWO[0] + b"\5\xe8\3\0\0\4\xd0\7\0\0",
+            GOAL + b"\5\xe8\3\0\0\4\xd0\7\0\0",
             [],
         ),
         (
             BROADCAST,
             Instruction.SYNC_READ,
-            TWO[0] + b"\4\5",
+            GOAL + b"\4\5",
             [(4, 0, b"\xd0\7\0\0"), (5, 0, b"\xe8\3\0\0")],
         ),
     ],
@@ -234,12 +234,12 @@ def test_hardware_errors_switch_torque_off_until_reboot(bus, kind, value, bit):
     write(bus, "shutdown", 53)
     write(bus, "torque_enable", 1)
     fault = Fault(kind, "FL", 0, 0, value)
-    bus.inject(fault)
+    bus.set_fault(fault, True)
     run(bus, 0.002)
     assert send(bus, 5, Instruction.PING)[0][1] == ALERT
     assert (read(bus, "hardware_error_status"), read(bus, "torque_enable")) == (bit, 0)
     assert write(bus, "torque_enable", 1) == ALERT | Error.RESULT_FAIL
-    bus.clear(fault)
+    bus.set_fault(fault, False)
     run(bus, 0.002)
     assert read(bus, "hardware_error_status") == bit
     write(bus, "position_p_gain", 100)
