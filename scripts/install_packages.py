@@ -43,10 +43,14 @@ def install(package, prefix):
         for file in files:
             (prefix / folder / Path(file).name).symlink_to(package / file)
     entries = settings.get("entry_points", {}).get("console_scripts", [])
-    about = prefix / SITE / f"{settings['name']}-{settings['version']}.dist-info"
+    about = (
+        prefix / SITE / f"{settings['name']}-{settings['version']}.dist-info"
+    )
     about.mkdir(parents=True)
     (about / "METADATA").write_text(
-        "Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n".format(**settings)
+        "Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n".format(
+            **settings
+        )
     )
     (about / "entry_points.txt").write_text(
         "\n".join(["[console_scripts]", *entries, ""])
@@ -56,7 +60,9 @@ def install(package, prefix):
         program = prefix / "lib" / settings["name"] / name
         program.parent.mkdir(parents=True, exist_ok=True)
         program.write_text(
-            PROGRAM.format(python=sys.executable, module=module, function=function)
+            PROGRAM.format(
+                python=sys.executable, module=module, function=function
+            )
         )
         program.chmod(0o755)
 

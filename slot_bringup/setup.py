@@ -10,7 +10,10 @@ setup(
     packages=find_packages(),
     package_data={"slot_bringup": ["graph.yaml"]},
     data_files=[
-        ("share/ament_index/resource_index/packages", ["resource/slot_bringup"]),
+        (
+            "share/ament_index/resource_index/packages",
+            ["resource/slot_bringup"],
+        ),
         ("share/slot_bringup", ["package.xml"]),
         *((f"share/slot_bringup/{d}", glob(f"{d}/*")) for d in FOLDERS),
     ],

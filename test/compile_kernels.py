@@ -29,7 +29,9 @@ NO_STEP = 0
 def compile_robot():
     """A robot on rods, in lanes and leg by leg."""
     rods = RodRobot(
-        ROBOT, config.replace(read_scene("flat"), {"start.settle": 0.0}), read_servo()
+        ROBOT,
+        config.replace(read_scene("flat"), {"start.settle": 0.0}),
+        read_servo(),
     )
     _ = rods.momentum(), rods.energy(), rods.snapshot()
     integrator.advance_one_by_one(rods.handle, NO_STEP)
@@ -38,14 +40,17 @@ def compile_robot():
 def compile_many(kind, scene):
     """Many robots with a model of the legs."""
     start = config.replace(read_scene(scene), {"start.settle": 0.0})
-    ManyRobots([kind(ROBOT, start, read_servo())]).advance(np.zeros((1, 1, 4)), NO_STEP)
+    ManyRobots([kind(ROBOT, start, read_servo())]).advance(
+        np.zeros((1, 1, 4)), NO_STEP
+    )
 
 
 def compile_others():
     """A leg with friction at a held clamp, the public rod, and the solver of forces."""
     HeldLeg(ROBOT, 4, 0.0, 0.2).pull(0.01, 1.0)
     rod = CosseratRod(
-        Material(1e7, 3e6, 1200.0, 0.0), Geometry(0.2, Rectangle(0.02, (0.01, 0.01)))
+        Material(1e7, 3e6, 1200.0, 0.0),
+        Geometry(0.2, Rectangle(0.02, (0.01, 0.01))),
     )
     rod.state = rod.state
     rod.run(1e-3, NO_STEP)
@@ -55,5 +60,8 @@ def compile_others():
 
 
 if __name__ == "__main__":
-    many = [(compile_many, (RodRobot, "flat")), (compile_many, (TabulatedRobot, "map"))]
+    many = [
+        (compile_many, (RodRobot, "flat")),
+        (compile_many, (TabulatedRobot, "map")),
+    ]
     warm_up.run([(compile_robot, ()), *many, (compile_others, ())])

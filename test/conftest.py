@@ -56,7 +56,9 @@ def tick_time():
     from slot_core.simulation.closed_loop import ClosedLoop  # noqa: PLC0415 - slow to import
 
     loop = ClosedLoop("flat", "walk", None, 0)
-    times = [time.process_time() for _ in loop.run(BATCHES * TICKS + 1)][::TICKS]
+    times = [time.process_time() for _ in loop.run(BATCHES * TICKS + 1)][
+        ::TICKS
+    ]
     return min(map(sub, times[1:], times)) / TICKS * 1e3
 
 
@@ -84,5 +86,7 @@ def pytest_runtest_makereport(item, call):
     """Report a failure on a machine that did not keep up as skipped."""
     report = yield
     if LOAD in item.stash and call.excinfo is not None:
-        JUDGE.judge(report, item.location[:2], call.excinfo.value, item.stash[LOAD])
+        JUDGE.judge(
+            report, item.location[:2], call.excinfo.value, item.stash[LOAD]
+        )
     return report

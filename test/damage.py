@@ -30,7 +30,9 @@ def spliced(data, *inserted):
     """Strategy of `data` with bytes changed, inserted, removed or cut off, often near an end."""
     near = min(len(data), 4000)
     place = (
-        st.integers(0, len(data)) | st.integers(0, near) | st.integers(len(data) - near)
+        st.integers(0, len(data))
+        | st.integers(0, near)
+        | st.integers(len(data) - near)
     )
     removed = st.sampled_from([0, 1, 4, 200, len(data)])
     new = st.binary(max_size=20) | st.sampled_from(inserted or [b""])

@@ -26,8 +26,8 @@ class FaultyLoop(SupervisedLoop):
     def __init__(self, hardware="sim", scene="flat", seed=0):
         super().__init__(scene, "walk", None, seed, hardware=hardware)
         self.first = {}  # s since the fault, of an event
-        self.change_odometry = self.change_command = self.change_imu = lambda value: (
-            value
+        self.change_odometry = self.change_command = self.change_imu = (
+            lambda value: value
         )
         self.estop = {}  # sources of the e-stop by name: whether it is pressed
         self.clock_offset = 0  # ns, of the computer's clock
@@ -41,11 +41,15 @@ class FaultyLoop(SupervisedLoop):
         self._fault_at = begin
         list(self.run(begin))
         assert self.report.state is State.WALKING
-        self.plant.timeline.every(CYCLE, self._watch)  # after the cycle of the servos
+        self.plant.timeline.every(
+            CYCLE, self._watch
+        )  # after the cycle of the servos
         fault(self)
         for report in self.run(limit):
             self._note(report.state.name)
-            if any(line.startswith("no usable IMU") for line in report.warnings):
+            if any(
+                line.startswith("no usable IMU") for line in report.warnings
+            ):
                 self._note("warned")
             if last in self.first:
                 return
@@ -62,7 +66,11 @@ class FaultyLoop(SupervisedLoop):
             powered = health.torque
         if not any(powered):
             self._note("torque off")
-        if health is not None and health.slewed.any() and health.action is Action.PASS:
+        if (
+            health is not None
+            and health.slewed.any()
+            and health.action is Action.PASS
+        ):
             self._note("slewed")
         return []
 
@@ -158,5 +166,7 @@ class FaultyLoop(SupervisedLoop):
                 self.supervisor.receive_estop, source=source, pressed=pressed
             )
             self.ticked.add("e-stop", report.stamp, receive)
-        shifted = dataclasses.replace(report, stamp=report.stamp + self.clock_offset)
+        shifted = dataclasses.replace(
+            report, stamp=report.stamp + self.clock_offset
+        )
         return super().supervise(shifted)

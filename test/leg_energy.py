@@ -29,7 +29,9 @@ def leg_energy(model, node, angle, height):
     rod, still = model.rod, np.zeros(len(node) - 1)
     extension, bend = strains(rod, node)
     stored = elastic_energy(model, angle, extension, still, bend, still)
-    ends = np.column_stack([node[:-1, 1], node[1:, 1]]).ravel()  # of the segments
+    ends = np.column_stack(
+        [node[:-1, 1], node[1:, 1]]
+    ).ravel()  # of the segments
     depth = np.minimum(0.0, height + np.repeat(ends, 2))  # both edges touch
     floor = model.floor.stiffness @ depth**2 / 2
     return stored + floor - model.gravity[2] * rod.mass @ node[:, 1]
@@ -61,7 +63,11 @@ def chain_strains(rod, clamp, node, director, moved, twist):  # noqa: PLR0917
         turn = Rotation.from_rotvec(twist[k] * t) * Rotation.from_rotvec(axis)
         d = turn.apply(director[k])
         own = Rotation.from_matrix(np.column_stack([t, d, np.cross(t, d)]))
-        x, y, z = (before.inv() * own).as_rotvec() - [0.0, rod.rest_angle[k], 0.0]
+        x, y, z = (before.inv() * own).as_rotvec() - [
+            0.0,
+            rod.rest_angle[k],
+            0.0,
+        ]
         bulge = rod.shortening[k] * (y * y + z * z)
         found.append([length - rod.rest_length[k] - bulge, x, y, z])
         directors.append(d)

@@ -15,9 +15,7 @@ import numpy as np
 import psutil
 
 PERIOD = 0.05  # s, between two wake-ups
-WINDOW = (
-    20  # periods, over which the CPU is counted: the kernel does so in steps of 10 ms
-)
+WINDOW = 20  # periods, over which the CPU is counted: the kernel does so in steps of 10 ms
 LATE = 0.05  # s; the limits of the tests are ten times as long or more
 LARGEST_LATE_SHARE = 0.02  # of the wake-ups
 LARGEST_TAKEN = 0.25  # of the CPU, over the whole test
@@ -59,7 +57,10 @@ class Load:
                 f"at most {1e3 * max(self.late):.0f} ms"
             )
         taken = self.taken() if len(self.cpu) > 1 else np.zeros(1)
-        if taken.mean() > LARGEST_TAKEN or taken.max() > LARGEST_TAKEN_IN_WINDOW:
+        if (
+            taken.mean() > LARGEST_TAKEN
+            or taken.max() > LARGEST_TAKEN_IN_WINDOW
+        ):
             reasons.append(
                 f"other programs took {100 * taken.mean():.0f} % of the CPU, "
                 f"at most {100 * taken.max():.0f} % in a second"
@@ -70,7 +71,9 @@ class Load:
 def read_cpu():
     """The CPU times now, of the cores that this process may use."""
     cores = {f"cpu{number}" for number in os.sched_getaffinity(0)}
-    rows = [line.split() for line in Path("/proc/stat").read_text().splitlines()]
+    rows = [
+        line.split() for line in Path("/proc/stat").read_text().splitlines()
+    ]
     ticks = np.sum(
         [[int(v) for v in row[1:9]] for row in rows if row[0] in cores], axis=0
     )
@@ -127,7 +130,8 @@ class Judge:
         if not report.failed:
             return
         known = next(
-            (reason for excused, reason in self._excused if excused is error), ""
+            (reason for excused, reason in self._excused if excused is error),
+            "",
         )
         if reason := known or load.overload():
             self._excused.append((error, reason))

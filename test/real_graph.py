@@ -10,9 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-DOMAINS = (
-    100  # above 101 the ports of DDS lie in the range that Linux assigns dynamically
-)
+DOMAINS = 100  # above 101 the ports of DDS lie in the range that Linux assigns dynamically
 SLOW_MPC = {"acceptance.time_budget": 0.2}  # s, on a busy machine
 # Time limits that hold on a busy machine, where processes wait longer than on a robot. Without
 # `clock_jump` a supervisor that has waited for 0.5 s reports a jump of the clock and holds.
@@ -86,4 +84,6 @@ def set_values(config, changes):
             assert last in mapping, f"{file}.yaml: {name} is not a setting"
             mapping[last] = value
         # one line per list, as `write_zero` expects
-        path.write_text(yaml.safe_dump(content, default_flow_style=None, width=1000))
+        path.write_text(
+            yaml.safe_dump(content, default_flow_style=None, width=1000)
+        )

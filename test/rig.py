@@ -86,7 +86,9 @@ class Rig:
         """Make the node of the test, and subscribe to TOPICS."""
         self.context = Context()
         no_handlers = SignalHandlerOptions.NO
-        rclpy.init(args=[], context=self.context, signal_handler_options=no_handlers)
+        rclpy.init(
+            args=[], context=self.context, signal_handler_options=no_handlers
+        )
         self.node = rclpy.create_node("tester", context=self.context)
         self._executor = executor(context=self.context)
         self._executor.add_node(self.node)
@@ -98,7 +100,9 @@ class Rig:
 
     def subscribe(self, topic, kind, profile):
         """Keep the messages of a topic."""
-        self.node.create_subscription(kind, topic, self.messages[topic].append, profile)
+        self.node.create_subscription(
+            kind, topic, self.messages[topic].append, profile
+        )
 
     def publisher(self, kind, topic, profile):
         """Publisher of the test."""
@@ -130,7 +134,9 @@ class Rig:
             executable, *arguments = command_line(self.specs[name])
             values = {**self._parameters.get(name, {}), **(parameters or {})}
             options = [
-                w for key, value in values.items() for w in ("-p", f"{key}:={value}")
+                w
+                for key, value in values.items()
+                for w in ("-p", f"{key}:={value}")
             ]
             with (self.directory / f"{name}.log").open("ab") as log:
                 self.children[name] = subprocess.Popen(
@@ -201,7 +207,12 @@ class Rig:
         """Inject a fault into the simulated robot, or clear it; returns the time before it."""
         now = self.now()
         answer = self.call(
-            InjectFault, "/sim_robot/inject", kind=kind, leg=leg, clear=clear, **values
+            InjectFault,
+            "/sim_robot/inject",
+            kind=kind,
+            leg=leg,
+            clear=clear,
+            **values,
         )
         assert answer.success, answer.message
         return now
@@ -237,7 +248,9 @@ class Rig:
 
         def found():
             later = (
-                t for t in list(self.transitions) if t[0] >= time and t[1] is state
+                t
+                for t in list(self.transitions)
+                if t[0] >= time and t[1] is state
             )
             return next(((since, reason) for since, _, reason in later), None)
 
@@ -246,7 +259,11 @@ class Rig:
     def wait_for_torque_off(self, time):
         """Wait for a health report since `time` with every torque off; returns the first."""
         found = self.wait_for(
-            lambda: [m for m in self.since("/servo_health", time) if not any(m.torque)],
+            lambda: [
+                m
+                for m in self.since("/servo_health", time)
+                if not any(m.torque)
+            ],
             what="torque stays on",
         )
         return found[0]
@@ -256,9 +273,12 @@ class Rig:
         begin = self.now()
 
         def still():
-            angles = [m.position for m in self.since("/joint_states", begin)[-50:]]
+            angles = [
+                m.position for m in self.since("/joint_states", begin)[-50:]
+            ]
             return (
-                len(angles) == 50 and np.ptp(angles, axis=0).max() < 1.5 * RAD_PER_COUNT
+                len(angles) == 50
+                and np.ptp(angles, axis=0).max() < 1.5 * RAD_PER_COUNT
             )
 
         self.wait_for(still, what="never at rest")
@@ -266,7 +286,9 @@ class Rig:
 
     def moved(self, before, time):
         """Least and largest distance of any servo from `before` (rad) since `time`, counts."""
-        angles = [message.position for message in self.since("/joint_states", time)]
+        angles = [
+            message.position for message in self.since("/joint_states", time)
+        ]
         distances = (np.array(angles) - before) / RAD_PER_COUNT
         return distances.min(), distances.max()
 
@@ -277,7 +299,10 @@ class Rig:
         port.open()
         try:
             bus = Bus(port, settings.bus)
-            return [bus.read(identity, name)[name] for identity in settings.joints.ids]
+            return [
+                bus.read(identity, name)[name]
+                for identity in settings.joints.ids
+            ]
         finally:
             port.close()
 

@@ -7,8 +7,14 @@ from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 ROBOT = read_robot()
-UNDAMPED = config.replace(ROBOT, {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0})
-FLOATING = {"gravity": [0.0, 0.0, 0.0], "start__height": 5.0, "start__settle": 0.0}
+UNDAMPED = config.replace(
+    ROBOT, {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0}
+)
+FLOATING = {
+    "gravity": [0.0, 0.0, 0.0],
+    "start__height": 5.0,
+    "start__settle": 0.0,
+}
 
 
 def simulator(robot=ROBOT, servo="torque_speed", **changes):
@@ -16,7 +22,9 @@ def simulator(robot=ROBOT, servo="torque_speed", **changes):
 
     servo: model, or changes of its settings.
     """
-    changes = {name.replace("__", "."): value for name, value in changes.items()}
+    changes = {
+        name.replace("__", "."): value for name, value in changes.items()
+    }
     scene = config.replace(read_scene("flat"), changes)
     settings = {"model": servo} if isinstance(servo, str) else servo
     return RodRobot(robot, scene, config.replace(read_servo(), settings))

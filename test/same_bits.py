@@ -11,13 +11,17 @@ import numpy as np
 
 from slot_core.simulation.closed_loop import ClosedLoop
 
-VELOCITY = np.array([0.03, 0.01, 0.05])  # m/s, m/s, rad/s: forward, sideways, turning
+VELOCITY = np.array(
+    [0.03, 0.01, 0.05]
+)  # m/s, m/s, rad/s: forward, sideways, turning
 
 
 def content(value):
     """Bytes of a number, text or array, or of all those in a dataclass."""
     if dataclasses.is_dataclass(value):
-        fields = (getattr(value, field.name) for field in dataclasses.fields(value))
+        fields = (
+            getattr(value, field.name) for field in dataclasses.fields(value)
+        )
         return b"".join(content(part) for part in fields)
     if isinstance(value, np.ndarray):
         return value.tobytes()

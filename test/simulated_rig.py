@@ -57,13 +57,17 @@ class NotingExecutor(DirectExecutor):
     def _wait(self, timeout_sec):
         super()._wait(timeout_sec)
         ready = self._wait_set.get_ready_entities
-        self.served = any(ready(kind) for kind in KINDS if kind != "guard_condition")
+        self.served = any(
+            ready(kind) for kind in KINDS if kind != "guard_condition"
+        )
 
 
 class SimulatedRig(Rig):
     """A graph with its messages, requests and faults; `kill`, `pause` and `start` act on nodes."""
 
-    def __init__(self, directory, config=None, parameters=None, only=None, **arguments):
+    def __init__(
+        self, directory, config=None, parameters=None, only=None, **arguments
+    ):
         """As Rig, with the time limits of config/, which hold here as on a robot."""
         self._time, self._clock = START, ROSClock()
         self._clock._set_ros_time_is_active(True)
@@ -89,7 +93,9 @@ class SimulatedRig(Rig):
             given = {"context": self.context, "cli_args": self._arguments}
             # nobody asks for parameters, whose services are the half of all that is waited for
             make_node(
-                node, name, **given | options | {"start_parameter_services": False}
+                node,
+                name,
+                **given | options | {"start_parameter_services": False},
             )
 
         def log(logger, message, severity, **_):
@@ -165,7 +171,9 @@ class SimulatedRig(Rig):
         for name in names:
             values = {**self._parameters.get(name, {}), **(parameters or {})}
             options = [
-                w for item in values.items() for w in ("-p", "{}:={}".format(*item))
+                w
+                for item in values.items()
+                for w in ("-p", "{}:={}".format(*item))
             ]
             self._arguments = [*command_line(self.specs[name])[1:], *options]
             self.exit_codes.pop(name, None)
@@ -216,7 +224,9 @@ class SimulatedRig(Rig):
         self._executor.add_node(self._nodes[name])
 
     def exit_code(self, name):
-        self.wait_for(lambda: name in self.exit_codes, what=f"{name} does not end")
+        self.wait_for(
+            lambda: name in self.exit_codes, what=f"{name} does not end"
+        )
         return self.exit_codes[name]
 
     def registers(self, name):

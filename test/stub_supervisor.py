@@ -23,14 +23,18 @@ class StubSupervisor:
         self._limits.publish(
             messages.limits_to_msg(rig.supervisor_settings().servo_limits)
         )
-        self._commands = rig.publisher(JointState, "desired_joint_angles", qos.CONTROL)
+        self._commands = rig.publisher(
+            JointState, "desired_joint_angles", qos.CONTROL
+        )
         self._timer = rig.every(0.02, self._send)
 
     def _send(self):
         now = self._rig.now()
         if (permission := self.permission) is not None:
             action = decode.ACTION_NUMBERS.index(permission)
-            state = RobotState(state=State.WALKING, action=action, reason="requested")
+            state = RobotState(
+                state=State.WALKING, action=action, reason="requested"
+            )
             state.followed = permission is Action.PASS
             state.header.stamp = messages.ns_to_stamp(now)
             self._states.publish(state)
@@ -49,7 +53,9 @@ class StubSupervisor:
         """Move all tendons to an angle, rad; again if a busy machine has caused a RELAX."""
         self.angle = angle
         self._rig.wait_for(lambda: self._rig.messages["/servo_health"])
-        self._rig.wait_for(lambda: self._permit() is Action.PASS and self._arrived())
+        self._rig.wait_for(
+            lambda: self._permit() is Action.PASS and self._arrived()
+        )
 
     def _permit(self):
         """Send the permission that leads from the driver's action to PASS; returns the action."""
@@ -77,9 +83,13 @@ def start_driver(rig, **options):
     """Start a driver, and wait until it is configured."""
     begin = rig.now()
     rig.start(DRIVER, **options)
-    rig.wait_for(lambda: rig.since("/joint_states", begin), what="no joint states")
+    rig.wait_for(
+        lambda: rig.since("/joint_states", begin), what="no joint states"
+    )
 
 
 def powered(rig, since):
     """Wait for a health report since a time with every torque on."""
-    rig.wait_for(lambda: any(all(m.torque) for m in rig.since("/servo_health", since)))
+    rig.wait_for(
+        lambda: any(all(m.torque) for m in rig.since("/servo_health", since))
+    )

@@ -18,7 +18,9 @@ from slot_core.robot import TENDON_JOINTS, read_robot
 MESSAGES = Path(__file__).parents[1] / "slot_msgs" / "msg"
 TYPES = message_types()
 ROBOT = read_robot()
-TOPICS = {name: topic.type for name, topic in read_record_settings().topics.items()}
+TOPICS = {
+    name: topic.type for name, topic in read_record_settings().topics.items()
+}
 RATE = 30  # Hz, odometry
 TRUTH_RATE = 120  # Hz, a multiple of RATE: both have a sample at every odometry
 WALL = 1_700_000_000_000_000_000  # ns, wall clock when the walk starts
@@ -48,7 +50,9 @@ def message(topic: str, stamp: float, **fields: Any) -> Any:
     """A message of a topic at graph time `stamp` (s); `a__b=value` sets the field a.b."""
     built = blank(TOPICS[topic])
     ns = round(stamp * 1e9)
-    built.header.stamp.sec, built.header.stamp.nanosec = divmod(ns, 1_000_000_000)
+    built.header.stamp.sec, built.header.stamp.nanosec = divmod(
+        ns, 1_000_000_000
+    )
     for path, value in fields.items():
         *parents, last = path.split("__")
         node = built
@@ -63,10 +67,16 @@ def _fill(old: Any, value: Any) -> Any:
     if hasattr(old, "__dataclass_fields__"):
         names = list(old.__dataclass_fields__)
         return type(old)(**dict(zip(names, (float(v) for v in value))))
-    if isinstance(old, list) and old and hasattr(old[0], "__dataclass_fields__"):
+    if (
+        isinstance(old, list)
+        and old
+        and hasattr(old[0], "__dataclass_fields__")
+    ):
         return [_fill(old[0], row) for row in value]
     return (
-        np.asarray(value, old.dtype).ravel() if isinstance(old, np.ndarray) else value
+        np.asarray(value, old.dtype).ravel()
+        if isinstance(old, np.ndarray)
+        else value
     )
 
 
@@ -81,7 +91,9 @@ class Walk:
 
     duration: float = 4.0  # s
     speed: float = 0.05  # m/s
-    course: float = 0.0  # rad, direction of the motion to the left of the heading
+    course: float = (
+        0.0  # rad, direction of the motion to the left of the heading
+    )
     yaw_rate: float = 0.0  # rad/s; yaw starts at zero
     roll: float = 0.0  # rad, amplitude of roll = A sin(2 pi t / STRIDE)
     bounce: float = 0.0  # m, amplitude of the height
@@ -93,7 +105,9 @@ class Walk:
     ] = ()  # ticks without odometry, and so without any other message
     late: tuple[int, ...] = ()  # ticks whose MPC takes a control period longer
     fallback: tuple[int, ...] = ()  # ticks whose MPC found no solution
-    rejected: tuple[int, ...] = ()  # ticks whose odometry the estimator rejected
+    rejected: tuple[
+        int, ...
+    ] = ()  # ticks whose odometry the estimator rejected
     truth: bool = True  # ground truth is recorded
     voltage: float = 11.1  # V, as the servos report it; NaN: not
     lockstep: bool = False  # /clock is recorded
@@ -107,7 +121,9 @@ class Walk:
         )  # of an arc with that turn
         direction = self.course + turned / 2
         height = TORSO_HEIGHT + self.bounce * np.sin(2 * np.pi * t / STRIDE)
-        return np.array([chord * np.cos(direction), chord * np.sin(direction), height])
+        return np.array(
+            [chord * np.cos(direction), chord * np.sin(direction), height]
+        )
 
     def rpy(self, t: float) -> Array:
         """(3,) rad."""
@@ -156,16 +172,27 @@ def _ticks(walk: Walk) -> list[tuple[int, str, Any]]:
         latency = np.cumsum(walk.latencies) + (
             1 / RATE if tick in walk.late else 0.0
         ) * np.array([0, 0, 1, 1])
-        names = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
+        names = [
+            "/mpc_state",
+            "/gait_preview",
+            "/tendon_plan",
+            "/desired_joint_angles",
+        ]
         for name, delay, built in zip(names, latency, _chain(walk, tick, t)):
-            if not (tick in walk.unanswered and name == "/desired_joint_angles"):
+            if not (
+                tick in walk.unanswered and name == "/desired_joint_angles"
+            ):
                 entries.append((_wall(walk, t, delay), name, built))
         entries.append((_wall(walk, t), "/odom", _odometry(walk, "/odom", t)))
         stamp, saturated = walk.start + t, angles(t) >= np.radians(100.0)
         for name, delay, fields in (
             ("/force_map/status", latency[-1], {"saturated": saturated}),
             ("/robot_state", 0.0, {"action": 3}),
-            ("/servo_health", 0.0, {"action": 3, "voltage": [walk.voltage] * 4}),
+            (
+                "/servo_health",
+                0.0,
+                {"action": 3, "voltage": [walk.voltage] * 4},
+            ),
             ("/stage_record", 0.0, {}),
         ):
             entries.append(
@@ -218,14 +245,19 @@ def _chain(walk: Walk, tick: int, t: float) -> list[Any]:
             slack_friction=0.4 * force[:, 2] - 0.5,
         ),
         message(
-            "/desired_joint_angles", stamp, name=list(TENDON_JOINTS), position=angles(t)
+            "/desired_joint_angles",
+            stamp,
+            name=list(TENDON_JOINTS),
+            position=angles(t),
         ),
     ]
 
 
 def swing(t: float) -> Array:
     """(4,) a sine per leg, each at another phase."""
-    return np.sin(2 * np.pi * t / STRIDE + np.pi * np.array([0.0, 1.0, 0.5, -0.5]))
+    return np.sin(
+        2 * np.pi * t / STRIDE + np.pi * np.array([0.0, 1.0, 0.5, -0.5])
+    )
 
 
 def angles(t: float) -> Array:
@@ -244,17 +276,19 @@ def _truth(walk: Walk) -> list[tuple[int, str, Any]]:
         t = k / TRUTH_RATE
         wall = _wall(walk, t)
         entries.append(
-            (wall, "/ground_truth/odom", _odometry(walk, "/ground_truth/odom", t))
-        )
-        joints = (
-            message(  # in the reverse order of the legs: a driver may publish any order
-                "/joint_states",
-                walk.start + t,
-                name=list(TENDON_JOINTS[::-1]),
-                position=(0.97 * angles(t - 0.04))[::-1],
-                velocity=np.zeros(4),
-                effort=np.array([0.5, 2.0 if t >= 2.0 else 0.5, 0.5, 0.5]),
+            (
+                wall,
+                "/ground_truth/odom",
+                _odometry(walk, "/ground_truth/odom", t),
             )
+        )
+        joints = message(  # in the reverse order of the legs: a driver may publish any order
+            "/joint_states",
+            walk.start + t,
+            name=list(TENDON_JOINTS[::-1]),
+            position=(0.97 * angles(t - 0.04))[::-1],
+            velocity=np.zeros(4),
+            effort=np.array([0.5, 2.0 if t >= 2.0 else 0.5, 0.5, 0.5]),
         )
         entries.append((wall, "/joint_states", joints))
         if k % 4 == 0:

@@ -51,7 +51,10 @@ CORE = {
 }
 BRANDS = ("dynamixel",)  # of servos; only their registry imports them
 REGISTRY = "slot_core.servos.registry"
-PAPER_REGISTRIES = {"slot_core.control.policies", "slot_core.simulation.make_robot"}
+PAPER_REGISTRIES = {
+    "slot_core.control.policies",
+    "slot_core.simulation.make_robot",
+}
 LAB = {
     GROUND: "",
     "bags": "",
@@ -114,7 +117,9 @@ def imports_of(path: Path) -> frozenset[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             inside = {f"{node.module}.{alias.name}" for alias in node.names}
-            names |= {name if name in modules() else node.module for name in inside}
+            names |= {
+                name if name in modules() else node.module for name in inside
+            }
     return frozenset(names)
 
 
@@ -131,21 +136,36 @@ def room(name: str) -> tuple[str, str]:
 
 def test_core_imports_nothing_of_ros():
     run = subprocess.run(
-        [sys.executable, "-c", IMPORT_ALL], capture_output=True, text=True, check=True
+        [sys.executable, "-c", IMPORT_ALL],
+        capture_output=True,
+        text=True,
+        check=True,
     )
     loaded = set(run.stdout.split())
     assert "slot_core" in loaded
-    others = {"rclpy", "rosidl_parser", "ament_index_python", *PACKAGES, "slot_msgs"}
+    others = {
+        "rclpy",
+        "rosidl_parser",
+        "ament_index_python",
+        *PACKAGES,
+        "slot_msgs",
+    }
     assert loaded & others == {"slot_core"}
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_package_imports_only_packages_below_it(package):
-    files = [path for name, path in modules().items() if room(name)[0] == package]
+    files = [
+        path for name, path in modules().items() if room(name)[0] == package
+    ]
     assert len(files) > 5
-    ours = {*PACKAGES, "slot_msgs", "benchmarks", "documentation", "examples"} - {
-        package
-    }
+    ours = {
+        *PACKAGES,
+        "slot_msgs",
+        "benchmarks",
+        "documentation",
+        "examples",
+    } - {package}
     for path in files:
         assert tops(path) & ours <= ABOVE[package], path
 
@@ -158,13 +178,17 @@ def test_a_folder_of_the_table_imports_only_folders_above_it(table):
         known.append(folder)
 
 
-@pytest.mark.parametrize(("package", "table"), [("slot_core", CORE), ("slot_lab", LAB)])
+@pytest.mark.parametrize(
+    ("package", "table"), [("slot_core", CORE), ("slot_lab", LAB)]
+)
 def test_a_folder_imports_only_what_the_table_allows(package, table):
     seen = set()
     for name, path in modules().items():
         mine, folder = room(name)
         if mine == package and name != package:
-            seen.add(folder if path.name != "__init__.py" else name.split(".")[1])
+            seen.add(
+                folder if path.name != "__init__.py" else name.split(".")[1]
+            )
             others = {room(n) for n in imports_of(path) & modules().keys()}
             inside = {other for which, other in others if which == package} - {
                 folder,
@@ -202,7 +226,8 @@ def test_a_contract_is_at_most_50_lines():
         node.name: node.end_lineno - node.lineno + 1
         for path in modules().values()
         for node in ast.parse(path.read_text()).body
-        if isinstance(node, ast.ClassDef) and "Protocol" in map(ast.unparse, node.bases)
+        if isinstance(node, ast.ClassDef)
+        and "Protocol" in map(ast.unparse, node.bases)
     }
     assert {"Policy", "ServoBus"} < lengths.keys()
     assert max(lengths.values()) <= 50, lengths
@@ -213,7 +238,9 @@ def test_no_module_imports_itself_by_way_of_others():
         name: imports_of(path) & modules().keys() - {name}
         for name, path in modules().items()
     }
-    assert len(list(graphlib.TopologicalSorter(graph).static_order())) == len(modules())
+    assert len(list(graphlib.TopologicalSorter(graph).static_order())) == len(
+        modules()
+    )
 
 
 def test_no_package_imports_what_is_for_tests():
@@ -222,10 +249,16 @@ def test_no_package_imports_what_is_for_tests():
 
 
 def test_nothing_outside_of_scripts_imports_scripts():
-    python = [path for path in tracked() if path.parts[0] not in ("scripts", "test")]
+    python = [
+        path for path in tracked() if path.parts[0] not in ("scripts", "test")
+    ]
     assert len(python) > 100
     for path in python:
-        assert not tops(ROOT / path) & {"benchmarks", "documentation", "examples"}, path
+        assert not tops(ROOT / path) & {
+            "benchmarks",
+            "documentation",
+            "examples",
+        }, path
 
 
 def tracked() -> list[Path]:
@@ -237,7 +270,11 @@ def tracked() -> list[Path]:
         text=True,
         check=True,
     )
-    return [Path(line) for line in listed.stdout.splitlines() if (ROOT / line).exists()]
+    return [
+        Path(line)
+        for line in listed.stdout.splitlines()
+        if (ROOT / line).exists()
+    ]
 
 
 def test_a_file_name_occurs_in_several_folders_only_with_a_reason():
@@ -287,16 +324,24 @@ def statements(path: Path) -> int:
 def test_each_package_keeps_its_budget_of_statements():
     sizes = {path: statements(path) for path in tracked()}
     counts = {
-        package: sum(n for path, n in sizes.items() if path.is_relative_to(package))
+        package: sum(
+            n for path, n in sizes.items() if path.is_relative_to(package)
+        )
         for package in BUDGET
     }
     beyond = {name: n for name, n in counts.items() if n > BUDGET[name]}
     largest = sorted(sizes, key=sizes.__getitem__)[-3:]
     named = ", ".join(f"{path} {sizes[path]}" for path in reversed(largest))
-    assert not beyond, f"beyond BUDGET: {beyond}; all: {counts}; largest: {named}"
-    assert sum(counts.values()) == sum(sizes.values()), "a file outside of BUDGET"
+    assert not beyond, (
+        f"beyond BUDGET: {beyond}; all: {counts}; largest: {named}"
+    )
+    assert sum(counts.values()) == sum(sizes.values()), (
+        "a file outside of BUDGET"
+    )
 
 
 def test_the_formatter_lays_out_all_code():
-    kept = [p for p in tracked() if "# fmt: " + "skip" in (ROOT / p).read_text()]
+    kept = [
+        p for p in tracked() if "# fmt: " + "skip" in (ROOT / p).read_text()
+    ]
     assert kept == []

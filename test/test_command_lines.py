@@ -96,7 +96,10 @@ REFUSED = {
                 ["--calibration", "/dev/zero"],
                 "calibration /dev/zero: not a regular file",
             ),
-            (["--policy", "/dev/zero.py"], "policy /dev/zero.py: FileNotFoundError"),
+            (
+                ["--policy", "/dev/zero.py"],
+                "policy /dev/zero.py: FileNotFoundError",
+            ),
             (["--view"], "viser is missing; run scripts/setup --play"),
             (["--bag", "x" * 300], "bag: File name too long"),
         ],
@@ -119,7 +122,10 @@ REFUSED = {
             ),
             (["stand"], "gait 'stand' is a posture, not a stride"),
             (["trot"], "no gait 'trot' (known: "),
-            (["walk", "--friction", "-1"], "friction[0] = -1.0: outside [0.01, 2]"),
+            (
+                ["walk", "--friction", "-1"],
+                "friction[0] = -1.0: outside [0.01, 2]",
+            ),
             (["walk", "--seed", "0"], "argument --seed: 0 is below 1"),
         ],
     ),
@@ -140,12 +146,21 @@ REFUSED = {
         [
             (["{}"], "holds no metadata.yaml, .mcap or .db3 file: not a bag"),
             ([WALK], "strides of 0.62 s after a run-in of 2, less than 5"),
-            ([WALK, "--fit", "colour"], "--fit colour: expected one of friction"),
-            ([WALK, "--fit", "friction,friction"], "a parameter is named twice"),
+            (
+                [WALK, "--fit", "colour"],
+                "--fit colour: expected one of friction",
+            ),
+            (
+                [WALK, "--fit", "friction,friction"],
+                "a parameter is named twice",
+            ),
             ([WALK, "--set", "calibrated"], "it stays as it is"),
             ([WALK, "--set", "../x"], "expected letters, digits, _ and -"),
             ([WALK, "--scene", "moon"], "no configuration 'scene/moon'"),
-            ([WALK, "--parameters", "moon"], "no configuration 'parameters/moon'"),
+            (
+                [WALK, "--parameters", "moon"],
+                "no configuration 'parameters/moon'",
+            ),
             ([WALK, "--namespace", "fred"], "holds none of /joint_states"),
         ],
     ),
@@ -167,7 +182,10 @@ REFUSED = {
                 "leg.colour is not a number of the robot",
             ),
             ([MEASURED, "--starts", "0"], "0 is below 1"),
-            ([MEASURED, "--plot", "{}/fit.txt"], "the name of a plot ends in .png"),
+            (
+                [MEASURED, "--plot", "{}/fit.txt"],
+                "the name of a plot ends in .png",
+            ),
         ],
     ),
     "calibrate --print": (
@@ -178,8 +196,14 @@ REFUSED = {
                 "'door': expected one of wall, film, torso, points",
             ),
             (["torso", "--out", "{}/x.gif"], "ends in .png or .pdf"),
-            (["torso", "--out", "{}/nowhere/x.png"], "No such file or directory"),
-            (["torso", "--out", "{}/x.png", "--dpi", "9"], "outside [50, 1200]"),
+            (
+                ["torso", "--out", "{}/nowhere/x.png"],
+                "No such file or directory",
+            ),
+            (
+                ["torso", "--out", "{}/x.png", "--dpi", "9"],
+                "outside [50, 1200]",
+            ),
         ],
     ),
     "compare": (
@@ -189,10 +213,19 @@ REFUSED = {
             ([WALK], "the following arguments are required: BAG"),
             ([WALK, WALK], "holds 1.4 s, the warm-up leaves out 2.0 s"),
             ([WALK, WALK, "--warm-up", "nan"], "outside ["),
-            ([WALK, WALK, "--plot", "{}/c.gif"], "the name of a plot ends in .png"),
+            (
+                [WALK, WALK, "--plot", "{}/c.gif"],
+                "the name of a plot ends in .png",
+            ),
             ([WALK, WALK, "--tolerance", "0.1"], "expected FIGURE=N"),
-            ([WALK, WALK, "--tolerance", "height_mean=nan"], "expected FIGURE=N"),
-            ([WALK, WALK, "--tolerance", "height_mean=-1"], "expected FIGURE=N"),
+            (
+                [WALK, WALK, "--tolerance", "height_mean=nan"],
+                "expected FIGURE=N",
+            ),
+            (
+                [WALK, WALK, "--tolerance", "height_mean=-1"],
+                "expected FIGURE=N",
+            ),
             (
                 [WALK, WALK, "--warm-up", "0", "--tolerance", "mass=1"],
                 "hold no such figure of dur",
@@ -226,10 +259,19 @@ REFUSED = {
                 [WALK, "--tolerance", "nan"],
                 "argument --tolerance: nan: outside [0, inf)",
             ),
-            ([WALK, "--tolerance", "-1"], "argument --tolerance: -1: outside [0, inf)"),
+            (
+                [WALK, "--tolerance", "-1"],
+                "argument --tolerance: -1: outside [0, inf)",
+            ),
             ([WALK, "--remap", "/odom"], "expected OLD:=NEW, names of topics"),
-            ([WALK, "--remap", ":=/odom"], "expected OLD:=NEW, names of topics"),
-            ([WALK, "--remap", "/odom=/imu"], "expected OLD:=NEW, names of topics"),
+            (
+                [WALK, "--remap", ":=/odom"],
+                "expected OLD:=NEW, names of topics",
+            ),
+            (
+                [WALK, "--remap", "/odom=/imu"],
+                "expected OLD:=NEW, names of topics",
+            ),
         ],
     ),
     "replay --live": (
@@ -251,13 +293,22 @@ REFUSED = {
                 [WALK, "--animate", "{}/walk.mp4"],
                 "walk.mp4: expected a name that ends in .gif",
             ),
-            ([WALK, "--animate", "{}/nowhere/walk.gif"], "walk.gif: No such file"),
+            (
+                [WALK, "--animate", "{}/nowhere/walk.gif"],
+                "walk.gif: No such file",
+            ),
             (
                 [WALK, "--html", "{}/walk.htm"],
                 "walk.htm: expected a name that ends in .html",
             ),
-            ([WALK, "--html", "{}/nowhere/walk.html"], "walk.html: No such file"),
-            ([WALK, "{}/nothing", "--html", "{}/walk.html"], "nothing: does not exist"),
+            (
+                [WALK, "--html", "{}/nowhere/walk.html"],
+                "walk.html: No such file",
+            ),
+            (
+                [WALK, "{}/nothing", "--html", "{}/walk.html"],
+                "nothing: does not exist",
+            ),
             (
                 [WALK, WALK, WALK, "--html", "{}/walk.html"],
                 "3 bags: expected one, or two",
@@ -273,8 +324,14 @@ REFUSED = {
     "play": (
         main_page.main,
         [
-            (["--graph", "--scene", "flat"], "--graph: its scene and policy are those"),
-            (["--graph", "--policy", "force_mpc"], "--graph: its scene and policy are"),
+            (
+                ["--graph", "--scene", "flat"],
+                "--graph: its scene and policy are those",
+            ),
+            (
+                ["--graph", "--policy", "force_mpc"],
+                "--graph: its scene and policy are",
+            ),
             (["--namespace", "a"], "--namespace: only with --graph"),
             (["--port", "70000"], "outside"),
         ],
@@ -286,11 +343,16 @@ REFUSED = {
             (["reboot", "tail"], ""),
             (["dance"], ""),
             (["inject"], ""),
-            (["--namespace", "a b", "state"], "namespace = 'a b': Invalid namespace"),
+            (
+                ["--namespace", "a b", "state"],
+                "namespace = 'a b': Invalid namespace",
+            ),
         ],
     ),
 }
-CASES = [(name, *case) for name, (_, cases) in REFUSED.items() for case in cases]
+CASES = [
+    (name, *case) for name, (_, cases) in REFUSED.items() for case in cases
+]
 
 
 @pytest.fixture
@@ -542,5 +604,7 @@ def test_a_path_a_name_and_a_number_that_cannot_be_used_are_refused(
             require_short(line)
             assert line.startswith(f"scripts/{tool}: "), (form, word)
             assert (
-                word not in NO_FILES or place != "PATH" or "not a regular file" in line
+                word not in NO_FILES
+                or place != "PATH"
+                or "not a regular file" in line
             )

@@ -22,7 +22,9 @@ class Outer:
     law: str = choice("one of two", "one", "two")
     on: bool = flag("a switch")
     inner: Inner
-    table: dict[str, Inner] = dataclasses.field(metadata={"doc": "inner by name"})
+    table: dict[str, Inner] = dataclasses.field(
+        metadata={"doc": "inner by name"}
+    )
 
 
 GOOD = {
@@ -64,14 +66,20 @@ def test_values_arrive_with_their_types():
         (changed(count=9), "f.yaml: count = 9: outside [1, 5]"),
         (changed(count=2.5), "f.yaml: count = 2.5: expected a whole number"),
         (changed(count=True), "f.yaml: count = True: expected a whole number"),
-        (changed(law="three"), "f.yaml: law = 'three': expected one of one, two"),
+        (
+            changed(law="three"),
+            "f.yaml: law = 'three': expected one of one, two",
+        ),
         (changed(on="yes"), "f.yaml: on = 'yes': expected true or false"),
         (
             changed(extra=1),
             "f.yaml: extra is not a setting (known: count, law, on, inner, table)",
         ),
         (changed(inner={"gain": 3}), "f.yaml: inner.axes is missing"),
-        (changed(inner=[1]), "f.yaml: inner: expected a mapping of Inner, got [1]"),
+        (
+            changed(inner=[1]),
+            "f.yaml: inner: expected a mapping of Inner, got [1]",
+        ),
         (
             changed(inner={"gain": float("nan"), "axes": [0, 0]}),
             "f.yaml: inner.gain = nan: outside [0.0, 10.0] N/m",
@@ -102,10 +110,20 @@ def test_replaced_values_are_checked_like_values_read():
     with pytest.raises(ConfigError, match=r"inner.gain = 11.0: outside"):
         config.replace(outer, {"inner.gain": 11.0})
     for changes in (None, [1], "text"):
-        with pytest.raises(ConfigError, match=r"p\.yaml: expected a mapping of"):
+        with pytest.raises(
+            ConfigError, match=r"p\.yaml: expected a mapping of"
+        ):
             config.replace(outer, changes, "p.yaml")
-    for name in ("inner.none", "count.x", "inner.gain.x.y", "table.b", "none.gain"):
-        with pytest.raises(ConfigError, match=rf"override: {name} is not a setting"):
+    for name in (
+        "inner.none",
+        "count.x",
+        "inner.gain.x.y",
+        "table.b",
+        "none.gain",
+    ):
+        with pytest.raises(
+            ConfigError, match=rf"override: {name} is not a setting"
+        ):
             config.replace(outer, {name: 1})
 
 
@@ -129,7 +147,9 @@ def test_a_missing_file_names_the_known_ones_and_a_pipe_is_refused_without_readi
 ):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     os.mkfifo(tmp_path / "pipe.yaml")
-    with pytest.raises(ConfigError, match=r"configuration 'absent' \(known: pipe\)"):
+    with pytest.raises(
+        ConfigError, match=r"configuration 'absent' \(known: pipe\)"
+    ):
         config.read(Outer, "absent")
     with pytest.raises(ConfigError, match=r"pipe\.yaml: not a regular file"):
         config.read(Outer, "pipe")
@@ -140,7 +160,10 @@ def test_a_missing_file_names_the_known_ones_and_a_pipe_is_refused_without_readi
     [
         ("a: [1,\nb: 2", "broken.yaml: "),
         ("count: 1\ncount: 2\n", "broken.yaml: the key 'count' is repeated"),
-        ("inner: {gain: 1, gain: 1}\n", "broken.yaml: the key 'gain' is repeated"),
+        (
+            "inner: {gain: 1, gain: 1}\n",
+            "broken.yaml: the key 'gain' is repeated",
+        ),
         ("a: " + "[" * 200_000, "broken.yaml: nested deeper than 100 levels"),
         ("a: 1\n" * 200_001, "broken.yaml: more than 1000000 bytes"),
         ("a: \0\n", "broken.yaml: "),
@@ -148,7 +171,10 @@ def test_a_missing_file_names_the_known_ones_and_a_pipe_is_refused_without_readi
         ("a: &a [*a]\n", "broken.yaml: line 1: no alias is allowed"),
         ("a: 1\nb: !!timestamp zz\n", "broken.yaml: line 2: no tag is allowed"),
         ("a: !!bool x\n", "broken.yaml: line 1: no tag is allowed"),
-        ("a: !!python/name:os.system ''\n", "broken.yaml: line 1: no tag is allowed"),
+        (
+            "a: !!python/name:os.system ''\n",
+            "broken.yaml: line 1: no tag is allowed",
+        ),
         ("a: ! 1\n", "broken.yaml: line 1: no tag is allowed"),
         ("a: 2001-99-99\n", "broken.yaml: month must be in 1..12"),
         ("? [1, 2]\n: 3\n", "broken.yaml: while constructing a mapping"),

@@ -23,7 +23,8 @@ ANGLES = np.concatenate(
 POINTS = np.concatenate(
     [
         RNG.uniform(-1, 1, (COUNT, 2)),
-        10.0 ** RNG.uniform(-150, 150, (COUNT, 2)) * RNG.choice([-1, 1], (COUNT, 2)),
+        10.0 ** RNG.uniform(-150, 150, (COUNT, 2))
+        * RNG.choice([-1, 1], (COUNT, 2)),
         np.column_stack(
             [np.arange(1, 1025) / 1024, np.ones(1024)]
         ),  # at the table's grid
@@ -42,7 +43,12 @@ ONE_ULP = {
     "log": (
         log,
         mpmath.log,
-        (np.append(10.0 ** RNG.uniform(-300, 300, COUNT), RNG.uniform(0.5, 2, COUNT)),),
+        (
+            np.append(
+                10.0 ** RNG.uniform(-300, 300, COUNT),
+                RNG.uniform(0.5, 2, COUNT),
+            ),
+        ),
     ),
 }
 
@@ -53,9 +59,9 @@ def test_error_is_at_most_one_unit_in_the_last_place(name):
     with mpmath.workprec(400):
         for found, *numbers in zip(function(*arguments), *arguments):
             wanted = exact(*(mpmath.mpf(float(number)) for number in numbers))
-            assert abs(mpmath.mpf(float(found)) - wanted) <= math.ulp(float(wanted)), (
-                numbers
-            )
+            assert abs(mpmath.mpf(float(found)) - wanted) <= math.ulp(
+                float(wanted)
+            ), numbers
 
 
 @pytest.mark.parametrize("y", [0.0, -0.0, 1.0, -1.0, 5e-324, 1e300])
@@ -68,7 +74,9 @@ def test_angles_at_axes_and_limits_are_those_of_the_c_library(y, x):
 
 def test_what_is_no_angle_is_nan():
     for function in (sin, cos):
-        assert np.isnan(function(np.array([np.nan, np.inf, 1.1 * LARGEST]))).all()
+        assert np.isnan(
+            function(np.array([np.nan, np.inf, 1.1 * LARGEST]))
+        ).all()
     y, x = np.array([np.nan, 1.0, np.inf]), np.array([1.0, np.nan, 1.0])
     assert np.isnan(atan2(y, x)).all()
 

@@ -109,7 +109,9 @@ def test_a_fault_injected_before_the_start_acts_at_once_and_its_time_runs_from_t
     holds = plant.robot.model.fault[1]
     assert holds[0] == 0.0
     plant.start(START + 1000 * MILLISECOND)
-    assert recorded(plant, 15, lambda: holds[0]).tolist() == [0.0] * 10 + [1.0] * 6
+    assert (
+        recorded(plant, 15, lambda: holds[0]).tolist() == [0.0] * 10 + [1.0] * 6
+    )
 
 
 @pytest.mark.parametrize(
@@ -130,7 +132,11 @@ def test_a_fault_injected_before_the_start_acts_at_once_and_its_time_runs_from_t
             planned("tendon_broken"),
             r"'tendon_broken': legs of the model 'paper' cannot",
         ),
-        ("map", planned("nan"), r"'nan': legs of the model 'map' cannot have it"),
+        (
+            "map",
+            planned("nan"),
+            r"'nan': legs of the model 'map' cannot have it",
+        ),
     ],
 )
 def test_a_fault_that_the_model_does_not_support_is_refused(
@@ -153,7 +159,10 @@ def test_a_fault_that_the_model_does_not_support_is_refused(
             r"kind = 'tired': expected one of silent, .*, tendon_broken, nan",
         ),
         ({"leg": "tail"}, r"leg = 'tail': expected one of all, FL, FR, RL, RR"),
-        ({"duration": -1.0}, r"duration = -1\.0: outside \[0\.0, 1000000\.0\] s"),
+        (
+            {"duration": -1.0},
+            r"duration = -1\.0: outside \[0\.0, 1000000\.0\] s",
+        ),
         ({"value": 0.2}, r"value = 0\.2: outside \[0\.0001, 0\.1\] m"),
         ({"value": 0.0}, r"value = 0\.0: outside \[0\.0001, 0\.1\] m"),
         ({"value": math.nan}, r"value = nan: outside"),
@@ -173,7 +182,9 @@ def test_an_invalid_fault_is_refused_by_name(change, message):
 
 
 def test_a_robot_on_a_bus_has_faults_of_its_bus_and_of_its_legs_by_simulated_time():
-    plant = make(bus=True, warm=planned("overheating", "RR", 0.010, 0.020, 90.0))
+    plant = make(
+        bus=True, warm=planned("overheating", "RR", 0.010, 0.020, 90.0)
+    )
     plant.start(START)
     bus = plant.emulated.bus
     hot = recorded(plant, 40, lambda: bus.servos[3].forced_temperature == 90.0)
@@ -204,7 +215,9 @@ def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(
     assert state["time"] == pytest.approx(20 * STEP)
     assert state["command"] == pytest.approx(command, abs=0.0)
     damaged = np.isnan(state["before_nodes"]).any(axis=2)
-    assert np.argwhere(damaged).tolist() == [[2, read_scene("flat").solver.nodes - 1]]
+    assert np.argwhere(damaged).tolist() == [
+        [2, read_scene("flat").solver.nodes - 1]
+    ]
     assert set(state) >= STATE
 
 
@@ -223,7 +236,9 @@ def test_every_model_attaches_its_state_to_the_divergence(solver, monkeypatch):
     monkeypatch.setattr(f"{__name__}.SETTLE", 0.0)
     plant = make(solver)
     plant.start(START)
-    plant.robot.state.velocity[:] = 2000.0  # m/s, beyond the speed limit of every model
+    plant.robot.state.velocity[:] = (
+        2000.0  # m/s, beyond the speed limit of every model
+    )
     plant.command(np.full(4, 0.5))
     with pytest.raises(DivergenceError) as raised:
         advance(plant, 10)

@@ -34,7 +34,9 @@ FOLDERS = {  # of config/, and what reads a file of it by its name
     "mpc": read_paper_mpc,
     "parameters": lambda name: (read_robot(name), read_servo(name)),
     "scene": read_scene,
-    "solver": lambda name: [read_scene(scene) for scene in ("flat", "map", "paper")],
+    "solver": lambda name: [
+        read_scene(scene) for scene in ("flat", "map", "paper")
+    ],
 }
 FILES = {
     "calibration": read_experiments,
@@ -119,7 +121,9 @@ READ = sorted(path for path in PATHS if reader_of(path))
 def changed_text(text):
     """Strategy of a file of YAML with a value replaced, a line inserted or doubled, or bytes."""
     lines = text.splitlines(keepends=True)
-    values = [match.span(1) for match in re.finditer(rb": (.*)$", text, re.MULTILINE)]
+    values = [
+        match.span(1) for match in re.finditer(rb": (.*)$", text, re.MULTILINE)
+    ]
     inserted = st.sampled_from([*lines, *(token + b"\n" for token in TOKENS)])
     return (
         st.builds(
@@ -138,7 +142,9 @@ def changed_text(text):
 
 @given(st.data(), st.sampled_from(READ))
 @examples(300)
-def test_a_changed_file_of_the_configuration_is_read_or_refused(own_config, data, path):
+def test_a_changed_file_of_the_configuration_is_read_or_refused(
+    own_config, data, path
+):
     file = own_config / path
     sound = file.read_bytes()
     try:

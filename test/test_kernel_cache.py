@@ -48,7 +48,9 @@ def test_second_process_loads_what_the_first_has_compiled(folder, capsys):
 
 DAMAGES = {
     "cut": lambda whole: whole[: len(whole) // 2],
-    "bit": lambda whole: whole[: len(whole) // 2] + b"~" + whole[len(whole) // 2 + 1 :],
+    "bit": lambda whole: (
+        whole[: len(whole) // 2] + b"~" + whole[len(whole) // 2 + 1 :]
+    ),
     "empty": lambda whole: b"",
 }
 
@@ -69,7 +71,9 @@ def test_folder_that_cannot_be_written_costs_a_compilation_and_set_up_fails(
 ):
     """It marked the kernels as compiled, and every run compiled them again."""
     (folder / "file").write_text("")
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder / "file" / "cache"))
+    monkeypatch.setattr(
+        numba.config, "CACHE_DIR", str(folder / "file" / "cache")
+    )
     assert doubled()(1.5) == 3.0
     assert "cannot be written, so every start does" in capsys.readouterr().err
     with pytest.raises(NotADirectoryError):
@@ -125,8 +129,15 @@ def test_change_of_an_imported_module_compiles_anew_and_one_of_another_does_not(
         "@kernel\ndef times(x):\n    return SHARED * x\n"
     )
     (package / "own.py").write_text(own)
-    command = [sys.executable, "-c", "from slot_core.own import times; times(1.0)"]
-    variables = os.environ | {"PYTHONPATH": str(root), "NUMBA_CACHE_DIR": str(folder)}
+    command = [
+        sys.executable,
+        "-c",
+        "from slot_core.own import times; times(1.0)",
+    ]
+    variables = os.environ | {
+        "PYTHONPATH": str(root),
+        "NUMBA_CACHE_DIR": str(folder),
+    }
     counts = []
     for shared, other in ((2, 2), (2, 3), (3, 3)):
         (package / "shared.py").write_text(f"SHARED = {shared}.0\n")

@@ -4,14 +4,26 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from slot_core.matrices import interpolated, inverse, norm, product, sparse_product
+from slot_core.matrices import (
+    interpolated,
+    inverse,
+    norm,
+    product,
+    sparse_product,
+)
 
 RNG = np.random.default_rng(0)
 
 
 @pytest.mark.parametrize(
     ("left", "right"),
-    [((3, 3), (3, 3)), ((2, 7), (7, 4)), ((7,), (7, 4)), ((2, 7), (7,)), ((5,), (5,))],
+    [
+        ((3, 3), (3, 3)),
+        ((2, 7), (7, 4)),
+        ((7,), (7, 4)),
+        ((2, 7), (7,)),
+        ((5,), (5,)),
+    ],
 )
 def test_products_are_those_of_matrices_and_vectors(left, right):
     a, b = RNG.normal(size=left), RNG.normal(size=right)
@@ -28,7 +40,10 @@ def test_shapes_that_do_not_fit_are_refused():
 
 
 def test_sparse_products_and_norms_are_those_of_scipy_and_numpy():
-    a, x = sparse.random(40, 30, 0.2, format="csc", rng=RNG), RNG.normal(size=30)
+    a, x = (
+        sparse.random(40, 30, 0.2, format="csc", rng=RNG),
+        RNG.normal(size=30),
+    )
     np.testing.assert_allclose(sparse_product(a, x), a @ x, atol=1e-14)
     b = RNG.normal(size=(4, 3))
     np.testing.assert_allclose(norm(b), np.linalg.norm(b, axis=1))

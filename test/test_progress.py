@@ -37,7 +37,10 @@ def test_on_a_terminal_the_line_is_rewritten_and_removed():
     progress("drawing")
     progress.after(2 * REWRITE)
     progress.say("wrote x")
-    first, last = "scripts/x: reading a long name, 3 s", "scripts/x: drawing, 3 s"
+    first, last = (
+        "scripts/x: reading a long name, 3 s",
+        "scripts/x: drawing, 3 s",
+    )
     text = f"\r{first}\r{last:<{len(first)}}\r{' ' * len(last)}\rwrote x\n"
     assert progress.out.getvalue() == text
 
@@ -45,13 +48,18 @@ def test_on_a_terminal_the_line_is_rewritten_and_removed():
 @pytest.mark.parametrize(
     ("told", "end"),
     [
-        ([("predicting", 0.0), ("predicting", 0.25)], "predicting, 25 %, 30 s left"),
+        (
+            [("predicting", 0.0), ("predicting", 0.25)],
+            "predicting, 25 %, 30 s left",
+        ),
         # other words, the same work
         ([("3 of 9", 0.5), ("4 of 9", 0.75)], "4 of 9, 75 %, 10 s left"),
         ([("predicting", 0.9), ("drawing", 0.0)], "drawing, 20 s"),
     ],
 )
-def test_the_time_left_follows_from_the_share_since_it_was_first_told(told, end):
+def test_the_time_left_follows_from_the_share_since_it_was_first_told(
+    told, end
+):
     progress = Shown()
     for what, share in told:
         progress.now += 10.0

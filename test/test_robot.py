@@ -20,7 +20,9 @@ def test_legs_are_those_of_the_paper_in_the_order_fl_fr_rl_rr(robot):
     reach = robot.feet - robot.clamps
     for places in (robot.clamps, robot.outward, reach):
         assert np.sign(places[:, :2]).tolist() == corners
-    assert np.linalg.norm(reach[:, :2], axis=1) == pytest.approx(robot.leg.reach)
+    assert np.linalg.norm(reach[:, :2], axis=1) == pytest.approx(
+        robot.leg.reach
+    )
     # the authors drew the leg from z = 21.75 mm down to the floor
     assert -reach[:, 2] == pytest.approx(0.02175, abs=1e-5)
     # the paper rounds the leg to 0.04 kg; the tapered leg of 1200 kg/m^3 weighs 0.039 kg
@@ -50,7 +52,9 @@ def test_legs_raise_the_inertia_by_their_mass_times_distance_squared(robot):
     r = np.sqrt(added / (4 * robot.leg.mass))
     assert np.hypot(*robot.clamps[0, :2]) < r < np.hypot(*robot.feet[0, :2])
     # by symmetry
-    assert robot.inertia == pytest.approx(np.diag(robot.inertia.diagonal()), abs=1e-15)
+    assert robot.inertia == pytest.approx(
+        np.diag(robot.inertia.diagonal()), abs=1e-15
+    )
 
 
 def test_clamp_heights_are_those_of_the_rotated_torso(robot):
@@ -104,10 +108,14 @@ def test_an_invalid_parameter_set_is_refused(own_config, values, message):
         read_robot("own")
 
 
-def test_an_unknown_or_missing_parameter_set_is_refused_with_the_known_ones(own_config):
+def test_an_unknown_or_missing_parameter_set_is_refused_with_the_known_ones(
+    own_config,
+):
     known = r"'parameters/x' \(known: calibrated, paper, relaxing, synthetic\)"
     with pytest.raises(config.ConfigError, match=known):
         read_robot("x")
     (own_config / "robot.yaml").write_text("torso: {}")
-    with pytest.raises(config.ConfigError, match=r"^robot\.yaml: parameters is miss"):
+    with pytest.raises(
+        config.ConfigError, match=r"^robot\.yaml: parameters is miss"
+    ):
         read_robot()

@@ -153,7 +153,9 @@ def files():
     for room in ROOMS:
         found += (CORE / room).rglob("*.py")
     names = {path.relative_to(CORE).as_posix(): path for path in sorted(found)}
-    names |= {f"slot_paper/{name}.py": PAPER / f"{name}.py" for name in OF_THE_PAPER}
+    names |= {
+        f"slot_paper/{name}.py": PAPER / f"{name}.py" for name in OF_THE_PAPER
+    }
     assert set(OUTSIDE) <= set(names)
     return {name: path for name, path in names.items() if name not in OUTSIDE}
 
@@ -192,7 +194,9 @@ def differs(node, file, compiled):
         ):
             found = not exact(base, exponent, compiled)
         case ast.Import(names=names) | ast.ImportFrom(names=names):
-            start = f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
+            start = (
+                f"{node.module}." if isinstance(node, ast.ImportFrom) else ""
+            )
             imported = {f"{start}{alias.name}" for alias in names}
             others = imported - MAY_IMPORT.get(file, set())
             found = any(name.split(".")[0] in LIBRARIES for name in others)
@@ -204,7 +208,9 @@ def exact(base, exponent, compiled):
     match base:
         case ast.Constant(value=1 | 2):
             return True
-        case ast.UnaryOp(operand=inner) | ast.Call(args=[inner, *_]):  # Fraction(2)
+        case (
+            ast.UnaryOp(operand=inner) | ast.Call(args=[inner, *_])
+        ):  # Fraction(2)
             return exact(inner, exponent, compiled)
     return compiled and isinstance(getattr(exponent, "value", None), int)
 
@@ -233,7 +239,8 @@ def test_compiled_kernels_call_nothing_of_the_c_library_that_differs_by_processo
     found = set()
     for path in objects:  # functions that its table of symbols names
         symbols = {
-            part.decode(errors="ignore") for part in path.read_bytes().split(b"\0")
+            part.decode(errors="ignore")
+            for part in path.read_bytes().split(b"\0")
         }
         found |= {f"{path.name}: {symbol}" for symbol in symbols & C_LIBRARY}
     assert not found
@@ -243,7 +250,9 @@ def cached_objects():
     """Cache files of the kernels that are loaded, each with an object file in it."""
     for module in pkgutil.walk_packages(slot_core.__path__, "slot_core."):
         for value in vars(importlib.import_module(module.name)).values():
-            if isinstance(value, Dispatcher) and isinstance(value._cache, KernelCache):
+            if isinstance(value, Dispatcher) and isinstance(
+                value._cache, KernelCache
+            ):
                 yield from (
                     value._cache.path(types, value.targetctx)
                     for types in value.signatures
@@ -269,7 +278,9 @@ PROCESSORS = {
     "a plain x86-64 or aarch64": LIBRARIES_OF_OTHERS | PLAIN,
 }
 HERE = {
-    key: os.environ[key] for key in os.environ if key not in LIBRARIES_OF_OTHERS | PLAIN
+    key: os.environ[key]
+    for key in os.environ
+    if key not in LIBRARIES_OF_OTHERS | PLAIN
 }
 TICKS = 100
 
@@ -291,7 +302,8 @@ SLOW = pytest.mark.slow, pytest.mark.timeout(900)  # compiles all kernels anew
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=SLOW if "plain" in n else ()) for n in PROCESSORS]
+    "name",
+    [pytest.param(n, marks=SLOW if "plain" in n else ()) for n in PROCESSORS],
 )
 def test_every_processor_gives_the_same_walk_to_the_last_bit(name):
     here = walked("as it is")

@@ -80,12 +80,16 @@ class Attempts:
         self.rows: list[Row] = []
         self.checks: list[Check] = []
 
-    def run(self, name: str, call: Callable[..., T], *arguments: Any) -> T | None:
+    def run(
+        self, name: str, call: Callable[..., T], *arguments: Any
+    ) -> T | None:
         """Result of the call; None if it raises BenchmarkError."""
         try:
             return call(*arguments)
         except BenchmarkError as error:
-            self.rows.append({"kind": "failed", "what": name, "reason": str(error)})
+            self.rows.append(
+                {"kind": "failed", "what": name, "reason": str(error)}
+            )
             self.checks.append(Check(name, math.nan, "", "measured", False))
             return None
 
@@ -103,7 +107,9 @@ def cpu_time(call: Callable[[], Any], repeats: int, calls: int = 1) -> float:
     CPU time and its median, because other processes share the machine.
     """
     call()
-    times = [timed(lambda: [call() for _ in range(calls)])[1] for _ in range(repeats)]
+    times = [
+        timed(lambda: [call() for _ in range(calls)])[1] for _ in range(repeats)
+    ]
     return statistics.median(times) / calls
 
 
@@ -128,13 +134,16 @@ def mark_front(
     """
     for row in rows:
         row["front"] = error(row) < math.inf and not any(
-            other[cost] < row[cost] and error(other) < error(row) for other in rows
+            other[cost] < row[cost] and error(other) < error(row)
+            for other in rows
         )
 
 
 def known() -> dict[str, str]:
     """Subjects of the benchmarks by name: the first lines of their docstrings, not imported."""
-    texts = {p.parent.name: p.read_text() for p in BENCHMARKS.glob("*/benchmark.py")}
+    texts = {
+        p.parent.name: p.read_text() for p in BENCHMARKS.glob("*/benchmark.py")
+    }
     return {
         name: (ast.get_docstring(ast.parse(text)) or "").partition("\n")[0]
         for name, text in sorted(texts.items())
@@ -180,7 +189,9 @@ def run(
         "checks": [dataclasses.asdict(check) for check in checks],
     }
     path = out / f"{name}.json"
-    path.write_text(json.dumps(_plain(result), indent=2, allow_nan=False) + "\n")
+    path.write_text(
+        json.dumps(_plain(result), indent=2, allow_nan=False) + "\n"
+    )
     return path
 
 
@@ -199,7 +210,9 @@ def machine() -> dict[str, Any]:
     info = Path("/proc/cpuinfo")  # names the processor, but on some ARM kernels
     lines = info.read_text().splitlines() if info.exists() else []
     models = (
-        line.partition(": ")[2] for line in lines if line.startswith("model name")
+        line.partition(": ")[2]
+        for line in lines
+        if line.startswith("model name")
     )
     return {
         "cpu": next(models, platform.processor()),
@@ -219,7 +232,9 @@ def _plain(value: Any) -> Any:
         value = value.tolist()
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return (
+        None if isinstance(value, float) and not math.isfinite(value) else value
+    )
 
 
 def _git(root: Path, *arguments: str) -> str | None:
@@ -270,14 +285,20 @@ def against_rows(other: Path) -> list[Row]:
     for _ in range(REPEATS + 1):
         for checkout, found in timings.items():
             found.append(_times(checkout))
-    pairs = list(zip(*timings.values()))[1:]  # the first may have compiled kernels
+    pairs = list(zip(*timings.values()))[
+        1:
+    ]  # the first may have compiled kernels
     return [
         {
             "kind": "against",
             "what": what,
             "other": other.name,
-            "ratio": statistics.median(ours[k] / theirs[k] for ours, theirs in pairs),
-            "cpu_ms": 1e3 / count * statistics.median(ours[k] for ours, _ in pairs),
+            "ratio": statistics.median(
+                ours[k] / theirs[k] for ours, theirs in pairs
+            ),
+            "cpu_ms": 1e3
+            / count
+            * statistics.median(ours[k] for ours, _ in pairs),
         }
         for k, (what, count) in enumerate(
             (("policy, a tick", 150), ("robot, a step", 2000))
@@ -289,7 +310,11 @@ def against_checks(rows: Sequence[Row]) -> list[Check]:
     """The ratios against their goal."""
     found: Sequence[Any] = [row for row in rows if row["kind"] == "against"]
     return [
-        at_most(f"CPU of the {row['what']}, over {row['other']}", row["ratio"], LARGEST)
+        at_most(
+            f"CPU of the {row['what']}, over {row['other']}",
+            row["ratio"],
+            LARGEST,
+        )
         for row in found
     ]
 

@@ -22,7 +22,9 @@ class CostCurve(NamedTuple):
     front: Sequence[tuple[float, float, str]]
 
 
-def draw_error_over_cost(series: Sequence[CostCurve], path: Path, **axes: Any) -> None:
+def draw_error_over_cost(
+    series: Sequence[CostCurve], path: Path, **axes: Any
+) -> None:
     """Write the plot, logarithmic: all runs pale, those on a front with a line and their labels.
 
     `axes` are the properties of the axes: labels, limits and title.
@@ -36,9 +38,13 @@ def draw_error_over_cost(series: Sequence[CostCurve], path: Path, **axes: Any) -
             ax.plot(cost, error, marker, color=colour, ms=4, mew=0, alpha=0.3)
         if front:
             cost, error, _ = zip(*sorted(front))
-            ax.plot(cost, error, marker=marker, color=colour, lw=1.3, label=name)
+            ax.plot(
+                cost, error, marker=marker, color=colour, lw=1.3, label=name
+            )
         for *place, label in front:
-            ax.annotate(label, place, (5, 4), textcoords="offset points", fontsize=8)
+            ax.annotate(
+                label, place, (5, 4), textcoords="offset points", fontsize=8
+            )
     ax.grid(color=palette.PALE, lw=0.5)
     ax.legend(frameon=False, fontsize=9)
     figure.savefig(path, dpi=130)

@@ -53,13 +53,16 @@ def write_panels(path: Path) -> None:
     """Write the panels beside and below each other."""
     with walking(PANELS) as window:
         shown = {
-            name: panel(window, name) for name in ("Drive", "World", "Push", "Plots")
+            name: panel(window, name)
+            for name in ("Drive", "World", "Push", "Plots")
         }
     plots = shown["Plots"]
     above = beside(np.vstack([shown["Drive"], shown["Push"]]), shown["World"])
     cv2.imwrite(
         str(path),
-        np.vstack([above, beside(plots[:FOUR_PLOTS], plots[FOUR_PLOTS:][:MORE])]),
+        np.vstack(
+            [above, beside(plots[:FOUR_PLOTS], plots[FOUR_PLOTS:][:MORE])]
+        ),
     )
 
 
@@ -77,7 +80,9 @@ def write_view(page: Path, path: Path) -> None:
 def panel(window: Any, name: str) -> Pixels:
     """Image of a panel."""
     window.click(TAB.format(name))
-    browser.wait_for(lambda: window.run(f"{TAB.format(name)}.ariaSelected") == "true")
+    browser.wait_for(
+        lambda: window.run(f"{TAB.format(name)}.ariaSelected") == "true"
+    )
     return captured(window, window.run(SHOWN))
 
 

@@ -32,7 +32,10 @@ html_extra_path = [str(DOC / "walk.html")]  # shown in the place of walk.gif
 html_static_path, html_css_files = ["site.css"], ["site.css"]
 html_show_copyright = False
 html_show_search_summary = False  # a browser opens files, but fetches none
-mermaid_cmd, mermaid_output_format = "mermaidx", "svg"  # drawn here, without a script
+mermaid_cmd, mermaid_output_format = (
+    "mermaidx",
+    "svg",
+)  # drawn here, without a script
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["mermaid"]  # as GitHub writes it
 myst_heading_anchors = 4
@@ -70,12 +73,16 @@ def read_page(app: Sphinx, name: str, source: list[str]) -> None:
     source[0] = WALK.sub(PAGE_OF_THE_WALK, LINK.sub(site_link, text))
 
 
-def add_settings(app: Sphinx, what: str, name: str, kind: Any, *rest: Any) -> None:
+def add_settings(
+    app: Sphinx, what: str, name: str, kind: Any, *rest: Any
+) -> None:
     """Append meaning, unit and bounds of the fields of a settings class to its docstring."""
     _, lines = rest
     if what == "class" and dataclasses.is_dataclass(kind):
         fields = [
-            field for field in dataclasses.fields(kind) if "doc" in field.metadata
+            field
+            for field in dataclasses.fields(kind)
+            if "doc" in field.metadata
         ]
         lines += [
             f":param {field.name}: {escape(meaning(field.metadata))}"
@@ -87,6 +94,12 @@ def meaning(meta: Mapping[str, Any]) -> str:
     """Text of a setting from the metadata of its field."""
     low, high = meta.get("low", -math.inf), meta.get("high", math.inf)
     bounds = ("at least", low), ("at most", high)
-    limits = [f"{words} {value:g}" for words, value in bounds if math.isfinite(value)]
-    options = ["one of " + ", ".join(meta["options"])] if "options" in meta else []
-    return "; ".join(filter(None, [meta["doc"], meta.get("unit"), *limits, *options]))
+    limits = [
+        f"{words} {value:g}" for words, value in bounds if math.isfinite(value)
+    ]
+    options = (
+        ["one of " + ", ".join(meta["options"])] if "options" in meta else []
+    )
+    return "; ".join(
+        filter(None, [meta["doc"], meta.get("unit"), *limits, *options])
+    )

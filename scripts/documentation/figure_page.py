@@ -11,7 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import known
-from benchmarks.report.results import ReportError, Result, number, read_benchmark
+from benchmarks.report.results import (
+    ReportError,
+    Result,
+    number,
+    read_benchmark,
+)
 from documentation import DOC, ROOT
 from documentation.markdown import plain, table
 from documentation.pictures import PICTURES
@@ -45,11 +50,25 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
         "peer": ("name", "speed"),
     },
     "locomotion": {
-        "": ("row", "unit", "goal", "gait alone", "place", "learned", "default"),
+        "": (
+            "row",
+            "unit",
+            "goal",
+            "gait alone",
+            "place",
+            "learned",
+            "default",
+        ),
         "margin": ("voltage", "friction", "speed", "aside", "tilt", "load"),
     },
     "mpc": {
-        "solver": ("tolerance", "median_ms", "p99_ms", "error_max", "hard_error_max"),
+        "solver": (
+            "tolerance",
+            "median_ms",
+            "p99_ms",
+            "error_max",
+            "hard_error_max",
+        ),
         "cvxpy": ("solver", "median_ms", "error_max"),
         "horizon": ("stages", "median_ms"),
     },
@@ -75,7 +94,9 @@ Of repeats their median is shown.
 def section(name: str, subject: str, result: Result) -> str:
     """Text of a benchmark's section after its heading: origin, checks, rows, pictures."""
     run = (
-        "A quick run: fewer repeats, rougher figures" if result.quick else "A full run"
+        "A quick run: fewer repeats, rougher figures"
+        if result.quick
+        else "A full run"
     )
     parts = [f"{plain(subject)}", f"{run}, {plain(result.origin)}."]
     checks = [
@@ -92,7 +113,9 @@ def section(name: str, subject: str, result: Result) -> str:
         rows = [row for row in result.rows if row.get("kind", "") == kind]
         rows = [row for row in rows if row.get("repeat", "median") == "median"]
         if rows:
-            cells = [[_cell(row.get(column)) for column in columns] for row in rows]
+            cells = [
+                [_cell(row.get(column)) for column in columns] for row in rows
+            ]
             heads = [plain(column.replace("_", " ")) for column in columns]
             parts.append(f"Rows {kind or name}:")
             parts.append(table(heads, cells).rstrip())
@@ -117,7 +140,9 @@ def _cell(value: Any) -> str:
 def page(results: Path, before: str) -> str:
     """The page: sections of the results, and those of the page before without a new result."""
     parts = [INTRODUCTION.rstrip()]
-    kept = dict(re.findall(r"^## (\w+)\n\n(.*?)(?=^## |\Z)", before, re.M | re.S))
+    kept = dict(
+        re.findall(r"^## (\w+)\n\n(.*?)(?=^## |\Z)", before, re.M | re.S)
+    )
     for name, subject in known().items():
         result = read_benchmark(results, name)
         missing = f"Not measured yet: `scripts/bench {name}`."
@@ -133,8 +158,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = command_parser("docs --figures", __doc__)
     results, out = ROOT / "results", DOC / "figures.md"
     add = parser.add_argument
-    add("--results", type=Path, default=results, metavar="DIR", help="default: results")
-    add("--out", type=Path, default=out, metavar="FILE", help="default: the page")
+    add(
+        "--results",
+        type=Path,
+        default=results,
+        metavar="DIR",
+        help="default: results",
+    )
+    add(
+        "--out",
+        type=Path,
+        default=out,
+        metavar="FILE",
+        help="default: the page",
+    )
     options = parser.parse_args(arguments)
     try:
         before = options.out.read_text() if options.out.is_file() else ""

@@ -35,7 +35,11 @@ VARIANTS = {
 }
 # Of every node of ROS 2.
 STANDARD_TOPICS = {"/rosout", "/parameter_events"}
-STANDARD_SERVICES = {"rcl_interfaces", "type_description_interfaces", "lifecycle_msgs"}
+STANDARD_SERVICES = {
+    "rcl_interfaces",
+    "type_description_interfaces",
+    "lifecycle_msgs",
+}
 STANDARD_PARAMETERS = (
     "use_sim_time",
     "start_type_description_service",
@@ -66,7 +70,8 @@ def created_nodes(directory: str) -> Iterator[tuple[Node, Mapping[str, str]]]:
             VARIANTS.get(name, [{}]) if entry["package"] == "slot_nodes" else ()
         ):
             given = {
-                key: value.format(directory=directory) for key, value in variant.items()
+                key: value.format(directory=directory)
+                for key, value in variant.items()
             }
             options = [
                 text
@@ -86,7 +91,9 @@ def node_class(program: str) -> Any:
     module = importlib.import_module(entry.module)
     classes = [kind for _, kind in inspect.getmembers(module, inspect.isclass)]
     (node,) = [
-        k for k in classes if issubclass(k, Node) and k.__module__ == module.__name__
+        k
+        for k in classes
+        if issubclass(k, Node) and k.__module__ == module.__name__
     ]
     return node
 
@@ -111,9 +118,13 @@ class GraphTables:
         for service in node.services:
             if _package(service.srv_type) not in STANDARD_SERVICES:
                 row = _kind(service.srv_type), name
-                self._services[node.resolve_service_name(service.srv_name)] = row
+                self._services[node.resolve_service_name(service.srv_name)] = (
+                    row
+                )
         rows = self._parameters.setdefault(name, {})
-        for parameter, declared in sorted(node.get_parameters_by_prefix("").items()):
+        for parameter, declared in sorted(
+            node.get_parameters_by_prefix("").items()
+        ):
             if not parameter.startswith(STANDARD_PARAMETERS):
                 described = node.describe_parameter(parameter)
                 value = "" if parameter in given else code(declared.value)
@@ -133,9 +144,13 @@ class GraphTables:
         """Tables of the topics, without the recorder's subscriptions, and of the services."""
         topics = [
             (f"`{topic}`", kind, ", ".join(publishers), ", ".join(subscribers))
-            for topic, (kind, publishers, subscribers) in sorted(self._topics.items())
+            for topic, (kind, publishers, subscribers) in sorted(
+                self._topics.items()
+            )
         ]
-        services = [(f"`{name}`", *row) for name, row in sorted(self._services.items())]
+        services = [
+            (f"`{name}`", *row) for name, row in sorted(self._services.items())
+        ]
         return (
             "## Topics\n\n"
             + table(("topic", "type", "published by", "subscribed by"), topics)
@@ -157,7 +172,11 @@ def arguments() -> str:
     """Table of the graph's arguments: options of scripts/run, and of the launch file."""
     rows = []
     for argument in graph_arguments():
-        choices = f"; one of {', '.join(argument.choices)}" if argument.choices else ""
+        choices = (
+            f"; one of {', '.join(argument.choices)}"
+            if argument.choices
+            else ""
+        )
         option = f"`--{argument.name.replace('_', '-')}`"
         kind, default = argument.kind.__name__, code(argument.default)
         rows.append(
@@ -170,7 +189,14 @@ def arguments() -> str:
             )
         )
     return table(
-        ("option of scripts/run", "launch argument", "type", "default", "meaning"), rows
+        (
+            "option of scripts/run",
+            "launch argument",
+            "type",
+            "default",
+            "meaning",
+        ),
+        rows,
     )
 
 
@@ -182,7 +208,11 @@ def _kind(kind: type) -> str:
     """Name of a message or service; those of this repository with a link to their definition."""
     package, name = _package(kind), kind.__name__
     text = f"`{package}/{name}`"
-    return f"[{text}](messages.md#{name.lower()})" if package == "slot_msgs" else text
+    return (
+        f"[{text}](messages.md#{name.lower()})"
+        if package == "slot_msgs"
+        else text
+    )
 
 
 def _quality(profile: QoSProfile) -> str:

@@ -26,7 +26,9 @@ def write(path: Path) -> None:
     """Write the plot of a leg of a robot that is pushed as a PNG."""
     robot = read_robot()
     changes = {"solver.nodes": NODES, "floor.friction": [3.0] * 4}
-    sim = RodRobot(robot, config.replace(read_scene("flat"), changes), read_servo())
+    sim = RodRobot(
+        robot, config.replace(read_scene("flat"), changes), read_servo()
+    )
     sim.push(PUSH * np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0), np.zeros(3))
     sim.advance(600, np.full(4, np.radians(PULLED_DEG)))
     figure = plt.figure(figsize=(8, 4.6), dpi=120)
@@ -36,12 +38,16 @@ def write(path: Path) -> None:
     figure.savefig(path)
 
 
-def draw(axes: Any, robot: RobotParameters, node: Array, director: Array) -> None:
+def draw(
+    axes: Any, robot: RobotParameters, node: Array, director: Array
+) -> None:
     """Draw a leg at nodes (N, 3) with directors (N-1, 3), mm in the plot."""
     node = 1e3 * node
     along = np.diff(node, axis=0)
     t = along / np.linalg.norm(along, axis=1, keepdims=True)
-    width = np.vstack([director[:1], (director[1:] + director[:-1]) / 2, director[-1:]])
+    width = np.vstack(
+        [director[:1], (director[1:] + director[:-1]) / 2, director[-1:]]
+    )
     half = 500.0 * robot.leg.width
     left, right = node - half * width, node + half * width
     axes.plot_surface(
@@ -66,10 +72,16 @@ def draw(axes: Any, robot: RobotParameters, node: Array, director: Array) -> Non
     b = np.cross(t[SHOWN], director[SHOWN])
     for vector, name in ((t[SHOWN], "t"), (director[SHOWN], "d"), (b, "b")):
         axes.quiver(
-            *middle, *(size * vector), color="black", lw=1.5, arrow_length_ratio=0.2
+            *middle,
+            *(size * vector),
+            color="black",
+            lw=1.5,
+            arrow_length_ratio=0.2,
         )
         away = 1.9 if name == "d" else 1.25  # it is seen almost from its end
-        axes.text(*(middle + away * size * vector), name, style="italic", size=12)
+        axes.text(
+            *(middle + away * size * vector), name, style="italic", size=12
+        )
     notes = (
         (node[0], (-40, 20), "node 0, the clamp", "black"),
         (node[-1], (8, -4), f"node {NODES - 1}, the tip", "black"),

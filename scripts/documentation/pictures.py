@@ -44,9 +44,7 @@ class Picture:
         ""  # of the rows: all, those of a kind, or with None those without
     )
     commands: Sequence[str] = ()  # {} stands for an empty directory
-    file: str = (
-        ""  # that the commands make, from which it is drawn, or which is the picture
-    )
+    file: str = ""  # that the commands make, from which it is drawn, or which is the picture
 
     @property
     def source(self) -> str:
@@ -64,7 +62,9 @@ class Picture:
 
     def make(self, results: Path, path: Path) -> None:
         """Draw it into a file; raises PictureError and ReportError."""
-        draw: Any = pkgutil.resolve_name(self.draw) if self.draw else shutil.copyfile
+        draw: Any = (
+            pkgutil.resolve_name(self.draw) if self.draw else shutil.copyfile
+        )
         if self.courses:
             import numpy as np  # noqa: PLC0415 - heavy
 
@@ -104,7 +104,10 @@ COMPARED = "scripts/compare {}/flat {}/slope5 --plot {}/compare.png"
 FIT = "--fit friction,young_modulus,tendon_offset"
 TWIN = f"scripts/twin {ROOT}/slot_bringup/example/walk --out {{}} {FIT}"
 LEARN = f"python {ROOT}/scripts/examples/learn_to_walk.py"
-ROBOT, BROWSER = "documentation.robot_pictures", "documentation.browser_pictures"
+ROBOT, BROWSER = (
+    "documentation.robot_pictures",
+    "documentation.browser_pictures",
+)
 PLOTS = "benchmarks.locomotion.plots"
 PICTURES = {
     "gaits.png": Picture(f"{ROBOT}:draw_gaits"),
@@ -113,9 +116,15 @@ PICTURES = {
     "play.png": Picture(f"{BROWSER}:write_page"),
     "play_panels.png": Picture(f"{BROWSER}:write_panels"),
     "view.png": Picture(f"{BROWSER}:write_view", commands=PAGE, file="x.html"),
-    "compare.png": Picture(commands=[WALK, SLOPE, COMPARED], file="compare.png"),
-    "locomotion_table.png": Picture(f"{PLOTS}:draw_table", "locomotion", kind=None),
-    "locomotion_velocity.png": Picture(f"{PLOTS}:draw_velocity", "locomotion", True),
+    "compare.png": Picture(
+        commands=[WALK, SLOPE, COMPARED], file="compare.png"
+    ),
+    "locomotion_table.png": Picture(
+        f"{PLOTS}:draw_table", "locomotion", kind=None
+    ),
+    "locomotion_velocity.png": Picture(
+        f"{PLOTS}:draw_velocity", "locomotion", True
+    ),
     "locomotion_top.png": Picture(f"{PLOTS}:draw_top", "locomotion", True),
     "margins.png": Picture(
         "benchmarks.locomotion.margins:draw", "locomotion", kind="margin"
@@ -129,7 +138,8 @@ PICTURES = {
         "benchmarks.perturbations.benchmark:draw_courses", "perturbations", True
     ),
     "walk.png": Picture(
-        commands=["scripts/run --duration 20 --bag {}/walk"], file="walk/walk.png"
+        commands=["scripts/run --duration 20 --bag {}/walk"],
+        file="walk/walk.png",
     ),
     "walk.gif": Picture(
         commands=[PUSH, "scripts/view {}/push --animate {}/x.gif"], file="x.gif"
@@ -157,10 +167,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = command_parser("docs --pictures", __doc__)
     add, results = parser.add_argument, ROOT / "results"
     add("names", nargs="*", metavar="NAME", help="of pictures (default: all)")
-    add("--list", action="store_true", help="list the pictures and their sources")
-    add("--results", type=Path, default=results, metavar="DIR", help="default: results")
     add(
-        "--out", type=Path, default=DOC, metavar="DIR", help="default: slot_bringup/doc"
+        "--list",
+        action="store_true",
+        help="list the pictures and their sources",
+    )
+    add(
+        "--results",
+        type=Path,
+        default=results,
+        metavar="DIR",
+        help="default: results",
+    )
+    add(
+        "--out",
+        type=Path,
+        default=DOC,
+        metavar="DIR",
+        help="default: slot_bringup/doc",
     )
     options = parser.parse_args(arguments)
     if options.list:
@@ -182,7 +206,10 @@ def draw(names: Sequence[str], results: Path, out: Path) -> None:
     if not out.is_dir():
         raise PictureError(f"--out {out}: not a directory")
     for name in names:
-        benchmark, needed = PICTURES[name].benchmark, PICTURES[name].needs(results)
+        benchmark, needed = (
+            PICTURES[name].benchmark,
+            PICTURES[name].needs(results),
+        )
         if needed and not needed.is_file():
             writes = f"scripts/bench {benchmark} writes it"
             raise PictureError(f"{name}: {needed}: missing; {writes}")

@@ -74,7 +74,9 @@ EVERY = 15  # ticks between two predictions in a plot
 def draw_gaits(path: Path) -> None:
     """Write a PNG: the postures, then a gait a row at equal shares of its stride."""
     figure = Figure(figsize=(11.0, 10.4), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=(1.6, len(STRIDES) + 0.9))
+    above, below = figure.subfigures(
+        2, 1, height_ratios=(1.6, len(STRIDES) + 0.9)
+    )
     above.suptitle("Postures; dashed: 40 mm above the floor", fontsize=11)
     for ax, still in zip(above.subplots(1, len(POSTURES)), POSTURES):
         [pose] = _poses(still, [0.0])
@@ -82,8 +84,12 @@ def draw_gaits(path: Path) -> None:
         ax.set_ylim(-0.03, 0.11)
         ax.axhline(0.04, color=palette.SECONDARY, lw=0.8, ls="--", zorder=9)
         height = f"{still.name}\ncentre {MM * pose.position[2]:.0f} mm high"
-        ax.text(0.5, -0.05, height, transform=ax.transAxes, ha="center", va="top")
-    below.suptitle("Gaits over one stride: its share that has passed", fontsize=11)
+        ax.text(
+            0.5, -0.05, height, transform=ax.transAxes, ha="center", va="top"
+        )
+    below.suptitle(
+        "Gaits over one stride: its share that has passed", fontsize=11
+    )
     widths = (0.62, *np.ones(len(SHARES)))
     grid = below.subplots(len(STRIDES), len(widths), width_ratios=widths)
     for row, still in zip(grid, STRIDES):
@@ -95,13 +101,17 @@ def draw_gaits(path: Path) -> None:
     for ax, share in zip(grid[0, 1:], SHARES):
         ax.set_title(f"{100 * share:.0f} %", fontsize=10)
     handles: list[Any] = [
-        Line2D([], [], color=palette.LEG_COLOURS[leg], lw=5, label=f"{name} leg")
+        Line2D(
+            [], [], color=palette.LEG_COLOURS[leg], lw=5, label=f"{name} leg"
+        )
         for leg, name in zip(LEGS, FOOT_NAMES)
     ]
     style = {"color": palette.INK, "marker": "^", "ls": "none"}
     force = f"force of the floor, {MM * FORCE_SCALE:.0f} mm of arrow for 1 N; none: foot in the air"
     handles.append(Line2D([], [], label=force, **style))
-    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False)
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=5, frameon=False
+    )
     figure.savefig(path, dpi=110)
 
 
@@ -126,7 +136,9 @@ def _poses(still: Still, times: Sequence[float]) -> list[Snapshot]:
 
 def _snapshot(sim: Any, tick: int) -> Snapshot:
     legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, read_robot())
-    return Snapshot(tick * DT, sim.position, sim.quaternion, legs, sim.ground_force)
+    return Snapshot(
+        tick * DT, sim.position, sim.quaternion, legs, sim.ground_force
+    )
 
 
 def draw_prediction(path: Path) -> None:

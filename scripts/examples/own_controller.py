@@ -32,7 +32,12 @@ POLICY = HoldsHeight
 if __name__ == "__main__":
     for policy in (__file__, "gait_alone"):
         loop = ClosedLoop(
-            "flat", "stand", None, 1, policy, changes={"scene.payload.mass": 0.3}
+            "flat",
+            "stand",
+            None,
+            1,
+            policy,
+            changes={"scene.payload.mass": 0.3},
         )
         height = [loop.plant.robot.position[2] for _ in loop.run(150)]
         print(f"{policy}: {1e3 * height[-1]:.1f} mm high, 40 mm commanded")

@@ -20,7 +20,9 @@ for topic, count in sorted(bag.counts.items()):
     print(f"{count:6d}  {topic}  {bag.topics[topic]}")
 motion = read_motion(bag, *MOTION_TOPICS)  # truth, else odometry, else estimate
 way = motion.position[-1] - motion.position[0]
-print(f"{motion.t[-1] - motion.t[0]:.2f} s, way {way.round(3)} m, from {motion.source}")
+print(
+    f"{motion.t[-1] - motion.t[0]:.2f} s, way {way.round(3)} m, from {motion.source}"
+)
 
 tendons = tendon_angles(bag)  # measured, else commanded
 figure, (above, below) = plt.subplots(2, sharex=True)

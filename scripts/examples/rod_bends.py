@@ -8,7 +8,10 @@ from slot_core.rod.model import Geometry, Loads, Material, Rectangle
 LENGTH, WIDTH, THICKNESS = 0.2, 0.02, 4e-3  # m
 YOUNG, SHEAR, DENSITY, DAMPING = 1e7, 3.3e6, 1200.0, 5e-4  # Pa, Pa, kg/m^3, s
 Y, Z = 1, 2
-SECOND_MOMENT = {Y: THICKNESS * WIDTH**3 / 12, Z: WIDTH * THICKNESS**3 / 12}  # m^4
+SECOND_MOMENT = {
+    Y: THICKNESS * WIDTH**3 / 12,
+    Z: WIDTH * THICKNESS**3 / 12,
+}  # m^4
 
 strip = Geometry(LENGTH, Rectangle(WIDTH, (THICKNESS, THICKNESS)))
 rod = CosseratRod(Material(YOUNG, SHEAR, DENSITY, DAMPING), strip)
@@ -17,7 +20,9 @@ print("force    tip, rod    tip, beam theory (small deflections)")
 for axis, force in ((Y, 0.05), (Z, 0.002), (Z, 0.02), (Z, 0.2)):
     rod.solve_static(Loads(force=force * np.eye(3)[axis]))
     beam = force * LENGTH**3 / (3 * YOUNG * SECOND_MOMENT[axis])
-    print(f"{force:5.3f} N {1e3 * rod.tip.position[axis]:7.3f} mm {1e3 * beam:9.3f} mm")
+    print(
+        f"{force:5.3f} N {1e3 * rod.tip.position[axis]:7.3f} mm {1e3 * beam:9.3f} mm"
+    )
 
 height = rod.run(1e-3, 400, samples=16)[
     :, Z

@@ -4,7 +4,9 @@ import numpy as np
 
 from slot_core.simulation.closed_loop import ClosedLoop
 
-VELOCITY = np.array([0.05, 0.0, 0.0])  # forward and to the left m/s, yaw rate rad/s
+VELOCITY = np.array(
+    [0.05, 0.0, 0.0]
+)  # forward and to the left m/s, yaw rate rad/s
 
 loop = ClosedLoop("flat", "walk", VELOCITY, seed=1)
 robot = (

@@ -12,7 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+)
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import PathJoinSubstitution
 from launch_ros.actions import ComposableNodeContainer, SetParameter
@@ -82,7 +86,9 @@ def generate_launch_description() -> LaunchDescription:
                 for name, value in SLOT.items()
             ),
             _include(
-                _launch_file("realsense2_camera", "rs_launch.py"), CAMERA, EMITTER
+                _launch_file("realsense2_camera", "rs_launch.py"),
+                CAMERA,
+                EMITTER,
             ),
             ComposableNodeContainer(
                 name="visual_slam_launch_container",
@@ -102,7 +108,9 @@ def _launch_file(package: str, name: str) -> PathJoinSubstitution:
     return PathJoinSubstitution([FindPackageShare(package), "launch", name])
 
 
-def _include(source: Any, arguments: dict[str, str], *before: Any) -> GroupAction:
+def _include(
+    source: Any, arguments: dict[str, str], *before: Any
+) -> GroupAction:
     """Include a launch file in a new scope, as several have arguments such as namespace."""
     launch_file = PythonLaunchDescriptionSource(source)
     given = list(arguments.items())

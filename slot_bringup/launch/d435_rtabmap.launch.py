@@ -11,7 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+)
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import PathJoinSubstitution
 from launch_ros.actions import SetParameter
@@ -56,9 +60,13 @@ def generate_launch_description() -> LaunchDescription:
                 for name, value in SLOT.items()
             ),
             _include(
-                _launch_file("realsense2_camera", "rs_launch.py"), CAMERA, EMITTER
+                _launch_file("realsense2_camera", "rs_launch.py"),
+                CAMERA,
+                EMITTER,
             ),
-            _include(_launch_file("rtabmap_launch", "rtabmap.launch.py"), RTABMAP),
+            _include(
+                _launch_file("rtabmap_launch", "rtabmap.launch.py"), RTABMAP
+            ),
             _include(str(Path(__file__).with_name("slot.launch.py")), {}),
         ]
     )
@@ -69,7 +77,9 @@ def _launch_file(package: str, name: str) -> PathJoinSubstitution:
     return PathJoinSubstitution([FindPackageShare(package), "launch", name])
 
 
-def _include(source: Any, arguments: dict[str, str], *before: Any) -> GroupAction:
+def _include(
+    source: Any, arguments: dict[str, str], *before: Any
+) -> GroupAction:
     """Include a launch file in a new scope, as several have arguments such as namespace."""
     launch_file = PythonLaunchDescriptionSource(source)
     given = list(arguments.items())

@@ -24,7 +24,14 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 from slot_bringup import composition
 from slot_bringup.check import check
-from slot_bringup.graph import GO_ON, RESTART, RESTARTS, TIED, ends_graph, read_graph
+from slot_bringup.graph import (
+    GO_ON,
+    RESTART,
+    RESTARTS,
+    TIED,
+    ends_graph,
+    read_graph,
+)
 from slot_bringup.monitor import require_no_other_graph
 from slot_bringup.stock_recorder import record_command
 from slot_core.config import ConfigError
@@ -91,7 +98,9 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
         else []
     )
     if stock:
-        values |= {"bag": ""}  # no node that records, and no robot that waits for it
+        values |= {
+            "bag": ""
+        }  # no node that records, and no robot that waits for it
     model = _robot_model(values) if given["robot_description"] == "true" else []
     return [*said, *stock, *model] + [
         Node(
@@ -104,7 +113,10 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
             remappings=list(spec.remappings.items()),
             parameters=[
                 *filter(None, [spec.params_file]),
-                {name: _typed(value) for name, value in spec.parameters.items()},
+                {
+                    name: _typed(value)
+                    for name, value in spec.parameters.items()
+                },
             ],
             prefix=" ".join(TIED),  # launch leaves its nodes running at SIGTERM
             additional_env=dict(spec.environment),
@@ -128,7 +140,9 @@ def _require_known(words: list[str]) -> None:
     for name in (word.partition(":=")[0] for word in words):
         if name not in known:
             # all: too long
-            near = ", ".join(get_close_matches(name, known, cutoff=0.7)) or "none"
+            near = (
+                ", ".join(get_close_matches(name, known, cutoff=0.7)) or "none"
+            )
             raise ConfigError(
                 f"no argument {name!r} (similar: {near}; --show-args lists all)"
             )
@@ -143,7 +157,9 @@ def _stock_recorder(values: dict[str, Any]) -> ExecuteProcess:
         GRAPH.remappings(values),
         best_effort_sensors=values["hardware"] == "real",
     )
-    return ExecuteProcess(cmd=[*TIED, *command], name=STOCK_RECORDER, output="screen")
+    return ExecuteProcess(
+        cmd=[*TIED, *command], name=STOCK_RECORDER, output="screen"
+    )
 
 
 def _robot_model(values: dict[str, Any]) -> list[Action]:
@@ -152,7 +168,9 @@ def _robot_model(values: dict[str, Any]) -> list[Action]:
         get_package_prefix(MODEL)
     except PackageNotFoundError:
         return [
-            LogInfo(msg=f"{MODEL} is not installed, so there is no /robot_description")
+            LogInfo(
+                msg=f"{MODEL} is not installed, so there is no /robot_description"
+            )
         ]
     urdf = Path(
         get_package_share_directory("slot_bringup"), "urdf", "slot.urdf"
@@ -179,7 +197,11 @@ def _robot_model(values: dict[str, Any]) -> list[Action]:
 
 def _typed(value: Any) -> Any:
     """The value of a parameter; launch would read a text such as 1e3 as a number."""
-    return ParameterValue(value, value_type=str) if isinstance(value, str) else value
+    return (
+        ParameterValue(value, value_type=str)
+        if isinstance(value, str)
+        else value
+    )
 
 
 def _end(event: Any, context: LaunchContext) -> list[Action]:
@@ -190,4 +212,6 @@ def _end(event: Any, context: LaunchContext) -> list[Action]:
     name = event.process_name.rpartition("-")[0]  # launch adds a number
     if ends_graph(ADDED.get(name) or GRAPH.if_it_ends(name), event.returncode):
         raise RuntimeError(line)
-    return [LogInfo(msg=f"{line}; the robot goes on without it, or with a new one")]
+    return [
+        LogInfo(msg=f"{line}; the robot goes on without it, or with a new one")
+    ]

@@ -12,7 +12,9 @@ from slot_core.control.policies import DEFAULT_POLICY, POLICIES
 from slot_core.refusal import quoted
 
 PROGRAM = "scripts/run"
-ABOUT = "Runs the node graph for a given time, records a bag and prints a summary."
+ABOUT = (
+    "Runs the node graph for a given time, records a bag and prints a summary."
+)
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,9 @@ class Argument:
             value = None
         if type(value) is not self.kind:
             expected = config.KIND_NAMES[self.kind]
-            raise ValueError(f"{self.name} = {quoted(text)}: expected {expected}")
+            raise ValueError(
+                f"{self.name} = {quoted(text)}: expected {expected}"
+            )
         return str(Path(text).expanduser()) if self.is_path and text else value
 
 
@@ -76,7 +80,9 @@ def graph_arguments() -> tuple[Argument, ...]:
             "new one",
             unit="DEVICE",
         ),
-        Argument("gait", str, "walk", f"a gait of config/gait: {_names('gait')}"),
+        Argument(
+            "gait", str, "walk", f"a gait of config/gait: {_names('gait')}"
+        ),
         Argument(
             "vx",
             float,
@@ -119,7 +125,9 @@ def graph_arguments() -> tuple[Argument, ...]:
             f"controller: {', '.join(POLICIES)}, a Python file with one, or onnx:FILE, a learned "
             "network",
         ),
-        Argument("scene", str, "flat", f"a scene of config/scene: {_names('scene')}"),
+        Argument(
+            "scene", str, "flat", f"a scene of config/scene: {_names('scene')}"
+        ),
         Argument(
             "markers",
             bool,
@@ -255,6 +263,8 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     place = "directory for bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)"
     keep.add_argument("--bag", type=Path, metavar="DIR", help=place)
     keep.add_argument(
-        "--no-bag", action="store_true", help="write nothing, only print the summary"
+        "--no-bag",
+        action="store_true",
+        help="write nothing, only print the summary",
     )
     return parser.parse_args(arguments)

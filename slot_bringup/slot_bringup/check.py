@@ -33,7 +33,9 @@ from slot_core.vision.settings import read_vision
 SETTINGS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
     "state_estimator": lambda _: read_estimator(),
     "gait_scheduler": lambda _: read_gaits(),
-    "mpc_controller": lambda v: policy_class(v["policy"]).read_settings(v["policy"]),
+    "mpc_controller": lambda v: policy_class(v["policy"]).read_settings(
+        v["policy"]
+    ),
     "force_mapper": lambda _: read_force_map(),
     "supervisor": lambda _: read_supervisor(),
     "marker_localizer": lambda _: read_vision(),
@@ -62,7 +64,11 @@ def check(values: Mapping[str, Any]) -> None:
     hardware = values["hardware"]
     if values["lockstep"]:
         _check_lockstep(values)
-    if values["markers"] and is_simulated(values) and not scene.sensors.camera.enabled:
+    if (
+        values["markers"]
+        and is_simulated(values)
+        and not scene.sensors.camera.enabled
+    ):
         raise ConfigError(f"markers: the scene {values['scene']} has no camera")
     if values["calibration"]:
         _check_calibration(Path(values["calibration"]))
@@ -73,7 +79,11 @@ def check(values: Mapping[str, Any]) -> None:
             require_simulated_legs(fault)
     _check_ranges(values)
     port = values["port"]
-    if hardware == "fake_bus" and port is not None and not Path(port).parent.is_dir():
+    if (
+        hardware == "fake_bus"
+        and port is not None
+        and not Path(port).parent.is_dir()
+    ):
         raise ConfigError(f"port {port}: not in an existing directory")
     check_place(values["namespace"])
     if values["params_file"]:
@@ -90,7 +100,8 @@ def _check_parameters(values: Mapping[str, Any]) -> None:
     """
     file = Path(values["params_file"])
     nodes = {
-        f"{absolute(values['namespace']).rstrip('/')}/{name}": name for name in SETTINGS
+        f"{absolute(values['namespace']).rstrip('/')}/{name}": name
+        for name in SETTINGS
     }
     for given in read_parameters(file):
         matched = [nodes[full] for full in nodes if given.match(full)]
@@ -102,9 +113,13 @@ def _check_parameters(values: Mapping[str, Any]) -> None:
         known = set(OF_EVERY_NODE)
         for name in matched:
             settings = SETTINGS[name](values)
-            own = {leaf for leaf, _, _ in config.leaves(settings)} & given.values.keys()
+            own = {
+                leaf for leaf, _, _ in config.leaves(settings)
+            } & given.values.keys()
             where = f"params_file {file}: {name}"
-            config.replace(settings, {leaf: given.values[leaf] for leaf in own}, where)
+            config.replace(
+                settings, {leaf: given.values[leaf] for leaf in own}, where
+            )
             known |= own
         for name in given.values:
             if name not in known and not name.startswith("qos_overrides."):
@@ -131,7 +146,10 @@ def _check_ranges(values: Mapping[str, Any]) -> None:
     """Raise ConfigError for a number outside its range."""
     if not 0 <= values["seed"] < 2**63:
         raise ConfigError(f"seed = {values['seed']}: outside [0, {2**63 - 1}]")
-    if values["realtime"] is not None and not 0 <= values["realtime"] <= PRIORITY_MAX:
+    if (
+        values["realtime"] is not None
+        and not 0 <= values["realtime"] <= PRIORITY_MAX
+    ):
         raise ConfigError(
             f"realtime = {values['realtime']}: outside [0, {PRIORITY_MAX}]"
         )
@@ -144,7 +162,9 @@ def check_place(namespace: str) -> None:
         raise ConfigError(
             f"ROS_DOMAIN_ID = {quoted(domain)}: expected a number within [0, {DOMAIN_MAX}]"
         )
-    _check_name("namespace", namespace, lambda name: validate_namespace(absolute(name)))
+    _check_name(
+        "namespace", namespace, lambda name: validate_namespace(absolute(name))
+    )
     if os.environ.get("ROS_SECURITY_ENABLE") == "true":
         _check_keys()
 
@@ -154,7 +174,9 @@ def _check_keys() -> None:
     context = Context()
     try:
         rclpy.init(
-            args=[], context=context, signal_handler_options=SignalHandlerOptions.NO
+            args=[],
+            context=context,
+            signal_handler_options=SignalHandlerOptions.NO,
         )
     except RuntimeError as error:  # an RCLError
         store = quoted(os.environ.get("ROS_SECURITY_KEYSTORE", ""))
@@ -187,7 +209,9 @@ def _check_calibration(file: Path) -> None:
         raise ConfigError(f"calibration {error}") from None
 
 
-def _check_name(argument: str, name: str, validate: Callable[[str], Any]) -> None:
+def _check_name(
+    argument: str, name: str, validate: Callable[[str], Any]
+) -> None:
     """Raise ConfigError for a name that ROS does not allow."""
     try:
         validate(name)

@@ -63,7 +63,10 @@ def available_cores(groups: Path = CONTROL_GROUPS) -> float:
     versions of control groups.
     """
     cores = float(len(os.sched_getaffinity(0)))
-    for names in (["cpu.max"], ["cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us"]):
+    for names in (
+        ["cpu.max"],
+        ["cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us"],
+    ):
         try:
             quota, period = " ".join(
                 (groups / name).read_text() for name in names
@@ -86,7 +89,10 @@ def core_load(policy: str, gait: str) -> float:
         robot, make_policy(policy, robot), gait, None, gaits=read_gaits()
     )
     step, imu = to_ns(sensors.odometry.period), to_ns(sensors.imu.period)
-    place, level = np.array([0.0, 0.0, TORSO_HEIGHT]), np.array([0.0, 0.0, 0.0, 1.0])
+    place, level = (
+        np.array([0.0, 0.0, TORSO_HEIGHT]),
+        np.array([0.0, 0.0, 0.0, 1.0]),
+    )
     still, upward = np.zeros(3), np.array([0.0, 0.0, GRAVITY])
     busy: list[float] = []
     for stamp in range(

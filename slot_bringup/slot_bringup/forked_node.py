@@ -33,7 +33,9 @@ def start_server(specs: Sequence[NodeSpec]) -> None:
     """
     entries = [_entry(spec.package, spec.name) for spec in specs]
     modules = [entry.module for entry in entries if entry is not None]
-    modules += [f"slot_nodes.{name}_node" for spec in specs for name in spec.nodes]
+    modules += [
+        f"slot_nodes.{name}_node" for spec in specs for name in spec.nodes
+    ]
     _SERVER.set_forkserver_preload(["slot_bringup.fork_server", *modules])
     signal.pthread_sigmask(signal.SIG_BLOCK, FROM_TERMINAL)
     try:
@@ -43,12 +45,17 @@ def start_server(specs: Sequence[NodeSpec]) -> None:
 
 
 def fork(
-    spec: NodeSpec, command: Sequence[str], log: Path, environment: Mapping[str, str]
+    spec: NodeSpec,
+    command: Sequence[str],
+    log: Path,
+    environment: Mapping[str, str],
 ) -> BaseProcess:
     """Start a node with its command line; its output is appended to `log`."""
     log.touch()
     given = (spec, list(command), log, Path.cwd(), dict(environment))
-    process = _SERVER.Process(target=_become, args=given, name=spec.name, daemon=True)
+    process = _SERVER.Process(
+        target=_become, args=given, name=spec.name, daemon=True
+    )
     process.start()
     return process
 
@@ -64,7 +71,9 @@ def end_with_parent() -> None:
 def _entry(package: str, name: str) -> EntryPoint | None:
     """Entry point of a node's program; None if it is not written in Python."""
     try:
-        programs = distribution(package).entry_points.select(group="console_scripts")
+        programs = distribution(package).entry_points.select(
+            group="console_scripts"
+        )
     except PackageNotFoundError:
         return None
     return next((entry for entry in programs if entry.name == name), None)

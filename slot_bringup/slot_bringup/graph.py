@@ -93,9 +93,12 @@ class Graph:
     def remappings(self, values: Mapping[str, Any]) -> dict[str, str]:
         """Names of topics that are replaced, as the nodes have them, by other ones."""
         given = {
-            name: _value(target, values) for name, target in self._remappings.items()
+            name: _value(target, values)
+            for name, target in self._remappings.items()
         }
-        return {name: target for name, target in given.items() if name != target}
+        return {
+            name: target for name, target in given.items() if name != target
+        }
 
     def about(self, values: Mapping[str, Any]) -> str:
         """The arguments that say how a bag came about, as JSON: the main ones and those changed."""
@@ -107,16 +110,22 @@ class Graph:
         }
         return json.dumps(arguments)
 
-    def _composed(self, specs: list[NodeSpec], when: Sequence[str]) -> list[NodeSpec]:
+    def _composed(
+        self, specs: list[NodeSpec], when: Sequence[str]
+    ) -> list[NodeSpec]:
         """The nodes, of which the ones composable at `when` share a process.
 
         The process has the parameters of all: a parameter of one name has one value.
         """
         inside = [
-            spec for spec in specs if self._nodes[spec.name].get("composable") in when
+            spec
+            for spec in specs
+            if self._nodes[spec.name].get("composable") in when
         ]
         parameters = {
-            name: value for spec in inside for name, value in spec.parameters.items()
+            name: value
+            for spec in inside
+            for name, value in spec.parameters.items()
         }
         names = tuple(spec.name for spec in inside)
         process = replace(
@@ -130,14 +139,22 @@ class Graph:
         parameters = {**self._common, **entry.get("parameters", {})}
         for argument, extra in entry.get("parameters_with", {}).items():
             parameters |= extra if values[argument] else {}
-        parameters = {name: _value(value, values) for name, value in parameters.items()}
-        return {name: value for name, value in parameters.items() if value is not None}
+        parameters = {
+            name: _value(value, values) for name, value in parameters.items()
+        }
+        return {
+            name: value
+            for name, value in parameters.items()
+            if value is not None
+        }
 
 
 def _value(value: Any, values: Mapping[str, Any]) -> Any:
     """A value of `graph.yaml`; $name stands for the value of an argument."""
     return (
-        values[value[1:]] if isinstance(value, str) and value.startswith("$") else value
+        values[value[1:]]
+        if isinstance(value, str) and value.startswith("$")
+        else value
     )
 
 
@@ -205,4 +222,6 @@ def is_attended(values: Mapping[str, Any]) -> bool:
 
 def read_graph() -> Graph:
     """Read the `graph.yaml` of this package."""
-    return Graph(yaml.safe_load((files("slot_bringup") / "graph.yaml").read_text()))
+    return Graph(
+        yaml.safe_load((files("slot_bringup") / "graph.yaml").read_text())
+    )

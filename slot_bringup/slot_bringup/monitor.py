@@ -27,16 +27,18 @@ from slot_msgs.msg import MpcState, RobotState, TendonPlan
 from slot_nodes import qos
 from slot_nodes.process.executor import DirectExecutor
 
-START_TIMEOUT = 90.0  # s until the first /mpc_state; the first start compiles kernels
+START_TIMEOUT = (
+    90.0  # s until the first /mpc_state; the first start compiles kernels
+)
 SILENCE_TIMEOUT = 10.0  # s without a new /mpc_state
 DISCOVERY_TIME = 1.0  # s to wait for messages of a graph that runs already
 SPIN = 0.1  # s, longest wait for a message before an interrupt is raised
 POLL = 0.02  # s between two looks at the messages: to wake up for each takes time from the graph
-NEWEST = QoSProfile(depth=1)  # of a topic that is looked at less often than it comes
+NEWEST = QoSProfile(
+    depth=1
+)  # of a topic that is looked at less often than it comes
 PACE_WINDOW = 1.0  # s
-PACE_LIMIT = (
-    0.9  # least share of real time; an odometry more or less in the window is 3 %
-)
+PACE_LIMIT = 0.9  # least share of real time; an odometry more or less in the window is 3 %
 SKIPPED_LIMIT = 3.0  # states a second, of 30
 PACE_REPORT = 5.0  # s between two lines on the pace
 REFRESH_TERMINAL, REFRESH_LOG = 0.2, 5.0  # s between progress lines
@@ -56,9 +58,7 @@ class Progress:
     def __init__(self, supervised: bool) -> None:
         """The run begins at the first action PASS if supervised, else at the first torso state."""
         self.stamp = 0.0  # s, graph time of the last torso state
-        self.elapsed = (
-            0.0  # s, graph time since the begin; a clock that is set does not count
-        )
+        self.elapsed = 0.0  # s, graph time since the begin; a clock that is set does not count
         self.state: Array | None = None  # (12,), as MpcState, SI
         self.robot: State | None = None
         self.reason = ""  # of the supervisor's last transition
@@ -119,7 +119,9 @@ class Progress:
         if 0.0 <= share < PACE_LIMIT:
             found.append(f"the simulation went at {100 * share:.0f} % of it")
         if skipped > SKIPPED_LIMIT:
-            found.append(f"mpc_controller skipped {skipped:.0f} states a second")
+            found.append(
+                f"mpc_controller skipped {skipped:.0f} states a second"
+            )
         return f"slower than real time: {', '.join(found)}" if found else ""
 
     def line(self, whole: str = "") -> str:
@@ -152,7 +154,9 @@ class PaceReport:
     def print(self, urgent: bool) -> None:
         """Print the line if it holds, again after PACE_REPORT, or if the robot goes slack."""
         now = time.monotonic()
-        if not self._remedy or (now - self._printed < PACE_REPORT and not urgent):
+        if not self._remedy or (
+            now - self._printed < PACE_REPORT and not urgent
+        ):
             return
         if line := self._progress.slowness():
             self._printed = now
@@ -183,7 +187,9 @@ def watch(
         pace = PaceReport(progress, remedy)
         try:
             terminal, shown = sys.stderr.isatty(), time.monotonic()
-            refresh, end = (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")
+            refresh, end = (
+                (REFRESH_TERMINAL, "\r") if terminal else (REFRESH_LOG, "\n")
+            )
             while progress.elapsed < duration:
                 time.sleep(POLL)
                 executor.spin_once(0.0)
@@ -192,7 +198,10 @@ def watch(
                 for line in processes.restart_ended(progress.elapsed):
                     print_error(line)
                 if time.monotonic() - shown > refresh:
-                    shown, line = time.monotonic(), progress.line(f" of {duration:g}")
+                    shown, line = (
+                        time.monotonic(),
+                        progress.line(f" of {duration:g}"),
+                    )
                     print(line, end=end, file=sys.stderr, flush=True)
             print(progress.line(), file=sys.stderr)
         except SilenceError:
@@ -209,8 +218,12 @@ def require_no_other_graph(namespace: str = "") -> None:
     """
     with listener("run", namespace) as (node, executor):
         received: list[MpcState | RobotState] = []
-        node.create_subscription(MpcState, "mpc_state", received.append, qos.CONTROL)
-        node.create_subscription(RobotState, "robot_state", received.append, qos.STATE)
+        node.create_subscription(
+            MpcState, "mpc_state", received.append, qos.CONTROL
+        )
+        node.create_subscription(
+            RobotState, "robot_state", received.append, qos.STATE
+        )
         if executor.spin_until(lambda: bool(received), DISCOVERY_TIME):
             domain = node.context.get_domain_id()
             raise RunError(
@@ -238,10 +251,14 @@ class ListenerExecutor(DirectExecutor):
 
 
 @contextmanager
-def listener(name: str, namespace: str = "") -> Iterator[tuple[Node, ListenerExecutor]]:
+def listener(
+    name: str, namespace: str = ""
+) -> Iterator[tuple[Node, ListenerExecutor]]:
     """Node `name` in a context of its own, with an executor; installs no signal handlers."""
     context = Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(
+        args=[], context=context, signal_handler_options=SignalHandlerOptions.NO
+    )
     try:
         node = rclpy.create_node(name, context=context, namespace=namespace)
         executor = ListenerExecutor(context=context)
@@ -260,7 +277,9 @@ def _check(progress: Progress, processes: Processes, attended: bool) -> None:
             f"{name} ended with exit code {code}: {processes.last_line(name)}"
         )
     if progress.robot in RELEASED and not attended:
-        raise RunError(f"the robot is in {progress.robot.name}: {progress.reason}")
+        raise RunError(
+            f"the robot is in {progress.robot.name}: {progress.reason}"
+        )
     if attended and progress.state is None:
         return  # nothing moves before the operator's first request
     limit = START_TIMEOUT if progress.state is None else SILENCE_TIMEOUT

@@ -33,7 +33,13 @@ from slot_core.messages import decode
 from slot_core.messages.decode import ACTION_NUMBERS
 from slot_core.refusal import InputError, printable
 from slot_core.safety.states import Action, State
-from slot_msgs.msg import EmergencyStop, GaitPreview, MpcState, RobotState, ServoHealth
+from slot_msgs.msg import (
+    EmergencyStop,
+    GaitPreview,
+    MpcState,
+    RobotState,
+    ServoHealth,
+)
 from slot_msgs.srv import ForgetSource, InjectFault
 from slot_nodes import qos, runtime
 
@@ -63,15 +69,22 @@ def service(options: argparse.Namespace) -> Service:
     """Service call of an action of the command line."""
     if options.action in KEYS.values():
         return Service(
-            "supervisor", f"supervisor/{options.action}", Trigger, Trigger.Request()
+            "supervisor",
+            f"supervisor/{options.action}",
+            Trigger,
+            Trigger.Request(),
         )
     if options.action == "forget":
         source = ForgetSource.Request(source=options.source)
         return Service("supervisor", "supervisor/forget", ForgetSource, source)
     if options.action == "inject":
         names = ("kind", "leg", "value", "duration", "clear")
-        fault = InjectFault.Request(**{name: getattr(options, name) for name in names})
-        return Service("simulated robot", "sim_robot/inject", InjectFault, fault)
+        fault = InjectFault.Request(
+            **{name: getattr(options, name) for name in names}
+        )
+        return Service(
+            "simulated robot", "sim_robot/inject", InjectFault, fault
+        )
     name = f"dynamixel_driver/{options.action}_{options.leg.lower()}"
     return Service("driver of servos", name, Trigger, Trigger.Request())
 
@@ -95,7 +108,9 @@ def receive_state(namespace: str) -> RobotState:
     """Receive one /robot_state of the graph in `namespace`; raises OperateError if none arrives."""
     with listener("operate", namespace) as (node, executor):
         received: list[RobotState] = []
-        node.create_subscription(RobotState, "robot_state", received.append, qos.STATE)
+        node.create_subscription(
+            RobotState, "robot_state", received.append, qos.STATE
+        )
         if not executor.spin_until(lambda: bool(received), SEARCH_TIME):
             raise OperateError(no_answer(node, "supervisor", SEARCH_TIME))
         return received[0]
@@ -103,9 +118,7 @@ def receive_state(namespace: str) -> RobotState:
 
 def no_answer(node: Node, server: str, limit: float) -> str:
     """Why a graph is not found: nothing answers within a limit, s."""
-    place = (
-        f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
-    )
+    place = f"ROS domain {node.context.get_domain_id()}, namespace {node.get_namespace()}"
     return f"no {server} answers in {place} within {limit:g} s: does scripts/run run?"
 
 
@@ -117,12 +130,16 @@ class Operator:
         self._estop = EmergencyStop(
             source=f"{socket.gethostname()}-{uuid.uuid4().hex[:4]}"
         )
-        self._estop_topic = node.create_publisher(EmergencyStop, "estop", qos.SENSOR)
+        self._estop_topic = node.create_publisher(
+            EmergencyStop, "estop", qos.SENSOR
+        )
         named = {name: f"supervisor/{name}" for name in KEYS.values()}
         self._clients = {
             name: node.create_client(Trigger, n) for name, n in named.items()
         }
-        node.create_subscription(RobotState, "robot_state", self._on_state, qos.STATE)
+        node.create_subscription(
+            RobotState, "robot_state", self._on_state, qos.STATE
+        )
         for kind, topic, name, check in (
             (JointState, "joint_states", "joints", decode.joint_loads),
             (ServoHealth, "servo_health", "health", decode.servo_health),
@@ -182,7 +199,9 @@ class Operator:
 
         client.call_async(Trigger.Request()).add_done_callback(show)
 
-    def _show(self, name: str, check: Callable[[Any], object], message: Any) -> bool:
+    def _show(
+        self, name: str, check: Callable[[Any], object], message: Any
+    ) -> bool:
         """Show a message, unless `check` raises ValueError: then a line says that it is invalid."""
         try:
             check(message)
@@ -197,7 +216,9 @@ class Operator:
             return
         self.view.state_time = time.monotonic()
         if message.state == RobotState.ESTOP:
-            self._estop.pressed = False  # received, and latched by the supervisor
+            self._estop.pressed = (
+                False  # received, and latched by the supervisor
+            )
 
     def _on_motion(self, message: MpcState) -> None:
         try:
@@ -210,11 +231,15 @@ class Operator:
         )
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        self.view.diagnostics |= {status.name: status for status in message.status}
+        self.view.diagnostics |= {
+            status.name: status for status in message.status
+        }
 
     def _repeat(self) -> None:
         self._publish_estop()
-        if (state := self.view.state) and not self.view.silent(time.monotonic()):
+        if (state := self.view.state) and not self.view.silent(
+            time.monotonic()
+        ):
             self._steering.repeat(decode.stamp(state), self.view.preview)
 
     def _publish_estop(self) -> None:
@@ -236,20 +261,27 @@ def _terminal() -> Iterator[int]:
         print("\x1b[?1049h\x1b[?25l", end="", flush=True)
         yield keyboard
     finally:
-        with suppress(OSError, termios.error):  # the terminal may have been closed
+        with suppress(
+            OSError, termios.error
+        ):  # the terminal may have been closed
             termios.tcsetattr(keyboard, termios.TCSANOW, before)
             print("\x1b[?25h\x1b[?1049l", end="", flush=True)
 
 
 def live(namespace: str) -> None:
     """Show the robot's state and handle keys until the operator quits or the terminal is closed."""
-    with listener("operate", namespace) as (node, executor), _terminal() as keyboard:
+    with (
+        listener("operate", namespace) as (node, executor),
+        _terminal() as keyboard,
+    ):
         operator = Operator(node)
         while _serve(executor, operator, keyboard):
             _draw(operator.view)
 
 
-def _serve(executor: ListenerExecutor, operator: Operator, keyboard: int) -> bool:
+def _serve(
+    executor: ListenerExecutor, operator: Operator, keyboard: int
+) -> bool:
     """Handle messages and keys until the next redraw; return False to quit."""
     end = time.monotonic() + REFRESH
     while time.monotonic() < end:

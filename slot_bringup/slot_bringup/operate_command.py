@@ -21,7 +21,14 @@ from slot_core.config import ConfigError
 from slot_core.names import LEGS
 from slot_core.refusal import InputError
 
-REQUESTS = ("ready", "stand", "walk", "relax", "estop", "reset")  # to the supervisor
+REQUESTS = (
+    "ready",
+    "stand",
+    "walk",
+    "relax",
+    "estop",
+    "reset",
+)  # to the supervisor
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,7 +76,10 @@ def _parser() -> argparse.ArgumentParser:
         "--value", type=float, default=0.0, help="in the unit of the kind"
     )
     inject.add_argument(
-        "--duration", type=float, default=0.0, help="s; 0 (default): until cleared"
+        "--duration",
+        type=float,
+        default=0.0,
+        help="s; 0 (default): until cleared",
     )
     inject.add_argument(
         "--clear", action="store_true", help="clear this kind at this leg"

@@ -44,7 +44,9 @@ class Motion:
     """Torso states of the last strides, and how fast the graph's clock goes."""
 
     def __init__(self) -> None:
-        self._states: deque[tuple[float, Array]] = deque()  # stamp s, state (12,)
+        self._states: deque[tuple[float, Array]] = (
+            deque()
+        )  # stamp s, state (12,)
         self._pace = Speed(MEAN)
 
     def add(self, now: float, stamp: float, state: Array) -> None:
@@ -63,7 +65,9 @@ class Motion:
         (begin, first), (end, last) = self._states[0], self._states[-1]
         velocity = np.full(3, math.nan)
         if end > begin:
-            velocity[:2] = rotate(last[3:5] - first[3:5], -last[2]) / (end - begin)
+            velocity[:2] = rotate(last[3:5] - first[3:5], -last[2]) / (
+                end - begin
+            )
             velocity[2] = wrapped(last[2] - first[2]) / (end - begin)
         roll, pitch, yaw = np.degrees(last[:3])
         x, y, z = last[3:6]
@@ -80,12 +84,16 @@ class OperatorView:
     """Newest messages; None before the first."""
 
     state: RobotState | None = None
-    state_time: float = -math.inf  # s, arrival of `state` on the monotonic clock
+    state_time: float = (
+        -math.inf
+    )  # s, arrival of `state` on the monotonic clock
     joints: JointState | None = None
     health: ServoHealth | None = None
     preview: GaitPreview | None = None
     motion: Motion = field(default_factory=Motion)
-    diagnostics: dict[str, DiagnosticStatus] = field(default_factory=dict)  # by name
+    diagnostics: dict[str, DiagnosticStatus] = field(
+        default_factory=dict
+    )  # by name
     answer: str = ""  # to the operator's last request
     servo: ServoSettings = field(default_factory=read_servo)
 
@@ -118,7 +126,16 @@ def lines(view: OperatorView, now: float) -> list[str]:
     legs = [_leg(view, k) for k in range(len(LEGS))]
     end = [f"> {view.answer}", *HELP]
     motion = [_gait(view), *view.motion.lines(now), ""]
-    return [*_robot(view, now), "", *motion, HEADER, *legs, "", *_driver(view), *end]
+    return [
+        *_robot(view, now),
+        "",
+        *motion,
+        HEADER,
+        *legs,
+        "",
+        *_driver(view),
+        *end,
+    ]
 
 
 def _gait(view: OperatorView) -> str:
@@ -187,10 +204,15 @@ def _driver(view: OperatorView) -> list[str]:
     # is shown above
     status = [s for name, s in view.diagnostics.items() if name != "supervisor"]
     bus = [
-        f"{v.key} {v.value}" for s in status for v in s.values if s.name == "servo bus"
+        f"{v.key} {v.value}"
+        for s in status
+        for v in s.values
+        if s.name == "servo bus"
     ]
     problems = [
-        f"  ! {s.name}: {s.message}" for s in status if s.level != DiagnosticStatus.OK
+        f"  ! {s.name}: {s.message}"
+        for s in status
+        if s.level != DiagnosticStatus.OK
     ]
     first = f"servos: {action} {view.health.reason}".rstrip()
     return [first, *(["  " + ", ".join(bus)] if bus else []), *problems]

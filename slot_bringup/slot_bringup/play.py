@@ -89,7 +89,9 @@ def readable(bag: Bag, topic: str, data: bytes, types: Types) -> bytes:
         return data
     kind = bag.topics[topic]
     known = [getattr(old, name) for name, _ in types.fielddefs[kind][1][:-1]]
-    return bytes(types.serialize_cdr(types.types[kind](*known, default(types)), kind))
+    return bytes(
+        types.serialize_cdr(types.types[kind](*known, default(types)), kind)
+    )
 
 
 class Player:
@@ -133,9 +135,13 @@ class Player:
 
     def _is_used(self, publisher: Publisher) -> bool:
         """Whether every discovered subscriber is matched, and one of them is no recorder."""
-        readers = self._node.get_subscriptions_info_by_topic(publisher.topic_name)
+        readers = self._node.get_subscriptions_info_by_topic(
+            publisher.topic_name
+        )
         known = publisher.get_subscription_count() >= len(readers)
-        return known and any(reader.node_name not in RECORDERS for reader in readers)
+        return known and any(
+            reader.node_name not in RECORDERS for reader in readers
+        )
 
     def play(self, played: Iterator[Entry], rate: float) -> tuple[int, float]:
         """Publish the messages; return their number, and the graph time that they span, s."""

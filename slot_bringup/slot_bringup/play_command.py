@@ -22,8 +22,19 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--live", action="store_true", help="play into running nodes")
     add_bag_arguments(parser)
     rate, time = within(0.01, 100.0), within(0.0, 1e6, "s")
-    add("--rate", type=rate, default=1.0, help="of the clock (default: %(default)g)")
-    add("--start", type=time, default=0.0, metavar="S", help="leave out S seconds")
+    add(
+        "--rate",
+        type=rate,
+        default=1.0,
+        help="of the clock (default: %(default)g)",
+    )
+    add(
+        "--start",
+        type=time,
+        default=0.0,
+        metavar="S",
+        help="leave out S seconds",
+    )
     return parser.parse_args(arguments)
 
 

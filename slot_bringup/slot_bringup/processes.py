@@ -24,7 +24,9 @@ STOP_TIMEOUT = 5.0  # s, from SIGINT to SIGKILL
 class Processes:
     """Child processes by name, each in its own session with its output in a log file."""
 
-    def __init__(self, log_dir: Path, environment: dict[str, str] | None = None):
+    def __init__(
+        self, log_dir: Path, environment: dict[str, str] | None = None
+    ):
         self.log_dir = log_dir
         self._environment = environment
         self._children: dict[str, BaseProcess] = {}
@@ -48,7 +50,9 @@ class Processes:
     def _start(self, spec: NodeSpec) -> None:
         environment = {**(self._environment or os.environ), **spec.environment}
         log = self.log_path(spec.name)
-        self._children[spec.name] = fork(spec, command_line(spec), log, environment)
+        self._children[spec.name] = fork(
+            spec, command_line(spec), log, environment
+        )
 
     def __contains__(self, name: str) -> bool:
         """Whether a node of that name was started, also with others in one process."""
@@ -61,7 +65,9 @@ class Processes:
     def last_line(self, name: str) -> str:
         """Last line of a node's output that is not blank."""
         lines = self.log_path(name).read_text(errors="replace").split("\n")
-        return next((line for line in reversed(lines) if line.strip()), "(no output)")
+        return next(
+            (line for line in reversed(lines) if line.strip()), "(no output)"
+        )
 
     def pid(self, name: str) -> int:
         """Process id of a node."""
@@ -98,7 +104,9 @@ class Processes:
     def _ended(self) -> list[tuple[str, int]]:
         """Name and exit code of the processes that are no longer running."""
         children = self._children.items()
-        return [(name, c.exitcode) for name, c in children if c.exitcode is not None]
+        return [
+            (name, c.exitcode) for name, c in children if c.exitcode is not None
+        ]
 
     def stop(self, last: str = "") -> dict[str, int]:
         """Send SIGINT to every node, to `last` after the others; SIGKILL after STOP_TIMEOUT.
@@ -126,7 +134,9 @@ class Processes:
                     print_error(
                         f"{name} ended with exit code {code}: {self.last_line(name)}"
                     )
-        return {name: child.exitcode or 0 for name, child in self._children.items()}
+        return {
+            name: child.exitcode or 0 for name, child in self._children.items()
+        }
 
     def _is_running(self, name: str) -> bool:
         return name in self._children and self._children[name].exitcode is None
@@ -145,7 +155,9 @@ class Processes:
 
 def command_line(spec: NodeSpec) -> list[str]:
     """Command line of a node; raises PackageNotFoundError if its package is not installed."""
-    executable = Path(get_package_prefix(spec.package), "lib", spec.package, spec.name)
+    executable = Path(
+        get_package_prefix(spec.package), "lib", spec.package, spec.name
+    )
     remaps = dict(spec.remappings)
     if spec.node_name:
         remaps["__node"] = spec.node_name
@@ -173,5 +185,7 @@ def _yaml(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return (
-        json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
+        json.dumps(value, ensure_ascii=False)
+        if isinstance(value, str)
+        else str(value)
     )

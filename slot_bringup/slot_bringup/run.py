@@ -15,7 +15,12 @@ from slot_bringup.arguments import PROGRAM, parse
 from slot_bringup.check import check
 from slot_bringup.graph import Graph, is_attended, is_simulated, read_graph
 from slot_bringup.interrupts import deferred, on_interrupt
-from slot_bringup.monitor import START_TIMEOUT, RunError, require_no_other_graph, watch
+from slot_bringup.monitor import (
+    START_TIMEOUT,
+    RunError,
+    require_no_other_graph,
+    watch,
+)
 from slot_bringup.playing.main_page import live_page, require_viser
 from slot_bringup.processes import Processes, print_error
 from slot_core.command_line import progress, refuse, show
@@ -26,7 +31,9 @@ from slot_lab.bags.bag import Bag, BagError
 from slot_lab.report import plots
 from slot_lab.report.metrics import summary_lines, walk_metrics
 
-TO_WALK = "with --attended it waits for scripts/operate: r ready, s stand, w walk"
+TO_WALK = (
+    "with --attended it waits for scripts/operate: r ready, s stand, w walk"
+)
 
 
 def check_options(options: argparse.Namespace) -> None:
@@ -41,7 +48,10 @@ def check_options(options: argparse.Namespace) -> None:
 
 
 def run(
-    options: argparse.Namespace, graph: Graph, directory: Path, remarks: list[str]
+    options: argparse.Namespace,
+    graph: Graph,
+    directory: Path,
+    remarks: list[str],
 ) -> bool:
     """Run the graph for `options.duration`; bag and logs go to `directory`, which must be writable.
 
@@ -54,7 +64,9 @@ def run(
         progress(f"{PROGRAM}: {choice}")
     values = vars(options) | {"bag": str(directory), "composed": composed}
     shown = (
-        live_page(options.namespace, START_TIMEOUT) if options.view else nullcontext()
+        live_page(options.namespace, START_TIMEOUT)
+        if options.view
+        else nullcontext()
     )
     # the robot stops first
     with shown, started(graph, values, directory / "log") as processes:
@@ -74,12 +86,16 @@ def _remedy(values: Mapping[str, Any]) -> str:
     """Advice for a graph that is slower than real time; "" where the robot's clock does not run in it."""
     if values["lockstep"] or values["hardware"] == "none":
         return ""
-    fewer = "run fewer processes" + ("" if values["composed"] else " (--composed)")
+    fewer = "run fewer processes" + (
+        "" if values["composed"] else " (--composed)"
+    )
     return f"use --lockstep, or {fewer}" if is_simulated(values) else fewer
 
 
 @contextmanager
-def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Processes]:
+def started(
+    graph: Graph, values: Mapping[str, Any], logs: Path
+) -> Iterator[Processes]:
     """Start the graph's processes; on exit stop them and copy their logs to `logs`.
 
     Raises RunError if another graph runs already.
@@ -92,14 +108,21 @@ def started(graph: Graph, values: Mapping[str, Any], logs: Path) -> Iterator[Pro
                 processes.start(graph.nodes(values))
             yield processes
         finally:
-            with on_interrupt(signal.SIG_IGN):  # the nodes are already being stopped
+            with on_interrupt(
+                signal.SIG_IGN
+            ):  # the nodes are already being stopped
                 processes.stop(last="recorder")
-                with suppress(OSError):  # the recorder has reported errors of the disk
+                with suppress(
+                    OSError
+                ):  # the recorder has reported errors of the disk
                     shutil.copytree(scratch, logs, dirs_exist_ok=True)
 
 
 def report(
-    directory: Path, keep: bool, namespace: str = "", remarks: Sequence[str] = ()
+    directory: Path,
+    keep: bool,
+    namespace: str = "",
+    remarks: Sequence[str] = (),
 ) -> bool:
     """Print the summary of the bag and remarks; with `keep` also write them, and the plots.
 
@@ -134,7 +157,9 @@ def run_and_report(options: argparse.Namespace) -> int:
         tempfile.TemporaryDirectory() as scratch,
     ):
         directory = (
-            Path(scratch, name) if options.no_bag else options.bag or Path("bags", name)
+            Path(scratch, name)
+            if options.no_bag
+            else options.bag or Path("bags", name)
         )
         code, remarks = 0, list[str]()
         try:
@@ -148,13 +173,17 @@ def run_and_report(options: argparse.Namespace) -> int:
         if code and not directory.exists():
             return code  # nothing was started
         try:
-            if not report(directory, not options.no_bag, options.namespace, remarks):
+            if not report(
+                directory, not options.no_bag, options.namespace, remarks
+            ):
                 code = code or 1
         except (BagError, ConfigError, OSError) as error:
             print_error(f"no summary: {error}")
             if not show(PROGRAM, remarks) or isinstance(error, OSError):
                 code = code or 1
         except KeyboardInterrupt:
-            print_error("interrupted while computing the summary; the bag is complete")
+            print_error(
+                "interrupted while computing the summary; the bag is complete"
+            )
             code = 130
     return code

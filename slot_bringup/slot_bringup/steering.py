@@ -53,12 +53,18 @@ class SteeringPublisher:
         self._velocity: Array | None = None  # (3,) that is repeated
         self._pose: Array | None = None  # (3,) that was commanded last
         self._topic: Publisher | None = None
-        self._kind: type[Twist | TwistStamped] = TwistStamped  # that the graph hears
-        self._pose_topic = node.create_publisher(PoseStamped, "body_pose", qos.SENSOR)
+        self._kind: type[Twist | TwistStamped] = (
+            TwistStamped  # that the graph hears
+        )
+        self._pose_topic = node.create_publisher(
+            PoseStamped, "body_pose", qos.SENSOR
+        )
 
     def steer(self, commanded: GaitPreview, velocity: Array) -> str:
         """Repeat a velocity (3,) from now on, clipped; returns by what, or ""."""
-        self._velocity, remark = self._gaits.clipped(commanded.requested, velocity)
+        self._velocity, remark = self._gaits.clipped(
+            commanded.requested, velocity
+        )
         return remark
 
     def lean(self, commanded: GaitPreview, pose: Array) -> None:
@@ -68,7 +74,9 @@ class SteeringPublisher:
         message = PoseStamped(header=messages.header(0))
         message.pose.position.z = float(pose[0])
         q = message.pose.orientation
-        q.x, q.y, q.z, q.w = Rotation.from_euler("xyz", [*pose[1:], 0.0]).as_quat()
+        q.x, q.y, q.z, q.w = Rotation.from_euler(
+            "xyz", [*pose[1:], 0.0]
+        ).as_quat()
         self._pose_topic.publish(message)
 
     def repeat(self, stamp: int, commanded: GaitPreview | None) -> None:
@@ -79,12 +87,19 @@ class SteeringPublisher:
             found = self._node.get_subscriptions_info_by_topic("cmd_vel")
             plain = any(info.topic_type.endswith("/Twist") for info in found)
             self._kind = Twist if plain else TwistStamped
-            self._topic = self._node.create_publisher(self._kind, "cmd_vel", qos.SENSOR)
+            self._topic = self._node.create_publisher(
+                self._kind, "cmd_vel", qos.SENSOR
+            )
         message = self._kind()
         twist = message
         if isinstance(message, TwistStamped):
-            message.header, twist = messages.header(stamp, BASE_FRAME), message.twist
-        twist.linear.x, twist.linear.y, twist.angular.z = map(float, self._velocity)
+            message.header, twist = (
+                messages.header(stamp, BASE_FRAME),
+                message.twist,
+            )
+        twist.linear.x, twist.linear.y, twist.angular.z = map(
+            float, self._velocity
+        )
         self._topic.publish(message)
         if (
             commanded is not None
@@ -112,9 +127,13 @@ class SteeringKeys(SteeringPublisher):
 
     def _steer(self, commanded: GaitPreview, step: Step | None) -> str:
         before = (
-            np.array(commanded.velocity) if self._velocity is None else self._velocity
+            np.array(commanded.velocity)
+            if self._velocity is None
+            else self._velocity
         )
-        remark = self.steer(commanded, np.zeros(3) if step is None else before + step)
+        remark = self.steer(
+            commanded, np.zeros(3) if step is None else before + step
+        )
         assert self._velocity is not None
         v_x, v_y, yaw_rate = self._velocity
         return (
@@ -123,9 +142,9 @@ class SteeringKeys(SteeringPublisher):
         )
 
     def _lean(self, commanded: GaitPreview, step: Step) -> str:
-        pose = (np.array(commanded.pose) if self._pose is None else self._pose) + step
+        pose = (
+            np.array(commanded.pose) if self._pose is None else self._pose
+        ) + step
         self.lean(commanded, pose)
         roll, pitch = np.degrees(pose[1:])
-        return (
-            f"height {1e3 * pose[0]:.0f} mm, roll {roll:+.0f}, pitch {pitch:+.0f} deg"
-        )
+        return f"height {1e3 * pose[0]:.0f} mm, roll {roll:+.0f}, pitch {pitch:+.0f} deg"

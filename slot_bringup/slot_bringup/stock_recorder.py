@@ -31,7 +31,8 @@ def record_command(
     """
     settings = read_record_settings(namespace)
     renamed = {
-        _resolved(a, namespace): _resolved(b, namespace) for a, b in remappings.items()
+        _resolved(a, namespace): _resolved(b, namespace)
+        for a, b in remappings.items()
     }
     names = {topic: renamed.get(topic, topic) for topic in settings.topics}
     origin = origin_here(json.loads(about)).about

@@ -44,7 +44,9 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     )
     options = parser.parse_args(arguments)
     if len(options.bags) > (2 if options.html else 1):
-        parser.error(f"{len(options.bags)} bags: expected one, or two with --html")
+        parser.error(
+            f"{len(options.bags)} bags: expected one, or two with --html"
+        )
     return options
 
 
@@ -57,7 +59,10 @@ def view(options: argparse.Namespace) -> None:
     from slot_lab.bags.bag import Bag  # noqa: PLC0415
 
     check_place(options.namespace)
-    bags = [Bag(path, options.namespace) for path in options.bags or [newest_bag(BAGS)]]
+    bags = [
+        Bag(path, options.namespace)
+        for path in options.bags or [newest_bag(BAGS)]
+    ]
     if options.animate:
         from slot_lab.report.robot_drawing import animate  # noqa: PLC0415 - heavy
 
@@ -80,7 +85,9 @@ def newest_bag(directory: Path) -> Path:
     """The bag in a directory that was recorded last; raises ViewError if there is none."""
     from slot_lab.bags.bag import STORAGES  # noqa: PLC0415 - heavy
 
-    files = [path for suffix in STORAGES for path in directory.glob(f"*/*{suffix}")]
+    files = [
+        path for suffix in STORAGES for path in directory.glob(f"*/*{suffix}")
+    ]
     if not files:
         raise ViewError(
             f"no bag in {directory.absolute()}: name one, or make one by scripts/run"

@@ -4,7 +4,9 @@ setup(
     name="slot_lab",
     version="0.1.0",
     packages=find_packages(),
-    package_data={"slot_lab.report.run_page": ["*.html", "*.css", "*.js", "three/*"]},
+    package_data={
+        "slot_lab.report.run_page": ["*.html", "*.css", "*.js", "three/*"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/slot_lab"]),
         ("share/slot_lab", ["package.xml"]),

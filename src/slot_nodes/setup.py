@@ -23,7 +23,7 @@ setup(
     ],
     entry_points={
         "console_scripts": [
-            *(f"{n} = slot_nodes.{n}_node:main" for n in NODES),
+            *(f"{n} = slot_nodes.process.composed:serve_one" for n in NODES),
             "controller = slot_nodes.process.composed:main",
         ]
     },

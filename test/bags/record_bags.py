@@ -57,7 +57,9 @@ class Case:
     duration: float  # s, by the stamps of the odometry
     options: tuple[str, ...] = ()
     scene: str = ""  # content of a scene file of its own
-    velocity: tuple[float, float] | None = None  # m/s, rad/s on /cmd_vel while it walks
+    velocity: tuple[float, float] | None = (
+        None  # m/s, rad/s on /cmd_vel while it walks
+    )
     keeps: tuple[str, ...] = ()  # of LEFT_OUT
     lacks: tuple[str, ...] = ()  # besides LEFT_OUT
 
@@ -93,7 +95,9 @@ def record(name: str, case: Case, scratch: Path) -> Path:
     graph, recorded = read_graph(), scratch / "recorded"
     with commanded(case.velocity):
         try:
-            run.run(parse([*options, "--bag", str(recorded)]), graph, recorded, [])
+            run.run(
+                parse([*options, "--bag", str(recorded)]), graph, recorded, []
+            )
         except RunError as error:
             print(f"{name}: {error}", file=sys.stderr)
     return thinned(Bag(recorded), scratch / name, case)
@@ -133,9 +137,13 @@ def thinned(bag: Bag, path: Path, case: Case) -> Path:
         (time, decode.stamp(message)) for time, message in bag.messages("/odom")
     ]
     end = odometry[0][1] + case.duration * SECOND
-    after = min((time for time, stamp in odometry if stamp > end), default=math.inf)
+    after = min(
+        (time for time, stamp in odometry if stamp > end), default=math.inf
+    )
     files = {
-        name: data for name, data in bag.origin.files.items() if name != CONFIGURATION
+        name: data
+        for name, data in bag.origin.files.items()
+        if name != CONFIGURATION
     }
     settings = dataclasses.replace(read_record_settings(), split=0.0)
     left_out = {*LEFT_OUT, *case.lacks} - {*case.keeps}
@@ -148,9 +156,15 @@ def thinned(bag: Bag, path: Path, case: Case) -> Path:
 
 def main() -> None:
     """Record the bags."""
-    parser = argparse.ArgumentParser(prog="test/bags/record", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="test/bags/record", description=__doc__
+    )
     parser.add_argument(
-        "names", nargs="*", choices=[*CASES, []], metavar="NAME", help=", ".join(CASES)
+        "names",
+        nargs="*",
+        choices=[*CASES, []],
+        metavar="NAME",
+        help=", ".join(CASES),
     )
     for name in parser.parse_args().names or CASES:
         with tempfile.TemporaryDirectory() as scratch:

@@ -39,7 +39,9 @@ LISTED = (Path(__file__).parent / "walk" / "metadata.yaml").read_bytes()
 @pytest.fixture(scope="module")
 def walk_bag(tmp_path_factory):
     """Half a second of a walk, with every recorded type of slot_msgs."""
-    return write_walk(tmp_path_factory.mktemp("bags") / "walk", Walk(duration=0.5))
+    return write_walk(
+        tmp_path_factory.mktemp("bags") / "walk", Walk(duration=0.5)
+    )
 
 
 def write(path, *entries):
@@ -53,10 +55,14 @@ def plain(value):
     """Nested lists and mappings of a message's values, for the message classes of any library."""
     if isinstance(value, (bytes, list, tuple, np.ndarray)):
         return [plain(item) for item in value]
-    names = getattr(value, "__dataclass_fields__", getattr(value, "__slots__", None))
+    names = getattr(
+        value, "__dataclass_fields__", getattr(value, "__slots__", None)
+    )
     if names is None:
         return value
-    fields = [n for n in names if n[0] != "_" and not n.isupper()]  # without constants
+    fields = [
+        n for n in names if n[0] != "_" and not n.isupper()
+    ]  # without constants
     return {n: plain(getattr(value, n)) for n in fields}
 
 
@@ -67,7 +73,11 @@ def test_messages_that_rclpy_has_serialized_are_read(tmp_path, effort):
     data = serialize_message(joints)
     path = write(tmp_path / "bag", ("/joint_states", WALL, data))
     ((_, read),) = Bag(path).messages("/joint_states")
-    assert (read.name, [*read.position], [*read.effort]) == (["FL"], [0.5], effort)
+    assert (read.name, [*read.position], [*read.effort]) == (
+        ["FL"],
+        [0.5],
+        effort,
+    )
     for wrong in (data[:30], data + bytes(80)):
         path = write(tmp_path / str(len(wrong)), ("/joint_states", WALL, wrong))
         with pytest.raises(BagError, match="cannot be read"):
@@ -76,7 +86,8 @@ def test_messages_that_rclpy_has_serialized_are_read(tmp_path, effort):
 
 def test_every_field_reads_the_same_with_an_independent_library(walk_bag):
     ours = [
-        (topic, time, plain(built)) for topic, time, built in Bag(walk_bag).merged()
+        (topic, time, plain(built))
+        for topic, time, built in Bag(walk_bag).merged()
     ]
     with (walk_bag / "walk.mcap").open("rb") as file:
         read = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -95,14 +106,18 @@ def test_type_hashes_are_those_of_the_ros_installation():
     for name in set(TOPICS.values()):
         package, kind, stem = name.split("/")
         share = Path(get_package_share_directory(package))
-        listed = json.loads((share / kind / f"{stem}.json").read_text())["type_hashes"]
+        listed = json.loads((share / kind / f"{stem}.json").read_text())[
+            "type_hashes"
+        ]
         hashes = {each["type_name"]: each["hash_string"] for each in listed}
         assert TYPES.hash_rihs01(name) == hashes[name], name
 
 
 def test_bag_offers_the_recorded_quality_of_service(walk_bag):
     (about,) = yaml.safe_load((walk_bag / "metadata.yaml").read_text()).values()
-    topics = [entry["topic_metadata"] for entry in about["topics_with_message_count"]]
+    topics = [
+        entry["topic_metadata"] for entry in about["topics_with_message_count"]
+    ]
     offered = {t["name"]: t["offered_qos_profiles"][0] for t in topics}
     assert offered["/mpc_state"]["durability"] == "transient_local"
     assert offered["/odom"]["durability"] == "volatile"
@@ -110,22 +125,31 @@ def test_bag_offers_the_recorded_quality_of_service(walk_bag):
         assert profile["reliability"] == SETTINGS.topics[name].reliability
 
 
-def test_a_bag_is_readable_with_its_own_definitions_alone(walk_bag, monkeypatch):
+def test_a_bag_is_readable_with_its_own_definitions_alone(
+    walk_bag, monkeypatch
+):
     monkeypatch.setattr("slot_lab.bags.bag.add_installed", None)
     (_, state), *_ = Bag(walk_bag).messages("/mpc_state")
     assert state.position.z == pytest.approx(0.06)
 
 
-def test_writer_refuses_a_second_type_an_unknown_type_and_a_bag_that_exists(tmp_path):
+def test_writer_refuses_a_second_type_an_unknown_type_and_a_bag_that_exists(
+    tmp_path,
+):
     with BagWriter(tmp_path / "bag", SETTINGS) as bag:
         bag.write(
-            "/odom", TOPICS["/odom"], WALL, encode("/odom", message("/odom", 0.0))
+            "/odom",
+            TOPICS["/odom"],
+            WALL,
+            encode("/odom", message("/odom", 0.0)),
         )
         with pytest.raises(
             BagError, match="/odom: is recorded as nav_msgs/msg/Odometry"
         ):
             bag.write("/odom", TOPICS["/imu"], WALL, b"")
-        with pytest.raises(BagError, match="no definition of other_msgs/msg/Thing"):
+        with pytest.raises(
+            BagError, match="no definition of other_msgs/msg/Thing"
+        ):
             bag.write("/thing", "other_msgs/msg/Thing", WALL, b"")
     with pytest.raises(BagError, match="exists already"):
         BagWriter(tmp_path / "bag", SETTINGS)
@@ -139,7 +163,11 @@ def test_writer_refuses_a_second_type_an_unknown_type_and_a_bag_that_exists(tmp_
         ("notes.txt", b"no bag", "cannot be read"),
         ("foreign.mcap", b"\x89PNG\r\n\x1a\n" + bytes(100), "magic is invalid"),
         ("empty.mcap", b"", "seems to be empty"),
-        ("bag/notes.txt", b"", r"bag: holds no metadata\.yaml, \.mcap or \.db3 file"),
+        (
+            "bag/notes.txt",
+            b"",
+            r"bag: holds no metadata\.yaml, \.mcap or \.db3 file",
+        ),
         ("bag/metadata.yaml", b"", "cannot be read"),
         ("bag/metadata.yaml", b"a: [", "cannot be read"),
         ("bag/metadata.yaml", b"a: 1", "read: 'rosbag2_bagfile_information'"),
@@ -161,7 +189,9 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path, file, content, reason):
 def test_a_bag_split_by_size_reads_as_one(walk_bag, tmp_path):
     settings = dataclasses.replace(SETTINGS, split=0.003)
     entries = list(Bag(walk_bag).raw())
-    with BagWriter(tmp_path / "walk", settings, Origin({"scene": "flat"})) as bag:
+    with BagWriter(
+        tmp_path / "walk", settings, Origin({"scene": "flat"})
+    ) as bag:
         for n, (topic, time, data) in enumerate(entries):
             bag.write(topic, TOPICS[topic], time, data)
             if n % 40 == 39:
@@ -170,14 +200,25 @@ def test_a_bag_split_by_size_reads_as_one(walk_bag, tmp_path):
     assert len(files) > 3
     split, whole = Bag(tmp_path / "walk"), Bag(walk_bag)
     assert list(split.raw()) == entries
-    assert (split.counts, split.duration_ns) == (whole.counts, whole.duration_ns)
-    with Reader(tmp_path / "walk") as reader:  # as the library reads the directory
-        assert reader.message_count == len(entries) == sum(1 for _ in reader.messages())
+    assert (split.counts, split.duration_ns) == (
+        whole.counts,
+        whole.duration_ns,
+    )
+    with Reader(
+        tmp_path / "walk"
+    ) as reader:  # as the library reads the directory
+        assert (
+            reader.message_count
+            == len(entries)
+            == sum(1 for _ in reader.messages())
+        )
     for file in files:  # and each file by itself
         assert Bag(file).origin.about == {"scene": "flat"}
 
 
-def test_topics_are_read_by_their_new_names_and_a_missing_one_is_named(walk_bag):
+def test_topics_are_read_by_their_new_names_and_a_missing_one_is_named(
+    walk_bag,
+):
     bag = Bag(walk_bag, remap={"/ground_truth/odom": "odom"})
     assert "/ground_truth/odom" not in bag.topics
     assert bag.counts["/odom"] == Bag(walk_bag).counts["/ground_truth/odom"]
@@ -198,7 +239,10 @@ def test_legs_recorded_before_they_had_directors_are_read_without_them():
 
 
 def odometry(stamp, x=0.0, quaternion=(0.0, 0.0, 0.0, 1.0)):
-    fields = {"pose__pose__position": (x, 0, 0), "pose__pose__orientation": quaternion}
+    fields = {
+        "pose__pose__position": (x, 0, 0),
+        "pose__pose__orientation": quaternion,
+    }
     return "/odom", message("/odom", stamp, **fields)
 
 
@@ -215,7 +259,9 @@ def written(tmp_path):
 
 def test_equal_messages_of_one_stamp_count_once_and_lost_ones_not(written):
     entries = (1.0,), (1.0,), (2.0, 0.0, (0.0,) * 4), (3.0, 0.5)
-    moved = read_motion(written(*(odometry(*entry) for entry in entries)), "/odom")
+    moved = read_motion(
+        written(*(odometry(*entry) for entry in entries)), "/odom"
+    )
     assert moved.t.tolist() == [1.0, 3.0]
     assert moved.position[:, 0].tolist() == [0.0, 0.5]
     assert moved.left_out == 1
@@ -224,7 +270,10 @@ def test_equal_messages_of_one_stamp_count_once_and_lost_ones_not(written):
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ([(1.0, np.nan), (2.0, 0.0)], "message 0 holds a value that is not finite"),
+        (
+            [(1.0, np.nan), (2.0, 0.0)],
+            "message 0 holds a value that is not finite",
+        ),
         (
             [(1.0, 0.0), (3.0, 0.1), (2.5, 0.2)],
             "time goes back by 0.5 s after message 1",
@@ -246,7 +295,10 @@ def test_an_odometry_that_is_not_sound_is_refused(written, entries, message):
 
 def test_of_two_states_of_one_time_the_second_counts(written):
     states = [
-        ("/mpc_state", message("/mpc_state", stamp, position__x=x, lead__nanosec=lead))
+        (
+            "/mpc_state",
+            message("/mpc_state", stamp, position__x=x, lead__nanosec=lead),
+        )
         for stamp, lead, x in (
             (1.0, 30_000_000, 0.1),
             (1.01, 20_000_000, 0.2),
@@ -263,4 +315,6 @@ def test_joints_of_another_robot_are_refused(written):
     others = message("/joint_states", 1.0, position=[0.0] * 12)
     others.name = [f"joint_{n}" for n in range(12)]
     with pytest.raises(BagError, match="does not name each of FL_tendon"):
-        tendon_angles(written(("/joint_states", others), ("/joint_states", others)))
+        tendon_angles(
+            written(("/joint_states", others), ("/joint_states", others))
+        )

@@ -102,7 +102,9 @@ def write_part(path, topic="", changes=(), *, late=0, text=None, origin=None):
                 old = getattr(inside, last)
                 filled = isinstance(old, np.ndarray) and np.isscalar(new)
                 setattr(inside, last, np.full_like(old, new) if filled else new)
-            out.write(name, kind, time + late, TYPES.serialize_cdr(message, kind))
+            out.write(
+                name, kind, time + late, TYPES.serialize_cdr(message, kind)
+            )
 
 
 def archive(encrypted=False, size=1000, begin=0):
@@ -131,7 +133,15 @@ PLAN, PREVIEW, STATE, TRUTH = (
     "/mpc_state",
     "/ground_truth/odom",
 )
-SLACKS = ["normal_min", "friction", "angle", "rate", "normal_max", "total", "balance"]
+SLACKS = [
+    "normal_min",
+    "friction",
+    "angle",
+    "rate",
+    "normal_max",
+    "total",
+    "balance",
+]
 BAGS = {
     **{
         f"archive: {name}": {"origin": Origin(ABOUT, {CONFIGURATION: data})}
@@ -181,14 +191,26 @@ BAGS = {
         "changes": [("dt", math.nan), ("tendon_angle", math.nan)],
     },
     "dt of zero": {"topic": PREVIEW, "changes": [("dt", 0.0)]},
-    "no quaternion": {"topic": TRUTH, "changes": [("pose.pose.orientation.w", 9.0)]},
+    "no quaternion": {
+        "topic": TRUTH,
+        "changes": [("pose.pose.orientation.w", 9.0)],
+    },
     "odometry of NaN": {
         "topic": "/odom",
         "changes": [("pose.pose.position.x", math.nan)],
     },
-    "joints of NaN": {"topic": "/joint_states", "changes": [("position", math.nan)]},
-    "no joints": {"topic": "/joint_states", "changes": [("position", np.empty(0))]},
-    "other joints": {"topic": "/joint_states", "changes": [("name", [ESCAPE] * 4)]},
+    "joints of NaN": {
+        "topic": "/joint_states",
+        "changes": [("position", math.nan)],
+    },
+    "no joints": {
+        "topic": "/joint_states",
+        "changes": [("position", np.empty(0))],
+    },
+    "other joints": {
+        "topic": "/joint_states",
+        "changes": [("name", [ESCAPE] * 4)],
+    },
     "equal stamps": {"topic": "/odom", "changes": [("header.stamp.sec", 1)]},
 }
 """Arguments of `write_part` that make a bag of each kind."""

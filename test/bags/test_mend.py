@@ -25,7 +25,8 @@ from slot_lab.bags.bag import Bag, BagError
 SETTINGS = read_record_settings()
 ODOM = TOPICS["/odom"]
 ORIGIN = Origin(
-    {"revision": "1234567890", "scene": "slope5"}, {"path.csv": b"x,y\n0,0\n1,0\n"}
+    {"revision": "1234567890", "scene": "slope5"},
+    {"path.csv": b"x,y\n0,0\n1,0\n"},
 )
 
 
@@ -37,7 +38,9 @@ def odometry(n):
 def whole(tmp_path_factory):
     """Half a second of a walk in chunks of 0.1 s."""
     path = tmp_path_factory.mktemp("bags") / "walk"
-    entries = list(Bag(write_walk(path.with_name("source"), Walk(duration=0.5))).raw())
+    entries = list(
+        Bag(write_walk(path.with_name("source"), Walk(duration=0.5))).raw()
+    )
     with BagWriter(path, SETTINGS, ORIGIN) as bag:
         flushed = WALL
         for topic, time, data in entries:
@@ -48,21 +51,32 @@ def whole(tmp_path_factory):
     return path
 
 
-def test_a_killed_writer_loses_what_came_after_the_last_flush_and_no_more(tmp_path):
-    bag, killed = BagWriter(tmp_path / "bag", SETTINGS, ORIGIN), tmp_path / "killed"
+def test_a_killed_writer_loses_what_came_after_the_last_flush_and_no_more(
+    tmp_path,
+):
+    bag, killed = (
+        BagWriter(tmp_path / "bag", SETTINGS, ORIGIN),
+        tmp_path / "killed",
+    )
     for n in range(130):
         if n == 100:
             bag.flush()
         bag.write("/odom", ODOM, WALL + n, odometry(n))
-    shutil.copytree(tmp_path / "bag", killed)  # the disk as SIGKILL would leave it now
+    shutil.copytree(
+        tmp_path / "bag", killed
+    )  # the disk as SIGKILL would leave it now
     bag.close()
     left = Bag(killed)
     assert not left.finished
-    assert list(left.raw()) == [("/odom", WALL + n, odometry(n)) for n in range(100)]
+    assert list(left.raw()) == [
+        ("/odom", WALL + n, odometry(n)) for n in range(100)
+    ]
     assert left.origin == ORIGIN
 
 
-def test_a_full_disk_is_an_error_of_one_line_and_what_was_flushed_is_left(tmp_path):
+def test_a_full_disk_is_an_error_of_one_line_and_what_was_flushed_is_left(
+    tmp_path,
+):
     """A limit on the size of files stands for the disk."""
     bag = BagWriter(tmp_path / "bag", SETTINGS)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -111,7 +125,9 @@ def test_a_mended_bag_is_whole_to_another_reader(whole, tmp_path):
     assert entries == list(left.raw())
     assert Bag(new).finished
     assert Bag(new).origin == ORIGIN
-    assert replay_command.main([str(left.path), "--mend", str(new)]) == 2  # it exists
+    assert (
+        replay_command.main([str(left.path), "--mend", str(new)]) == 2
+    )  # it exists
 
 
 def copied(whole, path, plugin, mode):
@@ -154,7 +170,9 @@ def test_a_database_without_definitions_is_read_with_the_installed_ones(
     whole, tmp_path
 ):
     """As written by a ROS before Iron."""
-    path = copied(whole, tmp_path / "copy", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    path = copied(
+        whole, tmp_path / "copy", StoragePlugin.SQLITE3, CompressionMode.NONE
+    )
     with sqlite3.connect(path / "copy.db3") as database:
         database.execute("DROP TABLE message_definitions")
         database.execute("UPDATE schema SET schema_version = 3")
@@ -163,15 +181,22 @@ def test_a_database_without_definitions_is_read_with_the_installed_ones(
     assert state.position.z == pytest.approx(0.06)
 
 
-def test_messages_in_the_log_of_a_database_that_was_killed_are_read(whole, tmp_path):
-    path = copied(whole, tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.NONE)
+def test_messages_in_the_log_of_a_database_that_was_killed_are_read(
+    whole, tmp_path
+):
+    path = copied(
+        whole, tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.NONE
+    )
     killed = tmp_path / "killed"
     killed.mkdir()
     database = sqlite3.connect(path / "bag.db3")
     database.execute("PRAGMA journal_mode=WAL")
     database.execute("UPDATE messages SET timestamp = 7 WHERE id = 1")
     database.commit()
-    for name in ("bag.db3", "bag.db3-wal"):  # as they are while the recorder runs
+    for name in (
+        "bag.db3",
+        "bag.db3-wal",
+    ):  # as they are while the recorder runs
         shutil.copy(path / name, killed)
     database.close()
     bag = Bag(killed)

@@ -22,18 +22,26 @@ BAGS = ["walk", "turn", "path", "fault", "lost_odometry"]
 WALK = HERE / "walk"
 SIZE_MAX = 600_000  # bytes of a bag in the repository
 STATES = ["/odom", "/imu", "/mpc_state", RECORDS]  # what the first stage needs
-TOPICS = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
+TOPICS = [
+    "/mpc_state",
+    "/gait_preview",
+    "/tendon_plan",
+    "/desired_joint_angles",
+]
 
 
 def first_differences(path=WALK):
     return {
-        c.topic: c.first for c in replay.check_bag(Bag(path), replay_command.TOLERANCE)
+        c.topic: c.first
+        for c in replay.check_bag(Bag(path), replay_command.TOLERANCE)
     }
 
 
 @pytest.mark.parametrize("name", BAGS)
 def test_a_recorded_bag_is_small_and_replays(name):
-    assert sum(file.stat().st_size for file in (HERE / name).iterdir()) < SIZE_MAX
+    assert (
+        sum(file.stat().st_size for file in (HERE / name).iterdir()) < SIZE_MAX
+    )
     comparisons = replay.check_bag(Bag(HERE / name), replay_command.TOLERANCE)
     assert [c.topic for c in comparisons] == TOPICS
     for comparison in comparisons:
@@ -50,7 +58,9 @@ def test_a_recorded_bag_is_small_and_replays(name):
         ("rollout_mpc", "cost.height", 3e-3, "/tendon_plan"),
     ],
 )
-def test_a_change_shows_only_at_its_own_stage(own_config, file, name, value, topic):
+def test_a_change_shows_only_at_its_own_stage(
+    own_config, file, name, value, topic
+):
     set_values(own_config, {file: {name: value}})
     differences = first_differences()
     assert differences.pop(topic) is not None
@@ -60,12 +70,16 @@ def test_a_change_shows_only_at_its_own_stage(own_config, file, name, value, top
 @pytest.mark.parametrize(
     ("node", "changes"), [("mpc_controller", True), ("force_mapper", False)]
 )
-def test_the_parameter_file_of_a_run_is_that_of_its_replay(tmp_path, node, changes):
+def test_the_parameter_file_of_a_run_is_that_of_its_replay(
+    tmp_path, node, changes
+):
     """A bag that says of a walk with the shipped settings that one was changed."""
     source = Bag(WALK).origin
     assert FILES["params_file"] not in source.files
     text = f"/**/{node}:\n  ros__parameters: {{cost.height: 0.003}}\n"
-    origin = replace(source, files=source.files | {FILES["params_file"]: text.encode()})
+    origin = replace(
+        source, files=source.files | {FILES["params_file"]: text.encode()}
+    )
     found = first_differences(part(tmp_path / "bag", origin=origin))
     assert (found.pop("/tendon_plan") is not None) == changes
     assert set(found.values()) == {None}
@@ -146,18 +160,24 @@ def test_a_bag_that_begins_mid_run_says_so_and_compares_the_stage_without_memory
 ):
     """The first share begins among the states that are initialising, the others in the walk."""
     assert (
-        replay_command.main([str(part(tmp_path / "bag", name=name, share=share))]) == 0
+        replay_command.main(
+            [str(part(tmp_path / "bag", name=name, share=share))]
+        )
+        == 0
     )
     *left_out, last = capsys.readouterr().out.splitlines()[-4:]
     assert [line.split()[0] for line in left_out] == TOPICS[:3]
     assert all("left out: the bag begins mid-run" in line for line in left_out)
     assert re.match(
-        r"/desired_joint_angles +\d\d compared, largest difference 0.0e\+00", last
+        r"/desired_joint_angles +\d\d compared, largest difference 0.0e\+00",
+        last,
     )
 
 
 def test_a_bag_of_which_no_stage_can_be_compared_is_refused(tmp_path, refusal):
-    line = refusal(replay_command.main, part(tmp_path / "bag", *STATES, share=0.5))
+    line = refusal(
+        replay_command.main, part(tmp_path / "bag", *STATES, share=0.5)
+    )
     assert "the bag begins mid-run" in line
     assert line.endswith("; no stage can be compared")
     line = refusal(replay_command.main, part(tmp_path / "in", "/odom", "/imu"))
@@ -171,7 +191,9 @@ def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
     path = part(tmp_path / "bag", *STATES, origin=origin)
     assert replay_command.main([str(path)]) == 0
     first, second, *_ = capsys.readouterr().out.splitlines()
-    assert re.fullmatch(r"recorded by  revision \S.*, scene flat, seed 1", first)
+    assert re.fullmatch(
+        r"recorded by  revision \S.*, scene flat, seed 1", first
+    )
     assert second.startswith("/mpc_state")
     set_values(own_config, {"rollout_mpc": {"cost.height": 3e-3}})
     assert replay_command.main([str(path)]) == 0
@@ -181,6 +203,8 @@ def test_replay_says_what_made_the_bag_and_how_its_configuration_differs(
 
 def test_the_policy_that_the_bag_names_is_replayed(tmp_path):
     """The recorded plans are of the default policy, which plans angles."""
-    path = part(tmp_path / "bag", *TOPICS, origin=Origin({"policy": "paper_text"}))
+    path = part(
+        tmp_path / "bag", *TOPICS, origin=Origin({"policy": "paper_text"})
+    )
     found = [first is None for first in first_differences(path).values()]
     assert found[1:] == [True, False, True]

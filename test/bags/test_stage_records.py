@@ -31,7 +31,10 @@ class Recording:
 
     def __init__(self, seed, state=False):
         """Take the walk's readings, each after a latency; state: whether there are key frames."""
-        rng, estimator = np.random.default_rng(seed), StateEstimator(read_estimator())
+        rng, estimator = (
+            np.random.default_rng(seed),
+            StateEstimator(read_estimator()),
+        )
         self.entries, self.number, self.taken, self.stamp = [], 0, [], 0
         self._record(0, "")
         source = Bag(WALK)
@@ -40,8 +43,12 @@ class Recording:
         for k in np.argsort(late):
             topic, time, message = readings[k]
             kind, now = source.topics[topic], late[k]
-            self.entries.append((time, topic, kind, TYPES.serialize_cdr(message, kind)))
-            self.taken.append((("/odom", "/imu").index(topic), decode.stamp(message)))
+            self.entries.append(
+                (time, topic, kind, TYPES.serialize_cdr(message, kind))
+            )
+            self.taken.append(
+                (("/odom", "/imu").index(topic), decode.stamp(message))
+            )
             if topic == "/odom":
                 estimator.add_odometry(*decode.torso_odometry(message))
             else:
@@ -85,13 +92,17 @@ def states(path):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_order_in_which_the_estimator_took_its_readings_is_replayed(tmp_path, seed):
+def test_the_order_in_which_the_estimator_took_its_readings_is_replayed(
+    tmp_path, seed
+):
     recording = Recording(seed)
     path = recording.bag(tmp_path / "bag")
     found = states(path)
     assert found.compared == Bag(path).counts["/mpc_state"] > 30
     assert found.largest == 0.0
-    without = recording.bag(tmp_path / "old", lambda _, e: e[1] != "/stage_record")
+    without = recording.bag(
+        tmp_path / "old", lambda _, e: e[1] != "/stage_record"
+    )
     with pytest.raises(replay.BagError, match="no record of state_estimator"):
         states(without)
 
@@ -103,7 +114,9 @@ def test_a_bag_begun_in_mid_run_is_compared_from_its_first_key_frame_on(
     recording = Recording(1, state=True)
     times = [entry[0] for entry in recording.entries]
     begin = np.quantile([t for t in times if t], share)
-    found = states(recording.bag(tmp_path / "bag", lambda _, entry: entry[0] >= begin))
+    found = states(
+        recording.bag(tmp_path / "bag", lambda _, entry: entry[0] >= begin)
+    )
     assert found.compared > 4
     assert (found.largest, found.gaps) == (0.0, 0)
     assert f", from {to_seconds(found.begin):.3f} s on" in str(found)
@@ -113,7 +126,9 @@ def test_a_bag_begun_in_mid_run_is_compared_from_its_first_key_frame_on(
 
 
 @pytest.mark.parametrize("topic", ["/imu", "/stage_record"])
-def test_after_a_lost_message_the_replay_goes_on_at_the_next_key_frame(tmp_path, topic):
+def test_after_a_lost_message_the_replay_goes_on_at_the_next_key_frame(
+    tmp_path, topic
+):
     recording = Recording(2, state=True)
     ordered = sorted(recording.entries, key=lambda entry: entry[0])
     places = [k for k, entry in enumerate(ordered) if entry[1] == topic]
@@ -129,7 +144,9 @@ def test_after_a_lost_message_the_replay_goes_on_at_the_next_key_frame(tmp_path,
         )
 
 
-def test_the_output_of_a_node_of_a_users_own_is_left_out_and_its_node_named(tmp_path):
+def test_the_output_of_a_node_of_a_users_own_is_left_out_and_its_node_named(
+    tmp_path,
+):
     recording = Recording(3)
     nodes = json.dumps({"/mpc_state": ["/fred/my_filter"]})
     recording.write(1, "/recorded_nodes", String(data=nodes))
@@ -142,9 +159,13 @@ def test_the_output_of_a_node_of_a_users_own_is_left_out_and_its_node_named(tmp_
 
 
 @pytest.mark.parametrize("option", ["--skip", "--only"])
-def test_stages_are_left_out_at_request_with_a_line_that_says_so(capsys, option):
+def test_stages_are_left_out_at_request_with_a_line_that_says_so(
+    capsys, option
+):
     assert replay_command.main([str(WALK), option, "mpc_controller"]) == 0
-    lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
+    lines = {
+        line.split()[0]: line for line in capsys.readouterr().out.splitlines()
+    }
     for topic in replay.STAGES:
         left_out = f"left out: {option} mpc_controller" in lines[topic]
         assert left_out == ((topic == "/tendon_plan") == (option == "--skip"))

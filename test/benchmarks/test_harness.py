@@ -21,7 +21,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def run(quick, out, progress):
-    rows = [{"n": np.int64(n), "root": np.sqrt(n)} for n in range(2 if quick else 4)]
+    rows = [
+        {"n": np.int64(n), "root": np.sqrt(n)} for n in range(2 if quick else 4)
+    ]
     progress("half way")
     (out / "tiny.txt").write_text("beside")
     nothing = at_least("nothing", float("nan"), 1.0, "ms")
@@ -33,7 +35,9 @@ def places(tmp_path, monkeypatch):
     """Directory of a benchmark `tiny` and one whose peer is missing, and where results go."""
     for name, text in {"tiny": "", "rival": "import no_such_peer"}.items():
         (tmp_path / name).mkdir()
-        (tmp_path / name / "benchmark.py").write_text(f'"""Counts.\n\nMore."""\n{text}')
+        (tmp_path / name / "benchmark.py").write_text(
+            f'"""Counts.\n\nMore."""\n{text}'
+        )
     monkeypatch.setattr(harness, "BENCHMARKS", tmp_path)
     package = types.ModuleType("benchmarks.rival")
     package.__path__ = [str(tmp_path / "rival")]
@@ -52,7 +56,13 @@ def test_result_holds_rows_checks_revision_machine_and_whether_it_was_quick(
     assert result["rows"][2]["root"] == pytest.approx(2**0.5)
     missed = {"unit": "ms", "goal": ">= 1", "holds": False}
     assert result["checks"] == [
-        {"name": "rows", "value": 4, "unit": "", "goal": "<= 3", "holds": False},
+        {
+            "name": "rows",
+            "value": 4,
+            "unit": "",
+            "goal": "<= 3",
+            "holds": False,
+        },
         {"name": "nothing", "value": None, **missed},
     ]
     assert set(result["revision"]) == {"commit", "describe", "dirty"}
@@ -73,7 +83,10 @@ def test_result_holds_rows_checks_revision_machine_and_whether_it_was_quick(
     ("name", "reason"),
     [
         ("tinny", "no benchmark 'tinny' (known: rival, tiny)"),
-        ("rival", "benchmark rival: needs no_such_peer; run scripts/setup --bench"),
+        (
+            "rival",
+            "benchmark rival: needs no_such_peer; run scripts/setup --bench",
+        ),
     ],
 )
 def test_a_benchmark_that_cannot_run_is_refused_in_one_line(

@@ -70,7 +70,9 @@ def test_natural_legs_lie_on_the_natural_shape_and_weigh_what_the_robot_does():
     # nodes are interpolated between 4001 points of the curve
     np.testing.assert_allclose(arm[..., 2], drop, atol=1e-6)
     np.testing.assert_allclose(x[:, -1], LEG.reach, atol=1e-6)
-    assert robot._model.body_subtreemass[0] == pytest.approx(ROBOT.mass, rel=1e-6)
+    assert robot._model.body_subtreemass[0] == pytest.approx(
+        ROBOT.mass, rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("turn_deg", [30.0, 120.0])
@@ -78,7 +80,9 @@ def test_chain_bent_to_a_circular_arc_has_the_sideways_compliance_of_the_unit_lo
     turn_deg,
 ):
     """The compliance of the chain is the sum of (arm of a joint)^2 / stiffness over its joints."""
-    fine = build_model(ROBOT, config.replace(ABOVE, {"solver.nodes": 46}), read_servo())
+    fine = build_model(
+        ROBOT, config.replace(ABOVE, {"solver.nodes": 46}), read_servo()
+    )
     turn, rod = math.radians(turn_deg), fine.rod
     model = mujoco_robot.build(ROBOT, fine, mujoco_robot.STEP)
     step, data = np.diff(rod.arc), mujoco.MjData(model)
@@ -97,7 +101,9 @@ def test_chain_bent_to_a_circular_arc_has_the_sideways_compliance_of_the_unit_lo
         for kind in ("side", "twist")
         for name in joints(kind, len(step))
     ]
-    found = sum(aside[joint.dofadr[0]] ** 2 / joint.stiffness[0] for joint in own)
+    found = sum(
+        aside[joint.dofadr[0]] ** 2 / joint.stiffness[0] for joint in own
+    )
     assert found == pytest.approx(arc_compliance(turn), rel=0.01)
 
 
@@ -120,7 +126,12 @@ def own_rate(law, drive, error, torque, h):
 def test_servo_and_friction_of_the_guide_are_the_projects():
     law, h = build_model(ROBOT, ABOVE, read_servo()).servo, 1e-3
     assert law.friction > 1.0
-    cases = [(0.0, 0.01, 0.0), (2.0, 1.0, 0.7), (-1.0, -0.02, 0.5), (0.0, 0.044, 0.9)]
+    cases = [
+        (0.0, 0.01, 0.0),
+        (2.0, 1.0, 0.7),
+        (-1.0, -0.02, 0.5),
+        (0.0, 0.044, 0.9),
+    ]
     for (
         speed,
         error,
@@ -136,11 +147,14 @@ def test_servo_and_friction_of_the_guide_are_the_projects():
 
 
 @pytest.mark.parametrize(
-    "change", [{"model": "torque_speed"}, {"integral": 1.0}, {"backlash_deg": 1.0}]
+    "change",
+    [{"model": "torque_speed"}, {"integral": 1.0}, {"backlash_deg": 1.0}],
 )
 def test_servo_that_is_not_modelled_is_refused(change):
     with pytest.raises(ValueError, match="pid without integral and backlash"):
-        mujoco_robot.MujocoRobot(ROBOT, ABOVE, config.replace(read_servo(), change))
+        mujoco_robot.MujocoRobot(
+            ROBOT, ABOVE, config.replace(read_servo(), change)
+        )
 
 
 def test_standing_feet_carry_the_weight_without_chatter():

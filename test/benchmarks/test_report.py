@@ -41,7 +41,8 @@ def result(name, rows=(), checks=(), **others):
         },
         "rows": list(rows),
         "checks": [
-            dict(zip(("name", "value", "unit", "goal", "holds"), c)) for c in checks
+            dict(zip(("name", "value", "unit", "goal", "holds"), c))
+            for c in checks
         ],
         **others,
     }
@@ -129,7 +130,10 @@ def test_what_is_missing_is_named_with_the_command_that_makes_it(made):
         "locomotion",
     }:
         assert f"scripts/bench {name} --out {made[0] / name}" in missing
-    assert f"scripts/run --lockstep --gait crawl --bag {made[0] / 'crawl'}" in missing
+    assert (
+        f"scripts/run --lockstep --gait crawl --bag {made[0] / 'crawl'}"
+        in missing
+    )
 
 
 def test_without_results_the_papers_figures_stand_alone_with_what_would_be_beside_them(
@@ -143,7 +147,9 @@ def test_without_results_the_papers_figures_stand_alone_with_what_would_be_besid
         str(tmp_path / "page.md"),
     ]
     assert main(arguments) == 0
-    tables = (tmp_path / "page.md").read_text().partition("The paper beside ours")[2]
+    tables = (
+        (tmp_path / "page.md").read_text().partition("The paper beside ours")[2]
+    )
     assert "| here: " not in tables
     assert "Not run: robot, mpc, graph." in tables
 
@@ -157,7 +163,9 @@ def test_figures_are_looked_up_under_names_that_the_benchmarks_use():
         if ours is not None
     ]
     assert {ours.result for ours in wanted} <= known().keys() | RUNS.keys()
-    found = {ours.match["row"] for ours in wanted if ours.result == "locomotion"}
+    found = {
+        ours.match["row"] for ours in wanted if ours.result == "locomotion"
+    }
     assert found <= {row.name for row in locomotion_rows(quick=False)}
 
 
@@ -180,10 +188,14 @@ NONSENSE = {
 
 
 @pytest.mark.parametrize("text", NONSENSE.values(), ids=NONSENSE)
-def test_a_file_that_is_no_result_is_refused_in_one_line(results, refusal, text):
+def test_a_file_that_is_no_result_is_refused_in_one_line(
+    results, refusal, text
+):
     (results / "rod" / "rod.json").write_text(text)
     line = refusal(main, "--results", results, "--out", results / "page.md")
-    assert line.startswith(f"scripts/report: {results / 'rod' / 'rod.json'}: not ")
+    assert line.startswith(
+        f"scripts/report: {results / 'rod' / 'rod.json'}: not "
+    )
     assert not (results / "page.md").exists()
 
 
@@ -191,7 +203,11 @@ def test_a_file_that_is_no_result_is_refused_in_one_line(results, refusal, text)
     ("file", "content", "said"),
     [
         ("rod/rod.json", b"\xff\xfe\x00", "not text in UTF-8"),
-        ("single_leg/errors.csv", b"point,axis,rmse\nbase,z,much\n", "not a table of"),
+        (
+            "single_leg/errors.csv",
+            b"point,axis,rmse\nbase,z,much\n",
+            "not a table of",
+        ),
         ("single_leg/metadata.yaml", b"nonsense", "single_leg: cannot be read"),
     ],
 )
@@ -199,7 +215,9 @@ def test_a_damaged_file_beside_a_result_is_refused_in_one_line(
     results, refusal, file, content, said
 ):
     (results / file).write_bytes(content)
-    assert said in refusal(main, "--results", results, "--out", results / "page.md")
+    assert said in refusal(
+        main, "--results", results, "--out", results / "page.md"
+    )
 
 
 @pytest.mark.parametrize(
@@ -213,4 +231,6 @@ def test_a_damaged_file_beside_a_result_is_refused_in_one_line(
 def test_a_place_that_does_not_do_is_refused_in_one_line(
     results, refusal, folder, out, said
 ):
-    assert said in refusal(main, "--results", results / folder, "--out", results / out)
+    assert said in refusal(
+        main, "--results", results / folder, "--out", results / out
+    )

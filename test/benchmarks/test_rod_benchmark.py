@@ -13,7 +13,9 @@ from slot_core.rod.model import Geometry, Loads, Material, Uniform
 
 def integrated(slope, start):
     """State at the end of the unit length, by Runge-Kutta of eighth order."""
-    return solve_ivp(slope, (0, 1), start, "DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+    return solve_ivp(slope, (0, 1), start, "DOP853", rtol=1e-11, atol=1e-13).y[
+        :, -1
+    ]
 
 
 @pytest.mark.parametrize("p", [0.2, 10.0])
@@ -41,7 +43,9 @@ def test_leg_under_a_small_force_has_bernoullis_flexibility_in_both_planes():
     ):
 
         def part(s, moment=moment):
-            return (leg.length - s) ** 2 / (tpu.young_modulus * moment(s / leg.length))
+            return (leg.length - s) ** 2 / (
+                tpu.young_modulus * moment(s / leg.length)
+            )
 
         wanted = quad(part, 0, leg.length)[0]
         assert found / p == pytest.approx(wanted, rel=1e-6)

@@ -51,8 +51,17 @@ def test_what_is_asked_for_is_not_measured(monkeypatch, words, composed):
         ({"cpu.max": "150000 100000"}, 1.5),
         ({"cpu.max": "900000 100000"}, 3.0),
         ({"cpu.max": "max 100000"}, 3.0),
-        ({"cpu/cpu.cfs_quota_us": "50000", "cpu/cpu.cfs_period_us": "100000"}, 0.5),
-        ({"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000"}, 3.0),
+        (
+            {
+                "cpu/cpu.cfs_quota_us": "50000",
+                "cpu/cpu.cfs_period_us": "100000",
+            },
+            0.5,
+        ),
+        (
+            {"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000"},
+            3.0,
+        ),
     ],
 )
 def test_cores_are_those_of_the_affinity_within_the_quota_of_the_container(

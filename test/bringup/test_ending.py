@@ -17,7 +17,9 @@ def start(tmp_path, monkeypatch):
         words = ["/bin/bash", "-c", script]
         monkeypatch.setattr(processes, "command_line", lambda _: words)
         started = Processes(tmp_path)
-        spec = NodeSpec("viewer", "of_no_python_package", {}, if_it_ends=if_it_ends)
+        spec = NodeSpec(
+            "viewer", "of_no_python_package", {}, if_it_ends=if_it_ends
+        )
         started.start([spec])
         return started
 

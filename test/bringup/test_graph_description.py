@@ -37,7 +37,9 @@ def nodes_of(graph, **changes):
     return {spec.name: spec for spec in graph.nodes(values(graph, **changes))}
 
 
-def test_the_recorder_runs_only_with_a_bag_and_the_localiser_with_a_camera(graph):
+def test_the_recorder_runs_only_with_a_bag_and_the_localiser_with_a_camera(
+    graph,
+):
     plain = [*nodes_of(graph)]
     assert not {"recorder", "marker_localizer"} & {*plain}
     assert [*nodes_of(graph, bag="x")] == ["recorder", *plain]
@@ -55,8 +57,16 @@ def test_the_recorder_runs_only_with_a_bag_and_the_localiser_with_a_camera(graph
         ({"seed": 3}, "sim_robot", "seed:=3"),
         ({"lockstep": True}, "supervisor", "lockstep:=true"),
         ({"lockstep": True}, "force_mapper", "use_sim_time:=true"),
-        ({"bag": "x", "stamped_cmd_vel": False}, "recorder", "stamped_cmd_vel:=false"),
-        ({"stamped_cmd_vel": False}, "gait_scheduler", "stamped_cmd_vel:=false"),
+        (
+            {"bag": "x", "stamped_cmd_vel": False},
+            "recorder",
+            "stamped_cmd_vel:=false",
+        ),
+        (
+            {"stamped_cmd_vel": False},
+            "gait_scheduler",
+            "stamped_cmd_vel:=false",
+        ),
         ({"odometry_topic": "/slam"}, "state_estimator", "odom:=/slam"),
         ({"odometry_topic": "/slam"}, "sim_robot", "odom:=/slam"),
         ({"namespace": "fred"}, "mpc_controller", "__ns:=/fred"),
@@ -89,7 +99,12 @@ def test_composed_nodes_share_a_process_and_keep_their_parameters(
     chosen = values(graph, policy="paper_text", **given)
     separate = {s.name: s for s in graph.nodes(chosen)}
     *others, process = graph.nodes(chosen | {"composed": True})
-    shared = ["state_estimator", "gait_scheduler", "mpc_controller", "force_mapper"]
+    shared = [
+        "state_estimator",
+        "gait_scheduler",
+        "mpc_controller",
+        "force_mapper",
+    ]
     shared += ["sim_robot", "supervisor"] if lockstep else []
     assert sorted(process.nodes) == sorted(shared)
     alone = [name for name in separate if name not in process.nodes]
@@ -104,7 +119,9 @@ def test_composed_nodes_share_a_process_and_keep_their_parameters(
 def test_the_nodes_that_the_walk_waits_for_get_the_real_time_priority(graph):
     given = {"hardware": "fake_bus", "realtime": 50}
     nodes = nodes_of(graph, bag="x", visualize=True, **given)
-    waits = {n for n, s in nodes.items() if s.environment == {"SLOT_PRIORITY": "50"}}
+    waits = {
+        n for n, s in nodes.items() if s.environment == {"SLOT_PRIORITY": "50"}
+    }
     shared = nodes_of(graph, composed=True, **given)["controller"].nodes
     assert waits == {*shared, "dynamixel_driver", "supervisor", "sim_robot"}
 
@@ -128,7 +145,9 @@ def test_hardware_decides_who_has_the_port_the_sensors_and_the_operator(graph):
     played = nodes_of(graph, hardware="none", bag="somewhere")
     assert not {"sim_robot", "dynamixel_driver"} & played.keys()
     assert {"recorder", "state_estimator", "supervisor"} <= played.keys()
-    assert all(spec.parameters["use_sim_time"] is True for spec in played.values())
+    assert all(
+        spec.parameters["use_sim_time"] is True for spec in played.values()
+    )
 
 
 def test_a_parameter_file_comes_before_the_arguments_of_the_graph(graph):
@@ -172,7 +191,9 @@ def test_a_parameter_file_that_no_node_would_follow_is_refused(
         check(values(graph, params_file=str(file)))
 
 
-def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch):
+def test_the_launch_file_starts_the_nodes_of_the_description(
+    graph, monkeypatch
+):
     """Against stubs of launch and launch_ros, which are not among the Python wheels."""
     choice = (False, "controller in four processes: it is large")
     monkeypatch.setattr("slot_bringup.composition.choose", lambda _: choice)
@@ -190,11 +211,20 @@ def test_the_launch_file_starts_the_nodes_of_the_description(graph, monkeypatch)
     said, *started = load_launch_file(monkeypatch, given, asked)
     assert said["msg"] == choice[1]
     assert asked == ["fred"]
-    typed = given | {"vx": 0.0, "realtime": 0, "composed": False, "visualize": True}
-    for node, spec in zip(started, graph.nodes(values(graph, **typed)), strict=True):
+    typed = given | {
+        "vx": 0.0,
+        "realtime": 0,
+        "composed": False,
+        "visualize": True,
+    }
+    for node, spec in zip(
+        started, graph.nodes(values(graph, **typed)), strict=True
+    ):
         # launch would read a text such as 1e3 as a number
         texts = {n: v for n, v in spec.parameters.items() if isinstance(v, str)}
-        wrapped = {n: {"args": (v,), "value_type": str} for n, v in texts.items()}
+        wrapped = {
+            n: {"args": (v,), "value_type": str} for n, v in texts.items()
+        }
         expected = {
             "package": spec.package,
             "executable": spec.name,
@@ -225,8 +255,17 @@ def test_the_launch_file_records_the_same_topics_with_ros2_bag(
     stock, *nodes = load_launch_file(monkeypatch, given)
     assert "recorder" not in {node["name"] for node in nodes}
     words, settings = stock["cmd"], read_record_settings("fred")
-    assert words[:6] == ["setpriv", "--pdeathsig", "TERM", "ros2", "bag", "record"]
-    options, topics = (part.split() for part in " ".join(words).split(" --topics "))
+    assert words[:6] == [
+        "setpriv",
+        "--pdeathsig",
+        "TERM",
+        "ros2",
+        "bag",
+        "record",
+    ]
+    options, topics = (
+        part.split() for part in " ".join(words).split(" --topics ")
+    )
     renamed = {"/fred/odom": "/rtabmap/odom"}
     assert topics == [renamed.get(topic, topic) for topic in settings.topics]
     assert any(word.startswith("revision=") for word in options)
@@ -234,13 +273,23 @@ def test_the_launch_file_records_the_same_topics_with_ros2_bag(
     file = Path(options[options.index("--qos-profile-overrides-path") + 1])
     profiles = yaml.safe_load(file.read_text())
     assert [*profiles] == sorted(topics)
-    assert {profile["depth"] for profile in profiles.values()} == {settings.depth}
+    assert {profile["depth"] for profile in profiles.values()} == {
+        settings.depth
+    }
     plan, sensor = profiles["/fred/tendon_plan"], profiles["/rtabmap/odom"]
-    assert (plan["reliability"], plan["durability"]) == ("reliable", "transient_local")
+    assert (plan["reliability"], plan["durability"]) == (
+        "reliable",
+        "transient_local",
+    )
     assert (sensor["reliability"] == "best_effort") == (hardware == "real")
 
 
-NEEDLESS = ["recorder", "visualizer", "rosbag2_recorder", "robot_state_publisher"]
+NEEDLESS = [
+    "recorder",
+    "visualizer",
+    "rosbag2_recorder",
+    "robot_state_publisher",
+]
 
 
 def test_the_supervisor_says_the_end_of_every_process_without_which_the_graph_goes_on(
@@ -252,17 +301,26 @@ def test_the_supervisor_says_the_end_of_every_process_without_which_the_graph_go
     assert {*read_supervisor().companions} == {*NEEDLESS}
 
 
-@pytest.mark.parametrize("name", [*NEEDLESS[:2], "ros2bag", "robot_state_publisher"])
-def test_a_launch_goes_on_without_a_process_that_it_does_not_need(monkeypatch, name):
+@pytest.mark.parametrize(
+    "name", [*NEEDLESS[:2], "ros2bag", "robot_state_publisher"]
+)
+def test_a_launch_goes_on_without_a_process_that_it_does_not_need(
+    monkeypatch, name
+):
     end = graph_launch_file(monkeypatch)[-1]["args"][0]["on_exit"]
     running = SimpleNamespace(is_shutdown=False)
-    [said] = end(SimpleNamespace(process_name=f"{name}-1", returncode=-9), running)
+    [said] = end(
+        SimpleNamespace(process_name=f"{name}-1", returncode=-9), running
+    )
     line = f"{name}-1 ended with exit code -9; the robot goes on"
     assert said["msg"].startswith(line)
     for needed, code in ((name, REFUSED), ("mpc_controller", -9)):
         line = f"{needed}-1 ended with exit code {code}"
         with pytest.raises(RuntimeError, match=line):
-            end(SimpleNamespace(process_name=f"{needed}-1", returncode=code), running)
+            end(
+                SimpleNamespace(process_name=f"{needed}-1", returncode=code),
+                running,
+            )
 
 
 @pytest.mark.parametrize("installed", [True, False])
@@ -274,13 +332,22 @@ def test_the_launch_file_starts_the_urdfs_publisher_where_there_is_one(
     fault = None if installed else packages.PackageNotFoundError("absent")
     find = Mock(return_value="/found", side_effect=fault)
     monkeypatch.setattr(packages, "get_package_prefix", find)
-    monkeypatch.setattr(packages, "get_package_share_directory", lambda _: str(SHARE))
-    given = {"robot_description": "true", "namespace": "fred", "frame_prefix": "fred/"}
+    monkeypatch.setattr(
+        packages, "get_package_share_directory", lambda _: str(SHARE)
+    )
+    given = {
+        "robot_description": "true",
+        "namespace": "fred",
+        "frame_prefix": "fred/",
+    }
     model, *_ = load_launch_file(monkeypatch, given)
     if not installed:
         assert "robot_state_publisher is not installed" in model["msg"]
         return
-    assert (model["package"], model["namespace"]) == ("robot_state_publisher", "fred")
+    assert (model["package"], model["namespace"]) == (
+        "robot_state_publisher",
+        "fred",
+    )
     (parameters,) = model["parameters"]
     assert parameters["frame_prefix"]["args"] == ("fred/",)
     assert '<robot name="slot">' in parameters["robot_description"]["args"][0]
@@ -301,7 +368,12 @@ def run_launch_file(monkeypatch, name, **stubs):
 
 
 REFUSED_BY_LAUNCH = [
-    ("slot", {}, ["gaits:=walk"], "'gaits' (similar: gait; --show-args lists all)"),
+    (
+        "slot",
+        {},
+        ["gaits:=walk"],
+        "'gaits' (similar: gait; --show-args lists all)",
+    ),
     (
         "d435_rtabmap",
         {},
@@ -309,28 +381,54 @@ REFUSED_BY_LAUNCH = [
         "'imu' (similar: none; --show-args lists all)",
     ),
     ("slot", {}, ["gait:=walk", "recorder:=slot", "launch-prefix:=gdb"], ""),
-    ("whole_fleet", {}, ["robots:=3"], ""),  # of a user's own, which includes ours
+    (
+        "whole_fleet",
+        {},
+        ["robots:=3"],
+        "",
+    ),  # of a user's own, which includes ours
     ("slot", {"vx": "9"}, [], "v_x = 9: gait walk reaches"),
     ("slot", {"bag": "~"}, [], "exists already"),
     ("slot", {"markers": "true"}, [], "markers: the scene flat has no camera"),
-    ("slot", {"calibration": "no.yaml"}, [], "calibration no.yaml: No such file"),
-    ("slot", {"odometry_topic": "a b"}, [], "odometry_topic = 'a b': Invalid topic"),
+    (
+        "slot",
+        {"calibration": "no.yaml"},
+        [],
+        "calibration no.yaml: No such file",
+    ),
+    (
+        "slot",
+        {"odometry_topic": "a b"},
+        [],
+        "odometry_topic = 'a b': Invalid topic",
+    ),
     ("slot", {"imu_topic": ""}, [], "imu_topic = '': Invalid topic name"),
     ("slot", {"realtime": "100"}, [], "realtime = 100: outside [0, 99]"),
     ("slot", {"vx": "fast"}, [], "vx = 'fast': expected a number"),
     ("slot", {"seed": "1.5"}, [], "seed = '1.5': expected a whole number"),
     ("slot", {"seed": ""}, [], "seed = '': expected a whole number"),
-    ("slot", {"lockstep": "perhaps"}, [], "lockstep = 'perhaps': expected true or f"),
+    (
+        "slot",
+        {"lockstep": "perhaps"},
+        [],
+        "lockstep = 'perhaps': expected true or f",
+    ),
 ]
 
 
-@pytest.mark.parametrize(("program", "given", "words", "fault"), REFUSED_BY_LAUNCH)
+@pytest.mark.parametrize(
+    ("program", "given", "words", "fault"), REFUSED_BY_LAUNCH
+)
 def test_the_launch_file_refuses_what_scripts_run_refuses_and_unknown_arguments(
     monkeypatch, program, given, words, fault
 ):
     line = ["ros2", "launch", "slot_bringup", f"{program}.launch.py", *words]
     monkeypatch.setattr(sys, "argv", line)
-    with pytest.raises(ValueError, match=re.escape(fault)) if fault else nullcontext():
+    with (
+        pytest.raises(ValueError, match=re.escape(fault))
+        if fault
+        else nullcontext()
+    ):
         load_launch_file(monkeypatch, given, words=words)
 
 
@@ -358,11 +456,17 @@ def test_a_camera_with_a_visual_slam_brings_up_the_graph_on_its_topics(
         launch_ros__substitutions="FindPackageShare",
     )
     listed = [a["args"][0] for a in actions if a.get("args")]
-    *others, own = [g[-1]["args"][0]["args"][0] for g in listed if type(g) is list]
+    *others, own = [
+        g[-1]["args"][0]["args"][0] for g in listed if type(g) is list
+    ]
     # of FindPackageShare
     assert [place["args"][0][0]["args"][0] for place in others] == packages
     assert Path(own).name == "slot.launch.py"
-    given = {a["args"][0]: a["default_value"] for a in actions if "default_value" in a}
+    given = {
+        a["args"][0]: a["default_value"]
+        for a in actions
+        if "default_value" in a
+    }
     assert {"odometry_topic", "imu_topic"} < set(given)
     for spec in graph.nodes(values(graph, **given)):
         assert f"odom:={given['odometry_topic']}" in command_line(spec)
@@ -395,4 +499,6 @@ def load_launch_file(monkeypatch, given, asked=None, words=()):
     *arguments, start, _ = graph_launch_file(monkeypatch)
     texts = {a["args"][0]: a["default_value"] for a in arguments}
     texts |= {"robot_description": "false", "composed": "false"} | given
-    return start["function"](SimpleNamespace(launch_configurations=texts, argv=words))
+    return start["function"](
+        SimpleNamespace(launch_configurations=texts, argv=words)
+    )

@@ -40,7 +40,9 @@ def test_a_program_under_another_python_finds_them_behind_its_own_packages():
 @pytest.mark.parametrize(
     "module", ["slot_nodes.mpc_controller_node", "slot_bringup.run"]
 )
-def test_a_program_without_its_libraries_says_in_one_line_what_to_source(module):
+def test_a_program_without_its_libraries_says_in_one_line_what_to_source(
+    module,
+):
     # -S leaves out the packages installed for this Python
     done = subprocess.run(
         [sys.executable, "-S", "-c", f"import {module}"],

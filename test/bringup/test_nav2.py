@@ -15,7 +15,10 @@ NODES = {
     name: content.get("ros__parameters") or content[name]["ros__parameters"]
     for name, content in yaml.safe_load(FILE.read_text()).items()
 }
-FOLLOW, BEHAVIOR = NODES["controller_server"]["FollowPath"], NODES["behavior_server"]
+FOLLOW, BEHAVIOR = (
+    NODES["controller_server"]["FollowPath"],
+    NODES["behavior_server"],
+)
 
 
 @pytest.mark.parametrize(
@@ -36,7 +39,10 @@ def test_acceleration_and_progress_are_those_of_the_robot():
     turns = FOLLOW["max_angular_accel"], BEHAVIOR["rotational_acc_lim"]
     assert max(turns) <= read_gaits().turn_acceleration
     progress = NODES["controller_server"]["progress_checker"]
-    slowest = progress["required_movement_radius"] / progress["movement_time_allowance"]
+    slowest = (
+        progress["required_movement_radius"]
+        / progress["movement_time_allowance"]
+    )
     assert slowest < 0.5 * FOLLOW["regulated_linear_scaling_min_speed"]
 
 

@@ -29,7 +29,10 @@ NOW = 100.0  # s, on the terminal's clock
 
 def state(which=State.WALKING, **fields):
     message = RobotState(
-        state=int(which), action=RobotState.ACTION_PASS, since=Time(sec=5), **fields
+        state=int(which),
+        action=RobotState.ACTION_PASS,
+        since=Time(sec=5),
+        **fields,
     )
     message.header.stamp = Time(sec=7, nanosec=500_000_000)
     return message
@@ -100,14 +103,24 @@ def test_a_terminal_that_quits_is_not_missed_once_the_supervisor_knows():
 @pytest.mark.parametrize(
     ("name", "check", "foreign", "reason"),
     [
-        ("joints", decode.joint_loads, JointState(name=["a", "b"]), "joints refused: "),
+        (
+            "joints",
+            decode.joint_loads,
+            JointState(name=["a", "b"]),
+            "joints refused: ",
+        ),
         (
             "joints",
             decode.joint_loads,
             JointState(name=TENDON_JOINTS),
             "joints refused: ",
         ),
-        ("health", decode.servo_health, ServoHealth(action=9), "health refused: "),
+        (
+            "health",
+            decode.servo_health,
+            ServoHealth(action=9),
+            "health refused: ",
+        ),
     ],
 )
 def test_a_foreign_message_is_named_and_does_not_end_the_e_stops_source(
@@ -125,7 +138,9 @@ def test_quitting_is_refused_under_torque():
     operator = operate.Operator(FakeNode())
     operator._on_state(state(State.WALKING))
     assert operator.press(QUIT)
-    assert operator.view.answer == "WALKING: relax first (x), or stop with Ctrl-C"
+    assert (
+        operator.view.answer == "WALKING: relax first (x), or stop with Ctrl-C"
+    )
     idle = state(State.IDLE)
     idle.action = RobotState.ACTION_OFF
     operator._on_state(idle)
@@ -135,14 +150,24 @@ def test_quitting_is_refused_under_torque():
 
 def test_the_screen_shows_state_warnings_problems_gait_and_what_is_wrong_with_a_servo():
     """The supervisor's own problem is above, with its state."""
-    operator, warnings = operate.Operator(FakeNode()), ["node mpc_controller is silent"]
+    operator, warnings = (
+        operate.Operator(FakeNode()),
+        ["node mpc_controller is silent"],
+    )
     for name in ("controller", "servo bus", "supervisor"):
         status = DiagnosticStatus(name=name, level=b"\x01", message="late")
         operator._on_diagnostics(DiagnosticArray(status=[status]))
-    effort = [0.5 * float(read_servo().tendon_stall(11.9))] * 4  # at this voltage
+    effort = [
+        0.5 * float(read_servo().tendon_stall(11.9))
+    ] * 4  # at this voltage
     view = operator.view
-    view.state, view.state_time = state(reason="as asked", warnings=warnings), NOW
-    view.joints = JointState(name=TENDON_JOINTS, position=[0.5] * 4, effort=effort)
+    view.state, view.state_time = (
+        state(reason="as asked", warnings=warnings),
+        NOW,
+    )
+    view.joints = JointState(
+        name=TENDON_JOINTS, position=[0.5] * 4, effort=effort
+    )
     view.health = ServoHealth(
         action=RobotState.ACTION_PASS,
         hardware_error=[0, 0, 0x20, 0],
@@ -153,7 +178,9 @@ def test_the_screen_shows_state_warnings_problems_gait_and_what_is_wrong_with_a_
     view.preview = GaitPreview(gait="walk", velocity=velocity, pose=pose)
     shown = lines(view, NOW)
     assert shown[:2] == ["WALKING for 2.5 s: as asked", f"  ! {warnings[0]}"]
-    assert shown[3].startswith("walk     +0.040 +0.000 m/s  -5.7 deg/s   height 60 mm")
+    assert shown[3].startswith(
+        "walk     +0.040 +0.000 m/s  -5.7 deg/s   height 60 mm"
+    )
     legs = {line[:2]: line.split() for line in shown if line[:2] in LEGS}
     sound = ["50", "on", "none"]  # % of the stall torque
     assert {leg: [words[3], *words[-2:]] for leg, words in legs.items()} == {
@@ -171,7 +198,9 @@ def test_the_first_line_is_red_in_relax_estop_and_fault_and_without_a_present_st
     which,
 ):
     view = OperatorView(state=state(which), state_time=NOW)
-    assert view.alarming(NOW) == (which in (State.RELAX, State.ESTOP, State.FAULT))
+    assert view.alarming(NOW) == (
+        which in (State.RELAX, State.ESTOP, State.FAULT)
+    )
     later = NOW + SILENCE + 0.1
     assert view.alarming(later)
     shown = lines(view, later)
@@ -220,5 +249,7 @@ def test_without_a_graph_or_a_terminal_one_line_says_so(
     place = f"ROS domain {os.environ['ROS_DOMAIN_ID']}, namespace /"
     message = "the live display needs a terminal, scripts/operate state none"
     if who:
-        message = f"no {who} answers in {place} within 0.2 s: does scripts/run run?"
+        message = (
+            f"no {who} answers in {place} within 0.2 s: does scripts/run run?"
+        )
     assert capsys.readouterr().err == f"scripts/operate: {message}\n"

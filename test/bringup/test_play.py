@@ -67,18 +67,28 @@ def test_a_message_of_before_its_last_field_arrives_in_a_form_that_nodes_can_rea
     old = write_old(tmp_path / "legs", "/ground_truth/legs", legs)
     (entry,) = play.entries(Bag(old), 0.0)
     legs = deserialize_message(entry.data, LegStates)
-    assert (legs.nodes, [*legs.position], [*legs.director]) == (2, [*range(24)], [])
+    assert (legs.nodes, [*legs.position], [*legs.director]) == (
+        2,
+        [*range(24)],
+        [],
+    )
 
 
 @pytest.fixture(scope="module")
 def real_time_bag(tmp_path_factory):
     """A bag without /clock, of a robot whose clock is the wall's."""
-    return Bag(write_walk(tmp_path_factory.mktemp("bags") / "walk", Walk(duration=1.0)))
+    return Bag(
+        write_walk(tmp_path_factory.mktemp("bags") / "walk", Walk(duration=1.0))
+    )
 
 
-def test_without_a_recorded_clock_the_time_of_the_bag_is_the_clock(real_time_bag):
+def test_without_a_recorded_clock_the_time_of_the_bag_is_the_clock(
+    real_time_bag,
+):
     """`ros2 bag record` lists the /clock of a robot in real time, which publishes none."""
-    every, late = ([*play.entries(real_time_bag, start)] for start in (0.0, 0.6))
+    every, late = (
+        [*play.entries(real_time_bag, start)] for start in (0.0, 0.6)
+    )
     raw = ((t, topic) for topic, t, _ in real_time_bag.raw())
     played = [(t, topic) for t, topic in raw if topic in play.PLAYED]
     assert [(entry.time, entry.topic) for entry in every] == played
@@ -100,26 +110,34 @@ def test_a_bag_is_not_played_where_nothing_uses_it_or_a_robot_runs(
         recorder = Node("recorder", context=node.context)
         recorder.create_subscription(kind, "/odom", print, qos.SENSOR)
         wait(executor, lambda: node.count_subscribers("/odom") == 1)
-        with pytest.raises(play.PlayError, match="no node subscribes to /odom within"):
+        with pytest.raises(
+            play.PlayError, match="no node subscribes to /odom within"
+        ):
             player.wait_for_nodes()
         node.create_subscription(kind, "/odom", print, qos.SENSOR)
         monkeypatch.setattr(play, "SEARCH_TIME", 10.0)
         player.wait_for_nodes()
         node.create_publisher(kind, "/odom", qos.SENSOR)
         wait(executor, lambda: node.count_publishers("/odom") >= 2)
-        with pytest.raises(play.PlayError, match="a robot publishes /odom already"):
+        with pytest.raises(
+            play.PlayError, match="a robot publishes /odom already"
+        ):
             player.wait_for_nodes()
 
 
 @pytest.mark.parametrize("played", [True, False])
-def test_a_run_ends_with_the_bag_that_is_played_into_it(played, monkeypatch, capsys):
+def test_a_run_ends_with_the_bag_that_is_played_into_it(
+    played, monkeypatch, capsys
+):
     """Without a bag the end of the states is an error. A slow run is said, with the remedy."""
     monkeypatch.setattr(monitor, "SILENCE_TIMEOUT", 0.3)
     monkeypatch.setattr(monitor.Progress, "slowness", lambda _: "slower")
     running = {"failed.return_value": None, "restart_ended.return_value": []}
     ended = pytest.raises(monitor.RunError, match="no /mpc_state")
     with listener("state_estimator", "alone") as (node, _):
-        node.create_publisher(MpcState, "mpc_state", qos.CONTROL).publish(MpcState())
+        node.create_publisher(MpcState, "mpc_state", qos.CONTROL).publish(
+            MpcState()
+        )
         with nullcontext() if played else ended:
             given = {"namespace": "alone", "played": played, "remedy": "wait"}
             monitor.watch(MagicMock(**running), 60.0, **given)

@@ -25,8 +25,12 @@ def test_a_recorder_that_ends_loses_nothing_and_a_killed_one_the_last_moment(
     tmp_path, number
 ):
     graph, path = read_graph(), tmp_path / "bag"
-    values = {a.name: a.default for a in graph.arguments} | SET | {"bag": str(path)}
-    recorder = next(spec for spec in graph.nodes(values) if spec.name == "recorder")
+    values = (
+        {a.name: a.default for a in graph.arguments} | SET | {"bag": str(path)}
+    )
+    recorder = next(
+        spec for spec in graph.nodes(values) if spec.name == "recorder"
+    )
     process = subprocess.Popen(command_line(recorder))
     count, left = 0, []
     with listener("robot", "recorded") as (node, _):

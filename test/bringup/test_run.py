@@ -33,9 +33,15 @@ def refused(refusal):
 @pytest.mark.parametrize(
     ("variables", "line"),
     [
-        ({DOMAIN: "abc"}, f"{DOMAIN} = 'abc': expected a number within [0, 232]"),
+        (
+            {DOMAIN: "abc"},
+            f"{DOMAIN} = 'abc': expected a number within [0, 232]",
+        ),
         ({DOMAIN: "-1"}, f"{DOMAIN} = '-1': expected a number within [0, 232]"),
-        ({DOMAIN: "233"}, f"{DOMAIN} = '233': expected a number within [0, 232]"),
+        (
+            {DOMAIN: "233"},
+            f"{DOMAIN} = '233': expected a number within [0, 232]",
+        ),
         (
             SECURITY | {"ROS_SECURITY_KEYSTORE": "/nowhere"},
             "ROS_SECURITY_KEYSTORE = '/nowhere'",
@@ -51,7 +57,9 @@ def test_an_environment_that_ros_cannot_use_is_refused(
     assert line in refused()
 
 
-def test_a_scene_with_a_servo_fault_is_refused_without_a_servo_bus(own_config, refused):
+def test_a_scene_with_a_servo_fault_is_refused_without_a_servo_bus(
+    own_config, refused
+):
     fault = "{kind: silent, leg: FL, time: 1, duration: 0, value: 0}"
     scene = own_config / "scene" / "mute.yaml"
     scene.write_text(f"like: flat\nfaults: {{fl: {fault}}}\n")
@@ -76,7 +84,9 @@ def test_a_run_fails_without_its_recorder_or_where_its_summary_cannot_be_printed
 
     monkeypatch.setattr(run, "started", started)
     monkeypatch.setattr(run, "watch", lambda *_, **__: None)
-    with Path(output).open("w") if output else nullcontext(sys.stdout) as stream:
+    with (
+        Path(output).open("w") if output else nullcontext(sys.stdout) as stream
+    ):
         monkeypatch.setattr("sys.stdout", stream)
         assert run.main(["--no-bag"]) == code
     shown = capsys.readouterr()
@@ -104,7 +114,9 @@ def test_a_state_does_not_wait_behind_older_ones_where_the_machine_is_busy():
     with monitor.listener("state_estimator", "busy") as (node, executor):
         progress = monitor.Progress(supervised=False)
         progress.listen(node, pace=True)
-        publish = node.create_publisher(MpcState, "mpc_state", qos.CONTROL).publish
+        publish = node.create_publisher(
+            MpcState, "mpc_state", qos.CONTROL
+        ).publish
         for second in range(20):
             publish(MpcState(header=header(second * 10**9)))
         assert executor.spin_until(lambda: progress.state is not None, 60.0)
@@ -116,7 +128,11 @@ def test_a_state_does_not_wait_behind_older_ones_where_the_machine_is_busy():
     [
         (1.0, 0.0, ""),
         (0.6, 0.0, "slower than real time: the simulation went at 60 % of it"),
-        (1.0, 9.1, "slower than real time: mpc_controller skipped 9 states a second"),
+        (
+            1.0,
+            9.1,
+            "slower than real time: mpc_controller skipped 9 states a second",
+        ),
     ],
 )
 def test_a_graph_slower_than_real_time_says_so_with_its_share(

@@ -22,13 +22,17 @@ PATIENT = 0.1  # s, answer timeout on a busy machine
 def dynamixel_yaml(own_config):
     """Path of dynamixel.yaml in a writable copy of the configuration."""
     path = own_config / "dynamixel.yaml"
-    path.write_text(path.read_text().replace("timeout: 0.008", f"timeout: {PATIENT}"))
+    path.write_text(
+        path.read_text().replace("timeout: 0.008", f"timeout: {PATIENT}")
+    )
     return path
 
 
 @pytest.fixture
 def legs(dynamixel_yaml):
-    return EmulatedDynamixels(read_settings(), read_emulator(), (0.1, 0.0, 0.0, 0.0))
+    return EmulatedDynamixels(
+        read_settings(), read_emulator(), (0.1, 0.0, 0.0, 0.0)
+    )
 
 
 @pytest.fixture
@@ -59,11 +63,21 @@ def test_info_lists_differences_from_the_configuration_and_prepare_writes_them(
     assert servos("info") == 0
     out = capsys.readouterr().out
     assert "servo FL (id 5): model 1060, firmware 45" in out
-    assert "tendon 5.7 deg, 11.1 V, 25 degC, torque off, hardware errors: none" in out
+    assert (
+        "tendon 5.7 deg, 11.1 V, 25 degC, torque off, hardware errors: none"
+        in out
+    )
     memory = legs.bus.servos[2].memory
-    memory["shutdown"], memory["operating_mode"], memory["torque_enable"] = 52, 16, 1
+    memory["shutdown"], memory["operating_mode"], memory["torque_enable"] = (
+        52,
+        16,
+        1,
+    )
     assert servos("info") == 1
-    assert "servo RL (id 2): shutdown is 52, expected 53" in capsys.readouterr().out
+    assert (
+        "servo RL (id 2): shutdown is 52, expected 53"
+        in capsys.readouterr().out
+    )
     assert servos("prepare") == 0
     assert capsys.readouterr().out.splitlines() == [
         "servo RL (id 2): shutdown 52 -> 53",
@@ -121,7 +135,9 @@ def test_a_zero_that_cannot_be_written_changes_nothing(
     assert dynamixel_yaml.read_text() == before
 
 
-def test_emulate_answers_at_its_link_until_interrupted(tmp_path, dynamixel_yaml):
+def test_emulate_answers_at_its_link_until_interrupted(
+    tmp_path, dynamixel_yaml
+):
     link = tmp_path / "servos"
     words = ["-m", "slot_bringup.servos", "emulate", "--link", str(link)]
     process = subprocess.Popen(

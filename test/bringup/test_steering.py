@@ -28,7 +28,9 @@ class Keys(steering.SteeringKeys):
 
 
 def commanded(velocity=(0.0, 0.0, 0.0), gait="walk"):
-    return GaitPreview(requested=gait, velocity=list(velocity), pose=[0.06, 0.0, 0.0])
+    return GaitPreview(
+        requested=gait, velocity=list(velocity), pose=[0.06, 0.0, 0.0]
+    )
 
 
 @pytest.mark.parametrize(
@@ -61,7 +63,9 @@ def test_a_velocity_beyond_the_reach_of_the_gait_is_clipped_and_does_not_wind_up
     keys, present = Keys(), commanded([0.03, 0.0, 0.0])
     keys.press(UP, present)
     keys.repeat(STAMP, present)
-    assert decode.velocity(keys.published[0])[1] == pytest.approx([0.04, 0.0, 0.0])
+    assert decode.velocity(keys.published[0])[1] == pytest.approx(
+        [0.04, 0.0, 0.0]
+    )
     said = [keys.press(UP, present) for _ in range(20)]
     assert said[-1].startswith("velocity clipped to the reach of gait walk")
     keys.press(DOWN, present)
@@ -95,7 +99,9 @@ def test_a_key_changes_height_and_attitude_up_to_a_limit(pressed, pose):
     for key in pressed:
         assert keys.press(key, commanded()).startswith("height ")
     assert isinstance(keys.published[-1], PoseStamped)
-    np.testing.assert_allclose(decode.body_pose(keys.published[-1]), pose, atol=1e-9)
+    np.testing.assert_allclose(
+        decode.body_pose(keys.published[-1]), pose, atol=1e-9
+    )
     said = [keys.press(pressed[-1], commanded()) for _ in range(40)]
     assert "reaches [" in said[-1]
     assert len(keys.published) < 40
@@ -103,7 +109,13 @@ def test_a_key_changes_height_and_attitude_up_to_a_limit(pressed, pose):
 
 def test_other_keys_do_not_steer_nor_any_without_a_gait_scheduler():
     keys = Keys()
-    for key in (*operator_screen.KEYS, operator_screen.QUIT, "a", "\x1b", "\x1b[5~"):
+    for key in (
+        *operator_screen.KEYS,
+        operator_screen.QUIT,
+        "a",
+        "\x1b",
+        "\x1b[5~",
+    ):
         assert keys.press(key, commanded()) == ""
     for key in (UP, "+", steering.STOP):
         assert keys.press(key, None) == "no gait_scheduler answers"

@@ -60,7 +60,9 @@ def tabled():
 
 @pytest.mark.parametrize(("path", "attribute", "expected"), [*tabled()])
 def test_a_number_is_that_of_the_robot(path, attribute, expected):
-    np.testing.assert_allclose(numbers(URDF, path, attribute), expected, **WRITTEN)
+    np.testing.assert_allclose(
+        numbers(URDF, path, attribute), expected, **WRITTEN
+    )
 
 
 def numbers(element, path, attribute):
@@ -71,7 +73,8 @@ def test_links_form_one_tree_rooted_in_the_base_frame():
     links = [element.get("name") for element in URDF.iter("link")]
     joints = URDF.findall("joint")
     parents = {
-        j.find("child").get("link"): [j.find("parent").get("link")] for j in joints
+        j.find("child").get("link"): [j.find("parent").get("link")]
+        for j in joints
     }
     assert len(links) == len(set(links)) == 2 + 2 * len(LEGS)
     assert sorted([BASE_FRAME, *parents]) == sorted(links)
@@ -92,17 +95,23 @@ def test_a_spool_turns_about_its_drum_at_the_clamp_of_its_leg(leg):
     # about fixed axes
     rpy = numbers(URDF.find(f"link[@name='{spool}']"), "visual/origin", "rpy")
     drum = Rotation.from_euler("xyz", rpy).apply([0, 0, 1])
-    np.testing.assert_allclose(np.abs(drum @ numbers(tendon, "axis", "xyz")), 1.0)
+    np.testing.assert_allclose(
+        np.abs(drum @ numbers(tendon, "axis", "xyz")), 1.0
+    )
 
 
 def test_plots_name_fields_that_the_messages_have():
     """Of Foxglove's layout."""
-    layout = json.loads((SHARE / "foxglove/slot.json").read_text())["configById"]
+    layout = json.loads((SHARE / "foxglove/slot.json").read_text())[
+        "configById"
+    ]
     plots = [plot for name, plot in layout.items() if name.startswith("Plot!")]
     values = [path["value"] for plot in plots for path in plot["paths"]]
     assert len(values) == len(set(values)) == 11
     for value in values:
-        topic, field, index = re.match(r"/(\w+)\.(\w+)(?:\[(\d+)\])?", value).groups()
+        topic, field, index = re.match(
+            r"/(\w+)\.(\w+)(?:\[(\d+)\])?", value
+        ).groups()
         kind = MESSAGES[topic].get_fields_and_field_types()[field]
         length = re.search(r"\[(\d*)\]|sequence", kind)
         assert (index is None) == (length is None), value

@@ -10,7 +10,9 @@ from slot_bringup import view
 from slot_bringup.playing import main_page
 
 
-def test_a_run_is_written_into_its_folder_and_opened(monkeypatch, refusal, tmp_path):
+def test_a_run_is_written_into_its_folder_and_opened(
+    monkeypatch, refusal, tmp_path
+):
     """On a machine with a display."""
     opened = []
     monkeypatch.setattr(main_page.webbrowser, "open", opened.append)
@@ -44,7 +46,11 @@ def test_the_newest_bag_is_shown_by_default(tmp_path):
 def test_the_live_page_of_a_run_waits_for_its_graph_and_ends_with_it(
     monkeypatch, tmp_path
 ):
-    program, words, done = tmp_path / "python", tmp_path / "words", tmp_path / "done"
+    program, words, done = (
+        tmp_path / "python",
+        tmp_path / "words",
+        tmp_path / "done",
+    )
     program.write_text(
         f"#!/bin/sh\ntrap 'touch {done}; exit' TERM\necho $@ >{words}.new\nmv {words}.new {words}\n"
         "while :; do sleep 0.1; done\n"

@@ -31,15 +31,21 @@ def datum(kind, value=0.0, sigma=1.0, **conditions):
     places = dict.fromkeys(
         ("theta_deg", "load_N", "height_m", "friction", "place"), NAN
     )
-    return Datum(kind, **{**places, **conditions}, value=value, sigma=sigma, line=0)
+    return Datum(
+        kind, **{**places, **conditions}, value=value, sigma=sigma, line=0
+    )
 
 
 def deflection(load, theta_deg=0.0, place=1.0, **more):
-    return datum("deflection", theta_deg=theta_deg, load_N=load, place=place, **more)
+    return datum(
+        "deflection", theta_deg=theta_deg, load_N=load, place=place, **more
+    )
 
 
 def write(path, *rows):
-    path.write_text("\n".join(["# a comment", "", ",".join(COLUMNS), *rows, ""]))
+    path.write_text(
+        "\n".join(["# a comment", "", ",".join(COLUMNS), *rows, ""])
+    )
     return path
 
 
@@ -50,9 +56,22 @@ def test_measurements_are_read_with_their_conditions(tmp_path):
     rows = ["force_angle, 90,, 0.1, 0.3,, 2.5, 0.2", DEFLECTION]
     data = read_data(write(tmp_path / "leg.csv", *rows))
     force, deflection = data.rows
-    assert force.conditions() == {"theta_deg": 90.0, "height_m": 0.1, "friction": 0.3}
-    assert (force.value, force.sigma, force.line, deflection.line) == (2.5, 0.2, 4, 5)
-    assert deflection.conditions() == {"theta_deg": 0.0, "load_N": 1.0, "place": 1.0}
+    assert force.conditions() == {
+        "theta_deg": 90.0,
+        "height_m": 0.1,
+        "friction": 0.3,
+    }
+    assert (force.value, force.sigma, force.line, deflection.line) == (
+        2.5,
+        0.2,
+        4,
+        5,
+    )
+    assert deflection.conditions() == {
+        "theta_deg": 0.0,
+        "load_N": 1.0,
+        "place": 1.0,
+    }
 
 
 @pytest.mark.parametrize(
@@ -63,19 +82,34 @@ def test_measurements_are_read_with_their_conditions(tmp_path):
         ("kind,value", "line 1: column theta_deg is missing"),
         (f"{HEAD},colour", "line 1: column 'colour' is unknown"),
         (f"{HEAD},place", "line 1: a column is repeated"),
-        (f"{HEAD}\ntorsion,0,1,,,1,0,1", "line 2, kind: 'torsion' is unknown (known: "),
+        (
+            f"{HEAD}\ntorsion,0,1,,,1,0,1",
+            "line 2, kind: 'torsion' is unknown (known: ",
+        ),
         (
             f"{ROW}deflection,x,1,,,1,0,1",
             "line 5, theta_deg: 'x' is not a finite number",
         ),
-        (f"{ROW}deflection,0,,,,1,0,1", "line 5, load_N: '' is not a finite number"),
-        (f"{ROW}deflection,0,1,,,1,,1", "line 5, value: '' is not a finite number"),
+        (
+            f"{ROW}deflection,0,,,,1,0,1",
+            "line 5, load_N: '' is not a finite number",
+        ),
+        (
+            f"{ROW}deflection,0,1,,,1,,1",
+            "line 5, value: '' is not a finite number",
+        ),
         (
             f"{ROW}deflection,0,1,,,1,nan,1",
             "line 5, value: 'nan' is not a finite number",
         ),
-        (f"{ROW}deflection,0,1,,,1,0,0", "line 5, sigma: 0 is outside [1e-12, 1e+06]"),
-        (f"{ROW}deflection,0,1,,,1.5,0,1", "line 5, place: 1.5 is outside [0, 1]"),
+        (
+            f"{ROW}deflection,0,1,,,1,0,0",
+            "line 5, sigma: 0 is outside [1e-12, 1e+06]",
+        ),
+        (
+            f"{ROW}deflection,0,1,,,1.5,0,1",
+            "line 5, place: 1.5 is outside [0, 1]",
+        ),
         (
             f"{ROW}deflection,0,1,0.1,,1,0,1",
             "line 5, height_m: '0.1', but deflection has",
@@ -96,7 +130,9 @@ def test_a_table_is_refused_by_line_column_and_reason(tmp_path, text, message):
 @pytest.mark.parametrize("place", [0.5, 1.0])
 def test_a_small_deflection_matches_beam_theory(place):
     """Castigliano's theorem for the curved, tapered leg with bending and stretch."""
-    stiff = config.replace(ROBOT, {"leg.young_modulus": 1e9, "leg.density": 1.0})
+    stiff = config.replace(
+        ROBOT, {"leg.young_modulus": 1e9, "leg.density": 1.0}
+    )
     leg, force, fine = stiff.leg, 0.05, dataclasses.replace(SETTINGS, nodes=201)
     slope, length = leg.shape.deriv(), leg.arc_length()
     x = np.linspace(0.0, leg.reach, 4000)
@@ -112,7 +148,9 @@ def test_a_small_deflection_matches_beam_theory(place):
         return force / leg.young_modulus * (bending + sine**2 / area) * ds
 
     expected = quad(density, 0.0, at)[0]
-    found = experiments.predict(stiff, [deflection(force, place=place)], fine)[0]
+    found = experiments.predict(stiff, [deflection(force, place=place)], fine)[
+        0
+    ]
     # A deflection of 60 um of a leg of 190 mm: the nonlinearity is in the fourth digit.
     assert found == pytest.approx(expected, rel=1e-3)
 
@@ -144,21 +182,28 @@ def test_known_parameters_are_recovered_within_their_intervals():
     }
     lift = {"theta_deg": 116.0, "load_N": 6.0, "friction": 0.3}
     rows = [
-        datum("marker_range", sigma=1e-3, place=p, **lift) for p in (0.0, 1 / 3, 2 / 3)
+        datum("marker_range", sigma=1e-3, place=p, **lift)
+        for p in (0.0, 1 / 3, 2 / 3)
     ]
     rows += [
-        datum("force_angle", sigma=0.03, theta_deg=t, height_m=0.08, friction=0.2)
+        datum(
+            "force_angle", sigma=0.03, theta_deg=t, height_m=0.08, friction=0.2
+        )
         for t in (60.0, 70.0, 80.0, 90.0, 100.0, 110.0)
     ]
     rows += [
-        deflection(w, t, sigma=2e-4) for t in (0.0, 90.0) for w in (0.2, 0.5, 1.0, 2.0)
+        deflection(w, t, sigma=2e-4)
+        for t in (0.0, 90.0)
+        for w in (0.2, 0.5, 1.0, 2.0)
     ]
     quick = dataclasses.replace(SETTINGS, pull_rate_deg=60.0)
     fine = dataclasses.replace(quick, nodes=31)
     exact = experiments.predict(config.replace(ROBOT, truth), rows, fine)
     noise = np.random.default_rng(3).standard_normal(len(rows))
     noisy = [v + row.sigma * e for row, v, e in zip(rows, exact, noise)]
-    measured = tuple(dataclasses.replace(row, value=v) for row, v in zip(rows, noisy))
+    measured = tuple(
+        dataclasses.replace(row, value=v) for row, v in zip(rows, noisy)
+    )
     problem = build_problem(ROBOT, FREE, Data("synthetic", "", measured), quick)
     found = estimate(problem, fit.fit(problem).values)
     true = np.array(list(truth.values()))
@@ -174,14 +219,19 @@ def test_known_parameters_are_recovered_within_their_intervals():
 def beam_problem(rng):
     """Deflections w F / E + z of a straight cantilever: a logarithmic and a linear parameter."""
     load, per_modulus, sigma = np.linspace(0.2, 2.0, 8), 3e5, 5e-4
-    parameters = (Parameter("E", 1e7, 1e5, 1e9), Parameter("z", 0.01, 0.0, 0.02))
+    parameters = (
+        Parameter("E", 1e7, 1e5, 1e9),
+        Parameter("z", 0.01, 0.0, 0.02),
+    )
 
     def predict(values):
         return per_modulus * load / values[0] + values[1]
 
     truth = np.array([2e7, 0.006])
     measured = predict(truth) + sigma * rng.standard_normal(len(load))
-    return FitProblem(parameters, predict, measured, np.full(len(load), sigma)), truth
+    return FitProblem(
+        parameters, predict, measured, np.full(len(load), sigma)
+    ), truth
 
 
 def test_intervals_contain_the_truth_with_their_probability():
@@ -207,7 +257,9 @@ def test_a_failed_prediction_is_an_error_at_the_start_and_rejected_in_a_trial():
     found = fit.fit(problem(0.1))
     assert found.converged
     assert found.values == pytest.approx([0.45], abs=1e-6)
-    with pytest.raises(fit.FitError, match="no prediction at the start: too much"):
+    with pytest.raises(
+        fit.FitError, match="no prediction at the start: too much"
+    ):
         fit.fit(problem(0.6))
 
 
@@ -216,9 +268,16 @@ def test_intervals_and_correlation_of_a_linear_model_match_regression():
     x = np.linspace(0.0, 1.0, 12)
     y = 0.3 + 0.4 * x + 0.01 * rng.standard_normal(12)
     parameters = (Parameter("a", 0.5, 0.0, 1.0), Parameter("b", 0.5, 0.0, 2.0))
-    problem = FitProblem(parameters, lambda v: v[0] + v[1] * x, y, np.full(12, 0.02))
-    found, line = estimate(problem, fit.fit(problem).values), stats.linregress(x, y)
-    half = stats.t.ppf(0.975, 10) * np.array([line.intercept_stderr, line.stderr])
+    problem = FitProblem(
+        parameters, lambda v: v[0] + v[1] * x, y, np.full(12, 0.02)
+    )
+    found, line = (
+        estimate(problem, fit.fit(problem).values),
+        stats.linregress(x, y),
+    )
+    half = stats.t.ppf(0.975, 10) * np.array(
+        [line.intercept_stderr, line.stderr]
+    )
     middle = np.array([line.intercept, line.slope])
     expected = np.column_stack([middle - half, middle + half])
     np.testing.assert_allclose(found.interval, expected, rtol=1e-5)
@@ -244,22 +303,31 @@ def test_intervals_and_correlation_of_a_linear_model_match_regression():
 def test_what_the_data_do_not_determine_has_no_interval(
     names, loads, changes, determined
 ):
-    rows = tuple(deflection(load, value=0.04 * load, sigma=1e-3) for load in loads)
+    rows = tuple(
+        deflection(load, value=0.04 * load, sigma=1e-3) for load in loads
+    )
     robot = config.replace(ROBOT, changes)
     problem = build_problem(robot, names, Data("", "", rows), SETTINGS)
     found = estimate(problem, [each.start for each in problem.parameters])
     assert (~np.isnan(found.interval).any(axis=1)).tolist() == determined
 
 
-@pytest.mark.parametrize("converged", [(True, False), (False, True), (True, True)])
-def test_a_fit_says_whether_a_start_that_was_stopped_matters(monkeypatch, converged):
+@pytest.mark.parametrize(
+    "converged", [(True, False), (False, True), (True, True)]
+)
+def test_a_fit_says_whether_a_start_that_was_stopped_matters(
+    monkeypatch, converged
+):
     """The first start is the better one."""
     results = [
-        fit.FitResult(np.ones(2), 1.0 + k, end) for k, end in enumerate(converged)
+        fit.FitResult(np.ones(2), 1.0 + k, end)
+        for k, end in enumerate(converged)
     ]
     monkeypatch.setattr(fit, "_fit_from", lambda *_: results.pop(0))
     lines = []
-    fit.fit(beam_problem(np.random.default_rng(1))[0], starts=2, say=lines.append)
+    fit.fit(
+        beam_problem(np.random.default_rng(1))[0], starts=2, say=lines.append
+    )
     verdict = "well" if converged[0] else "not well"
     assert [line.split(":")[0] for line in lines[2:]] == [verdict] * (
         not all(converged)
@@ -298,7 +366,8 @@ def test_a_shipped_set_matches_its_evaluation(name, tmp_path, capsys):
         == NOT_EXPLAINED
     )
     assert (
-        "verdict: not explained: chi-square" in capsys.readouterr().out.splitlines()[-1]
+        "verdict: not explained: chi-square"
+        in capsys.readouterr().out.splitlines()[-1]
     )
     again = yaml.safe_load(out.read_text())
     for key in ("values", "data", "from"):
@@ -322,7 +391,9 @@ def test_the_command_fits_and_writes_file_and_figure(tmp_path, capsys):
     options = f"--free leg.young_modulus tendon.slack --out {out} --plot {png}"
     assert main([str(path), *options.split(), "--note", "by hand"]) == EXPLAINED
     printed = capsys.readouterr()
-    assert printed.out.splitlines()[-1].startswith("verdict: explained: chi-square")
+    assert printed.out.splitlines()[-1].startswith(
+        "verdict: explained: chi-square"
+    )
     content = yaml.safe_load(out.read_text())
     assert content["note"] == "by hand"
     assert set(content["values"]) == set(FREE)

@@ -24,7 +24,9 @@ MATCHED = config.replace(
         "imu.angular_acceleration_step": 1.0,  # of the sinusoids: 0.22 rad (2 pi / 0.7 s)^3 5 ms
     },
 )
-EXACT = config.replace(SETTINGS, {"imu.gyro_bias": 0.0, "imu.acceleration_bias": 0.0})
+EXACT = config.replace(
+    SETTINGS, {"imu.gyro_bias": 0.0, "imu.acceleration_bias": 0.0}
+)
 
 
 class Walk:
@@ -45,7 +47,9 @@ class Walk:
         incline=0.0,
     ):
         self.amplitude = np.array([tilt, tilt, 0.05, sway, sway, sway])
-        self.omega = 2 * np.pi * frequency * np.array([1.0, 1.0, 0.5, 1.0, 1.0, 2.0])
+        self.omega = (
+            2 * np.pi * frequency * np.array([1.0, 1.0, 0.5, 1.0, 1.0, 2.0])
+        )
         self.phase = np.array([0.0, 1.1, 0.4, 0.2, 1.9, 0.7])
         self.offset = np.array([0.0, 0.0, yaw, 0.0, 0.0, 0.06])
         self.drift = np.array([0.0, 0.0, turn, speed, 0.0, 0.0])
@@ -83,12 +87,17 @@ def imu_messages(motion, duration, rate=200, rng=None, bias=0.0):
     for k in range(round(duration * rate) + 1):
         _, _, w, f = motion.at(k / rate)
         if rng is not None:
-            w, f = w + rng.normal(0, GYRO_NOISE, 3), f + rng.normal(0, FORCE_NOISE, 3)
+            w, f = (
+                w + rng.normal(0, GYRO_NOISE, 3),
+                f + rng.normal(0, FORCE_NOISE, 3),
+            )
         messages.append(("imu", k * SECOND // rate, (w + bias, f)))
     return messages
 
 
-def odometry_messages(motion, duration, rate=30, rng=None, noise=SETTINGS.odometry):
+def odometry_messages(
+    motion, duration, rate=30, rng=None, noise=SETTINGS.odometry
+):
     messages = []
     for k in range(round(duration * rate)):
         stamp = k * SECOND // rate
@@ -96,7 +105,8 @@ def odometry_messages(motion, duration, rate=30, rng=None, noise=SETTINGS.odomet
         p, v = state[3:6], attitude.inv().apply(state[9:])
         if rng is not None:
             attitude = (
-                Rotation.from_rotvec(rng.normal(0, noise.angle_noise, 3)) * attitude
+                Rotation.from_rotvec(rng.normal(0, noise.angle_noise, 3))
+                * attitude
             )
             p = p + rng.normal(0, noise.position_noise, 3)
             v = v + rng.normal(0, noise.velocity_noise, 3)
@@ -115,7 +125,9 @@ def run(messages, settings=SETTINGS, estimator=None):
     estimator = StateEstimator(settings) if estimator is None else estimator
     estimates: list[Estimate] = []
     for kind, stamp, values in messages:
-        (estimator.add_imu if kind == "imu" else estimator.add_odometry)(stamp, *values)
+        (estimator.add_imu if kind == "imu" else estimator.add_odometry)(
+            stamp, *values
+        )
         estimates += iter(estimator.poll, None)
     return estimates, estimator
 
@@ -136,12 +148,16 @@ def noisy(motion, duration, seed, bias=0.0):
 
 
 def clean(motion, duration):
-    return arrivals(imu_messages(motion, duration), odometry_messages(motion, duration))
+    return arrivals(
+        imu_messages(motion, duration), odometry_messages(motion, duration)
+    )
 
 
 def changed(messages, readings, change):
     """The messages with `change(*values)` in the odometry readings of a slice."""
-    stamps = {m[1] for m in [m for m in messages if m[0] == "odometry"][readings]}
+    stamps = {
+        m[1] for m in [m for m in messages if m[0] == "odometry"][readings]
+    }
     return [
         (kind, t, change(*v) if kind == "odometry" and t in stamps else v)
         for kind, t, v in messages
@@ -161,7 +177,13 @@ def same(*streams):
     """Whether estimates are equal to the last bit."""
     a, b = (
         [
-            (e.stamp, e.lead, e.validity, e.state.tobytes(), e.covariance.tobytes())
+            (
+                e.stamp,
+                e.lead,
+                e.validity,
+                e.state.tobytes(),
+                e.covariance.tobytes(),
+            )
             for e in stream
         ]
         for stream in streams
@@ -171,5 +193,7 @@ def same(*streams):
 
 def arriving(messages, delay):
     """The messages in the order of their arrival, the odometry `delay()` s after its stamp."""
-    at = [m[1] + (delay() * SECOND if m[0] == "odometry" else 0) for m in messages]
+    at = [
+        m[1] + (delay() * SECOND if m[0] == "odometry" else 0) for m in messages
+    ]
     return [messages[i] for i in np.argsort(at, kind="stable")]

@@ -72,7 +72,9 @@ def test_the_incremental_correction_is_bounded():
 
 def test_a_plan_that_has_stopped_holds_the_last_angles():
     force_map, lifted = make(), preview(70.0)
-    stopped = of_forces("incremental", 1.0, 2.0, 3.0, 4.0, status=Status.STOPPED)
+    stopped = of_forces(
+        "incremental", 1.0, 2.0, 3.0, 4.0, status=Status.STOPPED
+    )
     first = force_map.step(stopped, lifted, LEVEL)
     assert np.degrees(first.angle) == pytest.approx(70.0)
     solved = of_forces("incremental", 5.0, 5.3, 5.1, 4.9)

@@ -55,7 +55,9 @@ def filled(seed=1, size=0.2):
             name: tuple(1e-3 * rng.normal(size=5))
             for name in ("roll", "pitch", "height")
         }
-        speed = {name: tuple(1e-2 * rng.normal(size=5)) for name in ("v_x", "v_y")}
+        speed = {
+            name: tuple(1e-2 * rng.normal(size=5)) for name in ("v_x", "v_y")
+        }
         load = tuple(map(tuple, 0.1 * rng.normal(size=(4, 5))))
         angle = tuple(map(tuple, size * np.array(pattern.angle_deg)))
         return dataclasses.replace(
@@ -63,7 +65,8 @@ def filled(seed=1, size=0.2):
         )
 
     patterns = {
-        name: table(getattr(WALK, name)) for name in ("forward", "lateral", "turn")
+        name: table(getattr(WALK, name))
+        for name in ("forward", "lateral", "turn")
     }
     return dataclasses.replace(WALK, centre_deg=(60.0,) * 4, **patterns)
 
@@ -89,7 +92,9 @@ def test_amplitudes_are_proportional_to_the_velocity_and_directions_add_up():
     centre = deviation(0, 0, 0)
     forward, lateral = deviation(0.03, 0, 0), deviation(0, -0.02, 0)
     assert deviation(0.015, 0, 0) == pytest.approx(forward / 2, abs=1e-12)
-    assert deviation(0.03, -0.02, 0) == pytest.approx(forward + lateral, abs=1e-12)
+    assert deviation(0.03, -0.02, 0) == pytest.approx(
+        forward + lateral, abs=1e-12
+    )
     for yaw_rate in (0.02, -0.02):  # steering
         two = deviation(0.03, 0, yaw_rate) - forward
         one = deviation(0.03, 0, yaw_rate / 2) - forward
@@ -121,25 +126,42 @@ def test_rates_and_velocities_of_the_torso_are_the_derivatives_of_its_angles_and
     stride, h = filled(), 1e-6
     for velocity in ([0.05, 0, 0], [0.03, -0.03, 0.0], [0, 0, 0.1]):
         before, now, after = (
-            stride_table(velocity, PHASES + d, stride)[:, 8:] for d in (-h, 0, h)
+            stride_table(velocity, PHASES + d, stride)[:, 8:]
+            for d in (-h, 0, h)
         )
         slope = (after - before) / (2 * h * stride.period)
-        assert now[:, [6, 7, 11]] == pytest.approx(slope[:, [0, 1, 5]], abs=1e-7)
+        assert now[:, [6, 7, 11]] == pytest.approx(
+            slope[:, [0, 1, 5]], abs=1e-7
+        )
         about_mean = now[:, [9, 10]] - now[:, [9, 10]].mean(axis=0)
         assert about_mean == pytest.approx(slope[:, [3, 4]], abs=1e-7)
-        assert now[:, [3, 4]].mean(axis=0) == pytest.approx(np.zeros(2), abs=1e-12)
+        assert now[:, [3, 4]].mean(axis=0) == pytest.approx(
+            np.zeros(2), abs=1e-12
+        )
 
 
 MIRRORS = {
     "backward": ([0.05, 0, 0], [-0.05, 0, 0], FRONT_REAR, REFLECTED_X),
     "to the right": ([0, 0.05, 0], [0, -0.05, 0], LEFT_RIGHT, REFLECTED_Y),
     "turning right": ([0, 0, 0.1], [0, 0, -0.1], LEFT_RIGHT, REFLECTED_Y),
-    "a right-hand bend": ([0.05, 0, 0.03], [0.05, 0, -0.03], LEFT_RIGHT, REFLECTED_Y),
-    "a bend backward": ([0.05, 0, 0.03], [-0.05, 0, -0.03], FRONT_REAR, REFLECTED_X),
+    "a right-hand bend": (
+        [0.05, 0, 0.03],
+        [0.05, 0, -0.03],
+        LEFT_RIGHT,
+        REFLECTED_Y,
+    ),
+    "a bend backward": (
+        [0.05, 0, 0.03],
+        [-0.05, 0, -0.03],
+        FRONT_REAR,
+        REFLECTED_X,
+    ),
 }
 
 
-@pytest.mark.parametrize("case", [c for c in MIRRORS if c != "a right-hand bend"])
+@pytest.mark.parametrize(
+    "case", [c for c in MIRRORS if c != "a right-hand bend"]
+)
 def test_the_opposite_velocity_is_the_mirror_image_half_a_stride_later(case):
     velocity, opposite, legs, signs = MIRRORS[case]
     stride = filled()
@@ -157,11 +179,15 @@ def state_after(velocity, phase, duration=2.8):
     for time in np.arange(0.0, duration, 0.03):
         at = np.array([(phase + time / WALK.period) % 1.0])
         sim.advance(30, stride_table(velocity, at)[0, :4])
-    return np.concatenate([sim.rpy, sim.position, sim.angular_velocity, sim.velocity])
+    return np.concatenate(
+        [sim.rpy, sim.position, sim.angular_velocity, sim.velocity]
+    )
 
 
 @pytest.mark.parametrize("case", MIRRORS)
-def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_image(case):
+def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_image(
+    case,
+):
     """Four strides from rest; the robot, the floor and its numerics are symmetric.
 
     A bend to the right is the mirror image of one to the left only for a pattern that is symmetric
@@ -174,7 +200,9 @@ def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_imag
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, -2.0])
-def test_places_ahead_move_with_the_velocity_in_the_direction_of_the_heading(heading):
+def test_places_ahead_move_with_the_velocity_in_the_direction_of_the_heading(
+    heading,
+):
     """A circle of 0.2 m, by steps of the velocity."""
     turning = np.tile([0.1, 0.0, 0.5], (200, 1))
     places = places_ahead(np.array([1.0, 2.0, heading]), turning, 0.001)
@@ -189,7 +217,9 @@ def test_places_ahead_move_with_the_velocity_in_the_direction_of_the_heading(hea
 )
 def test_the_reference_is_within_half_a_turn_of_the_state(heading, yaw):
     state, still = yaw * np.eye(12)[2], np.zeros((1, 3))
-    rows = reference(state, np.array([[0.0, 0.0, heading]]), still, np.zeros((1, 12)))
+    rows = reference(
+        state, np.array([[0.0, 0.0, heading]]), still, np.zeros((1, 12))
+    )
     assert abs(rows[0, 2] - yaw) < np.pi
     assert np.exp(1j * rows[0, 2]) == pytest.approx(np.exp(1j * heading))
 
@@ -213,7 +243,12 @@ def test_sway_rotates_with_the_heading():
 @pytest.mark.parametrize(
     ("require", "gait", "values", "message"),
     [
-        ("velocity", "trot", [0, 0, 0], r"no gait 'trot' \(known: .*stand.*walk"),
+        (
+            "velocity",
+            "trot",
+            [0, 0, 0],
+            r"no gait 'trot' \(known: .*stand.*walk",
+        ),
         (
             "velocity",
             "walk",
@@ -221,7 +256,12 @@ def test_sway_rotates_with_the_heading():
             r"v_x = 0\.2: gait walk reaches \[-0\.0\d+, 0",
         ),
         ("velocity", "walk", [np.nan, 0, 0], r"v_x = nan: gait walk reaches"),
-        ("velocity", "walk", [0, 0, np.inf], r"yaw rate = inf: gait walk reaches"),
+        (
+            "velocity",
+            "walk",
+            [0, 0, np.inf],
+            r"yaw rate = inf: gait walk reaches",
+        ),
         (
             "velocity",
             "stand",
@@ -240,7 +280,12 @@ def test_sway_rotates_with_the_heading():
             [0.06, 0.06, 0],
             r"v_x = 0\.06: with the other velocities gait walk reaches 0\.0",
         ),
-        ("velocity", "walk", [0.05], r"velocity: 1 values, not v_x, v_y, yaw rate"),
+        (
+            "velocity",
+            "walk",
+            [0.05],
+            r"velocity: 1 values, not v_x, v_y, yaw rate",
+        ),
         (
             "pose",
             "stand",
@@ -254,14 +299,21 @@ def test_sway_rotates_with_the_heading():
             [0.04, 0.2, 0],
             r"roll = 0\.2: gait stand reaches \[-0\.09, 0",
         ),
-        ("pose", "lie", [0.05, 0, 0], "gait lie has slack tendons: no body pose"),
+        (
+            "pose",
+            "lie",
+            [0.05, 0, 0],
+            "gait lie has slack tendons: no body pose",
+        ),
     ],
 )
 def test_an_unknown_gait_and_a_velocity_or_a_pose_out_of_range_are_refused(
     require, gait, values, message
 ):
     with pytest.raises(ConfigError, match=message) as refusal:
-        getattr(GAITS, f"require_{require}")(gait, np.array(values, dtype=float))
+        getattr(GAITS, f"require_{require}")(
+            gait, np.array(values, dtype=float)
+        )
     assert "\n" not in str(refusal.value)
 
 
@@ -283,7 +335,9 @@ def test_velocities_beyond_the_reached_ones_change_nothing(gait):
 
 @pytest.mark.parametrize("kind", [None, "trot", "[1]"])
 def test_a_gait_of_an_unknown_kind_is_refused(own_config, kind):
-    (own_config / "gait" / "own.yaml").write_text(yaml.safe_dump({"kind": kind}))
+    (own_config / "gait" / "own.yaml").write_text(
+        yaml.safe_dump({"kind": kind})
+    )
     with pytest.raises(
         ConfigError, match=r"gait/own\.yaml: kind = .*expected one of posture"
     ):

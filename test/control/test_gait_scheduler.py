@@ -26,7 +26,9 @@ class Ideal:
     """A robot that moves exactly as its reference says, after `seconds` of ticks."""
 
     def __init__(self, gait="stand", velocity=NOTHING, path=None, seconds=0.0):
-        self.scheduler = GaitScheduler(GAITS, ROBOT, SPRINGS, gait, velocity, path)
+        self.scheduler = GaitScheduler(
+            GAITS, ROBOT, SPRINGS, gait, velocity, path
+        )
         self.now, self.state, self.previews = SECOND, 0.06 * np.eye(12)[5], []
         self.run(seconds)
 
@@ -36,7 +38,11 @@ class Ideal:
         for _ in range(round(seconds * SECOND / TICK)):
             ran.append(self.scheduler.step(self.now, self.state))
             reference = ran[-1].reference[0]
-            v = reference[[9, 10, 8]] if ran[-1].gait in GAITS.strides else np.zeros(3)
+            v = (
+                reference[[9, 10, 8]]
+                if ran[-1].gait in GAITS.strides
+                else np.zeros(3)
+            )
             self.state[[3, 4, 2]] += v * TICK * 1e-9
             self.state[[5, 0, 1]] = reference[[5, 0, 1]]
             self.now += TICK
@@ -61,7 +67,8 @@ def largest_step():
     phase, ahead = np.linspace(0, 1, 500), TICK * 1e-9 / WALK.period
     return max(
         np.ptp(
-            [WALK.stride_table(p, v)[:, :4] for p in (phase, phase + ahead)], axis=0
+            [WALK.stride_table(p, v)[:, :4] for p in (phase, phase + ahead)],
+            axis=0,
         ).max()
         for v in np.diag([AHEAD[0], 0.05, 0.1])
     )
@@ -76,8 +83,12 @@ GAIT_PAIRS = [
 
 @pytest.mark.parametrize(("first", "second"), GAIT_PAIRS)
 def test_the_angles_are_continuous_between_any_two_gaits(first, second):
-    robot = Ideal(first.split()[0], AHEAD if first == "walk" else NOTHING, seconds=4.0)
-    robot.scheduler.request(second.split()[0], AHEAD if second == "walk" else NOTHING)
+    robot = Ideal(
+        first.split()[0], AHEAD if first == "walk" else NOTHING, seconds=4.0
+    )
+    robot.scheduler.request(
+        second.split()[0], AHEAD if second == "walk" else NOTHING
+    )
     robot.run(4.0)
     assert robot.previews[-1].gait == second.split()[0]
     # the whole range in a blend of a second, on top of the fastest stride
@@ -92,7 +103,9 @@ def test_a_robot_at_rest_balances_its_weight_at_its_heights(gait, pose):
     if pose is not None:
         robot.scheduler.set_pose(pose)
     last = robot.run(4.0)[-1]
-    force = SPRINGS.at(last.tendon_angle[0], ROBOT.clamp_heights(*(pose or home))).force
+    force = SPRINGS.at(
+        last.tendon_angle[0], ROBOT.clamp_heights(*(pose or home))
+    ).force
     assert force == pytest.approx(ROBOT.weight / 4, abs=1e-9)
     assert last.normal_force[0] == pytest.approx(force)
     assert stands(last)
@@ -114,7 +127,9 @@ def test_no_sequence_of_commands_asks_for_more_than_the_final_check_lets_pass():
         kind, gait = rng.integers(3), str(rng.choice(sorted(GAITS.gaits)))
         present = robot.scheduler._requested
         if kind == 0:
-            robot.scheduler.request(gait, reached(gait, rng.uniform(-1.0, 1.0, 3)))
+            robot.scheduler.request(
+                gait, reached(gait, rng.uniform(-1.0, 1.0, 3))
+            )
         elif kind == 1:
             fastest = reached(present, rng.choice([-1.0, 0.0, 1.0], 3))
             robot.scheduler.set_velocity(robot.now, fastest)
@@ -130,7 +145,9 @@ def test_no_sequence_of_commands_asks_for_more_than_the_final_check_lets_pass():
     # A blend of two strides that reach from end to end of the range: 1.66 rad once, of 2.02.
     assert robot.steps.max() < 1.05 * gate.rate_max * gate.burst
     angle = np.array([preview.tendon_angle for preview in robot.previews])
-    assert 0.0 <= angle.min() <= angle.max() <= ROBOT.tendon.angle_max  # NaN is not
+    assert (
+        0.0 <= angle.min() <= angle.max() <= ROBOT.tendon.angle_max
+    )  # NaN is not
     assert min(preview.normal_force.min() for preview in robot.previews) >= 0.0
     assert {preview.gait for preview in robot.previews} == set(GAITS.gaits)
     replayed = Ideal()
@@ -146,7 +163,9 @@ def test_velocity_and_yaw_rate_change_at_limited_rates_and_keep_the_phase():
     before = robot.previews[-1]
     robot.scheduler.request("walk", np.array([0.05, -0.05, 0.04]))
     after = robot.run(2.0)
-    assert after[0].phase == pytest.approx((before.phase + 0.033 / WALK.period) % 1.0)
+    assert after[0].phase == pytest.approx(
+        (before.phase + 0.033 / WALK.period) % 1.0
+    )
     rows = np.array([preview.reference[0] for preview in after])
     turning = np.abs(np.diff(rows[:, 8])).max() / (TICK * 1e-9)
     assert turning <= GAITS.turn_acceleration + 1e-9
@@ -175,7 +194,9 @@ def test_height_and_tilt_follow_their_commands_at_limited_rates_until_a_request(
 def test_stage_k_of_the_preview_is_stage_0_of_the_tick_k_later():
     robot = Ideal("walk", AHEAD, seconds=4.0)
     early, later = robot.run(3 * 0.033), robot.run(0.033)[0]
-    assert early[0].tendon_angle[3:] == pytest.approx(later.tendon_angle[:-3], abs=1e-9)
+    assert early[0].tendon_angle[3:] == pytest.approx(
+        later.tendon_angle[:-3], abs=1e-9
+    )
     assert early[0].reference[3:, :2] == pytest.approx(
         later.reference[:-3, :2], abs=1e-9
     )
@@ -183,12 +204,15 @@ def test_stage_k_of_the_preview_is_stage_0_of_the_tick_k_later():
 
 
 @pytest.mark.parametrize(
-    ("first", "second"), [("walk", "stand"), ("walk", "fast_walk"), ("stand", "walk")]
+    ("first", "second"),
+    [("walk", "stand"), ("walk", "fast_walk"), ("stand", "walk")],
 )
 def test_the_preview_of_a_blend_is_that_of_the_next_ticks(first, second):
     robot = Ideal(first, AHEAD if first != "stand" else NOTHING, seconds=4.0)
     robot.scheduler.request(second, AHEAD if second != "stand" else NOTHING)
-    angle = np.array([preview.tendon_angle for preview in robot.run(GAITS.transition)])
+    angle = np.array(
+        [preview.tendon_angle for preview in robot.run(GAITS.transition)]
+    )
     # the velocity changes within the stage, by a tenth of a tick's motion at most
     assert np.abs(angle[:-1, 1] - angle[1:, 0]).max() < 0.2 * largest_step()
 
@@ -256,7 +280,9 @@ def test_a_command_with_a_stamp_far_from_the_states_stops_the_robot_and_is_refus
         ),
     ],
 )
-def test_a_refused_command_changes_nothing_and_names_value_and_limit(call, message):
+def test_a_refused_command_changes_nothing_and_names_value_and_limit(
+    call, message
+):
     robot, other = (Ideal("walk", AHEAD, seconds=2.0) for _ in range(2))
     with pytest.raises(ConfigError, match=message):
         call(robot.scheduler)
@@ -266,11 +292,15 @@ def test_a_refused_command_changes_nothing_and_names_value_and_limit(call, messa
 
 
 @pytest.mark.parametrize("gait", GAITS.strides)
-def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(gait):
+def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(
+    gait,
+):
     rng = np.random.default_rng(0)
     axes = 10.0 * np.vstack([np.eye(3), -np.eye(3)])
     random = rng.normal(size=(200, 3)) * [0.1, 0.1, 0.5]
-    for wanted in np.vstack([axes, random, 1e6 * random[:3], [[0.5, 0.0, 1.0]]]):
+    for wanted in np.vstack(
+        [axes, random, 1e6 * random[:3], [[0.5, 0.0, 1.0]]]
+    ):
         given, remark = GAITS.clipped(gait, wanted)
         GAITS.require_velocity(gait, given)
         share = np.linalg.norm(given) / np.linalg.norm(wanted)
@@ -285,7 +315,9 @@ def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(gait
 
 def test_a_clipped_velocity_is_said_while_it_is_in_force():
     robot = Ideal("walk", AHEAD, seconds=2.0)
-    robot.scheduler.set_velocity(robot.now, [0.5, 0.0, 1.0])  # of teleop_twist_keyboard
+    robot.scheduler.set_velocity(
+        robot.now, [0.5, 0.0, 1.0]
+    )  # of teleop_twist_keyboard
     clipped, *_, expired = robot.run(GAITS.velocity_timeout + 0.2)
     v_x = clipped.command.velocity[0]
     said = f"velocity clipped to the reach of gait walk: v_x 0.5 to {v_x:.3g}, yaw rate 1 to"
@@ -303,13 +335,17 @@ def test_a_request_during_a_blend_waits_for_its_end():
 
 
 @pytest.mark.parametrize("jump", [-500.0, -0.04, 5.0, 1e4])
-def test_a_jump_of_the_clock_neither_moves_the_commands_nor_delays_later_changes(jump):
+def test_a_jump_of_the_clock_neither_moves_the_commands_nor_delays_later_changes(
+    jump,
+):
     robot = Ideal("stand", seconds=2.0)
     robot.scheduler.request("walk", AHEAD)
     before = robot.run(0.3)[-1]
     robot.now += round(jump * SECOND)
     after = robot.run(0.033)[0]
-    assert after.tendon_angle[0] == pytest.approx(before.tendon_angle[0], abs=1e-9)
+    assert after.tendon_angle[0] == pytest.approx(
+        before.tendon_angle[0], abs=1e-9
+    )
     assert robot.run(3.0)[-1].reference[0, 9] > 0.0
     assert robot.steps.max() < 1.0
 
@@ -322,7 +358,9 @@ def test_a_path_is_followed_at_the_speed_of_the_command_from_a_posture_on():
     robot.run(3.0)
     before, strides = robot.state[3], 5 * WALK.period
     robot.run(strides)
-    assert robot.state[3] - before == pytest.approx(AHEAD[0] * strides, rel=0.05)
+    assert robot.state[3] - before == pytest.approx(
+        AHEAD[0] * strides, rel=0.05
+    )
     # without velocity it stands, wherever the path leads
     robot.scheduler.request("walk", NOTHING)
     assert stands(robot.run(3.0)[-1])
@@ -343,7 +381,9 @@ def test_while_the_servos_do_not_follow_the_phase_waits_and_nothing_is_corrected
     assert held.phase == before.phase
     assert not held.command.followed
     assert not held.corrected
-    assert (held.tendon_angle == held.tendon_angle[0]).all()  # over the horizon too
+    assert (
+        held.tendon_angle == held.tendon_angle[0]
+    ).all()  # over the horizon too
     robot.scheduler.set_followed(True)
     moving = robot.run(SETTLING - 0.1)
     assert not any(preview.corrected for preview in moving)

@@ -41,7 +41,10 @@ class PlainFilter:
         biases = np.repeat([imu.gyro_bias, imu.acceleration_bias], 3) ** 2
         self.cov = np.zeros((15, 15))
         h = np.linalg.inv(self.measurement()[:, :9])
-        self.cov[:9, :9], self.cov[9:, 9:] = h @ self.noise() @ h.T, np.diag(biases)
+        self.cov[:9, :9], self.cov[9:, 9:] = (
+            h @ self.noise() @ h.T,
+            np.diag(biases),
+        )
         self.variance, self.share = odometry.rate_noise**2, 0.0
 
     def noise(self):
@@ -73,7 +76,11 @@ class PlainFilter:
             ]
         )
         density = [imu.gyro_noise, 0, imu.acceleration_noise, imu.gyro_drift]
-        q = DT / 2 * np.diag(np.repeat([*density, imu.acceleration_drift], 3) ** 2)
+        q = (
+            DT
+            / 2
+            * np.diag(np.repeat([*density, imu.acceleration_drift], 3) ** 2)
+        )
         f = np.eye(15) + a + a @ a / 2
         self.cov = f @ (self.cov + q) @ f.T + q
 
@@ -85,7 +92,9 @@ class PlainFilter:
         h, weight = self.measurement(), np.linalg.inv(self.noise())
         residual = np.concatenate(
             [
-                (Rotation.from_quat(motion.attitude) * self.attitude.inv()).as_rotvec(),
+                (
+                    Rotation.from_quat(motion.attitude) * self.attitude.inv()
+                ).as_rotvec(),
                 motion.position - self.p,
                 self.attitude.apply(motion.velocity) - self.v,
             ]
@@ -107,7 +116,9 @@ class PlainFilter:
 
     def state(self):
         angles = self.attitude.as_euler("ZYX")[::-1]
-        return np.concatenate([angles, self.p, self.attitude.apply(self.rate), self.v])
+        return np.concatenate(
+            [angles, self.p, self.attitude.apply(self.rate), self.v]
+        )
 
 
 def held(value):
@@ -121,7 +132,12 @@ def reading(truth, rng):
     attitude = (Rotation.from_rotvec(noise[0]) * truth.attitude).as_quat()
     velocity = truth.attitude.inv().apply(truth.v) + noise[2]
     return OdometryMotion(
-        0, attitude, truth.p + noise[1], velocity, truth.rate + noise[3], VARIANCE
+        0,
+        attitude,
+        truth.p + noise[1],
+        velocity,
+        truth.rate + noise[3],
+        VARIANCE,
     )
 
 
@@ -148,11 +164,15 @@ def test_a_walk_agrees_with_the_plain_filter():
             state, _ = compiled.output()
             np.testing.assert_allclose(state, plain.state(), rtol=0, atol=3e-11)
             scale = np.sqrt(np.diag(plain.cov))
-            difference = (compiled.state.cov - plain.cov) / np.outer(scale, scale)
+            difference = (compiled.state.cov - plain.cov) / np.outer(
+                scale, scale
+            )
             assert np.abs(difference).max() < 1e-9
 
 
-STEEP = np.array([np.sin(0.35), 0.0, np.cos(0.35)]) * GRAVITY  # odom tilted by 20 deg
+STEEP = (
+    np.array([np.sin(0.35), 0.0, np.cos(0.35)]) * GRAVITY
+)  # odom tilted by 20 deg
 LARGEST = SETTINGS.imu.acceleration_bias_max
 
 
@@ -168,7 +188,9 @@ LARGEST = SETTINGS.imu.acceleration_bias_max
 def test_a_bias_up_to_the_data_sheets_and_any_tilt_of_odom_are_learned_and_no_more(
     shown, bias
 ):
-    resting = OdometryMotion(0, np.array([0, 0, 0, 1.0]), *np.zeros((3, 3)), VARIANCE)
+    resting = OdometryMotion(
+        0, np.array([0, 0, 0, 1.0]), *np.zeros((3, 3)), VARIANCE
+    )
     learning = InertialFilter(SETTINGS)
     learning.restart(resting)
     sample = held(np.concatenate([np.zeros(3), shown]))

@@ -31,7 +31,9 @@ def test_an_estimator_goes_on_from_a_key_frame_at_any_message(seed):
         _, first = run(messages[:at])
         second = StateEstimator(SETTINGS)
         restore(second, capture(first))
-        rest = (run(messages[at:], estimator=each)[0] for each in (first, second))
+        rest = (
+            run(messages[at:], estimator=each)[0] for each in (first, second)
+        )
         assert same(*rest)
 
 
@@ -40,7 +42,9 @@ def equal(a, b):
     if isinstance(a, np.ndarray):
         return a.tobytes() == b.tobytes()
     if is_dataclass(a):
-        return all(equal(value, vars(b)[name]) for name, value in vars(a).items())
+        return all(
+            equal(value, vars(b)[name]) for name, value in vars(a).items()
+        )
     return repr(a) == repr(b)  # NaN
 
 
@@ -72,7 +76,9 @@ def test_scheduler_policy_and_map_go_on_from_key_frames_in_a_walk(policy):
         assert 0 < len(text) < 150_000
         restore(getattr(second, name), text)
     for tick in ticks[32:]:
-        assert all(map(equal, step(first, tick.estimate), step(second, tick.estimate)))
+        assert all(
+            map(equal, step(first, tick.estimate), step(second, tick.estimate))
+        )
 
 
 class Value(NamedTuple):

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from slot_core.config import ConfigError
-from slot_core.gait.route import ARRIVED, CREEP, LEAD, TURN_GAIN, Route, read_route
+from slot_core.gait.route import (
+    ARRIVED,
+    CREEP,
+    LEAD,
+    TURN_GAIN,
+    Route,
+    read_route,
+)
 from slot_core.geometry import rotate
 
 L_SHAPE = np.array([[0.0, 0.0], [0.3, 0.0], [0.3, 0.2]])
@@ -29,10 +36,14 @@ def follow(path, seconds, robot):
     return np.array(places)
 
 
-def test_the_reference_travels_at_the_speed_along_the_polyline_of_a_file(tmp_path):
+def test_the_reference_travels_at_the_speed_along_the_polyline_of_a_file(
+    tmp_path,
+):
     """Points that repeat are one point."""
     file = tmp_path / "path.csv"
-    file.write_text("y,x,note\n0,0,start\n0,0,start\n0,0.3,corner\n0.2,0.3,end\n")
+    file.write_text(
+        "y,x,note\n0,0,start\n0,0,start\n0,0.3,corner\n0.2,0.3,end\n"
+    )
     path = read_route(file, "kept")
     assert path.length == pytest.approx(0.5)
     places = follow(path, 12.0, state(yaw=0.4))
@@ -43,8 +54,12 @@ def test_the_reference_travels_at_the_speed_along_the_polyline_of_a_file(tmp_pat
     assert path.place(state(0.3, 0.1, yaw=1.2), DT, SPEED)[2] == 0.4
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0), (0.2, 0.0), (0.0, 0.2), (-0.01, -0.3)])
-def test_the_reference_waits_only_for_a_robot_that_is_behind_it_along_the_path(place):
+@pytest.mark.parametrize(
+    "place", [(0.0, 0.0), (0.2, 0.0), (0.0, 0.2), (-0.01, -0.3)]
+)
+def test_the_reference_waits_only_for_a_robot_that_is_behind_it_along_the_path(
+    place,
+):
     """It would stay where it is, and the robot would go on along the first side for ever."""
     path = Route(L_SHAPE, "kept")
     places = [path.place(state(*place), DT, SPEED) for _ in range(100)]
@@ -79,7 +94,10 @@ def test_a_heading_along_the_path_turns_with_it_the_short_way_round():
     assert headings[0] == 0.0
     assert headings[-1] == pytest.approx(math.pi / 2)
     west = np.array([[0.0, 0.0], [-1.0, 1e-9]])  # heading just below pi
-    for points, yaw, error in ((L_SHAPE, -0.2, 0.2), (west, -3.1, 3.1 - math.pi)):
+    for points, yaw, error in (
+        (L_SHAPE, -0.2, 0.2),
+        (west, -3.1, 3.1 - math.pi),
+    ):
         path = Route(points, "along")
         path.place(state(), DT, SPEED)
         rate = path.velocity(state(yaw=yaw), SPEED)[2]
@@ -109,12 +127,16 @@ FAR = r"a value not within \+-1e\+06 m"
         (b'x,y\n0,"' + 200_000 * b"9" + b'"\n', f"{NO_PATH}field larger"),
     ],
 )
-def test_a_file_that_is_no_path_is_refused_in_one_line(tmp_path, content, message):
+def test_a_file_that_is_no_path_is_refused_in_one_line(
+    tmp_path, content, message
+):
     file = tmp_path / "path.csv"
     if content is not None:
         file.write_bytes(content)
     with pytest.raises(ConfigError, match=message) as refusal:
         read_route(file, "kept")
     assert "\n" not in str(refusal.value)
-    with pytest.raises(ConfigError, match="path_heading = 'sideways': expected one of"):
+    with pytest.raises(
+        ConfigError, match="path_heading = 'sideways': expected one of"
+    ):
         read_route(file, "sideways")

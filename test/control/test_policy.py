@@ -36,7 +36,9 @@ def test_every_policy_plans_angles_or_forces_with_a_map_that_has_a_name(name):
 
 @pytest.mark.parametrize("name", POLICIES)
 def test_a_policy_that_was_reset_plans_as_a_new_one(name):
-    used, fresh = (make_policy(name, read_robot(), lambda: 0.0) for _ in range(2))
+    used, fresh = (
+        make_policy(name, read_robot(), lambda: 0.0) for _ in range(2)
+    )
     recorded = ticks("rollout_mpc")
     for tick in recorded:
         used.step(tick.estimate, tick.preview)
@@ -47,8 +49,12 @@ def test_a_policy_that_was_reset_plans_as_a_new_one(name):
         np.testing.assert_array_equal(a.force, b.force)
 
 
-@pytest.mark.parametrize(("name", "added"), [("gait_alone", 0.0), ("own.py", 0.01)])
-def test_the_gait_alone_and_a_users_policy_named_by_its_file(tmp_path, name, added):
+@pytest.mark.parametrize(
+    ("name", "added"), [("gait_alone", 0.0), ("own.py", 0.01)]
+)
+def test_the_gait_alone_and_a_users_policy_named_by_its_file(
+    tmp_path, name, added
+):
     (tmp_path / "own.py").write_text(OWN)
     for tick in ticks(str(tmp_path / name) if name.endswith(".py") else name):
         expected = tick.preview.tendon_angle[0] + added
@@ -63,7 +69,11 @@ def test_the_gait_alone_and_a_users_policy_named_by_its_file(tmp_path, name, add
             None,
             "policy 'magic': expected one of rollout_mpc, place, .* a file",
         ),
-        ("predictive", None, "policy 'predictive': it is named rollout_mpc now"),
+        (
+            "predictive",
+            None,
+            "policy 'predictive': it is named rollout_mpc now",
+        ),
         ("forces", None, "policy 'forces': it is named force_mpc now"),
         ("missing.py", None, "missing.py: FileNotFoundError"),
         (

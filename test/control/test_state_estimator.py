@@ -44,7 +44,9 @@ def test_dead_reckoning_error_falls_with_the_square_of_the_imu_interval():
     motion, errors = Walk(), []
     first = odometry_messages(motion, 0.1)[:1]
     for rate in (200, 400, 800):
-        _, estimator = run(arrivals(imu_messages(motion, 0.4, rate), first), EXACT)
+        _, estimator = run(
+            arrivals(imu_messages(motion, 0.4, rate), first), EXACT
+        )
         errors.append(np.abs(error(estimator.present(), motion)[3:6]).max())
     order = np.log2(np.divide(errors[:-1], errors[1:]))
     assert np.all(np.abs(order - 2) < 0.1)  # the next order's share at 200 Hz
@@ -74,7 +76,9 @@ def test_errors_are_consistent_with_the_covariance(case):
         messages = noisy(motion, duration + 0.01 * seed % 0.4, 100 + seed, bias)
         for estimate in run(messages, MATCHED)[0][readings]:
             e = error(estimate, motion)[states]
-            nees.append(e @ np.linalg.solve(estimate.covariance[states, states], e))
+            nees.append(
+                e @ np.linalg.solve(estimate.covariance[states, states], e)
+            )
     low, high = stats.chi2.ppf([0.0005, 0.9995], len(e) * len(nees))
     assert len(nees) >= 40
     assert low < sum(nees) < high
@@ -120,7 +124,10 @@ def test_the_filter_does_not_depend_on_the_interleaving_of_the_streams(seed):
     Estimates of one tick predicted to the same time are equal to the last bit, and so is the state
     at the end.
     """
-    messages, rng = noisy(Walk(), 2.0, 3, GYRO_BIAS), np.random.default_rng(seed)
+    messages, rng = (
+        noisy(Walk(), 2.0, 3, GYRO_BIAS),
+        np.random.default_rng(seed),
+    )
     shift = rng.uniform(-0.02, 0.02)
     shuffled = arriving(messages, lambda: shift + rng.uniform(-0.016, 0.016))
     (expected, one), (estimates, other) = run(messages), run(shuffled)
@@ -142,7 +149,9 @@ def rms_at_use(estimates, motion):
 
 def without_odometry(messages, start, end):
     """The messages without odometry between two times, s."""
-    return [m for m in messages if m[0] == "imu" or not start < m[1] / SECOND < end]
+    return [
+        m for m in messages if m[0] == "imu" or not start < m[1] / SECOND < end
+    ]
 
 
 def test_a_delay_of_the_odometry_with_jitter_costs_only_what_the_imu_drifts():
@@ -180,7 +189,11 @@ def test_after_a_long_gap_in_the_odometry_the_filter_restarts_and_keeps_the_bias
     messages = without_odometry(noisy(Walk(), 12.0, 7, GYRO_BIAS), 9.0, 11.0)
     before = [m for m in messages if m[1] < 10.9 * SECOND]
     estimates, estimator = run(before, MATCHED)
-    assert 0 <= 9.0 + SETTINGS.timing.odometry_gap - estimates[-1].time / SECOND < 0.07
+    assert (
+        0
+        <= 9.0 + SETTINGS.timing.odometry_gap - estimates[-1].time / SECOND
+        < 0.07
+    )
     assert estimator.present() is None
     after, _ = run(messages[len(before) :], MATCHED, estimator)
     assert validities(after)[: N - 1] == [Validity.INITIALISING] * (N - 1)
@@ -190,11 +203,15 @@ def test_after_a_long_gap_in_the_odometry_the_filter_restarts_and_keeps_the_bias
 
 def test_the_stamps_of_the_estimates_increase_whatever_arrives():
     rng = np.random.default_rng(2)
-    kept = [m for m in noisy(Walk(), 20.0, 3) if m[0] == "imu" or rng.random() < 0.3]
+    kept = [
+        m for m in noisy(Walk(), 20.0, 3) if m[0] == "imu" or rng.random() < 0.3
+    ]
     estimates, _ = run(arriving(kept, lambda: rng.uniform(0.0, 0.3)))
     assert min(np.diff([e.stamp for e in estimates])) > 0
     assert min(np.diff([e.time for e in estimates])) >= 0
-    assert {Validity.VALID, Validity.ODOMETRY_LOST} <= set(validities(estimates))
+    assert {Validity.VALID, Validity.ODOMETRY_LOST} <= set(
+        validities(estimates)
+    )
 
 
 def test_the_state_is_predicted_beyond_the_newest_sample_by_the_delay_of_the_command():
@@ -216,7 +233,10 @@ def test_the_present_state_follows_every_imu_sample():
         run([message], estimator=estimator)
         if message[0] == "imu" and message[1] > 0.5 * SECOND:
             present = estimator.present()
-            assert (present.time, present.validity) == (message[1], Validity.VALID)
+            assert (present.time, present.validity) == (
+                message[1],
+                Validity.VALID,
+            )
             assert np.abs(error(present, motion)[3:6]).max() < 2e-4
 
 
@@ -226,7 +246,11 @@ def test_an_imu_mounted_elsewhere_gives_the_same_estimates():
     rpy = 0.0, 0.3, np.pi / 2
     turn = Rotation.from_euler("xyz", rpy).inv()
     mounted = [
-        (kind, stamp, turn.apply([v[0], v[1] + np.cross(v[0], np.cross(v[0], r))]))
+        (
+            kind,
+            stamp,
+            turn.apply([v[0], v[1] + np.cross(v[0], np.cross(v[0], r))]),
+        )
         if kind == "imu"
         else (kind, stamp, v)
         for kind, stamp, v in messages
@@ -267,7 +291,11 @@ def test_a_rejection_while_initialising_restarts_the_count():
 
 def test_relocalised_odometry_is_accepted_after_the_configured_number_of_rejections():
     """The filter restarts without the bias: it may be what was wrong."""
-    motion, shift, rejected = Walk(), [0.3, -0.2, 0.1], SETTINGS.gate.max_rejections - 1
+    motion, shift, rejected = (
+        Walk(),
+        [0.3, -0.2, 0.1],
+        SETTINGS.gate.max_rejections - 1,
+    )
     messages = with_jump(clean(motion, 2.0), slice(30, None), shift)
     estimates, _ = run(messages)
     restarted = [Validity.INITIALISING] * (N - 1)
@@ -277,16 +305,22 @@ def test_relocalised_odometry_is_accepted_after_the_configured_number_of_rejecti
     assert set(found[len(expected) :]) == {Validity.VALID}
     offset = error(estimates[-1], motion)[3:6] - shift
     assert np.abs(offset).max() < 2e-4  # as without a jump
-    messages = with_jump(noisy(motion, 12.0, 7, GYRO_BIAS), slice(300, None), shift)
+    messages = with_jump(
+        noisy(motion, 12.0, 7, GYRO_BIAS), slice(300, None), shift
+    )
     for reading, bias in ((300, GYRO_BIAS), (300 + rejected, 0.0)):
         until = [m for m in messages if m[1] < (reading + 0.5) / 30 * SECOND]
-        np.testing.assert_allclose(run(until, MATCHED)[1].gyro_bias, bias, atol=1.2e-3)
+        np.testing.assert_allclose(
+            run(until, MATCHED)[1].gyro_bias, bias, atol=1.2e-3
+        )
 
 
 def test_readings_that_alternate_between_two_positions_are_not_accepted():
     messages = clean(Walk(), 1.3)
     for start, shift in ((20, 0.2), (21, -0.2)):
-        messages = with_jump(messages, slice(start, 40, 2), np.array([shift, 0, 0]))
+        messages = with_jump(
+            messages, slice(start, 40, 2), np.array([shift, 0, 0])
+        )
     estimates = run(messages)[0][20:]
     end = 19 / 30 + SETTINGS.timing.odometry_gap
     coasting = [e for e in estimates if e.stamp / SECOND < end]
@@ -340,14 +374,20 @@ def test_missing_imu_is_flagged_and_estimates_continue_from_the_odometry():
     for e in run(dead, MATCHED)[0][15:]:
         t = e.stamp / SECOND
         blind = 0.7 + SETTINGS.timing.imu_gap < t <= 1.4
-        assert e.validity == (Validity.IMU_MISSING if blind else Validity.VALID), t
+        assert e.validity == (
+            Validity.IMU_MISSING if blind else Validity.VALID
+        ), t
         # 540 numbers: 5 sigma have a probability of 3e-4; without the IMU the error is no larger
-        assert np.all(np.abs(error(e, motion)) < 5 * np.sqrt(np.diag(e.covariance))), t
+        assert np.all(
+            np.abs(error(e, motion)) < 5 * np.sqrt(np.diag(e.covariance))
+        ), t
     # 60 ms without odometry too, then the IMU again: a part of a swing is missed
-    dead = [m for m in noisy(motion, 1.1, 3) if not SECOND < m[1] <= 1.06 * SECOND]
-    present = run([m for m in dead if m[0] == "imu" or m[1] <= SECOND], MATCHED)[
-        1
-    ].present()
+    dead = [
+        m for m in noisy(motion, 1.1, 3) if not SECOND < m[1] <= 1.06 * SECOND
+    ]
+    present = run(
+        [m for m in dead if m[0] == "imu" or m[1] <= SECOND], MATCHED
+    )[1].present()
     sigma = np.sqrt(np.diag(present.covariance))
     assert np.all(np.abs(error(present, motion)) < 5 * sigma)
 
@@ -368,7 +408,9 @@ def test_a_filter_that_a_false_force_has_led_astray_is_valid_again_within_a_seco
 def test_estimates_stay_valid_in_a_turn_on_an_incline():
     """The tilt of odom is constant in odom; seen from base_link it turns."""
     motion = Walk(speed=0.0, turn=0.1, incline=np.radians(10.0))
-    after = [e for e in run(noisy(motion, 30.0, 4))[0] if e.stamp > 3.0 * SECOND]
+    after = [
+        e for e in run(noisy(motion, 30.0, 4))[0] if e.stamp > 3.0 * SECOND
+    ]
     assert set(validities(after)) == {Validity.VALID}
 
 
@@ -392,11 +434,15 @@ def test_arbitrary_data_never_raises_and_never_gives_nan():
         messages.append(("odometry", earlier, (p, [0.6, 0, 0, 0.8], v, w)))
     estimates, _ = run(messages)
     assert len(estimates) > 100
-    assert all(np.isfinite([*e.state, *e.covariance.flat]).all() for e in estimates)
+    assert all(
+        np.isfinite([*e.state, *e.covariance.flat]).all() for e in estimates
+    )
 
 
 def test_unpolled_and_unmatched_data_stay_within_the_buffers():
-    small = dataclasses.replace(SETTINGS.buffers, imu=20, odometry=3, estimates=5)
+    small = dataclasses.replace(
+        SETTINGS.buffers, imu=20, odometry=3, estimates=5
+    )
     estimator = StateEstimator(dataclasses.replace(SETTINGS, buffers=small))
     reading = odometry_messages(Walk(), 0.1)[0][2]
     for k in range(1000):
@@ -404,4 +450,6 @@ def test_unpolled_and_unmatched_data_stay_within_the_buffers():
     # 1 ns apart: no wait is over, only the full queue decides
     for k in range(1000, 2000):
         estimator.add_odometry(k, *reading)
-    assert [e.stamp for e in iter(estimator.poll, None)] == list(range(1992, 1997))
+    assert [e.stamp for e in iter(estimator.poll, None)] == list(
+        range(1992, 1997)
+    )

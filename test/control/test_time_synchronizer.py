@@ -9,7 +9,10 @@ OLD = [("b", stamp) for stamp in range(100, 110)]
 CASES = {
     "in any order": ([("b", 7), ("a", 8), ("a", 7)], [2]),
     "once": ([("a", 1), ("b", 1), ("b", 1)], [1]),
-    "a lost one costs its own set alone": ([*OLD, ("a", 100), ("a", 109)], [11]),
+    "a lost one costs its own set alone": (
+        [*OLD, ("a", 100), ("a", 109)],
+        [11],
+    ),
     "a clock set back delays nothing": ([*OLD, ("a", 1), ("b", 1)], [11]),
 }
 

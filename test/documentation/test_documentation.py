@@ -24,8 +24,12 @@ FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 
 def anchors(page):
     """Anchors of the headings of a page, as GitHub and MyST name them."""
-    headings = re.findall(r"^#+ (.*)$", FENCE.sub("", page.read_text()), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
+    headings = re.findall(
+        r"^#+ (.*)$", FENCE.sub("", page.read_text()), re.MULTILINE
+    )
+    return {
+        re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings
+    }
 
 
 @pytest.mark.parametrize(
@@ -40,7 +44,9 @@ def test_every_link_leads_to_a_file_and_to_a_heading_in_it(page):
         assert not anchor or anchor in anchors(target), link
 
 
-def test_pictures_and_figures_of_a_benchmark_come_from_what_its_run_has_left(tmp_path):
+def test_pictures_and_figures_of_a_benchmark_come_from_what_its_run_has_left(
+    tmp_path,
+):
     """The page of figures keeps the other results and names what is missing."""
     row = {"row": "lateral error, split friction", "unit": "mm", "goal": 20.0}
     margin = dict.fromkeys(margins.SHOWN) | {"kind": "margin", "friction": 0.2}
@@ -50,7 +56,10 @@ def test_pictures_and_figures_of_a_benchmark_come_from_what_its_run_has_left(tmp
         "quick": False,
         "revision": {"commit": "1234", "describe": "v1", "dirty": False},
         "machine": harness.machine(),
-        "rows": [row | {"better": "smaller"} | dict.fromkeys(COLOURS, 2.0), *rows],
+        "rows": [
+            row | {"better": "smaller"} | dict.fromkeys(COLOURS, 2.0),
+            *rows,
+        ],
         "checks": [vars(harness.at_most("slow", 3.0, 2.0, "ms"))],
     }
     folder, page = tmp_path / "locomotion", tmp_path / "figures.md"
@@ -59,7 +68,9 @@ def test_pictures_and_figures_of_a_benchmark_come_from_what_its_run_has_left(tmp
     course = np.column_stack([np.arange(90.0)] * 4)
     curves = {f"{plot}/default": course for plot in ("velocity", "path")}
     np.savez(folder / "courses.npz", **curves)
-    drawn = [n for n, p in pictures.PICTURES.items() if p.benchmark == "locomotion"]
+    drawn = [
+        n for n, p in pictures.PICTURES.items() if p.benchmark == "locomotion"
+    ]
     results = ["--results", str(tmp_path), "--out"]
     assert pictures.main([*drawn, *results, str(tmp_path)]) == 0
     assert sorted(path.name for path in tmp_path.glob("*.png")) == sorted(drawn)
@@ -72,20 +83,37 @@ def test_pictures_and_figures_of_a_benchmark_come_from_what_its_run_has_left(tmp
     assert "earlier" not in text
 
 
-def test_the_tables_of_arguments_topics_and_parameters_are_those_of_today(tmp_path):
+def test_the_tables_of_arguments_topics_and_parameters_are_those_of_today(
+    tmp_path,
+):
     names = [f"{name}.md" for name in ("arguments", "topics", "parameters")]
     for name in names:
         shutil.copy(DOC / "reference" / name, tmp_path)
-    command = [sys.executable, "-m", "documentation.graph_tables", str(tmp_path)]
-    path = os.pathsep.join([str(ROOT / "scripts"), os.environ.get("PYTHONPATH", "")])
+    command = [
+        sys.executable,
+        "-m",
+        "documentation.graph_tables",
+        str(tmp_path),
+    ]
+    path = os.pathsep.join(
+        [str(ROOT / "scripts"), os.environ.get("PYTHONPATH", "")]
+    )
     subprocess.run(command, env=os.environ | {"PYTHONPATH": path}, check=True)
-    same, *others = filecmp.cmpfiles(DOC / "reference", tmp_path, names, shallow=False)
+    same, *others = filecmp.cmpfiles(
+        DOC / "reference", tmp_path, names, shallow=False
+    )
     assert same == names, f"scripts/docs --tables writes them again: {others}"
 
 
 def test_version_and_licence_are_the_same_everywhere():
-    manifests = [ROOT / "slot_msgs", ROOT / "slot_bringup", *(ROOT / "src").iterdir()]
-    packages = [ElementTree.parse(folder / "package.xml") for folder in manifests]
+    manifests = [
+        ROOT / "slot_msgs",
+        ROOT / "slot_bringup",
+        *(ROOT / "src").iterdir(),
+    ]
+    packages = [
+        ElementTree.parse(folder / "package.xml") for folder in manifests
+    ]
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
     for name in ("version", "license"):
         assert {p.findtext(name) for p in packages} == {citation[name]}

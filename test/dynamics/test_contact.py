@@ -29,7 +29,9 @@ MU, STIFFNESS, DAMPING = 0.4, 2e4, 5.0
 def floor(**changes):
     """The floor of the scene `flat` with changed settings."""
     changes = {f"floor.{name}": value for name, value in changes.items()}
-    return build_floor(config.replace(read_scene("flat"), changes).floor, ROD, WIDTH)
+    return build_floor(
+        config.replace(read_scene("flat"), changes).floor, ROD, WIDTH
+    )
 
 
 @njit
@@ -68,7 +70,9 @@ def test_a_bristle_on_a_line_is_a_spring_in_series_with_a_coulomb_slider():
         spring += 0.7 * STIFFNESS * v * h
         spring = max(-MU * n, min(MU * n, spring))
         expected.append(spring)
-    np.testing.assert_allclose(0.7 * STIFFNESS * held, expected, atol=1e-12 * STIFFNESS)
+    np.testing.assert_allclose(
+        0.7 * STIFFNESS * held, expected, atol=1e-12 * STIFFNESS
+    )
     slipping = np.abs(expected) == MU * normal
     assert 0.1 < slipping.mean() < 0.9  # both regimes occur
 
@@ -94,7 +98,11 @@ def test_a_bristle_aligns_with_the_slip_and_its_force_stays_within_mu_n():
 
 def test_a_sticking_bristle_is_a_spring_and_a_damper():
     law = floor(friction_law="bristle", bristle=0.5)
-    bristle, v, tau = np.array([1e-4, -2e-4, 0.0]), np.array([0.01, 0.02, 0.0]), 5e-4
+    bristle, v, tau = (
+        np.array([1e-4, -2e-4, 0.0]),
+        np.array([0.01, 0.02, 0.0]),
+        5e-4,
+    )
     expected = 0.5 * (STIFFNESS * (bristle + tau * v) + DAMPING * v)
     np.testing.assert_allclose(
         force_at(law, 1e3, tau, bristle, v), expected, rtol=1e-12
@@ -135,22 +143,35 @@ def test_friction_depends_on_the_direction_of_slip_or_on_the_release_of_the_tend
     ]:
         found = factor(by_direction, 0.6, 0.1, 0.0, outward, speed**2)
         assert found == pytest.approx(expected, rel=1e-6)
-    for rate, expected in [(1.0, 0.6), (0.0, 0.6), (0.9 * RELEASING, 0.6), (-1.0, 0.2)]:
+    for rate, expected in [
+        (1.0, 0.6),
+        (0.0, 0.6),
+        (0.9 * RELEASING, 0.6),
+        (-1.0, 0.2),
+    ]:
         assert factor(by_phase, 0.6, 0.2, rate, 0.3, 0.09) == expected
-    assert factor(floor(), 0.6, 0.2, -1.0, 0.3, 0.09) == 0.6  # uniform: no effect
+    assert (
+        factor(floor(), 0.6, 0.2, -1.0, 0.3, 0.09) == 0.6
+    )  # uniform: no effect
 
 
 def inclined(degrees):
     """A settled start on an incline, with bristle friction."""
     slope = np.radians(degrees)
     gravity = [-GRAVITY * np.sin(slope), 0.0, -GRAVITY * np.cos(slope)]
-    return {"gravity": gravity, "start__settle": 2.0, "floor__friction_law": "bristle"}
+    return {
+        "gravity": gravity,
+        "start__settle": 2.0,
+        "floor__friction_law": "bristle",
+    }
 
 
 def test_bristles_hold_below_the_friction_angle_without_creep():
     """20 deg with friction 0.4; sliding begins at 21.8 deg."""
     sim = simulator(**inclined(20.0))
-    sim.advance(3000, sim.tendon_angle)  # until the legs' oscillation has decayed
+    sim.advance(
+        3000, sim.tendon_angle
+    )  # until the legs' oscillation has decayed
     x = sim.position
     sim.advance(10000, sim.tendon_angle)
     assert np.abs(sim.position - x)[:2].max() < 1e-6  # m in 10 s
@@ -166,7 +187,9 @@ def test_bristles_slide_above_the_friction_angle_by_coulombs_law(friction):
     sim.advance(1000, sim.tendon_angle)
     gained = sim.momentum()[0] - before
     weight, slope = sim.parameters.weight, np.radians(25.0)
-    normal = weight * np.cos(slope) + gained[2]  # N s, impulse of the floor in 1 s
+    normal = (
+        weight * np.cos(slope) + gained[2]
+    )  # N s, impulse of the floor in 1 s
     expected = -weight * np.sin(slope) + friction * normal
     # the feet splay a little meanwhile
     assert gained[0] == pytest.approx(expected, rel=1e-4)
@@ -180,8 +203,13 @@ def test_the_floor_carries_robot_and_payload(law, contact):
     # with less than 90 deg a robot on its tips would rest on its torso
     start = {"start__settle": 3.0, "start__tendon_angle_deg": 90.0}
     sim = simulator(servo="pid", **floor, **load, **start)
-    sim.advance(15000, sim.tendon_angle)  # on its tips it oscillates for seconds
-    force, weight = sim.ground_force.sum(0), sim.parameters.weight + 0.5 * GRAVITY
+    sim.advance(
+        15000, sim.tendon_angle
+    )  # on its tips it oscillates for seconds
+    force, weight = (
+        sim.ground_force.sum(0),
+        sim.parameters.weight + 0.5 * GRAVITY,
+    )
     np.testing.assert_allclose(force, [0.0, 0.0, weight], atol=1e-4 * weight)
 
 
@@ -189,13 +217,18 @@ def test_the_floor_carries_robot_and_payload(law, contact):
 def test_the_total_contact_stiffness_is_the_same_at_any_number_of_nodes(nodes):
     """Sum of the points' stiffness = line stiffness times length + stiffness of the tip."""
     rod = discretise(ROBOT.leg, nodes, ROBOT.tendon.end_fraction)
-    law, step = build_floor(read_scene("flat").floor, rod, WIDTH), np.diff(rod.arc)
+    law, step = (
+        build_floor(read_scene("flat").floor, rod, WIDTH),
+        np.diff(rod.arc),
+    )
     # without the half cells of clamp and tip
     length = rod.arc[-1] - (step[0] + step[-1]) / 2
     assert law.stiffness.sum() == pytest.approx(2e4 + 2.2e6 * length, rel=1e-12)
 
 
-@pytest.mark.parametrize(("speed", "rise"), [(0.036, -0.01), (1e-4, 0.0), (0.1, 2.0)])
+@pytest.mark.parametrize(
+    ("speed", "rise"), [(0.036, -0.01), (1e-4, 0.0), (0.1, 2.0)]
+)
 def test_ground_force_is_the_sum_of_springs_dampers_and_friction_of_all_nodes(
     speed, rise
 ):
@@ -209,7 +242,9 @@ def test_ground_force_is_the_sum_of_springs_dampers_and_friction_of_all_nodes(
     depth = np.maximum(0.0, -sim.nodes[:, :, 2])
     depth[:, 0] = 0.0  # the clamp belongs to the torso
     stiffness, damping = at_nodes(law.stiffness), at_nodes(law.damping)
-    normal = np.maximum(0.0, stiffness * depth - damping * rise * (depth > 0.0)).sum(1)
+    normal = np.maximum(
+        0.0, stiffness * depth - damping * rise * (depth > 0.0)
+    ).sum(1)
     drag = 0.4 * normal / np.hypot(speed, law.friction_velocity)
     expected = np.column_stack([-np.outer(drag, slip), normal])
     assert (normal > 1.0).all() == (rise <= 0.0)

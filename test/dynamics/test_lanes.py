@@ -31,7 +31,10 @@ FEATURES = {
         "floor__friction_varies": "direction",
         "floor__friction_other": [0.1] * 4,
     },
-    "phase": {"floor__friction_varies": "phase", "floor__friction_other": [0.1] * 4},
+    "phase": {
+        "floor__friction_varies": "phase",
+        "floor__friction_other": [0.1] * 4,
+    },
     "map": {"floor__height_map": "uneven.csv"},
     "map with bristles": {
         "floor__height_map": "uneven.csv",
@@ -60,8 +63,12 @@ def test_legs_in_lanes_move_as_legs_one_by_one_with_every_feature(feature):
     """From the start for 0.3 s, tendons pulled and then partly released, each leg differently."""
     rest = {"start__settle": 0.0}
     changed = rest | FEATURES[feature]
-    lanes, single, plain = sims = [simulator(**c) for c in (changed, changed, rest)]
-    for degrees in [[90.0, 40.0, 60.0, 75.0]] * 6 + [[30.0, 70.0, 0.0, 75.0]] * 4:
+    lanes, single, plain = sims = [
+        simulator(**c) for c in (changed, changed, rest)
+    ]
+    for degrees in [[90.0, 40.0, 60.0, 75.0]] * 6 + [
+        [30.0, 70.0, 0.0, 75.0]
+    ] * 4:
         run(sims, degrees, 30)
         a, b = lanes.state, single.state
         np.testing.assert_allclose(a.buffer, b.buffer, rtol=1e-6, atol=1e-5)
@@ -77,7 +84,9 @@ def test_legs_in_lanes_halve_the_same_steps_as_legs_one_by_one():
     for sim in sims:
         sim.set_motion(np.array([0.0, 0.0, -3.0]), np.zeros(3))
     run(sims, np.degrees([1.9, 0.0, 1.0, 2.0]), 150)
-    nodes, counters = zip(*((sim.state.node, sim._work.counter) for sim in sims))
+    nodes, counters = zip(
+        *((sim.state.node, sim._work.counter) for sim in sims)
+    )
     np.testing.assert_allclose(*nodes, rtol=0, atol=1e-7)
     np.testing.assert_array_equal(*counters)
     assert counters[0][0] > 0
@@ -119,10 +128,17 @@ def test_lanes_compute_as_numpy_does():
             like(4.0, a),
         )
         out[12], out[13] = total(v[2]), largest(v[2])
-        out[14] = 1.0 if any_lane(v[2] > 3.5) and not any_lane(v[2] < 1.0) else 0.0
-        out[15] = 1.0 if all_lanes(v[2] >= 1.0) and not all_lanes(v[2] > 3.5) else 0.0
+        out[14] = (
+            1.0 if any_lane(v[2] > 3.5) and not any_lane(v[2] < 1.0) else 0.0
+        )
+        out[15] = (
+            1.0 if all_lanes(v[2] >= 1.0) and not all_lanes(v[2] > 3.5) else 0.0
+        )
         one, none = like(1.0, a), like(0.0, a)
-        out[16], out[17] = where(v[3] < 1.0, one, none), where(v[3] >= 1.0, one, none)
+        out[16], out[17] = (
+            where(v[3] < 1.0, one, none),
+            where(v[3] >= 1.0, one, none),
+        )
         a -= b
         a /= 2.0
         out[18] = a
@@ -137,11 +153,24 @@ def test_lanes_compute_as_numpy_does():
         -A,
         np.sqrt(B),
     ]
-    expected += [2 - A, 3 * B, np.maximum(A, B), *(np.full(4, x) for x in (4, 10, 4))]
+    expected += [
+        2 - A,
+        3 * B,
+        np.maximum(A, B),
+        *(np.full(4, x) for x in (4, 10, 4)),
+    ]
     # a comparison with NaN is false in its lane
-    expected += [np.ones(4), np.ones(4), [0, 1, 0, 0], [0, 0, 1, 1], (A - B) / 2]
+    expected += [
+        np.ones(4),
+        np.ones(4),
+        [0, 1, 0, 0],
+        [0, 0, 1, 1],
+        (A - B) / 2,
+    ]
     special = [4.0, 1.0, 3.0, 2.0], [np.nan, 0.0, 1.0, np.inf]
-    np.testing.assert_array_equal(on_lanes(kernel, 19, A, B, *special), expected)
+    np.testing.assert_array_equal(
+        on_lanes(kernel, 19, A, B, *special), expected
+    )
 
 
 def test_small_and_large_angles_are_exact_in_the_same_lanes():

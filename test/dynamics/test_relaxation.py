@@ -32,9 +32,17 @@ RELAXING = config.replace(
 
 def loaded(robot):
     """The robot above the floor, its torso held, its legs under a field from time 0 on."""
-    held = dataclasses.replace(robot, torso=dataclasses.replace(robot.torso, mass=HELD))
-    start = {"start.height": 5.0, "start.settle": 0.0, "gravity": FIELD.tolist()}
-    sim = RodRobot(held, config.replace(read_scene("flat"), start), read_servo())
+    held = dataclasses.replace(
+        robot, torso=dataclasses.replace(robot.torso, mass=HELD)
+    )
+    start = {
+        "start.height": 5.0,
+        "start.settle": 0.0,
+        "gravity": FIELD.tolist(),
+    }
+    sim = RodRobot(
+        held, config.replace(read_scene("flat"), start), read_servo()
+    )
     sim.push(-HELD * FIELD, np.zeros(3))
     return sim
 
@@ -54,11 +62,17 @@ def creep(times):
 
 def test_a_loaded_leg_creeps_as_its_material_to_the_strain_of_youngs_modulus():
     sim = loaded(RELAXING)
-    begin, times, course = sim.state.node[0, -1].copy(), np.arange(1, 201) * 0.01, []
+    begin, times, course = (
+        sim.state.node[0, -1].copy(),
+        np.arange(1, 201) * 0.01,
+        [],
+    )
     for _ in times:
         sim.advance(10, np.zeros(4))
         course.append(sim.state.node[0, -1] - begin)
-    plain = loaded(config.replace(RELAXING, {"leg.relaxation_share": (0.0, 0.0)}))
+    plain = loaded(
+        config.replace(RELAXING, {"leg.relaxation_share": (0.0, 0.0)})
+    )
     for robot in (sim, plain):
         robot.advance(10_000, np.zeros(4))
     static, expected = plain.state.node[0, -1] - begin, creep(times)

@@ -73,7 +73,9 @@ def lowest_frequencies(nodes, count):
 def test_tapered_leg_vibrates_at_the_frequencies_of_a_tapered_bernoulli_beam():
     """The weights of its hinges are those of fourth order on both sides of the anchor."""
     exact = np.array([6.5209720302, 25.5124367433, 61.3511026964])
-    coarse, fine = (lowest_frequencies(nodes, 3) / exact - 1 for nodes in (22, 43))
+    coarse, fine = (
+        lowest_frequencies(nodes, 3) / exact - 1 for nodes in (22, 43)
+    )
     np.testing.assert_array_less(np.abs(coarse), [1e-4, 4e-4, 1e-3])
     np.testing.assert_array_less(np.abs(fine), [1e-5, 3e-5, 1e-4])
 

@@ -28,7 +28,8 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
     flat, ice = read_scene("flat"), read_scene("ice")
     assert ice.floor.torso_friction == 0.05
     assert (
-        config.replace(ice, {"floor.torso_friction": flat.floor.torso_friction}) == flat
+        config.replace(ice, {"floor.torso_friction": flat.floor.torso_friction})
+        == flat
     )
 
 
@@ -85,7 +86,9 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
         ),
     ],
 )
-def test_an_invalid_scene_is_refused_by_name_of_the_setting(scenes, text, message):
+def test_an_invalid_scene_is_refused_by_name_of_the_setting(
+    scenes, text, message
+):
     scenes("bad", text)
     with pytest.raises(ConfigError, match=message):
         read_scene("bad")

@@ -18,7 +18,12 @@ from slot_core.robot import read_robot
 
 SETTINGS = config.replace(
     read_servo(),
-    {"model": "torque_speed", "proportional": 4.6, "integral": 0.0, "derivative": 0.0},
+    {
+        "model": "torque_speed",
+        "proportional": 4.6,
+        "integral": 0.0,
+        "derivative": 0.0,
+    },
 )
 # ROBOTIS' e-manual of the XL430-W250: V, N m at stall, rev/min without load.
 FIGURES = [(9.0, 1.0, 47.0), (11.1, 1.4, 57.0), (12.0, 1.5, 61.0)]
@@ -37,11 +42,15 @@ def rate(law, command, angle, torque):
     ("turn", "load", "share"),
     [(2.0, 0.5, 0.5), (2.0, 1.5, -0.5), (-2.0, 0.5, -1.5)],
 )
-def test_speed_follows_the_torque_speed_line_or_ignores_the_load(turn, load, share):
+def test_speed_follows_the_torque_speed_line_or_ignores_the_load(
+    turn, load, share
+):
     # A load beyond stall pulls the spool back; while releasing it adds speed.
     found = rate(servo(SETTINGS, NOMINAL), turn, 0.0, load * STALL)
     assert found == pytest.approx(share * NO_LOAD, abs=1e-12)
-    law = servo(dataclasses.replace(SETTINGS, model="ideal", ideal_rpm=40.0), NOMINAL)
+    law = servo(
+        dataclasses.replace(SETTINGS, model="ideal", ideal_rpm=40.0), NOMINAL
+    )
     found = rate(law, turn, 0.0, load * STALL)
     assert found == pytest.approx(np.sign(turn) * 40.0 / 57.0 * NO_LOAD)
 
@@ -55,7 +64,8 @@ def test_small_steps_are_a_first_order_lag():
 
 
 BETWEEN = [
-    tuple(np.average(pair, axis=0, weights=(1, 3))) for pair in pairwise(FIGURES)
+    tuple(np.average(pair, axis=0, weights=(1, 3)))
+    for pair in pairwise(FIGURES)
 ]
 
 
@@ -98,14 +108,19 @@ def test_stall_torque_and_speed_are_the_makers_at_its_voltages_and_linear_betwee
             {"no_load_rpm": [47.0, 57.0, 0.0]},
             r"no_load_rpm\[2\] = 0\.0: outside \[1\.0, 1000\.0\]",
         ),
-        ({"supply_voltage": 8.9}, r"supply_voltage = 8\.9: outside \[9\.0, 12\.0\] V"),
+        (
+            {"supply_voltage": 8.9},
+            r"supply_voltage = 8\.9: outside \[9\.0, 12\.0\] V",
+        ),
         (
             {"supply_voltage": math.nan},
             r"supply_voltage = nan: outside \[9\.0, 12\.0\] V",
         ),
     ],
 )
-def test_figures_that_are_no_table_and_voltages_beyond_it_are_refused(changes, message):
+def test_figures_that_are_no_table_and_voltages_beyond_it_are_refused(
+    changes, message
+):
     voltage = changes.pop("supply_voltage", NOMINAL)
     with pytest.raises(ConfigError, match=message):
         servo(config.replace(SETTINGS, changes), voltage)
@@ -132,7 +147,11 @@ def exact_response(settings, command, torque, seconds):
     def derivative(_, y):
         angle, speed, integral = y
         error = command - angle
-        duty = settings.proportional * error + integral - settings.derivative * speed
+        duty = (
+            settings.proportional * error
+            + integral
+            - settings.derivative * speed
+        )
         bounded = min(1.0, max(-1.0, duty))
         rests = (duty - bounded) * error > 0.0
         target = NO_LOAD * (bounded - torque / STALL)
@@ -143,9 +162,13 @@ def exact_response(settings, command, torque, seconds):
     return solve_ivp(derivative, (0.0, seconds), [0.0] * 3, **options).y[0, -1]
 
 
-@pytest.mark.parametrize(("command", "torque"), [(0.05, 0.0), (0.05, 0.3), (1.5, 0.45)])
+@pytest.mark.parametrize(
+    ("command", "torque"), [(0.05, 0.0), (0.05, 0.3), (1.5, 0.45)]
+)
 @pytest.mark.parametrize("seconds", [0.05, 0.15, 0.4])
-def test_pid_follows_its_differential_equation_to_first_order(command, torque, seconds):
+def test_pid_follows_its_differential_equation_to_first_order(
+    command, torque, seconds
+):
     exact, errors = exact_response(PID, command, torque, seconds), []
     for h in (2e-4, 1e-4):
         steps = np.ones(round(seconds / h))
@@ -162,21 +185,31 @@ def test_the_guide_resists_the_spool_in_both_directions():
     frictionless, h, load = servo(SETTINGS, NOMINAL), 1e-3, 0.5 * STALL
     law = frictionless._replace(friction=1.2)
     for command, seen in ((2.0, 1.2 * load), (0.0, load / 1.2)):
-        path = run(law, np.zeros(3), 1.0, np.array([command]), np.array([load]), h)
+        path = run(
+            law, np.zeros(3), 1.0, np.array([command]), np.array([load]), h
+        )
         turned = h * rate(frictionless, command, 1.0, seen)
         assert path[0] - 1.0 == pytest.approx(turned, rel=1e-12)
 
 
 @pytest.mark.parametrize("model", ["torque_speed", "pid"])
-def test_a_servo_that_stalls_in_winding_holds_with_the_friction_of_its_guide(model):
+def test_a_servo_that_stalls_in_winding_holds_with_the_friction_of_its_guide(
+    model,
+):
     """Between stall / f and f stall the spool neither winds nor runs back."""
     law = servo(
-        config.replace(SETTINGS, {"model": model, "proportional": 20.0}), NOMINAL
+        config.replace(SETTINGS, {"model": model, "proportional": 20.0}),
+        NOMINAL,
     )
     law = law._replace(friction=1.2)
     for share, end in ((1.1, 1.0), (1.25, 0.0), (0.8, 2.0)):
         path = run(
-            law, np.zeros(3), 1.0, np.full(200, 2.0), np.full(200, share * STALL), 1e-3
+            law,
+            np.zeros(3),
+            1.0,
+            np.full(200, 2.0),
+            np.full(200, share * STALL),
+            1e-3,
         )
         assert np.sign(path[-1] - 1.0) == np.sign(end - 1.0)
 
@@ -184,11 +217,15 @@ def test_a_servo_that_stalls_in_winding_holds_with_the_friction_of_its_guide(mod
 def test_backlash_is_a_dead_band_between_motor_and_spool():
     """Slow motion without load: the spool follows the play operator, computed by hand."""
     play = math.radians(2.0)
-    law = servo(dataclasses.replace(SETTINGS, model="ideal", backlash_deg=4.0), NOMINAL)
+    law = servo(
+        dataclasses.replace(SETTINGS, model="ideal", backlash_deg=4.0), NOMINAL
+    )
     h, drive, motor, spool, expected = 1e-3, np.zeros(3), 0.0, 0.0, []
     command = 0.3 * np.sin(np.linspace(0.0, 2 * math.tau, 4000))
     for target in command:
-        motor += h * (target - spool) / SETTINGS.lag  # the encoder is on the spool
+        motor += (
+            h * (target - spool) / SETTINGS.lag
+        )  # the encoder is on the spool
         spool = min(max(spool, motor - play), motor + play)
         expected.append(spool)
     path = run(law, drive, 0.0, command, np.zeros(4000), h)
@@ -199,7 +236,9 @@ def test_backlash_is_a_dead_band_between_motor_and_spool():
 def test_a_taut_tendon_takes_up_the_backlash():
     law = servo(dataclasses.replace(SETTINGS, backlash_deg=4.0), NOMINAL)
     drive = np.zeros(3)
-    path = run(law, drive, 0.5, np.full(3, 0.5), np.array([0.0, 0.2, 0.2]), 1e-3)
+    path = run(
+        law, drive, 0.5, np.full(3, 0.5), np.array([0.0, 0.2, 0.2]), 1e-3
+    )
     # The tendon pulls it back by half the backlash at once; then it follows the motor.
     assert path[0] == pytest.approx(0.5, abs=1e-12)
     assert path[1] == pytest.approx(0.5 - math.radians(2.0), abs=1e-12)

@@ -23,7 +23,9 @@ def kicked(robot=ROBOT, **changes):
     along = np.diff(state.node, axis=1)
     along /= np.linalg.norm(along, axis=-1, keepdims=True)
     rate = np.einsum(
-        "lki,lki->lk", along, np.cross(along, np.diff(state.node_velocity, axis=1))
+        "lki,lki->lk",
+        along,
+        np.cross(along, np.diff(state.node_velocity, axis=1)),
     )
     state.swirl[:] = (rate + 20.0 * part[1:])[..., None] * along
     return sim
@@ -39,7 +41,10 @@ def test_a_step_solves_the_equations_of_motion_of_an_independent_energy():
     before = sim._observe()[1][leg].copy()
     swirl = sim.state.swirl[leg] @ (sim.rotation @ sim.model.axes[leg].T).T
     sim.advance(1, np.full(4, 1.0))
-    rod, turn = sim.model.rod, sim.rotation @ sim.model.axes[leg].T  # leg axes to odom
+    rod, turn = (
+        sim.model.rod,
+        sim.rotation @ sim.model.axes[leg].T,
+    )  # leg axes to odom
     node, director = sim.nodes[leg], sim.state.director[leg] @ turn.T
     clamp = Rotation.from_matrix(turn)
 
@@ -54,14 +59,19 @@ def test_a_step_solves_the_equations_of_motion_of_an_independent_energy():
     spin = sim.state.swirl[leg] @ turn.T - swirl
     t, couple = directions(node), rod.spin[:, None] * spin / h
     across = (
-        np.cross(couple, t) / np.linalg.norm(np.diff(node, axis=0), axis=1)[:, None]
+        np.cross(couple, t)
+        / np.linalg.norm(np.diff(node, axis=0), axis=1)[:, None]
     )
-    change[:-1] -= across  # the gyroscopic couple of the spins acts through the nodes
+    change[:-1] -= (
+        across  # the gyroscopic couple of the spins acts through the nodes
+    )
     change[1:] += across
     assert np.ptp(node @ sim.rotation[:, 1]) > 1e-3
     # Forces of some newtons; differences of an energy of 1 J leave 1e-9 / 1e-6.
     np.testing.assert_allclose(change[1:].ravel(), force[3:18], atol=2e-3)
-    np.testing.assert_allclose(np.einsum("ki,ki->k", couple, t), force[18:], atol=2e-5)
+    np.testing.assert_allclose(
+        np.einsum("ki,ki->k", couple, t), force[18:], atol=2e-5
+    )
 
 
 @pytest.mark.parametrize("iterations", [1, 2])
@@ -76,7 +86,9 @@ def test_linear_momentum_is_conserved_to_rounding(iterations):
     ("load", "most"),
     [({}, 1e-6), ({"payload__mass": 0.8, "payload__place": PLACE}, 1e-4)],
 )
-def test_momentum_is_conserved_to_second_order_while_the_tendons_pull(load, most):
+def test_momentum_is_conserved_to_second_order_while_the_tendons_pull(
+    load, most
+):
     """For a payload off the centre the rotation within a step is not exact."""
     solver, errors = {"solver__theta": 0.5, "solver__iterations": 6}, []
     for step in (2e-3, 1e-3):

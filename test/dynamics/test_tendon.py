@@ -26,9 +26,14 @@ def test_length_is_that_of_the_curve_at_the_offset(nodes):
     leg, settings, curvature = ROBOT.leg, ROBOT.tendon, -2.0
     fraction, length = np.linspace(0.0, 1.0, nodes), leg.arc_length()
     node = np.outer(length * fraction, [1.0, 0.0])
-    rod = build(leg, node, node[:, 0], round((nodes - 1) * settings.end_fraction))
+    rod = build(
+        leg, node, node[:, 0], round((nodes - 1) * settings.end_fraction)
+    )
     tendon = route(rod, settings)
-    thick = leg.thickness_clamp + (leg.thickness_tip - leg.thickness_clamp) * fraction
+    thick = (
+        leg.thickness_clamp
+        + (leg.thickness_tip - leg.thickness_clamp) * fraction
+    )
     stiffness = leg.young_modulus * leg.width * thick[:-1] ** 3 / 12  # N m^2
     turn = curvature * stiffness / rod.bending  # bending of each hinge
     found = tendon.along @ rod.rest_length + tendon.around @ turn
@@ -69,7 +74,8 @@ def pulled_leg(force):
         x = y[4]
         run = np.hypot(1.0, slope(x))
         thick = (
-            leg.thickness_clamp + (leg.thickness_tip - leg.thickness_clamp) * s / length
+            leg.thickness_clamp
+            + (leg.thickness_tip - leg.thickness_clamp) * s / length
         )
         bending = leg.young_modulus * leg.width * thick**3 / 12
         strain = -pulled / (leg.young_modulus * leg.width * thick)
@@ -85,10 +91,14 @@ def pulled_leg(force):
 
     options = {"rtol": 1e-10, "atol": 1e-12}
     first, natural = (
-        solve_ivp(derivative, (0, end), np.zeros(5), args=(pull,), **options).y[:, -1]
+        solve_ivp(derivative, (0, end), np.zeros(5), args=(pull,), **options).y[
+            :, -1
+        ]
         for pull in (force, 0.0)
     )
-    tip = solve_ivp(derivative, (end, length), first, args=(0.0,), **options).y[1:3, -1]
+    tip = solve_ivp(derivative, (end, length), first, args=(0.0,), **options).y[
+        1:3, -1
+    ]
     return tip, first[3] + d * first[0] - natural[3] - d * natural[0]
 
 
@@ -97,7 +107,9 @@ def test_a_pulled_leg_converges_to_the_continuous_one_to_second_order():
     angle, settings = np.radians(80.0), ROBOT.tendon
     reeled = settings.spool_radius * angle - settings.slack
     force = brentq(
-        lambda f: settings.cable_stiffness * (pulled_leg(f)[1] + reeled) - f, 1.0, 200.0
+        lambda f: settings.cable_stiffness * (pulled_leg(f)[1] + reeled) - f,
+        1.0,
+        200.0,
     )
     exact, errors = pulled_leg(force)[0], []
     for nodes in (13, 22, 43):
@@ -120,7 +132,9 @@ def test_only_the_broken_tendon_has_no_tension():
     assert sim.tension[1] == 0.0
     assert sim.tension[[0, 2, 3]].min() > 10.0
     # Its leg keeps its natural shape, except for the effect of the torso's rotation.
-    bend = np.abs(sim.state.node[:, :, ::2] - sim.model.rod.node).max(axis=(1, 2))
+    bend = np.abs(sim.state.node[:, :, ::2] - sim.model.rod.node).max(
+        axis=(1, 2)
+    )
     assert bend[1] < 1e-3
     assert bend[[0, 2, 3]].min() > 0.03
 

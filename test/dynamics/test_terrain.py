@@ -25,9 +25,14 @@ def ground_at(terrain, x, y):
 def test_heights_are_bilinear_as_scipys_also_beyond_the_edge_and_slopes_their_derivatives():
     """Beyond its edge the floor continues at the height of the edge."""
     step, end = 1e-6, np.array([X[-1], Y[-1]])
-    rng, corners = np.random.default_rng(7), [(-1.0, 0.013), (0.021, 1.0), (2.0, -3.0)]
+    rng, corners = (
+        np.random.default_rng(7),
+        [(-1.0, 0.013), (0.021, 1.0), (2.0, -3.0)],
+    )
     # the central differences stay within a cell
-    inner = rng.uniform(0.02, 0.98, (300, 2)) + rng.integers(0, [9, 6], (300, 2))
+    inner = rng.uniform(0.02, 0.98, (300, 2)) + rng.integers(
+        0, [9, 6], (300, 2)
+    )
     for x, y in [*(inner * SPACING - end), *corners]:
         height, *slopes = ground_at(Terrain(HEIGHT, SPACING), x, y)
         points = np.array([x, y]) + step * np.array(
@@ -43,16 +48,22 @@ def test_heights_are_bilinear_as_scipys_also_beyond_the_edge_and_slopes_their_de
 SLOPE = np.radians(10.0)
 # 2 m x 1.5 m, rising along x
 PLANE = np.tan(SLOPE) * np.tile((np.arange(5) - 2.0) * 0.5, (4, 1))
-TURN = Rotation.from_rotvec([0.0, -SLOPE, 0.0]).as_matrix()  # the plane's axes to odom
+TURN = Rotation.from_rotvec(
+    [0.0, -SLOPE, 0.0]
+).as_matrix()  # the plane's axes to odom
 
 
 @pytest.mark.parametrize("law", ["viscous", "bristle"])
-@pytest.mark.parametrize(("friction", "pulled"), [(0.4, 1.1), (0.1, 1.1), (0.3, 0.0)])
+@pytest.mark.parametrize(
+    ("friction", "pulled"), [(0.4, 1.1), (0.1, 1.1), (0.3, 0.0)]
+)
 def test_an_inclined_height_map_is_a_plane_under_tilted_gravity(
     own_config, law, friction, pulled
 ):
     """For 0.5 s after a fall from 20 mm: standing, sliding, or lying on the torso's corners."""
-    np.savetxt(own_config / "scene/plane.csv", PLANE, delimiter=",", fmt="%.18e")
+    np.savetxt(
+        own_config / "scene/plane.csv", PLANE, delimiter=",", fmt="%.18e"
+    )
     common = {
         "start__settle": 0.0,
         "start__height": 0.04,

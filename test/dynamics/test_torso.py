@@ -26,7 +26,9 @@ def rotate(out, w):
 @njit
 def corners(H, g, torso, floor, pose):
     zero, held = np.zeros(3), (np.zeros((8, 3)), np.zeros(8), np.zeros((8, 2)))
-    add_corners(H, g, torso, floor, 1.0, pose[0], pose[1], zero, zero, zero, held)
+    add_corners(
+        H, g, torso, floor, 1.0, pose[0], pose[1], zero, zero, zero, held
+    )
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-6, 9e-3, 1.1e-2, 1.0, 3.0])
@@ -58,7 +60,9 @@ def test_corner_forces_act_at_the_corners():
     np.testing.assert_allclose(-g[:3], force * up, rtol=1e-9)
     lever = np.cross([half[0], 0.0, -half[2]], up)  # the corners' mean
     np.testing.assert_allclose(-g[3:], force * lever, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(H[:3, :3], 4e4 * np.outer(up, up), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        H[:3, :3], 4e4 * np.outer(up, up), rtol=1e-9, atol=1e-9
+    )
 
 
 def spinning(angular_velocity, payload):
@@ -92,7 +96,11 @@ def euler(inertia, start, seconds):
         ]
 
     y = solve_ivp(
-        derivative, (0, seconds), [*np.eye(3).ravel(), *start], rtol=1e-11, atol=1e-12
+        derivative,
+        (0, seconds),
+        [*np.eye(3).ravel(), *start],
+        rtol=1e-11,
+        atol=1e-12,
     )
     return y.y[:9, -1].reshape(3, 3), y.y[9:, -1]
 
@@ -102,7 +110,9 @@ LOAD = (0.8, 0.04, -0.03, 0.05)  # mass, kg, and position, m
 
 @pytest.mark.parametrize("payload", [(0.0, 0.0, 0.0, 0.0), LOAD])
 def test_a_stiff_robot_tumbles_by_eulers_equations(payload):
-    start = np.array([0.3, 4.0, 0.5])  # mostly about one axis; the others exchange spin
+    start = np.array(
+        [0.3, 4.0, 0.5]
+    )  # mostly about one axis; the others exchange spin
     sim, inertia = spinning(start, payload)
     orientation, spin = euler(inertia, start, 1.0)
     # Legs of 1e9 Pa still bend by some 1e-3 rad under the spin; the scheme adds (h w)^2 = 4e-6.
@@ -112,9 +122,17 @@ def test_a_stiff_robot_tumbles_by_eulers_equations(payload):
 
 def test_a_push_changes_momentum_and_angular_momentum_by_its_impulses():
     """Its moment acts about odom's axes at any orientation; its force has a moment about odom."""
-    force, moment, errors = np.array([3.0, -4.0, 5.0]), np.array([0.3, 0.2, -0.1]), []
+    force, moment, errors = (
+        np.array([3.0, -4.0, 5.0]),
+        np.array([0.3, 0.2, -0.1]),
+        [],
+    )
     for step in (2e-3, 1e-3):
-        solver = {"solver__step": step, "solver__theta": 0.5, "solver__iterations": 6}
+        solver = {
+            "solver__step": step,
+            "solver__theta": 0.5,
+            "solver__iterations": 6,
+        }
         sim = simulator(**FLOATING, **solver)
         sim.set_motion(np.zeros(3), np.array([1.0, 2.0, 3.0]))
         (linear, angular), expected = sim.momentum(), np.zeros(3)
@@ -122,8 +140,12 @@ def test_a_push_changes_momentum_and_angular_momentum_by_its_impulses():
         for _ in range(round(0.2 / step)):
             start = sim.position
             sim.advance(1, np.full(4, 1.0))
-            expected += step * (np.cross((start + sim.position) / 2, force) + moment)
-        np.testing.assert_allclose(sim.momentum()[0] - linear, 0.2 * force, rtol=1e-12)
+            expected += step * (
+                np.cross((start + sim.position) / 2, force) + moment
+            )
+        np.testing.assert_allclose(
+            sim.momentum()[0] - linear, 0.2 * force, rtol=1e-12
+        )
         errors.append(np.linalg.norm(sim.momentum()[1] - angular - expected))
     assert errors[0] < 1e-5 * np.linalg.norm(expected)
     # second order, with the middle of each step
@@ -141,7 +163,9 @@ def test_the_forces_of_the_feet_balance_an_eccentric_payload():
     sim = simulator(narrow, "pid", **floor, **load, **start)
     sim.advance(6000, sim.tendon_angle)
     masses, nodes, force = sim.model.rod.mass, sim.nodes, sim.ground_force
-    centre = ROBOT.torso.mass * sim.position + np.einsum("n,lni->i", masses, nodes)
+    centre = ROBOT.torso.mass * sim.position + np.einsum(
+        "n,lni->i", masses, nodes
+    )
     centre += mass * (sim.position + sim.rotation @ place)
     centre /= ROBOT.torso.mass + mass + 4 * masses.sum()
     moment = np.cross(nodes[:, -1] - centre, force).sum(0)

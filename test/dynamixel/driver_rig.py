@@ -42,7 +42,7 @@ class DriverRig:
         return cycles
 
     def fault(self, kind, leg="FL", value=0.0):
-        self.bus.inject(Fault(kind, leg, 0.0, 0.0, value))
+        self.bus.set_fault(Fault(kind, leg, 0.0, 0.0, value), True)
 
     def torque(self):
         return [servo.memory["torque_enable"] for servo in self.bus.servos]

@@ -9,7 +9,13 @@ from slot_core.dynamixel.host_pid import HostPid
 from slot_core.dynamixel.settings import HostPidSettings
 
 SETTINGS = HostPidSettings(
-    p=2.0, i=0.0, d=0.0, filter_time=0.0, duty_limit=1.0, duty_rate=1e4, blind_time=0.03
+    p=2.0,
+    i=0.0,
+    d=0.0,
+    filter_time=0.0,
+    duty_limit=1.0,
+    duty_rate=1e4,
+    blind_time=0.03,
 )
 H = 0.01
 FOUR = np.ones(4)
@@ -56,6 +62,8 @@ def test_without_a_reading_the_duty_is_held_for_blind_time_then_zero():
     loop.step(0.2 * FOUR, angle, 0 * FOUR, H)
     angle[1] = np.nan
     duties = [loop.step(0.1 * FOUR, angle, 0 * FOUR, H) for _ in range(5)]
-    assert [duty[1] for duty in duties] == pytest.approx([0.4, 0.4, 0.4, 0.0, 0.0])
+    assert [duty[1] for duty in duties] == pytest.approx(
+        [0.4, 0.4, 0.4, 0.0, 0.0]
+    )
     assert duties[-1][0] == pytest.approx(0.2)
     assert np.all(np.isfinite(duties))

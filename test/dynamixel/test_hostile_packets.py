@@ -15,7 +15,10 @@ from slot_core.dynamixel import packet
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.driver import FAST
 from slot_core.dynamixel.emulator.emulated_bus import Reply, read_emulator
-from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels, MemoryPort
+from slot_core.dynamixel.emulator.emulated_legs import (
+    EmulatedDynamixels,
+    MemoryPort,
+)
 from slot_core.dynamixel.packet import BROADCAST, HEADER, Instruction, build
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import REGISTERS, TABLE, span
@@ -25,7 +28,9 @@ BAUD = 1_000_000
 REACTION = 0.01  # s, in which a servo moves if it takes a damaged packet
 IDS = read_settings().joints.ids
 RANGES = [
-    r for r in REGISTERS if r.writable and r.name != "bus_watchdog" and r.address < 168
+    r
+    for r in REGISTERS
+    if r.writable and r.name != "bus_watchdog" and r.address < 168
 ]
 
 
@@ -42,7 +47,9 @@ def written(name, value, *ids):
 ADDRESS, SIZE = span(*FAST)
 READ = ADDRESS.to_bytes(2, "little") + SIZE.to_bytes(2, "little") + bytes(IDS)
 PACKETS = [  # the driver's, and those with the worst effects: torque off, reboot, action
-    build(BROADCAST, Instruction.SYNC_WRITE, written("goal_position", 2800, *IDS)),
+    build(
+        BROADCAST, Instruction.SYNC_WRITE, written("goal_position", 2800, *IDS)
+    ),
     build(BROADCAST, Instruction.SYNC_WRITE, written("goal_pwm", 885, *IDS)),
     build(BROADCAST, Instruction.FAST_SYNC_READ, READ),
     build(BROADCAST, Instruction.SYNC_READ, READ),
@@ -59,7 +66,8 @@ def valid(data):
     """Parts of `data` that are packets with a CRC valid by the SDK: at times by chance."""
     starts = [n for n in range(len(data)) if data.startswith(HEADER, n)]
     frames = [
-        data[n : n + int.from_bytes(data[n + 5 : n + 7], "little") + 7] for n in starts
+        data[n : n + int.from_bytes(data[n + 5 : n + 7], "little") + 7]
+        for n in starts
     ]
     return [
         frame
@@ -92,7 +100,9 @@ def obey(packet):
     OBEYING.advance(0.001)
     for servo in OBEYING.servos:
         assert [
-            r.name for r in RANGES if not r.low <= servo.memory[r.name] <= r.high
+            r.name
+            for r in RANGES
+            if not r.low <= servo.memory[r.name] <= r.high
         ] == []
     OBEYING.servos = copy.deepcopy(KEPT)
 
@@ -169,6 +179,8 @@ def test_no_damaged_reply_becomes_a_reading(data, fast, readings):
     )  # the SDK unstuffs in place
     assert found == truth or (lost and found.items() <= truth.items())
     which = data.draw(st.integers(0, len(sent) - 1))
-    damaged = [data.draw(spliced(d)) if n == which else d for n, d in enumerate(sent)]
+    damaged = [
+        data.draw(spliced(d)) if n == which else d for n, d in enumerate(sent)
+    ]
     assume(all(frame in sent for frame in valid(b"".join(damaged))))
     assert read(b"".join(damaged), fast).items() <= truth.items()

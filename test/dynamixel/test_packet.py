@@ -17,7 +17,10 @@ EXAMPLES = [
     (build(BROADCAST, Instruction.PING), "FFFFFD00 FE 0300 01 3142"),
     (status(1, 0, b"\x06\x04\x26"), "FFFFFD00 01 0700 55 00 060426 655D"),
     (status(2, 0, b"\x06\x04\x26"), "FFFFFD00 02 0700 55 00 060426 6F6D"),
-    (build(1, Instruction.READ, b"\x84\0\4\0"), "FFFFFD00 01 0700 02 84000400 1D15"),
+    (
+        build(1, Instruction.READ, b"\x84\0\4\0"),
+        "FFFFFD00 01 0700 02 84000400 1D15",
+    ),
     (status(1, 0, b"\xa6\0\0\0"), "FFFFFD00 01 0800 55 00 A6000000 8CC0"),
     (
         build(1, Instruction.WRITE, b"\x74\0\0\2\0\0"),
@@ -29,27 +32,18 @@ EXAMPLES = [
         "FFFFFD00 01 0900 04 6800C8000000 AE8E",
     ),
     (build(1, Instruction.ACTION), "FFFFFD00 01 0300 05 02CE"),
-    (build(1, Instruction.FACTORY_RESET, b"\1"), "FFFFFD00 01 0400 06 01 A1E6"),
     (build(1, Instruction.REBOOT), "FFFFFD00 01 0300 08 2F4E"),
-    (
-        build(1, Instruction.CLEAR, b"\x01\x44\x58\x4c\x22"),
-        "FFFFFD00 01 0800 10 0144584C22 B1DC",
-    ),
     (
         build(BROADCAST, Instruction.SYNC_READ, b"\x84\0\4\0\1\2"),
         "FFFFFD00 FE 0900 82 840004000102 CEFA",
     ),
     (
-        build(BROADCAST, Instruction.SYNC_WRITE, b"\x74\0\4\0\1\x96\0\0\0\2\xaa\0\0\0"),
+        build(
+            BROADCAST,
+            Instruction.SYNC_WRITE,
+            b"\x74\0\4\0\1\x96\0\0\0\2\xaa\0\0\0",
+        ),
         "FFFFFD00 FE 1100 83 74000400 0196000000 02AA000000 8287",
-    ),
-    (
-        build(BROADCAST, Instruction.BULK_READ, b"\1\x90\0\2\0\2\x92\0\1\0"),
-        "FFFFFD00 FE 0D00 92 0190000200 0292000100 1A05",
-    ),
-    (
-        build(BROADCAST, Instruction.BULK_WRITE, b"\1\x20\0\2\0\xa0\0\2\x1f\0\1\0\x50"),
-        "FFFFFD00 FE 1000 93 01200002 00A000 021F00010050 B768",
     ),
 ]
 

@@ -38,7 +38,9 @@ def test_a_port_cannot_be_opened_twice(rig):
         SerialPort(rig.terminal.name, 1000000, 0.01).open()
 
 
-def test_a_slow_latency_timer_is_refused_with_the_udev_rule_against_it(tmp_path):
+def test_a_slow_latency_timer_is_refused_with_the_udev_rule_against_it(
+    tmp_path,
+):
     timer = tmp_path / "ttyUSB7" / "device" / "latency_timer"
     timer.parent.mkdir(parents=True)
     timer.write_text("16\n")
@@ -84,7 +86,7 @@ def test_a_driver_can_configure_again_after_a_replug(rig, tmp_path):
     rig.driver.close()
     with pytest.raises(PortError, match="servos"):
         rig.driver.configure()
-    rig.bus.clear(Fault("unplugged", "all", 0, 0, 0))
+    rig.bus.set_fault(Fault("unplugged", "all", 0, 0, 0), False)
     wait_for(link.exists)
     rig.start()
     assert rig.run(0.02)[-1].complete

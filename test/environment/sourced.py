@@ -26,4 +26,6 @@ def environment(
         text=True,
         check=True,
     )
-    return dict(entry.split("=", 1) for entry in shell.stdout.split("\0") if entry)
+    return dict(
+        entry.split("=", 1) for entry in shell.stdout.split("\0") if entry
+    )

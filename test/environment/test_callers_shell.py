@@ -51,20 +51,29 @@ def python(own):
     }
 
 
-def test_a_program_takes_no_settings_and_no_packages_of_the_callers_python(own, python):
+def test_a_program_takes_no_settings_and_no_packages_of_the_callers_python(
+    own, python
+):
     isolated = environment("--isolated")
-    assert isolated["PYTHONSAFEPATH"] == "1"  # no current directory, in children too
+    assert (
+        isolated["PYTHONSAFEPATH"] == "1"
+    )  # no current directory, in children too
     assert environment("--isolated", python) == isolated
     after = environment("", python)  # a shell of the caller's own keeps them
     assert "PYTHONSAFEPATH" not in after
     assert str(own) in after["PYTHONPATH"].split(":")
-    kept = {name: value for name, value in python.items() if name != "PYTHONPATH"}
+    kept = {
+        name: value for name, value in python.items() if name != "PYTHONPATH"
+    }
     assert after | kept == after
 
 
 def test_a_program_runs_the_python_of_the_repository_with_packages_of_ros_workspaces():
     """Whatever was activated since scripts/env was sourced."""
-    kept = ["/ws/install/own_msgs/lib/python3/site-packages", "/ws/build/own_nodes"]
+    kept = [
+        "/ws/install/own_msgs/lib/python3/site-packages",
+        "/ws/build/own_nodes",
+    ]
     given = {
         "AMENT_PREFIX_PATH": "/ws/install/own_nodes:/ws/install/own_msgs",
         "PATH": f"/own/conda/bin:{environment()['PATH']}",
@@ -81,7 +90,9 @@ def test_every_program_is_isolated(program):
     lines = [line.strip() for line in program.read_text().splitlines()]
     sourced = [line for line in lines if line.startswith(". ")]
     ends = "scripts/env --underlay", 'env" --isolated', "env --isolated"
-    assert all(line.endswith(ends) for line in sourced if "/scripts/help" not in line)
+    assert all(
+        line.endswith(ends) for line in sourced if "/scripts/help" not in line
+    )
 
 
 def test_a_graph_walks_in_a_folder_with_modules_of_the_callers_own(own, python):
@@ -111,4 +122,6 @@ def test_a_graph_walks_in_a_folder_with_modules_of_the_callers_own(own, python):
 
 def test_a_relative_path_is_not_looked_up_in_cdpath(tmp_path):
     (tmp_path / "scripts").mkdir()
-    assert environment(given={"CDPATH": str(tmp_path)})["SLOT_ROOT"] == str(ROOT)
+    assert environment(given={"CDPATH": str(tmp_path)})["SLOT_ROOT"] == str(
+        ROOT
+    )

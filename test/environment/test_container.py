@@ -31,7 +31,9 @@ def test_the_container_of_the_robot_records_to_the_host(service, record, bags):
     assert set(given) <= {argument.name for argument in read_graph().arguments}
     found = [value for name, value in given.items() if name == "bag"]
     assert len(found) == bags
-    assert all(re.fullmatch(r"/slot/bags/robot_\d{8}_\d{6}", value) for value in found)
+    assert all(
+        re.fullmatch(r"/slot/bags/robot_\d{8}_\d{6}", value) for value in found
+    )
     assert "../bags:/slot/bags" in ROBOTS[service]["volumes"]
 
 

@@ -36,7 +36,9 @@ RECEIVED = re.compile(
 BOUND = re.compile(r"^bind\(.*")
 SHARED = re.compile(r'^openat\(.*"/dev/shm/([\w.]*fast\w*)"')  # of Fast DDS
 # bytes
-BUFFER = re.compile(r"^setsockopt\(\d+<UDP\S+, SOL_SOCKET, SO_RCVBUF, \[(\d+)\]")
+BUFFER = re.compile(
+    r"^setsockopt\(\d+<UDP\S+, SOL_SOCKET, SO_RCVBUF, \[(\d+)\]"
+)
 ADDRESS = re.compile(r'inet_addr\("([^"]+)"\)|inet_pton\(AF_INET6, "([^"]+)"')
 FAMILY = re.compile(r"sa_family=(\w+)")
 # the last two stay on the machine
@@ -46,7 +48,9 @@ FAMILIES = {"AF_INET", "AF_INET6", "AF_UNIX", "AF_NETLINK"}
 def named_in(calls: re.Pattern[str], trace: str) -> Iterator[str]:
     """Every address named in some calls of a trace, and every address family not in FAMILIES."""
     for line in filter(calls.match, trace.splitlines()):
-        yield from (family for family in FAMILY.findall(line) if family not in FAMILIES)
+        yield from (
+            family for family in FAMILY.findall(line) if family not in FAMILIES
+        )
         yield from (four or six for four, six in ADDRESS.findall(line))
 
 
@@ -80,9 +84,13 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> str:
     return "".join(path.read_text() for path in folder.iterdir())
 
 
-def test_two_communicating_processes_send_receive_and_bind_on_the_loopback_only(trace):
+def test_two_communicating_processes_send_receive_and_bind_on_the_loopback_only(
+    trace,
+):
     sent, bound = (list(named_in(calls, trace)) for calls in (SENT, BOUND))
-    received = [m[1].strip("[]") for m in map(RECEIVED.match, trace.splitlines()) if m]
+    received = [
+        m[1].strip("[]") for m in map(RECEIVED.match, trace.splitlines()) if m
+    ]
     # they did use the network
     assert any(address.startswith("127.") for address in sent)
     assert bound
@@ -91,12 +99,16 @@ def test_two_communicating_processes_send_receive_and_bind_on_the_loopback_only(
         assert ip_address(address).is_loopback
 
 
-def test_two_communicating_processes_share_no_memory_and_have_large_buffers(trace):
+def test_two_communicating_processes_share_no_memory_and_have_large_buffers(
+    trace,
+):
     """With shared memory a process that joins lets others sleep for 333 ms, and one that is killed
     leaves its segments behind. The default buffer of 200 kB lost messages within 40 ms while a
     process waited for a processor, on a topic with a history of one for good.
     """
-    assert SHARED.match('openat(AT_FDCWD, "/dev/shm/fastrtps_008e51d8", O_RDWR) = 9')
+    assert SHARED.match(
+        'openat(AT_FDCWD, "/dev/shm/fastrtps_008e51d8", O_RDWR) = 9'
+    )
     lines = trace.splitlines()
     assert any(line.startswith("openat(") for line in lines)
     assert not any(map(SHARED.match, lines))
@@ -105,11 +117,15 @@ def test_two_communicating_processes_share_no_memory_and_have_large_buffers(trac
 
 
 @pytest.mark.parametrize("network", ["0", "yes"])
-def test_the_environment_keeps_dds_on_the_loopback_whatever_the_caller_has_set(network):
+def test_the_environment_keeps_dds_on_the_loopback_whatever_the_caller_has_set(
+    network,
+):
     variables = environment(given=HOSTILE | {"SLOT_NETWORK": network})
     profile = ROOT / "slot_bringup/dds/loopback_only.xml"
     assert profile.exists()
-    assert {name: variables[name] for name in HOSTILE.keys() & variables.keys()} == {
+    assert {
+        name: variables[name] for name in HOSTILE.keys() & variables.keys()
+    } == {
         "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
         "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile),

@@ -59,7 +59,9 @@ def test_colcon_test_runs_every_test_in_one_package_with_the_same_settings():
     expected, found = settings(ROOT / "test/pytest.ini"), []
     for folder in PACKAGES.values():
         own = settings(folder / "pytest.ini")
-        found += [(folder / name).resolve() for name in own.pop("testpaths").split()]
+        found += [
+            (folder / name).resolve() for name in own.pop("testpaths").split()
+        ]
         assert (folder / own.pop("pythonpath")).resolve() == ROOT / "scripts"
         assert own.pop("addopts") == f'{expected["addopts"]} -m "not real_time"'
         assert own == {name: expected[name] for name in own}
@@ -71,7 +73,10 @@ def test_colcon_test_runs_every_test_in_one_package_with_the_same_settings():
 def imported(folder, name):
     """Imports of the modules of a package, but for itself and the standard library."""
     found = set()
-    for path in [*(folder / name).rglob("*.py"), *(folder / "launch").glob("*.py")]:
+    for path in [
+        *(folder / name).rglob("*.py"),
+        *(folder / "launch").glob("*.py"),
+    ]:
         for node in ast.walk(ast.parse(path.read_text())):
             match node:
                 case ast.Import(names=names):
@@ -108,11 +113,19 @@ def test_keys_that_rosdep_lacks_stand_in_a_list_of_our_own():
 def test_the_configuration_is_installed_as_files_of_its_package(tmp_path):
     """In the sources it is a link that leads out of the package."""
     words = ["setup.py", "-q", "build_py", "--build-lib", str(tmp_path)]
-    subprocess.run([sys.executable, *words], cwd=PACKAGES["slot_core"], check=True)
+    subprocess.run(
+        [sys.executable, *words], cwd=PACKAGES["slot_core"], check=True
+    )
     installed = tmp_path / "slot_core" / "defaults"
     found, expected = (
-        {path.relative_to(folder) for path in folder.rglob("*") if path.is_file()}
+        {
+            path.relative_to(folder)
+            for path in folder.rglob("*")
+            if path.is_file()
+        }
         for folder in (installed, ROOT / "config")
     )
     assert found == expected
-    assert not any(path.is_symlink() for path in (installed, *installed.rglob("*")))
+    assert not any(
+        path.is_symlink() for path in (installed, *installed.rglob("*"))
+    )

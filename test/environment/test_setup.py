@@ -52,7 +52,9 @@ class Copy:
         self.log = self.stubs / "calls"
         skip = shutil.ignore_patterns(".slot", "__pycache__", "*.egg-info")
         for part in ("scripts", "config", "src", "slot_bringup", "slot_msgs"):
-            shutil.copytree(ROOT / part, self.root / part, ignore=skip, symlinks=True)
+            shutil.copytree(
+                ROOT / part, self.root / part, ignore=skip, symlinks=True
+            )
         for path in (self.root / "scripts/requirements").glob("*.txt"):
             path.write_text("")
         self.bin.mkdir(parents=True)
@@ -104,8 +106,14 @@ class Copy:
             "tail tr true uname xargs"
         )
         for tool in used.split():
-            (self.bin / tool).symlink_to(shutil.which(tool, path=os.defpath) or tool)
-        for name, text in {"id": NO_ROOT, "sudo": SUDO, "apt-get": APT_GET}.items():
+            (self.bin / tool).symlink_to(
+                shutil.which(tool, path=os.defpath) or tool
+            )
+        for name, text in {
+            "id": NO_ROOT,
+            "sudo": SUDO,
+            "apt-get": APT_GET,
+        }.items():
             self.tool(name, text)
         self.variables["PATH"] = str(self.bin)
 
@@ -132,7 +140,9 @@ def until_build(copy: Copy) -> None:
 
 def test_a_second_setup_prints_and_does_nothing(ready):
     builds = ready.calls
-    stamps = {path: path.stat().st_mtime_ns for path in ready.home.glob("*/.stamp")}
+    stamps = {
+        path: path.stat().st_mtime_ns for path in ready.home.glob("*/.stamp")
+    }
     assert len(stamps) == 2  # the venv and the workspace
     assert ready.setup() == (0, "")
     assert ready.calls == builds
@@ -151,7 +161,10 @@ def test_an_interrupted_setup_continues_with_the_interrupted_phase(copy):
     venv = stamp.stat().st_mtime_ns
     hold.unlink()
     assert copy.setup()[0] == 0
-    assert copy.calls == ["build", "build"]  # the interrupted phase is repeated,
+    assert copy.calls == [
+        "build",
+        "build",
+    ]  # the interrupted phase is repeated,
     assert stamp.stat().st_mtime_ns == venv  # the finished one is not
     assert copy.setup() == (0, "")
 
@@ -163,10 +176,14 @@ def test_a_broken_or_unfinished_venv_is_rebuilt(ready, loss):
     leftover.touch()
     assert ready.setup()[0] == 0
     assert not leftover.exists()
-    subprocess.run([ready.home / "venv/bin/python", "-c", "import pip"], check=True)
+    subprocess.run(
+        [ready.home / "venv/bin/python", "-c", "import pip"], check=True
+    )
 
 
-def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup(ready):
+def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup(
+    ready,
+):
     ready.tool("colcon", "echo no such message\nexit 3\n")
     (ready.root / "slot_msgs/msg/New.msg").write_text("float64 x\n")
     for _ in range(2):
@@ -184,7 +201,10 @@ def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup
         ("slot_msgs/msg/MpcState.msg", True),
         ("src/slot_nodes/setup.py", True),
         ("slot_bringup/rviz/new.rviz", True),
-        ("src/slot_core/slot_core/new_module.py", False),  # installed by symbolic link
+        (
+            "src/slot_core/slot_core/new_module.py",
+            False,
+        ),  # installed by symbolic link
         ("config/scene/new.yaml", False),
     ],
 )
@@ -218,7 +238,9 @@ def test_extra_packages_are_installed_once_and_again_when_their_pins_change(
     assert ready.setup(f"--{extra}") == (0, output)
 
 
-def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_command(copy):
+def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_command(
+    copy,
+):
     """Without the right to install, the set-up for tests asks for no browser."""
     copy.restrict_tools()
     (copy.bin / "chromium").unlink()
@@ -257,7 +279,9 @@ def test_uv_of_another_clone_installs_with_hashes_over_the_network_that_pip_woul
     del copy.variables["SLOT_PIP"]
     pins_of_uv = copy.root / "scripts/requirements/uv.txt"
     digest = hashlib.sha256(pins_of_uv.read_bytes()).hexdigest()
-    folder = Path(copy.variables["XDG_CACHE_HOME"]) / "slot" / f"uv-{digest[:16]}"
+    folder = (
+        Path(copy.variables["XDG_CACHE_HOME"]) / "slot" / f"uv-{digest[:16]}"
+    )
     folder.mkdir(parents=True)
     executable(folder / "uv", UV)
     settings = copy.root / "pip.conf"
@@ -286,7 +310,9 @@ def test_pip_installs_where_uv_cannot_be_had(copy):
     status, output = copy.setup()
     assert status == 0
     assert "uv cannot be had" in output
-    subprocess.run([copy.home / "venv/bin/python", "-c", "import pip"], check=True)
+    subprocess.run(
+        [copy.home / "venv/bin/python", "-c", "import pip"], check=True
+    )
 
 
 FULL = {
@@ -320,7 +346,9 @@ def test_no_process_goes_on_after_a_signal_on_a_terminal(copy, cut):
     until_build(copy)
     process.send_signal(cut)
     assert process.wait() == (130 if cut != signal.SIGKILL else -cut)
-    subprocess.run(["flock", "-w", "10", copy.home / "lock", "true"], check=True)
+    subprocess.run(
+        ["flock", "-w", "10", copy.home / "lock", "true"], check=True
+    )
     with suppress(OSError):  # until no process has it any more
         while data := os.read(terminal, 4096):
             text += data.decode()
@@ -333,7 +361,9 @@ def test_with_a_ros_installation_python_outside_of_the_venv_keeps_its_own_packag
     ready,
 ):
     """The nodes get those of the venv by its Python, which is the first on the path."""
-    given = {name: ready.variables[name] for name in ("STUBS", "SLOT_ROS", "PATH")}
+    given = {
+        name: ready.variables[name] for name in ("STUBS", "SLOT_ROS", "PATH")
+    }
     variables = environment(given=given, root=ready.root)
     assert str(ready.stubs) in variables["PYTHONPATH"].split(":")
     assert "venv" not in variables["PYTHONPATH"]
@@ -345,7 +375,9 @@ def test_with_a_ros_installation_python_outside_of_the_venv_keeps_its_own_packag
 @pytest.mark.parametrize(
     "name", ["ROS_LOG_DIR", "MPLCONFIGDIR", "COLCON_LOG_PATH", "XDG_CACHE_HOME"]
 )
-def test_logs_and_caches_go_below_the_repository_where_the_home_cannot_be_written(name):
+def test_logs_and_caches_go_below_the_repository_where_the_home_cannot_be_written(
+    name,
+):
     path = environment(given={"HOME": "/proc/nowhere"})[name]
     assert path.startswith(f"{ROOT}/.slot/")
 

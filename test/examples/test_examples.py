@@ -59,7 +59,9 @@ def test_own_controller(output):
     assert own > alone + 2.0
 
 
-def test_learning_begins_with_the_walk_of_the_gait_alone(tmp_path, monkeypatch, output):
+def test_learning_begins_with_the_walk_of_the_gait_alone(
+    tmp_path, monkeypatch, output
+):
     monkeypatch.setattr("slot_lab.learning.learned_walk.SEEDS", (1,))
     monkeypatch.setattr("slot_lab.learning.learned_walk.DURATION", 6.0)
     text = output("learn_to_walk.py", "--generations", "0")
@@ -84,7 +86,9 @@ def test_rod_bends(output):
     ]
 
 
-def test_servo_bus_moves_one_tendon_to_its_goal_and_ends_with_torque_off(capsys):
+def test_servo_bus_moves_one_tendon_to_its_goal_and_ends_with_torque_off(
+    capsys,
+):
     end = runpy.run_path(str(EXAMPLES / "servo_bus.py"))
     text = capsys.readouterr().out
     first, *_, last = numbers(r"([\d.]+) rad", text)
@@ -102,7 +106,9 @@ def test_read_a_bag(tmp_path, output):
     assert (tmp_path / "walk.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_graph_walks_with_a_controller_of_ones_own_and_its_bag_replays(tmp_path):
+def test_the_graph_walks_with_a_controller_of_ones_own_and_its_bag_replays(
+    tmp_path,
+):
     options = ("--lockstep", "--composed", "--policy", OWN, "--duration", "2")
     recorded = Bag(record(tmp_path / "bag", *options))
     assert recorded.origin.files["policy.py"] == Path(OWN).read_bytes()

@@ -22,7 +22,9 @@ def read(bag):
 
 def stamps(rows):
     """Header stamps in ns."""
-    return [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for _, m in rows]
+    return [
+        m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for _, m in rows
+    ]
 
 
 def first_times(rows):

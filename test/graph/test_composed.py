@@ -30,6 +30,6 @@ def test_the_clock_of_a_node_that_runs_cannot_be_changed(how, names):
     """By `ros2 param set`; rclpy itself would follow."""
     command = [sys.executable, "-c", FIXED_CLOCK, how]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ended.stdout.splitlines() == [f"{name} False False" for name in names], (
-        ended.stderr
-    )
+    assert ended.stdout.splitlines() == [
+        f"{name} False False" for name in names
+    ], ended.stderr

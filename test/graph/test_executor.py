@@ -21,7 +21,9 @@ def node():
     context = Context()
     rclpy.init(context=context)
     node = rclpy.create_node("under_test", context=context)
-    executor = DirectExecutor(context=context)  # a node holds its executor weakly
+    executor = DirectExecutor(
+        context=context
+    )  # a node holds its executor weakly
     executor.add_node(node)
     yield node
     node.destroy_node()
@@ -67,7 +69,10 @@ def test_polled_messages_wake_the_node_only_while_they_are_awaited(node):
     received = []
     polled = inputs.PassiveSubscriptions(node)
     polled.subscribe(
-        Int32, "polled", lambda message: received.append(message.data), qos.CONTROL
+        Int32,
+        "polled",
+        lambda message: received.append(message.data),
+        qos.CONTROL,
     )
     publisher = node.create_publisher(Int32, "polled", qos.CONTROL)
 
@@ -90,7 +95,9 @@ def test_service_is_answered_between_messages_and_timers(node):
     received, ticks = [], []
     publisher = node.create_publisher(Int32, "numbers", qos.CONTROL)
     node.create_subscription(Int32, "numbers", received.append, qos.CONTROL)
-    runtime.wall_timer(node, 0.001, lambda: ticks.append(publisher.publish(Int32())))
+    runtime.wall_timer(
+        node, 0.001, lambda: ticks.append(publisher.publish(Int32()))
+    )
 
     def answer(_, response):
         response.success = bool(received and ticks)
@@ -104,7 +111,9 @@ def test_service_is_answered_between_messages_and_timers(node):
     assert future.result().success
 
 
-def test_callbacks_of_an_answer_are_called_at_once_and_not_with_the_next_answer(node):
+def test_callbacks_of_an_answer_are_called_at_once_and_not_with_the_next_answer(
+    node,
+):
     node.create_service(Trigger, "ask", lambda _, response: response)
     client, called = node.create_client(Trigger, "ask"), []
     spin_until(node, client.service_is_ready)

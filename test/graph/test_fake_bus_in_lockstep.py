@@ -23,7 +23,9 @@ faults:
 @pytest.fixture(scope="module")
 def walk(tmp_path_factory):
     """Bag of a walk of 2 s."""
-    return record(tmp_path_factory.mktemp("walk") / "bag", *OPTIONS, "--duration", "2")
+    return record(
+        tmp_path_factory.mktemp("walk") / "bag", *OPTIONS, "--duration", "2"
+    )
 
 
 def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
@@ -53,13 +55,25 @@ def test_joint_states_are_those_of_the_encoders_every_bus_cycle(walk):
 
 
 def test_run_ends_with_torque_off(walk):
-    assert "servos left under torque: none" in (walk / "log/controller.log").read_text()
+    assert (
+        "servos left under torque: none"
+        in (walk / "log/controller.log").read_text()
+    )
 
 
-def test_an_unplugged_bus_ends_the_run_as_its_driver_would(tmp_path, own_config):
+def test_an_unplugged_bus_ends_the_run_as_its_driver_would(
+    tmp_path, own_config
+):
     (own_config / "scene" / "unplugged.yaml").write_text(UNPLUGGED)
     with pytest.raises(RunError, match="controller ended"):
-        record(tmp_path / "bag", *OPTIONS, "--scene", "unplugged", "--duration", "5")
+        record(
+            tmp_path / "bag",
+            *OPTIONS,
+            "--scene",
+            "unplugged",
+            "--duration",
+            "5",
+        )
     log = (tmp_path / "bag/log/controller.log").read_text()
     assert "their bus watchdogs stop the servos" in log
     assert "Traceback" not in log

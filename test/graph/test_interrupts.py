@@ -55,7 +55,9 @@ runtime.run(Interrupted)
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("place", ["make", "library", "import", "callback"])
-def test_a_preparation_is_interrupted_at_once_and_a_callback_is_not(number, place):
+def test_a_preparation_is_interrupted_at_once_and_a_callback_is_not(
+    number, place
+):
     """A node that sends itself the signal at that place ends without a fault."""
     command = [sys.executable, "-c", NODE, str(int(number)), place]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -80,7 +82,10 @@ def test_a_program_that_listens_is_interrupted_between_two_callbacks():
 
 def test_a_thread_listens_while_another_is_the_main_one():
     """As the joystick of test/bags/record_bags.py does; signals are the main thread's."""
-    with ThreadPoolExecutor(1) as pool, listener("in_a_thread") as (_, executor):
+    with (
+        ThreadPoolExecutor(1) as pool,
+        listener("in_a_thread") as (_, executor),
+    ):
         pool.submit(executor.spin_once, 0.01).result()
 
 

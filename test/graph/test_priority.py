@@ -35,7 +35,9 @@ def test_every_thread_takes_the_priority_and_who_has_no_right_to_it_is_told(
     monkeypatch.setattr(
         runtime.os, "sched_setscheduler", Mock(side_effect=PermissionError)
     )
-    with pytest.raises(ConfigError, match=r"^realtime = 20: no right to this priority"):
+    with pytest.raises(
+        ConfigError, match=r"^realtime = 20: no right to this priority"
+    ):
         runtime.take_priority("20")
     runtime.take_priority("")  # nobody has asked for one
     ended.set()
@@ -66,7 +68,9 @@ def test_the_priority_is_taken_where_there_is_a_right_to_it(monkeypatch):
         (1, {"realtime": 20}, "20"),
     ],
 )
-def test_the_priority_that_nobody_has_asked_for(monkeypatch, cores, chosen, priority):
+def test_the_priority_that_nobody_has_asked_for(
+    monkeypatch, cores, chosen, priority
+):
     monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)))
     graph = read_graph()
     specs = graph.nodes({a.name: a.default for a in graph.arguments} | chosen)

@@ -55,7 +55,9 @@ def start(cwd, composed=False):
     """Start a run of the graph; return its process and those of its nodes by name."""
     expected = {
         spec.name
-        for spec in GRAPH.nodes(VALUES | {"lockstep": True, "composed": composed})
+        for spec in GRAPH.nodes(
+            VALUES | {"lockstep": True, "composed": composed}
+        )
     }
     run = subprocess.Popen(
         [*RUN, "--composed" if composed else "--separate"],
@@ -70,7 +72,9 @@ def start(cwd, composed=False):
         assert run.poll() is None, run.communicate()
         for child in psutil.Process(run.pid).children(recursive=True):
             with suppress(psutil.NoSuchProcess):
-                nodes.update({name: child for name in {child.name()} & expected})
+                nodes.update(
+                    {name: child for name in {child.name()} & expected}
+                )
         return nodes.keys() == expected
 
     wait_until(all_started)
@@ -79,7 +83,8 @@ def start(cwd, composed=False):
 
 def all_ended(nodes):
     return not any(
-        psutil.pid_exists(node.pid) and node.is_running() for node in nodes.values()
+        psutil.pid_exists(node.pid) and node.is_running()
+        for node in nodes.values()
     )
 
 
@@ -138,7 +143,9 @@ def adopting():
 
 
 @pytest.mark.usefixtures("adopting")
-def test_every_node_ends_without_a_fault_by_sigterm_when_its_run_is_killed(tmp_path):
+def test_every_node_ends_without_a_fault_by_sigterm_when_its_run_is_killed(
+    tmp_path,
+):
     """The kernel sends the signal, see slot_bringup.forked_node."""
     run, nodes = start(tmp_path)
     wait_for_commands(run)
@@ -157,7 +164,10 @@ def test_a_second_publisher_of_the_commands_ends_the_run_and_is_named(tmp_path):
         node.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
         _, errors = run.communicate()
     assert run.returncode == 1
-    assert "/desired_joint_angles has 2 publishers, limit 1: /force_mapper, " in errors
+    assert (
+        "/desired_joint_angles has 2 publishers, limit 1: /force_mapper, "
+        in errors
+    )
     assert all_ended(nodes)
 
 
@@ -212,7 +222,8 @@ def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(
 ):
     """Cameras' drivers publish best effort, which a reliable subscription does not receive."""
     spec = replace(
-        NODES["state_estimator"], parameters={"best_effort_sensors": best_effort}
+        NODES["state_estimator"],
+        parameters={"best_effort_sensors": best_effort},
     )
     child = subprocess.Popen(
         command_line(spec),
@@ -220,7 +231,10 @@ def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-    received, refused = [], []  # refused: reliable subscriptions that were discovered
+    received, refused = (
+        [],
+        [],
+    )  # refused: reliable subscriptions that were discovered
     try:
         with listener("camera") as (node, executor):
             odometry = node.create_publisher(
@@ -265,7 +279,9 @@ def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(
         ("sim_robot", "scene.solver.step:=1.0", "scene.solver.step"),
     ],
 )
-def test_invalid_parameter_is_refused_in_one_line(tmp_path, name, parameter, message):
+def test_invalid_parameter_is_refused_in_one_line(
+    tmp_path, name, parameter, message
+):
     command = [*command_line(NODES[name]), "-p", parameter]
     done = subprocess.run(
         command, cwd=tmp_path, capture_output=True, text=True, check=False

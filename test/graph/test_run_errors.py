@@ -17,11 +17,19 @@ from slot_bringup.graph import read_graph
 from slot_bringup.processes import Processes
 
 # Signals that the caller ignores (SIGHUP under nohup) would be ignored in the run too.
-RUN = ["env", "--default-signal=HUP,INT,TERM", sys.executable, "-m", "slot_bringup"]
+RUN = [
+    "env",
+    "--default-signal=HUP,INT,TERM",
+    sys.executable,
+    "-m",
+    "slot_bringup",
+]
 RUN += ["--lockstep", "--composed", "--bag"]
 
 
-def test_a_supervisor_alone_is_a_second_graph_in_the_domain(tmp_path, monkeypatch):
+def test_a_supervisor_alone_is_a_second_graph_in_the_domain(
+    tmp_path, monkeypatch
+):
     """A real robot before its first odometry has no estimate. A whole graph: test_processes.py."""
     graph = read_graph()
     processes = Processes(tmp_path)
@@ -31,7 +39,9 @@ def test_a_supervisor_alone_is_a_second_graph_in_the_domain(tmp_path, monkeypatc
         monitor, "DISCOVERY_TIME", 60.0
     )  # it ends with the first message
     try:
-        with pytest.raises(monitor.RunError, match="another graph runs in ROS domain "):
+        with pytest.raises(
+            monitor.RunError, match="another graph runs in ROS domain "
+        ):
             monitor.require_no_other_graph()
     finally:
         processes.stop()
@@ -95,9 +105,7 @@ def test_repeated_signals_end_the_run_cleanly(tmp_path, numbers):
     assert Path(tmp_path, "bag", "log").is_dir()
 
 
-TIPPED = (
-    "pushes: {tip: {time: 0.6, duration: 0.3, force: [0, 0, 0], moment: [4, 0, 0]}}"
-)
+TIPPED = "pushes: {tip: {time: 0.6, duration: 0.3, force: [0, 0, 0], moment: [4, 0, 0]}}"
 # The run looks at the state now and then; RELAX may have ended meanwhile.
 SLACK = "the robot is in (RELAX|FAULT: slack after): "
 FAULT = "faults: {{one: {{kind: {}, leg: RL, time: 1.0, duration: 0.0, value: 0.0}}}}"

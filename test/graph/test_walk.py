@@ -9,7 +9,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from graph_bag import commands_of_core, first_times, read, recorded_commands, stamps
+from graph_bag import (
+    commands_of_core,
+    first_times,
+    read,
+    recorded_commands,
+    stamps,
+)
 from recorded_run import patient
 
 from slot_bringup import monitor, run
@@ -34,7 +40,10 @@ SPACE, PREFIX = "/fleet/ida", "ida/"  # of topics and of frames
 # Topics of the machine, once a second; with key frames before or after the policy has prepared; of
 # names alone.
 OF_THE_MACHINE = {"/diagnostics", "/stage_record", "/recorded_nodes"}
-FIELDS_OF_THE_MACHINE = {"solve_time", "overruns"}  # that differ from run to run
+FIELDS_OF_THE_MACHINE = {
+    "solve_time",
+    "overruns",
+}  # that differ from run to run
 
 
 @pytest.fixture(scope="module")
@@ -109,9 +118,12 @@ def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
     assert len(commands) > 130
     for stamp, command in commands.items():
         assert np.array_equal(recorded[stamp], command), stamp
-    other = commands_of_core(seed=4, seconds=2.5)  # the first stride needs no feedback
+    other = commands_of_core(
+        seed=4, seconds=2.5
+    )  # the first stride needs no feedback
     assert any(
-        not np.array_equal(recorded[stamp], sent) for stamp, sent in other.items()
+        not np.array_equal(recorded[stamp], sent)
+        for stamp, sent in other.items()
     )
 
 
@@ -123,7 +135,9 @@ def test_replay_of_the_bag_gives_bit_equal_results(walk):
 
 def stamp(message):
     part = getattr(message, "transforms", [message])[0]
-    return decode.time(part.clock if hasattr(part, "clock") else part.header.stamp)
+    return decode.time(
+        part.clock if hasattr(part, "clock") else part.header.stamp
+    )
 
 
 def leaves(message, prefix):
@@ -150,7 +164,9 @@ def content(bag, topic, prefix):
     return {stamp(m): tuple(leaves(m, prefix)) for _, m in bag.messages(topic)}
 
 
-def test_a_walk_in_a_namespace_and_one_process_is_that_of_processes_but_for_names(bags):
+def test_a_walk_in_a_namespace_and_one_process_is_that_of_processes_but_for_names(
+    bags,
+):
     """Equal seeds give equal bits."""
     alone, spaced = Bag(bags[""]), Bag(bags[SPACE], SPACE)
     assert (
@@ -163,12 +179,19 @@ def test_a_walk_in_a_namespace_and_one_process_is_that_of_processes_but_for_name
         shared = here.keys() & there.keys()
         assert len(shared) > 0.9 * BESIDE * 30, topic
         for when in shared:
-            assert repr(here[when]) == repr(there[when]), (topic, when)  # NaN too
+            assert repr(here[when]) == repr(there[when]), (
+                topic,
+                when,
+            )  # NaN too
 
 
 def test_a_bag_holds_the_topics_of_its_own_namespace_only(bags):
-    assert all(topic.startswith(f"{SPACE}/") for topic in Bag(bags[SPACE]).topics)
-    assert not any(topic.startswith(f"{SPACE}/") for topic in Bag(bags[""]).topics)
+    assert all(
+        topic.startswith(f"{SPACE}/") for topic in Bag(bags[SPACE]).topics
+    )
+    assert not any(
+        topic.startswith(f"{SPACE}/") for topic in Bag(bags[""]).topics
+    )
 
 
 def test_the_summary_of_a_walk_in_a_namespace_reads_its_bag(bags, capsys):

@@ -83,7 +83,9 @@ class StressCase:
     scene: Changes
     robot: Changes = field(default_factory=dict)
     start: Callable[[RodRobot], None] = stay  # changes the initial state
-    command: Callable[[float], Array] = hold(STANDING_DEG)  # (4,) rad at a time, s
+    command: Callable[[float], Array] = hold(
+        STANDING_DEG
+    )  # (4,) rad at a time, s
     seconds: float = 0.6
     step: float = 1e-3  # s, h
 
@@ -109,7 +111,10 @@ class StressRecord:
 
 def examine(case: StressCase) -> StressRecord:
     """Run a case at h and at h/2, and record it."""
-    coarse, fine = MeasuredRun(case, case.step), MeasuredRun(case, case.step / 2)
+    coarse, fine = (
+        MeasuredRun(case, case.step),
+        MeasuredRun(case, case.step / 2),
+    )
     apart, lost = math.inf, ""
     try:
         paths = [np.array(list(one.path())) for one in (coarse, fine)]
@@ -127,9 +132,15 @@ class MeasuredRun:
     def __init__(self, case: StressCase, step: float) -> None:
         self._case, self._steps = case, round(case.step / step)
         # without the IMU, whose period is shorter than the longest time step
-        changes = {**case.scene, "solver.step": step, "sensors.imu.enabled": False}
+        changes = {
+            **case.scene,
+            "solver.step": step,
+            "sensors.imu.enabled": False,
+        }
         scene = config.replace(read_scene("flat"), changes)
-        self.sim = RodRobot(config.replace(read_robot(), case.robot), scene, SERVO)
+        self.sim = RodRobot(
+            config.replace(read_robot(), case.robot), scene, SERVO
+        )
         case.start(self.sim)
         self.fastest, self.gained, self.sunk = 0.0, -math.inf, -math.inf
 
@@ -146,7 +157,9 @@ class MeasuredRun:
                 )
                 budget += float(sim.tension @ reeled)
                 self.gained = max(self.gained, sim.energy() - budget)
-                corners = sim.position + sim.model.torso.corners @ sim.rotation.T
+                corners = (
+                    sim.position + sim.model.torso.corners @ sim.rotation.T
+                )
                 lowest = min(sim.nodes[:, 1:, 2].min(), corners[:, 2].min())
                 self.sunk = max(self.sunk, -1e3 * float(lowest))
                 speed = np.linalg.norm(sim.state.node_velocity, axis=-1)
@@ -192,7 +205,8 @@ def drop(robot: Changes | None = None, **floor_or_solver: Any) -> Changes:
     """A drop at 0.5 m/s from 30 mm with changes of the robot or the scene (`floor__friction`)."""
     case = thrown(0.5, (0.0, 0.0, 0.0))
     changes = {
-        name.replace("__", "."): value for name, value in floor_or_solver.items()
+        name.replace("__", "."): value
+        for name, value in floor_or_solver.items()
     }
     return {**case, "robot": robot or {}, "scene": {**case["scene"], **changes}}
 
@@ -228,7 +242,9 @@ def struck(sim: RodRobot) -> None:
 def rolled(sim: RodRobot) -> None:
     """Roll the robot by 25 deg: it falls on one edge of its right legs."""
     c, s = math.cos(math.radians(25.0)), math.sin(math.radians(25.0))
-    sim.state.rotation[:] = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    sim.state.rotation[:] = np.array(
+        [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]]
+    )
 
 
 def stretch_stiff(sim: RodRobot) -> None:
@@ -262,7 +278,9 @@ IMPACTS = {
             **thrown(0.0, spin, 0.25),
             seconds=0.8,
         )
-        for axis, spin, apart in zip("xyz", 20.0 * np.eye(3), (15.0, 35.0, 15.0))
+        for axis, spin, apart in zip(
+            "xyz", 20.0 * np.eye(3), (15.0, 35.0, 15.0)
+        )
     },
     # Falls 0.13 m onto its back and bounces: its pose after 1 s depends on every contact.
     "flipped robot": StressCase(
@@ -302,7 +320,8 @@ DROP = Limits(landing(0.72), bottom(0.72), 5.0)
 PARAMETERS = {
     **{
         f"E = {young} Pa": StressCase(
-            replace(DROP, apart=apart), **drop({"leg.young_modulus": float(young)})
+            replace(DROP, apart=apart),
+            **drop({"leg.young_modulus": float(young)}),
         )
         for young, apart in {
             "1e5": 10.0,
@@ -328,7 +347,9 @@ PARAMETERS = {
     ),
     "eps = 1e-4 m/s": StressCase(DROP, **drop(floor__friction_velocity=1e-4)),
     "eps = 1e-6 m/s": StressCase(DROP, **drop(floor__friction_velocity=1e-6)),
-    "friction of bristles": StressCase(DROP, **drop(floor__friction_law="bristle")),
+    "friction of bristles": StressCase(
+        DROP, **drop(floor__friction_law="bristle")
+    ),
     "tip of 1 mm": StressCase(DROP, **drop({"leg.thickness_tip": 1e-3})),
     "tip of 0.1 mm": StressCase(DROP, **drop({"leg.thickness_tip": 1e-4})),
     "torso of 0.02 kg": StressCase(DROP, **drop({"torso.mass": 0.02})),
@@ -361,9 +382,13 @@ IN_SPACE = {
     "legs twisted by 200 deg": StressCase(
         Limits(landing(2.4), bottom(2.4), 15.0), above(0.3), start=wrung
     ),
-    "legs kicked sideways": StressCase(Limits(1e-3, 3.0, 5.0), {}, start=struck),
+    "legs kicked sideways": StressCase(
+        Limits(1e-3, 3.0, 5.0), {}, start=struck
+    ),
     "fall on one edge": StressCase(
-        Limits(landing(1.4), bottom(1.4, corners=2), 15.0), above(0.16), start=rolled
+        Limits(landing(1.4), bottom(1.4, corners=2), 15.0),
+        above(0.16),
+        start=rolled,
     ),
 }
 

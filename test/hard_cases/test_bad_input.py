@@ -14,7 +14,11 @@ from slot_core.refusal import DivergenceError
 from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 
-SETTINGS = {"robot": read_robot(), "scene": read_scene("flat"), "servo": read_servo()}
+SETTINGS = {
+    "robot": read_robot(),
+    "scene": read_scene("flat"),
+    "servo": read_servo(),
+}
 
 
 @pytest.mark.parametrize(
@@ -26,7 +30,9 @@ SETTINGS = {"robot": read_robot(), "scene": read_scene("flat"), "servo": read_se
         ("0,a\n0,0\n", "bad.csv"),
     ],
 )
-def test_an_invalid_height_map_is_refused_by_name(tmp_path, monkeypatch, text, message):
+def test_an_invalid_height_map_is_refused_by_name(
+    tmp_path, monkeypatch, text, message
+):
     (tmp_path / "scene").mkdir()
     if text is not None:
         (tmp_path / "scene" / "bad.csv").write_text(text)
@@ -43,9 +49,18 @@ STILL, GOAL = [0.0, 0.0, 0.0], np.full(4, 0.5)
 @pytest.mark.parametrize(
     ("act", "message"),
     [
-        (lambda sim: sim.advance(1, [0.5, 0.5, 0.5, math.inf]), r"inside \[0, 2\.02"),
-        (lambda sim: sim.advance(1, [0.5, -1e-6, 0.5, 0.5]), r"inside \[0, 2\.02"),
-        (lambda sim: sim.advance(1, [0.5, 0.5, 0.5, 2.03]), r"inside \[0, 2\.02"),
+        (
+            lambda sim: sim.advance(1, [0.5, 0.5, 0.5, math.inf]),
+            r"inside \[0, 2\.02",
+        ),
+        (
+            lambda sim: sim.advance(1, [0.5, -1e-6, 0.5, 0.5]),
+            r"inside \[0, 2\.02",
+        ),
+        (
+            lambda sim: sim.advance(1, [0.5, 0.5, 0.5, 2.03]),
+            r"inside \[0, 2\.02",
+        ),
         (lambda sim: sim.advance(1, [0.5] * 3), ""),
         (lambda sim: sim.advance(1, "pull"), ""),
         (lambda sim: sim.advance(-1, GOAL), "steps"),
@@ -58,7 +73,9 @@ STILL, GOAL = [0.0, 0.0, 0.0], np.full(4, 0.5)
         (lambda sim: sim.damage_tendon(0, slack=-math.inf), "leg"),
     ],
 )
-def test_an_invalid_command_push_or_damage_is_refused_and_changes_nothing(act, message):
+def test_an_invalid_command_push_or_damage_is_refused_and_changes_nothing(
+    act, message
+):
     start = {"start.settle": 0.0, "start.height": 0.5}
     scene = config.replace(SETTINGS["scene"], start)
     sim = RodRobot(SETTINGS["robot"], scene, SETTINGS["servo"])
@@ -110,19 +127,27 @@ def test_a_nan_in_the_state_raises_divergence_with_its_place(
     sim.advance(3, np.full(4, 1.0))
     getattr(sim.state, part)[index] = math.nan
     with pytest.raises(
-        DivergenceError, match=rf"in step 4 at 0\.0030 s: {place} .* not a number"
+        DivergenceError,
+        match=rf"in step 4 at 0\.0030 s: {place} .* not a number",
     ):
         sim.advance(5, np.full(4, 1.0))
     assert sim.steps == 3
 
 
 def test_a_node_beyond_the_speed_limit_raises_divergence_with_its_place():
-    changes = {"start.settle": 0.0, "start.height": 0.5, "solver.speed_limit": 5.0}
+    changes = {
+        "start.settle": 0.0,
+        "start.height": 0.5,
+        "solver.speed_limit": 5.0,
+    }
     sim = RodRobot(
-        SETTINGS["robot"], config.replace(SETTINGS["scene"], changes), SETTINGS["servo"]
+        SETTINGS["robot"],
+        config.replace(SETTINGS["scene"], changes),
+        SETTINGS["servo"],
     )
     sim.state.node_velocity[2, 21] = [0.0, 0.0, 40.0]
     with pytest.raises(
-        DivergenceError, match=r"in step 1 at 0\.0000 s: leg RL node (19|20|21) .* 5\.0"
+        DivergenceError,
+        match=r"in step 1 at 0\.0000 s: leg RL node (19|20|21) .* 5\.0",
     ):
         sim.advance(1, np.zeros(4))

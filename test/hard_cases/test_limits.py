@@ -25,10 +25,13 @@ def test_a_hard_case_stays_within_its_limits(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["full pull within one step, in the air", "contact of 1e7 N/m", "EA x 100"]
+    "name",
+    ["full pull within one step, in the air", "contact of 1e7 N/m", "EA x 100"],
 )
 def test_the_case_diverges_without_halving(name):
     case = CASES[name]
     assert examine(case).halvings > 0
-    whole = dataclasses.replace(case, scene={**case.scene, "solver.halvings": 0})
+    whole = dataclasses.replace(
+        case, scene={**case.scene, "solver.halvings": 0}
+    )
     assert "beyond 100.0 m/s" in examine(whole).lost

@@ -34,7 +34,9 @@ def test_a_short_value_is_quoted_as_in_python(value, text):
 
 
 def test_a_message_keeps_its_begin_and_its_end_and_a_long_value_is_cut():
-    line = str(InputError("/bags/one: " + "a\nb\x1b[2J " * 10**6 + "no such topic"))
+    line = str(
+        InputError("/bags/one: " + "a\nb\x1b[2J " * 10**6 + "no such topic")
+    )
     assert line.startswith(r"/bags/one: a b\x1b[2J")
     assert line.endswith(" no such topic")
     assert line.isprintable()

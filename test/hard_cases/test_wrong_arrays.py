@@ -21,7 +21,14 @@ from slot_core.legs.leg_table import LegTable
 from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.robot import read_robot
 from slot_core.rod.cosserat_rod import CosseratRod
-from slot_core.rod.model import Geometry, Loads, Material, Pose, Rectangle, Support
+from slot_core.rod.model import (
+    Geometry,
+    Loads,
+    Material,
+    Pose,
+    Rectangle,
+    Support,
+)
 from slot_core.rollout_mpc.disturbance_observer import DisturbanceObserver
 from slot_core.rollout_mpc.nominal_robot import NominalRobot
 from slot_core.rollout_mpc.problem import PlanProblem
@@ -53,7 +60,8 @@ class Case(NamedTuple):
 def scene(**changes):
     """The flat scene without settling, on few nodes."""
     return config.replace(
-        read_scene("flat"), {"start.settle": 0.0, "solver.nodes": NODES} | changes
+        read_scene("flat"),
+        {"start.settle": 0.0, "solver.nodes": NODES} | changes,
     )
 
 
@@ -65,7 +73,9 @@ def _legs():
     return {
         "LegSprings.at": Case(springs.at, (np.ones(4), heights), finite=False),
         "LegSprings.angle": Case(springs.angle, (np.ones(4), heights)),
-        "LegSprings": Case(lambda *parts: LegSprings(LegTable(*parts), 1.0), grid),
+        "LegSprings": Case(
+            lambda *parts: LegSprings(LegTable(*parts), 1.0), grid
+        ),
         "LegTable": Case(LegTable, grid, fine=("a million",)),  # of columns
         "StaticLeg.node": Case(
             lambda node: setattr(still, "node", node), (still.node,)
@@ -88,7 +98,9 @@ def _robots():
         robot, config.replace(read_scene("paper"), {"start.settle": 0.0}), servo
     )
     cases = {
-        "PaperLegs.advance": Case(lambda pull: leg.advance(1, pull), (np.zeros(1),)),
+        "PaperLegs.advance": Case(
+            lambda pull: leg.advance(1, pull), (np.zeros(1),)
+        ),
         "PaperRobot.advance": Case(
             paper.advance, (0, np.full(4, 0.5))
         ),  # 1 may diverge
@@ -111,14 +123,18 @@ def _rods():
         (0.0, 0.1, 0.0),
         (0.0,) * 3,
     )
-    rod = CosseratRod(material, Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3))), NODES)
+    rod = CosseratRod(
+        material, Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3))), NODES
+    )
     names = tuple(vars(rod.state))
 
     def set_state(*parts):
         rod.state = type(rod.state)(**dict(zip(names, parts)))
 
     def bent(curvature):
-        shape = Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3)), lambda s: curvature)
+        shape = Geometry(
+            0.2, Rectangle(0.02, (8e-3, 4e-3)), lambda s: curvature
+        )
         CosseratRod(material, shape, NODES)
 
     return {
@@ -126,7 +142,9 @@ def _rods():
         "CosseratRod.run": Case(rod.run, (1e-3, 2)),
         "CosseratRod.step": Case(rod.step, (1e-3,)),
         "Loads": Case(lambda *parts: rod.energy(Loads(*parts)), (vector,) * 4),
-        "Pose": Case(lambda *parts: rod.step(1e-3, base=Pose(*parts)), (still, still)),
+        "Pose": Case(
+            lambda *parts: rod.step(1e-3, base=Pose(*parts)), (still, still)
+        ),
         "Support": Case(Support, ((True,) * 3, (True,) * 3), finite=False),
         "Geometry.curvature": Case(bent, (1.0,)),
     }
@@ -135,8 +153,14 @@ def _rods():
 def _policies():
     settings, robot = read_rollout_mpc(), read_robot()
     model = NominalRobot(robot, settings.nominal, DT)
-    problem, stages = PlanProblem(settings, robot.tendon.angle_max, DT), settings.stages
-    state, start = np.zeros(12), model.at_rest(np.eye(12)[5] * 0.06, np.full(4, 1.0))
+    problem, stages = (
+        PlanProblem(settings, robot.tendon.angle_max, DT),
+        settings.stages,
+    )
+    state, start = (
+        np.zeros(12),
+        model.at_rest(np.eye(12)[5] * 0.06, np.full(4, 1.0)),
+    )
     observer = DisturbanceObserver(model, settings.observer, problem.scale, DT)
     wanted, angle = np.zeros((stages, 6)), np.full((stages + 1, 4), 1.0)
     linear = problem.linearised(np.zeros((len(problem.basis), 6 * stages)))
@@ -172,7 +196,9 @@ def _policies():
             fine=ANY_NUMBER,
         ),
         "PlanProblem.reference": Case(
-            lambda rows, place, drift: problem.reference(rows, place, drift, 0.0),
+            lambda rows, place, drift: problem.reference(
+                rows, place, drift, 0.0
+            ),
             (np.zeros((stages + 1, 12)), np.zeros(3), np.zeros(3)),
             finite=False,
             fine=("one more",),
@@ -184,7 +210,9 @@ def _policies():
             fine=ANY_NUMBER,
         ),
         "PlanProblem.change": Case(
-            lambda b, nominal: problem.change(np.zeros(6 * stages), linear, b, nominal),
+            lambda b, nominal: problem.change(
+                np.zeros(6 * stages), linear, b, nominal
+            ),
             (np.zeros_like(angle), angle),
         ),
         "DisturbanceObserver.observe": Case(
@@ -200,7 +228,10 @@ def _policies():
 
 
 def _estimation():
-    filtered, stamps = InertialFilter(read_estimator()), np.array([0, 5_000_000])
+    filtered, stamps = (
+        InertialFilter(read_estimator()),
+        np.array([0, 5_000_000]),
+    )
     attitude, vector = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3)
     motion = (attitude, vector, vector, vector, np.ones(12))
 
@@ -219,7 +250,9 @@ def _estimation():
             lambda imu: filtered.extrapolate(imu, 1e-3), (np.zeros(6),)
         ),
         "InertialFilter.propagate": Case(
-            lambda values: use(values, stamps), (np.zeros((2, 6)),), finite=False
+            lambda values: use(values, stamps),
+            (np.zeros((2, 6)),),
+            finite=False,
         ),
     }
 
@@ -231,7 +264,9 @@ def _vision():
     image = np.zeros((camera.height, camera.width), np.uint8)
     return {
         "Camera.rays": Case(camera.rays, (np.zeros((5, 2)),), False, ANY_AXES),
-        "Camera.project": Case(camera.project, (np.ones((5, 3)),), False, ANY_AXES),
+        "Camera.project": Case(
+            camera.project, (np.ones((5, 3)),), False, ANY_AXES
+        ),
         "MarkerDetector.find": Case(detector.find, (image,), finite=False),
     }
 
@@ -249,7 +284,9 @@ def wrong(array, finite):
         ("text", np.full(shape, "x")[()]),
     ]
     if shape:
-        many = np.zeros((*shape[:-1], 2**20 // max(1, int(np.prod(shape[:-1])))))
+        many = np.zeros(
+            (*shape[:-1], 2**20 // max(1, int(np.prod(shape[:-1]))))
+        )
         found += [
             ("an axis less", array[0]),
             ("no element", array[:0]),
@@ -261,7 +298,8 @@ def wrong(array, finite):
         last = np.zeros(shape, bool)
         last[(-1,) * array.ndim] = True
         found += [
-            (str(bad), np.where(last, bad, array)[()]) for bad in (np.nan, np.inf)
+            (str(bad), np.where(last, bad, array)[()])
+            for bad in (np.nan, np.inf)
         ]
     return found
 
@@ -272,8 +310,14 @@ def test_arrays_of_wrong_shapes_types_and_values_are_refused(group):
         for place, value in enumerate(case.good):
             for what, spoiled in wrong(np.asarray(value), case.finite):
                 if what not in case.fine:
-                    values = (*case.good[:place], spoiled, *case.good[place + 1 :])
+                    values = (
+                        *case.good[:place],
+                        spoiled,
+                        *case.good[place + 1 :],
+                    )
                     with pytest.raises(ValueError, match=r"^.{,300}$"):  # noqa: PT012
                         case.call(*values)
-                        pytest.fail(f"{name}, argument {place}: {what}: accepted")
+                        pytest.fail(
+                            f"{name}, argument {place}: {what}: accepted"
+                        )
         case.call(*case.good)

@@ -32,14 +32,18 @@ SHAPE = NetworkShape(20, 3)
 def network(folder, shape=SHAPE, about=None, scale=0.3):
     """File of a random network, and its parameters."""
     parameters = scale * np.random.default_rng(3).standard_normal(shape.size)
-    write_onnx(folder / "net.onnx", shape, parameters, WALK if about is None else about)
+    write_onnx(
+        folder / "net.onnx", shape, parameters, WALK if about is None else about
+    )
     return folder / "net.onnx", parameters
 
 
 @pytest.fixture(scope="module")
 def tick():
     """A tick in the middle of a stride."""
-    loop = ClosedLoop("flat", "walk", np.array([0.05, 0.0, 0.0]), 1, "gait_alone")
+    loop = ClosedLoop(
+        "flat", "walk", np.array([0.05, 0.0, 0.0]), 1, "gait_alone"
+    )
     return list(loop.run(60))[-1]
 
 
@@ -55,7 +59,10 @@ def test_tendon_actions_are_added_to_the_angles_of_every_stage(tmp_path, tick):
     shape = NetworkShape(21, 4)
     file, _ = network(tmp_path, shape, {GAIT: "walk", KIND: "tendons"})
     policy = make_policy(f"onnx:{file}", read_robot())
-    change = policy.step(tick.estimate, tick.preview).angle - tick.preview.tendon_angle
+    change = (
+        policy.step(tick.estimate, tick.preview).angle
+        - tick.preview.tendon_angle
+    )
     assert np.ptp(change, axis=0) == pytest.approx(0.0, abs=1e-12)
     assert 0.0 < np.abs(change).max() <= ANGLE_MAX
 
@@ -66,7 +73,9 @@ def test_outside_its_gait_and_while_servos_do_not_follow_it_plans_the_gait(
 ):
     policy = make_policy(f"onnx:{network(tmp_path)[0]}", read_robot())
     preview = replace(tick.preview, **changes)
-    assert (policy.step(tick.estimate, preview).angle == preview.tendon_angle).all()
+    assert (
+        policy.step(tick.estimate, preview).angle == preview.tendon_angle
+    ).all()
 
 
 def test_an_estimate_or_action_that_is_not_finite_gets_the_gait(tmp_path, tick):
@@ -81,9 +90,14 @@ def test_an_estimate_or_action_that_is_not_finite_gets_the_gait(tmp_path, tick):
     assert plans[0].message.startswith("state[0] = nan: outside")
     assert (plans[1].angle == tick.preview.tendon_angle).all()
     assert (plans[2].angle != tick.preview.tendon_angle).any()
-    odd = make_policy(f"onnx:{network(tmp_path, scale=np.nan)[0]}", read_robot())
+    odd = make_policy(
+        f"onnx:{network(tmp_path, scale=np.nan)[0]}", read_robot()
+    )
     plan = odd.step(tick.estimate, tick.preview)
-    assert (plan.status.name, plan.message) == ("NOT_SOLVED", "action not finite")
+    assert (plan.status.name, plan.message) == (
+        "NOT_SOLVED",
+        "action not finite",
+    )
     assert (plan.angle == tick.preview.tendon_angle).all()
 
 
@@ -119,7 +133,12 @@ def test_a_file_that_is_no_network_of_one_robot_is_refused_in_one_line(
     model = onnx.load(file)
     for port in (model.graph.input[0], model.graph.output[0]):
         port.type.tensor_type.shape.dim[0].dim_value = 5
-    for content in (model.SerializeToString(), b"", b"no network", b"\x08" * 5000):
+    for content in (
+        model.SerializeToString(),
+        b"",
+        b"no network",
+        b"\x08" * 5000,
+    ):
         file.write_bytes(content)
         assert "net.onnx" in refusal_of(file)
     file.unlink()
@@ -139,7 +158,14 @@ def test_a_policy_that_sees_the_servos_is_not_exported(tmp_path):
 def test_the_graph_walks_with_a_network_and_its_bag_replays(tmp_path):
     file, _ = network(tmp_path)
     policy = f"onnx:{file}"
-    options = ("--lockstep", "--composed", "--policy", policy, "--duration", "4")
+    options = (
+        "--lockstep",
+        "--composed",
+        "--policy",
+        policy,
+        "--duration",
+        "4",
+    )
     recorded = Bag(record(tmp_path / "bag", *options))
     assert recorded.origin.files["policy.onnx"] == file.read_bytes()
     compared = {c.topic: c for c in check_bag(recorded, 0.0, policy)}

@@ -6,7 +6,9 @@ import pytest
 from slot_core.config import ConfigError
 from slot_core.simulation.closed_loop import ClosedLoop
 
-gymnasium = pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
+gymnasium = pytest.importorskip(
+    "gymnasium", reason="needs scripts/setup --learn"
+)
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
 from slot_lab.learning import rewards  # noqa: E402
@@ -27,7 +29,9 @@ def walked(env, count, seed=3):
 @pytest.mark.parametrize("actions", ["amplitudes", "tendons"])
 @pytest.mark.parametrize("observations", ["estimated", "true"])
 def test_gymnasium_finds_no_fault(actions, observations):
-    env = gymnasium.make(NAME, actions=actions, observations=observations, **SHORT)
+    env = gymnasium.make(
+        NAME, actions=actions, observations=observations, **SHORT
+    )
     check_env(env.unwrapped, skip_render_check=True)
 
 
@@ -37,7 +41,9 @@ def test_gymnasium_makes_the_vector_environment_by_the_same_name():
     )
     assert isinstance(env.unwrapped, WalkVectorEnv)
     assert env.observation_space.contains(env.reset(seed=1)[0])
-    assert env.observation_space.contains(env.step(env.action_space.sample())[0])
+    assert env.observation_space.contains(
+        env.step(env.action_space.sample())[0]
+    )
 
 
 @pytest.mark.parametrize("level", ["map", "coarse"])
@@ -47,7 +53,9 @@ def test_without_actions_it_is_the_closed_loop_with_the_gait_alone(level):
     scene = {f"scene.{name}": value for name, value in changes.items()}
     seed = int(np.random.default_rng(3).integers(2**31))  # what a reset draws
     velocity = np.array(env.task.velocity)
-    loop = ClosedLoop("flat", "walk", velocity, seed, "gait_alone", changes=scene)
+    loop = ClosedLoop(
+        "flat", "walk", velocity, seed, "gait_alone", changes=scene
+    )
     for _ in loop.run(21):
         position = loop.plant.robot.position
     assert env._loop.plant.robot.position.tolist() == position.tolist()
@@ -98,7 +106,10 @@ def test_an_episode_ends_after_its_time_and_the_next_step_begins_another():
 
 
 def test_a_robot_that_falls_ends_its_episode_alone_and_without_a_reward():
-    still, both = np.zeros((2, 3)), [WalkVectorEnv(2, level="map") for _ in range(2)]
+    still, both = (
+        np.zeros((2, 3)),
+        [WalkVectorEnv(2, level="map") for _ in range(2)],
+    )
     for env in both:
         env.reset(seed=1)
     both[0]._robots.robots[0].push(np.zeros(3), np.array([3.0, 0.0, 0.0]))
@@ -131,7 +142,10 @@ def test_what_is_drawn_is_set_for_all_values_or_for_each():
     ("arguments", "named"),
     [
         ({"level": "exact"}, "level = 'exact': expected one of coarse"),
-        ({"actions": "legs"}, "actions = 'legs': expected one of tendons, amplitudes"),
+        (
+            {"actions": "legs"},
+            "actions = 'legs': expected one of tendons, amplitudes",
+        ),
         ({"observations": "all"}, "observations = 'all'"),
         ({"gait": "stand"}, "gait = 'stand': expected one of "),
         ({"duration": 0.0}, r"duration = 0: outside \[0.033, 3600\] s"),
@@ -140,8 +154,14 @@ def test_what_is_drawn_is_set_for_all_values_or_for_each():
             {"drawn": {"robot.leg.width": (1, 2)}},
             "drawn robot.leg.width: expected velocity or",
         ),
-        ({"drawn": {"scene.floor.mu": (0.1, 0.2)}}, "scene: floor.mu is not a setting"),
-        ({"drawn": {"scene.floor.friction": (-2.0, -1.0)}}, r"friction\[0\] = -"),
+        (
+            {"drawn": {"scene.floor.mu": (0.1, 0.2)}},
+            "scene: floor.mu is not a setting",
+        ),
+        (
+            {"drawn": {"scene.floor.friction": (-2.0, -1.0)}},
+            r"friction\[0\] = -",
+        ),
         ({"scene": "push"}, "its pushes and faults come at times of their own"),
     ],
 )
@@ -164,5 +184,8 @@ def test_speed_place_and_heading_off_the_course_cost(strayed, term, value):
     others = (np.zeros((1, size)) for size in (2, 4, 3))
     moved = rewards.Transition(np.zeros((1, 12)), *values, *others)
     terms = rewards.reward_terms(moved)
-    expected = dict.fromkeys(rewards.WEIGHTS, 0.0) | {"walking": 1.0, term: value}
+    expected = dict.fromkeys(rewards.WEIGHTS, 0.0) | {
+        "walking": 1.0,
+        term: value,
+    }
     assert terms == pytest.approx(expected, abs=1e-9)

@@ -13,12 +13,19 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.leg_tests.held_leg import HeldLeg
-from slot_lab.leg_tests.leg_map import COLUMNS, LegMapSettings, StaticLeg, tabulate
+from slot_lab.leg_tests.leg_map import (
+    COLUMNS,
+    LegMapSettings,
+    StaticLeg,
+    tabulate,
+)
 from slot_lab.leg_tests.level_leg import NoEquilibriumError, at_nodes
 
 ROBOT = read_robot()
 # Without damping, a slowly moving leg has the forces of a leg at rest.
-UNDAMPED = config.replace(ROBOT, {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0})
+UNDAMPED = config.replace(
+    ROBOT, {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0}
+)
 HEIGHT, RATE = 0.09, np.radians(20.0)
 
 
@@ -33,7 +40,9 @@ def pulled(nodes, angle, height, steps=20):
 
 def energy(x, model, angle, height):
     """Energy of the leg, J, from its free nodes."""
-    return leg_energy(model, np.vstack([[0.0, 0.0], x.reshape(-1, 2)]), angle, height)
+    return leg_energy(
+        model, np.vstack([[0.0, 0.0], x.reshape(-1, 2)]), angle, height
+    )
 
 
 def test_equilibrium_is_a_minimum_of_the_energy():
@@ -51,7 +60,8 @@ def test_equilibrium_is_a_minimum_of_the_energy():
 
 
 @pytest.mark.parametrize(
-    ("angle_deg", "height"), [(50.0, 0.05), (80.0, 0.05), (100.0, 0.05), (95.0, 0.1)]
+    ("angle_deg", "height"),
+    [(50.0, 0.05), (80.0, 0.05), (100.0, 0.05), (95.0, 0.1)],
 )
 def test_derivatives_are_difference_quotients(angle_deg, height):
     """Of force, and of the contact, which shifts as the material where the tip alone touches."""
@@ -61,9 +71,13 @@ def test_derivatives_are_difference_quotients(angle_deg, height):
         (step, 0.0, (here.slope, here.foot_slope)),
         (0.0, step, (here.stiffness, here.foot_rise)),
     ):
-        up, down = (leg.solve(angle + s * turn, height + s * rise) for s in (1, -1))
+        up, down = (
+            leg.solve(angle + s * turn, height + s * rise) for s in (1, -1)
+        )
         # The force has kinks where a node touches; none within a micrometre of these points.
-        change = np.array([up.force - down.force, up.contact_x - down.contact_x])
+        change = np.array(
+            [up.force - down.force, up.contact_x - down.contact_x]
+        )
         count = 2 if height == 0.1 else 1
         found = change[:count] / (2 * step)
         assert slopes[:count] == pytest.approx(found, rel=1e-4)
@@ -81,7 +95,9 @@ def test_material_and_contact_shift_oppositely_where_the_leg_rolls():
 def test_standing_robot_has_the_height_at_which_each_leg_carries_a_quarter():
     """Same number of nodes, no friction."""
     smooth = {"floor.friction": [0.0] * 4, "start.settle": 10.0}
-    sim = RodRobot(ROBOT, config.replace(read_scene("flat"), smooth), read_servo())
+    sim = RodRobot(
+        ROBOT, config.replace(read_scene("flat"), smooth), read_servo()
+    )
     force = pulled(22, sim.tendon_angle[0], sim.position[2])[1].force
     # After ten seconds it still oscillates at 0.03 mm/s: micrometres, at 130 N/m.
     assert force == pytest.approx(ROBOT.weight / 4, rel=1e-4)
@@ -121,11 +137,15 @@ def test_force_without_friction_equals_that_of_the_static_leg(angle_deg):
     for part in np.linspace(0.0, np.radians(angle_deg), 40):
         expected = rest.solve(part, HEIGHT).force
     # Inertia remains: the force oscillates by some hundredths of a newton after touch-down.
-    assert leg.pull(np.radians(angle_deg), RATE) == pytest.approx(expected, abs=0.02)
+    assert leg.pull(np.radians(angle_deg), RATE) == pytest.approx(
+        expected, abs=0.02
+    )
 
 
 @pytest.mark.parametrize("friction", [0.1, 0.3])
-def test_force_balance_leaves_the_coulomb_friction_of_the_sliding_foot(friction):
+def test_force_balance_leaves_the_coulomb_friction_of_the_sliding_foot(
+    friction,
+):
     """The energy gradient is zero at free nodes and mu N along the floor at touching nodes."""
     angle, leg = np.radians(100.0), HeldLeg(UNDAMPED, 12, friction, HEIGHT)
     before = leg.pull(angle - 0.01, RATE), leg.node
@@ -136,7 +156,8 @@ def test_force_balance_leaves_the_coulomb_friction_of_the_sliding_foot(friction)
     )
     x, step = node[1:].ravel(), 1e-7 * np.eye(2 * len(slip))
     up, down = (
-        [energy(x + s * d, leg.model, angle, HEIGHT) for d in step] for s in (1, -1)
+        [energy(x + s * d, leg.model, angle, HEIGHT) for d in step]
+        for s in (1, -1)
     )
     residual = np.subtract(up, down).reshape(-1, 2) / 2e-7
     touching = normal > 0.0

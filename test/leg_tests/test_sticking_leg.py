@@ -14,7 +14,11 @@ from slot_lab.leg_tests.leg_map import StickingLeg
 
 ROBOT = read_robot()
 # Natural shapes: that of the robot, and parabolas that turn by 21 and 49 deg.
-SHAPES = (6.356, -1.810, 0.0, 0.02175), (0.0, -1.0, 0.0, 0.0), (0.0, -3.0, 0.0, 0.0)
+SHAPES = (
+    (6.356, -1.810, 0.0, 0.02175),
+    (0.0, -1.0, 0.0, 0.0),
+    (0.0, -3.0, 0.0, 0.0),
+)
 
 
 class Standing:
@@ -22,7 +26,9 @@ class Standing:
 
     def __init__(self, model, node, angle, height):
         self.model, self.angle, self.height = model, angle, height
-        self.node = np.column_stack([node[:, 0], np.zeros(len(node)), node[:, 1]])
+        self.node = np.column_stack(
+            [node[:, 0], np.zeros(len(node)), node[:, 1]]
+        )
         self.director = np.tile([0.0, -1.0, 0.0], (len(node) - 1, 1))
         self.corner = self.corners(self.node, self.director)
         self.touching = height + self.corner[:, 2] < 0.0
@@ -40,7 +46,12 @@ class Standing:
         shift = np.vstack([move[:3], move[6 : 6 + 3 * n].reshape(-1, 3)])
         node, clamp = self.node + shift, Rotation.from_rotvec(move[3:6])
         found, directors = chain_strains(
-            self.model.rod, clamp, self.node, self.director, node, move[6 + 3 * n :]
+            self.model.rod,
+            clamp,
+            self.node,
+            self.director,
+            node,
+            move[6 + 3 * n :],
         )
         corner = self.corners(node, directors)
         slid = ((corner - self.corner)[:, :2] ** 2).sum(1)
@@ -57,7 +68,10 @@ def hessian(function, size, step):
         for j in range(i + 1):
             both, apart = move[i] + move[j], move[i] - move[j]
             value = (
-                function(both) + function(-both) - function(apart) - function(-apart)
+                function(both)
+                + function(-both)
+                - function(apart)
+                - function(-apart)
             )
             found[i, j] = found[j, i] = value / (4 * step * step)
     return found
@@ -71,12 +85,16 @@ def test_stiffness_is_that_of_an_independent_energy(angle_deg, height):
     chain = Standing(leg.model, here.node, angle, height)
     whole = hessian(chain.energy, 6 + 4 * (nodes - 1), 1e-5)
     free = whole[6:, 6:]
-    expected = whole[:6, :6] - whole[:6, 6:] @ np.linalg.solve(free, whole[6:, :6])
+    expected = whole[:6, :6] - whole[:6, 6:] @ np.linalg.solve(
+        free, whole[6:, :6]
+    )
     assert np.linalg.eigvalsh(free).min() > 0.0
     found = leg.stiffness(here.node, angle, height)
     # Rounding of an energy of some 1e-1 J over squared steps of 1e-5 leaves 1e-6 N/m in terms of up
     # to 1e5 N/m; the differences neglect the fourth derivative.
-    np.testing.assert_allclose(found[:3, :3], expected[:3, :3], rtol=1e-4, atol=0.02)
+    np.testing.assert_allclose(
+        found[:3, :3], expected[:3, :3], rtol=1e-4, atol=0.02
+    )
     np.testing.assert_allclose(found[3:], expected[3:], rtol=1e-3, atol=2e-3)
 
 
@@ -96,7 +114,9 @@ def unit_loads(leg, shape, nodes=4001):
     return np.array(
         [
             [
-                simpson(a * c / section.torsion + b * d / section.lateral, x=arc)
+                simpson(
+                    a * c / section.torsion + b * d / section.lateral, x=arc
+                )
                 for c, d in zip(twist, bend)
             ]
             for a, b in zip(twist, bend)
@@ -107,9 +127,14 @@ def unit_loads(leg, shape, nodes=4001):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_stiffness_sideways_of_an_unloaded_leg_is_that_of_unit_loads(shape):
     """Bending and twist of the natural curve, whose tip is held by the springs of its two edges."""
-    robot = config.replace(ROBOT, {"leg.natural_shape": shape, "leg.density": 1.0})
+    robot = config.replace(
+        ROBOT, {"leg.natural_shape": shape, "leg.density": 1.0}
+    )
     floor = StickingLeg(robot, 121).model.floor
-    tip, edge = 2 * floor.stiffness[-1], 2 * floor.stiffness[-1] * floor.half_width**2
+    tip, edge = (
+        2 * floor.stiffness[-1],
+        2 * floor.stiffness[-1] * floor.half_width**2,
+    )
     compliance = unit_loads(robot.leg, robot.leg.shape) + np.diag(
         [1 / tip, 1 / edge, 1 / edge]
     )

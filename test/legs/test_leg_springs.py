@@ -28,18 +28,27 @@ def test_force_slope_stiffness_and_contact_are_those_of_a_bilinear_interpolation
 ):
     """By SciPy, with angle and height moved to the table's edges; arrays of any shape."""
     rng, shape = np.random.default_rng(0), (500, 4)
-    angle, height = rng.uniform(-0.2, 2.4, shape), rng.uniform(-0.01, 0.15, shape)
+    angle, height = (
+        rng.uniform(-0.2, 2.4, shape),
+        rng.uniform(-0.01, 0.15, shape),
+    )
     grid = table.angle, table.height
     inside = [np.clip(v, g[0], g[-1]) for v, g in zip((angle, height), grid)]
-    exact = RegularGridInterpolator(grid, table.table)(np.stack(inside, axis=-1))
+    exact = RegularGridInterpolator(grid, table.table)(
+        np.stack(inside, axis=-1)
+    )
     force, slope, stiffness, contact = np.moveaxis(exact, -1, 0)
     found = springs.at(angle, height)
     # both bounds are active somewhere
     assert slope.min() < SLOPE_MIN
     assert stiffness.max() > 0.0
     np.testing.assert_allclose(found.force, force, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(found.slope, np.maximum(slope, SLOPE_MIN), atol=1e-12)
-    np.testing.assert_allclose(found.stiffness, np.minimum(stiffness, 0.0), atol=1e-10)
+    np.testing.assert_allclose(
+        found.slope, np.maximum(slope, SLOPE_MIN), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        found.stiffness, np.minimum(stiffness, 0.0), atol=1e-10
+    )
     np.testing.assert_allclose(found.contact, contact, rtol=0, atol=1e-14)
 
 
@@ -60,7 +69,9 @@ def test_the_angle_of_a_force_is_the_least_one_that_gives_it(springs, table):
     assert beyond == pytest.approx([table.angle[-1], table.angle[0]])
 
 
-@pytest.mark.parametrize("content", ["", "theta_deg,height_m\n1,2\n", "a,b\n1\n2,3\n"])
+@pytest.mark.parametrize(
+    "content", ["", "theta_deg,height_m\n1,2\n", "a,b\n1\n2,3\n"]
+)
 def test_a_table_that_is_no_grid_is_rejected(tmp_path, monkeypatch, content):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     (tmp_path / "leg_map.csv").write_text(content)

@@ -34,7 +34,10 @@ def simulator(robot=ROBOT, name="map", **changes):
 def read(name):
     """Column of the table over angle (rad) and height (m), interpolated by SciPy."""
     with (config.config_dir() / "leg_map.csv").open() as file:
-        rows = [(r["theta_deg"], r["height_m"], r[name]) for r in csv.DictReader(file)]
+        rows = [
+            (r["theta_deg"], r["height_m"], r[name])
+            for r in csv.DictReader(file)
+        ]
     theta, height, value = np.array(rows, dtype=float).T
     grid = np.radians(np.unique(theta)), np.unique(height)
     table = RegularGridInterpolator(grid, value.reshape(len(grid[0]), -1))
@@ -49,7 +52,10 @@ def test_without_friction_each_leg_carries_a_quarter_of_the_weight_at_the_height
     height = brentq(
         lambda h: force(angle, h) - ROBOT.weight / 4, 0.015, 0.12, xtol=1e-12
     )
-    changes = {"start.settle": 30.0, "start.tendon_angle_deg": theta_deg} | SMOOTH
+    changes = {
+        "start.settle": 30.0,
+        "start.tendon_angle_deg": theta_deg,
+    } | SMOOTH
     sim = simulator(**changes)
     # The bounce decays within a second.
     assert sim.tendon_angle == pytest.approx(np.full(4, angle), abs=1e-9)
@@ -95,16 +101,22 @@ def forces_by_hand(angle, height, rotation):
         def drop(x, clamp=clamp, outward=outward):
             return (height + up @ (clamp + x * outward)) / up[2]
 
-        x = fixed_point(lambda x, drop=drop: reach(angle, drop(x)), 0.16, xtol=1e-13)
+        x = fixed_point(
+            lambda x, drop=drop: reach(angle, drop(x)), 0.16, xtol=1e-13
+        )
         low = drop(x)
-        push = up * force(angle, low) / (up[2] - up @ outward * path(angle, low))
+        push = (
+            up * force(angle, low) / (up[2] - up @ outward * path(angle, low))
+        )
         total += push
         moment += np.cross(clamp + x * outward - [0.0, 0.0, low], push)
     return total, moment
 
 
 @pytest.mark.parametrize("rpy_deg", [(0, 5, 0), (4, 0, 0), (3, -6, 20)])
-def test_forces_on_a_tilted_torso_are_those_of_the_table_at_its_four_feet(rpy_deg):
+def test_forces_on_a_tilted_torso_are_those_of_the_table_at_its_four_feet(
+    rpy_deg,
+):
     rotation = Rotation.from_euler("xyz", rpy_deg, degrees=True)
     step, height = 1e-6, 0.06
     sim = simulator(**{"solver.step": step, "start.height": height} | SMOOTH)
@@ -114,7 +126,9 @@ def test_forces_on_a_tilted_torso_are_those_of_the_table_at_its_four_feet(rpy_de
     sim.advance(1, sim.tendon_angle)
     force, moment = forces_by_hand(math.radians(75), height, rotation)
     # The two iterations for the places of the feet leave 1e-3; the servo turned by 1e-10 rad.
-    assert sim.specific_force * ROBOT.mass == pytest.approx(force, rel=2e-3, abs=2e-3)
+    assert sim.specific_force * ROBOT.mass == pytest.approx(
+        force, rel=2e-3, abs=2e-3
+    )
     turning = ROBOT.inertia @ sim.angular_velocity / step
     assert turning == pytest.approx(moment, rel=5e-3, abs=5e-4)
 
@@ -131,7 +145,9 @@ def energy(sim, line, sideways):
     v, w, foot = sim.velocity, sim.angular_velocity, sim.state.node[:, 0]
     grip = sim.model.floor.bristle * sim.model.floor.stiffness[-1]
     moving = ROBOT.mass * v @ v + w @ ROBOT.inertia @ w
-    springs = sideways * (foot[:, 1] ** 2).sum() + grip * (sim.state.bristle**2).sum()
+    springs = (
+        sideways * (foot[:, 1] ** 2).sum() + grip * (sim.state.bristle**2).sum()
+    )
     weight = ROBOT.mass * GRAVITY * sim.position[2]
     return (moving + springs) / 2 + weight - line(-foot[:, 2]).sum()
 
@@ -139,7 +155,10 @@ def energy(sim, line, sideways):
 @pytest.mark.parametrize("robot", [ELASTIC, ROBOT])
 def test_energy_does_not_grow_in_a_bounce(robot):
     """On held spools, without friction; potential energy: integral of the table's force."""
-    angle, changes = math.radians(70.0), {"solver.step": 5e-4, "start.height": 0.085}
+    angle, changes = (
+        math.radians(70.0),
+        {"solver.step": 5e-4, "start.height": 0.085},
+    )
     line, sim = stored(angle), simulator(robot, **changes | SMOOTH)
     sim.state.tendon_angle[:] = angle
     energies = [ROBOT.mass * GRAVITY * 0.085 - 4 * line(0.085)]
@@ -147,7 +166,9 @@ def test_energy_does_not_grow_in_a_bounce(robot):
         sim.advance(1, sim.tendon_angle)
         z, v = sim.position[2], sim.velocity[2]
         energies.append(ROBOT.mass * (v * v / 2 + GRAVITY * z) - 4 * line(z))
-    assert energies[0] - energies[-1] > 1e-3  # J: dissipated by theta = 0.55 and beta
+    assert (
+        energies[0] - energies[-1] > 1e-3
+    )  # J: dissipated by theta = 0.55 and beta
     # J, rounding; each step dissipates about 1e-6 J
     assert np.diff(energies).max() < 1e-9
 
@@ -186,7 +207,9 @@ def test_soft_and_stiff_legs_are_stable_at_steps_of_5_ms(sideways, law):
 def test_moment_about_the_vertical_turns_a_stuck_robot_by_the_springs_of_its_legs():
     """Each foot resists sideways with its leg and bristle in series, outward with its bristle."""
     sim, moment = (
-        simulator(**{"floor.friction_law": "bristle", "start.settle": 10.0} | SMOOTH),
+        simulator(
+            **{"floor.friction_law": "bristle", "start.settle": 10.0} | SMOOTH
+        ),
         0.1,
     )
     sim.model.friction[:] = 2.0
@@ -195,7 +218,10 @@ def test_moment_about_the_vertical_turns_a_stuck_robot_by_the_springs_of_its_leg
     sim.advance(5000, sim.tendon_angle)
     foot = ROBOT.clamps + read("contact_x_m")(STANCE, height) * ROBOT.outward
     lever, offset = (foot * ROBOT.outward).sum(1), (foot * sim.legs.left).sum(1)
-    grip, leg = sim.model.floor.stiffness[-1], read("sideways_N_per_m")(STANCE, height)
+    grip, leg = (
+        sim.model.floor.stiffness[-1],
+        read("sideways_N_per_m")(STANCE, height),
+    )
     stiffness = (lever**2 / (1.0 / grip + 1.0 / leg) + offset**2 * grip).sum()
     assert np.abs(sim.state.node[:, 0, 1]).min() > 3e-4  # m
     # The angle is 2e-3; changes of the bristles' directions are of second order in it.
@@ -205,7 +231,10 @@ def test_moment_about_the_vertical_turns_a_stuck_robot_by_the_springs_of_its_leg
 def test_error_is_of_first_order_in_the_step():
     def end(step):
         sim = simulator(**{"solver.step": step})
-        for command in (np.full(4, STANCE), np.radians([90.0, 30.0, 50.0, 75.0])):
+        for command in (
+            np.full(4, STANCE),
+            np.radians([90.0, 30.0, 50.0, 75.0]),
+        ):
             sim.advance(round(0.3 / step), command)
         return np.append(sim.position, sim.rpy)
 
@@ -236,7 +265,9 @@ def test_robot_sticks_on_a_slope_with_bristles_and_creeps_with_viscous_friction(
 
 def test_slack_tendon_equals_a_spool_turned_back_and_broken_one_has_no_tension():
     slack = {"tendons.slack": (0.002,) * 4, "start.settle": 30.0} | SMOOTH
-    turned = simulator(**slack | {"start.tendon_angle_deg": 63.0 + math.degrees(0.2)})
+    turned = simulator(
+        **slack | {"start.tendon_angle_deg": 63.0 + math.degrees(0.2)}
+    )
     plain = simulator(**{"start.settle": 30.0} | SMOOTH)
     assert turned.position[2] == pytest.approx(plain.position[2], abs=1e-9)
     broken = simulator(**{"tendons.broken": (True,) * 4, "start.settle": 1.0})
@@ -257,7 +288,9 @@ def test_standing_and_stepping_agree_with_the_rods_within_a_millimetre_and_a_hal
             sim.advance(10, np.full(4, STANCE) if k < 50 else late)
             path.append(sim.position)
         paths.append(np.array(path))
-    assert np.sqrt(np.sum((paths[0] - paths[1]) ** 2, axis=1).mean()) < 1.5e-3  # 1.1 mm
+    assert (
+        np.sqrt(np.sum((paths[0] - paths[1]) ** 2, axis=1).mean()) < 1.5e-3
+    )  # 1.1 mm
 
 
 @pytest.mark.parametrize(

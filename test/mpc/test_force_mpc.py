@@ -36,7 +36,9 @@ def new_mpc(**changes):
 
 
 def preview(stages=H + 1, **changes):
-    return standing(stages, **{"normal_force": np.full((stages, 4), HOVER)} | changes)
+    return standing(
+        stages, **{"normal_force": np.full((stages, 4), HOVER)} | changes
+    )
 
 
 # --- the problem and its solution ---
@@ -84,17 +86,24 @@ def optimum(x0, ahead, horizon):
         cvxpy.abs(u[:, 1::3]) <= mu_f_z,
     ]
     error = (x[1:] - ahead.reference[1 : horizon + 1]) @ np.diag(q)
-    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares((u - u_ref) @ np.diag(r))
+    cost = cvxpy.sum_squares(error) + cvxpy.sum_squares(
+        (u - u_ref) @ np.diag(r)
+    )
     problem = cvxpy.Problem(cvxpy.Minimize(cost), constraints)
     problem.solve(
-        solver=cvxpy.CLARABEL, tol_gap_abs=1e-11, tol_gap_rel=1e-11, tol_feas=1e-11
+        solver=cvxpy.CLARABEL,
+        tol_gap_abs=1e-11,
+        tol_gap_rel=1e-11,
+        tol_feas=1e-11,
     )
     assert problem.status == cvxpy.OPTIMAL
     return u.value, problem.value
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3, -2.5])
-@pytest.mark.parametrize(("height", "dt"), [(0.04, 0.033), (0.1, 0.005), (0.0, 0.1)])
+@pytest.mark.parametrize(
+    ("height", "dt"), [(0.04, 0.033), (0.1, 0.005), (0.0, 0.1)]
+)
 def test_prediction_is_the_exact_zero_order_hold(yaw, height, dt):
     predicted = TorsoModel(ROBOT).predict(yaw, height, dt)
     a, b, drift = discrete(yaw, height, dt)
@@ -105,18 +114,25 @@ def test_prediction_is_the_exact_zero_order_hold(yaw, height, dt):
 
 
 @pytest.mark.parametrize("horizon", [H, 1, 2, 40])
-def test_first_forces_and_cost_are_the_optimum_of_the_documented_problem(horizon):
+def test_first_forces_and_cost_are_the_optimum_of_the_documented_problem(
+    horizon,
+):
     """One controller for all cases: data left over from an earlier update would be detected."""
     mpc, rng = new_mpc(horizon=horizon), np.random.default_rng(4)
     count = 30 if horizon == H else 3
     cases = [random_case(rng, horizon + 1) for _ in range(count)]
     for known, ahead in cases + (NEAR if horizon == H else []):
-        plan, (u, cost) = mpc.step(known, ahead), optimum(known.state, ahead, horizon)
+        plan, (u, cost) = (
+            mpc.step(known, ahead),
+            optimum(known.state, ahead, horizon),
+        )
         assert plan.status == Status.SOLVED
         # where a limit is weakly active, an interior-point solution at a gap of 1e-10 is off by
         # up to 1.3e-4 N in 414 such cases
         atol = 3e-4 if horizon == H else 1e-3
-        np.testing.assert_allclose(plan.force[0].ravel(), u[0], rtol=0, atol=atol)
+        np.testing.assert_allclose(
+            plan.force[0].ravel(), u[0], rtol=0, atol=atol
+        )
         # flat at the optimum
         assert plan.report.cost == pytest.approx(cost, rel=1e-6, abs=1e-6)
 
@@ -130,16 +146,21 @@ def test_the_forces_of_every_stage_are_within_their_limits(name):
     assert np.all(f[..., 2] <= F_MAX * ahead.contact[:H] + limit)
     friction_limit = ahead.friction[:H, :, None] * f[..., 2:] + limit
     # a coefficient of 100 multiplies the residual of f_z
-    assert np.all(np.abs(f[..., :2]) <= friction_limit + limit * ahead.friction.max())
+    assert np.all(
+        np.abs(f[..., :2]) <= friction_limit + limit * ahead.friction.max()
+    )
 
 
 def test_full_turns_of_the_reference_do_not_matter():
     known = torso(rpy=(0, 0, 3.1))
     near, far = (
-        np.tile(state(rpy=(0, 0, 3.2 - 2 * np.pi * n)), (H + 1, 1)) for n in (0, 1)
+        np.tile(state(rpy=(0, 0, 3.2 - 2 * np.pi * n)), (H + 1, 1))
+        for n in (0, 1)
     )
     mpc = new_mpc()
-    a, b = (mpc.step(known, preview(reference=ref)).force[0] for ref in (near, far))
+    a, b = (
+        mpc.step(known, preview(reference=ref)).force[0] for ref in (near, far)
+    )
     np.testing.assert_allclose(a, b, atol=1e-6)  # solver tolerance
     assert np.abs(a[:, :2]).max() > 1e-3  # the yaw error is not zero
 
@@ -148,11 +169,17 @@ def test_slacks_are_those_of_the_first_stage():
     contact = np.ones((H + 1, 4), dtype=bool)
     contact[0, 3] = False
     plan = new_mpc().step(torso(v=(0.05, 0, 0)), preview(contact=contact))
-    f, bound, report = plan.force[0], np.array([F_MAX, F_MAX, F_MAX, 0.0]), plan.report
+    f, bound, report = (
+        plan.force[0],
+        np.array([F_MAX, F_MAX, F_MAX, 0.0]),
+        plan.report,
+    )
     np.testing.assert_allclose(report.slack_normal_min, f[:, 2])
     np.testing.assert_allclose(report.slack_normal_max, bound - f[:, 2])
     tangential = np.maximum(np.abs(f[:, 0]), np.abs(f[:, 1]))
-    np.testing.assert_allclose(report.slack_friction, 0.4 * f[:, 2] - tangential)
+    np.testing.assert_allclose(
+        report.slack_friction, 0.4 * f[:, 2] - tangential
+    )
     assert report.slack_total == pytest.approx(3 * F_MAX - ROBOT.mass * GRAVITY)
 
 
@@ -171,7 +198,10 @@ def test_a_failed_case_does_not_affect_the_next():
     mpc, limit = new_mpc(), SETTINGS.acceptance.input_max
     good = random_case(np.random.default_rng(10), H + 1)
     expected = new_mpc().step(*good).force[0]
-    for p, rpy in (((0, 0, -1e3), (0, 0, 0)), ((0, 0, limit), (limit, -limit, 0))):
+    for p, rpy in (
+        ((0, 0, -1e3), (0, 0, 0)),
+        ((0, 0, limit), (limit, -limit, 0)),
+    ):
         mpc.step(torso(p=p, rpy=rpy), standing(H + 1))
         result = mpc.step(*good)
         assert result.status == Status.SOLVED
@@ -211,22 +241,40 @@ REJECTED = {
     "state: shape (12, 1)": (known(np.zeros((12, 1))), preview()),
     "state: shape ()": (known(None), preview()),
     "state: not numbers": (known(["upright"] * 12), preview()),
-    "preview.friction[3, 2] = -0.1": (torso(), damaged("friction", (3, 2), -0.1)),
-    "preview.friction[0, 0] = nan": (torso(), damaged("friction", (0, 0), np.nan)),
+    "preview.friction[3, 2] = -0.1": (
+        torso(),
+        damaged("friction", (3, 2), -0.1),
+    ),
+    "preview.friction[0, 0] = nan": (
+        torso(),
+        damaged("friction", (0, 0), np.nan),
+    ),
     "preview.contact[1, 1] = 2": (torso(), damaged("contact", (1, 1), 2)),
     "preview.normal_force[2, 0] = -inf": (
         torso(),
         damaged("normal_force", (2, 0), -np.inf),
     ),
-    "preview.reference[15, 5] = nan": (torso(), damaged("reference", (15, 5), np.nan)),
-    "preview.reference[0, 3] = inf": (torso(), damaged("reference", (0, 3), np.inf)),
+    "preview.reference[15, 5] = nan": (
+        torso(),
+        damaged("reference", (15, 5), np.nan),
+    ),
+    "preview.reference[0, 3] = inf": (
+        torso(),
+        damaged("reference", (0, 3), np.inf),
+    ),
     "preview.tendon_angle[1, 3] = nan": (
         torso(),
         damaged("tendon_angle", (1, 3), np.nan),
     ),
     f"preview.contact: shape ({H - 1}, 4)": (torso(), preview(stages=H - 1)),
-    "preview.friction: shape (16, 3)": (torso(), preview(friction=np.ones((H + 1, 3)))),
-    "preview.normal_force: shape (64,)": (torso(), preview(normal_force=np.ones(64))),
+    "preview.friction: shape (16, 3)": (
+        torso(),
+        preview(friction=np.ones((H + 1, 3))),
+    ),
+    "preview.normal_force: shape (64,)": (
+        torso(),
+        preview(normal_force=np.ones(64)),
+    ),
     "preview.dt = 0:": (torso(), preview(dt=0.0)),
     "preview.dt = nan": (torso(), preview(dt=np.nan)),
     "preview.dt = 0.5": (torso(), preview(dt=0.5)),
@@ -260,7 +308,9 @@ class LateFrom:
         return float(call % 2) if call // 2 >= self.cycle else 0.0
 
 
-GAIT_FORCE = np.tile([5.4, 5.2, 5.1, 5.3], (H + 1, 1))  # N, normal forces of the gait
+GAIT_FORCE = np.tile(
+    [5.4, 5.2, 5.1, 5.3], (H + 1, 1)
+)  # N, normal forces of the gait
 LIFTED = np.ones((H + 1, 4), dtype=bool)
 LIFTED[0, 2] = False
 
@@ -274,7 +324,11 @@ def late():
 def iteration_limit():
     # standing takes 8 iterations and this case 11; the limit is 9
     x0, ahead = random_case(np.random.default_rng(130), H + 1)
-    ahead.contact[0], ahead.friction[0], ahead.normal_force[:] = True, 0.4, GAIT_FORCE
+    ahead.contact[0], ahead.friction[0], ahead.normal_force[:] = (
+        True,
+        0.4,
+        GAIT_FORCE,
+    )
     return new_mpc(solver__iterations=9, force_max=5.5), x0, ahead
 
 
@@ -303,7 +357,10 @@ def test_fallback_decays_to_the_normal_forces_of_the_gait_and_stops_after_the_co
     failure,
 ):
     mpc, x0, ahead = failure()
-    last, rule = mpc.step(torso(), preview(normal_force=GAIT_FORCE)), SETTINGS.fallback
+    last, rule = (
+        mpc.step(torso(), preview(normal_force=GAIT_FORCE)),
+        SETTINGS.fallback,
+    )
     assert last.status == Status.SOLVED
     reference = np.zeros((4, 3))
     reference[:, 2] = GAIT_FORCE[0]
@@ -315,7 +372,9 @@ def test_fallback_decays_to_the_normal_forces_of_the_gait_and_stops_after_the_co
         # the present limits hold
         expected[:, :2] *= ahead.friction.any()
         expected *= ahead.contact[0, :, None]
-        np.testing.assert_allclose(result.force[0], expected, atol=1e-12)  # roundoff
+        np.testing.assert_allclose(
+            result.force[0], expected, atol=1e-12
+        )  # roundoff
     for n in (rule.cycles + 1, rule.cycles + 2):
         stopped = mpc.step(x0, ahead)
         assert (stopped.status, stopped.fallback_cycles) == (Status.STOPPED, n)
@@ -329,13 +388,19 @@ def test_a_nan_solution_reported_as_solved_is_not_accepted():
     nan = Solution(np.full(24 * H, np.nan), fault="", iterations=1)
     mpc.problem.solve = lambda: nan
     result = mpc.step(torso(), preview())
-    assert (result.status, result.message) == (Status.NOT_SOLVED, "solution not finite")
+    assert (result.status, result.message) == (
+        Status.NOT_SOLVED,
+        "solution not finite",
+    )
     np.testing.assert_allclose(result.force[0, :, 2], HOVER, atol=1e-6)
 
 
 def test_without_an_earlier_feasible_solution_the_status_is_stopped():
     limited, x0 = new_mpc(solver__iterations=1), known(np.full(12, np.inf))
-    for result in (limited.step(torso(), preview()), new_mpc().step(x0, preview())):
+    for result in (
+        limited.step(torso(), preview()),
+        new_mpc().step(x0, preview()),
+    ):
         assert result.status == Status.STOPPED
         assert not result.force.any()
         assert "no feasible input yet" in result.message
@@ -343,5 +408,7 @@ def test_without_an_earlier_feasible_solution_the_status_is_stopped():
 
 def test_status_values_are_those_of_the_message():
     path = Path(__file__).parents[2] / "slot_msgs/msg/TendonPlan.msg"
-    constants = re.findall(r"^uint8 (\w+) = (\d+)", path.read_text(), re.MULTILINE)
+    constants = re.findall(
+        r"^uint8 (\w+) = (\d+)", path.read_text(), re.MULTILINE
+    )
     assert {name: int(value) for name, value in constants} == Status.__members__

@@ -14,7 +14,11 @@ from slot_core.servos.session import BusPace
 from slot_msgs.msg import TendonPlan
 from slot_nodes import diagnostics, runtime
 
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+OK, WARN, ERROR = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+)
 
 
 @pytest.fixture(scope="module")
@@ -24,9 +28,12 @@ def rig(simulate):
 
 def newest(rig, begin):
     """Newest status of each name since a time, with its values by key."""
-    found = [status for m in rig.since("/diagnostics", begin) for status in m.status]
+    found = [
+        status for m in rig.since("/diagnostics", begin) for status in m.status
+    ]
     return {
-        s.name: (s.level, s.message, {v.key: v.value for v in s.values}) for s in found
+        s.name: (s.level, s.message, {v.key: v.value for v in s.values})
+        for s in found
     }
 
 
@@ -39,7 +46,12 @@ def test_a_walking_robot_is_reported_once_a_second(walking):
         2 * 5, abs=2
     )  # of supervisor and state estimator
     found = newest(walking, begin)
-    assert set(found) == {"supervisor", "controller", "disturbances", "state estimator"}
+    assert set(found) == {
+        "supervisor",
+        "controller",
+        "disturbances",
+        "state estimator",
+    }
     assert {level for level, *_ in found.values()} == {OK}
     assert found["supervisor"][1].startswith("WALKING: ")
     assert found["controller"][2]["fallback_cycles"] == "0"
@@ -55,7 +67,10 @@ def test_a_lost_estimate_and_a_fault_are_reported_at_once(walking):
     assert message.startswith("HOLD: ")
     assert values["conditions"].startswith("no command for ")
     relaxed, reason = walking.wait_for_state(State.RELAX, begin)
-    assert newest(walking, relaxed)["supervisor"][:2] == (ERROR, f"RELAX: {reason}")
+    assert newest(walking, relaxed)["supervisor"][:2] == (
+        ERROR,
+        f"RELAX: {reason}",
+    )
     walking.resume("state_estimator")
 
 
@@ -64,7 +79,12 @@ def test_a_lost_estimate_and_a_fault_are_reported_at_once(walking):
     [
         ({}, (0, 0), OK, "SOLVED"),
         ({}, (2, 1), WARN, "2 cycles too long, 1 states skipped"),
-        ({"status": TendonPlan.LATE, "message": "30 ms"}, (0, 0), WARN, "LATE 30 ms"),
+        (
+            {"status": TendonPlan.LATE, "message": "30 ms"},
+            (0, 0),
+            WARN,
+            "LATE 30 ms",
+        ),
         (
             {"status": TendonPlan.STOPPED, "message": "used up"},
             (9, 0),
@@ -83,7 +103,9 @@ def test_overruns_and_fallbacks_of_the_controller_are_reported(
 
 
 def test_disturbances_are_in_plain_units_and_empty_where_they_are_unknown():
-    plan = TendonPlan(mass=2.3, drift=[0.03, -0.04, 0.1], wrench=[-2.94, 0.0, 0.1])
+    plan = TendonPlan(
+        mass=2.3, drift=[0.03, -0.04, 0.1], wrench=[-2.94, 0.0, 0.1]
+    )
     status = diagnostics.of_disturbances(plan, 2.0)
     assert status.message == "payload 0.3 kg, slip 50 mm/s"
     values = {v.key: v.value for v in status.values}
@@ -120,7 +142,9 @@ def test_a_silent_servo_is_an_error_of_that_servo_alone(silent):
         reason="",
         action=Action.PASS,
     )
-    message = diagnostics.of_servos(0, session, BusPace(100.0, 0.01, 0.01, 0), None)
+    message = diagnostics.of_servos(
+        0, session, BusPace(100.0, 0.01, 0.01, 0), None
+    )
     found = [(status.level, status.message) for status in message.status[1:]]
     sound = (OK, "sound")
     broken = (ERROR, "the line of its silence")

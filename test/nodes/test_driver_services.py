@@ -38,7 +38,9 @@ def switch(rig, on):
         ),
     ],
 )
-def test_unexpected_servos_are_refused_in_one_line(rig, parameter, value, reason):
+def test_unexpected_servos_are_refused_in_one_line(
+    rig, parameter, value, reason
+):
     rig.start(DRIVER, parameters={parameter: value})
     assert rig.exit_code(DRIVER) == 1
     assert f"servos refused: {reason}" in rig.log_lines(DRIVER)[-1]
@@ -52,7 +54,9 @@ def test_a_port_that_does_not_appear_is_named(rig):
     assert f"servos refused: {missing}: " in rig.log_lines(DRIVER)[-1]
 
 
-def test_the_torque_service_switches_torque_off_after_a_ramp_and_on_again(rig, stub):
+def test_the_torque_service_switches_torque_off_after_a_ramp_and_on_again(
+    rig, stub
+):
     start_driver(rig)
     refusal = (False, "torque refused: the supervisor does not permit it")
     rig.wait_for(lambda: switch(rig, True) == refusal)  # once it has the limits
@@ -64,7 +68,9 @@ def test_the_torque_service_switches_torque_off_after_a_ramp_and_on_again(rig, s
     begin = rig.now()
     assert switch(rig, False) == (True, "slackening, then torque off")
     off = rig.wait_for_torque_off(begin)
-    assert off.reason == "torque off, after: torque switched off by the operator"
+    assert (
+        off.reason == "torque off, after: torque switched off by the operator"
+    )
     assert switch(rig, True) == (True, "torque on")
 
 
@@ -77,7 +83,8 @@ def test_a_measured_zero_applies_at_once_and_after_a_restart(rig):
     assert abs(rig.last("/joint_states").position[0]) < 1.5 * RAD_PER_COUNT
     zero = float(answer.message.split(" at ")[1].split(" deg")[0])
     assert (
-        f"zero_deg: [{zero:.2f}, 130.0, " in (rig.config / "dynamixel.yaml").read_text()
+        f"zero_deg: [{zero:.2f}, 130.0, "
+        in (rig.config / "dynamixel.yaml").read_text()
     )
     rig.stop(DRIVER)
     start_driver(rig)

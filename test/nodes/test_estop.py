@@ -19,7 +19,9 @@ class Source:
     def __init__(self, rig, name):
         self._out = rig.publisher(EmergencyStop, "estop", qos.SENSOR)
         self._rig, self._message = rig, EmergencyStop(source=name)
-        self._timer = rig.every(PERIOD, lambda: self._out.publish(self._message))
+        self._timer = rig.every(
+            PERIOD, lambda: self._out.publish(self._message)
+        )
 
     def send(self, **fields):
         """Send a state, and repeat it."""
@@ -82,7 +84,9 @@ def test_a_publisher_of_another_type_counts_as_pressed(walking, sources):
         _, reason = walking.wait_for_state(State.ESTOP, begin)
     name = "a publisher of std_msgs/msg/Bool"
     assert reason == f"e-stop pressed at {name}"
-    walking.wait_for(lambda: walking.node.count_publishers("estop") == len(sources))
+    walking.wait_for(
+        lambda: walking.node.count_publishers("estop") == len(sources)
+    )
     walking.run(1.0)
     assert "RESET refused" in walking.request("reset")
     forget = "/supervisor/forget"

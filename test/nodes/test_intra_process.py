@@ -35,7 +35,9 @@ def reader(events, name):
     return lambda message, number: events.append((name, message, number))
 
 
-def test_nodes_of_the_process_receive_a_message_before_its_topic_does(mailbox, events):
+def test_nodes_of_the_process_receive_a_message_before_its_topic_does(
+    mailbox, events
+):
     with mailbox.in_use():
         numbers = intra_process.publisher(Recorded(events))
         assert intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
@@ -50,7 +52,9 @@ def test_nodes_of_the_process_receive_a_message_before_its_topic_does(mailbox, e
     assert not mailbox.waiting
 
 
-def test_a_topic_that_no_node_of_the_process_publishes_is_left_to_dds(mailbox, events):
+def test_a_topic_that_no_node_of_the_process_publishes_is_left_to_dds(
+    mailbox, events
+):
     with mailbox.in_use():
         assert not intra_process.subscribe("/odom", reader(events, "a"), EVERY)
     assert not intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
@@ -68,8 +72,13 @@ def test_a_slow_reader_of_the_newest_skips_the_others_and_sees_their_number(
     for value in "abc":
         numbers.publish(value)
     mailbox.deliver()
-    assert events[:3] == [("every", value, n) for n, value in enumerate("abc", 1)]
-    assert events[3:] == [("newest", "c", 3), *(("topic", value) for value in "abc")]
+    assert events[:3] == [
+        ("every", value, n) for n, value in enumerate("abc", 1)
+    ]
+    assert events[3:] == [
+        ("newest", "c", 3),
+        *(("topic", value) for value in "abc"),
+    ]
 
 
 def test_an_answer_to_a_message_is_delivered_in_the_same_round(mailbox, events):
@@ -79,7 +88,9 @@ def test_an_answer_to_a_message_is_delivered_in_the_same_round(mailbox, events):
         answers = intra_process.publisher(
             type("", (Recorded,), {"topic_name": "/answers"})(events)
         )
-        intra_process.subscribe("/numbers", lambda m, _: answers.publish(-m), NEWEST)
+        intra_process.subscribe(
+            "/numbers", lambda m, _: answers.publish(-m), NEWEST
+        )
         intra_process.subscribe("/answers", reader(events, "answer"), EVERY)
     numbers.publish(7)
     mailbox.deliver()
@@ -106,7 +117,9 @@ def test_a_reader_made_before_the_publisher_leaves_its_subscription_by_dds(
 ):
     """Robot and controller read each other's topics, so one of them is made first."""
     with mailbox.in_use():
-        assert not intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
+        assert not intra_process.subscribe(
+            "/numbers", reader(events, "a"), EVERY
+        )
         intra_process.subscribe_later(
             "/numbers",
             reader(events, "a"),
@@ -121,12 +134,18 @@ def test_a_reader_made_before_the_publisher_leaves_its_subscription_by_dds(
     assert events[1:] == [("a", 1, 1), ("topic", 1)]
 
 
-def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(mailbox, events):
+def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(
+    mailbox, events
+):
     with mailbox.in_use():
         numbers = intra_process.publisher(Recorded(events))
-        intra_process.subscribe("/numbers", lambda m, _: numbers.publish(m + 1), NEWEST)
+        intra_process.subscribe(
+            "/numbers", lambda m, _: numbers.publish(m + 1), NEWEST
+        )
     numbers.publish(1)
     for _ in range(3):
         mailbox.deliver()
     assert mailbox.waiting
-    assert events == [("topic", number) for number in range(1, 3 * DELIVERIES_MAX + 2)]
+    assert events == [
+        ("topic", number) for number in range(1, 3 * DELIVERIES_MAX + 2)
+    ]

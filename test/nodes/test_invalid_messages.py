@@ -55,7 +55,9 @@ def send(rig, topic, values):
 def assert_walks_on(rig):
     """TICKS commands follow, in their range."""
     begin = rig.now()
-    rig.wait_for(lambda: len(rig.since("/desired_joint_angles", begin)) >= TICKS)
+    rig.wait_for(
+        lambda: len(rig.since("/desired_joint_angles", begin)) >= TICKS
+    )
     assert rig.exit_codes == {}
     assert rig.state in {State.WALKING, State.HOLD}
     for message in rig.messages["/desired_joint_angles"]:
@@ -78,7 +80,10 @@ def assert_walks_on(rig):
         ("/tendon_plan", {"angle": [1.0] * 7}),
         ("/gait_preview", {"stages": 0}),
         ("/gait_preview", {"stages": 7}),
-        ("/gait_preview", {"stages": 2**32 - 1}),  # no array of that size is made
+        (
+            "/gait_preview",
+            {"stages": 2**32 - 1},
+        ),  # no array of that size is made
         ("/gait_preview", {"dt": 0.0}),
         ("/gait_preview", {"tendon_angle": []}),
         ("/gait_preview", {"tendon_angle": [1.0] * 16}),
@@ -96,7 +101,9 @@ def test_invalid_messages_with_present_stamps_are_refused_and_the_robot_walks_on
     """One after each of five messages."""
     for _ in range(5):
         before = last(walking, topic)
-        walking.wait_for(lambda before=before: last(walking, topic) is not before)
+        walking.wait_for(
+            lambda before=before: last(walking, topic) is not before
+        )
         send(walking, topic, values)
     assert_walks_on(walking)
 
@@ -144,7 +151,13 @@ def test_a_body_pose_is_followed_unless_it_is_invalid_or_out_of_range(walking):
     assert walking.call(SetGait, "/set_gait", **request).success
     command(0.065)
     walking.wait_for(lambda: last(walking, "/gait_preview").pose[0] == 0.065)
-    for height, w in ((NAN, 1.0), (INF, 1.0), (0.5, 1.0), (0.06, 0.0), (0.06, NAN)):
+    for height, w in (
+        (NAN, 1.0),
+        (INF, 1.0),
+        (0.5, 1.0),
+        (0.06, 0.0),
+        (0.06, NAN),
+    ):
         command(height, w)
     assert_walks_on(walking)
     assert last(walking, "/gait_preview").pose[0] == 0.065

@@ -17,7 +17,12 @@ from slot_msgs.srv import InjectFault
 from slot_nodes import qos
 
 STEP = 0.021  # s, between two steps of the supervisor, with the latency of a message
-CONTROLLER = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
+CONTROLLER = (
+    "state_estimator",
+    "gait_scheduler",
+    "mpc_controller",
+    "force_mapper",
+)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +49,9 @@ def test_a_killed_node_ends_in_hold_then_relax_and_the_robot_walks_again_with_a_
     walking, name
 ):
     begin = walking.kill(name)
-    hold, relax = (seconds_to(walking, s, begin) for s in (State.HOLD, State.RELAX))
+    hold, relax = (
+        seconds_to(walking, s, begin) for s in (State.HOLD, State.RELAX)
+    )
     assert hold < walking.limit("command_hold") + TICK + STEP
     assert relax < walking.limit("command_lost") + TICK + STEP
     walking.wait_for_state(State.FAULT, begin)
@@ -65,20 +72,29 @@ def test_a_killed_supervisor_ends_in_hold_then_relax_and_the_robot_walks_again_w
     ):
         number = decode.ACTION_NUMBERS.index(action)
         report = next(
-            m for m in walking.since("/servo_health", begin) if m.action == number
+            m
+            for m in walking.since("/servo_health", begin)
+            if m.action == number
         )
         assert report.reason.startswith("no message of the supervisor")
-        assert (decode.stamp(report) - begin) * 1e-9 < walking.limit(limit) + STEP
+        assert (decode.stamp(report) - begin) * 1e-9 < walking.limit(
+            limit
+        ) + STEP
     walking.start("supervisor")
     walking.wait_for(lambda: walking.state is not State.WALKING)
     walking.walk()
     moving = walking.now()
     walking.wait_for(
-        lambda: angles(walking, moving).size and np.ptp(angles(walking, moving)) > 0.5
+        lambda: (
+            angles(walking, moving).size
+            and np.ptp(angles(walking, moving)) > 0.5
+        )
     )
 
 
-def test_a_supervisor_that_is_restarted_after_an_estop_waits_for_an_operator(walking):
+def test_a_supervisor_that_is_restarted_after_an_estop_waits_for_an_operator(
+    walking,
+):
     """Though the graph is unattended."""
     begin = walking.now()
     walking.request("estop")
@@ -97,21 +113,29 @@ def test_a_supervisor_that_is_restarted_after_an_estop_waits_for_an_operator(wal
 def angles(rig, begin):
     """Measured tendon angles since `begin`, rad."""
     joints = rig.messages["/joint_states"][-200:]
-    return np.array([list(m.position) for m in joints if decode.stamp(m) > begin])
+    return np.array(
+        [list(m.position) for m in joints if decode.stamp(m) > begin]
+    )
 
 
-@pytest.mark.parametrize("name", ["sim_robot", "state_estimator", "mpc_controller"])
+@pytest.mark.parametrize(
+    "name", ["sim_robot", "state_estimator", "mpc_controller"]
+)
 def test_a_node_that_was_suspended_for_a_second_catches_up(walking, name):
     walking.pause(name)
     walking.run(1.0)
     walking.resume(name)
     walking.run(0.1)
     resumed, commands = walking.now(), walking.messages["/desired_joint_angles"]
-    walking.wait_for(lambda: sum(decode.stamp(m) > resumed for m in commands) > 15, 2.0)
+    walking.wait_for(
+        lambda: sum(decode.stamp(m) > resumed for m in commands) > 15, 2.0
+    )
     walking.walk()
 
 
-def test_a_controller_slower_than_its_period_skips_states_without_a_queue(walking):
+def test_a_controller_slower_than_its_period_skips_states_without_a_queue(
+    walking,
+):
     before = walking.last("/tendon_plan")
     paused = walking.pause("mpc_controller")
     walking.run(0.2)  # six states
@@ -131,11 +155,19 @@ def test_a_controller_slower_than_its_period_skips_states_without_a_queue(walkin
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
-        ({"kind": "tired"}, "inject: fault.kind = 'tired': expected one of silent, "),
-        ({"kind": "tendon_broken", "clear": True}, "no fault 'tendon_broken' at 'FL'"),
+        (
+            {"kind": "tired"},
+            "inject: fault.kind = 'tired': expected one of silent, ",
+        ),
+        (
+            {"kind": "tendon_broken", "clear": True},
+            "no fault 'tendon_broken' at 'FL'",
+        ),
     ],
 )
 def test_a_fault_that_cannot_be_is_refused_with_the_reason(rig, fault, reason):
-    answer = rig.call(InjectFault, "/sim_robot/inject", **({"leg": "FL"} | fault))
+    answer = rig.call(
+        InjectFault, "/sim_robot/inject", **({"leg": "FL"} | fault)
+    )
     assert not answer.success
     assert answer.message.startswith(reason)

@@ -32,8 +32,13 @@ def test_odometry():
         STAMP, RNG.normal(size=3), q, RNG.normal(size=3), RNG.normal(size=3)
     )
     message = through_dds(messages.odometry_to_msg(sent))
-    assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
-    stamp, position, quaternion, velocity, rate, variance = decode.odometry(message)
+    assert (message.header.frame_id, message.child_frame_id) == (
+        "odom",
+        "base_link",
+    )
+    stamp, position, quaternion, velocity, rate, variance = decode.odometry(
+        message
+    )
     assert stamp == STAMP
     assert (variance == np.zeros(12)).all()  # unknown
     for got, want in [
@@ -52,7 +57,9 @@ def test_a_prefix_is_put_before_every_frame_of_a_message():
         "fred/odom",
         "fred/base_link",
     )
-    transforms = TFMessage(transforms=[TransformStamped(header=messages.header(0))])
+    transforms = TFMessage(
+        transforms=[TransformStamped(header=messages.header(0))]
+    )
     messages.prefix_frames(transforms, "fred/")
     assert transforms.transforms[0].header.frame_id == "fred/odom"
     unframed = DiagnosticArray()
@@ -80,7 +87,9 @@ def test_state_and_its_transform():
     assert (got.stamp, got.validity, got.lead) == (STAMP, 3, LEAD)
     assert (got.state == state).all()
     assert (got.covariance == estimate.covariance).all()
-    transform, footprint = through_dds(messages.state_to_tf(estimate)).transforms
+    transform, footprint = through_dds(
+        messages.state_to_tf(estimate)
+    ).transforms
     assert (transform.header.frame_id, transform.child_frame_id) == (
         "odom",
         "base_link",
@@ -92,7 +101,9 @@ def test_state_and_its_transform():
     base, below = (as_transform(t.transform) for t in (transform, footprint))
     place = base @ below  # in odom: on the floor, level, with the torso's yaw
     assert place.position == pytest.approx([*state[3:5], 0.0])
-    assert place.rotation == pytest.approx(Rotation.from_euler("z", 2.0).as_matrix())
+    assert place.rotation == pytest.approx(
+        Rotation.from_euler("z", 2.0).as_matrix()
+    )
     assert (footprint.header.frame_id, footprint.child_frame_id) == (
         "base_link",
         "base_footprint",
@@ -110,8 +121,13 @@ def test_an_estimate_as_odometry_has_twist_and_covariances_in_their_frames():
     state = np.concatenate([[0.1, -0.2, 2.0], RNG.normal(size=9)])
     estimate = Estimate(STAMP, state, root @ root.T, Validity.VALID, LEAD)
     message = through_dds(messages.estimate_to_odometry(estimate))
-    assert (message.header.frame_id, message.child_frame_id) == ("odom", "base_link")
-    stamp, position, quaternion, velocity, rate, variance = decode.odometry(message)
+    assert (message.header.frame_id, message.child_frame_id) == (
+        "odom",
+        "base_link",
+    )
+    stamp, position, quaternion, velocity, rate, variance = decode.odometry(
+        message
+    )
     attitude = Rotation.from_euler("ZYX", [2.0, -0.2, 0.1])
     assert stamp == STAMP + LEAD
     assert position == pytest.approx(state[3:6])
@@ -128,7 +144,10 @@ def test_the_mount_of_a_sensor_is_a_transform_from_base_link():
     camera = Mount("camera_link", (0.1, 0.0, 0.03), (0.0, 0.3, np.pi))
     imu = Mount("base_link", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     (place,) = through_dds(messages.mounts_to_tf(imu, camera)).transforms
-    assert (place.header.frame_id, place.child_frame_id) == ("base_link", "camera_link")
+    assert (place.header.frame_id, place.child_frame_id) == (
+        "base_link",
+        "camera_link",
+    )
     q = place.transform.rotation
     expected = Rotation.from_euler("ZYX", [np.pi, 0.3, 0.0]).as_quat()
     assert [q.x, q.y, q.z, q.w] == pytest.approx(expected)
@@ -169,7 +188,9 @@ def test_a_body_pose_is_height_roll_and_pitch_at_any_yaw(yaw):
     q = Rotation.from_euler("ZYX", [yaw, -0.06, 0.08]).as_quat()
     o = message.pose.orientation
     o.x, o.y, o.z, o.w = q
-    assert decode.body_pose(through_dds(message)) == pytest.approx([0.045, 0.08, -0.06])
+    assert decode.body_pose(through_dds(message)) == pytest.approx(
+        [0.045, 0.08, -0.06]
+    )
 
 
 def test_joint_angles_are_read_by_name_not_by_position():

@@ -34,9 +34,17 @@ def intruder(walking):
 
     def publish(topic, message):
         kind, profile, _ = TOPICS[topic]
-        out, message = walking.publisher(kind, topic, profile), copy.deepcopy(message)
+        out, message = (
+            walking.publisher(kind, topic, profile),
+            copy.deepcopy(message),
+        )
         made.append(
-            (out, walking.every(FORGED, lambda: out.publish(present(walking, message))))
+            (
+                out,
+                walking.every(
+                    FORGED, lambda: out.publish(present(walking, message))
+                ),
+            )
         )
 
     yield publish
@@ -60,7 +68,12 @@ def first_relax(rig, begin):
     relaxes = decode.ACTION_NUMBERS.index(Action.RELAX)
     return rig.wait_for(
         lambda: next(
-            (m for m in rig.since("/servo_health", begin) if m.action == relaxes), None
+            (
+                m
+                for m in rig.since("/servo_health", begin)
+                if m.action == relaxes
+            ),
+            None,
         )
     )
 
@@ -98,7 +111,9 @@ def test_a_forged_permission_brings_no_torque_in_estop(walking, intruder):
     assert not has_torque(walking, begin)
 
 
-def test_an_estop_switches_torque_off_beside_a_second_publisher(walking, intruder):
+def test_an_estop_switches_torque_off_beside_a_second_publisher(
+    walking, intruder
+):
     begin = walking.now()
     intruder("robot_state", walking.last("/robot_state"))
     first_relax(walking, begin)

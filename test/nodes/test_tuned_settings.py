@@ -51,11 +51,17 @@ def set_parameters(rig, *wanted):
             "stages: no plan yet; preview.contact: shape (24, 4), needs (92, 4)",
         ),
         ("knots", [0, 3, 2], "knots = (0, 3, 2): expected 0, then rising"),
-        ("observer.drift_max", [1.0], "drift_max = [1.0]: expected 3 values, got 1"),
+        (
+            "observer.drift_max",
+            [1.0],
+            "drift_max = [1.0]: expected 3 values, got 1",
+        ),
         ("policy", "force_mpc", "read-only"),
     ],
 )
-def test_a_setting_that_does_not_fit_is_refused_with_a_reason(rig, name, value, reason):
+def test_a_setting_that_does_not_fit_is_refused_with_a_reason(
+    rig, name, value, reason
+):
     answer = set_parameters(rig, Parameter(name, value=value))
     assert not answer.successful
     assert reason in answer.reason
@@ -75,7 +81,10 @@ def test_a_weight_set_while_standing_acts_and_the_bag_replays_it(rig, tmp_path):
     rig.walk_steadily()
     rig.run(2.0)
     refused = set_parameters(rig, Parameter("cost.height", value=0.002))
-    assert refused.reason == "gait walk: settings change in stand only, see /set_gait"
+    assert (
+        refused.reason
+        == "gait walk: settings change in stand only, see /set_gait"
+    )
 
     assert differences(rig, tmp_path / "bag") == set()
     for plan in rig.messages["/tendon_plan"]:
@@ -89,7 +98,9 @@ def differences(rig, path):
         for topic, kind in KINDS.items():
             name = f"slot_msgs/msg/{kind.__name__}"
             for number, message in enumerate(rig.messages[topic]):
-                bag.write(topic, name, 1000 * number, serialize_message(message))
+                bag.write(
+                    topic, name, 1000 * number, serialize_message(message)
+                )
     compared = check_bag(Bag(path), TOLERANCE)
     plans = next(c for c in compared if c.topic == "/tendon_plan")
     assert plans.compared > 100

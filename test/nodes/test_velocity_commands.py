@@ -42,7 +42,11 @@ def test_the_speed_of_a_keyboard_walks_the_robot_as_fast_as_it_can_on_that_curve
         v_x, v_y, turn = preview.velocity
         assert (v_y, turn) == pytest.approx((0.0, 2.0 * v_x))
         assert v_x == read_gaits().clipped("walk", [0.5, 0.0, 1.0])[0][0] > 0.01
-    said = {line for m in walking.since("/robot_state", begin) for line in m.warnings}
+    said = {
+        line
+        for m in walking.since("/robot_state", begin)
+        for line in m.warnings
+    }
     assert len(said) == 1
     assert said.pop().startswith(
         "velocity clipped to the reach of gait walk: v_x 0.5 to "
@@ -61,7 +65,9 @@ def test_a_publisher_of_the_other_type_is_named(walking):
     )
     with listener("teleop") as (node, _):
         node.create_publisher(wrong, "cmd_vel", qos.SENSOR)
-        walking.wait_for(lambda: list(walking.last("/robot_state").warnings) == [line])
+        walking.wait_for(
+            lambda: list(walking.last("/robot_state").warnings) == [line]
+        )
     # once; DDS may tell the name of a new node a moment after its publisher
     assert walking.log_lines("gait_scheduler").count(line) == 1
     walking.wait_for(lambda: not walking.last("/robot_state").warnings)

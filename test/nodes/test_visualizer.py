@@ -30,16 +30,27 @@ def test_bent_legs_are_four_solids_in_their_colours_and_place():
     assert [(m.ns, m.id, m.type) for m in message.markers] == [
         ("legs", i, Marker.TRIANGLE_LIST) for i in range(4)
     ]
-    for marker, faces, colour in zip(message.markers, bars.faces, shapes.LEG_COLOURS):
+    for marker, faces, colour in zip(
+        message.markers, bars.faces, shapes.LEG_COLOURS
+    ):
         halves = np.stack([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]], axis=1)
         assert np.allclose(points_of(marker), halves.reshape(-1, 3))
-        assert np.allclose([marker.color.r, marker.color.g, marker.color.b], colour)
+        assert np.allclose(
+            [marker.color.r, marker.color.g, marker.color.b], colour
+        )
         assert (marker.color.a, marker.pose.orientation.w) == (
             1.0,
             1.0,
         )  # else nothing is shown
-        assert (marker.scale.x, marker.scale.y, marker.scale.z) == (1.0, 1.0, 1.0)
-        assert (marker.header.frame_id, marker.header.stamp.nanosec) == ("odom", 1)
+        assert (marker.scale.x, marker.scale.y, marker.scale.z) == (
+            1.0,
+            1.0,
+            1.0,
+        )
+        assert (marker.header.frame_id, marker.header.stamp.nanosec) == (
+            "odom",
+            1,
+        )
 
 
 def test_forces_replace_all_those_of_before():
@@ -59,7 +70,9 @@ def test_the_torso_is_a_box_in_its_pose():
         0, {"torso": shapes.torso_box(PLACE, turned, ROBOT)}
     ).markers
     assert marker.type == Marker.CUBE
-    assert [marker.scale.x, marker.scale.y, marker.scale.z] == list(ROBOT.torso.size)
+    assert [marker.scale.x, marker.scale.y, marker.scale.z] == list(
+        ROBOT.torso.size
+    )
     assert marker.pose.position.y == pytest.approx(0.2)
     assert marker.pose.orientation.z == pytest.approx(np.sqrt(0.5))
 
@@ -86,5 +99,9 @@ def test_the_node_publishes_what_has_changed_once(node):
     node._publish()
     node._publish()
     (message,) = published
-    assert {m.ns for m in message.markers} == {"legs", "tendons", "ground_forces"}
+    assert {m.ns for m in message.markers} == {
+        "legs",
+        "tendons",
+        "ground_forces",
+    }
     assert {m.header.stamp.sec for m in message.markers} == {3}

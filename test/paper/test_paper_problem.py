@@ -32,8 +32,12 @@ BOX = (
         ]
     )
 )
-CORNERS = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])  # FL FR RL RR
-WEIGHTS = np.array([0.1, 0.1, 0.1, 0, 0, 100, 0.01, 0.01, 0.01, 20, 0.1, 0, 0]) / 1000
+CORNERS = np.array(
+    [[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]
+)  # FL FR RL RR
+WEIGHTS = (
+    np.array([0.1, 0.1, 0.1, 0, 0, 100, 0.01, 0.01, 0.01, 20, 0.1, 0, 0]) / 1000
+)
 ROOT = np.sqrt(0.5)
 LEG_FRAMES = [  # of the published walk, from the leg's frame to the torso's
     np.array([[ROOT, ROOT, 0], [-ROOT, ROOT, 0], [0, 0, 1]]),
@@ -69,7 +73,9 @@ def walking(phase, stages=H + 1):
     reference = np.tile(state(v=(0.08, 0, 0)), (stages, 1))
     reference[:, 5] += np.linspace(0.0, 0.01, stages)
     ahead = standing(
-        stages, reference=reference, velocity_ahead=np.tile([0.08, 0, 0], (stages, 1))
+        stages,
+        reference=reference,
+        velocity_ahead=np.tile([0.08, 0, 0], (stages, 1)),
     )
     return dataclasses.replace(ahead, phase=phase)
 
@@ -83,7 +89,11 @@ def dynamics(name, yaw):
     a[:3, 6:9] = rotation.T
     levers = CORNERS * SIZE / 2
     if name == "paper_code":
-        levers = CORNERS * (SIZE / 2 + 0.19 * np.sqrt(2.0)) - [0, 0, 0.16 + 0.034 / 2]
+        levers = CORNERS * (SIZE / 2 + 0.19 * np.sqrt(2.0)) - [
+            0,
+            0,
+            0.16 + 0.034 / 2,
+        ]
         a[9:12, 9:12] = -np.diag([0.1, 0.1, 0.5])
     inertia = rotation @ BOX @ rotation.T
     for leg, axis in np.ndindex(4, 3):
@@ -100,7 +110,11 @@ def printed(u, mu):
     out = [cvxpy.sum(u[2::3]) == MASS * G]
     for leg in range(4):
         x, y, z = u[3 * leg], u[3 * leg + 1], u[3 * leg + 2]
-        out += [z <= 6.0, cvxpy.abs(x) <= mu[leg] * z, cvxpy.abs(y) <= mu[leg] * z]
+        out += [
+            z <= 6.0,
+            cvxpy.abs(x) <= mu[leg] * z,
+            cvxpy.abs(y) <= mu[leg] * z,
+        ]
     return out, 0.0
 
 
@@ -133,18 +147,30 @@ def optimum(name, x0, ahead, pulled):
     mu = [0.6 if leg == pulled else 0.2 if leg < 2 else 0.1 for leg in range(4)]
     q = np.diag(
         WEIGHTS
-        * np.where(np.arange(13) == 5, 1000.0 if name == "paper_code" else 1.0, 1)
+        * np.where(
+            np.arange(13) == 5, 1000.0 if name == "paper_code" else 1.0, 1
+        )
     )
     x, u = cvxpy.Variable((13, H + 1)), cvxpy.Variable((12, H))
-    cost, constraints = 1e-8 * cvxpy.sum_squares(u), [x[:, 0] == np.append(x0, -G)]
+    cost, constraints = (
+        1e-8 * cvxpy.sum_squares(u),
+        [x[:, 0] == np.append(x0, -G)],
+    )
     for k in range(H):
         cost += cvxpy.quad_form(x[:, k] - np.append(ahead.reference[k], -G), q)
-        constraints.append(x[:, k + 1] == x[:, k] + DT * (a @ x[:, k] + b @ u[:, k]))
-        limits, more = (printed if name == "paper_text" else published)(u[:, k], mu)
+        constraints.append(
+            x[:, k + 1] == x[:, k] + DT * (a @ x[:, k] + b @ u[:, k])
+        )
+        limits, more = (printed if name == "paper_text" else published)(
+            u[:, k], mu
+        )
         constraints, cost = constraints + limits, cost + more
     problem = cvxpy.Problem(cvxpy.Minimize(SCALE * cost), constraints)
     problem.solve(
-        solver=cvxpy.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10
+        solver=cvxpy.CLARABEL,
+        tol_gap_abs=1e-10,
+        tol_gap_rel=1e-10,
+        tol_feas=1e-10,
     )
     assert problem.status == cvxpy.OPTIMAL
     return u.value.T, problem.value / SCALE
@@ -160,7 +186,9 @@ def test_a_cycle_is_the_optimum_of_the_papers_problem(name, pulled):
         assert plan.status == Status.SOLVED
         angle = (plan.force[..., 2] + 6.91) / 0.107
         assert np.degrees(plan.angle) == pytest.approx(angle)
-        assert plan.report.cost == pytest.approx(cost, rel=1e-6)  # measured: 1e-9
+        assert plan.report.cost == pytest.approx(
+            cost, rel=1e-6
+        )  # measured: 1e-9
         # R leaves the forces nearly free: measured 1.1e-3 N
         np.testing.assert_allclose(plan.force[0].ravel(), u[0], atol=5e-3)
 
@@ -192,7 +220,9 @@ def test_the_slacks_are_of_the_published_limits_also_of_forces_of_another_phase(
 
 def metrics(cost, height=0.04, tilt=0.0):
     time, still = np.arange(len(cost), dtype=float), np.ones(len(cost))
-    run = PerturbedRun(time, np.array(cost), height * still, tilt * still, infeasible=2)
+    run = PerturbedRun(
+        time, np.array(cost), height * still, tilt * still, infeasible=2
+    )
     return run.metrics()
 
 
@@ -242,6 +272,8 @@ def test_a_figure_is_judged_by_its_number(judged, paper, ours, verdict):
         (0.0419, 0.0099, 0.0),
     ],
 )
-def test_a_torso_off_its_height_or_tilted_has_not_settled(height, tilt, settled):
+def test_a_torso_off_its_height_or_tilted_has_not_settled(
+    height, tilt, settled
+):
     found = metrics([0.0], height, tilt)["settling_s"]
     assert found == pytest.approx(settled, nan_ok=True)

@@ -22,7 +22,10 @@ PRINTED = read_paper()
 FULL = 116.28 / 270 * 1.5 / 0.010  # N, tension at the largest tendon angle
 SOFT = {"young_modulus": 1e6}
 AIRBORNE = {"contact_stiffness": 0.0, "contact_damping": 0.0, "friction": 0.0}
-STABLE = {"young_modulus": 1e6, "step": 4e-5}  # below the limit of the tip's contact
+STABLE = {
+    "young_modulus": 1e6,
+    "step": 4e-5,
+}  # below the limit of the tip's contact
 UNSETTLED = {"start.settle": 0.0}
 
 
@@ -32,7 +35,9 @@ def leg(**changes):
 
 def simulator(start=UNSETTLED, scene="flat", **changes):
     scene = config.replace(read_scene(scene), start)
-    return PaperRobot(ROBOT, scene, read_servo(), config.replace(PRINTED, changes))
+    return PaperRobot(
+        ROBOT, scene, read_servo(), config.replace(PRINTED, changes)
+    )
 
 
 def pull_and_release(leg, seconds, every=10):
@@ -40,7 +45,9 @@ def pull_and_release(leg, seconds, every=10):
     ramp, hold, decay = np.array([2.4, 0.2, 2.0]) * seconds / 5.0
     for k in range(round(seconds / leg.settings.step / every)):
         t = k * every * leg.settings.step
-        falling = math.cos(math.pi / 2 * min(1.0, max(0.0, (t - ramp - hold) / decay)))
+        falling = math.cos(
+            math.pi / 2 * min(1.0, max(0.0, (t - ramp - hold) / decay))
+        )
         tension = FULL * math.sin(math.pi / 2 * min(1.0, t / ramp)) * falling
         leg.advance(every, [tension])
         yield t
@@ -48,7 +55,11 @@ def pull_and_release(leg, seconds, every=10):
 
 def printed_forces(legs, tension):
     """Forces and moments (N, 3) on the nodes of a leg, one by one as in section III-D."""
-    s, n, out = legs.settings, legs.settings.nodes, np.zeros((legs.settings.nodes, 3))
+    s, n, out = (
+        legs.settings,
+        legs.settings.nodes,
+        np.zeros((legs.settings.nodes, 3)),
+    )
     (x, z), (vx, vz), theta, omega = (
         legs.node[0],
         legs.velocity[0],
@@ -62,7 +73,14 @@ def printed_forces(legs, tension):
         length = math.hypot(x[i + 1] - x[i], z[i + 1] - z[i])
         axial = s.young_modulus * 0.02 * h[i] * (length - dx) / dx
         direction = math.atan2(z[i + 1] - z[i], x[i + 1] - x[i])
-        bend = s.young_modulus * 0.02 * h[i] ** 3 / 12 / dx * (theta[i + 1] - theta[i])
+        bend = (
+            s.young_modulus
+            * 0.02
+            * h[i] ** 3
+            / 12
+            / dx
+            * (theta[i + 1] - theta[i])
+        )
         part = axial * math.cos(direction), axial * math.sin(direction), -bend
         out[i] += part
         out[i + 1] -= part
@@ -72,11 +90,15 @@ def printed_forces(legs, tension):
             nx, nz = np.array([-slope[i], 1.0]) / math.hypot(1.0, slope[i])
             out[i] += tension * np.array([nx, nz, -h[i] / 2 * nx])
         if z[i] < 0:
-            out[i, 1] += s.contact_stiffness * -z[i] + s.contact_damping * -vz[i]
+            out[i, 1] += (
+                s.contact_stiffness * -z[i] + s.contact_damping * -vz[i]
+            )
         if z[i] <= 0:
             weight = (ROBOT.leg.mass + ROBOT.mass / 4) * GRAVITY
             out[i, 0] -= s.friction * weight * np.sign(vx[i])
-        out[i, :2] -= s.restoring_stiffness * np.array([x[i] - x0[i], z[i] - z0[i]])
+        out[i, :2] -= s.restoring_stiffness * np.array(
+            [x[i] - x0[i], z[i] - z0[i]]
+        )
         out[i] -= s.damping * np.array([vx[i], vz[i], omega[i]])
         out[i, 1] -= legs.mass[i] * GRAVITY
     return out
@@ -90,16 +112,22 @@ def test_a_step_integrates_the_printed_equations_of_a_leg():
     legs.rate += rng.normal(size=legs.rate.shape)
     assert 0 < (legs.node[0, 1] < 0.0).sum() < PRINTED.nodes
     h, forces = legs.settings.step, printed_forces(legs, 10.0)
-    velocity, rate, node = (x[0].copy() for x in (legs.velocity, legs.rate, legs.node))
+    velocity, rate, node = (
+        x[0].copy() for x in (legs.velocity, legs.rate, legs.node)
+    )
     legs.advance(1, [10.0])
     np.testing.assert_allclose(legs.base_force[0], forces[0, :2])
     forces[0, 0] = 0.0  # the guide of the base
     velocity += h * forces[:, :2].T / legs.mass
     np.testing.assert_allclose(legs.velocity[0], velocity, rtol=1e-9)
     np.testing.assert_allclose(legs.node[0], node + h * velocity, rtol=1e-12)
-    np.testing.assert_allclose(legs.rate[0], rate + h * forces[:, 2] / legs.inertia)
+    np.testing.assert_allclose(
+        legs.rate[0], rate + h * forces[:, 2] / legs.inertia
+    )
     area = 0.02 * np.linspace(0.0135, 0.0035, PRINTED.nodes)
-    np.testing.assert_allclose(legs.inertia, 0.5 * 1200 * area * legs.spacing**2)
+    np.testing.assert_allclose(
+        legs.inertia, 0.5 * 1200 * area * legs.spacing**2
+    )
     assert legs.mass.sum() == pytest.approx(ROBOT.leg.mass, rel=0.02)
 
 
@@ -110,7 +138,9 @@ def test_below_the_step_limit_a_pulled_and_released_leg_comes_to_rest(changes):
         found.append((moving.node[0, 1, 0], np.abs(moving.velocity).max()))
     height, speed = np.array(found).T
     assert height.max() - height[0] > 0.07  # m: the leg was lifted
-    assert speed.max() < 2.0  # m/s; the profile itself moves the base at 0.3 m/s
+    assert (
+        speed.max() < 2.0
+    )  # m/s; the profile itself moves the base at 0.3 m/s
     assert height[-1] == pytest.approx(height[0], abs=1e-3)
     assert speed[-1] < 0.1
 
@@ -151,13 +181,20 @@ def test_a_step_integrates_the_printed_equations_of_the_torso():
     p, h = sim.position, 4e-5
     sim._step_torso(h)
     a, b, c = ROBOT.torso.size
-    corner = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]) * [a, b, 0] / 2
+    corner = (
+        np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
+        * [a, b, 0]
+        / 2
+    )
     outward = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) / math.sqrt(2)
     on_torso = np.column_stack([force[:, :1] * outward, force[:, 1]])
     inertia = 2.0 / 12 * np.array([b * b + c * c, a * a + c * c, a * a + b * b])
     total = r.apply(on_torso.sum(axis=0)) - [0.1, 0.1, 200] * v
     total[2] -= 1500 * (p[2] - 0.0218) + 2.0 * GRAVITY
-    v, w = v + h * total / 2.0, w + h * np.cross(corner, on_torso).sum(axis=0) / inertia
+    v, w = (
+        v + h * total / 2.0,
+        w + h * np.cross(corner, on_torso).sum(axis=0) / inertia,
+    )
     np.testing.assert_allclose(sim.velocity, v)
     np.testing.assert_allclose(sim.angular_velocity, w)
     np.testing.assert_allclose(sim.position, p + h * v)
@@ -170,7 +207,10 @@ def test_the_ground_force_is_that_of_the_tips_below_the_floor():
     sim.legs.node[:, 1, -1] = -1e-5, -1e-5, 1e-5, 1e-5
     sim.legs.velocity[..., -1] = [-0.2, -0.3]
     weight = (ROBOT.leg.mass + ROBOT.mass / 4) * GRAVITY
-    friction, normal = PRINTED.friction * weight / math.sqrt(2), 1e5 * 1e-5 + 10.0 * 0.3
+    friction, normal = (
+        PRINTED.friction * weight / math.sqrt(2),
+        1e5 * 1e-5 + 10.0 * 0.3,
+    )
     touching = [[friction, friction, normal], [friction, -friction, normal]]
     expected = [*touching, [0, 0, 0], [0, 0, 0]]
     np.testing.assert_allclose(sim.ground_force, expected, atol=1e-12)
@@ -189,7 +229,9 @@ def test_a_plant_runs_the_papers_robot(monkeypatch):
     stable = config.replace(PRINTED, STABLE)
     monkeypatch.setattr(paper_robot, "read_paper", lambda: stable)
     scene = config.replace(read_scene("paper"), UNSETTLED)
-    robot = plant.RobotSimulator(ROBOT, scene, read_servo(), np.random.default_rng(1))
+    robot = plant.RobotSimulator(
+        ROBOT, scene, read_servo(), np.random.default_rng(1)
+    )
     robot.start(0)
     robot.command(np.full(4, 1.0))
     *_, odometry = robot.advance_to_odometry()

@@ -32,13 +32,20 @@ def standing():
 
 @pytest.fixture
 def walking(standing):
-    standing.wishes.gait, standing.wishes.velocity = "walk", np.array([0.05, 0.0, 0.0])
+    standing.wishes.gait, standing.wishes.velocity = (
+        "walk",
+        np.array([0.05, 0.0, 0.0]),
+    )
     assert state(standing, 2.0) is State.WALKING
     return standing
 
 
 def test_it_walks_where_it_is_wished_to_and_turns(walking):
-    for velocity, axis in (([0.05, 0, 0], 0), ([0, 0.03, 0], 1), ([-0.05, 0, 0], 0)):
+    for velocity, axis in (
+        ([0.05, 0, 0], 0),
+        ([0, 0.03, 0], 1),
+        ([-0.05, 0, 0], 0),
+    ):
         walking.wishes.velocity = np.array(velocity, dtype=float)
         before = run(walking, 2.0).position
         way = run(walking, 4.0).position - before
@@ -146,7 +153,9 @@ def test_a_push_ends_and_a_pull_and_a_broken_tendon_outlive_a_change(standing):
 def test_after_an_emergency_stop_it_rises_only_on_request(walking):
     walking.loop.request(Request.ESTOP)
     assert state(walking, 1.0) is State.ESTOP
-    with pytest.raises(ConfigError, match="STAND refused in ESTOP: reset first"):
+    with pytest.raises(
+        ConfigError, match="STAND refused in ESTOP: reset first"
+    ):
         walking.stand_up()
     walking.set_gait("crawl")
     assert state(walking, 1.0) is State.ESTOP
@@ -167,7 +176,9 @@ def test_it_goes_on_under_another_policy(walking):
     assert walking.policy == "gait_alone"
 
 
-def test_a_reset_keeps_changes_and_wishes_and_a_lost_simulation_needs_one(walking):
+def test_a_reset_keeps_changes_and_wishes_and_a_lost_simulation_needs_one(
+    walking,
+):
     walking.change({"scene.payload.mass": 0.2})
     walking.set_tendon("RL", broken=True)
     walking.loop.plant.robot.set_tip_to_nan(0)

@@ -32,12 +32,21 @@ class Browser:
     """A page in Chromium; a context manager."""
 
     def __init__(self, directory: Path, address: str):
-        command = [PROGRAM, *OPTIONS, f"--user-data-dir={directory}", "about:blank"]
+        command = [
+            PROGRAM,
+            *OPTIONS,
+            f"--user-data-dir={directory}",
+            "about:blank",
+        ]
         self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         file = directory / "DevToolsActivePort"
-        port = wait_for(lambda: file.exists() and file.read_text().split("\n")[0])
+        port = wait_for(
+            lambda: file.exists() and file.read_text().split("\n")[0]
+        )
         page = wait_for(lambda: _page(f"http://127.0.0.1:{port}/json"))
-        self._socket = connect(page["webSocketDebuggerUrl"], max_size=None, proxy=None)
+        self._socket = connect(
+            page["webSocketDebuggerUrl"], max_size=None, proxy=None
+        )
         self._number = itertools.count(1)
         self.call("Page.enable")
         self.call("Page.navigate", url=address)
@@ -64,7 +73,9 @@ class Browser:
 
     def run(self, script):
         """Value of an expression of JavaScript."""
-        found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
+        found = self.call(
+            "Runtime.evaluate", expression=script, returnByValue=True
+        )
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 

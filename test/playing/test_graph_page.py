@@ -29,7 +29,9 @@ class Graph:
         def call_async(request):
             self.called.append((name, request))
             why = self.refused.get(name, "")
-            answer = Mock(**{"result.return_value": Mock(success=not why, message=why)})
+            answer = Mock(
+                **{"result.return_value": Mock(success=not why, message=why)}
+            )
             return SimpleNamespace(add_done_callback=lambda done: done(answer))
 
         return SimpleNamespace(
@@ -98,8 +100,14 @@ def test_a_gait_asks_once_in_every_state_on_the_way_and_rising_is_asked_for_apar
     robot.set_gait("walk")
     pass_through(graph, robot, State.IDLE)
     robot.stand_up()
-    pass_through(graph, robot, State.IDLE, State.READY, State.STANDING, State.STANDING)
-    assert graph.names[3:] == ["set_gait", "supervisor/ready", "supervisor/stand"]
+    pass_through(
+        graph, robot, State.IDLE, State.READY, State.STANDING, State.STANDING
+    )
+    assert graph.names[3:] == [
+        "set_gait",
+        "supervisor/ready",
+        "supervisor/stand",
+    ]
 
 
 @pytest.mark.parametrize("state", LATCHED)
@@ -117,7 +125,9 @@ def test_in_an_emergency_stop_and_a_fault_standing_up_is_refused_or_ends(
     assert graph.names == ["supervisor/ready"]
 
 
-def test_a_request_that_is_refused_is_tried_again_for_a_while_and_is_said(graph, robot):
+def test_a_request_that_is_refused_is_tried_again_for_a_while_and_is_said(
+    graph, robot
+):
     """A robot that has just got torque has no estimate yet."""
     line = "WALK refused in STANDING: no estimate"
     graph.refused = {"supervisor/walk": line}
@@ -141,7 +151,10 @@ def test_a_request_is_made_at_once_and_ends_the_way(graph, robot, request_):
 
 
 def test_velocity_is_repeated_and_pose_sent_once_a_gait_is_known(graph, robot):
-    for command in (lambda: robot.set_velocity(VELOCITY), lambda: robot.set_pose(None)):
+    for command in (
+        lambda: robot.set_velocity(VELOCITY),
+        lambda: robot.set_pose(None),
+    ):
         with pytest.raises(ConfigError, match="no gait_scheduler answers"):
             command()
     assert not robot.walks()
@@ -171,7 +184,9 @@ def page(robot):
 
 def control(page, label):
     handles = page.server.gui._gui_input_handle_from_uuid.values()
-    return next(handle for handle in handles if getattr(handle, "label", "") == label)
+    return next(
+        handle for handle in handles if getattr(handle, "label", "") == label
+    )
 
 
 def run(page, seconds=0.2):
@@ -185,8 +200,14 @@ def run(page, seconds=0.2):
 
 CONTROLS = {
     "gait": ("walk", lambda g: g.called[0][1].gait == "walk"),
-    "v_x (m/s)": (0.03, lambda g: decode.velocity(g.published[-1][1])[1][0] == 0.03),
-    "fault": ("clear", lambda g: (g.names, g.called[0][1].clear) == (INJECTED, True)),
+    "v_x (m/s)": (
+        0.03,
+        lambda g: decode.velocity(g.published[-1][1])[1][0] == 0.03,
+    ),
+    "fault": (
+        "clear",
+        lambda g: (g.names, g.called[0][1].clear) == (INJECTED, True),
+    ),
 }
 INJECTED = ["sim_robot/inject"]
 
@@ -212,7 +233,9 @@ def test_after_an_emergency_stop_only_the_reset_resets_and_standing_up_does_not_
         for state in states:
             graph.report(state)
             run(page)
-        return [name.removeprefix("supervisor/") for name in graph.names[before:]]
+        return [
+            name.removeprefix("supervisor/") for name in graph.names[before:]
+        ]
 
     graph.preview()
     press("gait", "walk", State.WALKING)

@@ -83,13 +83,22 @@ def test_the_server_checks_pages_and_websockets_and_remembers_the_token(server):
         cookie = answer.headers["Set-Cookie"]
     assert "HttpOnly" in cookie
     known = {"Cookie": cookie.partition(";")[0]}
-    for origin, headers in ((f"http://{place}", {}), ("http://elsewhere.org", known)):
+    for origin, headers in (
+        (f"http://{place}", {}),
+        ("http://elsewhere.org", known),
+    ):
         with pytest.raises(InvalidStatus, match="403"):
             connect(
-                f"ws://{place}", origin=origin, additional_headers=headers, proxy=None
+                f"ws://{place}",
+                origin=origin,
+                additional_headers=headers,
+                proxy=None,
             )
     connect(
-        f"ws://{place}", origin=f"http://{place}", additional_headers=known, proxy=None
+        f"ws://{place}",
+        origin=f"http://{place}",
+        additional_headers=known,
+        proxy=None,
     ).close()
 
 
@@ -99,7 +108,9 @@ def test_no_socket_listens_beyond_this_machine_nor_connects_it_to_a_server_elsew
     monkeypatch.setattr("viser._tunnel.ViserTunnel", None)
     assert server.request_share_url() is None
     sockets = psutil.Process().net_connections()
-    listening = {each.laddr for each in sockets if each.status == psutil.CONN_LISTEN}
+    listening = {
+        each.laddr for each in sockets if each.status == psutil.CONN_LISTEN
+    }
     assert ("127.0.0.1", server.get_port()) in listening
     assert {place.ip for place in listening} == {"127.0.0.1"}
 

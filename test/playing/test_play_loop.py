@@ -38,7 +38,9 @@ def played(tmp_path):
     server.stop()
 
 
-def test_the_robot_keeps_up_with_the_wall_clock_and_says_where_it_cannot(played):
+def test_the_robot_keeps_up_with_the_wall_clock_and_says_where_it_cannot(
+    played,
+):
     text = played.run(3.0)
     assert played.robot.time == pytest.approx(3.0, abs=2 * FRAME)
     assert played.robot.loop.report.state is State.STANDING
@@ -101,7 +103,9 @@ def slope(gravity):
 @pytest.mark.parametrize(("label", "value", "found"), CONTROLS)
 def test_a_control_reaches_the_robot(played, label, value, found):
     handles = played.page.server.gui._gui_input_handle_from_uuid.values()
-    control = next(each for each in handles if getattr(each, "label", "") == label)
+    control = next(
+        each for each in handles if getattr(each, "label", "") == label
+    )
     played.run(0.1)
     control.value = value
     played.run(0.1)

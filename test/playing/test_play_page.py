@@ -17,16 +17,16 @@ from slot_core.safety.states import State
 from slot_lab.play.played_robot import PlayedRobot, Wishes
 
 pytestmark = [
-    pytest.mark.skipif(not PROGRAM, reason="no Chromium: scripts/setup --test has one"),
+    pytest.mark.skipif(
+        not PROGRAM, reason="no Chromium: scripts/setup --test has one"
+    ),
     pytest.mark.real_time,
 ]
 ROW = "[...document.querySelectorAll('label')].find(l => l.innerText == {label!r})"
 ROW += ".closest('div').parentElement"
 TAB = "[...document.querySelectorAll('[role=tab]')].find(t => t.innerText == {!r})"
 COARSE = "?fixedDpr=0.25"  # fewer pixels of the robot, which take most of the time without a GPU
-OPTION = (
-    "[...document.querySelectorAll('[role=option]')].find(o => o.innerText == {!r})"
-)
+OPTION = "[...document.querySelectorAll('[role=option]')].find(o => o.innerText == {!r})"
 
 
 class Hand:
@@ -82,7 +82,11 @@ class Hand:
         place = Rotation.from_quat(odometry.quaternion).apply(point)
         place[2] += odometry.position[2]
         w, x, y, z = camera.wxyz
-        seen = Rotation.from_quat([x, y, z, w]).inv().apply(place - camera.position)
+        seen = (
+            Rotation.from_quat([x, y, z, w])
+            .inv()
+            .apply(place - camera.position)
+        )
         middle = np.array(self.browser.run("[innerWidth, innerHeight]")) / 2
         return middle + middle[1] / np.tan(camera.fov / 2) * seen[:2] / seen[2]
 
@@ -129,7 +133,12 @@ def test_a_slider_and_keys_act_and_a_dropdown_gives_the_keys_back(hand):
     hand.choose("gait", "walk")
     hand.slide("v_x (m/s)", 0.05)
     hand.see(lambda h: h.robot.truth.odometry.position[0] > 0.02)
-    for key, axis, sign in (("J", 2, 1), ("U", 1, 1), ("O", 1, -1), ("L", 2, -1)):
+    for key, axis, sign in (
+        ("J", 2, 1),
+        ("U", 1, 1),
+        ("O", 1, -1),
+        ("L", 2, -1),
+    ):
         before = hand.robot.wishes.velocity[axis]
         hand.browser.key(key)
         hand.see(lambda h: sign * (h.robot.wishes.velocity[axis] - before) > 0)  # noqa: B023
@@ -146,7 +155,9 @@ GAMEPAD = "[{{connected: true, mapping: 'standard', axes: {axes}, buttons: [{{pr
 
 def hold(hand, axes, a="false"):
     """Hold the sticks of a gamepad, and its button A."""
-    hand.browser.run(f"navigator.getGamepads = () => {GAMEPAD.format(axes=axes, a=a)}")
+    hand.browser.run(
+        f"navigator.getGamepads = () => {GAMEPAD.format(axes=axes, a=a)}"
+    )
 
 
 def test_a_gamepad_walks_steers_and_stops(hand):
@@ -190,7 +201,9 @@ def test_the_mouse_pulls_at_the_torso_and_places_the_payload(hand):
 
 def test_the_page_draws_its_plots_and_requests_nothing_from_elsewhere(hand):
     hand.open("Plots")
-    hand.see(lambda h: h.browser.run("!!document.querySelector('.uplot canvas')"))
+    hand.see(
+        lambda h: h.browser.run("!!document.querySelector('.uplot canvas')")
+    )
     asked = "performance.getEntriesByType('resource').map(e => e.name)"
     found = hand.browser.run(f"[location.href, ...{asked}]")
     allowed = hand.browser.run("location.origin"), "blob:", "data:"

@@ -12,7 +12,10 @@ def test_a_saved_bag_replays_equal_to_the_last_bit_though_the_world_has_changed(
     tmp_path,
 ):
     robot = PlayedRobot()
-    robot.wishes.gait, robot.wishes.velocity = "walk", np.array([0.05, 0.0, 0.0])
+    robot.wishes.gait, robot.wishes.velocity = (
+        "walk",
+        np.array([0.05, 0.0, 0.0]),
+    )
     for frame in range(125):
         if frame == 100:
             robot.change({"scene.payload.mass": 0.2})

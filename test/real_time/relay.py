@@ -20,7 +20,9 @@ def main(topic):
     """Pass messages on until the process is ended."""
     rclpy.init()
     node = rclpy.create_node(f"{topic}_driver")
-    publisher = node.create_publisher(KINDS[topic], topic, qos.best_effort(qos.SENSOR))
+    publisher = node.create_publisher(
+        KINDS[topic], topic, qos.best_effort(qos.SENSOR)
+    )
     node.create_subscription(
         KINDS[topic], f"simulated/{topic}", publisher.publish, qos.SENSOR
     )

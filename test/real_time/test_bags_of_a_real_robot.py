@@ -23,8 +23,16 @@ pytestmark = pytest.mark.real_time
 
 SENSORS = ("odom", "imu")
 RELAY = Path(__file__).with_name("relay.py")
-OUTPUTS = ["/mpc_state", "/gait_preview", "/tendon_plan", "/desired_joint_angles"]
-WAITED, TICKS = 90, 30  # ticks that are waited for; at least so many are compared
+OUTPUTS = [
+    "/mpc_state",
+    "/gait_preview",
+    "/tendon_plan",
+    "/desired_joint_angles",
+]
+WAITED, TICKS = (
+    90,
+    30,
+)  # ticks that are waited for; at least so many are compared
 PAUSE = 1.0  # s, between the start of the sensors and of the graph
 
 
@@ -32,7 +40,9 @@ class Robot:
     """A graph of `--hardware real`, and the processes of the robot and of its sensors."""
 
     def __init__(self, make_rig):
-        rig = make_rig(only=[], parameters={"supervisor": {"estop_required": False}})
+        rig = make_rig(
+            only=[], parameters={"supervisor": {"estop_required": False}}
+        )
         simulated = rig.specs["sim_robot"]
         renamed = {topic: f"simulated/{topic}" for topic in SENSORS}
         graph = read_graph()
@@ -45,7 +55,9 @@ class Robot:
         self.rig, self.bag = rig, Path(values["bag"])
         rig.specs = {spec.name: spec for spec in graph.nodes(values)}
         self.graph = [*rig.specs]
-        rig.specs["sim_robot"] = dataclasses.replace(simulated, remappings=renamed)
+        rig.specs["sim_robot"] = dataclasses.replace(
+            simulated, remappings=renamed
+        )
         rig.start("sim_robot")
         rig.wait_for(rig.bus.exists)
 
@@ -59,7 +71,9 @@ class Robot:
     def record_more(self, name):
         """Start a second recorder, in mid-run; returns its bag."""
         spec, bag = self.rig.specs["recorder"], self.rig.directory / name
-        spec = dataclasses.replace(spec, parameters=spec.parameters | {"bag": str(bag)})
+        spec = dataclasses.replace(
+            spec, parameters=spec.parameters | {"bag": str(bag)}
+        )
         command = [
             word.replace("__node:=recorder", f"__node:={name}")
             for word in command_line(spec)
@@ -85,7 +99,9 @@ class Robot:
         """Wait for three seconds of commands; key frames come every second at first."""
         begin = self.rig.now()
         self.rig.wait_for(
-            lambda: len(self.rig.since("/desired_joint_angles", begin)) >= WAITED
+            lambda: (
+                len(self.rig.since("/desired_joint_angles", begin)) >= WAITED
+            )
         )
 
     def wait_for_odometry(self, subscribers):
@@ -93,13 +109,17 @@ class Robot:
         node, wanted = self.rig.node, (1, subscribers)
 
         def count():
-            return node.count_publishers("/odom"), node.count_subscribers("/odom")
+            return node.count_publishers("/odom"), node.count_subscribers(
+                "/odom"
+            )
 
         self.rig.wait_for(lambda: count() == wanted)
 
     def close(self):
         """End the recorders first, as their bags are to be whole, then the rest."""
-        for name in [name for name in self.rig.children if name.startswith("rec")]:
+        for name in [
+            name for name in self.rig.children if name.startswith("rec")
+        ]:
             self.rig.stop(name)
         self.rig.close()
 

@@ -17,16 +17,17 @@ pytestmark = pytest.mark.real_time
 
 PULLED = 1.5  # rad
 DRIVER_PROGRAM = (
-    "from slot_nodes import dynamixel_driver_node; dynamixel_driver_node.main()"
+    "from slot_nodes import dynamixel_driver_node, runtime\n"
+    "runtime.run(dynamixel_driver_node.DynamixelDriverNode)"
 )
 # Raises ZeroDivisionError in its first diagnostics under torque.
 BROKEN_DRIVER = """
-from slot_nodes import diagnostics, dynamixel_driver_node
+from slot_nodes import diagnostics, dynamixel_driver_node, runtime
 original = diagnostics.of_servos
 def of_servos(stamp, session, *rest):
     return original(stamp // (not session.bus.active), session, *rest)
 diagnostics.of_servos = of_servos
-dynamixel_driver_node.main()
+runtime.run(dynamixel_driver_node.DynamixelDriverNode)
 """
 
 
@@ -74,7 +75,9 @@ def change(rig):
 
     def request(transition):
         goal = Transition(id=transition)
-        return rig.call(ChangeState, f"/{DRIVER}/change_state", transition=goal).success
+        return rig.call(
+            ChangeState, f"/{DRIVER}/change_state", transition=goal
+        ).success
 
     return request
 
@@ -97,7 +100,9 @@ def test_the_driver_follows_lifecycle_transitions_by_service(rig, stub, change):
     powered(rig, on)
     assert change(Transition.TRANSITION_DEACTIVATE)
     assert change(Transition.TRANSITION_CLEANUP)
-    assert rig.registers("torque_enable") == [0] * 4  # the driver has closed the port
+    assert (
+        rig.registers("torque_enable") == [0] * 4
+    )  # the driver has closed the port
     again = rig.now()
     assert change(Transition.TRANSITION_CONFIGURE)
     rig.wait_for(lambda: rig.since("/joint_states", again))

@@ -32,7 +32,9 @@ def graph(environment, tmp_path_factory):
         Processes(tmp_path_factory.mktemp("log"), environment),
         read_graph(),
     )
-    values = {argument.name: argument.default for argument in described.arguments}
+    values = {
+        argument.name: argument.default for argument in described.arguments
+    }
     processes.start(described.nodes(values | {"attended": True}))
     try:
         yield
@@ -74,7 +76,9 @@ class Terminal:
 
     def wait(self, condition):
         """Wait until a condition on the lines of the frame holds; return the lines."""
-        while self.output_bytes.count(b"\x1b[H") < 2 or not condition(self.lines):
+        while self.output_bytes.count(b"\x1b[H") < 2 or not condition(
+            self.lines
+        ):
             assert self.process.poll() is None, self.process.stderr.read()
             time.sleep(0.05)
         return self.lines
@@ -188,13 +192,16 @@ def state_after(environment, end):
 
 @pytest.mark.usefixtures("graph")
 @pytest.mark.parametrize("end", ["closed", "interrupted", "suspended"])
-def test_end_of_the_terminal_stops_the_robot_until_a_reset_at_another(environment, end):
+def test_end_of_the_terminal_stops_the_robot_until_a_reset_at_another(
+    environment, end
+):
     output, refusal = state_after(environment, end)
     assert re.match(
         r"ESTOP for .*: e-stop source \S+ silent for .* s, limit 2 s", output
     )
     assert re.match(
-        "scripts/operate: RESET refused in ESTOP: e-stop source .* silent", refusal
+        "scripts/operate: RESET refused in ESTOP: e-stop source .* silent",
+        refusal,
     )
     with terminal(environment) as another:
         another.wait_for("IDLE")

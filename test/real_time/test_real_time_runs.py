@@ -25,7 +25,11 @@ SEGMENT = "/dev/shm/fast"  # beginning of the name of every segment of Fast DDS
 def run(*arguments, **options):
     """Output of a run; it must succeed."""
     done = subprocess.run(
-        [*RUN, *arguments], capture_output=True, text=True, check=False, **options
+        [*RUN, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        **options,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -36,28 +40,47 @@ def test_run_in_real_time_keeps_its_pace_and_prints_a_summary(tmp_path):
     figures = dict(
         line.split(maxsplit=1) for line in output.splitlines() if line.strip()
     )
-    assert float(figures["real-time"].split()[-1]) == pytest.approx(1.0, abs=0.1)
+    assert float(figures["real-time"].split()[-1]) == pytest.approx(
+        1.0, abs=0.1
+    )
     assert list(tmp_path.iterdir()) == []
 
 
-def test_robot_walks_with_the_real_driver_which_leaves_no_torque(environment, tmp_path):
+def test_robot_walks_with_the_real_driver_which_leaves_no_torque(
+    environment, tmp_path
+):
     """At a pseudo-terminal. Measured: 44 mm/s on average; half of it shows that it walks."""
     bag = tmp_path / "bag"
-    run("--hardware", "fake_bus", "--duration", "5", "--bag", str(bag), env=environment)
+    run(
+        "--hardware",
+        "fake_bus",
+        "--duration",
+        "5",
+        "--bag",
+        str(bag),
+        env=environment,
+    )
     place = Bag(bag).series("/ground_truth/odom", "pose.pose.position")
     walked = place["pose.pose.position"][:, 0]
-    assert (walked[-1] - walked[0]) / (place.stamp[-1] - place.stamp[0]) * 1e9 > 0.02
+    assert (walked[-1] - walked[0]) / (
+        place.stamp[-1] - place.stamp[0]
+    ) * 1e9 > 0.02
     assert (
         "torque off, confirmed by every servo"
         in (bag / "log/dynamixel_driver.log").read_text()
     )
-    assert "servos left under torque: none" in (bag / "log/sim_robot.log").read_text()
+    assert (
+        "servos left under torque: none"
+        in (bag / "log/sim_robot.log").read_text()
+    )
 
 
 def join_and_leave():
     """Take part in the graph until a message of every topic HEARD has come."""
     context = Context()
-    rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+    rclpy.init(
+        args=[], context=context, signal_handler_options=SignalHandlerOptions.NO
+    )
     executor = SingleThreadedExecutor(context=context)
     try:
         node = rclpy.create_node("passer_by", context=context)

@@ -15,12 +15,20 @@ from slot_core.recording.origin import Origin, origin_here
 from slot_lab.bags.bag import Bag
 from slot_lab.report import compare
 from slot_lab.report.metrics import figures, walk_metrics
-from slot_lab.report.run_comparison import compare_figures, exceeded, origin_lines, plot
+from slot_lab.report.run_comparison import (
+    compare_figures,
+    exceeded,
+    origin_lines,
+    plot,
+)
 
 BAGS = Path(__file__).parents[1] / "bags"
 FLAT = Walk(duration=2 * STRIDE)
 FASTER = dataclasses.replace(FLAT, speed=0.06)
-SEEN = ["--warm-up", "0"]  # the bags of the repository are shorter than the warm-up
+SEEN = [
+    "--warm-up",
+    "0",
+]  # the bags of the repository are shorter than the warm-up
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +36,8 @@ def walks(tmp_path_factory):
     """The bags of FLAT and FASTER."""
     place = tmp_path_factory.mktemp("bags")
     return [
-        Bag(write_walk(place / f"walk_{walk.speed}", walk)) for walk in (FLAT, FASTER)
+        Bag(write_walk(place / f"walk_{walk.speed}", walk))
+        for walk in (FLAT, FASTER)
     ]
 
 
@@ -44,7 +53,9 @@ def test_differences_of_two_synthetic_walks_are_those_of_their_speeds(walks):
     assert (speed.difference, speed.first.unit) == (pytest.approx(0.01), "m/s")
     assert height.first.value == pytest.approx(60.0)  # mm
     assert height.difference == 0.0
-    assert found["stages.mpc_controller.p99"].first.value == pytest.approx(6.0)  # ms
+    assert found["stages.mpc_controller.p99"].first.value == pytest.approx(
+        6.0
+    )  # ms
 
 
 @pytest.mark.parametrize(
@@ -67,7 +78,9 @@ def test_figures_beyond_their_tolerance_are_named(walks, tolerances, beyond):
 
 def test_a_figure_of_one_bag_only_exceeds_every_tolerance(walks, tmp_path):
     """The other has no ground truth, and so no torques."""
-    blind = Bag(write_walk(tmp_path / "blind", dataclasses.replace(FLAT, truth=False)))
+    blind = Bag(
+        write_walk(tmp_path / "blind", dataclasses.replace(FLAT, truth=False))
+    )
     pairs = pairs_of([walks[0], blind])
     assert math.isinf(
         next(p for p in pairs if p.first.name == "servo_load.FL").difference
@@ -83,7 +96,8 @@ def test_a_bag_compared_with_itself_and_with_another_ends_with_0_and_1(capsys):
     lines = capsys.readouterr().out.splitlines()
     assert "scene                   flat -> fault" in lines
     assert any(
-        re.match(r"beyond the tolerance: tilt_max [+-]\d", line) for line in lines
+        re.match(r"beyond the tolerance: tilt_max [+-]\d", line)
+        for line in lines
     )
 
 
@@ -98,16 +112,26 @@ def changed(bag, path, origin):
 def test_what_differs_between_the_origins_is_named(walks, tmp_path, own_config):
     route = tmp_path / "way.csv"
     route.write_text("x,y\n0,0\n1,0\n")
-    first = changed(walks[0], tmp_path / "a", origin_here({"gait": "walk", "seed": 1}))
+    first = changed(
+        walks[0], tmp_path / "a", origin_here({"gait": "walk", "seed": 1})
+    )
     speed = config.load("gait/walk")["forward"]["speed"]
     set_values(own_config, {"gait/walk": {"forward.speed": 0.03}})
     (own_config / "leg_map.csv").unlink()
     now = origin_here({"gait": "walk", "seed": 2, "path": str(route)})
     second = changed(
-        walks[1], tmp_path / "b", Origin({**now.about, "revision": "new"}, now.files)
+        walks[1],
+        tmp_path / "b",
+        Origin({**now.about, "revision": "new"}, now.files),
     )
-    assert origin_lines(first, first)[-1].split() == ["configuration", "the", "same"]
-    assert origin_lines(first, walks[1])[-1].endswith("recorded -> not recorded")
+    assert origin_lines(first, first)[-1].split() == [
+        "configuration",
+        "the",
+        "same",
+    ]
+    assert origin_lines(first, walks[1])[-1].endswith(
+        "recorded -> not recorded"
+    )
     lines = origin_lines(first, second)
     assert re.fullmatch(r"revision +\S+ -> new", lines[0])
     assert [" ".join(line.split()) for line in lines[1:]] == [

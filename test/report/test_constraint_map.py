@@ -13,8 +13,12 @@ from slot_lab.report.map_command import main
 
 def write_cycles(path, cycles):
     """A bag of cycles given by their fields, 30 a second."""
-    plans = [message(PLANS, 10.0 + k / 30, **each) for k, each in enumerate(cycles)]
-    return write_messages(path, [(WALL + k, PLANS, p) for k, p in enumerate(plans)])
+    plans = [
+        message(PLANS, 10.0 + k / 30, **each) for k, each in enumerate(cycles)
+    ]
+    return write_messages(
+        path, [(WALL + k, PLANS, p) for k, p in enumerate(plans)]
+    )
 
 
 def cycle(friction=1.0, status=0, balance=np.inf):
@@ -44,7 +48,9 @@ def test_every_constraint_has_a_row_of_slack(slipping):
     found = read_map(Bag(slipping))
     assert len(found.constraints) == 4 * 5 + 2
     slack = dict(zip(found.constraints, found.slack))
-    assert slack["RL friction"][20:23] == pytest.approx([-0.25, -0.9e-4, -0.125])
+    assert slack["RL friction"][20:23] == pytest.approx(
+        [-0.25, -0.9e-4, -0.125]
+    )
     assert slack["FR largest normal"] == pytest.approx(np.full(60, 7.0))
     assert slack["total support"] == pytest.approx(np.full(60, 28.0))
     # A violation is slack below the solver's tolerance, 1e-4.
@@ -63,7 +69,9 @@ def test_a_single_violated_cycle_shows_in_a_long_walk(tmp_path, monkeypatch):
 
 def test_fields_missing_from_older_messages_are_listed_and_left_out(tmp_path):
     plan = message(PLANS, 1.0, **cycle())
-    found = read_map(Bag(write_old(tmp_path / "older", PLANS, plan, "slack_balance")))
+    found = read_map(
+        Bag(write_old(tmp_path / "older", PLANS, plan, "slack_balance"))
+    )
     assert "slack_balance" in found.missing
     assert not any("balance" in name for name in found.constraints)
 

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from synthetic_walk import ROBOT, STRIDE, Walk, angles, leg_nodes, message, write_walk
+from synthetic_walk import (
+    ROBOT,
+    STRIDE,
+    Walk,
+    angles,
+    leg_nodes,
+    message,
+    write_walk,
+)
 
 from slot_core.drawing import shapes
 from slot_core.drawing.drawing import Drawing
@@ -104,18 +112,27 @@ def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
 
 def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_the_servos():
     drawing = Drawing(ROBOT, TORQUE)
-    assert drawing.receive("/joint_states", joints(np.zeros(4))) == {}  # no pose yet
-    state = message("/mpc_state", 1.0, rpy=[0.1, 0.0, 0.5], position=[0.2, 0.1, 0.07])
+    assert (
+        drawing.receive("/joint_states", joints(np.zeros(4))) == {}
+    )  # no pose yet
+    state = message(
+        "/mpc_state", 1.0, rpy=[0.1, 0.0, 0.5], position=[0.2, 0.1, 0.07]
+    )
     seen = drawing.receive("/mpc_state", state)
     quaternion = Rotation.from_euler("xyz", [0.1, 0.0, 0.5]).as_quat()
-    natural = shapes.natural_legs(np.array([0.2, 0.1, 0.07]), quaternion, ROBOT, 20)
-    assert np.allclose(seen["legs"].corners, shapes.leg_bars(natural, ROBOT).corners)
+    natural = shapes.natural_legs(
+        np.array([0.2, 0.1, 0.07]), quaternion, ROBOT, 20
+    )
+    assert np.allclose(
+        seen["legs"].corners, shapes.leg_bars(natural, ROBOT).corners
+    )
     assert np.array_equal(seen["legs"].colours, np.tile(shapes.SLACK, (4, 1)))
     loaded = drawing.receive(
         "/joint_states", joints(TORQUE * np.array([0.0, 0.5, 1.0, 2.0]))
     )
     assert np.allclose(
-        loaded["tendons"].colours[[0, 2, 3]], [shapes.SLACK, *2 * [shapes.LOADED]]
+        loaded["tendons"].colours[[0, 2, 3]],
+        [shapes.SLACK, *2 * [shapes.LOADED]],
     )
     drawing.receive("/ground_truth/legs", legs(leg_nodes(WALK, 0.0)))
     assert drawing.receive("/mpc_state", state) == {}  # the exact pose counts
@@ -126,13 +143,19 @@ def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_
     [
         ("/ground_truth/legs", {"nodes": 7}, "not 4 legs of 7 nodes"),
         ("/ground_truth/legs", {"position": np.full(264, np.nan)}, "finite"),
-        ("/ground_truth/legs", {"director": np.ones(264)}, "director has 264 values"),
+        (
+            "/ground_truth/legs",
+            {"director": np.ones(264)},
+            "director has 264 values",
+        ),
         ("/ground_truth/legs", {"director": np.full(252, np.nan)}, "finite"),
         ("/gait_preview", {"stages": 2}, "not 2 stages"),
         ("/mpc_state", {}, "finite"),
     ],
 )
-def test_a_message_that_does_not_fit_is_refused_with_its_reason(topic, broken, reason):
+def test_a_message_that_does_not_fit_is_refused_with_its_reason(
+    topic, broken, reason
+):
     received = {
         "/ground_truth/legs": legs(leg_nodes(WALK, 0.0)),
         "/gait_preview": preview(),
@@ -144,7 +167,9 @@ def test_a_message_that_does_not_fit_is_refused_with_its_reason(topic, broken, r
         Drawing(ROBOT, TORQUE).receive(topic, received)
 
 
-def test_curves_of_the_torso_are_along_its_heading_in_the_units_of_their_plots(bag):
+def test_curves_of_the_torso_are_along_its_heading_in_the_units_of_their_plots(
+    bag,
+):
     seen = {}
     for topic in ("/ground_truth/odom", "/mpc_state"):
         for _, received in bag.messages(topic):
@@ -153,8 +178,12 @@ def test_curves_of_the_torso_are_along_its_heading_in_the_units_of_their_plots(b
     roll, pitch, _ = np.degrees(WALK.rpy(end))
     for source in ("true", "estimated"):
         # the walk's course turns half as fast as its heading, by less than 0.1 rad
-        assert seen[f"velocity/{source}"] == pytest.approx([WALK.speed], abs=2e-3)
-        assert seen[f"height/{source}"] == pytest.approx([1e3 * WALK.position(end)[2]])
+        assert seen[f"velocity/{source}"] == pytest.approx(
+            [WALK.speed], abs=2e-3
+        )
+        assert seen[f"height/{source}"] == pytest.approx(
+            [1e3 * WALK.position(end)[2]]
+        )
         assert seen[f"roll/{source}"] == pytest.approx([roll], abs=1e-6)
         assert seen[f"pitch/{source}"] == pytest.approx([pitch], abs=1e-6)
     reference = traces.values("/gait_preview", preview())
@@ -172,13 +201,16 @@ def test_states_are_named_and_disturbances_in_a_users_units():
     assert seen == pytest.approx([1.0, 2.0, -1.0, 1.0])  # 100 g, cm/s, deg/s
 
 
-def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(bag):
+def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(
+    bag,
+):
     for topic, curve, rate, gain, late in (
         ("/joint_states", "angle/measured", 120, 0.97, 0.04),
         ("/desired_joint_angles", "angle/commanded", 30, 1.0, 0.0),
     ):
         seen = [
-            traces.values(topic, received)[curve] for _, received in bag.messages(topic)
+            traces.values(topic, received)[curve]
+            for _, received in bag.messages(topic)
         ]
         k = round(STRIDE * rate)
         assert np.allclose(seen[k], gain * np.degrees(angles(k / rate - late)))

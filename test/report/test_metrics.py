@@ -15,7 +15,9 @@ from slot_lab.report.metrics import walk_metrics
 
 COURSE = 0.01  # rad
 WALK = Walk(duration=4 * STRIDE + 1.0, course=COURSE, roll=0.1, bounce=0.004)
-TIMING = replace(WALK, truth=False)  # a smaller bag, for tests of the ticks alone
+TIMING = replace(
+    WALK, truth=False
+)  # a smaller bag, for tests of the ticks alone
 LAST = round(TIMING.duration * RATE)  # tick
 WARM_UP = 1.0  # leaves four whole strides
 SAMPLES = round(WALK.duration * 120) - round(WARM_UP * 120) + 1
@@ -44,14 +46,18 @@ def test_a_straight_rolling_walk_has_the_figures_of_its_closed_form(metrics_of):
     duration = (
         4 * STRIDE
     )  # 2.88 s: not a whole number of odometries, but of ground truth samples
-    assert m.duration == pytest.approx(math.floor(duration * 120) / 120, abs=1 / 120)
+    assert m.duration == pytest.approx(
+        math.floor(duration * 120) / 120, abs=1 / 120
+    )
     assert m.distance == pytest.approx(0.05 * m.duration, abs=ROUNDING)
     assert m.mean_v_x == pytest.approx(0.05 * math.cos(COURSE), abs=ROUNDING)
     assert m.mean_v_y == pytest.approx(0.05 * math.sin(COURSE), abs=ROUNDING)
     assert m.lateral_drift_end == pytest.approx(
         0.05 * m.duration * math.sin(COURSE), abs=ROUNDING
     )
-    assert m.lateral_drift_max == pytest.approx(abs(m.lateral_drift_end), abs=ROUNDING)
+    assert m.lateral_drift_max == pytest.approx(
+        abs(m.lateral_drift_end), abs=ROUNDING
+    )
     assert m.yaw_drift == pytest.approx(0.0, abs=ROUNDING)
     # Sampling a sine at 120 Hz misses its peak by at most 1 - cos(pi / (120 STRIDE)) = 7e-4; the
     # spans of whole strides are cut to samples, which moves the RMS by half a sample in 345.
@@ -63,12 +69,16 @@ def test_a_straight_rolling_walk_has_the_figures_of_its_closed_form(metrics_of):
     assert m.servo_saturated == pytest.approx((0.0, 0.0, OVER / SAMPLES, 0.0))
     # Angles 65 + 38 sin(phase) deg exceed 100 deg for acos(35 / 38) / pi of a stride; counted in
     # odometries, a stride of 21.6 of them is right to one in 21.
-    assert m.saturated == pytest.approx((math.acos(35 / 38) / math.pi,) * 4, abs=1 / 21)
+    assert m.saturated == pytest.approx(
+        (math.acos(35 / 38) / math.pi,) * 4, abs=1 / 21
+    )
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 3.0])
 def test_tilt_is_the_angle_between_the_z_axes_whatever_the_yaw(angle):
-    tilt = Rotation.from_rotvec(angle * np.array([np.cos(0.7), np.sin(0.7), 0.0]))
+    tilt = Rotation.from_rotvec(
+        angle * np.array([np.cos(0.7), np.sin(0.7), 0.0])
+    )
     yawed = (Rotation.from_euler("z", 2.0) * tilt).as_quat()
     motion = TorsoTrack(
         "", np.zeros(1), np.zeros((1, 3)), np.array([yawed]), np.zeros((1, 3))
@@ -106,8 +116,14 @@ def test_injected_latencies_come_out_per_stage(metrics_of):
 
 def test_late_and_missing_commands_are_misses(metrics_of):
     clean = metrics_of(TIMING)
-    assert (clean.deadline_misses, clean.unanswered, clean.missed_ticks) == (0, 0, 0)
-    m = metrics_of(replace(TIMING, late=(60, 61), unanswered=(70,), fallback=(40, 90)))
+    assert (clean.deadline_misses, clean.unanswered, clean.missed_ticks) == (
+        0,
+        0,
+        0,
+    )
+    m = metrics_of(
+        replace(TIMING, late=(60, 61), unanswered=(70,), fallback=(40, 90))
+    )
     assert (m.deadline_misses, m.unanswered) == (3, 1)
     assert (m.ticks, m.end_to_end.count) == (clean.ticks, clean.ticks - 1)
     assert (m.fallback_cycles, m.longest_fallback) == (2, 1)
@@ -133,9 +149,16 @@ def test_a_command_cut_off_by_the_end_and_gaps_are_no_deadline_misses(
     ("warm_up", "counted"), [(WARM_UP, (0, 0, 0, 0)), (0.0, (2, 1, 1, 1))]
 )
 def test_events_in_the_warm_up_are_left_out(metrics_of, warm_up, counted):
-    walk = replace(TIMING, unanswered=(3,), late=(5,), fallback=(6,), rejected=(7,))
+    walk = replace(
+        TIMING, unanswered=(3,), late=(5,), fallback=(6,), rejected=(7,)
+    )
     m = metrics_of(walk, warm_up)
-    found = (m.deadline_misses, m.unanswered, m.fallback_cycles, m.rejected_odometry)
+    found = (
+        m.deadline_misses,
+        m.unanswered,
+        m.fallback_cycles,
+        m.rejected_odometry,
+    )
     assert found == counted
 
 
@@ -165,7 +188,9 @@ def test_load_is_the_mean_torque_over_the_stall_torque_at_the_supply_voltage(
     assert m.supply_voltage == pytest.approx(voltage, rel=1e-12, nan_ok=True)
 
 
-def test_without_ground_truth_the_state_estimate_is_the_stated_source(metrics_of):
+def test_without_ground_truth_the_state_estimate_is_the_stated_source(
+    metrics_of,
+):
     truth = metrics_of(WALK)
     m = metrics_of(replace(WALK, truth=False))
     assert (truth.source, m.source) == ("/ground_truth/odom", "/mpc_state")

@@ -20,7 +20,9 @@ from slot_lab.report.metrics import walk_metrics
 
 WALK = Walk(duration=5.0, course=0.02, roll=0.1, bounce=0.004, late=(50,))
 WARM_UP = 1.0
-ROUNDING = 1e-6  # of stamps and doubles; the plotted values are of order 1 to 100
+ROUNDING = (
+    1e-6  # of stamps and doubles; the plotted values are of order 1 to 100
+)
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +48,17 @@ def test_the_panels_show_the_motion_in_their_units_and_each_leg_in_its_own(
     x, y = line(axes["path"], "torso")
     assert np.allclose(y, np.tan(0.02) * x, atol=ROUNDING)
     t, z = axes["height"].lines[0].get_data()  # mm
-    assert np.allclose(z, 60 + 4 * np.sin(2 * np.pi * t / STRIDE), atol=ROUNDING * 1e3)
+    assert np.allclose(
+        z, 60 + 4 * np.sin(2 * np.pi * t / STRIDE), atol=ROUNDING * 1e3
+    )
     t, roll = line(axes["tilt"], "roll")  # deg
     turn = np.degrees(0.1) * np.sin(2 * np.pi * t / STRIDE)
     assert np.allclose(roll, turn, atol=1e-4)
     for i, leg in enumerate(LEGS):
         t, desired = line(axes[f"angle {leg}"], "desired")
-        assert np.allclose(desired, [np.degrees(angles(s))[i] for s in t], atol=1e-4)
+        assert np.allclose(
+            desired, [np.degrees(angles(s))[i] for s in t], atol=1e-4
+        )
         t, true = line(axes[f"force {leg}"], "true")
         expected = [1.05 * normal_forces(s - 0.03)[i] for s in t]
         assert np.allclose(true, expected, atol=ROUNDING * 10)

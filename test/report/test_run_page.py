@@ -10,7 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_walk import NODES, ROBOT, Walk, leg_nodes, normal_forces, write_walk
+from synthetic_walk import (
+    NODES,
+    ROBOT,
+    Walk,
+    leg_nodes,
+    normal_forces,
+    write_walk,
+)
 
 from slot_core.drawing.drawing import NATURAL_NODES
 from slot_lab.bags.bag import Bag
@@ -26,7 +33,9 @@ from slot_lab.report.run_page.run_page import (
 
 ROOT = Path(__file__).parents[2]
 WALK = Walk(duration=1.0, roll=0.1, bounce=0.004, speed=0.2)
-XHTML = b"http://www.w3.org/1999/xhtml"  # a name of three.js, which is not loaded
+XHTML = (
+    b"http://www.w3.org/1999/xhtml"  # a name of three.js, which is not loaded
+)
 CHROMIUM = shutil.which("chromium") or ""
 
 
@@ -47,10 +56,12 @@ def inside(text, name):
 
 def unpacked(text, count, width):
     """Integers (count, width) as the page decodes them, but for those along the legs."""
-    planes = np.frombuffer(zlib.decompress(base64.b64decode(text)), np.uint8).reshape(
-        4, -1
+    planes = np.frombuffer(
+        zlib.decompress(base64.b64decode(text)), np.uint8
+    ).reshape(4, -1)
+    signed = (
+        np.ascontiguousarray(planes.T).view("<u4")[:, 0].reshape(width, count).T
     )
-    signed = np.ascontiguousarray(planes.T).view("<u4")[:, 0].reshape(width, count).T
     change = (signed >> 1).astype(np.int64) ^ -(signed & 1).astype(np.int64)
     return change.cumsum(axis=0).astype(np.int32)
 
@@ -63,8 +74,13 @@ def decoded(run):
         integers, at = table[:, at : at + count], at + count
         if name in ALONG:
             nodes = integers.reshape(len(integers), 4, -1, 3)
-            integers = nodes.cumsum(axis=2).astype(np.int32).reshape(integers.shape)
-        found[name] = np.where(integers == NO_VALUE, np.nan, integers * step), step
+            integers = (
+                nodes.cumsum(axis=2).astype(np.int32).reshape(integers.shape)
+            )
+        found[name] = (
+            np.where(integers == NO_VALUE, np.nan, integers * step),
+            step,
+        )
     return found
 
 
@@ -74,13 +90,17 @@ def test_frames_are_the_recorded_states_of_the_legs(frames):
     assert t == pytest.approx(np.arange(31) / 30, abs=1e-8)
     place = np.array([WALK.position(time) for time in t])
     assert frames.columns["position"] == pytest.approx(place, abs=1e-9)
-    nodes = frames.columns["nodes"].reshape(-1, 4, NODES, 3) + place[:, None, None]
+    nodes = (
+        frames.columns["nodes"].reshape(-1, 4, NODES, 3) + place[:, None, None]
+    )
     assert nodes[7] == pytest.approx(
         leg_nodes(WALK, t[7]), abs=1e-6
     )  # single precision
     force = frames.columns["force"].reshape(-1, 4, 3)[:, :, 2]
     assert force[9] == pytest.approx(1.05 * normal_forces(t[9] - 0.03))
-    assert frames.columns["height/true"][:, 0] == pytest.approx(1e3 * place[:, 2])
+    assert frames.columns["height/true"][:, 0] == pytest.approx(
+        1e3 * place[:, 2]
+    )
     assert frames.states["MPC"] == [(0.0, "SOLVED")]
 
 
@@ -106,7 +126,9 @@ def test_thinned_frames_and_curves_that_cannot_be_read_are_said(
     monkeypatch.setattr(run_page, "MOST_FRAMES", 10)
     first, second = write_page([bag], tmp_path / "walk.html")
     assert re.search(r"walk\.html: walk 8 frames \(one of 4\), \d+ kB$", first)
-    assert second.startswith(f"left out: {bag.path}: /gait_preview cannot be used: ")
+    assert second.startswith(
+        f"left out: {bag.path}: /gait_preview cannot be used: "
+    )
 
 
 def test_legs_of_unknown_shape_are_those_without_stress(tmp_path):
@@ -122,8 +144,12 @@ def test_a_page_loads_nothing_from_anywhere(frames):
     assert not re.search(
         r"https?:|//[\w-]+\.\w|url\(|@import|fetch\(|XMLHttp|WebSocket", text
     )
-    assert not re.search(r"<[a-z][^<>]*\s(src|href|srcset|data|action|poster)=", text)
-    (policy,) = re.findall(r'Content-Security-Policy"\s+content="([^"]*)"', text)
+    assert not re.search(
+        r"<[a-z][^<>]*\s(src|href|srcset|data|action|poster)=", text
+    )
+    (policy,) = re.findall(
+        r'Content-Security-Policy"\s+content="([^"]*)"', text
+    )
     assert policy.split("; ") == [
         "default-src 'none'",
         "script-src 'unsafe-inline' blob:",
@@ -165,7 +191,9 @@ def browsed(path, place, tmp_path):
     return run.stdout
 
 
-@pytest.mark.skipif(not CHROMIUM, reason="Chromium is missing: no page was opened")
+@pytest.mark.skipif(
+    not CHROMIUM, reason="Chromium is missing: no page was opened"
+)
 @pytest.mark.skipif(
     "/snap/" in CHROMIUM, reason="Chromium is a snap, which cannot read /tmp"
 )
@@ -182,7 +210,9 @@ def test_a_browser_shows_the_values_of_both_runs_and_how_far_they_are_apart(
     assert "0.75 of 1.00 s" in words
     assert "first: MPC SOLVED" in words
     # between two frames the values are interpolated: in 33 ms the sine of 0.72 s turns by 0.29 rad
-    assert [float(x) for x in re.findall(r"true ([\d.]+) \| ([\d.]+)", words)[0]] == [
+    assert [
+        float(x) for x in re.findall(r"true ([\d.]+) \| ([\d.]+)", words)[0]
+    ] == [
         0.2,
         0.23,
     ]

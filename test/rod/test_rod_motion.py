@@ -12,8 +12,17 @@ from scipy.spatial.transform import Rotation
 from benchmarks.rod.exact import LEG, TPU
 from slot_core.refusal import DivergenceError
 from slot_core.rod.cosserat_rod import CosseratRod
-from slot_core.rod.model import FREE, Circle, Geometry, Loads, Material, Pose, Support
-from slot_core.rod.motion import RodState, Scheme
+from slot_core.rod.model import (
+    FREE,
+    Circle,
+    Geometry,
+    Loads,
+    Material,
+    Pose,
+    RodState,
+    Scheme,
+    Support,
+)
 
 
 def flying():
@@ -25,10 +34,14 @@ def flying():
     state, rate = rod.state, np.array([6.0, 8.0, -4.0])
     r = state.position
     velocity = np.cross(rate, r) + np.array([0.3, -0.2, 0.1])
-    velocity[:, 1:] += np.outer((r[:, 0] - 0.1) ** 2, [40.0, 60.0])  # bends the leg
+    velocity[:, 1:] += np.outer(
+        (r[:, 0] - 0.1) ** 2, [40.0, 60.0]
+    )  # bends the leg
     t = directions(r)
     spin = t @ rate + np.linspace(-20.0, 30.0, 16)  # twists it
-    rod.state = RodState(r, state.director, velocity, spin[:, None] * t, state.ends)
+    rod.state = RodState(
+        r, state.director, velocity, spin[:, None] * t, state.ends
+    )
     return rod
 
 
@@ -58,7 +71,11 @@ class Independent:
     """
 
     def __init__(self, material, geometry):
-        h, f, section = geometry.length / 3, np.linspace(0, 1, 4), geometry.section
+        h, f, section = (
+            geometry.length / 3,
+            np.linspace(0, 1, 4),
+            geometry.section,
+        )
         young, shear = material.young_modulus, material.shear_modulus
         m, w = (f[1:] + f[:-1]) / 2, np.array([3 / 8, 9 / 8, 9 / 8]) * h
         hinges = [
@@ -70,9 +87,14 @@ class Independent:
         self.stiffness = np.array(
             [axial, *(hinge[:-1] / w for hinge in hinges)]
         ).ravel()
-        a, mu = material.density * h * section.area(f) / 6, material.density * h / 6
+        a, mu = (
+            material.density * h * section.area(f) / 6,
+            material.density * h / 6,
+        )
         # linear course of the mass, coupling of its middle
-        mass = np.append(2 * a[:-1] + a[1:], 0.0) + np.append(0.0, a[:-1] + 2 * a[1:])
+        mass = np.append(2 * a[:-1] + a[1:], 0.0) + np.append(
+            0.0, a[:-1] + 2 * a[1:]
+        )
         self.rod = SimpleNamespace(
             rest_length=np.full(3, h),
             rest_angle=np.zeros(3),
@@ -82,17 +104,25 @@ class Independent:
         )
         self.mass = mass_matrix(self.rod)[1:, 1:]  # node 0 is held
         polar = section.second_moment(m) + section.lateral_moment(m)
-        self.spin, self.beta = material.density * polar * h, material.damping_time
+        self.spin, self.beta = (
+            material.density * polar * h,
+            material.damping_time,
+        )
 
     def slope(self, y, load):
         """Derivative of (nodes, directors, velocities, spins)."""
-        r, v = (np.vstack([np.zeros(3), y[k : k + 9].reshape(3, 3)]) for k in (0, 18))
+        r, v = (
+            np.vstack([np.zeros(3), y[k : k + 9].reshape(3, 3)])
+            for k in (0, 18)
+        )
         d, spin, t = y[9:18].reshape(3, 3), y[27:], directions(r)
 
         def strains(x):
             shift = np.vstack([np.zeros(3), x[:9].reshape(3, 3)])
             clamp = Rotation.identity()
-            return chain_strains(self.rod, clamp, r, d, r + shift, x[9:])[0].ravel()
+            return chain_strains(self.rod, clamp, r, d, r + shift, x[9:])[
+                0
+            ].ravel()
 
         here = strains(np.zeros(12))
         b = np.array([strains(1e-7 * e) - here for e in np.eye(12)]).T / 1e-7
@@ -102,7 +132,10 @@ class Independent:
         # The spin's angular momentum turns with the segment: a moment on it, carried by its nodes.
         length = np.linalg.norm(np.diff(r, axis=0), axis=1)[:, None]
         rate = np.cross(t, np.diff(v, axis=0)) / length
-        couple = np.cross((self.spin * spin)[:, None] * np.cross(rate, t), t) / length
+        couple = (
+            np.cross((self.spin * spin)[:, None] * np.cross(rate, t), t)
+            / length
+        )
         nodes = force[:9].reshape(3, 3) - couple
         nodes[:-1] += couple[1:]
         return np.concatenate(
@@ -119,7 +152,12 @@ def test_motion_converges_to_an_independent_integration_with_second_order():
     end, force = 0.02, np.array([0.0, 0.6, -0.5])
     own, rod = Independent(TPU, LEG), CosseratRod(TPU, LEG, 4, refined=False)
     state, spin = rod.state, np.array([0.0, 60.0, -90.0])  # twists the leg
-    start = [state.position[1:].ravel(), state.director.ravel(), np.zeros(9), spin]
+    start = [
+        state.position[1:].ravel(),
+        state.director.ravel(),
+        np.zeros(9),
+        spin,
+    ]
     exact = solve_ivp(
         lambda t, y: own.slope(y, force),
         (0, end),
@@ -185,8 +223,12 @@ def test_damped_rod_on_a_turned_clamp_settles_at_its_static_equilibrium():
     moved.run(2e-3, 1500, loads)
     solved = CosseratRod(material, geometry, 9, pose=Pose(rotation=tuple(turn)))
     solved.solve_static(loads)
-    np.testing.assert_allclose(moved.state.position, solved.state.position, atol=1e-8)
-    np.testing.assert_allclose(moved.state.director, solved.state.director, atol=1e-7)
+    np.testing.assert_allclose(
+        moved.state.position, solved.state.position, atol=1e-8
+    )
+    np.testing.assert_allclose(
+        moved.state.director, solved.state.director, atol=1e-7
+    )
     np.testing.assert_allclose(moved.state.ends, solved.state.ends, atol=1e-7)
 
 
@@ -195,7 +237,9 @@ def test_rod_twisted_beyond_a_turn_stays_sound_when_kicked_sideways(turns):
     """The tip is turned by more than 180 and 360 deg about the axis, then the middle is kicked."""
     slide = Support((False, True, True), (True, True, True))
     material = Material(1e7, 1e7 / 3, 1200.0, 2e-3)
-    rod = CosseratRod(material, Geometry(0.3, Circle((0.02, 0.02))), 21, tip=slide)
+    rod = CosseratRod(
+        material, Geometry(0.3, Circle((0.02, 0.02))), 21, tip=slide
+    )
     steps = 300
     for n in range(1, steps + 1):
         angle = 2 * math.pi * turns * n / steps
@@ -209,7 +253,9 @@ def test_rod_twisted_beyond_a_turn_stays_sound_when_kicked_sideways(turns):
     rod.run(1e-3, 50)
     assert np.abs(rod.state.position[:, 1]).max() > 1e-4
     rod.run(1e-3, 2000)
-    even = np.cumsum(np.full(20, 2 * math.pi * turns / 20)) - math.pi * turns / 20
+    even = (
+        np.cumsum(np.full(20, 2 * math.pi * turns / 20)) - math.pi * turns / 20
+    )
     director = rod.state.director
     expected = np.column_stack([np.zeros(20), -np.cos(even), -np.sin(even)])
     # Evenly but for the hinges' weights at the ends, 3/8, 7/6 and 23/24 of a step.
@@ -244,7 +290,9 @@ def test_divergence_is_an_error_with_time_step_and_node():
 
 
 @pytest.mark.parametrize("nodes", [7, 17, 22])
-def test_one_newton_iteration_per_step_follows_the_converged_damped_motion(nodes):
+def test_one_newton_iteration_per_step_follows_the_converged_damped_motion(
+    nodes,
+):
     """Released from an oblique force of 1 N, steps of 1 ms."""
     paths = []
     for iterations in (1, 20):

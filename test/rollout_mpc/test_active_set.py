@@ -23,7 +23,11 @@ def by_clarabel(inverse, gradient, rows, low, high):
         [clarabel.NonnegativeConeT(2 * len(rows))],
         settings,
     ).solve()
-    return np.array(found.x) if found.status == clarabel.SolverStatus.Solved else None
+    return (
+        np.array(found.x)
+        if found.status == clarabel.SolverStatus.Solved
+        else None
+    )
 
 
 def random_problem(seed, kind="plain"):
@@ -49,7 +53,13 @@ def random_problem(seed, kind="plain"):
     return inverse, 20.0 * rng.normal(size=N), rows, low, high
 
 
-KINDS = ["plain", "equal rows", "one side is at the start", "no room", "opposite rows"]
+KINDS = [
+    "plain",
+    "equal rows",
+    "one side is at the start",
+    "no room",
+    "opposite rows",
+]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -61,7 +71,10 @@ def test_the_minimum_is_that_of_an_interior_point_method(kind):
         found, wanted = solver.solve(*parts, SLACK), by_clarabel(*parts)
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5)
         *_, rows, low, high = parts
-        assert max((low - rows @ found).max(), (rows @ found - high).max()) <= 2 * SLACK
+        assert (
+            max((low - rows @ found).max(), (rows @ found - high).max())
+            <= 2 * SLACK
+        )
         np.testing.assert_array_equal(ActiveSet(N).solve(*parts, SLACK), found)
 
 

@@ -37,7 +37,9 @@ def test_a_rollout_is_the_motion_of_the_simulated_robot(model):
             for share in np.arange(NOMINAL.cycles) / NOMINAL.cycles:
                 angle = plan[k] + share * (plan[k + 1] - plan[k])
                 robot.advance(NOMINAL.steps, angle)
-            np.testing.assert_allclose(force[k], robot.ground_force, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(
+                force[k], robot.ground_force, rtol=0, atol=1e-9
+            )
             # rounding
             there = [*robot.rpy, *robot.position]
             np.testing.assert_allclose(pose[k], there, rtol=0, atol=1e-11)
@@ -47,7 +49,9 @@ def test_a_measured_state_has_the_torso_of_the_estimate_and_the_legs_of_the_mode
     model,
 ):
     start = model.at_rest(STANDING, np.full(4, 1.3))
-    moved = np.array([0.1, -0.2, 3, 1, 2, 0.05, 0.3, 0.2, -0.1, 0.04, 0.03, -0.02])
+    moved = np.array(
+        [0.1, -0.2, 3, 1, 2, 0.05, 0.3, 0.2, -0.1, 0.04, 0.03, -0.02]
+    )
     torso = torso_of(model, model.measured(start, moved))
     np.testing.assert_allclose(torso, moved, rtol=0, atol=1e-14)
     angle = model.robot.state.tendon_angle
@@ -57,7 +61,9 @@ def test_a_measured_state_has_the_torso_of_the_estimate_and_the_legs_of_the_mode
 def test_a_rollout_that_diverges_is_nan_and_spoils_no_other(model):
     start, plan = model.at_rest(STANDING, np.full(4, 1.3)), plans(1)
     good = model.roll_out(start, plan).pose
-    over = model.measured(start, STANDING + 1.2 * np.eye(12)[1])  # rad, beyond 60 deg
+    over = model.measured(
+        start, STANDING + 1.2 * np.eye(12)[1]
+    )  # rad, beyond 60 deg
     found = model.roll_out(over, plan)
     assert np.isnan([*found.pose.flat, *found.force.flat]).all()
     np.testing.assert_array_equal(model.roll_out(start, plan).pose, good)

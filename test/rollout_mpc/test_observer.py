@@ -17,11 +17,15 @@ class Watch:
     share: of a tick, from one estimate to the next.
     """
 
-    def __init__(self, drift=(0.0, 0.0, 0.0), wrench=(0.0, 0.0, 0.0), share=1.0):
+    def __init__(
+        self, drift=(0.0, 0.0, 0.0), wrench=(0.0, 0.0, 0.0), share=1.0
+    ):
         self.plant, self.model = (
             NominalRobot(ROBOT, SETTINGS.nominal, DT) for _ in range(2)
         )
-        self.observer = DisturbanceObserver(self.model, SETTINGS.observer, SCALE, DT)
+        self.observer = DisturbanceObserver(
+            self.model, SETTINGS.observer, SCALE, DT
+        )
         self.plant.set_wrench(np.array(wrench), 0.0)
         self.state, self.command = np.eye(12)[5] * 0.05, np.full((2, 4), ANGLE)
         self.real = self.plant.at_rest(self.state, self.command[0])
@@ -43,7 +47,11 @@ class Watch:
         return self.observer
 
 
-NOTHING, WRENCH, DRIFT = (0.0, 0.0, 0.0), (-3.0, 0.1, -0.15), (0.01, -0.005, 0.02)
+NOTHING, WRENCH, DRIFT = (
+    (0.0, 0.0, 0.0),
+    (-3.0, 0.1, -0.15),
+    (0.01, -0.005, 0.02),
+)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +64,9 @@ NOTHING, WRENCH, DRIFT = (0.0, 0.0, 0.0), (-3.0, 0.1, -0.15), (0.01, -0.005, 0.0
         (NOTHING, DRIFT, 1.3),
     ],
 )
-def test_a_wrench_and_a_drift_in_the_heading_frame_are_found(wrench, drift, share):
+def test_a_wrench_and_a_drift_in_the_heading_frame_are_found(
+    wrench, drift, share
+):
     found = Watch(drift, wrench, share).go_on(300 if wrench is WRENCH else 120)
     assert found.wrench == pytest.approx(
         wrench, rel=0.1, abs=1e-9 if share == 1.0 else 0.1
@@ -72,7 +82,8 @@ def test_a_steady_drift_is_no_misfit_but_a_robot_that_moves_otherwise_is():
     found = observer.drift[0]
     watch.drift[:] = 0.0
     far = [
-        watch.go_on(1, 0.2 * (-1) ** k * (k < 60)).model_mismatch for k in range(200)
+        watch.go_on(1, 0.2 * (-1) ** k * (k < 60)).model_mismatch
+        for k in range(200)
     ]
     assert far.index(True) in range(3, 20)
     assert not far[-1]  # once it moves as the model again
@@ -83,5 +94,7 @@ def test_a_forgotten_motion_leaves_the_estimates():
     watch = Watch(wrench=(-3.0, 0.0, 0.0))
     before = watch.go_on(120).wrench.copy()
     watch.observer.forget()
-    np.testing.assert_array_equal(watch.go_on(SETTINGS.observer.window).wrench, before)
+    np.testing.assert_array_equal(
+        watch.go_on(SETTINGS.observer.window).wrench, before
+    )
     assert not np.array_equal(watch.go_on(1).wrench, before)

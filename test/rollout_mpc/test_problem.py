@@ -19,8 +19,12 @@ def problem():
 def case(seed, size):
     """Errors (6 K,), slopes (20, 6 K), deviations and angles (K + 1, 4), random."""
     rng = np.random.default_rng(seed)
-    nominal = np.clip(1.3 + np.cumsum(rng.normal(0, 0.2, (K + 1, 4)), axis=0), 0.2, 1.9)
-    deviation = np.clip(np.cumsum(rng.normal(0, 0.05, (K + 1, 4)), axis=0), -0.4, 0.4)
+    nominal = np.clip(
+        1.3 + np.cumsum(rng.normal(0, 0.2, (K + 1, 4)), axis=0), 0.2, 1.9
+    )
+    deviation = np.clip(
+        np.cumsum(rng.normal(0, 0.05, (K + 1, 4)), axis=0), -0.4, 0.4
+    )
     deviation = np.clip(nominal + deviation, 0.2, 2.0) - nominal
     return (
         size * rng.normal(size=6 * K),
@@ -45,7 +49,9 @@ def reference_change(problem, error, slopes, deviation, nominal):
         + (K + 1) * cp.sum_squares(mean) / (K * cost.deviation**2)
         + cp.sum_squares(swing) / (K * cost.swing**2)
     )
-    most = np.maximum(DT * limits.rate, np.abs(np.diff(nominal + deviation, axis=0)))
+    most = np.maximum(
+        DT * limits.rate, np.abs(np.diff(nominal + deviation, axis=0))
+    )
     within = [
         cp.abs(b) <= limits.deviation,
         nominal + b >= min(limits.angle_min, nominal.min()),
@@ -61,7 +67,9 @@ def reference_change(problem, error, slopes, deviation, nominal):
 @pytest.mark.parametrize("seed", range(4))
 def test_the_step_is_the_minimum_within_its_limits(problem, seed, size):
     error, slopes, deviation, nominal = case(seed, size)
-    found = problem.change(error, problem.linearised(slopes), deviation, nominal)
+    found = problem.change(
+        error, problem.linearised(slopes), deviation, nominal
+    )
     wanted = reference_change(problem, error, slopes, deviation, nominal)
     np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-5)  # rad
     after = nominal + deviation + found
@@ -85,7 +93,9 @@ def test_a_reference_leads_by_its_reach_and_falls_behind_by_the_drift(problem):
     rows[:, 0] = np.where(stage % 2, 0.02, -0.02)
     drift, k = np.array([0.01, 0.0, 0.1]), stage[1:-1]
     pose = problem.reference(rows, np.zeros(3), drift, 0.001)
-    assert pose[:, 3] == pytest.approx(SETTINGS.cost.reach + (0.05 - 0.01) * DT * k)
+    assert pose[:, 3] == pytest.approx(
+        SETTINGS.cost.reach + (0.05 - 0.01) * DT * k
+    )
     assert pose[:, 2] == pytest.approx(-0.1 * DT * k)
     assert pose[:, 5] == pytest.approx(-0.001)
     assert pose[:, 0] == pytest.approx(rows[1 : K + 1, 0].mean())

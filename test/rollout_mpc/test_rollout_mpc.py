@@ -59,11 +59,15 @@ def test_an_estimate_between_two_stages_gets_the_plan_between_them(walking):
     np.testing.assert_allclose(between.angle[:-1], expected, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(between.report.drift, plan.report.drift)
     one, two = (step(p, walking[59]) for p in (policy, after(walking[:59])))
-    np.testing.assert_array_equal(one.angle, two.angle)  # it has changed nothing
+    np.testing.assert_array_equal(
+        one.angle, two.angle
+    )  # it has changed nothing
 
 
 @pytest.mark.parametrize(("share", "is_new"), [(0.7, False), (0.9, True)])
-def test_the_estimate_nearest_to_the_next_stage_gets_a_new_plan(walking, share, is_new):
+def test_the_estimate_nearest_to_the_next_stage_gets_a_new_plan(
+    walking, share, is_new
+):
     policy = after(walking[:20])
     step(policy, later(walking[19], share))
     assert (policy._plan.time > walking[19].estimate.time) == is_new
@@ -74,8 +78,12 @@ def test_the_robot_walks_uphill_with_odometry_of_another_rate(period):
     """Where every estimate was taken for one a tick later it walked at 13 mm/s at 100 Hz."""
     changes = {"scene.sensors.odometry.period": period}
     uphill = np.array([0.04, 0.0, 0.0])
-    loop = ClosedLoop("slope5", "walk", uphill, 1, "rollout_mpc", changes=changes)
-    place = [loop.plant.robot.position[0] for _ in loop.run(round(12.0 / period))]
+    loop = ClosedLoop(
+        "slope5", "walk", uphill, 1, "rollout_mpc", changes=changes
+    )
+    place = [
+        loop.plant.robot.position[0] for _ in loop.run(round(12.0 / period))
+    ]
     speed = (place[-1] - place[round(4.0 / period)]) / 8.0
     assert speed == pytest.approx(0.04, abs=0.008)
 
@@ -85,7 +93,9 @@ def test_a_missed_estimate_moves_the_plan_on(walking):
         step(after(walking[:number]), walking[39]) for number in (38, 39, 0)
     )
     assert skipped.status == Status.SOLVED
-    off, begun = (np.abs(plan.angle - every.angle).mean() for plan in (skipped, anew))
+    off, begun = (
+        np.abs(plan.angle - every.angle).mean() for plan in (skipped, anew)
+    )
     assert off < 0.5 * begun
 
 
@@ -110,12 +120,16 @@ def test_where_the_servos_do_not_follow_the_plan_is_the_gaits(walking):
     assert step(policy, walking[31]).status == Status.SOLVED
 
 
-def test_rejected_states_move_the_last_plan_on_towards_the_gait_and_then_stop(walking):
+def test_rejected_states_move_the_last_plan_on_towards_the_gait_and_then_stop(
+    walking,
+):
     policy, ticks = after(walking[:30]), walking[30 : 30 + LIMITS.cycles + 2]
     missed = follow(policy, [with_state(tick, 5, math.nan) for tick in ticks])
     used, stopped = missed[: LIMITS.cycles], missed[LIMITS.cycles :]
     assert {plan.status for plan in used} == {Status.REJECTED}
-    assert [plan.fallback_cycles for plan in missed] == list(range(1, len(missed) + 1))
+    assert [plan.fallback_cycles for plan in missed] == list(
+        range(1, len(missed) + 1)
+    )
     assert used[0].message == "state[5] = nan: outside [-10000, 10000]"
     # a column of a bag keeps its shape, whoever has made the plan
     assert {plan.force.shape for plan in missed} == {(STAGES, 4, 3)}
@@ -146,7 +160,10 @@ def test_a_late_plan_a_rollout_that_diverges_and_an_unsolved_problem_are_faults(
     assert plan.message == said
     # rad, beyond what its legs can carry
     plan = step(after(walking[:30]), with_state(walking[30], 1, 1.3))
-    assert (plan.status, plan.message) == (Status.NOT_SOLVED, "the rollout diverges")
+    assert (plan.status, plan.message) == (
+        Status.NOT_SOLVED,
+        "the rollout diverges",
+    )
     policy, said = after(walking[:30]), "the quadratic programme is not solved"
     policy._problem.change = lambda *_: None
     plan = step(policy, walking[30])
@@ -181,7 +198,9 @@ def soft_walk(seed, misfit_max):
     """Way (m) in 15 s on legs softer by 30 %, with a limit of the misfit; also its last tick."""
     soft = {"robot.leg.young_modulus": 0.7 * ROBOT.leg.young_modulus}
     changes = soft | {"policy.observer.misfit_max": misfit_max}
-    loop = ClosedLoop("flat", "walk", WALK, seed, "rollout_mpc", changes=changes)
+    loop = ClosedLoop(
+        "flat", "walk", WALK, seed, "rollout_mpc", changes=changes
+    )
     *_, last = loop.run(450)
     return float(loop.plant.robot.position[0]), last
 

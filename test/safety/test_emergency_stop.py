@@ -4,7 +4,7 @@ import pytest
 from supervisor_bench import bench_in
 
 from slot_core.clock import SECOND
-from slot_core.safety.emergency_stop import EmergencyStop
+from slot_core.safety.conditions import EmergencyStop
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import Request, State
 
@@ -58,7 +58,9 @@ def test_the_loss_of_one_of_two_sources_stops_the_robot_and_a_reset_accepts_it()
     bench = two_sources()
     bench.sources.pop("button")
     assert LIMIT < bench.time_until(State.ESTOP, 1.0) + 0.011 < LIMIT + 0.03
-    assert bench.reports[-1].reason.startswith("e-stop source button silent for 0.5")
+    assert bench.reports[-1].reason.startswith(
+        "e-stop source button silent for 0.5"
+    )
     bench.run(LIMIT)
     bench.request(Request.RESET, Request.READY)
     assert bench.run(2 * LIMIT).state is State.READY

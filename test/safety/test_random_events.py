@@ -28,7 +28,9 @@ def random_input(rng, bench, supervisor, steady):
     kind = rng.integers(8)
     if kind <= 1:
         near = np.clip(bench.angle + rng.normal(0, 0.02, 4), 0, 2.0)
-        angle = (near if rng.random() < 0.95 else rng.uniform(0, 2.0, 4)) + wrong
+        angle = (
+            near if rng.random() < 0.95 else rng.uniform(0, 2.0, 4)
+        ) + wrong
         if not supervisor.receive_command(now, stamp, angle):
             bench.watchdog.offer(steady, angle)
     elif kind == 2:
@@ -43,16 +45,22 @@ def random_input(rng, bench, supervisor, steady):
         angle[rng.integers(4)] += wrong
         supervisor.receive_joints(now, now, angle, torque)
         bits = rng.choice([0, 0x20], size=4, p=[0.9995, 0.0005])
-        supervisor.receive_health(now, now, bench.servo_health(hardware_error=bits))
+        supervisor.receive_health(
+            now, now, bench.servo_health(hardware_error=bits)
+        )
     elif kind == 4:
         supervisor.receive_mpc(
             now, int(rng.choice([0, 1, 4], p=[0.9, 0.09, 0.01])), 0, 0.6
         )
     elif kind == 5:
-        supervisor.receive_estop(now, str(rng.integers(2)), bool(rng.random() < 0.002))
+        supervisor.receive_estop(
+            now, str(rng.integers(2)), bool(rng.random() < 0.002)
+        )
     elif kind == 6:
         return Request(
-            rng.choice([*Request, *[Request.READY, Request.STAND, Request.WALK] * 6])
+            rng.choice(
+                [*Request, *[Request.READY, Request.STAND, Request.WALK] * 6]
+            )
         )
     return None
 
@@ -63,26 +71,41 @@ def test_no_sequence_of_events_violates_the_safety_rules():
     supervisor, limit = bench.supervisor, ROBOT.tendon.angle_max
     before, relaxing, visited, steady = State.IDLE, 0.0, set(), 0
     for _ in range(10_000):
-        jump = int(rng.choice([0, -(10**10), 10**10], p=[0.9996, 0.0002, 0.0002]))
+        jump = int(
+            rng.choice([0, -(10**10), 10**10], p=[0.9996, 0.0002, 0.0002])
+        )
         tick = int(rng.integers(0, 6_000_000))
         bench.now += tick + jump
         steady += tick
         request = random_input(rng, bench, supervisor, steady)
-        granted = request is not None and supervisor.request(bench.now, request) == ""
+        granted = (
+            request is not None and supervisor.request(bench.now, request) == ""
+        )
         middle = supervisor.state
         report = supervisor.step(bench.now)
         bench.step_servos(steady, report)
         # 1: goals are finite and within the range
-        assert all(0.0 <= angle <= limit for angle in bench.goals.angle.tolist())
+        assert all(
+            0.0 <= angle <= limit for angle in bench.goals.angle.tolist()
+        )
         # 2: torque only where the state allows it
         assert not (report.state in OFF and bench.goals.torque)
         # 3: latched states are left only by a granted reset
         for old, new in ((before, middle), (middle, report.state)):
-            if old in {State.ESTOP, State.FAULT} and new not in {old, State.ESTOP}:
-                assert (granted, request, new) == (True, Request.RESET, State.IDLE)
+            if old in {State.ESTOP, State.FAULT} and new not in {
+                old,
+                State.ESTOP,
+            }:
+                assert (granted, request, new) == (
+                    True,
+                    Request.RESET,
+                    State.IDLE,
+                )
         # 4: RELAX ends
         relaxing = (
-            relaxing + tick * 1e-9 if State.RELAX is before is report.state else 0.0
+            relaxing + tick * 1e-9
+            if State.RELAX is before is report.state
+            else 0.0
         )
         assert relaxing <= RELAX_MAX
         before = report.state

@@ -35,7 +35,11 @@ BAD = [
     ([1.0, math.nan, 1.0, 1.0], REST, f"command FR = nan {OUTSIDE}"),
     ([1.0, 1.0, math.inf, 1.0], REST, f"command RL = inf {OUTSIDE}"),
     ([1.0, 1.0, 1.0, -1e-9], REST, f"command RR = -1e-09 {OUTSIDE}"),
-    ([LIMIT * (1 + 1e-12), 1.0, 1.0, 1.0], REST, f"command FL = 2.029 {OUTSIDE}"),
+    (
+        [LIMIT * (1 + 1e-12), 1.0, 1.0, 1.0],
+        REST,
+        f"command FL = 2.029 {OUTSIDE}",
+    ),
     ([1.0, 1.0, 1.0], REST, "command has the shape (3,), limit (4,)"),
     ([[1.0, 1.0, 1.0, 1.0]], REST, "command has the shape (1, 4), limit (4,)"),
     (MIDDLE, [0.0, math.nan, 0.0, 0.0], "rate FR = nan rad/s is not finite"),
@@ -44,7 +48,9 @@ BAD = [
 
 
 @pytest.mark.parametrize(("angle", "rate", "reason"), BAD)
-def test_a_vector_with_a_bad_value_is_rejected_as_a_whole_by_name(angle, rate, reason):
+def test_a_vector_with_a_bad_value_is_rejected_as_a_whole_by_name(
+    angle, rate, reason
+):
     built = gate()
     assert built.offer(0, angle, rate) == reason
     _, results = run(built, Action.PASS, 0.5, fast=True)
@@ -112,7 +118,10 @@ def test_relax_ends_slack_and_without_torque_within_relax_time(angle):
     falling = np.diff([goals.angle[0] for goals in results])
     assert falling.max(initial=0.0) <= 0.0
     # a ramp: only the first step may use the rest of its budget at once
-    assert falling.min(initial=0.0) >= -SETTINGS.relax_rate * SETTINGS.burst - 1e-12
+    assert (
+        falling.min(initial=0.0)
+        >= -SETTINGS.relax_rate * SETTINGS.burst - 1e-12
+    )
     rare = gate(np.full(4, angle))  # steps
     rare.step(0, Action.RELAX)
     assert not rare.step(time, Action.RELAX).torque
@@ -123,16 +132,26 @@ def test_no_sequence_of_commands_and_actions_exceeds_range_or_rate():
     built = gate()
     time, times, angles = 0, [], []
     for _ in range(20_000):
-        time += int(rng.choice([0, 1, 1_000_000, 10_000_000, 33_000_000, 400_000_000]))
+        time += int(
+            rng.choice([0, 1, 1_000_000, 10_000_000, 33_000_000, 400_000_000])
+        )
         kind = rng.integers(4)
         if kind == 0:
             built.offer(
-                time, rng.uniform(0, LIMIT, 4), rng.normal(0, 10, 4) * rng.integers(2)
+                time,
+                rng.uniform(0, LIMIT, 4),
+                rng.normal(0, 10, 4) * rng.integers(2),
             )
         elif kind == 1:
-            spoilt = rng.normal(0, 1e6, 4) * rng.choice([1.0, math.nan, math.inf])
-            built.offer(time, *((spoilt,) if rng.integers(2) else (MIDDLE, spoilt)))
-        goals = built.step(time, rng.choice(list(Action)), fast=bool(rng.integers(2)))
+            spoilt = rng.normal(0, 1e6, 4) * rng.choice(
+                [1.0, math.nan, math.inf]
+            )
+            built.offer(
+                time, *((spoilt,) if rng.integers(2) else (MIDDLE, spoilt))
+            )
+        goals = built.step(
+            time, rng.choice(list(Action)), fast=bool(rng.integers(2))
+        )
         times.append(time * 1e-9)
         angles.append(goals.angle)
     angle = np.array(angles)
@@ -141,5 +160,7 @@ def test_no_sequence_of_commands_and_actions_exceeds_range_or_rate():
         moved = np.abs(angle[lag:] - angle[:-lag]).max(axis=1)
         span = np.array(times[lag:]) - np.array(times[:-lag])
         # 1e-9: rounding of sums of some twenty steps
-        assert (moved <= SETTINGS.rate_max * (span + SETTINGS.burst) + 1e-9).all()
+        assert (
+            moved <= SETTINGS.rate_max * (span + SETTINGS.burst) + 1e-9
+        ).all()
     assert np.ptp(angle[:, 0]) > 1.0  # the goals did move

@@ -40,7 +40,9 @@ def test_start_up_repeats_a_refused_request_and_returns_the_reason():
         (ALL, Request.RELAX, State.IDLE),
     ],
 )
-def test_start_up_makes_no_request_after_one_of_the_operator(steps, request_, goal):
+def test_start_up_makes_no_request_after_one_of_the_operator(
+    steps, request_, goal
+):
     """The operator's request comes when the start-up has made the first `steps`."""
     bench, start_up = SupervisorBench(), StartUp(*ALL)
     while start_up._left != list(ALL[len(steps) :]):

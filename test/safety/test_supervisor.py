@@ -11,7 +11,13 @@ from supervisor_bench import STEP, bench_in, state
 from slot_core.control.policy import Status
 from slot_core.safety import states as table
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.states import Action, Condition, Request, State, next_state
+from slot_core.safety.states import (
+    Action,
+    Condition,
+    Request,
+    State,
+    next_state,
+)
 
 SETTINGS = read_supervisor()
 OFF = (State.IDLE, State.ESTOP, State.FAULT)
@@ -22,14 +28,21 @@ def test_the_estop_ends_every_state_and_commands_pass_in_two():
         assert next_state(before, Condition.ESTOP_PRESSED) is State.ESTOP
         lost = next_state(before, Condition.ESTOP_LOST)
         assert lost is State.ESTOP or before in OFF
-    passing = {s for s, action in table.ACTIONS.items() if action is Action.PASS}
+    passing = {
+        s for s, action in table.ACTIONS.items() if action is Action.PASS
+    }
     assert passing == {State.STANDING, State.WALKING}
 
 
 def test_the_drawing_shows_the_table_but_for_the_estop():
-    groups = {"a reason to hold": table.REASONS_TO_HOLD, "a fault": table.FAULTS}
+    groups = {
+        "a reason to hold": table.REASONS_TO_HOLD,
+        "a fault": table.FAULTS,
+    }
     drawn, real = set(), set()
-    for before, after, labels in re.findall("(\\w+) --> (\\w+): (.+)", table.__doc__):
+    for before, after, labels in re.findall(
+        "(\\w+) --> (\\w+): (.+)", table.__doc__
+    ):
         for label in labels.split(", "):
             named = groups.get(label) or {Condition[label]}
             drawn |= {(State[before], c, State[after]) for c in named}
@@ -42,7 +55,11 @@ def test_the_drawing_shows_the_table_but_for_the_estop():
 def test_dangerous_conditions_precede_requests():
     order = list(Condition)
     requests = [c for c in Condition if c.name.endswith("_REQUESTED")]
-    dangerous = [Condition.ESTOP_PRESSED, Condition.ESTOP_LOST, *table.REASONS_TO_RELAX]
+    dangerous = [
+        Condition.ESTOP_PRESSED,
+        Condition.ESTOP_LOST,
+        *table.REASONS_TO_RELAX,
+    ]
     assert max(map(order.index, dangerous)) < min(map(order.index, requests))
 
 
@@ -82,9 +99,19 @@ def test_under_torque_the_robot_stays_until_commands_are_followed_on_request():
             {"angle": np.full(4, math.nan), "torque": np.ones(4)},
             "servo FL has not told its angle yet",
         ),
-        (State.READY, Request.STAND, {"silent": {"command"}}, "node force_mapper"),
+        (
+            State.READY,
+            Request.STAND,
+            {"silent": {"command"}},
+            "node force_mapper",
+        ),
         (State.READY, Request.STAND, {"silent": {"estimate"}}, "no estimate"),
-        (State.READY, Request.STAND, {"silent": {"mpc"}}, "node mpc_controller"),
+        (
+            State.READY,
+            Request.STAND,
+            {"silent": {"mpc"}},
+            "node mpc_controller",
+        ),
         (State.READY, Request.STAND, {"status": Status.STOPPED}, "MPC"),
         (
             State.STANDING,

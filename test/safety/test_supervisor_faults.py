@@ -38,7 +38,12 @@ FAULTS = [
     ({"validity": Validity.ODOMETRY_REJECTED}, "HOLD", REJECTED, UNUSABLE),
     ({"validity": Validity.INITIALISING}, "HOLD", REJECTED, UNUSABLE),
     ({"state": np.full(12, NAN)}, "HOLD", REJECTED, UNUSABLE),
-    ({"silent": {"estimate"}}, "HOLD", (SILENCE - CYCLE, SILENCE), "no estimate for"),
+    (
+        {"silent": {"estimate"}},
+        "HOLD",
+        (SILENCE - CYCLE, SILENCE),
+        "no estimate for",
+    ),
     (
         {"state": state(0.51, 0.0)},
         "RELAX",
@@ -120,7 +125,9 @@ def test_a_hold_of_a_stand_or_with_stand_requested_ends_in_standing(
     assert bench.reports[-1].resumed == resumed
 
 
-def test_a_missing_imu_is_warned_of_until_it_is_back_and_the_robot_walks_on(walking):
+def test_a_missing_imu_is_warned_of_until_it_is_back_and_the_robot_walks_on(
+    walking,
+):
     walking.validity = Validity.IMU_MISSING
     assert walking.run(SETTINGS.estimate.imu_silence).warnings == ()
     report = walking.run(2 * CYCLE)
@@ -130,7 +137,9 @@ def test_a_missing_imu_is_warned_of_until_it_is_back_and_the_robot_walks_on(walk
     assert walking.run(2 * CYCLE).warnings == ()
 
 
-def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(walking):
+def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(
+    walking,
+):
     for _ in range(round(SETTINGS.motion.window / CYCLE)):
         phase = 2 * np.pi * walking.now * 1e-9 / STRIDE
         walking.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
@@ -167,11 +176,17 @@ def test_hold_lasts_while_its_reason_recurs(walking):
 
 def test_a_goal_that_the_rate_limit_holds_back_is_warned_of(walking):
     walking.health = {"slewed": np.array([True, True, False, False])}
-    assert any("command slewed" in warning for warning in walking.tick().warnings)
+    assert any(
+        "command slewed" in warning for warning in walking.tick().warnings
+    )
 
 
 def test_a_driver_that_does_not_switch_torque_on_ends_in_relax():
-    off = {"action": Action.OFF, "reason": "stopped", "torque": np.zeros(4, dtype=bool)}
+    off = {
+        "action": Action.OFF,
+        "reason": "stopped",
+        "torque": np.zeros(4, dtype=bool),
+    }
     bench = bench_in(State.IDLE, health=off)
     bench.request(Request.READY)
     refused = bench.supervisor.request(bench.now, Request.STAND)
@@ -182,12 +197,16 @@ def test_a_driver_that_does_not_switch_torque_on_ends_in_relax():
 
 
 @pytest.mark.parametrize("jump", [-3600.0, -0.6, 0.6, 1e6])
-def test_after_a_clock_jump_and_a_hold_the_robot_walks_and_is_watched(walking, jump):
+def test_after_a_clock_jump_and_a_hold_the_robot_walks_and_is_watched(
+    walking, jump
+):
     """Tendons are watched once the legs follow the gait again."""
     walking.now += round(jump * 1e9)
     assert walking.tick().state is State.HOLD
     assert "clock jumped by" in walking.reports[-1].reason
-    assert walking.time_until(State.WALKING, 1.0) <= TIMING.recovery + CYCLE + STEP
+    assert (
+        walking.time_until(State.WALKING, 1.0) <= TIMING.recovery + CYCLE + STEP
+    )
     walking.torque = np.array([0.8, 0.8, 0.0, 0.8])
     took = walking.time_until(State.HOLD, 5.0)
     least = SETTINGS.gate.resume_time + SETTINGS.tendon.window_min
@@ -228,7 +247,9 @@ def test_inputs_stamped_by_another_clock_are_rejected_and_reported_once(
 
 def test_steady_time_does_not_go_back_with_the_clock():
     clock = SteadyClock(0.5)
-    times = [clock.advance(now) for now in (0, 100, 50, 60, 10**10, 10**10 + 5, 0, 7)]
+    times = [
+        clock.advance(now) for now in (0, 100, 50, 60, 10**10, 10**10 + 5, 0, 7)
+    ]
     assert times == [0, 100, 100, 110, 110, 115, 115, 122]
     assert clock.jumped.startswith("clock jumped by -10 s")
 

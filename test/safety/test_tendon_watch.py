@@ -37,7 +37,9 @@ def watch():
     return read_tendon_watch(ROBOT, LIMITS)
 
 
-@pytest.mark.parametrize(("angle_deg", "height"), [(45.0, 0.04), (95.0, 0.0625)])
+@pytest.mark.parametrize(
+    ("angle_deg", "height"), [(45.0, 0.04), (95.0, 0.0625)]
+)
 def test_the_tabulated_torque_is_that_of_the_static_leg_with_the_simulators_nodes(
     angle_deg, height
 ):
@@ -126,14 +128,17 @@ KILOGRAM = {"scene.payload.mass": 1.0}
 
 
 @pytest.mark.parametrize(
-    ("scene", "changes"), [("slope10", {}), ("flat", KILOGRAM), ("slope5", KILOGRAM)]
+    ("scene", "changes"),
+    [("slope10", {}), ("flat", KILOGRAM), ("slope5", KILOGRAM)],
 )
 def test_a_walk_up_a_slope_or_with_a_payload_raises_no_alarm(scene, changes):
     """Largest slack inferred in 12 s: 1.5, 2.0 and 2.0 mm, of both rear legs.
 
     It holds in most walks: of 12 seeds one with 1 kg on the flat floor raises a false alarm.
     """
-    loop = SupervisedLoop(scene, "walk", np.array([0.05, 0.0, 0.0]), 0, changes=changes)
+    loop = SupervisedLoop(
+        scene, "walk", np.array([0.05, 0.0, 0.0]), 0, changes=changes
+    )
     reports = list(loop.run(12.0))
     assert max(np.nanmax(r.slack) for r in reports[100:]) > LIMITS.slack_max
     assert {report.state for report in reports[100:]} == {State.WALKING}

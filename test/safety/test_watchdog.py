@@ -30,7 +30,9 @@ class WatchdogBench:
             self.now += TICK
             if permission is not None:
                 reason = "the supervisor's reason"
-                self.watchdog.permit(Permission(self.now, permission, fast, reason))
+                self.watchdog.permit(
+                    Permission(self.now, permission, fast, reason)
+                )
             if command is not None:
                 self.watchdog.offer(self.now, command)
             self.goals = self.watchdog.step(self.now)
@@ -44,7 +46,10 @@ def bench():
 
 @pytest.mark.parametrize(
     ("missing", "reason"),
-    [("permission", "no message of the supervisor yet"), ("command", "no command yet")],
+    [
+        ("permission", "no message of the supervisor yet"),
+        ("command", "no command yet"),
+    ],
 )
 def test_without_a_permission_or_a_command_nothing_moves_and_torque_stays(
     bench, missing, reason
@@ -64,7 +69,8 @@ def test_a_missing_message_holds_and_then_relaxes_until_the_permission_has_been_
     assert bench.run(2 * TICK * 1e-9, **missing) is Action.HOLD
     assert bench.watchdog.overdue
     assert (
-        bench.run(TIMING.command_lost - TIMING.command_hold, **missing) is Action.RELAX
+        bench.run(TIMING.command_lost - TIMING.command_hold, **missing)
+        is Action.RELAX
     )
     assert bench.run(3.0) is Action.RELAX
     assert not bench.goals.torque
@@ -83,7 +89,9 @@ def test_neither_a_hold_nor_the_supervisors_end_interrupts_a_relax(bench):
     bench.run(0.5)
     bench.watchdog.relax("servo FL: overload")
     assert bench.run(0.1, Action.HOLD) is Action.RELAX
-    assert bench.run(TIMING.command_hold + 0.02, permission=None) is Action.RELAX
+    assert (
+        bench.run(TIMING.command_hold + 0.02, permission=None) is Action.RELAX
+    )
     assert bench.watchdog.reason == "servo FL: overload"
     bench.run(SETTINGS.gate.relax_time, permission=None)
     assert not bench.goals.torque
@@ -95,9 +103,13 @@ def test_goals_move_slowly_while_standing_and_gain_speed_while_walking(bench):
     bench.run(0.1, command=far, fast=False)
     moved = bench.goals.angle - START
     # ten ticks, the first of them within the burst
-    assert moved == pytest.approx(gate.approach_rate * (0.09 + gate.burst), rel=1e-6)
+    assert moved == pytest.approx(
+        gate.approach_rate * (0.09 + gate.burst), rel=1e-6
+    )
     bench.run(0.02, command=far)
-    assert (bench.goals.angle - START - moved < 0.2 * gate.rate_max * 0.02).all()
+    assert (
+        bench.goals.angle - START - moved < 0.2 * gate.rate_max * 0.02
+    ).all()
     bench.run(gate.resume_time, command=far)
     assert bench.goals.angle == pytest.approx(far)
     bench.run(

@@ -47,7 +47,10 @@ class IdealServos:
             read_servo().tendon_stall(voltage),
             np.zeros(4),
         )  # N m; a share
-        self.silent, self.unplugged = set(), False  # the legs that do not answer
+        self.silent, self.unplugged = (
+            set(),
+            False,
+        )  # the legs that do not answer
 
     def advance(self, dt, torques=(0.0,) * 4):
         self.load = np.asarray(torques) / self.stall
@@ -67,7 +70,7 @@ class IdealServos:
     def watchdog_left(self):
         return math.inf
 
-    def inject(self, fault):
+    def set_fault(self, fault, on):
         if fault.kind == "unplugged":
             self.unplugged = True
         else:
@@ -85,7 +88,9 @@ class IdealBus:
         self.facts = BusFacts(
             "ideal", "/dev/null", 0.0, read_robot().tendon.angle_max, math.inf
         )
-        self.health = tuple(ServoStatus(leg, k + 1) for k, leg in enumerate(LEGS))
+        self.health = tuple(
+            ServoStatus(leg, k + 1) for k, leg in enumerate(LEGS)
+        )
 
     def configure(self):
         self._require_port()
@@ -105,7 +110,9 @@ class IdealBus:
         goal = np.asarray(angles, dtype=float)
         inside = (goal >= self.facts.low) & (goal <= self.facts.high)
         if not self.active or goal.shape != (len(LEGS),) or not inside.all():
-            raise ValueError(f"{goal} rad: torque is off, or outside of the range")
+            raise ValueError(
+                f"{goal} rad: torque is off, or outside of the range"
+            )
         self.servos.goal = goal.copy()
 
     def goals(self):
@@ -116,8 +123,12 @@ class IdealBus:
         self._update()
         now = self.clock()
         readings = (
-            None if leg in self.servos.silent else ServoReading(now, angle, 0.0, load)
-            for leg, angle, load in zip(LEGS, self.servos.angle, self.servos.load)
+            None
+            if leg in self.servos.silent
+            else ServoReading(now, angle, 0.0, load)
+            for leg, angle, load in zip(
+                LEGS, self.servos.angle, self.servos.load
+            )
         )
         return Cycle(0.0, now, tuple(readings))
 
@@ -127,7 +138,9 @@ class IdealBus:
             self.servos.torque[:] = False
             self._update()
         lost = LEGS if self.servos.unplugged else self.servos.silent
-        missing = tuple(f"{s.name}: no answer" for s in self.health if s.leg in lost)
+        missing = tuple(
+            f"{s.name}: no answer" for s in self.health if s.leg in lost
+        )
         return TorqueOff(tuple(leg not in lost for leg in LEGS), missing)
 
     def close(self):
@@ -153,4 +166,6 @@ def make_brand(servos=None, clock=time.monotonic):
     def read_settings():
         return IdealSettings(IdealPort("/dev/null"))
 
-    return Brand(read_settings, lambda settings: IdealBus(servos, clock), IdealServos)
+    return Brand(
+        read_settings, lambda settings: IdealBus(servos, clock), IdealServos
+    )

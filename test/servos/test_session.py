@@ -74,7 +74,7 @@ class SessionRig:
         return changes
 
     def inject(self, kind, leg):
-        self.servos.inject(Fault(kind, leg, 0.0, 0.0, 0.0))
+        self.servos.set_fault(Fault(kind, leg, 0.0, 0.0, 0.0), True)
 
 
 @pytest.fixture(params=["dynamixel", "ideal"])
@@ -162,7 +162,9 @@ def test_a_fault_of_one_servo_relaxes_all_and_is_named(dynamixels, kind):
     assert "servo RL (id 2): " in dynamixels.session.reason
     assert dynamixels.servos.powered() == ()
     hold = Permission(dynamixels.now, Action.HOLD, True, "")
-    assert not dynamixels.session.may_start(hold)  # until the permission has been OFF
+    assert not dynamixels.session.may_start(
+        hold
+    )  # until the permission has been OFF
     dynamixels.permit(Action.OFF)
     assert dynamixels.session.may_start(hold)
 
@@ -179,7 +181,9 @@ def test_a_bus_watchdog_that_a_late_cycle_has_tripped_is_reported_with_the_delay
     )
 
 
-def test_a_silent_servo_has_no_joint_reading_and_relaxes_all_after_its_limit(rig):
+def test_a_silent_servo_has_no_joint_reading_and_relaxes_all_after_its_limit(
+    rig,
+):
     rig.run(0.2, SLIGHTLY)
     reading = rig.cycle.joints(7, np.full(4, 1.4))
     assert reading.angle == pytest.approx(rig.servos.angles(), abs=0.02)

@@ -21,7 +21,9 @@ SECONDS = 1.0  # the robot walks since 0.34 s
 
 def loaded():
     """Every kernel of the project with the types of arguments for which it is compiled."""
-    modules = [m for name, m in sys.modules.items() if name.startswith("slot_core.")]
+    modules = [
+        m for name, m in sys.modules.items() if name.startswith("slot_core.")
+    ]
     values = [
         v
         for module in modules
@@ -41,7 +43,9 @@ def main(what, scene):
         warm_up.controller()
         before = loaded()
     if what == "servos":
-        walk = SupervisedLoop(scene, "walk", None, 0, hardware="fake_bus").run(SECONDS)
+        walk = SupervisedLoop(scene, "walk", None, 0, hardware="fake_bus").run(
+            SECONDS
+        )
     else:
         walk = ClosedLoop(scene, "walk", None, 0).run(TICKS)
     if what != "warm_up":

@@ -79,7 +79,9 @@ def test_a_minute_of_walking_is_straight_level_and_at_the_commanded_speed_and_he
 def test_robot_walks_and_turns_at_the_commanded_velocity(velocity):
     position, rpy, _ = walk(15.0, velocity=velocity)
     # the feedback takes some strides to find it; measured: 5 mm/s, 11 deg at the most
-    assert mean_velocity(position, 6.0)[:2] == pytest.approx(velocity[:2], abs=6e-3)
+    assert mean_velocity(position, 6.0)[:2] == pytest.approx(
+        velocity[:2], abs=6e-3
+    )
     heading = velocity[2] * PERIOD * np.arange(len(rpy))
     assert np.degrees(np.abs(rpy[:, 2] - heading)).max() < 15.0
 
@@ -94,7 +96,9 @@ def test_robot_walks_and_turns_at_the_commanded_velocity(velocity):
         ("slope5", 0.02, 0.05, math.inf),
     ],
 )
-def test_robot_walks_on_and_stays_upright_on_other_floors(scene, slow, fast, aside):
+def test_robot_walks_on_and_stays_upright_on_other_floors(
+    scene, slow, fast, aside
+):
     position, rpy, _ = walk(15.0, scene)
     assert slow < mean_velocity(position, 6.0)[0] < fast
     assert np.abs(position[:, 1]).max() < aside
@@ -102,7 +106,11 @@ def test_robot_walks_on_and_stays_upright_on_other_floors(scene, slow, fast, asi
 
 
 def test_standing_robot_does_not_drift_nor_fall_in_a_gap_of_the_odometry():
-    options = {"gait": "stand", "velocity": (0, 0, 0), "lost_odometry": (6.0, 0.3)}
+    options = {
+        "gait": "stand",
+        "velocity": (0, 0, 0),
+        "lost_odometry": (6.0, 0.3),
+    }
     position, rpy, ticks = walk(10.0, **options)
     late = position[after(3.0)]
     assert np.ptp(late[:, :2], axis=0).max() < 1e-3
@@ -117,7 +125,10 @@ def test_standing_robot_does_not_drift_nor_fall_in_a_gap_of_the_odometry():
 
 def test_a_payload_off_the_centre_is_carried_at_the_commanded_height_and_level():
     """The default against the MPC on forces, under which it sinks by 7 mm."""
-    load = {"scene.payload.mass": 0.3, "scene.payload.place": (0.04, 0.03, 0.03)}
+    load = {
+        "scene.payload.mass": 0.3,
+        "scene.payload.place": (0.04, 0.03, 0.03),
+    }
     stand, late, sunk = {"gait": "stand", "velocity": (0, 0, 0)}, after(4.0), {}
     for policy in ("force_mpc", "rollout_mpc"):
         position, rpy, _ = walk(8.0, policy=policy, changes=load, **stand)
@@ -138,7 +149,9 @@ WRONG_MODELS = {
 @pytest.mark.parametrize("wrong", WRONG_MODELS)
 def test_a_robot_on_its_belly_stands_up_without_a_leap(wrong):
     changes = {"scene.start.tendon_angle_deg": 0.0, **WRONG_MODELS[wrong]}
-    position, _, _ = walk(3.0, gait="stand", velocity=(0.0, 0.0, 0.0), changes=changes)
+    position, _, _ = walk(
+        3.0, gait="stand", velocity=(0.0, 0.0, 0.0), changes=changes
+    )
     assert position[:, 2].max() < 0.05
     assert position[after(2.0), 2] == pytest.approx(0.04, abs=2e-3)
 
@@ -155,7 +168,10 @@ def test_values_by_dotted_name_change_the_simulated_robot_and_the_controller():
     assert loop.plant.robot.scene.payload.mass == 0.3
     assert loop.plant.robot.parameters.leg.young_modulus == 2e7
     for name, message in (
-        ("floor.friction", r"floor\.friction: expected one of scene, servo, robot"),
+        (
+            "floor.friction",
+            r"floor\.friction: expected one of scene, servo, robot",
+        ),
         ("robot.leg.mass", r"robot: leg\.mass is not a setting"),
     ):
         with pytest.raises(ConfigError, match=message):

@@ -93,7 +93,9 @@ def test_servos_measure_the_scenes_voltage_and_the_torque_of_the_tendons(scene):
     driver.configure()
     driver.activate()
     plant.start(0)
-    for _ in range(50):  # every servo is asked for its voltage once in 16 cycles
+    for _ in range(
+        50
+    ):  # every servo is asked for its voltage once in 16 cycles
         cycle = session.bus.cycle()
         run(plant, 0.01)
     assert session.voltage == pytest.approx(
@@ -104,7 +106,8 @@ def test_servos_measure_the_scenes_voltage_and_the_torque_of_the_tendons(scene):
     # friction of the guide holds
     expected, give = plant.robot.servo_torque, ROBOT.tendon.capstan
     assert (
-        np.abs(found.torque - expected) < 2 * 0.0071 * 1.45 + (give - 1) * expected
+        np.abs(found.torque - expected)
+        < 2 * 0.0071 * 1.45 + (give - 1) * expected
     ).all()
 
 
@@ -119,12 +122,18 @@ def test_the_simulated_servo_is_that_of_the_bus():
         read_servo(),
     )
     ratio, gains = settings.joints.servo_per_tendon, settings.gains
-    duty = ratio / RAD_PER_COUNT / PWM_FULL  # per rad of tendon angle, with gain 1
+    duty = (
+        ratio / RAD_PER_COUNT / PWM_FULL
+    )  # per rad of tendon angle, with gain 1
     assert found.model == "pid"
     assert found.servo_per_tendon == ratio
     assert found.proportional == pytest.approx(gains.p / 128 * duty, rel=1e-4)
-    assert found.integral == pytest.approx(gains.i / 65536 * duty / period, rel=1e-4)
-    assert found.derivative == pytest.approx(gains.d / 16 * duty * period, rel=1e-4)
+    assert found.integral == pytest.approx(
+        gains.i / 65536 * duty / period, rel=1e-4
+    )
+    assert found.derivative == pytest.approx(
+        gains.d / 16 * duty * period, rel=1e-4
+    )
 
 
 def test_the_bus_changes_a_walk_by_millimetres_and_neither_overloads_nor_heats_a_servo():
@@ -132,12 +141,21 @@ def test_the_bus_changes_a_walk_by_millimetres_and_neither_overloads_nor_heats_a
     paths = []
     for hardware in ("sim", "fake_bus"):
         loop = SupervisedLoop("flat", "walk", None, 0, hardware=hardware)
-        paths.append(np.array([loop.plant.robot.position for _ in loop.run(10.0)]))
+        paths.append(
+            np.array([loop.plant.robot.position for _ in loop.run(10.0)])
+        )
     # 6.6 mm, 3 of other seeds; walks of two seeds differ by 4 to 7 mm
     assert np.sqrt(np.mean(np.sum((paths[1] - paths[0]) ** 2, axis=1))) < 8e-3
     distances = [path[-1, 0] - path[SETTLED, 0] for path in paths]
     assert distances[1] == pytest.approx(distances[0], abs=7e-3)  # 1 mm/s
-    servos, room = loop.plant.emulated.bus.servos, read_emulator().servo.shaft.room
-    assert [servo.memory["hardware_error_status"] for servo in servos] == [0] * 4
+    servos, room = (
+        loop.plant.emulated.bus.servos,
+        read_emulator().servo.shaft.room,
+    )
+    assert [servo.memory["hardware_error_status"] for servo in servos] == [
+        0
+    ] * 4
     assert max(servo.temperature() for servo in servos) < room + 5.0
-    assert [health.error_rate for health in loop.servos.session.bus.health] == [0.0] * 4
+    assert [health.error_rate for health in loop.servos.session.bus.health] == [
+        0.0
+    ] * 4

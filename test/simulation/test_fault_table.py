@@ -58,7 +58,10 @@ ROWS = {
     "odometry lost": (
         FaultyLoop.lose_odometry,
         "torque off",
-        {"HOLD": after(TIMING.command_hold), "RELAX": after(GAP + TIMING.command_lost)},
+        {
+            "HOLD": after(TIMING.command_hold),
+            "RELAX": after(GAP + TIMING.command_lost),
+        },
         ("sim",),
     ),
     "command not finite": (
@@ -79,7 +82,12 @@ ROWS = {
         {"slewed": within(2 * ODOMETRY)},
         ("sim",),
     ),
-    "supervisor dead": (lambda loop: loop.kill("supervisor"), "torque off", LOST, BOTH),
+    "supervisor dead": (
+        lambda loop: loop.kill("supervisor"),
+        "torque off",
+        LOST,
+        BOTH,
+    ),
     "no usable estimate": (
         FaultyLoop.spoil_odometry,
         "HOLD",
@@ -110,9 +118,19 @@ ROWS = {
         {"HOLD": within(SETTINGS.motion.window + 5 * ODOMETRY)},
         ("sim",),
     ),
-    "IMU lost": (FaultyLoop.lose_imu, "HOLD", IMU_LOST, ("sim",)),  # it walks on
+    "IMU lost": (
+        FaultyLoop.lose_imu,
+        "HOLD",
+        IMU_LOST,
+        ("sim",),
+    ),  # it walks on
     "IMU not finite": (FaultyLoop.spoil_imu, "warned", IMU_LOST, ("sim",)),
-    "clock jumps": (FaultyLoop.jump_clock, "HOLD", {"HOLD": within(0.0)}, ("sim",)),
+    "clock jumps": (
+        FaultyLoop.jump_clock,
+        "HOLD",
+        {"HOLD": within(0.0)},
+        ("sim",),
+    ),
     "roll too large": (
         lambda loop: loop.tilt("x"),
         "torque off",
@@ -137,8 +155,14 @@ ROWS = {
         {"RELAX": within(0.0)},
         ("fake_bus",),
     ),
-    "servo: overheating": (lambda loop: loop.inject("overheating", 90.0), *ERROR),
-    "servo: input voltage": (lambda loop: loop.inject("undervoltage", 8.0), *ERROR),
+    "servo: overheating": (
+        lambda loop: loop.inject("overheating", 90.0),
+        *ERROR,
+    ),
+    "servo: input voltage": (
+        lambda loop: loop.inject("undervoltage", 8.0),
+        *ERROR,
+    ),
     "adapter unplugged": (
         lambda loop: loop.inject("unplugged"),
         "RELAX",
@@ -159,8 +183,18 @@ ROWS = {
         ("sim",),
     ),
 }
-CASES = [(row, hardware) for row, entry in ROWS.items() for hardware in entry[3]]
-EVENTS = ("slewed", "warned", "HOLD", "servos stopped", "RELAX", "ESTOP", "torque off")
+CASES = [
+    (row, hardware) for row, entry in ROWS.items() for hardware in entry[3]
+]
+EVENTS = (
+    "slewed",
+    "warned",
+    "HOLD",
+    "servos stopped",
+    "RELAX",
+    "ESTOP",
+    "torque off",
+)
 
 
 def measured(loop):
@@ -173,7 +207,11 @@ def measured(loop):
 
 def page_rows():
     """The page's figures by row and hardware."""
-    text = PAGE.read_text().partition("| at 1 s of a walk |")[2].partition("\n\n")[0]
+    text = (
+        PAGE.read_text()
+        .partition("| at 1 s of a walk |")[2]
+        .partition("\n\n")[0]
+    )
     rows = [line.strip("| ").split(" | ") for line in text.splitlines()[2:]]
     return {
         (row[0], hardware): cell
@@ -214,9 +252,13 @@ def test_a_fault_of_a_walking_robot_ends_as_the_table_says_at_the_time_it_says(
 def test_only_a_walk_that_does_not_move_is_held_for_it(
     scene, velocity, changes, reason
 ):
-    loop = SupervisedLoop(scene, "walk", np.array([velocity, 0, 0]), 0, changes=changes)
+    loop = SupervisedLoop(
+        scene, "walk", np.array([velocity, 0, 0]), 0, changes=changes
+    )
     held = [r.reason for r in loop.run(8.0) if r.state is State.HOLD]
-    assert [line.partition(":")[0] for line in held[:1]] == [reason] * bool(reason)
+    assert [line.partition(":")[0] for line in held[:1]] == [reason] * bool(
+        reason
+    )
 
 
 def test_a_hold_ends_a_fifth_of_a_second_after_its_reason_and_the_robot_walks_on():

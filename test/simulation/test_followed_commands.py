@@ -8,7 +8,9 @@ from slot_core.simulation.supervised_loop import SupervisedLoop
 
 def heights(loop, seconds):
     """Heights of the torso, mm, every 20 ms."""
-    return np.array([1e3 * loop.plant.robot.position[2] for _ in loop.run(seconds)])
+    return np.array(
+        [1e3 * loop.plant.robot.position[2] for _ in loop.run(seconds)]
+    )
 
 
 def test_a_robot_that_has_lain_slack_stands_up_without_a_leap():
@@ -54,5 +56,8 @@ def test_a_walk_goes_on_after_a_hold_of_four_seconds():
     np.testing.assert_array_equal(observer.wrench, before)
     loop.running.add("mpc_controller")
     begin = loop.plant.robot.position[0]
-    assert {report.state for report in loop.run(8.0)} == {State.HOLD, State.WALKING}
+    assert {report.state for report in loop.run(8.0)} == {
+        State.HOLD,
+        State.WALKING,
+    }
     assert loop.plant.robot.position[0] - begin > 0.05 * 6.0

@@ -11,12 +11,17 @@ from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
 
 ROBOT, SERVO = read_robot(), read_servo()
-GOALS = np.linspace(0.9, 1.6, 3 * 2 * 4).reshape(3, 2, 4)  # rad: robots, goals, legs
+GOALS = np.linspace(0.9, 1.6, 3 * 2 * 4).reshape(
+    3, 2, 4
+)  # rad: robots, goals, legs
 FRICTION = (0.2, 0.4, 0.7)
 
 
 def robot(level="map", **changes):
-    solver = {f"solver.{name}": v for name, v in config.load(f"solver/{level}").items()}
+    solver = {
+        f"solver.{name}": v
+        for name, v in config.load(f"solver/{level}").items()
+    }
     return make_robot(
         ROBOT, config.replace(read_scene("flat"), solver | changes), SERVO
     )
@@ -35,7 +40,9 @@ def test_each_robot_moves_to_the_last_bit_as_it_does_alone(level, threads):
         for goal in goals:
             one.advance(10, goal)
         turning = one.rotation @ one.angular_velocity
-        expected = np.concatenate([one.rpy, one.position, turning, one.velocity])
+        expected = np.concatenate(
+            [one.rpy, one.position, turning, one.velocity]
+        )
         assert row[STATE] == pytest.approx(expected, rel=1e-13, abs=1e-15)
         assert row[3:6].tolist() == one.position.tolist()
         assert row[ANGLE].tolist() == one.tendon_angle.tolist()
@@ -43,7 +50,9 @@ def test_each_robot_moves_to_the_last_bit_as_it_does_alone(level, threads):
 
 
 @pytest.mark.parametrize("level", ["map", "coarse"])
-def test_a_robot_that_diverged_is_nan_until_it_is_replaced_and_the_others_go_on(level):
+def test_a_robot_that_diverged_is_nan_until_it_is_replaced_and_the_others_go_on(
+    level,
+):
     together, lost = ManyRobots(robots(level)), robot(level)
     together.replace(1, lost)
     lost.push(np.array([0.0, 0.0, 1e7]), np.zeros(3))

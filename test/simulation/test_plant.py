@@ -67,7 +67,9 @@ def test_a_robot_of_twice_its_weight_settles_before_time_zero_and_ends_in_a_stan
     load, hardware
 ):
     """It lies on its belly; after `start.settle` alone it would still bounce."""
-    loop = SupervisedLoop("flat", "stand", None, 0, hardware=hardware, changes=load)
+    loop = SupervisedLoop(
+        "flat", "stand", None, 0, hardware=hardware, changes=load
+    )
     assert np.linalg.norm(loop.plant.robot.velocity) < 0.01
     states = [report.state for report in loop.run(4.0)]
     assert states[-1] is State.STANDING
@@ -83,7 +85,11 @@ UNSUPPORTED = "legs of the model 'paper' do not support pushes"
     ("scene", "changes", "message"),
     [
         ("slope5", ICE, RESTLESS),
-        ("paper", {"pushes": {"first": FIRST}, "start.settle": 0.0}, UNSUPPORTED),
+        (
+            "paper",
+            {"pushes": {"first": FIRST}, "start.settle": 0.0},
+            UNSUPPORTED,
+        ),
     ],
 )
 def test_a_restless_robot_and_a_push_that_its_legs_do_not_support_are_refused(

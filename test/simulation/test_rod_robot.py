@@ -41,12 +41,18 @@ class VerticalDrop:
         rod, tendon, count = self.model.rod, self.model.tendon, node.size
         shift = 1e-6 * np.eye(count).reshape(count, -1, 2)
         up, down = (
-            np.concatenate(strains(rod, node + s * shift), axis=-1) for s in (1, -1)
+            np.concatenate(strains(rod, node + s * shift), axis=-1)
+            for s in (1, -1)
         )
         slope = (up - down) / 2e-6
-        strain, rate = np.concatenate(strains(rod, node)), velocity.ravel() @ slope
+        strain, rate = (
+            np.concatenate(strains(rod, node)),
+            velocity.ravel() @ slope,
+        )
         pulled = np.concatenate([tendon.along, tendon.around])
-        cable = pulled @ strain + tendon.around @ rod.rest_angle - tendon.relaxed
+        cable = (
+            pulled @ strain + tendon.around @ rod.rest_angle - tendon.relaxed
+        )
         cable += tendon.spool_radius * self.angle
         pull = tendon.stiffness * cable + tendon.damping * (pulled @ rate)
         stress = np.concatenate([rod.axial, rod.bending])
@@ -61,7 +67,9 @@ class VerticalDrop:
         normal[gap >= 0.0] = 0.0
         slip = velocity[:, 0]
         drag = (
-            self.model.friction[0, 0] * normal / np.hypot(slip, floor.friction_velocity)
+            self.model.friction[0, 0]
+            * normal
+            / np.hypot(slip, floor.friction_velocity)
         )
         return np.column_stack([-drag * slip, normal])
 
@@ -99,7 +107,9 @@ def drop_errors(steps, seconds, theta):
         np.concatenate([begin, falling]).ravel(),
         {"rtol": 1e-7, "atol": 1e-10},
     )
-    y = solve_ivp(exact.rate, (0, seconds), y0, method="Radau", **options).y[:, -1]
+    y = solve_ivp(exact.rate, (0, seconds), y0, method="Radau", **options).y[
+        :, -1
+    ]
     node, velocity = y.reshape(2, -1, 2)
     errors = []
     for sim in sims:
@@ -122,15 +132,22 @@ def test_landing_agrees_with_an_independent_solver():
     assert force > 1.0  # N: it has landed
     # contact of the torso is not in the reference
     assert node[0, 1] > ROBOT.torso.size[2] / 2
-    assert errors[0] < 2e-5  # m, of first order in the step; the motion is 20 mm
+    assert (
+        errors[0] < 2e-5
+    )  # m, of first order in the step; the motion is 20 mm
 
 
 @pytest.mark.parametrize(
-    ("theta_deg", "height"), [(40, 0.017), (57, 0.033), (75, 0.056), (100, 0.087)]
+    ("theta_deg", "height"),
+    [(40, 0.017), (57, 0.033), (75, 0.056), (100, 0.087)],
 )
-def test_standing_heights_equal_those_of_an_earlier_implementation(theta_deg, height):
+def test_standing_heights_equal_those_of_an_earlier_implementation(
+    theta_deg, height
+):
     """With the same parameters and friction 0.3; the heights are rounded to 1 mm."""
-    sim = simulator(floor__friction=[0.3] * 4, start__tendon_angle_deg=float(theta_deg))
+    sim = simulator(
+        floor__friction=[0.3] * 4, start__tendon_angle_deg=float(theta_deg)
+    )
     sim.advance(1000, sim.tendon_angle)
     assert sim.position[2] == pytest.approx(height, abs=2e-3)
     assert np.abs(sim.rpy).max() < 1e-3

@@ -19,7 +19,11 @@ from slot_core.safety.states import Action
 from slot_core.safety.watchdog import NO_LIMITS, Permission
 from slot_core.servos.registry import read_brand
 from slot_core.simulation.plant import RobotSimulator
-from slot_core.simulation.simulated_servos import CLOSE_TIMEOUT, BusServos, DirectServos
+from slot_core.simulation.simulated_servos import (
+    CLOSE_TIMEOUT,
+    BusServos,
+    DirectServos,
+)
 
 ROBOT = read_robot()
 SCENE = config.replace(read_scene("map"), {"start.settle": 0.5})
@@ -33,7 +37,9 @@ COMMAND = np.array([1.3, 1.0, 0.9, 1.2])  # rad, within 0.3 rad of the start
 @pytest.fixture
 def direct():
     """Direct servos of a running robot, without limits."""
-    servos = DirectServos(RobotSimulator(ROBOT, SCENE, SERVO, np.random.default_rng(0)))
+    servos = DirectServos(
+        RobotSimulator(ROBOT, SCENE, SERVO, np.random.default_rng(0))
+    )
     servos._plant.start(SECOND)
     return servos
 
@@ -51,7 +57,9 @@ def run(servos, seconds, action, command=None):
     return health
 
 
-def test_direct_servos_hold_without_limits_and_follow_commands_with_them(direct):
+def test_direct_servos_hold_without_limits_and_follow_commands_with_them(
+    direct,
+):
     robot = direct._plant.robot
     start = robot.tendon_angle
     with pytest.raises(ValueError, match=NO_LIMITS):
@@ -99,7 +107,9 @@ def bus(tmp_path):
     """Bus servos at a pseudo-terminal, with their simulated robot."""
     interval = sys.getswitchinterval()
     rng = np.random.default_rng(0)
-    plant = RobotSimulator(ROBOT, SCENE, read_servo(), rng, read_brand().emulate)
+    plant = RobotSimulator(
+        ROBOT, SCENE, read_servo(), rng, read_brand().emulate
+    )
     servos = BusServos(plant, link=tmp_path / "servos")
     yield servos, plant
     servos.close(running=False)
@@ -112,7 +122,9 @@ def set_torque(plant, *legs):
         servo.memory["torque_enable"] = leg in legs
 
 
-def test_bus_servos_are_powered_and_moved_by_their_driver_or_by_torque_taken_away(bus):
+def test_bus_servos_are_powered_and_moved_by_their_driver_or_by_torque_taken_away(
+    bus,
+):
     """In real time; a command that only the driver has received counts."""
     servos, plant = bus
     memories = [servo.memory for servo in plant.emulated.bus.servos]
@@ -151,7 +163,9 @@ def test_bus_servos_name_the_legs_left_under_torque_while_a_running_robot_advanc
     assert plant.now < CLOSE_TIMEOUT * SECOND
 
 
-def test_bus_servos_replace_the_link_of_a_pseudo_terminal_but_no_file(bus, tmp_path):
+def test_bus_servos_replace_the_link_of_a_pseudo_terminal_but_no_file(
+    bus, tmp_path
+):
     file, link, ends = tmp_path / "file", tmp_path / "old", os.openpty()
     file.touch()
     with pytest.raises(ConfigError, match="file: exists already"):

@@ -29,17 +29,28 @@ def output(*command, **variables):
 
 @pytest.mark.parametrize(
     ("what", "scene"),
-    [("robot", "flat"), ("robot", "map"), ("servos", "flat"), ("warm_up", "flat")],
+    [
+        ("robot", "flat"),
+        ("robot", "map"),
+        ("servos", "flat"),
+        ("warm_up", "flat"),
+    ],
 )
-def test_every_kernel_of_a_walk_is_compiled_before_the_first_reading(what, scene):
+def test_every_kernel_of_a_walk_is_compiled_before_the_first_reading(
+    what, scene
+):
     """On rods, a table and emulated servos; and those of a default run by scripts/setup."""
     assert output(LATE_KERNELS, what, scene) == ""
 
 
-def test_an_installed_copy_uses_the_kernels_that_the_setup_has_compiled(tmp_path):
+def test_an_installed_copy_uses_the_kernels_that_the_setup_has_compiled(
+    tmp_path,
+):
     package = Path(slot_core.__file__).parent
     shutil.copytree(
-        package, tmp_path / "slot_core", ignore=shutil.ignore_patterns("__pycache__")
+        package,
+        tmp_path / "slot_core",
+        ignore=shutil.ignore_patterns("__pycache__"),
     )
     script = """if True:
         from slot_core.dynamics import observe
@@ -48,4 +59,6 @@ def test_an_installed_copy_uses_the_kernels_that_the_setup_has_compiled(tmp_path
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
     file, cache = output("-c", script, PYTHONPATH=path).split()
     assert Path(file).is_relative_to(tmp_path)
-    assert cache == str(observe.points._cache.path((), observe.points.targetctx))
+    assert cache == str(
+        observe.points._cache.path((), observe.points.targetctx)
+    )

@@ -23,7 +23,8 @@ STRIDES = read_gaits().strides
 WALK = STRIDES["walk"]
 SHIPPED = read_tuning()
 SETTINGS = config.replace(
-    SHIPPED, {"friction": [0.4], "strides": 3, "settling_strides": 4, "population": 4}
+    SHIPPED,
+    {"friction": [0.4], "strides": 3, "settling_strides": 4, "population": 4},
 )
 PHASES = np.arange(20) / 20
 RNG = np.random.default_rng(1)
@@ -59,7 +60,14 @@ def motion(v_x=0.05, tilt=0.0, top=0.06):
     track[:, 3], track[:, 4] = WALK.height, tilt
     means = np.array([v_x, 0.0, 0.0, WALK.height, 0.0, 0.0])
     return StrideMotion(
-        track, np.zeros(10), np.zeros((10, 4)), np.zeros((10, 2)), means, 0.0, top, 0.5
+        track,
+        np.zeros(10),
+        np.zeros((10, 4)),
+        np.zeros((10, 2)),
+        means,
+        0.0,
+        top,
+        0.5,
     )
 
 
@@ -83,7 +91,9 @@ def parabola(jobs):
     """Motions whose speed falls with the distance of the pattern from that of the walk."""
     target = np.array(WALK.forward.angle_deg)
     for job in jobs:
-        distance = np.square(np.array(job.stride.forward.angle_deg) - target).mean()
+        distance = np.square(
+            np.array(job.stride.forward.angle_deg) - target
+        ).mean()
         share = job.velocity[0] / WALK.forward.speed
         yield motion(v_x=share * (0.06 - 1e-4 * distance))
 
@@ -96,7 +106,8 @@ def test_a_start_beyond_the_largest_coefficient_is_refused_before_any_search(
     )  # the walk's forward: 65
     line = refusal(tune_command.main, "mine", "--like", "walk", "--quick")
     assert (
-        "turn.angle_deg[1][4] = 69.84: outside [-68, 68], coefficient_max_deg" in line
+        "turn.angle_deg[1][4] = 69.84: outside [-68, 68], coefficient_max_deg"
+        in line
     )
 
 

@@ -54,7 +54,9 @@ def walking_angles():
     velocity = np.array([SPEED, 0.0, 0.0])
     phase = np.clip(t - 1.0, 0.0, None) / stride.period % 1.0
     angle = stride.stride_table(phase, velocity)[:, :4]
-    return TendonAngles(MEASURED, t, np.clip(angle, 0.0, PARTS.robot.tendon.angle_max))
+    return TendonAngles(
+        MEASURED, t, np.clip(angle, 0.0, PARTS.robot.tendon.angle_max)
+    )
 
 
 def track_of(t, pose, noise=0.0):
@@ -75,10 +77,14 @@ def recorded():
     start = track_of(t, np.tile([0.3, -0.2, 0.04, 0.0, 0.0, 0.5], (len(t), 1)))
     blank = BagRecording("walked", angles, start, None)
     moved = predict(blank, OTHER, SETTINGS).pose_at(t[:-1])
-    return dataclasses.replace(blank, motion=track_of(t[:-1], moved, noise=1e-3))
+    return dataclasses.replace(
+        blank, motion=track_of(t[:-1], moved, noise=1e-3)
+    )
 
 
-@pytest.mark.parametrize(("angles", "source"), [("", MEASURED), (COMMANDED, COMMANDED)])
+@pytest.mark.parametrize(
+    ("angles", "source"), [("", MEASURED), (COMMANDED, COMMANDED)]
+)
 def test_a_recorded_walk_is_predicted_from_its_own_angles(angles, source):
     """Measured ones, else the commands through the servo, whose lag of 0.1 s makes 10 mm."""
     recorded = read_recorded(WALK, angles=angles)
@@ -97,7 +103,8 @@ def test_a_recorded_walk_is_predicted_from_its_own_angles(angles, source):
 def write_walk(path, recorded):
     """The recorded walk as a CSV file: angles and poses in rows of their own."""
     angles = [
-        (t, *row, *[""] * 6) for t, row in zip(recorded.angles.t, recorded.angles.angle)
+        (t, *row, *[""] * 6)
+        for t, row in zip(recorded.angles.t, recorded.angles.angle)
     ]
     pose = recorded.motion
     poses = [(t, *[""] * 4, *row) for t, row in zip(pose.t, pose.pose)]
@@ -117,12 +124,16 @@ def test_a_csv_file_is_the_walk_that_it_holds_and_is_compared(
     assert (found.angles.measured, commands.angles.measured) == (True, False)
     assert found.angles.angle == pytest.approx(recorded.angles.angle)
     assert found.motion.pose == pytest.approx(recorded.motion.pose)
-    with pytest.raises(ConfigError, match="--namespace and --motion are of bags"):
+    with pytest.raises(
+        ConfigError, match="--namespace and --motion are of bags"
+    ):
         read_recorded(walk, motion="/odom")
     out = ["--out", str(tmp_path / "out")]
     assert twin_command.main([str(walk), *out]) == NOT_EXPLAINED
     text = capsys.readouterr().out
-    assert text.splitlines()[-1].startswith("verdict: not explained: chi-square")
+    assert text.splitlines()[-1].startswith(
+        "verdict: not explained: chi-square"
+    )
     assert "tendon angles       FL, FR, RL, RR (measured)" in text
     assert (tmp_path / "out" / "twin.png").stat().st_size > 10_000
 
@@ -167,7 +178,9 @@ def strides(recorded):
     found = find_strides(recorded, SETTINGS)
     period = read_gaits().find("fast_walk").period
     assert found.period == pytest.approx(period, abs=0.01)
-    assert found.edges[0] == pytest.approx(1.0 + SETTINGS.run_in * period, abs=0.1)
+    assert found.edges[0] == pytest.approx(
+        1.0 + SETTINGS.run_in * period, abs=0.1
+    )
     return found
 
 
@@ -181,7 +194,9 @@ def test_standing_before_and_after_the_walk_is_no_stride(recorded):
     long = BagRecording("long", angles, track_of(t, np.zeros((len(t), 6))), 0.7)
     strides = find_strides(long, SETTINGS)
     # The walk lasts from 18 s, after a second at rest, to 27 s.
-    assert 18.0 + 0.7 * (SETTINGS.run_in - 1) <= strides.edges[0] <= 18.0 + 3 * 0.7
+    assert (
+        18.0 + 0.7 * (SETTINGS.run_in - 1) <= strides.edges[0] <= 18.0 + 3 * 0.7
+    )
     assert strides.edges[-1] == pytest.approx(17.0 + SECONDS, abs=0.7)
 
 
@@ -190,15 +205,24 @@ def test_angles_that_are_no_walk_and_fits_that_it_cannot_tell_are_refused(
 ):
     angles = recorded.angles
     rising = np.tile(angles.t[:, None] / 20, (1, 4))
-    odd = dataclasses.replace(recorded, angles=TendonAngles(MEASURED, angles.t, rising))
-    with pytest.raises(ConfigError, match="not periodic; name a length with --period"):
+    odd = dataclasses.replace(
+        recorded, angles=TendonAngles(MEASURED, angles.t, rising)
+    )
+    with pytest.raises(
+        ConfigError, match="not periodic; name a length with --period"
+    ):
         angle_period(odd)
     degrees = dataclasses.replace(angles, angle=np.degrees(angles.angle))
-    with pytest.raises(ConfigError, match=r"angles of .* rad, outside \[0, 2.029\]"):
+    with pytest.raises(
+        ConfigError, match=r"angles of .* rad, outside \[0, 2.029\]"
+    ):
         predict(dataclasses.replace(recorded, angles=degrees), PARTS, SETTINGS)
     for names, reason in (
         (["lag"], "needs its commands: --angles /desired_joint_angles"),
-        (["friction", "young_modulus", "tendon_offset"], "5 windows .* 6 parameters"),
+        (
+            ["friction", "young_modulus", "tendon_offset"],
+            "5 windows .* 6 parameters",
+        ),
     ):
         with pytest.raises(ConfigError, match=reason):
             fit_twin(recorded, PARTS, places(names), strides, SETTINGS)
@@ -207,7 +231,8 @@ def test_angles_that_are_no_walk_and_fits_that_it_cannot_tell_are_refused(
 def test_errors_of_strides_are_those_of_the_closed_form(strides):
     t = np.arange(0.0, SECONDS, 0.033)
     slow, fast = (
-        track_of(t, np.outer(t, [v, 0.0, 0.0, 0.0, 0.0, 0.0])) for v in (0.05, 0.06)
+        track_of(t, np.outer(t, [v, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        for v in (0.05, 0.06)
     )
     found = stride_errors(fast, slow, strides).summary()
     assert found["displacement"] == pytest.approx(0.01 * strides.period)
@@ -232,11 +257,15 @@ def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(
     assert abs(friction - 0.3) < high - low
 
 
-def test_the_verdict_knows_the_robot_that_walked_from_another(recorded, strides):
+def test_the_verdict_knows_the_robot_that_walked_from_another(
+    recorded, strides
+):
     """The noise of the recording is the uncertainty of the settings."""
     measured = recorded.motion
     tracks = [predict(recorded, parts, SETTINGS) for parts in (OTHER, PARTS)]
-    same, other = (twin.judge(track, measured, strides, SETTINGS) for track in tracks)
+    same, other = (
+        twin.judge(track, measured, strides, SETTINGS) for track in tracks
+    )
     assert same.code == EXPLAINED
     assert same.chi_square == pytest.approx(same.freedom, rel=0.1)
     assert other.code == NOT_EXPLAINED
@@ -270,7 +299,10 @@ def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(own_config):
         "values": read_parameters("calibrated") | {"leg.young_modulus": 2.0e7},
         "robot": {"torso.mass": 2.2},
         "servo": {"motor_time": 0.02},
-        "scene": {"floor.friction": [0.3] * 4, "tendons.slack": [0, -0.0005, 0, 0]},
+        "scene": {
+            "floor.friction": [0.3] * 4,
+            "tendons.slack": [0, -0.0005, 0, 0],
+        },
     }
     twin_fit.write_set("mine", content)
     (own_config / "scene" / "mine.yaml").write_text(
@@ -282,7 +314,9 @@ def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(own_config):
     assert found.servo.motor_time == 0.02
     assert (scene.floor.friction[0], scene.tendons.slack[1]) == (0.2, -0.0005)
     assert read_robot().torso.mass == 2.0
-    with pytest.raises(ConfigError, match=r"--set mine: .* exists; it stays as it is"):
+    with pytest.raises(
+        ConfigError, match=r"--set mine: .* exists; it stays as it is"
+    ):
         twin_fit.place_of("mine")
 
 
@@ -296,7 +330,12 @@ def test_an_interrupted_fit_takes_up_its_own_trials_and_deletes_them_at_its_end(
         return point**2
 
     for period in (0.7, 0.7, 0.8):
-        fit = (recorded, find_strides(recorded, SETTINGS, period), PARTS, SETTINGS)
+        fit = (
+            recorded,
+            find_strides(recorded, SETTINGS, period),
+            PARTS,
+            SETTINGS,
+        )
         trials = twin._Trials(tmp_path / "trials", serially, fit)
         assert trials(run, points)[1].tolist() == [9.0, 9.0]
     assert len(runs) == 4

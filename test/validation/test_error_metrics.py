@@ -13,7 +13,9 @@ T = np.arange(3000) / 100.0
 
 def test_metrics_of_an_offset_and_an_oscillation_are_those_of_the_closed_forms():
     measured = 0.05 * np.sin(2 * np.pi * T)
-    value = errors(measured + 0.004 + 0.003 * np.sin(np.pi * T), measured, 100).value
+    value = errors(
+        measured + 0.004 + 0.003 * np.sin(np.pi * T), measured, 100
+    ).value
     assert value["rmse"] == pytest.approx(np.hypot(0.004, 0.003 / np.sqrt(2)))
     assert value["mean_error"] == pytest.approx(0.004)
     assert value["nrmse"] == pytest.approx(value["rmse"] / 0.1)
@@ -31,19 +33,25 @@ def test_an_interval_contains_the_truth_in_most_series_and_widens_with_correlati
             low, high = errors(noise, np.zeros(len(noise)), 60).interval["rmse"]
             hits += low <= 1.0 <= high
             widths.append(high - low)
-    assert hits >= 48  # of 60; 57 are expected, and blocks of finite length give fewer
+    assert (
+        hits >= 48
+    )  # of 60; 57 are expected, and blocks of finite length give fewer
     assert np.mean(widths[30:]) > 1.5 * np.mean(widths[:30])
 
 
 def test_few_blocks_have_no_interval_and_no_range_no_relative_error():
-    assert np.isnan(errors(np.ones(50), np.zeros(50), 20).interval["rmse"]).all()
+    assert np.isnan(
+        errors(np.ones(50), np.zeros(50), 20).interval["rmse"]
+    ).all()
     assert np.isnan(errors(np.ones(50), np.zeros(50), 5).value["accuracy"])
 
 
 def test_the_interval_of_a_mean_error_near_zero_begins_at_zero():
     noise = np.random.default_rng(0).normal(size=900)
     measured = np.linspace(0.0, 100.0, 900)
-    found = errors(measured + noise - noise.mean() + 0.001, measured, 30).interval
+    found = errors(
+        measured + noise - noise.mean() + 0.001, measured, 30
+    ).interval
     assert found["mean_error"][0] == 0.0
     assert found["accuracy"][1] == 1.0
 
@@ -51,11 +59,23 @@ def test_the_interval_of_a_mean_error_near_zero_begins_at_zero():
 @pytest.mark.parametrize(
     ("given", "code", "said"),
     [
-        (Verdict(30.0, 20), EXPLAINED, "explained: chi-square 30 on 20 degrees of"),
-        (Verdict(2100.0, 1000), NOT_EXPLAINED, "2.1 each, limit 2"),  # no chance
+        (
+            Verdict(30.0, 20),
+            EXPLAINED,
+            "explained: chi-square 30 on 20 degrees of",
+        ),
+        (
+            Verdict(2100.0, 1000),
+            NOT_EXPLAINED,
+            "2.1 each, limit 2",
+        ),  # no chance
         (Verdict(9.0, 2), EXPLAINED, "4.5 each, limit 4.61"),  # 1 % by chance
         (Verdict(math.nan, 10), NOT_EXPLAINED, "nan"),
-        (Verdict(1.0, 10, ["friction"]), NOT_EXPLAINED, "at its bound: friction"),
+        (
+            Verdict(1.0, 10, ["friction"]),
+            NOT_EXPLAINED,
+            "at its bound: friction",
+        ),
         (Verdict(0.0, 0), NOT_EXPLAINED, "no more data than free parameters"),
     ],
 )

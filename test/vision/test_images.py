@@ -33,7 +33,9 @@ def test_images_of_every_encoding_are_grey_and_depth_is_in_millimetres():
     grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
     np.testing.assert_array_equal(image_message.grey(image(grey)), grey)
     padded = np.pad(grey, ((0, 0), (0, 5)))
-    np.testing.assert_array_equal(image_message.grey(image(padded, width=4)), grey)
+    np.testing.assert_array_equal(
+        image_message.grey(image(padded, width=4)), grey
+    )
     depth = np.array([[800, 1], [2, 65535]], np.uint16)
     for big, order in ((0, "<u2"), (1, ">u2")):
         message = image(depth.astype(order), "16UC1", is_bigendian=big)
@@ -79,14 +81,20 @@ def write_bag(path, images, depths=(), k=CAMERA.matrix):
     return path
 
 
-def test_a_bag_gives_its_images_with_stamps_camera_and_the_nearest_depth(tmp_path):
+def test_a_bag_gives_its_images_with_stamps_camera_and_the_nearest_depth(
+    tmp_path,
+):
     images = [(ms, np.full((2, 3), ms, np.uint8)) for ms in (10, 43, 76)]
     depths = [(ms, np.full((2, 3), ms, np.uint16)) for ms in (12, 40, 100)]
     bag = write_bag(tmp_path / "bag", images, depths)
     frames = list(read_film(bag, depth="/camera/depth"))
     assert [f.time for f in frames] == pytest.approx([0.010, 0.043, 0.076])
     assert [f.grey[0, 0] for f in frames] == [10, 43, 76]
-    assert [f.depth is not None and f.depth[0, 0] for f in frames] == [12, 40, False]
+    assert [f.depth is not None and f.depth[0, 0] for f in frames] == [
+        12,
+        40,
+        False,
+    ]
     assert bag_camera(bag, "/camera/image_raw").equals(CAMERA)
     bare = write_bag(tmp_path / "bare", [], k=np.zeros((3, 3)))
     with pytest.raises(FilmError, match="no topic /camera/image_raw"):

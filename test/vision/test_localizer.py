@@ -41,12 +41,15 @@ def test_the_pose_is_that_of_the_torso_within_its_covariance():
     fix = localizer().locate(5, image_from_torso(BASE))
     assert isinstance(fix, MarkerFix)
     turn = (
-        Rotation.from_quat(fix.quaternion) * Rotation.from_matrix(BASE.rotation).inv()
+        Rotation.from_quat(fix.quaternion)
+        * Rotation.from_matrix(BASE.rotation).inv()
     )
     error = np.concatenate([fix.position - BASE.position, turn.as_rotvec()])
     assert np.abs(error[:3]).max() < 2e-3
     assert np.abs(error[3:]).max() < 5e-3
-    assert error @ np.linalg.solve(fix.pose_covariance, error) < 30.0  # six values
+    assert (
+        error @ np.linalg.solve(fix.pose_covariance, error) < 30.0
+    )  # six values
     assert np.sqrt(np.diag(fix.pose_covariance)).max() < 6e-3
 
 
@@ -58,7 +61,9 @@ def test_velocity_and_rate_are_the_difference_of_two_poses():
         assert np.diag(first.twist_covariance).min() >= 1e6  # unknown
     fix = located.locate(round(dt * SECOND), image_from_torso(moved))
     expected = moved.rotation.T @ (moved.position - BASE.position) / dt
-    turn = Rotation.from_matrix(BASE.rotation.T @ moved.rotation).as_rotvec() / dt
+    turn = (
+        Rotation.from_matrix(BASE.rotation.T @ moved.rotation).as_rotvec() / dt
+    )
     np.testing.assert_allclose(fix.velocity, expected, atol=0.03)
     np.testing.assert_allclose(fix.angular_velocity, turn, atol=0.06)
     late = VISION.detection.acceleration * dt / 2
@@ -77,7 +82,10 @@ def reason(located, image, images=1):
     ("settings", "said"),
     [
         ({"dictionary": "DICT_5X5_100"}, "no marker of DICT_5X5_100"),
-        ({"boards.wall.frame": "base_link"}, "no marker of the boards, only ids 0, 1"),
+        (
+            {"boards.wall.frame": "base_link"},
+            "no marker of the boards, only ids 0, 1",
+        ),
     ],
 )
 def test_an_image_without_markers_of_the_boards_has_no_pose(settings, said):
@@ -87,7 +95,10 @@ def test_an_image_without_markers_of_the_boards_has_no_pose(settings, said):
 
 def test_an_id_seen_twice_is_not_used_while_only_a_part_of_the_image_is_searched():
     """The search around the other markers may hold one of the two only."""
-    wall, single = board("wall"), single_marker(0, 0.05)  # id 0 is of the board too
+    wall, single = (
+        board("wall"),
+        single_marker(0, 0.05),
+    )  # id 0 is of the board too
     places = (wall, (0.0, 0.0, 1.8)), (single, (-0.75, 0.0, 1.8))
     sheets = [
         Surface(
@@ -107,10 +118,14 @@ def test_an_id_seen_twice_is_not_used_while_only_a_part_of_the_image_is_searched
 
 def test_a_calibration_that_the_image_contradicts_gives_a_warning_or_no_pose():
     """Seen from near and at a slant: a board far in front hides it."""
-    wrong = Camera(1280, 720, CAMERA.matrix, np.array([0.4, 0.0, 0.0, 0.0, 0.0]))
+    wrong = Camera(
+        1280, 720, CAMERA.matrix, np.array([0.4, 0.0, 0.0, 0.0, 0.0])
+    )
     line = reason(localizer(camera=wrong), image_from_torso(BASE))
     assert "reprojection error" in line
-    image = image_from_torso(Transform.of((0.6, -0.1, 0.07), (0.06, -0.05, 0.2)))
+    image = image_from_torso(
+        Transform.of((0.6, -0.1, 0.07), (0.06, -0.05, 0.2))
+    )
     matrix = CAMERA.matrix + np.array([[0.0, 0.0, 40.0], [0.0] * 3, [0.0] * 3])
     near = Camera(1280, 720, matrix, CAMERA.distortion)
     fix = localizer(camera=near).locate(5, image)
@@ -125,8 +140,15 @@ def test_a_image_of_another_size_is_refused():
 
 
 def test_one_far_marker_alone_has_no_pose_unless_the_last_one_decides():
-    far = {"boards.wall.columns": 1, "boards.wall.rows": 1, "boards.wall.marker": 0.04}
-    settings, base = changed(**far), Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, 0.0))
+    far = {
+        "boards.wall.columns": 1,
+        "boards.wall.rows": 1,
+        "boards.wall.marker": 0.04,
+    }
+    settings, base = (
+        changed(**far),
+        Transform.of((0.0, 0.0, 0.2), (0.0, 0.0, 0.0)),
+    )
     located, single = (
         localizer(settings=settings),
         image_from_torso(base, settings=settings),
@@ -148,7 +170,10 @@ def test_one_far_marker_alone_has_no_pose_unless_the_last_one_decides():
             {"chessboard.columns": 20, "chessboard.rows": 12},
             "chessboard: 120 markers, DICT_4X4_100",
         ),
-        ({"dictionary": "DICT_9X9"}, "dictionary = 'DICT_9X9': not one of cv2.aruco"),
+        (
+            {"dictionary": "DICT_9X9"},
+            "dictionary = 'DICT_9X9': not one of cv2.aruco",
+        ),
         ({"points.first_id": 60}, "boards.film: id 60 is also in points"),
         ({"points.first_id": 90}, "id 106: DICT_4X4_100 ends at 99"),
         ({"chessboard.marker": 0.027}, "not smaller than square"),
@@ -184,7 +209,9 @@ def test_the_robot_walks_in_closed_loop_through_its_images(changes):
     errors, ticks = [], 48
     for tick in loop.run(ticks):
         true, state = loop.plant.robot, tick.estimate.state
-        errors.append([*(state[3:6] - true.position), *(state[9:12] - true.velocity)])
+        errors.append(
+            [*(state[3:6] - true.position), *(state[9:12] - true.velocity)]
+        )
     assert len(errors) == ticks
     rms = np.sqrt(np.mean(np.square(errors[15:]), axis=0))
     assert rms[:3].max() < 3e-3

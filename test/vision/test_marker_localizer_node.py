@@ -17,7 +17,9 @@ CALIBRATION = messages.camera_to_msg(1, CAMERA)
 
 @pytest.fixture
 def rig(tmp_path):
-    made = SimulatedRig(tmp_path, only=["marker_localizer"], scene="marker_camera")
+    made = SimulatedRig(
+        tmp_path, only=["marker_localizer"], scene="marker_camera"
+    )
     yield made
     made.close()
 
@@ -36,15 +38,23 @@ def test_images_become_odometry_or_lost_odometry_or_say_why_not(rig):
         rig.run(0.01)
         return message, rig.since("/odom", before)
 
-    _, odometry = show(image_from_torso(BASE), CameraInfo(width=1280, height=720))
+    _, odometry = show(
+        image_from_torso(BASE), CameraInfo(width=1280, height=720)
+    )
     assert not odometry
     log = "\n".join(rig.log_lines("marker_localizer"))
-    assert "camera/camera_info refused: K[0] = 0: the camera is not calibrated" in log
+    assert (
+        "camera/camera_info refused: K[0] = 0: the camera is not calibrated"
+        in log
+    )
     assert "camera/image_raw refused: no calibration" in log
 
     image, (odometry,) = show(image_from_torso(BASE), CALIBRATION)
     assert odometry.header.stamp == image.header.stamp
-    assert (odometry.header.frame_id, odometry.child_frame_id) == ("odom", "base_link")
+    assert (odometry.header.frame_id, odometry.child_frame_id) == (
+        "odom",
+        "base_link",
+    )
     _, position, quaternion, *_, variance = decode.odometry(odometry)
     np.testing.assert_allclose(position, BASE.position, atol=2e-3)
     assert abs(quaternion @ BASE.quaternion) == pytest.approx(1.0, abs=1e-5)

@@ -26,7 +26,9 @@ def test_corners_are_found_to_a_twentieth_of_a_pixel_whatever_the_blur(blur):
     )
     wall = board("wall")
     assert set(found.ids) == set(wall.corners)
-    true = seen_from_torso(base).apply(np.array([wall.corners[i] for i in found.ids]))
+    true = seen_from_torso(base).apply(
+        np.array([wall.corners[i] for i in found.ids])
+    )
     error = CAMERA.focal * (found.rays - true[..., :2] / true[..., 2:])
     assert np.sqrt(np.mean(error**2)) < 0.05
     assert np.abs(error).max() < 0.2
@@ -40,7 +42,9 @@ def test_covariance_of_a_pose_is_that_of_its_errors():
     seen = true.apply(points)
     total = 0.0
     for _ in range(count):
-        rays = seen[:, :2] / seen[:, 2:] + noise * rng.normal(size=(len(points), 2))
+        rays = seen[:, :2] / seen[:, 2:] + noise * rng.normal(
+            size=(len(points), 2)
+        )
         pose = board_poses(points, rays, noise)
         turn = Rotation.from_matrix(
             pose.transform.rotation @ true.rotation.T
@@ -114,7 +118,11 @@ def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
     known = np.diag(np.linspace(0.5, 1e-3, 4 + size))
     for covariance in (None, known):
         camera = Camera(
-            640, 360, CAMERA.matrix / 2, np.linspace(-0.01, 0.02, size), covariance
+            640,
+            360,
+            CAMERA.matrix / 2,
+            np.linspace(-0.01, 0.02, size),
+            covariance,
         )
         (tmp_path / "camera.yaml").write_text(camera_text(camera))
         found = read_camera(tmp_path / "camera.yaml")
@@ -134,7 +142,9 @@ def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
         (known([float("nan")] * 81), "a value that is not finite"),
     ],
 )
-def test_a_file_that_is_no_calibration_is_refused_in_one_line(tmp_path, text, reason):
+def test_a_file_that_is_no_calibration_is_refused_in_one_line(
+    tmp_path, text, reason
+):
     file = tmp_path / "camera.yaml"
     file.write_text(text)
     for path, said in ((file, reason), (tmp_path / "no.yaml", "No such file")):
@@ -154,8 +164,12 @@ def test_the_calibration_moves_a_pose_by_its_covariance(size):
 
     def camera(off):
         (f_x, f_y, c_x, c_y), coefficients = np.split(off, [4])
-        matrix = CAMERA.matrix + np.array([[f_x, 0, c_x], [0, f_y, c_y], [0, 0, 0]])
-        return Camera(1280, 720, matrix, distortion + coefficients, root @ root.T)
+        matrix = CAMERA.matrix + np.array(
+            [[f_x, 0, c_x], [0, f_y, c_y], [0, 0, 0]]
+        )
+        return Camera(
+            1280, 720, matrix, distortion + coefficients, root @ root.T
+        )
 
     true = camera(np.zeros(4 + size))
     pixels = true.project(
@@ -168,7 +182,9 @@ def test_the_calibration_moves_a_pose_by_its_covariance(size):
         turn = Rotation.from_matrix(
             found.rotation @ exact.transform.rotation.T
         ).as_rotvec()
-        moved.append(np.concatenate([found.position - exact.transform.position, turn]))
+        moved.append(
+            np.concatenate([found.position - exact.transform.position, turn])
+        )
     expected = np.transpose(moved) @ moved
     np.testing.assert_allclose(
         exact.calibration, expected, atol=0.03 * np.abs(expected).max()

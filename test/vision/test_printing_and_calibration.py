@@ -24,9 +24,13 @@ def test_a_print_shows_its_markers_in_their_size(what):
     sheet = sheet_of(what, VISION, DOTS)
     dictionary = cv2.aruco.getPredefinedDictionary(VISION.dictionary_number)
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(sheet)
-    expected = VISION.points.names if what == "points" else VISION.boards[what].ids
+    expected = (
+        VISION.points.names if what == "points" else VISION.boards[what].ids
+    )
     assert set(ids.ravel()) == set(expected)
-    size = VISION.points.size if what == "points" else VISION.boards[what].marker
+    size = (
+        VISION.points.size if what == "points" else VISION.boards[what].marker
+    )
     edges = [np.linalg.norm(c[0, 1] - c[0, 0]) for c in corners]
     np.testing.assert_allclose(edges, size * DOTS, atol=2.0)
 
@@ -38,8 +42,12 @@ def test_a_print_is_written_with_its_resolution(tmp_path, capsys):
         assert image.info["dpi"] == pytest.approx((200, 200), abs=0.01)
     out = tmp_path / "board.pdf"
     assert print_command.main(["torso", "--out", str(out), "--dpi", "200"]) == 0
-    box = re.search(rb"/MediaBox \[ *0 0 ([\d.]+) ([\d.]+) *\]", out.read_bytes())
-    size = np.array([float(edge) for edge in box.groups()]) / 72 * 25.4  # of 1/72 inch
+    box = re.search(
+        rb"/MediaBox \[ *0 0 ([\d.]+) ([\d.]+) *\]", out.read_bytes()
+    )
+    size = (
+        np.array([float(edge) for edge in box.groups()]) / 72 * 25.4
+    )  # of 1/72 inch
     np.testing.assert_allclose(size, [136, 108], atol=0.5)
     assert "136 x 108 mm at 200 dots per inch" in capsys.readouterr().out
 
@@ -52,12 +60,16 @@ def test_a_calibration_finds_the_camera_that_filmed_the_board(tmp_path):
     (tmp_path / "views").mkdir()
     for number in range(14):
         distance = rng.uniform(0.35, 0.7)
-        ray = CAMERA.rays(rng.uniform(0.2, 0.8, 2) * [CAMERA.width, CAMERA.height])
+        ray = CAMERA.rays(
+            rng.uniform(0.2, 0.8, 2) * [CAMERA.width, CAMERA.height]
+        )
         tilt = np.array([np.pi, 0.0, 0.0]) + rng.uniform(-0.6, 0.6, 3)
         pose = Transform.of(distance * np.array([*ray, 1.0]), tilt)
         image = synthetic().image([Surface(sheet, pose.apply(corners))])
         cv2.imwrite(str(tmp_path / "views" / f"{number:03d}.png"), image)
-    assert calibrate_camera.main([str(tmp_path / "views"), "--out", str(out)]) == 0
+    assert (
+        calibrate_camera.main([str(tmp_path / "views"), "--out", str(out)]) == 0
+    )
     found = read_camera(out)
     assert found.covariance.shape == (9, 9)
     np.testing.assert_allclose(found.matrix, CAMERA.matrix, atol=4.0)  # px
@@ -72,11 +84,15 @@ def views(count, spread=1.0):
     """Views of a plane by the nominal camera, without noise."""
     rng = np.random.default_rng(0)
     x, y = np.meshgrid(np.arange(6.0), np.arange(4.0))
-    board = 0.05 * np.column_stack([x.ravel() - 2.5, y.ravel() - 1.5, np.zeros(24)])
+    board = 0.05 * np.column_stack(
+        [x.ravel() - 2.5, y.ravel() - 1.5, np.zeros(24)]
+    )
     result = []
     for number in range(count):
         turn, _ = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3))
-        place = spread * np.array([*rng.uniform(-0.25, 0.25, 2) * [1.0, 0.5], 0.0])
+        place = spread * np.array(
+            [*rng.uniform(-0.25, 0.25, 2) * [1.0, 0.5], 0.0]
+        )
         points = board @ turn.T + place + [0.0, 0.0, 0.6]
         result.append(BoardView(f"{number}", board, CAMERA.project(points)))
     return result
@@ -103,7 +119,9 @@ def test_the_covariance_of_a_calibration_has_opencvs_deviations():
     ours = np.sqrt(np.diag(found.camera.covariance))
     np.testing.assert_allclose(ours, np.ravel(deviation)[:9], rtol=0.02)
     gap = np.array([1.0, -1.0])
-    assert gap @ found.camera.covariance[:2, :2] @ gap < 0.2 * (ours[:2] @ ours[:2])
+    assert gap @ found.camera.covariance[:2, :2] @ gap < 0.2 * (
+        ours[:2] @ ours[:2]
+    )
 
 
 @pytest.mark.parametrize(

@@ -54,9 +54,14 @@ def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(
     tracks = tracker.tracks()
     assert tracks.frame == "odom"
     assert tracks.camera_motion < 1.0
-    assert sorted(s.point for s in tracks.samples if s.time == 0.0) == sorted(POINTS)
+    assert sorted(s.point for s in tracks.samples if s.time == 0.0) == sorted(
+        POINTS
+    )
     errors = np.array(
-        [s.position - shots[int(s.time)][2][s.point].position for s in tracks.samples]
+        [
+            s.position - shots[int(s.time)][2][s.point].position
+            for s in tracks.samples
+        ]
     )
     assert len(errors) == len(POINTS) * COUNT
     depth_error = errors @ LOOK
@@ -65,11 +70,15 @@ def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(
     assert np.sqrt(np.mean(depth_error**2)) < (2e-3 if with_depth else 3e-3)
 
 
-def test_without_a_board_the_tracks_are_in_the_axes_of_the_camera_which_may_move(shots):
+def test_without_a_board_the_tracks_are_in_the_axes_of_the_camera_which_may_move(
+    shots,
+):
     tracker, image = Tracker(VISION, CAMERA), shots[0][0].copy()
     for shift in (0, 0, 0, 4):
         tracker.add(0.0, np.roll(image, shift, axis=1))
-    assert tracker.tracks().camera_motion == pytest.approx(2.0, rel=0.2)  # mean of x, y
+    assert tracker.tracks().camera_motion == pytest.approx(
+        2.0, rel=0.2
+    )  # mean of x, y
     image[:290] = 120  # the board
     bare = Tracker(VISION, CAMERA)
     (tip,) = [s.position for s in bare.add(0.0, image) if s.point == "FR_tip"]
@@ -87,7 +96,14 @@ def rows(path):
 
 def test_the_csv_has_a_row_for_every_marker_that_a_image_shows(folder, capsys):
     out = folder / "tracks.csv"
-    place = ["--camera", str(folder / "camera.yaml"), "--out", str(out), "--rate", "25"]
+    place = [
+        "--camera",
+        str(folder / "camera.yaml"),
+        "--out",
+        str(out),
+        "--rate",
+        "25",
+    ]
     assert (
         track_command.main(
             [str(folder / "film"), *place, "--depth", str(folder / "depth")]
@@ -100,7 +116,9 @@ def test_the_csv_has_a_row_for_every_marker_that_a_image_shows(folder, capsys):
     assert sorted({float(r["time"]) for r in found}) == pytest.approx(
         np.arange(COUNT) / 25
     )
-    assert track_command.main([str(folder / "film"), *place, "--leg", "FR"]) == 0
+    assert (
+        track_command.main([str(folder / "film"), *place, "--leg", "FR"]) == 0
+    )
     assert {r["point"] for r in rows(out)} == {
         "torso",
         "base",
@@ -120,10 +138,15 @@ def test_a_damaged_video_is_tracked_as_far_as_it_can_be_read_and_named(
     for image, _, _ in shots:
         video.write(image)
     video.release()
-    assert track_command.main([str(film), "--out", str(tmp_path / "all.csv")]) == 0
+    assert (
+        track_command.main([str(film), "--out", str(tmp_path / "all.csv")]) == 0
+    )
     assert "damaged" not in capsys.readouterr().out
     film.write_bytes(film.read_bytes()[: film.stat().st_size // 2])
-    assert track_command.main([str(film), "--out", str(tmp_path / "half.csv")]) == 0
+    assert (
+        track_command.main([str(film), "--out", str(tmp_path / "half.csv")])
+        == 0
+    )
     assert "says that it has 6 images: it is damaged" in capsys.readouterr().out
     whole, half = (rows(tmp_path / f"{name}.csv") for name in ("all", "half"))
     assert 0 < len(half) < len(whole)
@@ -159,14 +182,20 @@ def test_films_that_do_not_fit_are_refused(folder, refusal):
     cv2.imwrite(str(folder / "blank" / "0.png"), grey)
     for arguments, reason in (
         ([folder / "none"], "without images"),
-        ([film, "--camera", folder / "half.yaml"], "calibrated at 640 x 360 px"),
+        (
+            [film, "--camera", folder / "half.yaml"],
+            "calibrated at 640 x 360 px",
+        ),
         ([film, "--depth", film], "expected one 16-bit channel"),
         ([film, "--depth", depth], "5 depth images, fewer than images"),
         (
             [folder / "blank"],
             "(ids 40 to 56 of DICT_4X4_100; the first shows no marker",
         ),
-        ([film, "--out", folder / "nowhere" / "x.csv"], "not in an existing directory"),
+        (
+            [film, "--out", folder / "nowhere" / "x.csv"],
+            "not in an existing directory",
+        ),
     ):
         out = folder / "x.csv"
         assert reason in refusal(track_command.main, "--out", out, *arguments)

@@ -10,17 +10,25 @@ from slot_core.robot import read_robot
 from slot_core.vision.board import make_board, print_of
 from slot_core.vision.camera import nominal
 from slot_core.vision.settings import read_vision
-from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
+from slot_core.vision.synthetic_camera import (
+    Imperfections,
+    Surface,
+    SyntheticCamera,
+)
 
 VISION = read_vision()
 CAMERA = nominal(VISION.camera)
-MOUNT = Transform.of((0.06, 0.0, 0.03), (0.0, 0.0, 0.0))  # camera_link in base_link
+MOUNT = Transform.of(
+    (0.06, 0.0, 0.03), (0.0, 0.0, 0.0)
+)  # camera_link in base_link
 
 
 @functools.cache
 def synthetic(**made):
     """A synthetic camera; its images depend on those before it only in the noise."""
-    return SyntheticCamera(CAMERA, Imperfections(**made), np.random.default_rng(0))
+    return SyntheticCamera(
+        CAMERA, Imperfections(**made), np.random.default_rng(0)
+    )
 
 
 def board(name, settings=None):

@@ -41,7 +41,12 @@ from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.geometry import wrapped
 from slot_core.simulation.readings import ImuReading, OdometryReading
 
-DELAYS = ((0.0, 0.0), (0.02, 0.01), (0.05, 0.02), (0.08, 0.02))  # s, with jitter
+DELAYS = (
+    (0.0, 0.0),
+    (0.02, 0.01),
+    (0.05, 0.02),
+    (0.08, 0.02),
+)  # s, with jitter
 ERRORS = {  # of the state: which part, and its name in the plot
     "roll_pitch_mrad": (slice(0, 2), "roll and pitch, mrad"),
     "position_mm": (slice(3, 6), "position, mm"),
@@ -53,7 +58,10 @@ WAYS = {  # to the state, and their colours
     "without prediction": (methods.without_prediction, palette.SECONDARY),
     "predicted": (methods.predicted, palette.TRUE),
 }
-PASSES, PLAIN_STEPS = 7, 1000  # over the walk; steps of a filter in NumPy after each
+PASSES, PLAIN_STEPS = (
+    7,
+    1000,
+)  # over the walk; steps of a filter in NumPy after each
 # CPU of the estimator over such a step: 50 and 150 us where it takes some 95 us.
 IMU_RATIO, ODOMETRY_RATIO = 0.5, 1.6
 
@@ -69,7 +77,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         progress(f"odometry {1e3 * slam.delay:g} ms late")
         rows += [method_row(walks, slam, settings, name) for name in WAYS]
     lost = Slam(0.05, 0.02, gap=(5.0, 6.0))
-    beyond = np.max([error_after_loss(walk, lost, settings) for walk in walks], axis=0)
+    beyond = np.max(
+        [error_after_loss(walk, lost, settings) for walk in walks], axis=0
+    )
     rows.append(cpu_row(walks[0], settings))
     rows += closed_loop_rows(range(8 if quick else 20), progress)
     rows += vision_rows.rows(quick, progress)
@@ -80,12 +90,18 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Write the plot: error when the state is used over the odometry's delay, by way to it."""
     figure = Figure(figsize=(12, 3.4), layout="constrained")
-    for ax, (name, (_, label)) in zip(figure.subplots(1, len(ERRORS)), ERRORS.items()):
+    for ax, (name, (_, label)) in zip(
+        figure.subplots(1, len(ERRORS)), ERRORS.items()
+    ):
         for way, (_, colour) in WAYS.items():
-            mine = [r for r in rows if r["kind"] == "delay" and r["method"] == way]
+            mine = [
+                r for r in rows if r["kind"] == "delay" and r["method"] == way
+            ]
             x, y = [r["delay_ms"] for r in mine], [r[name] for r in mine]
             ax.plot(x, y, "o-", color=colour, label=way)
-        ax.set(xlabel="delay of the odometry, ms", ylabel=f"RMS error of {label}")
+        ax.set(
+            xlabel="delay of the odometry, ms", ylabel=f"RMS error of {label}"
+        )
         ax.set_yscale("log")
         ax.grid(alpha=0.3)
     figure.axes[0].legend(frameon=False)
@@ -97,7 +113,9 @@ def method_row(
 ) -> Row:
     """RMS errors of a way to the state over the walks."""
     way, _ = WAYS[name]
-    errors = np.vstack([errors_at_use(walk, slam, way, settings) for walk in walks])
+    errors = np.vstack(
+        [errors_at_use(walk, slam, way, settings) for walk in walks]
+    )
     rms = {
         key: 1e3 * float(np.sqrt(np.mean(errors[:, part] ** 2)))
         for key, (part, _) in ERRORS.items()
@@ -129,11 +147,15 @@ def difference(state: Array, true: Array) -> Array:
     return error
 
 
-def error_after_loss(walk: Streams, slam: Slam, settings: EstimatorSettings) -> Array:
+def error_after_loss(
+    walk: Streams, slam: Slam, settings: EstimatorSettings
+) -> Array:
     """Largest error of [position, velocity] before the odometry returns, m and m/s."""
     arrivals = slam.arrivals(walk, np.random.default_rng(0))
     end = walk.stamps[0] + slam.gap[1] * SECOND
-    used = [(t, s) for t, s in methods.predicted(arrivals, settings) if t <= end]
+    used = [
+        (t, s) for t, s in methods.predicted(arrivals, settings) if t <= end
+    ]
     error = difference(used[-1][1], walk.true_state(used[-1][0]))
     return np.array([np.abs(error[3:6]).max(), np.abs(error[9:12]).max()])
 
@@ -185,8 +207,14 @@ def closed_loop_rows(seeds: Sequence[int], progress: Progress) -> list[Row]:
             states, figures = walked(seed, 10.0, late).motion()
             tilt = 1e3 * np.sqrt(np.mean(states[:, 0:2] ** 2))
             found.append(figures | {"tilt_mrad": tilt})
-        means = {key: np.mean([each[key] for each in found]) for key in found[0]}
-        row = {"kind": "closed loop", "delay_ms": 1e3 * delay, "seeds": len(seeds)}
+        means = {
+            key: np.mean([each[key] for each in found]) for key in found[0]
+        }
+        row = {
+            "kind": "closed loop",
+            "delay_ms": 1e3 * delay,
+            "seeds": len(seeds),
+        }
         rows.append(row | means)
     return rows
 
@@ -200,17 +228,23 @@ def checks(rows: list[Row], place: float, speed: float) -> list[Check]:
 
     ours = row(kind="delay", method="predicted", delay_ms=50.0)
     authors = row(kind="delay", method="finite differences", delay_ms=50.0)
-    near, far = (row(kind="closed loop", delay_ms=delay) for delay in (10.0, 80.0))
+    near, far = (
+        row(kind="closed loop", delay_ms=delay) for delay in (10.0, 80.0)
+    )
     cpu = row(kind="cpu")
     faster = authors["velocity_mm_s"] / ours["velocity_mm_s"]
     change = abs(far["v_x_mm_s"] / near["v_x_mm_s"] - 1.0)
-    aside, tilted = (far[key] / near[key] - 1 for key in ("lateral_mm", "tilt_mrad"))
+    aside, tilted = (
+        far[key] / near[key] - 1 for key in ("lateral_mm", "tilt_mrad")
+    )
     imu, odometry = cpu["imu_ratio"], cpu["odometry_ratio"]
     lost = "after 1 s without odometry"
     return [
         at_most("position, 50 ms late", ours["position_mm"], 2.0, "mm"),
         at_most("velocity, 50 ms late", ours["velocity_mm_s"], 10.0, "mm/s"),
-        at_most("roll and pitch, 50 ms late", ours["roll_pitch_mrad"], 5.0, "mrad"),
+        at_most(
+            "roll and pitch, 50 ms late", ours["roll_pitch_mrad"], 5.0, "mrad"
+        ),
         at_least("velocity error of finite differences", faster, 3),
         at_most(f"position {lost}", 1e3 * place, 50.0, "mm"),
         at_most(f"velocity {lost}", 1e3 * speed, 50.0, "mm/s"),
@@ -218,6 +252,8 @@ def checks(rows: list[Row], place: float, speed: float) -> list[Check]:
         at_most("lateral_mm added by 80 ms", aside, 0.05),
         at_most("tilt_mrad added by 80 ms", tilted, 0.05),
         at_most("CPU of an IMU step over one in NumPy", imu, IMU_RATIO),
-        at_most("CPU of an odometry update over that step", odometry, ODOMETRY_RATIO),
+        at_most(
+            "CPU of an odometry update over that step", odometry, ODOMETRY_RATIO
+        ),
         *vision_rows.checks(rows),
     ]

@@ -16,7 +16,12 @@ from slot_core.robot import (
     arc_length,
     at_shares,
 )
-from slot_core.vision.board import GreyImage, make_board, print_of, single_marker
+from slot_core.vision.board import (
+    GreyImage,
+    make_board,
+    print_of,
+    single_marker,
+)
 from slot_core.vision.settings import TrackedMarkers, VisionSettings
 from slot_core.vision.synthetic_camera import Surface
 
@@ -48,10 +53,17 @@ def plates(
     robot: RobotParameters, settings: TrackedMarkers, at: FilmedRobot
 ) -> dict[str, Transform]:
     """Frames of the plates in odom by name: x along the leg outward, z away from its right side."""
-    found = {TORSO: at.base @ Transform.of(settings.torso.position, settings.torso.rpy)}
+    found = {
+        TORSO: at.base
+        @ Transform.of(settings.torso.position, settings.torso.rpy)
+    }
     for leg, line, side in zip(LEGS, at.nodes, at.sides):
         tangents = np.gradient(line, arc_length(line), axis=0)
-        places = at_shares(line), at_shares(line, tangents), at_shares(line, side)
+        places = (
+            at_shares(line),
+            at_shares(line, tangents),
+            at_shares(line, side),
+        )
         for name, point, along, aside in zip(LEG_POINTS, *places):
             x = along / np.linalg.norm(along)
             z = aside - (aside @ x) * x
@@ -66,10 +78,14 @@ def plates(
 class Stage:
     """The robot with its plates and the board behind it, before the camera that films them."""
 
-    def __init__(self, settings: VisionSettings, robot: RobotParameters) -> None:
+    def __init__(
+        self, settings: VisionSettings, robot: RobotParameters
+    ) -> None:
         self._settings, self._robot = settings, robot
         camera = settings.film_camera
-        self._to_camera = optical(Transform.of(camera.position, camera.rpy)).inverse
+        self._to_camera = optical(
+            Transform.of(camera.position, camera.rpy)
+        ).inverse
         number = settings.dictionary_number
         if BOARD not in settings.boards:
             raise ConfigError(f"vision.yaml: boards: none named {BOARD}")
@@ -77,7 +93,8 @@ class Stage:
         self._board_print = print_of(self._board, number)
         names = settings.points.names
         markers = {
-            name: single_marker(i, settings.points.size) for i, name in names.items()
+            name: single_marker(i, settings.points.size)
+            for i, name in names.items()
         }
         self._prints = {
             name: print_of(marker, number) for name, marker in markers.items()
@@ -100,9 +117,15 @@ class Stage:
         for name, plate in self.plates(at).items():
             corners, velocity = plate.apply(self._outline), None
             if soon:
-                velocity = (later[name].apply(self._outline) - corners) / soon[1]
+                velocity = (later[name].apply(self._outline) - corners) / soon[
+                    1
+                ]
             shown.append(self._seen(self._prints[name], corners, velocity))
-        return [board, *sorted(body, key=_distance), *sorted(shown, key=_distance)]
+        return [
+            board,
+            *sorted(body, key=_distance),
+            *sorted(shown, key=_distance),
+        ]
 
     def _seen(
         self, sheet: GreyImage, corners: Array, velocity: Array | None = None
@@ -122,7 +145,10 @@ class Stage:
                 yield from _turned(at.base.apply(corners), self._to_camera)
         leg = self._robot.leg
         for line, side in zip(at.nodes, at.sides):
-            thick = np.linspace(leg.thickness_clamp, leg.thickness_tip, len(line)) / 2
+            thick = (
+                np.linspace(leg.thickness_clamp, leg.thickness_tip, len(line))
+                / 2
+            )
             normal = np.cross(side, np.gradient(line, axis=0))
             up = normal * (thick / np.linalg.norm(normal, axis=1))[:, None]
             for i in range(len(line) - 1):
@@ -131,7 +157,9 @@ class Stage:
                     line[i + 1] - up[i + 1],
                     line[i + 1] + up[i + 1],
                 ]
-                yield from _turned(np.array([*quad, line[i] + up[i]]), self._to_camera)
+                yield from _turned(
+                    np.array([*quad, line[i] + up[i]]), self._to_camera
+                )
 
 
 def _distance(surface: Surface) -> float:

@@ -35,7 +35,10 @@ class RecordingPlant(RobotSimulator):
         angles = rpy_of(sim.rotation)
         rate = sim.rotation @ sim.angular_velocity
         self.truth.append(
-            (self.now, np.concatenate([angles, sim.position, rate, sim.velocity]))
+            (
+                self.now,
+                np.concatenate([angles, sim.position, rate, sim.velocity]),
+            )
         )
         self.readings += [r for r in readings if isinstance(r, ImuReading)]
         return readings
@@ -49,7 +52,9 @@ class RecordingPlant(RobotSimulator):
         drift = np.abs(states[:, 4] - states[0, 4]).max()
         return states, {"v_x_mm_s": 1e3 * speed, "lateral_mm": 1e3 * drift}
 
-    def _odometry_or_image(self, truth: OdometryReading, since: float) -> Reading:
+    def _odometry_or_image(
+        self, truth: OdometryReading, since: float
+    ) -> Reading:
         reading = super()._odometry_or_image(truth, since)
         if isinstance(reading, OdometryReading):
             self.readings.append(reading)
@@ -83,7 +88,9 @@ def walked(
     seed: int, duration: float, changes: Mapping[str, Any] | None = None
 ) -> RecordingPlant:
     """The plant after a walk of `duration` (s) on the flat floor, changed as in `ClosedLoop`."""
-    loop = ClosedLoop("flat", "walk", None, seed, changes=changes, make=RecordingPlant)
+    loop = ClosedLoop(
+        "flat", "walk", None, seed, changes=changes, make=RecordingPlant
+    )
     for _ in loop.run(round(duration / PERIOD)):
         pass
     assert isinstance(loop.plant, RecordingPlant)
@@ -105,9 +112,14 @@ class Slam:
 
     delay: float = 0.0  # s, mean
     jitter: float = 0.0  # s, largest deviation of the delay
-    gap: tuple[float, float] = (0.0, 0.0)  # s after the first reading: none in between
+    gap: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # s after the first reading: none in between
 
-    def arrivals(self, streams: Streams, rng: np.random.Generator) -> list[Arrival]:
+    def arrivals(
+        self, streams: Streams, rng: np.random.Generator
+    ) -> list[Arrival]:
         """The readings with their times of arrival, ns, in that order."""
         start = min(r.stamp for r in streams.readings)
         result: list[Arrival] = []
@@ -122,4 +134,6 @@ class Slam:
             if self.gap[0] < since < self.gap[1]:
                 continue
             result.append((r.stamp + to_ns(max(late, 0.0)), r))
-        return sorted(result, key=lambda item: (item[0], ARRIVAL_ORDER[type(item[1])]))
+        return sorted(
+            result, key=lambda item: (item[0], ARRIVAL_ORDER[type(item[1])])
+        )

@@ -34,9 +34,14 @@ def finite_differences(
         if late:
             continue
         if last is not None:
-            velocity = (r.position - last.position) / to_seconds(r.stamp - last.stamp)
+            velocity = (r.position - last.position) / to_seconds(
+                r.stamp - last.stamp
+            )
             angles = rpy_of(Rotation.from_quat(r.quaternion).as_matrix())
-            yield arrival, np.concatenate([angles, r.position, np.zeros(3), velocity])
+            yield (
+                arrival,
+                np.concatenate([angles, r.position, np.zeros(3), velocity]),
+            )
         last = r
 
 
@@ -100,6 +105,10 @@ def plain_step() -> tuple[Rotation, Array]:
     change = np.zeros((15, 15))
     change[0:3, 9:12] = change[6:9, 12:15] = -dt * turn
     change[3:6, 6:9] = dt * np.eye(3)
-    change[6:9, 0:3] = -dt * np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    change[6:9, 0:3] = -dt * np.array(
+        [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]
+    )
     transition = np.eye(15) + change + change @ change / 2
-    return middle * half, transition @ (np.eye(15) + noise) @ transition.T + noise
+    return middle * half, transition @ (
+        np.eye(15) + noise
+    ) @ transition.T + noise

@@ -13,7 +13,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.estimation.filmed_robot import DEPTH_NOISE, FilmedRobot, Stage, filmed
+from benchmarks.estimation.filmed_robot import (
+    DEPTH_NOISE,
+    FilmedRobot,
+    Stage,
+    filmed,
+)
 from benchmarks.estimation.measured_streams import WARM_UP, RecordingPlant
 from benchmarks.harness import Check, Progress, Row, at_most, timed
 from slot_core.arrays import Array
@@ -51,7 +56,9 @@ def shots(count: int) -> list[FilmedRobot]:
     sim, found = loop.plant.robot, []
     for _ in loop.run(count):
         base = Transform(sim.rotation.copy(), sim.position.copy())
-        found.append(filmed(read_robot(), base, sim.nodes.copy(), sim.directors.copy()))
+        found.append(
+            filmed(read_robot(), base, sim.nodes.copy(), sim.directors.copy())
+        )
     return found
 
 
@@ -73,46 +80,72 @@ def tracker_rows(
     Errors are across and along the camera's line of sight.
     """
     stage, camera = Stage(settings, read_robot()), nominal(settings.camera)
-    synthetic = SyntheticCamera(camera, Imperfections(), np.random.default_rng(0))
+    synthetic = SyntheticCamera(
+        camera, Imperfections(), np.random.default_rng(0)
+    )
     trackers = {depth: Tracker(settings, camera) for depth in (False, True)}
     dictionary = cv2.aruco.getPredefinedDictionary(settings.dictionary_number)
     plain, truth, times = cv2.aruco.ArucoDetector(dictionary), [], []
     for number, (now, soon) in enumerate(pairwise(walk)):
         surfaces = stage.surfaces(now, (soon, PERIOD))
-        image, depth = synthetic.image(surfaces), synthetic.depth(surfaces, DEPTH_NOISE)
+        image, depth = (
+            synthetic.image(surfaces),
+            synthetic.depth(surfaces, DEPTH_NOISE),
+        )
         truth.append(stage.plates(now))
         plain_time = timed(plain.detectMarkers, image)[1]
-        times.append((timed(trackers[False].add, float(number), image)[1], plain_time))
+        times.append(
+            (timed(trackers[False].add, float(number), image)[1], plain_time)
+        )
         trackers[True].add(float(number), image, depth)
     look = Transform.of((0, 0, 0), settings.film_camera.rpy).rotation[:, 0]
     found: list[dict[str, Any]] = []
     for depth, tracker in trackers.items():
         samples = tracker.tracks().samples
         off = np.array(
-            [s.position - truth[round(s.time)][s.point].position for s in samples]
+            [
+                s.position - truth[round(s.time)][s.point].position
+                for s in samples
+            ]
         )
         along = off @ look
         across = np.linalg.norm(off - along[:, None] * look, axis=1)
         row = {"kind": "tracker", "depth_channel": depth, "images": len(truth)}
-        row |= {"samples": len(along), "depth_mm": 1e3 * np.sqrt(np.mean(along**2))}
-        found.append(row | {"image_plane_mm": 1e3 * np.sqrt(np.mean(across**2))})
+        row |= {
+            "samples": len(along),
+            "depth_mm": 1e3 * np.sqrt(np.mean(along**2)),
+        }
+        found.append(
+            row | {"image_plane_mm": 1e3 * np.sqrt(np.mean(across**2))}
+        )
     cpu, stock = np.median(times, axis=0)
-    found[0] |= {"cpu_ms": 1e3 * cpu, "plain_ms": 1e3 * stock, "images_per_s": 1 / cpu}
+    found[0] |= {
+        "cpu_ms": 1e3 * cpu,
+        "plain_ms": 1e3 * stock,
+        "images_per_s": 1 / cpu,
+    }
     found[0]["ratio"] = np.median([own / other for own, other in times])
     return found
 
 
 def walk_row(scene: str, duration: float) -> Row:
     """Velocity, drift to the side and error of the estimate of a walk."""
-    loop, off = ClosedLoop(scene, "walk", None, 0, make=RecordingPlant), list[Array]()
+    loop, off = (
+        ClosedLoop(scene, "walk", None, 0, make=RecordingPlant),
+        list[Array](),
+    )
     sim = loop.plant.robot
     for tick in loop.run(round(duration / PERIOD)):
         state = tick.estimate.state
         off.append(
-            np.concatenate([state[3:6] - sim.position, state[9:12] - sim.velocity])
+            np.concatenate(
+                [state[3:6] - sim.position, state[9:12] - sim.velocity]
+            )
         )
     assert isinstance(loop.plant, RecordingPlant)
-    rms = 1e3 * np.sqrt(np.mean(np.square(off[round(WARM_UP / PERIOD) :]), axis=0))
+    rms = 1e3 * np.sqrt(
+        np.mean(np.square(off[round(WARM_UP / PERIOD) :]), axis=0)
+    )
     row = {"kind": "images", "scene": scene, **loop.plant.motion()[1]}
     place, speed = np.sqrt(np.mean(rms.reshape(2, 3) ** 2, axis=1))
     return row | {"position_mm": place, "velocity_mm_s": speed}
@@ -127,12 +160,18 @@ def checks(rows: list[Row]) -> list[Check]:
         seen["lateral_mm"] - stock["lateral_mm"],
     )
     return [
-        at_most("tracker, image plane at 0.8 m", image["image_plane_mm"], 1.0, "mm"),
+        at_most(
+            "tracker, image plane at 0.8 m", image["image_plane_mm"], 1.0, "mm"
+        ),
         at_most("tracker, depth at 0.8 m", image["depth_mm"], 3.0, "mm"),
-        at_most("tracker, depth with the depth channel", deep["depth_mm"], 2.0, "mm"),
+        at_most(
+            "tracker, depth with the depth channel", deep["depth_mm"], 2.0, "mm"
+        ),
         at_most("tracker, CPU over that of detectMarkers", image["ratio"], 3.0),
         at_most(
-            "v_x through images", abs(seen["v_x_mm_s"] / stock["v_x_mm_s"] - 1.0), 0.05
+            "v_x through images",
+            abs(seen["v_x_mm_s"] / stock["v_x_mm_s"] - 1.0),
+            0.05,
         ),
         at_most(f"{aside}, beyond that of stock odometry", beyond, 2.0, "mm"),
     ]

@@ -83,16 +83,19 @@ LEAST_SPEED, LARGEST_TILT = (
 LATENCY_RATIO, CPU_RATIO, LEAST_SPEEDUP = 0.8, 0.8, 1.5
 # CPU of the controller with odometry at 100 Hz over that at 30 Hz: 3.3 if a tick takes as long.
 FAST_CPU_RATIO = 3.4
-REPLAY_RATIO = 2.0  # CPU of a replay, without start-up, over controller and plant
+REPLAY_RATIO = (
+    2.0  # CPU of a replay, without start-up, over controller and plant
+)
 REPLAYED = 60.0  # s of a walk
 # Goals for the robot, which are the machine's too.
 CONTROLLER_CPU, RECORDER_CPU = 30.0, 5.0  # % of a core, at 30 Hz
-FEEDBACK_CPU, POLICY_CPU = 0.5, 4.0  # ms, of the policy: after the odometry, and in all
+FEEDBACK_CPU, POLICY_CPU = (
+    0.5,
+    4.0,
+)  # ms, of the policy: after the odometry, and in all
 LOCKSTEP_SPEED = 8.0  # times real time, composed
 REPLAY_CPU = 3.0  # s, of `REPLAYED`, without start-up
-LARGEST_CYCLE = (
-    3.0  # CPU of a cycle of the MPC's node, messages included, over its solution alone
-)
+LARGEST_CYCLE = 3.0  # CPU of a cycle of the MPC's node, messages included, over its solution alone
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     graph = read_graph()
     values = {argument.name: argument.default for argument in graph.arguments}
     progress("closed loop in one process")
-    rows = [closed_loop_row(values, plan.blocks)]  # compiles what the nodes load too
+    rows = [
+        closed_loop_row(values, plan.blocks)
+    ]  # compiles what the nodes load too
     progress("cycle of the MPC's node")
     rows.append(cycle_row(CYCLES))
     modes = {SEPARATE: values, COMPOSED: values | {"composed": True}}
@@ -123,7 +128,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     for mode, chosen in modes.items():
         progress(name := f"lockstep, {mode}")
         lockstep = chosen | {"lockstep": True}
-        if one := attempts.run(name, measure_walk, graph, lockstep, plan.lockstep):
+        if one := attempts.run(
+            name, measure_walk, graph, lockstep, plan.lockstep
+        ):
             row = {"kind": "lockstep", "nodes": mode}
             row["duration_s"] = one.metrics.duration
             rows.append(row | {"speed": one.metrics.real_time_factor})
@@ -131,8 +138,12 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     walks: dict[str, list[Walk]] = {mode: [] for mode in modes}
     for repeat in range(plan.repeats):
         for mode, chosen in modes.items():
-            progress(name := f"real time, {mode}, {repeat + 1} of {plan.repeats}")
-            if one := attempts.run(name, measure_walk, graph, chosen, plan.duration):
+            progress(
+                name := f"real time, {mode}, {repeat + 1} of {plan.repeats}"
+            )
+            if one := attempts.run(
+                name, measure_walk, graph, chosen, plan.duration
+            ):
                 walks[mode].append(one)
     if walks[SEPARATE] and walks[COMPOSED]:
         draw(walks[SEPARATE], walks[COMPOSED], out / "graph.png")
@@ -172,7 +183,10 @@ def due(walks: Sequence[Walk]) -> Array:
     """Latencies from odometry to command of all commands that were due, s."""
     ticks = [walk.ticks for walk in walks]
     return np.concatenate(
-        [one.end_to_end[one.time[:, 0] + one.period <= one.end] for one in ticks]
+        [
+            one.end_to_end[one.time[:, 0] + one.period <= one.end]
+            for one in ticks
+        ]
     )
 
 
@@ -186,7 +200,10 @@ def cycle_row(ticks: int) -> dict[str, Any]:
         read_scene("flat").sensors.odometry.period,
     )
     walking = [
-        (messages.preview_to_msg(tick.preview), messages.state_to_msg(tick.estimate))
+        (
+            messages.preview_to_msg(tick.preview),
+            messages.state_to_msg(tick.estimate),
+        )
         for tick in loop.run(ticks)
     ]
     inputs = [tuple(map(serialize_message, pair)) for pair in walking]
@@ -206,7 +223,9 @@ def cycle_row(ticks: int) -> dict[str, Any]:
     row = {"kind": "cycle", "p99_ms": 1e3 * np.percentile(elapsed, 99)}
     times = {"median_ms": elapsed, "cpu_ms": cpu}
     times |= {"solve_cpu_ms": alone, "prepare_cpu_ms": preparing}
-    return row | {name: 1e3 * np.median(values) for name, values in times.items()}
+    return row | {
+        name: 1e3 * np.median(values) for name, values in times.items()
+    }
 
 
 def closed_loop_row(values: Mapping[str, Any], blocks: int) -> Row:
@@ -226,7 +245,9 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
     walk |= {"duration_s": m.duration, "period_ms": 1e3 * m.period}
     walk |= {name: getattr(m, name) for name in WALK_FIGURES}
     walk["tilt_max_rad"] = m.tilt_max
-    walk["waiting_for_a_core_percent"] = one.waited  # how loaded the machine was
+    walk["waiting_for_a_core_percent"] = (
+        one.waited
+    )  # how loaded the machine was
     walk["replay_cpu_s_per_s"] = one.replay_cpu
     walk["replay_differences"] = one.replay_differences
     latency = [
@@ -237,7 +258,9 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
     figures = np.column_stack([one.cpu, one.pss])
     nodes = [*zip(one.nodes, figures), (ALL_NODES, figures.sum(axis=0))]
     node = {"kind": "node", **which}
-    used = [node | {"node": n} | dict(zip(NODE_FIGURES, some)) for n, some in nodes]
+    used = [
+        node | {"node": n} | dict(zip(NODE_FIGURES, some)) for n, some in nodes
+    ]
     return [walk, *latency, *used]
 
 
@@ -245,9 +268,9 @@ def medians(rows: Sequence[Row]) -> list[Row]:
     """One row for each kind, stage and node: the median of every number over the repeats."""
     groups: dict[tuple[str, ...], list[Row]] = defaultdict(list)
     for row in rows:
-        groups[tuple(value for value in row.values() if isinstance(value, str))].append(
-            row
-        )
+        groups[
+            tuple(value for value in row.values() if isinstance(value, str))
+        ].append(row)
     return [
         {
             name: value
@@ -270,7 +293,9 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
     """
 
     def figures(name: str, **which: Any) -> list[Any]:
-        found = [r[name] for r in rows if which.items() <= r.items() and name in r]
+        found = [
+            r[name] for r in rows if which.items() <= r.items() and name in r
+        ]
         return found or [math.nan]
 
     def median(name: str, mode: str, **which: Any) -> float:
@@ -304,23 +329,49 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
     return [
         at_least("shortest walk", duration, plan.duration, "s"),
         at_least("least mean v_x", slowest, LEAST_SPEED, "m/s"),
-        at_most("largest tilt", max(figures("tilt_max_rad")), LARGEST_TILT, "rad"),
+        at_most(
+            "largest tilt", max(figures("tilt_max_rad")), LARGEST_TILT, "rad"
+        ),
         at_most("memory of all nodes, composed", memory, PSS_MB, "MB"),
-        at_most("memory of the controller, composed", own, CONTROLLER_PSS_MB, "MB"),
-        at_most("CPU of the MPC node over its solver", messages_too, LARGEST_CYCLE),
-        at_most(f"{beside}: odometry to command, median", younger, LATENCY_RATIO),
-        at_most(f"{beside}: CPU of the controller", controller / stages, CPU_RATIO),
+        at_most(
+            "memory of the controller, composed", own, CONTROLLER_PSS_MB, "MB"
+        ),
+        at_most(
+            "CPU of the MPC node over its solver", messages_too, LARGEST_CYCLE
+        ),
+        at_most(
+            f"{beside}: odometry to command, median", younger, LATENCY_RATIO
+        ),
+        at_most(
+            f"{beside}: CPU of the controller", controller / stages, CPU_RATIO
+        ),
         at_least(f"{beside}: lockstep speed", speedup, LEAST_SPEEDUP),
         at_most(
-            "CPU of a replay over controller and plant", replay / loop, REPLAY_RATIO
+            "CPU of a replay over controller and plant",
+            replay / loop,
+            REPLAY_RATIO,
         ),
         at_most("stages that a replay changes", changed, 0),
-        at_most("100 Hz over 30 Hz: controller", fast / controller, FAST_CPU_RATIO),
-        at_most("CPU of the policy's feedback phase", solve, FEEDBACK_CPU, "ms"),
-        at_most("CPU of the policy in a tick", solve + prepare, POLICY_CPU, "ms"),
-        at_most("CPU of the controller, composed", controller, CONTROLLER_CPU, "%"),
+        at_most(
+            "100 Hz over 30 Hz: controller", fast / controller, FAST_CPU_RATIO
+        ),
+        at_most(
+            "CPU of the policy's feedback phase", solve, FEEDBACK_CPU, "ms"
+        ),
+        at_most(
+            "CPU of the policy in a tick", solve + prepare, POLICY_CPU, "ms"
+        ),
+        at_most(
+            "CPU of the controller, composed", controller, CONTROLLER_CPU, "%"
+        ),
         at_most("CPU of the recorder", recorder, RECORDER_CPU, "%"),
-        at_most("100 Hz: unanswered ticks", max(figures("unanswered", nodes=FAST)), 0),
-        at_least("lockstep speed, composed", speed(COMPOSED), LOCKSTEP_SPEED, "times"),
+        at_most(
+            "100 Hz: unanswered ticks",
+            max(figures("unanswered", nodes=FAST)),
+            0,
+        ),
+        at_least(
+            "lockstep speed, composed", speed(COMPOSED), LOCKSTEP_SPEED, "times"
+        ),
         at_most("CPU of a replay of 60 s", REPLAYED * replay, REPLAY_CPU, "s"),
     ]

@@ -35,7 +35,9 @@ from slot_lab.report.metrics import WalkMetrics, walk_metrics
 STANDING = 1.0  # s, at most, from the first state to the first command
 SAMPLE_PERIOD = 0.25  # s; the kernel counts CPU time in steps of 10 ms
 ENDURANCE_PERIOD = 2.0  # s of wall time
-WARM_UP = 0.2  # of the samples: kernels, buffers of the middleware and of Python fill
+WARM_UP = (
+    0.2  # of the samples: kernels, buffers of the middleware and of Python fill
+)
 SHARED_MEMORY = Path("/dev/shm")
 LARGEST_GROWTH = 1.0  # MB per node
 GROWING = {"memory": "MB", "threads": "", "descriptors": ""}  # of a node
@@ -55,21 +57,32 @@ class Walk:
     replay_differences: int  # stages that are not replayed within `TOLERANCE`
 
 
-def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Walk:
+def measure_walk(
+    graph: Graph, values: Mapping[str, Any], duration: float
+) -> Walk:
     """Run the graph for `duration` (s) after the warm-up; raises BenchmarkError if it fails."""
     warm_up = read_record_settings().warm_up
-    samples: list[list[float]] = []  # wall time, CPU of each node, time waited, s
+    samples: list[
+        list[float]
+    ] = []  # wall time, CPU of each node, time waited, s
     with tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch, "bag")
         values = {**values, "bag": str(directory)}
         try:
             with (
-                running(graph, values, Path(scratch, "logs")) as (processes, nodes),
-                in_background(lambda: samples.append(cpu_of(nodes)), SAMPLE_PERIOD),
+                running(graph, values, Path(scratch, "logs")) as (
+                    processes,
+                    nodes,
+                ),
+                in_background(
+                    lambda: samples.append(cpu_of(nodes)), SAMPLE_PERIOD
+                ),
             ):
                 watch(processes, STANDING + warm_up + duration)
                 # counting shared pages takes the kernel too long for every sample
-                pss = [node.memory_full_info().pss / 1e6 for node in nodes.values()]
+                pss = [
+                    node.memory_full_info().pss / 1e6 for node in nodes.values()
+                ]
             bag = Bag(directory)
             metrics = walk_metrics(bag, warm_up, read_servo())
             ticks = read_ticks(bag).after(read_motion(bag).t[0] + warm_up)
@@ -95,12 +108,16 @@ def measure_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> Wa
     )
 
 
-def long_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> list[Row]:
+def long_walk(
+    graph: Graph, values: Mapping[str, Any], duration: float
+) -> list[Row]:
     """Walk in lockstep for `duration` (s of graph time) and return the growth of every node.
 
     Raises BenchmarkError if the graph fails. Its bag is deleted: 0.2 MB a second.
     """
-    samples: list[list[list[float]]] = []  # MB, threads, descriptors of each node
+    samples: list[
+        list[list[float]]
+    ] = []  # MB, threads, descriptors of each node
     shared: list[float] = []  # MB
 
     def sample() -> None:
@@ -110,13 +127,18 @@ def long_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> list[
                 for p in nodes.values()
             ]
         )
-        shared.append(sum(f.stat().st_size for f in SHARED_MEMORY.iterdir()) / 1e6)
+        shared.append(
+            sum(f.stat().st_size for f in SHARED_MEMORY.iterdir()) / 1e6
+        )
 
     with tempfile.TemporaryDirectory() as scratch:
         values = {**values, "lockstep": True, "bag": str(Path(scratch, "bag"))}
         try:
             with (
-                running(graph, values, Path(scratch, "logs")) as (processes, nodes),
+                running(graph, values, Path(scratch, "logs")) as (
+                    processes,
+                    nodes,
+                ),
                 in_background(sample, ENDURANCE_PERIOD),
             ):
                 watch(processes, duration)
@@ -127,13 +149,19 @@ def long_walk(graph: Graph, values: Mapping[str, Any], duration: float) -> list[
         counted | {"node": name} | dict(zip(GROWING, growth.tolist()))
         for name, growth in zip(nodes, grown(np.array(samples)))
     ]
-    return [*rows, counted | {"kind": "shared", "memory": grown(np.array(shared))}]
+    return [
+        *rows,
+        counted | {"kind": "shared", "memory": grown(np.array(shared))},
+    ]
 
 
 def grown(samples: Array) -> Array:
     """Growth (...) of samples (n, ...): medians of the last tenth less the first."""
     count = len(samples)
-    begin, tenth = int(WARM_UP * count), max(1, int((1.0 - WARM_UP) * count / 10))
+    begin, tenth = (
+        int(WARM_UP * count),
+        max(1, int((1.0 - WARM_UP) * count / 10)),
+    )
     early, late = samples[begin : begin + tenth], samples[count - tenth :]
     return np.median(late, axis=0) - np.median(early, axis=0)
 
@@ -164,11 +192,16 @@ def running(
     """The graph while the block runs: its processes, and psutil's by node."""
     with started(graph, values, logs) as processes:
         names = [spec.name for spec in graph.nodes(values)]
-        yield processes, {name: psutil.Process(processes.pid(name)) for name in names}
+        yield (
+            processes,
+            {name: psutil.Process(processes.pid(name)) for name in names},
+        )
 
 
 @contextmanager
-def in_background(sample: Callable[[], object], period: float) -> Iterator[None]:
+def in_background(
+    sample: Callable[[], object], period: float
+) -> Iterator[None]:
     """Call `sample` each `period` (s) on a thread while the block runs and all nodes live."""
     ended = threading.Event()
 

@@ -58,13 +58,19 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         progress(f"steps a second at level {level}")
         rows.append(throughput(level, step, 1, count))
     level, step = GOAL_CASE
-    [learned] = (row for row in rows if (row["level"], row["step"]) == GOAL_CASE)
+    [learned] = (
+        row for row in rows if (row["level"], row["step"]) == GOAL_CASE
+    )
     rows.append(throughput(level, step, len(os.sched_getaffinity(0)), count))
     progress("speed of the walk at each level")
     rows += level_rows(quick)
     progress(f"gym-softrobot, {PEER}")
     peer = peer_row()
-    published = {"kind": "peer", "name": "SoftQ, as published", "speed": 1.0 / SOFTQ}
+    published = {
+        "kind": "peer",
+        "name": "SoftQ, as published",
+        "speed": 1.0 / SOFTQ,
+    }
     ratio = learned["speed"] / peer["speed"]
     name = f"steps of 33 ms on one core, {level} at {1e3 * step:g} ms"
     return [*rows, peer, published], [
@@ -73,7 +79,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     ]
 
 
-def throughput(level: str, step: float, threads: int, count: int) -> dict[str, Any]:
+def throughput(
+    level: str, step: float, threads: int, count: int
+) -> dict[str, Any]:
     """Steps a second of the vector environment; `speed`: simulated seconds per second."""
     task = make_task(level=level, servos=False, duration=100.0)
     env = WalkVectorEnv(ROBOTS, task, threads=threads, step=step)
@@ -91,7 +99,12 @@ def throughput(level: str, step: float, threads: int, count: int) -> dict[str, A
         walk()
         took = time.perf_counter() - begin
     steps = ROBOTS * count / took
-    row = {"kind": "throughput", "level": level, "step": step, "threads": threads}
+    row = {
+        "kind": "throughput",
+        "level": level,
+        "step": step,
+        "threads": threads,
+    }
     return row | {"steps_per_s": steps, "speed": steps * task.gaits.dt}
 
 
@@ -102,11 +115,21 @@ def level_rows(quick: bool) -> Iterator[dict[str, Any]]:
     for level, step in CASES:
         speeds = walk_speeds(level, step, friction)
         for mu, speed, reference in zip(friction, speeds, exact):
-            row = {"kind": "level", "level": level, "step": step, "friction": mu}
-            yield row | {"mm_per_s": 1e3 * speed, "error": speed / reference - 1.0}
+            row = {
+                "kind": "level",
+                "level": level,
+                "step": step,
+                "friction": mu,
+            }
+            yield row | {
+                "mm_per_s": 1e3 * speed,
+                "error": speed / reference - 1.0,
+            }
 
 
-def walk_speeds(level: str, step: float, friction: tuple[float, ...]) -> list[float]:
+def walk_speeds(
+    level: str, step: float, friction: tuple[float, ...]
+) -> list[float]:
     """Forward speed (m/s) of the gait alone on each floor, over whole strides."""
     speeds = []
     for mu in friction:

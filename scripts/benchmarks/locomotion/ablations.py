@@ -17,7 +17,10 @@ ABLATIONS: Mapping[str, Changes] = {
     "no drift": (("policy.observer.drift_gain", 0.0),),
     "no wrench": (("policy.observer.wrench_gain", 0.0),),
     "no cost of the swing": (("policy.cost.swing", 0.5),),
-    "a third of the horizon": (("policy.stages", 7), ("policy.knots", (0, 2, 4, 6))),
+    "a third of the horizon": (
+        ("policy.stages", 7),
+        ("policy.knots", (0, 2, 4, 6)),
+    ),
     "steps of 11 ms": (("policy.nominal.steps", 1),),
     "no robot simulated": (("policy.limits.deviation", 0.0),),
 }
@@ -62,7 +65,9 @@ def measured(
     for name, changes in ABLATIONS.items():
         result: dict[str, Any] = {"kind": "ablation", "without": name}
         for row in chosen(rows):
-            values = [row.value([motions[job(row, changes, seed)]]) for seed in SEEDS]
+            values = [
+                row.value([motions[job(row, changes, seed)]]) for seed in SEEDS
+            ]
             result[row.name] = sum(values) / len(values)
         found.append(result)
     return found

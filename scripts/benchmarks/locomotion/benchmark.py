@@ -18,9 +18,24 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import COURSES, Check, Outcome, Progress, Row, at_least, at_most
+from benchmarks.harness import (
+    COURSES,
+    Check,
+    Outcome,
+    Progress,
+    Row,
+    at_least,
+    at_most,
+)
 from benchmarks.locomotion import ablations, cases, margins, plots
-from benchmarks.locomotion.cases import ALONE, COLUMNS, DEFAULT, PAPERS, Job, WalkMotion
+from benchmarks.locomotion.cases import (
+    ALONE,
+    COLUMNS,
+    DEFAULT,
+    PAPERS,
+    Job,
+    WalkMotion,
+)
 from benchmarks.locomotion.rows import LocomotionRow, ratio, rows
 
 REQUIRES = ("onnxruntime",)
@@ -46,7 +61,8 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     motions = run_all([*jobs, *walks, *parts], progress)
     table = measured(wanted, motions, seeds)
     found = [
-        margins.row(case, motions[case, column, seed]) for case, column, seed in walks
+        margins.row(case, motions[case, column, seed])
+        for case, column, seed in walks
     ]
     shown = plots.courses(motions)
     np.savez_compressed(out / COURSES, **shown)
@@ -55,14 +71,23 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     plots.draw_top(shown, out / "top.png")
     margins.draw(found, out / "margins.png")
     parted = ablations.measured(wanted, motions) if parts else []
-    goals = [*checks(wanted, table), *margins.checks(found), *ablations.checks(parted)]
+    goals = [
+        *checks(wanted, table),
+        *margins.checks(found),
+        *ablations.checks(parted),
+    ]
     return [*table, *found, *parted], goals
 
 
 def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
     """Run every job once, on all cores, the longest first."""
-    jobs, found = sorted(dict.fromkeys(wanted), key=lambda job: -job[0].duration), {}
-    cases.run_job(jobs[-1])  # the kernels are compiled once, before the workers start
+    jobs, found = (
+        sorted(dict.fromkeys(wanted), key=lambda job: -job[0].duration),
+        {},
+    )
+    cases.run_job(
+        jobs[-1]
+    )  # the kernels are compiled once, before the workers start
     with multiprocessing.get_context("spawn").Pool(
         len(os.sched_getaffinity(0))
     ) as pool:
@@ -75,16 +100,24 @@ def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
 
 def in_column(row: LocomotionRow, column: str) -> LocomotionRow:
     """The row with the cases that are run in a column: the paper's run the first."""
-    return dataclasses.replace(row, cases=row.cases[: 1 if column in PAPERS else None])
+    return dataclasses.replace(
+        row, cases=row.cases[: 1 if column in PAPERS else None]
+    )
 
 
 def measured(
-    wanted: Sequence[LocomotionRow], motions: Mapping[Job, WalkMotion], seeds: Seeds
+    wanted: Sequence[LocomotionRow],
+    motions: Mapping[Job, WalkMotion],
+    seeds: Seeds,
 ) -> list[dict[str, Any]]:
     """Rows of the table: the worst value over the seeds in every column."""
     table = []
     for row in wanted:
-        result: dict[str, Any] = {"row": row.name, "unit": row.unit, "goal": row.goal}
+        result: dict[str, Any] = {
+            "row": row.name,
+            "unit": row.unit,
+            "goal": row.goal,
+        }
         result["better"] = "larger" if row.larger else "smaller"
         for column, some in seeds.items():
             part = in_column(row, column)
@@ -97,7 +130,9 @@ def measured(
     return table
 
 
-def checks(wanted: Sequence[LocomotionRow], table: Sequence[Row]) -> list[Check]:
+def checks(
+    wanted: Sequence[LocomotionRow], table: Sequence[Row]
+) -> list[Check]:
     """Every goal, and the benefit over the gait alone where that misses the goal."""
     found = []
     for row, values in zip(wanted, table):

@@ -64,8 +64,12 @@ class Case:
     schedule: tuple[
         tuple[float, Vector3], ...
     ] = ()  # times (s) and velocities from then on
-    pose: Vector3 | None = None  # height (m), roll, pitch (rad); None: the gait's own
-    path: tuple[tuple[float, float], ...] = ()  # followed at the speed of `velocity`
+    pose: Vector3 | None = (
+        None  # height (m), roll, pitch (rad); None: the gait's own
+    )
+    path: tuple[
+        tuple[float, float], ...
+    ] = ()  # followed at the speed of `velocity`
     heading: str = "kept"  # on the path, or "along"
     changes: Changes = ()  # of the policy: for the default alone
     lost_odometry: tuple[float, float] = (0.0, 0.0)  # begin and duration, s
@@ -84,7 +88,9 @@ class WalkMotion:
     position: Array  # (n, 3) m, in odom
     rpy: Array  # (n, 3) rad, the yaw unwrapped
     torque: Array  # (n,) N m, mean over the servos
-    goal_speed: Array  # (n,) rad/s, mean speed of the commanded angles over the servos
+    goal_speed: (
+        Array  # (n,) rad/s, mean speed of the commanded angles over the servos
+    )
     fallen: bool
     period: float = PERIOD  # s, of a stride: for means over strides
 
@@ -103,9 +109,14 @@ class WalkMotion:
     def velocity(self) -> Array:
         """Mean velocity (3,) in odom over whole strides at the end: v_x, v_y, yaw rate."""
         pose = np.column_stack([self.position[:, :2], self.rpy[:, 2]])
-        whole = math.floor((self.time[-1] - self.time[0]) / self.period) * self.period
+        whole = (
+            math.floor((self.time[-1] - self.time[0]) / self.period)
+            * self.period
+        )
         first = round(whole / DT)
-        return (pose[-1] - pose[-1 - first]) / (self.time[-1] - self.time[-1 - first])
+        return (pose[-1] - pose[-1 - first]) / (
+            self.time[-1] - self.time[-1 - first]
+        )
 
     @property
     def forward_speed(self) -> float:
@@ -166,11 +177,17 @@ def run_case(case: Case, column: str, seed: int) -> WalkMotion:
                 to_seconds(loop.plant.now - LOCKSTEP_START),
                 tick.command.angle,
             )
-            speed = 0.0 if last is None else float(np.abs(angle - last).mean()) / DT
-            rows.append([time, *sim.position, *sim.rpy, sim.servo_torque.mean(), speed])
+            speed = (
+                0.0 if last is None else float(np.abs(angle - last).mean()) / DT
+            )
+            rows.append(
+                [time, *sim.position, *sim.rpy, sim.servo_torque.mean(), speed]
+            )
             last = angle.copy()
             if schedule and time >= schedule[0][0]:
-                scheduler.request(case.gait, reachable(case.gait, schedule.pop(0)[1]))
+                scheduler.request(
+                    case.gait, reachable(case.gait, schedule.pop(0)[1])
+                )
             if poses and time >= poses[0][0]:
                 scheduler.set_pose(np.array(poses.pop(0)[1]))
             while events and time >= events[0][0]:
@@ -187,7 +204,9 @@ def reachable(gait: str, velocity: Vector3) -> Array:
     if gait not in STRIDES:
         return np.array(velocity)
     stride = STRIDES[gait]
-    return stride.reached(np.clip(velocity, np.negative(stride.speeds), stride.speeds))
+    return stride.reached(
+        np.clip(velocity, np.negative(stride.speeds), stride.speeds)
+    )
 
 
 def motion_of(rows: Array, fallen: bool, period: float) -> WalkMotion:
@@ -220,7 +239,11 @@ def incline(degrees: float, direction_deg: float) -> Vector3:
     """Gravity where the floor rises in a direction from +x; z stays normal to the floor."""
     tilt, way = math.radians(degrees), math.radians(direction_deg)
     down = -GRAVITY * math.sin(tilt)
-    return (down * math.cos(way), down * math.sin(way), -GRAVITY * math.cos(tilt))
+    return (
+        down * math.cos(way),
+        down * math.sin(way),
+        -GRAVITY * math.cos(tilt),
+    )
 
 
 def payload(mass: float, place: Vector3) -> Changes:
@@ -230,7 +253,9 @@ def payload(mass: float, place: Vector3) -> Changes:
 
 def stiffness(factor: float) -> Changes:
     """Legs whose modulus is not the controller's."""
-    return (("robot.leg.young_modulus", factor * read_robot().leg.young_modulus),)
+    return (
+        ("robot.leg.young_modulus", factor * read_robot().leg.young_modulus),
+    )
 
 
 def slow_servos(factor: float) -> Changes:
@@ -251,7 +276,10 @@ def tendon_errors(error: float) -> Changes:
     """Tendons longer by `error` (m) at the left legs and shorter at the right ones."""
     nominal = read_robot().tendon.slack
     longer = (2 * error, 0.0, 2 * error, 0.0)
-    return (("robot.tendon.slack", nominal - error), ("scene.tendons.slack", longer))
+    return (
+        ("robot.tendon.slack", nominal - error),
+        ("scene.tendons.slack", longer),
+    )
 
 
 def push(time: float, force: Vector3) -> Changes:

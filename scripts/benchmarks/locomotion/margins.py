@@ -33,10 +33,13 @@ def jobs(quick: bool) -> list[Job]:
     duration = WARM_UP + (7.0 if quick else 28.0)
     floors = [
         (*friction(mu), ("scene.supply_voltage", volt))
-        for volt, mu in itertools.product(VOLTAGE[: 1 if quick else None], FRICTION)
+        for volt, mu in itertools.product(
+            VOLTAGE[: 1 if quick else None], FRICTION
+        )
     ]
     walks = [
-        Case(duration, velocity=(SPEED, 0.0, 0.0), changes=floor) for floor in floors
+        Case(duration, velocity=(SPEED, 0.0, 0.0), changes=floor)
+        for floor in floors
     ]
     return [(walk, DEFAULT, SEED) for walk in walks]
 
@@ -51,10 +54,17 @@ def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
     mu, volt = set_to["scene.floor.friction"][0], set_to["scene.supply_voltage"]
     y = motion.moving_mean(motion.position[:, 1] - motion.position[0, 1])
     stall = float(read_servo().tendon_stall(volt))
-    row = {"kind": "margin", "friction": mu, "voltage": volt, "fallen": motion.fallen}
+    row = {
+        "kind": "margin",
+        "friction": mu,
+        "voltage": volt,
+        "fallen": motion.fallen,
+    }
     return row | {
         "speed": motion.forward_speed,
-        "aside": MM * float(np.abs(y).max()) / float(np.ptp(motion.position[:, 0])),
+        "aside": MM
+        * float(np.abs(y).max())
+        / float(np.ptp(motion.position[:, 0])),
         "heading": DEG * motion.heading,
         "tilt": DEG * math.sqrt(np.mean(motion.tilt**2)),
         "load": 100.0 * float(motion.torque.mean()) / stall,
@@ -63,7 +73,9 @@ def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
 
 def checks(found: Sequence[dict[str, Any]]) -> list[Check]:
     """The servos' load at the nominal voltage against its goal."""
-    loads = [values["load"] for values in found if values["voltage"] == VOLTAGE[0]]
+    loads = [
+        values["load"] for values in found if values["voltage"] == VOLTAGE[0]
+    ]
     name = f"load of the servos, walk at {SPEED:g}, mu .2 to .6"
     return [at_most(name, max(loads), LARGEST_LOAD, "% of stall")]
 
@@ -84,5 +96,7 @@ def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
         ax.grid(color=palette.PALE, lw=0.4)
     rest.set_axis_off()
     handles, labels = plots[0].get_legend_handles_labels()
-    rest.legend(handles, labels, loc="center", title="supply voltage", frameon=False)
+    rest.legend(
+        handles, labels, loc="center", title="supply voltage", frameon=False
+    )
     figure.savefig(path, dpi=150)

@@ -12,8 +12,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks.locomotion.cases import ALONE, DEFAULT, LEARNED, Case, WalkMotion
-from benchmarks.locomotion.rows import CAUGHT_UP, SIDE, directions, slanted, square
+from benchmarks.locomotion.cases import (
+    ALONE,
+    DEFAULT,
+    LEARNED,
+    Case,
+    WalkMotion,
+)
+from benchmarks.locomotion.rows import (
+    CAUGHT_UP,
+    SIDE,
+    directions,
+    slanted,
+    square,
+)
 from slot_core.arrays import Array
 from slot_core.drawing import palette
 
@@ -57,7 +69,9 @@ def courses(motions: Motions) -> dict[str, Array]:
     """
     found = {}
     for column in COLOURS:
-        ways = [case for case in directions() if (case, column, SEED) in motions]
+        ways = [
+            case for case in directions() if (case, column, SEED) in motions
+        ]
         pairs = [
             [
                 *way.velocity[:2],
@@ -77,7 +91,11 @@ def courses(motions: Motions) -> dict[str, Array]:
 def draw_table(table: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write the rows of `SHOWN`, a panel each: a bar for the error of each policy, and the goal."""
     by_name = {row["row"]: row for row in table}
-    shown = [(by_name[name], title) for name, title in SHOWN.items() if name in by_name]
+    shown = [
+        (by_name[name], title)
+        for name, title in SHOWN.items()
+        if name in by_name
+    ]
     if not shown:
         return
     columns = [name for name in COLOURS if name in shown[0][0]]
@@ -112,7 +130,9 @@ def _draw_row(ax: Axes, row: Mapping[str, Any], columns: Sequence[str]) -> None:
             text = f"{value:.0f}" if value >= 100 else f"{value:.3g}"
             at = max(value, row["goal"])  # not across the line
         ax.text(at + 0.01 * end, place, text, va="center", fontsize=8, zorder=4)
-    ax.set_yticks(range(len(columns)), [NAMES[name] for name in columns], fontsize=8)
+    ax.set_yticks(
+        range(len(columns)), [NAMES[name] for name in columns], fontsize=8
+    )
     ax.set(xlim=(0.0, end), ylim=(len(columns) - 0.5, -0.5))
     ax.tick_params(axis="y", length=0)
     ax.tick_params(axis="x", labelsize=8)
@@ -129,7 +149,9 @@ def draw_velocity(found: Courses, path: Path) -> None:
     for column, colour in COLOURS.items():
         if (pairs := found.get(f"{VELOCITY}/{column}")) is not None:
             ax.plot(pairs[:, ::2].T, pairs[:, 1::2].T, color=colour, lw=0.8)
-            ax.plot(*pairs[:, 2:].T, "o", ms=6, color=colour, label=NAMES[column])
+            ax.plot(
+                *pairs[:, 2:].T, "o", ms=6, color=colour, label=NAMES[column]
+            )
     ax.set(xlabel="v_x, m/s", ylabel="v_y, m/s", aspect="equal")
     ax.set_title("mean velocity, reached and commanded", fontsize=11)
     _finish(figure, ax, path)
@@ -140,18 +162,39 @@ def draw_top(found: Courses, path: Path) -> None:
     figure = Figure(figsize=(8.0, 5.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(2.2, 1.0))
     corners = np.array([[0, 0], [SIDE, 0], [SIDE, SIDE], [0, SIDE], [0, 0]])
-    commanded = ((left, SQUARE, corners), (right, SLANTED, np.array(slanted().path)))
+    commanded = (
+        (left, SQUARE, corners),
+        (right, SLANTED, np.array(slanted().path)),
+    )
     for ax, name, line in commanded:
         for column, colour in COLOURS.items():
             if (track := found.get(f"{name}/{column}")) is not None:
                 time, x, y, yaw = track.T
                 ax.plot(x, y, color=colour, lw=1.6, label=NAMES[column])
-                every = slice(None, None, round(HEADING_EVERY / (time[1] - time[0])))
-                heading = x[every], y[every], np.cos(yaw[every]), np.sin(yaw[every])
-                ax.quiver(
-                    *heading, color=colour, width=0.004, scale=25.0, headwidth=4.0
+                every = slice(
+                    None, None, round(HEADING_EVERY / (time[1] - time[0]))
                 )
-        ax.plot(*line.T, "--", color=palette.INK, lw=1.2, label="commanded", zorder=3)
+                heading = (
+                    x[every],
+                    y[every],
+                    np.cos(yaw[every]),
+                    np.sin(yaw[every]),
+                )
+                ax.quiver(
+                    *heading,
+                    color=colour,
+                    width=0.004,
+                    scale=25.0,
+                    headwidth=4.0,
+                )
+        ax.plot(
+            *line.T,
+            "--",
+            color=palette.INK,
+            lw=1.2,
+            label="commanded",
+            zorder=3,
+        )
         ax.set(xlabel="x, m", ylabel="y, m", aspect="equal", title=name)
         ax.grid(color=palette.PALE, lw=0.4)
     _finish(figure, right, path)
@@ -161,5 +204,7 @@ def _finish(figure: Figure, ax: Axes, path: Path) -> None:
     ax.grid(color=palette.PALE, lw=0.4)
     handles, labels = ax.get_legend_handles_labels()
     place: Any = "outside lower center"
-    figure.legend(handles, labels, loc=place, ncols=3, frameon=False, fontsize=9)
+    figure.legend(
+        handles, labels, loc=place, ncols=3, frameon=False, fontsize=9
+    )
     figure.savefig(path, dpi=130)

@@ -39,7 +39,9 @@ SPEED, LENGTH = 0.05, 0.8  # m/s, m: of the straight walks
 SIDE = 0.6  # m, of the square
 TURN_RATE = 0.15  # rad/s
 QUARTER = math.pi / 2 / TURN_RATE  # s, of a turn by 90 deg
-STEADY_STRIDES = 6  # at the end of a turn; before, the angle lost at first is regained
+STEADY_STRIDES = (
+    6  # at the end of a turn; before, the angle lost at first is regained
+)
 DIRECTION_SPEED = 0.06  # m/s, too fast for the walk when it is slanting
 HELD = 0.003  # m/s within which a speed counts as held
 DISTURBED = 3.0  # s, time of pushes and of lost odometry
@@ -82,11 +84,14 @@ class LocomotionRow:
         if any(motion.fallen for motion in motions):
             return 0.0 if self.larger else math.inf
         if self.must_walk and not all(
-            m.position[-1, 0] > 0.5 * c.velocity[0] * c.duration for c, m in pairs
+            m.position[-1, 0] > 0.5 * c.velocity[0] * c.duration
+            for c, m in pairs
         ):
             return math.inf
         if self.larger:
-            held = [c.velocity[0] for c, m in pairs if self.measure(c, m) <= HELD]
+            held = [
+                c.velocity[0] for c, m in pairs if self.measure(c, m) <= HELD
+            ]
             return max(held, default=0.0)
         return max(self.measure(case, motion) for case, motion in pairs)
 
@@ -107,7 +112,9 @@ def rows(quick: bool) -> list[LocomotionRow]:
         return every
     return [
         replace(
-            row, cases=[row.cases[k] for k in row.quick], quick=range(len(row.quick))
+            row,
+            cases=[row.cases[k] for k in row.quick],
+            quick=range(len(row.quick)),
         )
         for row in every
         if row.quick
@@ -117,13 +124,17 @@ def rows(quick: bool) -> list[LocomotionRow]:
 def fast(v_x: float, v_y: float = 0.0, changes: Changes = ()) -> Case:
     """The fast walk; measured over 14 strides."""
     duration = CAUGHT_UP + 14 * STRIDES["fast_walk"].period
-    return Case(duration, gait="fast_walk", velocity=(v_x, v_y, 0.0), changes=changes)
+    return Case(
+        duration, gait="fast_walk", velocity=(v_x, v_y, 0.0), changes=changes
+    )
 
 
 def directions() -> list[Case]:
     """Walks in all directions at one speed, for the row and its plot."""
     angles = np.radians(np.arange(0, 360, 30))
-    velocities = DIRECTION_SPEED * np.column_stack([np.cos(angles), np.sin(angles)])
+    velocities = DIRECTION_SPEED * np.column_stack(
+        [np.cos(angles), np.sin(angles)]
+    )
     return [fast(*velocity) for velocity in velocities.round(6).tolist()]
 
 
@@ -147,7 +158,9 @@ def slanted() -> Case:
 
 def straight(changes: Changes = (), **others: Any) -> Case:
     """Straight walk of .8 m."""
-    case = Case(LENGTH / SPEED + 0.5, velocity=(SPEED, 0.0, 0.0), changes=changes)
+    case = Case(
+        LENGTH / SPEED + 0.5, velocity=(SPEED, 0.0, 0.0), changes=changes
+    )
     return replace(case, **others)
 
 
@@ -191,7 +204,9 @@ def _walking() -> list[LocomotionRow]:
             ("square", (*corner, (0.0, EDGE), (0.0, 0.0))),
         )
     }
-    curves = [Case(16.0, velocity=(0.03, 0.0, rate)) for rate in (0.03, 0.04, 0.05)]
+    curves = [
+        Case(16.0, velocity=(0.03, 0.0, rate)) for rate in (0.03, 0.04, 0.05)
+    ]
     angle = np.linspace(0.0, math.pi / 2, 60)
     circle = Case(
         math.pi / 2 / SPEED + 2.0,
@@ -199,15 +214,24 @@ def _walking() -> list[LocomotionRow]:
         path=tuple(zip(np.sin(angle).tolist(), (1.0 - np.cos(angle)).tolist())),
         heading="along",
     )
-    loads = ((), payload(0.3, (-0.04, 0.0, 0.03)), payload(0.3, (0.0, 0.04, 0.02)))
+    loads = (
+        (),
+        payload(0.3, (-0.04, 0.0, 0.03)),
+        payload(0.3, (0.0, 0.04, 0.02)),
+    )
     high = [
         Case(
-            WARM_UP + 7.0, velocity=(SPEED, 0.0, 0.0), pose=(h, 0.0, 0.0), changes=load
+            WARM_UP + 7.0,
+            velocity=(SPEED, 0.0, 0.0),
+            pose=(h, 0.0, 0.0),
+            changes=load,
         )
         for h in (0.055, 0.0625, 0.070)
         for load in loads
     ]
-    easy = Case(duration, velocity=(0.04, 0.0, 0.0), changes=slope(5.0, 0.0, 0.4))
+    easy = Case(
+        duration, velocity=(0.04, 0.0, 0.0), changes=slope(5.0, 0.0, 0.4)
+    )
     steep = fast(0.03, changes=slope(10.0, 0.0, 0.6))
     equal, split = [straight()], [straight(friction(0.5, 0.3))]
     low = [Case(12.0, gait="crawl", velocity=(0.03, 0.0, 0.0))]
@@ -245,15 +269,24 @@ def _walking() -> list[LocomotionRow]:
             share=None,
             **walk,
         ),
-        row("lateral error, split friction", "mm", 20.0, split, _lateral, **walk),
+        row(
+            "lateral error, split friction", "mm", 20.0, split, _lateral, **walk
+        ),
         row("heading, split friction", "deg", 2.0, split, _heading, (0,)),
         row(
-            "60 deg path, cross-track RMSE", "mm", 10.0, [slanted()], _cross_track, (0,)
+            "60 deg path, cross-track RMSE",
+            "mm",
+            10.0,
+            [slanted()],
+            _cross_track,
+            (0,),
         ),
         row("60 deg path, heading", "deg", 2.0, [slanted()], _heading, (0,)),
         row("square of .6 m closes", "mm", 50.0, [square()], _gap),
         row("square of .6 m, heading", "deg", 5.0, [square()], _turn_missed),
-        row("turn in place, rate", "rad/s", 0.01, turns, _turn_rate_missed, (2,)),
+        row(
+            "turn in place, rate", "rad/s", 0.01, turns, _turn_rate_missed, (2,)
+        ),
         row("turn in place, 90 deg", "deg", 2.0, turns, quarter, (2,)),
         row("turn in place, drift", "mm", 30.0, turns, _drift, (2,)),
         row(
@@ -265,15 +298,40 @@ def _walking() -> list[LocomotionRow]:
             (4,),
         ),
         row("v of .06, heading", "deg", 2.0, directions(), _heading, (4,)),
-        row("corner by path, RMS", "mm", 5.0, paths["corner"], _off_edges, (1,)),
+        row(
+            "corner by path, RMS", "mm", 5.0, paths["corner"], _off_edges, (1,)
+        ),
         row("square by path, RMS", "mm", 5.0, paths["square"], _off_edges),
-        row("curves of .03 m/s: yaw rate missed", "%", 10.0, curves, _curve_missed),
+        row(
+            "curves of .03 m/s: yaw rate missed",
+            "%",
+            10.0,
+            curves,
+            _curve_missed,
+        ),
         row("circle of 1 m radius, RMS", "mm", 5.0, [circle], _off_circle),
-        row("mean height walking, .3 kg", "mm", 3.0, high, _mean_height_off, (6,)),
-        row("slope 5 deg, v_x of 0.04", "mm/s", 3.0, [easy], _speed_error, (0,)),
+        row(
+            "mean height walking, .3 kg",
+            "mm",
+            3.0,
+            high,
+            _mean_height_off,
+            (6,),
+        ),
+        row(
+            "slope 5 deg, v_x of 0.04", "mm/s", 3.0, [easy], _speed_error, (0,)
+        ),
         row("slope 10 deg, v_x of 0.03", "mm/s", 3.0, [steep], _speed_error),
         row("tilt of the walk, RMS", "deg", 4.5, equal, _tilt_rms, (0,), None),
-        row("tilt of the walk, largest", "deg", 8.0, equal, _tilt_largest, (0,), None),
+        row(
+            "tilt of the walk, largest",
+            "deg",
+            8.0,
+            equal,
+            _tilt_largest,
+            (0,),
+            None,
+        ),
         row("crawl, torso's top", "mm", 70.0, low, _top, share=None, **walk),
         row(
             "friction 1: swing of the mean height",
@@ -296,26 +354,38 @@ def _standing() -> list[LocomotionRow]:
         for tilt in ((five, 0.0), (-five, 0.0), (0.0, five), (0.0, -five))
     ]
     places = ((0.06, 0.04), (-0.06, 0.0), (0.0, 0.04), (0.0, 0.0))
-    slopes = [slope(10.0, 90.0, 0.6), slope(10.0, 0.0, 0.6), slope(5.0, 0.0, 0.4)]
+    slopes = [
+        slope(10.0, 90.0, 0.6),
+        slope(10.0, 0.0, 0.6),
+        slope(5.0, 0.0, 0.4),
+    ]
     loads = [payload(0.5, (*place, 0.02)) for place in places]
     groups: dict[str, list[Case]] = {
         "heights .030 to .060": [_stand(pose) for pose in heights[::-1]],
         "roll and pitch of 5 deg": [_stand(pose) for pose in tilts],
-        "payload .5 kg": [_stand(pose, load) for load in loads for pose in heights],
+        "payload .5 kg": [
+            _stand(pose, load) for load in loads for pose in heights
+        ],
         "slopes to 10 deg": [_stand(BODY, incline) for incline in slopes],
     }
     found = []
     for name, cases in groups.items():
         # a level torso on equal legs stays level without a controller
         share = None if name.startswith("heights") else 0.5
-        height, angles = f"standing, {name}: height", f"standing, {name}: angles"
+        height, angles = (
+            f"standing, {name}: height",
+            f"standing, {name}: angles",
+        )
         found += [
             LocomotionRow(height, "mm", 1.0, cases, _height_off, (0,)),
             LocomotionRow(angles, "deg", 0.3, cases, _angle_off, (0,), share),
         ]
     begin, end, _ = RAMP
     ramp = Case(
-        8.0, gait="stand", pose=(begin, 0.0, 0.0), poses=((4.0, (end, 0.0, 0.0)),)
+        8.0,
+        gait="stand",
+        pose=(begin, 0.0, 0.0),
+        poses=((4.0, (end, 0.0, 0.0)),),
     )
     still = Case(10.0, gait="stand")
     speed = "standing: speed of the goals"
@@ -389,13 +459,20 @@ def _at_once() -> list[LocomotionRow]:
         quick = (0,) if name == "aside" else ()
         peak, recovery = partial(_peak, axis), partial(_recovery, axis)
         found += [
-            LocomotionRow(f"{title}: peak", "mm", 20.0, cases, peak, quick, 1.1),
-            LocomotionRow(f"{title}: recovery", "s", 2.0, cases, recovery, quick, 0.9),
+            LocomotionRow(
+                f"{title}: peak", "mm", 20.0, cases, peak, quick, 1.1
+            ),
+            LocomotionRow(
+                f"{title}: recovery", "s", 2.0, cases, recovery, quick, 0.9
+            ),
         ]
     load, none = (0.3, 0.03, 0.02, 0.03), (0.0, 0.0, 0.0, 0.0)
     events: dict[str, Events] = {
         "payload .3 kg off centre": ((AT, "payload", load),),
-        "payload .3 kg on, then off": ((1.0, "payload", load), (AT, "payload", none)),
+        "payload .3 kg on, then off": (
+            (1.0, "payload", load),
+            (AT, "payload", none),
+        ),
         "slope of 4 deg, up": ((AT, "gravity", incline(4.0, 0.0)),),
         "slope of 4 deg, across": ((AT, "gravity", incline(4.0, 90.0)),),
         "slope of 4 deg, diagonal": ((AT, "gravity", incline(4.0, 45.0)),),
@@ -468,7 +545,9 @@ def _cross_track(case: Case, motion: WalkMotion) -> float:
     (dx, dy) = case.path[1]
     if dx * x[-1] + dy * y[-1] < LENGTH**2 / 2:
         return math.inf  # it does not walk
-    return float(MM * np.sqrt(np.mean((dx * y - dy * x) ** 2)) / math.hypot(dx, dy))
+    return float(
+        MM * np.sqrt(np.mean((dx * y - dy * x) ** 2)) / math.hypot(dx, dy)
+    )
 
 
 def _gap(case: Case, motion: WalkMotion) -> float:
@@ -477,7 +556,9 @@ def _gap(case: Case, motion: WalkMotion) -> float:
     return MM * math.dist(motion.position[-1, :2], motion.position[0, :2])
 
 
-def _turn_missed(case: Case, motion: WalkMotion, turn: float = 2 * math.pi) -> float:
+def _turn_missed(
+    case: Case, motion: WalkMotion, turn: float = 2 * math.pi
+) -> float:
     return DEG * float(abs(motion.rpy[-1, 2] - motion.rpy[0, 2] - turn))
 
 
@@ -496,7 +577,9 @@ def _drift(case: Case, motion: WalkMotion) -> float:
 
 
 def _direction_error(case: Case, motion: WalkMotion) -> float:
-    return MM * math.dist(motion.after(CAUGHT_UP).velocity[:2], case.velocity[:2])
+    return MM * math.dist(
+        motion.after(CAUGHT_UP).velocity[:2], case.velocity[:2]
+    )
 
 
 def _off_edges(case: Case, motion: WalkMotion) -> float:
@@ -521,7 +604,9 @@ def _off_circle(case: Case, motion: WalkMotion) -> float:
 
 def _mean_height_off(case: Case, motion: WalkMotion) -> float:
     assert case.pose is not None
-    return MM * float(abs(motion.after(WARM_UP).position[:, 2].mean() - case.pose[0]))
+    return MM * float(
+        abs(motion.after(WARM_UP).position[:, 2].mean() - case.pose[0])
+    )
 
 
 def _tilt_rms(case: Case, motion: WalkMotion) -> float:
@@ -541,23 +626,31 @@ def _top(case: Case, motion: WalkMotion) -> float:
     late = motion.after(WARM_UP)
     roll, pitch, _ = late.rpy.T
     level = np.cos(pitch)
-    upward = np.array([np.sin(pitch), level * np.sin(roll), level * np.cos(roll)])
+    upward = np.array(
+        [np.sin(pitch), level * np.sin(roll), level * np.cos(roll)]
+    )
     rise = np.array(read_robot().torso.size) / 2 @ np.abs(upward)
     return MM * float((late.position[:, 2] + rise).max())
 
 
 def _height_swing(case: Case, motion: WalkMotion) -> float:
-    return MM * float(np.ptp(motion.moving_mean(motion.after(6.0).position[:, 2])))
+    return MM * float(
+        np.ptp(motion.moving_mean(motion.after(6.0).position[:, 2]))
+    )
 
 
 def _height_off(case: Case, motion: WalkMotion) -> float:
     assert case.pose is not None
-    return MM * float(np.abs(motion.after(2.0).position[:, 2] - case.pose[0]).max())
+    return MM * float(
+        np.abs(motion.after(2.0).position[:, 2] - case.pose[0]).max()
+    )
 
 
 def _angle_off(case: Case, motion: WalkMotion) -> float:
     assert case.pose is not None
-    return DEG * float(np.abs(motion.after(2.0).rpy[:, :2] - case.pose[1:]).max())
+    return DEG * float(
+        np.abs(motion.after(2.0).rpy[:, :2] - case.pose[1:]).max()
+    )
 
 
 def _ramp_lag(case: Case, motion: WalkMotion) -> float:
@@ -575,15 +668,22 @@ def _settled(case: Case, motion: WalkMotion) -> float:
     (_, before), (begin, after) = case.schedule
     moved = motion.moving_mean(motion.position[:, 0])
     time = motion.time[len(motion.time) - len(moved) :]
-    off = np.abs(np.gradient(moved, time) - after[0]) > 0.1 * abs(after[0] - before[0])
+    off = np.abs(np.gradient(moved, time) - after[0]) > 0.1 * abs(
+        after[0] - before[0]
+    )
     return float(time[off].max(initial=begin) - begin)
 
 
-def _pushed(axis: int, case: Case, motion: WalkMotion) -> tuple[Array, Array, Array]:
+def _pushed(
+    axis: int, case: Case, motion: WalkMotion
+) -> tuple[Array, Array, Array]:
     """Times after the push, and how far the robot is off its way and turned by then."""
     begin = dict(case.changes)["scene.pushes.left.time"]
     wanted = motion.position[:, axis] - case.velocity[axis] * motion.time
-    place, yaw = motion.moving_mean(wanted), motion.moving_mean(motion.rpy[:, 2])
+    place, yaw = (
+        motion.moving_mean(wanted),
+        motion.moving_mean(motion.rpy[:, 2]),
+    )
     time = motion.time[len(motion.time) - len(place) :] - begin
     start = int(np.searchsorted(time, 0.0))
     return time[start:], place[start:] - place[start], yaw[start:] - yaw[start]
@@ -605,4 +705,6 @@ def _lost(case: Case, motion: WalkMotion) -> float:
     time = motion.time[len(motion.time) - len(x) :]
     start = int(np.searchsorted(time, AT))
     expected = x[start] + SPEED * (time[start:] - time[start])
-    return MM * float(np.hypot(x[start:] - expected, y[start:] - y[start]).max())
+    return MM * float(
+        np.hypot(x[start:] - expected, y[start:] - y[start]).max()
+    )

@@ -44,7 +44,9 @@ HORIZONS = (5, 10, 15, 30, 45, 60)
 STATES, RANDOM = 220, 60  # cases of the walk, random cases
 SEED = 1
 WRONG = 1e-3  # N, error above which an accepted solution counts as wrong
-Solved = tuple[Sequence[Case], Array]  # cases, and the first forces of their optima
+Solved = tuple[
+    Sequence[Case], Array
+]  # cases, and the first forces of their optima
 
 
 def run(quick: bool, out: Path, progress: Progress) -> Outcome:
@@ -60,7 +62,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     hard = [*hard_cases(stages).values()]
     hard += [random_case(rng, stages) for _ in range(RANDOM)]
     progress("optima")
-    solved, of_hard = ((cases, optima(settings, cases)) for cases in (walk, hard))
+    solved, of_hard = (
+        (cases, optima(settings, cases)) for cases in (walk, hard)
+    )
     rows = []
     for tolerance in TOLERANCES:
         progress(f"tolerance {tolerance:g}")
@@ -69,7 +73,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     progress("horizons")
     rows += horizon_rows(settings, walk[: 20 if quick else 100])
     progress("CVXPY")
-    rows.append(cvxpy_row(settings, walk[10 : 12 if quick else 18], solved[1][10:]))
+    rows.append(
+        cvxpy_row(settings, walk[10 : 12 if quick else 18], solved[1][10:])
+    )
     draw(rows, out / "mpc.png")
     return rows, checks(rows, settings)
 
@@ -81,12 +87,18 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         for row in rows
         if row["kind"] == "solver" and worst(row) < math.inf
     ]
-    series = [CostCurve("Clarabel; numbers: tolerance", "o", palette.TRUE, (), runs)]
+    series = [
+        CostCurve("Clarabel; numbers: tolerance", "o", palette.TRUE, (), runs)
+    ]
     [peer] = (row for row in rows if row["kind"] == "cvxpy")
     place = [(peer["median_ms"], peer["error_max"], "")]
     series.append(
         CostCurve(
-            f"{peer['solver']}; on the walk alone", "s", palette.SECONDARY, (), place
+            f"{peer['solver']}; on the walk alone",
+            "s",
+            palette.SECONDARY,
+            (),
+            place,
         )
     )
     draw_error_over_cost(
@@ -113,7 +125,9 @@ def controller(settings: MpcSettings, tolerance: float) -> ForceMpc:
         "solver.tolerance_rel": tolerance,
         "solver.iterations": ITERATIONS,
     }
-    return ForceMpc(read_robot(), config.replace(settings, changes), time.process_time)
+    return ForceMpc(
+        read_robot(), config.replace(settings, changes), time.process_time
+    )
 
 
 def solver_row(
@@ -140,13 +154,17 @@ def solver_row(
         "hard_wrong": int((taken & (hard_error > WRONG)).sum()),
         "hard_refused": int((~taken).sum()),
         "violation": max(report.violation for report in reports),
-        "iterations_median": np.median([plan.report.iterations for plan in walked]),
+        "iterations_median": np.median(
+            [plan.report.iterations for plan in walked]
+        ),
         "iterations_max": max(report.iterations for report in reports),
         "walk_refused": len(walked) - sum(map(accepted, walked)),
     }
 
 
-def plans(mpc: ForceMpc, cases: Sequence[Case]) -> tuple[list[TendonPlan], list[float]]:
+def plans(
+    mpc: ForceMpc, cases: Sequence[Case]
+) -> tuple[list[TendonPlan], list[float]]:
     """Plans of the cases and CPU times of their cycles, ms."""
     found = [timed(mpc.step, *case) for case in cases]
     return [plan for plan, _ in found], [1e3 * seconds for _, seconds in found]
@@ -187,11 +205,15 @@ def horizon_rows(
         yield row | {"median_ms": np.median(times), "refused": refused}
 
 
-def cvxpy_row(settings: MpcSettings, cases: Sequence[Case], exact: Array) -> Row:
+def cvxpy_row(
+    settings: MpcSettings, cases: Sequence[Case], exact: Array
+) -> Row:
     """CVXPY with SCS, the problem rebuilt in every cycle, as published."""
     off, times, robot = [], [], read_robot()
     for (estimate, preview), optimal in zip(cases, exact):
-        forces, seconds = timed(restated, robot, settings, estimate.state, preview)
+        forces, seconds = timed(
+            restated, robot, settings, estimate.state, preview
+        )
         off.append(np.abs(forces[0] - optimal).max())
         times.append(1e3 * seconds)
     row = {"kind": "cvxpy", "solver": "CVXPY, as published, SCS"}
@@ -199,19 +221,30 @@ def cvxpy_row(settings: MpcSettings, cases: Sequence[Case], exact: Array) -> Row
     return row | {"error_median": np.median(off), "error_max": np.max(off)}
 
 
-def checks(rows: Sequence[dict[str, Any]], settings: MpcSettings) -> list[Check]:
+def checks(
+    rows: Sequence[dict[str, Any]], settings: MpcSettings
+) -> list[Check]:
     """The solver at the configured tolerance against the goals."""
     tolerance = settings.solver.tolerance_abs
-    row = next(r for r in rows if r["kind"] == "solver" and r["tolerance"] == tolerance)
-    time_of = {r["stages"]: r["median_ms"] for r in rows if r["kind"] == "horizon"}
+    row = next(
+        r for r in rows if r["kind"] == "solver" and r["tolerance"] == tolerance
+    )
+    time_of = {
+        r["stages"]: r["median_ms"] for r in rows if r["kind"] == "horizon"
+    }
     [published] = (r["median_ms"] for r in rows if r["kind"] == "cvxpy")
     return [
         at_most("error of the first forces, walk", row["error_max"], 1e-3, "N"),
         at_most(
-            "error of the first forces, hard cases", row["hard_error_max"], 1e-3, "N"
+            "error of the first forces, hard cases",
+            row["hard_error_max"],
+            1e-3,
+            "N",
         ),
         at_most(
-            "hard cases refused or wrong", row["hard_refused"] + row["hard_wrong"], 0
+            "hard cases refused or wrong",
+            row["hard_refused"] + row["hard_wrong"],
+            0,
         ),
         at_most("time of 60 stages over 15", time_of[60] / time_of[15], 4.5),
         at_least(

@@ -43,9 +43,13 @@ def standing(stages: int, **changes: Any) -> GaitPreview:
         "dt": DT,
         "velocity_ahead": np.zeros((stages, 3)),
         "corrected": True,
-        "command": GaitCommand("stand", np.zeros(3), np.array([HEIGHT, 0.0, 0.0])),
+        "command": GaitCommand(
+            "stand", np.zeros(3), np.array([HEIGHT, 0.0, 0.0])
+        ),
     }
-    return GaitPreview(gait="stand", phase=0.0, period=0.72, **(values | changes))
+    return GaitPreview(
+        gait="stand", phase=0.0, period=0.72, **(values | changes)
+    )
 
 
 def hard_cases(stages: int) -> dict[str, Case]:
@@ -58,7 +62,10 @@ def hard_cases(stages: int) -> dict[str, Case]:
     )
     landing = np.repeat(np.arange(stages) >= stages // 2, 4).reshape(stages, 4)
     moving = torso(
-        rpy=(0.02, -0.01, 0.2), p=(0, 0, 0.05), omega=(0.1, 0, 0), v=(0.1, 0.05, 0)
+        rpy=(0.02, -0.01, 0.2),
+        p=(0, 0, 0.05),
+        omega=(0.1, 0, 0),
+        v=(0.1, 0.05, 0),
     )
     stance = standing(stages)
     return {
@@ -72,14 +79,20 @@ def hard_cases(stages: int) -> dict[str, Case]:
         "spinning": (torso(omega=(2.0, -2.0, 1.0)), stance),
         "sliding": (torso(v=(1.0, -1.0, 0)), stance),
         "no friction": (moving, standing(stages, friction=zeros)),
-        "hardly any friction": (moving, standing(stages, friction=zeros + 1e-6)),
+        "hardly any friction": (
+            moving,
+            standing(stages, friction=zeros + 1e-6),
+        ),
         "friction of 100": (moving, standing(stages, friction=zeros + 100.0)),
         "flight": (moving, standing(stages, contact=none)),
         "flight, then landing": (moving, standing(stages, contact=landing)),
         "a leg swings": (moving, standing(stages, contact=swing)),
         "a leg is lifted": (moving, standing(stages, contact=lifted)),
         "diagonal stance": (moving, standing(stages, contact=diagonal)),
-        "load above the limit": (moving, standing(stages, normal_force=zeros + 15.0)),
+        "load above the limit": (
+            moving,
+            standing(stages, normal_force=zeros + 15.0),
+        ),
         "long stages": (moving, standing(stages, dt=0.09)),
         "short stages": (moving, standing(stages, dt=0.001)),
     }
@@ -94,7 +107,9 @@ def random_case(rng: np.random.Generator, stages: int) -> Case:
         omega=rng.normal(0, 0.5, 3),
         v=rng.normal(0, 0.15, 3),
     )
-    reference = np.tile(state(rpy=(0, 0, yaw + rng.normal(0, 0.2))), (stages, 1))
+    reference = np.tile(
+        state(rpy=(0, 0, yaw + rng.normal(0, 0.2))), (stages, 1)
+    )
     reference += np.linspace(0, 1, stages)[:, None] * rng.normal(0, 0.1, 12)
     return x, standing(
         stages,

@@ -54,7 +54,10 @@ def _minimum(
 
 
 def restated(
-    robot: RobotParameters, settings: MpcSettings, state: Array, preview: GaitPreview
+    robot: RobotParameters,
+    settings: MpcSettings,
+    state: Array,
+    preview: GaitPreview,
 ) -> Array:
     """Optimal forces (H, 4, 3), N, by SCS as in the paper; the problem is built anew."""
     stages = settings.horizon

@@ -48,7 +48,9 @@ MOST_DEVIATION = 0.5  # % of the paper's maximum cost
 LATEST = 2.0  # s, settling time
 
 
-def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Check]]:
+def run(
+    quick: bool, out: Path, progress: Progress
+) -> tuple[list[Row], list[Check]]:
     """Run the studies; `perturbations.png` shows them. The published one lasts as in the paper."""
     robot, settings = read_robot(), read_paper_mpc("paper_code")
     rows, checks, courses = [], [], {}
@@ -58,7 +60,12 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
         walked, reached = run_robot(case, QUICK_DURATION if quick else DURATION)
         for study, found in (("published", published), ("robot", walked)):
             rows.append(
-                {"kind": "case", "study": study, "case": case, **found.metrics()}
+                {
+                    "kind": "case",
+                    "study": study,
+                    "case": case,
+                    **found.metrics(),
+                }
             )
             for name, value in dataclasses.asdict(found).items():
                 courses[f"{study}/{case}/{name}"] = value
@@ -78,7 +85,12 @@ def run(quick: bool, out: Path, progress: Progress) -> tuple[list[Row], list[Che
 
 SEED = 0  # of the sensors' noise
 PULSE_TICKS = 3
-ODOMETRY = ("position_noise", "orientation_noise", "velocity_noise", "rate_noise")
+ODOMETRY = (
+    "position_noise",
+    "orientation_noise",
+    "velocity_noise",
+    "rate_noise",
+)
 IMU = ("rate_noise", "rate_bias", "acceleration_noise")
 
 
@@ -89,7 +101,10 @@ class RealisedCase:
     start_angle_deg: float = (
         63.0  # tendon angle while it settles; this one: at the reference
     )
-    moment: tuple[float, float] = (0.0, 0.0)  # N m about x and y, over the pulse
+    moment: tuple[float, float] = (
+        0.0,
+        0.0,
+    )  # N m about x and y, over the pulse
     speed: float = 0.0  # m/s added to v_x
     noise: float = 0.0  # standard deviation on every state of the odometry, SI
 
@@ -105,7 +120,9 @@ REALISED = {
 }
 
 
-def run_robot(name: str, duration: float) -> tuple[PerturbedRun, Mapping[str, float]]:
+def run_robot(
+    name: str, duration: float
+) -> tuple[PerturbedRun, Mapping[str, float]]:
     """Run a case on the Cosserat robot under the whole controller, as far as it is possible.
 
     Returns the run and the perturbations that the robot really had.
@@ -126,7 +143,9 @@ def run_robot(name: str, duration: float) -> tuple[PerturbedRun, Mapping[str, fl
     The moments and the tendon angle were found by trial.
     """
     case, nothing = REALISED[name], np.zeros(3)
-    changes = {f"scene.sensors.odometry.{name}": case.noise for name in ODOMETRY}
+    changes = {
+        f"scene.sensors.odometry.{name}": case.noise for name in ODOMETRY
+    }
     changes |= {f"scene.sensors.imu.{name}": 0.0 for name in IMU}
     changes["scene.start.tendon_angle_deg"] = case.start_angle_deg
     loop = ClosedLoop("flat", "stand", nothing, SEED, changes=changes)
@@ -158,7 +177,10 @@ def run_robot(name: str, duration: float) -> tuple[PerturbedRun, Mapping[str, fl
 
 
 COLOURS = dict(
-    zip(CASES, (palette.INK, palette.TRUE, *palette.STAGE_COLOURS, palette.TORSO))
+    zip(
+        CASES,
+        (palette.INK, palette.TRUE, *palette.STAGE_COLOURS, palette.TORSO),
+    )
 )
 STYLES = {"Roll": "--", "Velocity": "-.", "Noise": ":"}
 SHOWN = 2.0  # s, of the robot
@@ -176,19 +198,32 @@ def draw_courses(courses: Mapping[str, Any], path: Path) -> None:
     band = 1e3 * HEIGHT_BAND
     for case in CASES:
         time = courses[f"robot/{case}/time"]
-        _draw_line(height, case, time, 1e3 * (courses[f"robot/{case}/height"] - HEIGHT))
-        _draw_line(leaning, case, time, np.degrees(courses[f"robot/{case}/tilt"]))
+        _draw_line(
+            height, case, time, 1e3 * (courses[f"robot/{case}/height"] - HEIGHT)
+        )
+        _draw_line(
+            leaning, case, time, np.degrees(courses[f"robot/{case}/tilt"])
+        )
     height.axhspan(-band, band, color=palette.SHADE, zorder=0)
     leaning.axhspan(0.0, math.degrees(TILT_BAND), color=palette.SHADE, zorder=0)
     height.set(ylabel="height less 40 mm (mm)", xticklabels=[])
     height.set_title(
-        "the default policy on the Cosserat robot, standing", fontsize=9, loc="left"
+        "the default policy on the Cosserat robot, standing",
+        fontsize=9,
+        loc="left",
     )
     leaning.set(ylabel="tilt (deg)", xlabel="time (s)", ylim=(0.0, None))
     for axes, settled in ((height, 1.4), (leaning, 0.4)):
         axes.set(xlim=(0.0, SHOWN))
         axes.grid(color=palette.PALE, lw=0.4)
-        axes.text(0.98 * SHOWN, settled, "settled", ha="right", va="center", fontsize=8)
+        axes.text(
+            0.98 * SHOWN,
+            settled,
+            "settled",
+            ha="right",
+            va="center",
+            fontsize=8,
+        )
     handles, names = height.get_legend_handles_labels()
     place = {"loc": "outside lower center", "ncols": len(names)}
     figure.legend(handles, names, **place, frameon=False, fontsize=8)
@@ -200,7 +235,12 @@ def _draw_costs(axes: Axes, most: list[float]) -> None:
     places, paper = range(len(CASES)), [TABLE[case][0] for case in CASES]
     axes.hlines(places, paper, most, color=palette.PALE, lw=2, zorder=1)
     axes.plot(most, places, "o", color=palette.INK, label="here")
-    mark = {"ms": 14, "mew": 2, "color": palette.TRUE, "label": "the paper's table"}
+    mark = {
+        "ms": 14,
+        "mew": 2,
+        "color": palette.TRUE,
+        "label": "the paper's table",
+    }
     axes.plot(paper, places, "|", **mark)
     axes.set(yticks=places, yticklabels=CASES, xlabel="maximum cost of the MPC")
     axes.set(xlim=(0.0, None))

@@ -49,7 +49,9 @@ def render(directory: Path, revision: str, folder: Path) -> str:
         )
     benchmarks, runs = read_benchmarks(directory), read_runs(directory)
     sections = {**benchmarks, **runs}
-    results = {name: s.result for name, s in sections.items() if s.result is not None}
+    results = {
+        name: s.result for name, s in sections.items() if s.result is not None
+    }
     parts = [
         f"# Results\n\nMade by `scripts/report` at revision {plain(revision)}. {ABOUT}",
         *_overview(results, len(sections)),
@@ -74,7 +76,9 @@ def render(directory: Path, revision: str, folder: Path) -> str:
 def _overview(results: Mapping[str, Result], known: int) -> Iterator[str]:
     """How many results are there, and which checks are missed."""
     checks = [
-        (name, check) for name, result in results.items() for check in result.checks
+        (name, check)
+        for name, result in results.items()
+        for check in result.checks
     ]
     missed = [(name, check) for name, check in checks if not check.holds]
     yield (
@@ -98,8 +102,12 @@ def _comparison(compared: PaperTable, results: Mapping[str, Result]) -> str:
         given = [f"{v:g}" if isinstance(v, float) else v for v in line.paper]
         found = _figures(line, compared, results) if here else []
         rows.append([name, *given, *found])
-    names = ", ".join(_link(name) for name in compared.results if name in results)
-    missing = ", ".join(name for name in compared.results if name not in results)
+    names = ", ".join(
+        _link(name) for name in compared.results if name in results
+    )
+    missing = ", ".join(
+        name for name in compared.results if name not in results
+    )
     ends = [f"From {names}."] if names else []
     ends += [f"Not run: {missing}."] if missing else []
     about = f"### {compared.title}\n\n{plain(compared.place)}. {plain(compared.about)}"
@@ -125,30 +133,45 @@ def _figures(
 
 def find(ours: Ours, result: Result) -> float | None:
     """Our number in a result, in the unit of its table; None if no row has it as a number."""
-    row = next((row for row in result.rows if ours.match.items() <= row.items()), {})
+    row = next(
+        (row for row in result.rows if ours.match.items() <= row.items()), {}
+    )
     value = number(row.get(ours.name))
     return None if value is None else ours.factor * value
 
 
 def _claims() -> str:
     count = Counter(claim.verdict for claim in claims.CLAIMS)
-    counts = ", ".join(f"{count[verdict]} {verdict}" for verdict in claims.VERDICTS)
+    counts = ", ".join(
+        f"{count[verdict]} {verdict}" for verdict in claims.VERDICTS
+    )
     rows = [
-        [plain(claim.place), plain(claim.text), claim.verdict, plain(claim.reason)]
+        [
+            plain(claim.place),
+            plain(claim.text),
+            claim.verdict,
+            plain(claim.reason),
+        ]
         for claim in claims.CLAIMS
     ]
     about = f"### Claims one by one\n\nEvery quantitative claim of the paper: {counts}. {REFUTED}"
     return f"{about}\n\n{table(['place', 'claim', 'verdict', 'why'], rows)}"
 
 
-def _sections(sections: Mapping[str, ReportSection], folder: Path) -> Iterator[str]:
+def _sections(
+    sections: Mapping[str, ReportSection], folder: Path
+) -> Iterator[str]:
     """A section for each result that is there."""
     for name, section in sections.items():
         result = section.result
         if result is None:
             continue
         yield f"### {name}\n\n{plain(section.about)}"
-        quick = " A quick run: fewer repeats, rougher figures." if result.quick else ""
+        quick = (
+            " A quick run: fewer repeats, rougher figures."
+            if result.quick
+            else ""
+        )
         yield f"```bash\n{result.command}\n```\n\n{plain(result.origin)}.{quick}"
         if result.checks:
             rows = [
@@ -172,7 +195,9 @@ def _locomotion(result: Result) -> str:
         if "row" in row:
             sign = ">=" if row.get("better") == "larger" else "<="
             goal = f"{sign} {_number(number(row.get('goal')))}"
-            words = [plain(str(word)) for word in (row["row"], row.get("unit"), goal)]
+            words = [
+                plain(str(word)) for word in (row["row"], row.get("unit"), goal)
+            ]
             values = [_number(number(row.get(column))) for column in COLUMNS]
             rows.append([*words, *values])
     return table(["row", "unit", "goal", *COLUMNS], rows)

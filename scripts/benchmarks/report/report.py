@@ -38,7 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     try:
         if options.out.suffix != ".md":
-            raise ReportError(f"--out {options.out}: expected a name that ends in .md")
+            raise ReportError(
+                f"--out {options.out}: expected a name that ends in .md"
+            )
         page = render(options.results, revision(), options.out.parent)
         options.out.parent.mkdir(parents=True, exist_ok=True)
         options.out.write_text(page, encoding="utf-8", errors="replace")

@@ -90,7 +90,11 @@ def read_benchmarks(directory: Path) -> dict[str, ReportSection]:
     return {
         name: ReportSection(
             about,
-            [shlex.join(["scripts/bench", name, "--out", str(directory / name)])],
+            [
+                shlex.join(
+                    ["scripts/bench", name, "--out", str(directory / name)]
+                )
+            ],
             read_benchmark(directory, name),
         )
         for name, about in known().items()
@@ -102,7 +106,9 @@ def read_runs(directory: Path) -> dict[str, ReportSection]:
     found = {}
     for name, (title, *lines) in RUNS.items():
         folder = directory / name
-        commands = [line.replace("{}", shlex.quote(str(folder))) for line in lines]
+        commands = [
+            line.replace("{}", shlex.quote(str(folder))) for line in lines
+        ]
         found[name] = ReportSection(
             title, commands, read_run(folder, "\n".join(commands))
         )
@@ -120,7 +126,9 @@ def read_benchmark(directory: Path, name: str) -> Result | None:
     try:
         found = json.loads(_read_text(path))
         if found["name"] != name:
-            raise ValueError(f"name: expected {name!r}, got {quoted(found['name'])}")
+            raise ValueError(
+                f"name: expected {name!r}, got {quoted(found['name'])}"
+            )
         return Result(
             f"scripts/bench {name}{' --quick' * found['quick']}",
             _origin(found["revision"], found["machine"]),
@@ -137,7 +145,9 @@ def read_benchmark(directory: Path, name: str) -> Result | None:
         RecursionError,
     ) as error:
         why = f"no {error}" if isinstance(error, KeyError) else error
-        raise ReportError(f"{path}: not a result of scripts/bench: {why}") from None
+        raise ReportError(
+            f"{path}: not a result of scripts/bench: {why}"
+        ) from None
 
 
 def read_run(folder: Path, command: str) -> Result | None:
@@ -154,7 +164,9 @@ def read_run(folder: Path, command: str) -> Result | None:
 def number(value: Any) -> float | None:
     """`value` if it is a finite number; else None, as where a benchmark found none."""
     numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return float(value) if numeric and abs(value) <= sys.float_info.max else None
+    return (
+        float(value) if numeric and abs(value) <= sys.float_info.max else None
+    )
 
 
 def _read_text(path: Path) -> str:
@@ -202,8 +214,13 @@ def _read_errors(path: Path) -> list[dict[str, Any]]:
         return []
     try:
         return [
-            {k: v if k in ("point", "axis") else float(v) for k, v in row.items()}
+            {
+                k: v if k in ("point", "axis") else float(v)
+                for k, v in row.items()
+            }
             for row in csv.DictReader(_read_text(path).splitlines())
         ]
     except (TypeError, ValueError) as error:
-        raise ReportError(f"{path}: not a table of scripts/validate: {error}") from None
+        raise ReportError(
+            f"{path}: not a table of scripts/validate: {error}"
+        ) from None

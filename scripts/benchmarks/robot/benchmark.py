@@ -39,16 +39,27 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.refusal import DivergenceError
 from slot_core.robot import RobotParameters, read_robot
-from slot_core.rod.motion import Scheme
+from slot_core.rod.model import Scheme
 from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 REQUIRES = ("mujoco",)
-COMMANDS = ((0.5, (63.0, 63.0, 63.0, 63.0)), (1.0, (90.0, 30.0, 50.0, 75.0)))  # s, deg
+COMMANDS = (
+    (0.5, (63.0, 63.0, 63.0, 63.0)),
+    (1.0, (90.0, 30.0, 50.0, 75.0)),
+)  # s, deg
 DURATION = sum(seconds for seconds, _ in COMMANDS)
 SAMPLE = 0.01  # s
 FINE = {"nodes": 121, "step": 1e-5, "theta": 0.5, "iterations": 3}
-SCHEMES = ((0.5, 1), (0.5, 2), (0.55, 1), (0.55, 2), (0.55, 4), (1.0, 1), (1.0, 2))
+SCHEMES = (
+    (0.5, 1),
+    (0.5, 2),
+    (0.55, 1),
+    (0.55, 2),
+    (0.55, 4),
+    (1.0, 1),
+    (1.0, 2),
+)
 NODES = (7, 10, 16, 22, 31, 61)
 STEPS = (5e-3, 2e-3, 1e-3, 5e-4, 2.5e-4)
 LEVELS = ("map", "coarse", "standard", "fine")
@@ -110,7 +121,9 @@ def simulator(
 ) -> RodRobot:
     """RodRobot in the scene `flat` without settling, with changes of the solver and the scene."""
     values = {f"solver.{name}": value for name, value in solver.items()}
-    scene = config.replace(read_scene("flat"), {"start.settle": 0.0} | values | changes)
+    scene = config.replace(
+        read_scene("flat"), {"start.settle": 0.0} | values | changes
+    )
     return RodRobot(robot, scene, read_servo())
 
 
@@ -136,9 +149,14 @@ def deviation(path: Array, exact: Array) -> float:
     return 1e3 * float(np.sqrt(((path - exact) ** 2).sum(axis=1).mean()))
 
 
-def cost_row(robot: RobotParameters, nodes: int, repeats: int) -> dict[str, Any]:
+def cost_row(
+    robot: RobotParameters, nodes: int, repeats: int
+) -> dict[str, Any]:
     """CPU time of a step of the standing robot, with contact, friction, corners and servos."""
-    sim, calls = simulator(robot, {"nodes": nodes}, **{"start.settle": 1.0}), 1000
+    sim, calls = (
+        simulator(robot, {"nodes": nodes}, **{"start.settle": 1.0}),
+        1000,
+    )
 
     def advance() -> None:
         sim.advance(calls, sim.tendon_angle)
@@ -148,12 +166,18 @@ def cost_row(robot: RobotParameters, nodes: int, repeats: int) -> dict[str, Any]
     row |= {"us_per_step": 1e6 * time, "real_time": step / time}
     if nodes in COMPARED:
         rod, _ = DAMPED.leg(nodes, Scheme(0.5, 2))
-        row["over_rod"] = cpu_ratio(advance, lambda: rod.run(step, calls), repeats)
+        row["over_rod"] = cpu_ratio(
+            advance, lambda: rod.run(step, calls), repeats
+        )
     return row
 
 
 def sweep(
-    robot: RobotParameters, exact: Array, repeats: int, quick: bool, progress: Progress
+    robot: RobotParameters,
+    exact: Array,
+    repeats: int,
+    quick: bool,
+    progress: Progress,
 ) -> Iterator[dict[str, Any]]:
     """Stand and step over schemes, numbers of nodes and time steps."""
     steps, numbers = (STEPS[1:-1], COMPARED) if quick else (STEPS, NODES)
@@ -167,7 +191,11 @@ def sweep(
                 "iterations": iterations,
             }
             make = functools.partial(simulator, robot, solver)
-            yield {"kind": "stand and step"} | solver | measured(make, exact, repeats)
+            yield (
+                {"kind": "stand and step"}
+                | solver
+                | measured(make, exact, repeats)
+            )
 
 
 def measured(
@@ -180,7 +208,11 @@ def measured(
         again = [make() for _ in range(repeats + 1)]
         time = cpu_time(lambda: run_through(again.pop()), repeats)
     except (DivergenceError, ConfigError) as reason:
-        return {"error_mm": math.nan, "us_per_ms": math.nan, "lost": str(reason)}
+        return {
+            "error_mm": math.nan,
+            "us_per_ms": math.nan,
+            "lost": str(reason),
+        }
     cost = 1e6 * time / DURATION * 1e-3
     return {"error_mm": error, "us_per_ms": cost, "halvings": sim.halvings}
 
@@ -192,8 +224,15 @@ def level_row(
     solver = config.read(SolverSettings, f"solver/{name}")
     scene = config.replace(read_scene("flat"), {"start.settle": 0.0})
     scene = dataclasses.replace(scene, solver=solver)
-    found = measured(lambda: make_robot(robot, scene, read_servo()), exact, repeats)
-    row = {"kind": "level", "level": name, "nodes": solver.nodes, "step": solver.step}
+    found = measured(
+        lambda: make_robot(robot, scene, read_servo()), exact, repeats
+    )
+    row = {
+        "kind": "level",
+        "level": name,
+        "nodes": solver.nodes,
+        "step": solver.step,
+    }
     return row | found
 
 

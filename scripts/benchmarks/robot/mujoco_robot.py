@@ -41,7 +41,9 @@ POINT = 1e-6  # m, radius of the spheres that stand for contact points
 CORNERS = 8  # of the torso
 FLOOR, TOUCHING = 1, 2  # bits: points touch the floor, not each other
 STEP = 2e-4  # s
-REACH = 2e-3  # s, time constant of a contact; the engine wants two steps at least
+REACH = (
+    2e-3  # s, time constant of a contact; the engine wants two steps at least
+)
 HOLD, TANGENTIAL = 0.95, 100.0
 
 
@@ -80,8 +82,14 @@ def links(robot: RobotParameters, model: Model) -> MujocoLinks:
     )
     mass, square = begin + end, rod.rest_length**2
     across = begin * end / mass * square - rod.coupling * square
-    wide, thick = leg.width**2, leg.thickness((fraction[:-1] + fraction[1:]) / 2) ** 2
-    flat, upright = rod.spin * thick / (wide + thick), rod.spin * wide / (wide + thick)
+    wide, thick = (
+        leg.width**2,
+        leg.thickness((fraction[:-1] + fraction[1:]) / 2) ** 2,
+    )
+    flat, upright = (
+        rod.spin * thick / (wide + thick),
+        rod.spin * wide / (wide + thick),
+    )
     inertia = np.column_stack([rod.spin, across + flat, across + upright])
     torsion = sections(leg, (fraction[:-1] + fraction[1:]) / 2).torsion / step
     return MujocoLinks(mass, end / mass * rod.rest_length, inertia, torsion)
@@ -122,7 +130,11 @@ def build(robot: RobotParameters, model: Model, step: float) -> mujoco.MjModel:
 
 
 def add_leg(
-    torso: Any, leg: int, robot: RobotParameters, model: Model, shape: MujocoLinks
+    torso: Any,
+    leg: int,
+    robot: RobotParameters,
+    model: Model,
+    shape: MujocoLinks,
 ) -> None:
     """Add leg 0 .. 3: links from the clamp outward, each with its joints and its end's points."""
     length, body, place = model.rod.rest_length, torso, robot.clamps[leg]
@@ -155,7 +167,9 @@ def add_joints(body: Any, k: int, model: Model, torsion: float) -> None:
     ]
     joints = joints[::-1] if k % 2 else joints
     joints.append(("twist", hinge, (1, 0, 0), torsion))
-    joints.append(("along", mujoco.mjtJoint.mjJNT_SLIDE, (1, 0, 0), rod.axial[k]))
+    joints.append(
+        ("along", mujoco.mjtJoint.mjJNT_SLIDE, (1, 0, 0), rod.axial[k])
+    )
     for kind, form, axis, stiffness in joints:
         body.add_joint(
             name=f"{body.name}{kind}",
@@ -250,7 +264,9 @@ class MujocoRobot(SimulatedRobot):
             raise ValueError(
                 "the servo in MuJoCo is the pid without integral and backlash"
             )
-        self._slack = model.tendon.relaxed  # m, of a tendon at tendon angle zero
+        self._slack = (
+            model.tendon.relaxed
+        )  # m, of a tendon at tendon angle zero
         self._slack -= float(model.tendon.around @ model.rod.rest_angle)
         self._delay = model.tendon.damping / model.tendon.stiffness  # s
         self._model = build(robot, model, step)
@@ -263,7 +279,11 @@ class MujocoRobot(SimulatedRobot):
 
     def advance(self, steps: int, command: Array) -> None:
         """See SimulatedRobot; `steps` count the scene's solver steps."""
-        command, h, data = self.checked(command), self._model.opt.timestep, self._data
+        command, h, data = (
+            self.checked(command),
+            self._model.opt.timestep,
+            self._data,
+        )
         last = 1 + np.arange(1, 5) * ((self._model.nbody - 2) // 4)
         arm = self.nodes[:, -1] - data.xipos[last]
         data.xfrc_applied[last, :3] = self._tip_force
@@ -301,7 +321,11 @@ class MujocoRobot(SimulatedRobot):
         place, velocity = self._data.qpos[:7], self._data.qvel[:6]
         rotation = Rotation.from_quat(place[3:], scalar_first=True).as_matrix()
         return MujocoMotion(
-            place[:3], rotation, velocity[:3], velocity[3:], np.full(3, math.nan)
+            place[:3],
+            rotation,
+            velocity[:3],
+            velocity[3:],
+            np.full(3, math.nan),
         )
 
     @property
@@ -323,7 +347,11 @@ class MujocoRobot(SimulatedRobot):
     def nodes(self) -> Array:
         """(4, N, 3) m, nodes of the legs in odom, clamp first; between the edges of the links."""
         mujoco.mj_kinematics(self._model, self._data)
-        ends = self._data.geom_xpos[1 + CORNERS :].reshape(4, -1, 2, 3).mean(axis=2)
+        ends = (
+            self._data.geom_xpos[1 + CORNERS :]
+            .reshape(4, -1, 2, 3)
+            .mean(axis=2)
+        )
         clamps = self.position + self.parameters.clamps @ self.rotation.T
         return np.concatenate([clamps[:, None], ends], axis=1)
 

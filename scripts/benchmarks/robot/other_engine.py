@@ -39,7 +39,9 @@ SETTLED = 3.0  # s: vibrations of a leg under a load have died away
 TIP_MASS = 0.02  # kg
 SIDEWAYS = 1.0  # m/s^2
 HELD = 1e9  # kg, a torso that no leg moves
-RESTING_DAMPING = 0.05  # s, at which also a loaded leg comes to rest in `SETTLED`
+RESTING_DAMPING = (
+    0.05  # s, at which also a loaded leg comes to rest in `SETTLED`
+)
 FEW_NODES = 14  # of a leg in MuJoCo with `quick`
 QUICK = ("walk", 0.2)
 # The crawl, whose feet slide most of the time, changes by a third between 0.2 and 0.1 ms.
@@ -87,12 +89,16 @@ def sideways_row(
         "kind": "sideways",
         "tendon_deg": degrees,
         "nodes": len(bare),
-        "own_mm_per_N": 1e3 * float((loaded[-1] - bare[-1]) @ aside(robot)) / force,
+        "own_mm_per_N": 1e3
+        * float((loaded[-1] - bare[-1]) @ aside(robot))
+        / force,
         "other_mm_per_N": 1e3 * float(other[-1] @ aside(robot)) / force,
     }
 
 
-def loaded_row(robot: RobotParameters, scene: Scene, degrees: float) -> dict[str, Any]:
+def loaded_row(
+    robot: RobotParameters, scene: Scene, degrees: float
+) -> dict[str, Any]:
     """The same per sideways force on a tip with a quarter of the robot's weight; mm/N.
 
     A field acts upward and sideways on a mass at the tip, and on the leg itself.
@@ -101,7 +107,11 @@ def loaded_row(robot: RobotParameters, scene: Scene, degrees: float) -> dict[str
     field = np.array([0.0, 0.0, GRAVITY]) + SIDEWAYS * aside(robot)
     own = own_leg(robot, scene, degrees, field, mass)
     other = other_leg(robot, scene, degrees, field, mass * field)
-    row: dict[str, Any] = {"kind": "loaded", "tendon_deg": degrees, "nodes": len(own)}
+    row: dict[str, Any] = {
+        "kind": "loaded",
+        "tendon_deg": degrees,
+        "nodes": len(own),
+    }
     for name, tip in (("own", own[-1]), ("other", other[-1])):
         yielded = float(tip @ aside(robot)) / (mass * SIDEWAYS)
         row[f"{name}_mm_per_N"] = 1e3 * yielded
@@ -116,7 +126,11 @@ def aside(robot: RobotParameters) -> Array:
 
 
 def own_leg(
-    robot: RobotParameters, scene: Scene, degrees: float, field: Array, mass: float
+    robot: RobotParameters,
+    scene: Scene,
+    degrees: float,
+    field: Array,
+    mass: float,
 ) -> Array:
     """Nodes (N, 3) of leg FL from its clamp, m, in a field (m/s^2), with a mass (kg) at the tip."""
     sim = held(RodRobot, robot, scene, field)
@@ -126,7 +140,11 @@ def own_leg(
 
 
 def other_leg(
-    robot: RobotParameters, scene: Scene, degrees: float, field: Array, tip: Array
+    robot: RobotParameters,
+    scene: Scene,
+    degrees: float,
+    field: Array,
+    tip: Array,
 ) -> Array:
     """The same in MuJoCo, with a force (3,), N, at the tip."""
     sim = held(MujocoRobot, robot, scene, field)
@@ -143,7 +161,11 @@ def held(kind: Any, robot: RobotParameters, scene: Scene, field: Array) -> Any:
     torso = dataclasses.replace(robot.torso, mass=HELD)
     leg = dataclasses.replace(robot.leg, damping_time=RESTING_DAMPING)
     still = dataclasses.replace(robot, torso=torso, leg=leg)
-    changes = {"gravity": field.tolist(), "start.height": 5.0, "start.settle": 0.0}
+    changes = {
+        "gravity": field.tolist(),
+        "start.height": 5.0,
+        "start.settle": 0.0,
+    }
     sim = kind(still, config.replace(scene, changes), read_servo())
     sim.push(-HELD * field, np.zeros(3))
     return sim
@@ -176,7 +198,11 @@ def replay_rows(
         progress(f"other engine: {gait} at friction {friction}")
         floor = config.replace(scene, {"floor.friction": [friction] * 4})
         place, step = config.replace(floor, other), FINER.get(gait, STEP)
-        row: dict[str, Any] = {"kind": "replay", "gait": gait, "friction": friction}
+        row: dict[str, Any] = {
+            "kind": "replay",
+            "gait": gait,
+            "friction": friction,
+        }
         makers = {
             "own": partial(RodRobot, robot, floor, read_servo()),
             "other": partial(MujocoRobot, robot, place, read_servo(), step),
@@ -207,7 +233,9 @@ def replay(
     return dict(zip(names, [*means.tolist(), tilt]))
 
 
-def tracked(sim: SimulatedRobot, stride: Stride, tuning: TuningSettings) -> Array:
+def tracked(
+    sim: SimulatedRobot, stride: Stride, tuning: TuningSettings
+) -> Array:
     """(n, 7) time, position, roll, pitch and yaw after each command of the strides that count."""
     dt, settling = tuning.command_period, tuning.settling_strides
     steps, first = (
@@ -242,7 +270,9 @@ def checks(found: list[dict[str, Any]]) -> list[Check]:
             name = "MuJoCo: height of the standing robot"
             out.append(at_most(name, apart, STAND_MM, "mm"))
         if row["kind"] == "replay":
-            name = f"MuJoCo: speed of {row['gait']} at friction {row['friction']}"
+            name = (
+                f"MuJoCo: speed of {row['gait']} at friction {row['friction']}"
+            )
             out.append(at_most(name, row["difference"], row["goal"], "mm/s"))
     return out
 
@@ -260,14 +290,26 @@ def draw_engines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         for k, row in enumerate(floors):
             low, size = row["own_v_x"] - row["goal"], 2 * row["goal"]
             label = "goal: within 10 % or 3 mm/s" if k == 0 else None
-            ax.bar(k, size, 0.5, low, color=palette.SHADE, ec=palette.PALE, label=label)
+            ax.bar(
+                k,
+                size,
+                0.5,
+                low,
+                color=palette.SHADE,
+                ec=palette.PALE,
+                label=label,
+            )
         for name, (label, colour, mark, beside) in ENGINES.items():
             places = [k + beside for k in range(len(floors))]
             speeds = [row[f"{name}_v_x"] for row in floors]
             ax.plot(places, speeds, mark, color=colour, label=label)
-        ax.set_xticks(range(len(floors)), [f"{row['friction']:g}" for row in floors])
+        ax.set_xticks(
+            range(len(floors)), [f"{row['friction']:g}" for row in floors]
+        )
         ax.set(
-            title=gait, xlabel="friction of the floor", xlim=(-0.6, len(floors) - 0.4)
+            title=gait,
+            xlabel="friction of the floor",
+            xlim=(-0.6, len(floors) - 0.4),
         )
         ax.grid(axis="y", color=palette.PALE, lw=0.5)
     panels[0].set_ylim(bottom=min(0.0, panels[0].get_ylim()[0]))

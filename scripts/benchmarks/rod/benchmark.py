@@ -56,7 +56,9 @@ def draw(rows: Sequence[Row], path: Path) -> None:
             for row in released_by(rows, curve)
             if ERROR[0] < row["percent"] < ERROR[1]
         ]
-        runs = [(row["cpu_s"], row["percent"], str(row["nodes"])) for row in shown]
+        runs = [
+            (row["cpu_s"], row["percent"], str(row["nodes"])) for row in shown
+        ]
         best = [run for run, row in zip(runs, shown) if row["front"]]
         series.append(CostCurve(", ".join(curve), *look, runs, best))
     draw_error_over_cost(

@@ -30,9 +30,7 @@ EULER = math.pi**2 / 4  # P L^2 / EI, clamped and free
 # w L^3 / EI at which an upright column buckles under its own weight: 9/4 j^2 with the first zero j
 # of the Bessel function J_(-1/3) (Greenhill 1881).
 GREENHILL = 9 / 4 * 1.8663508588738948**2
-LATERAL = (
-    4.0126  # P L^2 / sqrt(EI GJ): a narrow cantilever buckles sideways (Prandtl 1899)
-)
+LATERAL = 4.0126  # P L^2 / sqrt(EI GJ): a narrow cantilever buckles sideways (Prandtl 1899)
 
 FREQUENCIES = {  # rad/s with EI = rho A = L = 1; the leg's in Hz
     "uniform": np.array([1.8751040687, 4.6940911330, 7.8547574382]) ** 2,
@@ -77,7 +75,9 @@ def elastica(p: float) -> Array:
     angle = brentq(excess, 1e-12, math.pi / 2 - 1e-12, xtol=1e-14)
     m = (1 + math.sin(angle)) / 2
     second = ellipe(m) - ellipeinc(math.asin(math.sqrt(0.5 / m)), m)
-    return np.array([math.sqrt(2 * math.sin(angle) / p), 1 - 2 * second / math.sqrt(p)])
+    return np.array(
+        [math.sqrt(2 * math.sin(angle) / p), 1 - 2 * second / math.sqrt(p)]
+    )
 
 
 def axes(q: Array) -> Array:
@@ -103,7 +103,12 @@ def slope(
 
     with kappa = B^-1 R^T m + kappa0 and t the first axis.
     """
-    q, force, section, f = y[3:7], y[7:10], geometry.section, s / geometry.length
+    q, force, section, f = (
+        y[3:7],
+        y[7:10],
+        geometry.section,
+        s / geometry.length,
+    )
     frame, young = axes(q), material.young_modulus
     stiffness = [
         material.shear_modulus * section.torsion_constant(f),
@@ -113,7 +118,9 @@ def slope(
     kappa = np.einsum("ijk,ik->jk", frame, y[10:]) / stiffness
     kappa[1] -= geometry.curvature_at(s)
     area = section.area(f)
-    tangent = frame[:, 0] * (1 + (frame[:, 0] * force).sum(axis=0) / (young * area))
+    tangent = frame[:, 0] * (
+        1 + (frame[:, 0] * force).sum(axis=0) / (young * area)
+    )
     turned = np.vstack(
         [
             -(q[1:] * kappa).sum(axis=0),
@@ -121,7 +128,9 @@ def slope(
         ]
     )
     weight = -np.outer(gravity, material.density * area)
-    return np.vstack([tangent, turned / 2, weight, -np.cross(tangent, force, axis=0)])
+    return np.vstack(
+        [tangent, turned / 2, weight, -np.cross(tangent, force, axis=0)]
+    )
 
 
 def collocation(material: Material, geometry: Geometry, loads: Loads) -> Array:
@@ -157,7 +166,9 @@ def collocation(material: Material, geometry: Geometry, loads: Loads) -> Array:
             return slope(material, geometry, gravity, s, y)
 
         tolerance = 1e-10 if factor == RAMP[-1] else 1e-4
-        found: Any = solve_bvp(rate, ends, s, y, tol=tolerance, max_nodes=100_000)
+        found: Any = solve_bvp(
+            rate, ends, s, y, tol=tolerance, max_nodes=100_000
+        )
         if not found.success:
             raise ArithmeticError(f"no reference for the rod: {found.message}")
         y = found.sol(s)
@@ -171,9 +182,9 @@ def tip(material: Material, geometry: Geometry, loads: Loads) -> Array:
 
 def thin(loads: Loads) -> Array:
     """Tip (x, z) of the thin rod that represents the elastica, with its stretch."""
-    return tip(THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (THIN, THIN))), loads)[
-        [0, 2]
-    ]
+    return tip(
+        THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (THIN, THIN))), loads
+    )[[0, 2]]
 
 
 def sideways(material: Material, geometry: Geometry, count: int) -> Array:

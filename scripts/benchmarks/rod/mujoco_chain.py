@@ -20,7 +20,13 @@ from scipy.optimize import fsolve
 
 from benchmarks.harness import cpu_time
 from benchmarks.rod.exact import LEG, PUSH, TPU
-from benchmarks.rod.release import DAMPED, DURATION, SAMPLES, percent, release_row
+from benchmarks.rod.release import (
+    DAMPED,
+    DURATION,
+    SAMPLES,
+    percent,
+    release_row,
+)
 from slot_core.arrays import Array
 from slot_core.dynamics.rod import weights
 from slot_core.rod.mesh import sections
@@ -56,7 +62,8 @@ def rows(quick: bool, repeats: int) -> Iterator[dict[str, Any]]:
 def converged() -> Array:
     """(SAMPLES, 3) tip, extrapolated to steps (first order) and links (second order) of zero."""
     few, many = (
-        2 * release(links, FINE_STEPS[1], 0)[0] - release(links, FINE_STEPS[0], 0)[0]
+        2 * release(links, FINE_STEPS[1], 0)[0]
+        - release(links, FINE_STEPS[0], 0)[0]
         for links in FINE
     )
     return (4 * many - few) / 3
@@ -144,4 +151,6 @@ def inertial(begin: float, link: float) -> str:
     across = float(weight @ (part.mass * (x - centre) ** 2))
     inner = float(weight @ part.bending) * TPU.density / TPU.young_modulus
     inertia = f"{spin} {across + inner} {across + spin - inner}"
-    return f'<inertial pos="{centre} 0 0" mass="{mass}" diaginertia="{inertia}"/>'
+    return (
+        f'<inertial pos="{centre} 0 0" mass="{mass}" diaginertia="{inertia}"/>'
+    )

@@ -21,9 +21,15 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.harness import timed
 from benchmarks.rod.exact import LEG, PUSH, TPU
-from benchmarks.rod.release import DURATION, SAMPLES, UNDAMPED, percent, release_row
+from benchmarks.rod.release import (
+    DURATION,
+    SAMPLES,
+    UNDAMPED,
+    percent,
+    release_row,
+)
 from slot_core.arrays import Array
-from slot_core.rod.motion import Scheme
+from slot_core.rod.model import Scheme
 
 FINE = {
     True: (30, 60),
@@ -120,7 +126,10 @@ def bent_rod(cells: Cells) -> Any:
     def assign(unknowns: Array) -> None:
         rod.position_collection[:, 1:] = unknowns[: 3 * n].reshape(3, n)
         turned = (
-            axes @ Rotation.from_rotvec(unknowns[3 * n :].reshape(n - 1, 3)).as_matrix()
+            axes
+            @ Rotation.from_rotvec(
+                unknowns[3 * n :].reshape(n - 1, 3)
+            ).as_matrix()
         )
         rod.director_collection[..., 1:] = np.moveaxis(
             turned[:, :, [1, 2, 0]], (0, 2), (2, 0)
@@ -149,7 +158,9 @@ def guess(cells: Cells) -> tuple[Array, Array]:
     """Nodes (3, n), m, and axes (n - 1, 3, 3), tangent, width, normal, of the free elements."""
     _, ours = UNDAMPED.leg(2 * cells.elements + 1, Scheme())
     s = np.linspace(0.0, LEG.length, len(ours.position))
-    place = np.array([np.interp(cells.edges[1:], s, part) for part in ours.position.T])
+    place = np.array(
+        [np.interp(cells.edges[1:], s, part) for part in ours.position.T]
+    )
     tangent = np.diff(ours.position, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
     axes = np.stack(
@@ -188,7 +199,9 @@ def straight_rod(cells: Cells) -> Any:
     )
     half = TPU.density * area * size / 2
     rod.mass[:] = np.append(half, 0.0) + np.append(0.0, half)
-    inertia = [TPU.density * size * part for part in (inner, outer, inner + outer)]
+    inertia = [
+        TPU.density * size * part for part in (inner, outer, inner + outer)
+    ]
     fill(rod.mass_second_moment_of_inertia, *inertia)
     fill(rod.inv_mass_second_moment_of_inertia, *(1 / part for part in inertia))
     return rod

@@ -22,7 +22,7 @@ from benchmarks.rod.exact import LEG, PUSH, TPU
 from slot_core.arrays import Array
 from slot_core.refusal import DivergenceError
 from slot_core.rod.cosserat_rod import CosseratRod
-from slot_core.rod.motion import RodState, Scheme
+from slot_core.rod.model import RodState, Scheme
 
 DURATION, SAMPLES = 1.0, 100  # s, number of samples of the tip
 OURS = "CosseratRod"
@@ -114,11 +114,15 @@ RIVALS = (  # peer, the setting compared with it, least ratio of the costs
 )
 
 
-def own_rows(physics: Physics, quick: bool, repeats: int) -> Iterator[dict[str, Any]]:
+def own_rows(
+    physics: Physics, quick: bool, repeats: int
+) -> Iterator[dict[str, Any]]:
     """CosseratRod over number of nodes, time step and scheme; NaN where the scheme diverges."""
     exact, steps = physics.exact(), STEPS[:-1] if physics.damped else STEPS[1:]
     schemes = SCHEMES[:2] if quick or not physics.damped else SCHEMES
-    for nodes, h, (theta, iterations) in itertools.product(NODES, steps, schemes):
+    for nodes, h, (theta, iterations) in itertools.product(
+        NODES, steps, schemes
+    ):
         rod, bent = physics.leg(nodes, Scheme(theta, iterations))
         error, cost = math.nan, math.nan
 
@@ -156,11 +160,15 @@ def release_checks(rows: list[dict[str, Any]]) -> list[Check]:
     """Errors at the fixed settings, ratios of their costs, and of the peers' costs to theirs."""
     found = [setting.row(rows) for setting in GOALS]
     out = [
-        at_most(f"release, {setting}: error", row["percent"], LARGEST_ERROR, "%")
+        at_most(
+            f"release, {setting}: error", row["percent"], LARGEST_ERROR, "%"
+        )
         for setting, row in zip(GOALS, found)
     ]
     ratio = found[2]["cpu_s"] / found[1]["cpu_s"]
-    out.append(at_most("release: cost of 31 nodes over 7", ratio, LARGEST_GROWTH))
+    out.append(
+        at_most("release: cost of 31 nodes over 7", ratio, LARGEST_GROWTH)
+    )
     for peer, setting, goal in RIVALS:
         rivals = [row for row in rows if row["simulator"].startswith(peer)]
         out.append(rival_check(peer, setting.row(rows), rivals, goal))

@@ -34,7 +34,10 @@ from slot_nodes import qos
 SEPARATE, COMPOSED = "separate", "composed"
 BUSY = "composed, one core kept busy"
 NODES = (SEPARATE, COMPOSED, BUSY)
-GOALS = {0.5: 3.5, 0.01: 6.0}  # ms, composed, by the share of commands that are older
+GOALS = {
+    0.5: 3.5,
+    0.01: 6.0,
+}  # ms, composed, by the share of commands that are older
 BUSY_GOAL = 10.0  # ms, of which 1 % may be older with one core kept busy
 AGE_RATIO = 0.7  # of the median age of a command, composed over separate nodes
 
@@ -54,7 +57,9 @@ def walk(duration: float, nodes: str) -> Array:
         published[decode.stamp(message)] = info["source_timestamp"]
 
     def on_health(message: ServoHealth) -> None:
-        written.setdefault(decode.time(message.commanded), decode.time(message.written))
+        written.setdefault(
+            decode.time(message.commanded), decode.time(message.written)
+        )
 
     with (
         tempfile.TemporaryDirectory() as logs,
@@ -63,15 +68,25 @@ def walk(duration: float, nodes: str) -> Array:
         listener("age") as (node, executor),
     ):
         # rclpy also passes the second argument; its type annotation has only the first
-        node.create_subscription(Odometry, "odom", cast(Any, on_odom), qos.SENSOR)
-        node.create_subscription(ServoHealth, "servo_health", on_health, qos.SENSOR)
+        node.create_subscription(
+            Odometry, "odom", cast(Any, on_odom), qos.SENSOR
+        )
+        node.create_subscription(
+            ServoHealth, "servo_health", on_health, qos.SENSOR
+        )
         limit = time.monotonic() + START_TIMEOUT
         spanned = 0.0  # s, from the first command to the last
         while spanned < warm_up + duration:
             executor.spin_once(timeout_sec=0.1)
-            if (failure := processes.failed()) or time.monotonic() > limit + duration:
-                raise BenchmarkError(f"the graph failed: {failure or 'no commands'}")
-            stamps = list(filter(None, written))  # a zero stamp means: no command
+            if (
+                failure := processes.failed()
+            ) or time.monotonic() > limit + duration:
+                raise BenchmarkError(
+                    f"the graph failed: {failure or 'no commands'}"
+                )
+            stamps = list(
+                filter(None, written)
+            )  # a zero stamp means: no command
             spanned = 1e-9 * (max(stamps) - min(stamps)) if stamps else 0.0
     begin = min(filter(None, written)) + warm_up * 1e9
     aged = [
@@ -87,7 +102,9 @@ def walk(duration: float, nodes: str) -> Array:
 @contextmanager
 def busy_core() -> Iterator[None]:
     """Keep one core busy while the block runs."""
-    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", "while True: pass"]
+    ) as process:
         try:
             yield
         finally:
@@ -106,16 +123,29 @@ def checks(rows: Sequence[Row]) -> list[Check]:
 
     Without the row of a walk its checks are missed.
     """
-    by_nodes = {nodes: {"p50_ms": math.nan, "p99_ms": math.nan} for nodes in NODES}
+    by_nodes = {
+        nodes: {"p50_ms": math.nan, "p99_ms": math.nan} for nodes in NODES
+    }
     by_nodes |= {row["nodes"]: dict(row) for row in rows}
     composed, busy = by_nodes[COMPOSED], by_nodes[BUSY]
     ratio = composed["p50_ms"] / by_nodes[SEPARATE]["p50_ms"]
     median, oldest = GOALS.values()
     return [
-        at_most("median age of a command, composed over separate", ratio, AGE_RATIO),
-        at_most("age of a command, composed, median", composed["p50_ms"], median, "ms"),
-        at_most("age of a command, composed, p99", composed["p99_ms"], oldest, "ms"),
-        at_most(f"age of a command, {BUSY}, p99", busy["p99_ms"], BUSY_GOAL, "ms"),
+        at_most(
+            "median age of a command, composed over separate", ratio, AGE_RATIO
+        ),
+        at_most(
+            "age of a command, composed, median",
+            composed["p50_ms"],
+            median,
+            "ms",
+        ),
+        at_most(
+            "age of a command, composed, p99", composed["p99_ms"], oldest, "ms"
+        ),
+        at_most(
+            f"age of a command, {BUSY}, p99", busy["p99_ms"], BUSY_GOAL, "ms"
+        ),
     ]
 
 

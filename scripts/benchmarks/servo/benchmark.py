@@ -44,7 +44,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     cycles = list(cycle_rows(200 if quick else 2000))
     fast, plain = (row["rate_hz"] for row in cycles[:2])
     # Four answers in one packet: fewer bytes on the line.
-    rate = at_least("rate with fast sync read over that without", fast / plain, 1.0)
+    rate = at_least(
+        "rate with fast sync read over that without", fast / plain, 1.0
+    )
     progress("step responses")
     steps = list(step_rows(out / "servo_step.png"))
     ages, attempts = {}, Attempts()
@@ -69,7 +71,9 @@ def cycle_rows(count: int) -> Iterator[Row]:
             found = [driver.cycle() for _ in range(count)]
             duration = time.monotonic() - start
             driver.torque_off()
-        median, p99 = np.quantile([cycle.duration for cycle in found], (0.5, 0.99))
+        median, p99 = np.quantile(
+            [cycle.duration for cycle in found], (0.5, 0.99)
+        )
         yield {
             "kind": "cycle",
             "fast_sync_read": fast,
@@ -86,12 +90,19 @@ def step_rows(path: Path) -> Iterator[Row]:
     """Responses to a step, and their plot: sampled every 10 ms, without and with load, N m."""
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.add_subplot()
-    for (control, (colour, name)), load in itertools.product(STYLES.items(), LOADS):
+    for (control, (colour, name)), load in itertools.product(
+        STYLES.items(), LOADS
+    ):
         trace = step_response(control, load)
         row = {"kind": "step", "control": control, "load": load}
         yield row | measures(trace)
-        times, style = 1e3 * CYCLE * np.arange(len(trace)), "--" if load else "-"
-        axes.plot(times, trace, style, color=colour, label=f"{name}, {load:g} N m")
+        times, style = (
+            1e3 * CYCLE * np.arange(len(trace)),
+            "--" if load else "-",
+        )
+        axes.plot(
+            times, trace, style, color=colour, label=f"{name}, {load:g} N m"
+        )
     axes.set(xlabel="time, ms", ylabel="tendon angle, rad", xlim=(0.0, 600.0))
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
@@ -132,7 +143,12 @@ def emulated(changes: dict[str, Any], latency: float) -> Iterator[Driver]:
     settings = config.replace(read_settings(), changes)
     with tempfile.TemporaryDirectory() as directory:
         command = [sys.executable, "-m", "slot_bringup.servos", "emulate"]
-        command += ["--link", f"{directory}/servos", "--usb-latency", str(latency)]
+        command += [
+            "--link",
+            f"{directory}/servos",
+            "--usb-latency",
+            str(latency),
+        ]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
             assert process.stdout is not None

@@ -53,10 +53,14 @@ class DrivableRobot(Protocol):
         """Make a request to the supervisor."""
 
 
-def add_drive(gui: viser.GuiApi, do: Do[DrivableRobot], start: str = STAND) -> None:
+def add_drive(
+    gui: viser.GuiApi, do: Do[DrivableRobot], start: str = STAND
+) -> None:
     """Gait, of which `start` is the present one, velocity, pose; requests to the supervisor."""
     gaits = read_gaits()
-    gait: Any = gui.add_dropdown("gait", tuple(gaits.gaits), initial_value=start)
+    gait: Any = gui.add_dropdown(
+        "gait", tuple(gaits.gaits), initial_value=start
+    )
     _bind(do, gait, lambda r, name: r.set_gait(name))
     most = np.max([each.speeds for each in gaits.gaits.values()], axis=0)
     labels = "v_x (m/s)", "v_y (m/s)", "yaw rate (rad/s)"
@@ -78,7 +82,9 @@ def add_drive(gui: viser.GuiApi, do: Do[DrivableRobot], start: str = STAND) -> N
 
     def ask(_: object) -> None:
         if asked.value == STAND_UP:
-            gait.value = STAND  # a gait that is chosen again makes the robot walk again
+            gait.value = (
+                STAND  # a gait that is chosen again makes the robot walk again
+            )
         do(REQUESTS[asked.value])
 
     asked.on_click(ask)
@@ -121,14 +127,18 @@ POSE_KEYS = {
 }
 
 
-def _add_keys(gui: viser.GuiApi, speeds: Sequence[Any], pose: Sequence[Any]) -> None:
+def _add_keys(
+    gui: viser.GuiApi, speeds: Sequence[Any], pose: Sequence[Any]
+) -> None:
     """Keys that move the sliders of velocity and, with Shift, of the pose."""
     for sliders, keys, modifier in (
         (speeds, SPEED_KEYS, None),
         (pose, POSE_KEYS, "shift"),
     ):
         for key, (index, sign, label) in keys.items():
-            add_key(gui, key, label, partial(_nudge, sliders[index], sign), modifier)
+            add_key(
+                gui, key, label, partial(_nudge, sliders[index], sign), modifier
+            )
 
     def stop() -> None:
         for slider in speeds:
@@ -155,16 +165,23 @@ def add_key(
     modifier: Any = None,
 ) -> None:
     """A key of the keyboard, which the list of commands names too."""
-    gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(lambda _: act())
+    gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(
+        lambda _: act()
+    )
 
 
 def _add_pose(gui: viser.GuiApi, do: Do[DrivableRobot]) -> tuple[Any, Any, Any]:
     """Height, roll and pitch; returns their sliders."""
     gaits = read_gaits()
     reached = [each.height_range for each in gaits.gaits.values()]
-    low, high = 1e3 * min(r[0] for r in reached), 1e3 * max(r[1] for r in reached)
+    low, high = (
+        1e3 * min(r[0] for r in reached),
+        1e3 * max(r[1] for r in reached),
+    )
     tilt = math.floor(10 * math.degrees(gaits.tilt_max)) / 10
-    own: Any = gui.add_checkbox("the gait's own height and tilt", initial_value=True)
+    own: Any = gui.add_checkbox(
+        "the gait's own height and tilt", initial_value=True
+    )
     start = 1e3 * gaits.find(STAND).height
     height = _slider(gui, "height (mm)", (low, high), 1.0, start)
     roll, pitch = (
@@ -174,7 +191,9 @@ def _add_pose(gui: viser.GuiApi, do: Do[DrivableRobot]) -> tuple[Any, Any, Any]:
 
     def take(robot: DrivableRobot) -> None:
         z, *tilts = _values((height, roll, pitch))
-        robot.set_pose(None if own.value else np.array([1e-3 * z, *np.radians(tilts)]))
+        robot.set_pose(
+            None if own.value else np.array([1e-3 * z, *np.radians(tilts)])
+        )
 
     def pose(_: object) -> None:
         do(take)
@@ -189,7 +208,9 @@ def _add_pose(gui: viser.GuiApi, do: Do[DrivableRobot]) -> tuple[Any, Any, Any]:
     return height, roll, pitch
 
 
-def add_world(gui: viser.GuiApi, robot: PlayedRobot, do: Do[PlayedRobot]) -> None:
+def add_world(
+    gui: viser.GuiApi, robot: PlayedRobot, do: Do[PlayedRobot]
+) -> None:
     """Floor, payload, legs, supply and tendons."""
     scene = read_scene(robot.scene)
     friction = [
@@ -202,17 +223,27 @@ def add_world(gui: viser.GuiApi, robot: PlayedRobot, do: Do[PlayedRobot]) -> Non
 
     for slider in friction:
         _bind(do, slider, rub)
-    modulus = read_robot(scene.parameters).leg.young_modulus / 100  # Pa, of a percent
+    modulus = (
+        read_robot(scene.parameters).leg.young_modulus / 100
+    )  # Pa, of a percent
     slope, mass = _slope(scene.gravity), scene.payload.mass
     for label, limits, step, start, act in (
-        ("slope (deg)", (-STEEPEST, STEEPEST), 0.5, slope, PlayedRobot.set_slope),
+        (
+            "slope (deg)",
+            (-STEEPEST, STEEPEST),
+            0.5,
+            slope,
+            PlayedRobot.set_slope,
+        ),
         ("payload (kg)", (0.0, LARGEST_PAYLOAD), 0.02, mass, _load),
         (
             "stiffness of the legs (%)",
             (50.0, 150.0),
             1.0,
             100.0,
-            lambda r, share: r.change({"robot.leg.young_modulus": share * modulus}),
+            lambda r, share: r.change(
+                {"robot.leg.young_modulus": share * modulus}
+            ),
         ),
         (
             "supply voltage (V)",
@@ -266,7 +297,9 @@ def add_faults(gui: viser.GuiApi, do: Do[GraphRobot]) -> None:
         do(lambda r: r.inject(*wanted))
 
     act.on_click(inject)
-    value_of = {field.name: field.metadata["doc"] for field in fields(Fault)}["value"]
+    value_of = {field.name: field.metadata["doc"] for field in fields(Fault)}[
+        "value"
+    ]
     gui.add_markdown(f"Value of {value_of}. Duration 0: until it is cleared.")
 
 
@@ -304,9 +337,13 @@ def _slider(
     start: float,
 ) -> Any:
     low, high = map(float, limits)  # viser takes no numbers of NumPy
-    return gui.add_slider(label, low, high, step, min(max(float(start), low), high))
+    return gui.add_slider(
+        label, low, high, step, min(max(float(start), low), high)
+    )
 
 
-def _bind(do: Do[Robot], control: Any, act: Callable[[Robot, Any], object]) -> None:
+def _bind(
+    do: Do[Robot], control: Any, act: Callable[[Robot, Any], object]
+) -> None:
     """Let a control act on the robot with its value whenever that is changed."""
     control.on_update(lambda _: do(lambda robot: act(robot, control.value)))

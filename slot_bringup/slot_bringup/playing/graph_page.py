@@ -15,7 +15,9 @@ from slot_core.messages import decode
 from slot_lab.play.played_robot import FRAME
 
 STATE = "/robot_state"
-SILENT = 2.0  # s without a state, which comes every 20 ms, until the page says so
+SILENT = (
+    2.0  # s without a state, which comes every 20 ms, until the page says so
+)
 
 
 class GraphPage(Page[GraphRobot]):
@@ -49,9 +51,7 @@ class GraphPage(Page[GraphRobot]):
             self.do_wanted()
             begin = clock()
             self._show(begin)
-            drawing = (
-                f"drawing {1e3 * (clock() - begin):.0f} ms of {1e3 * FRAME:.0f} ms"
-            )
+            drawing = f"drawing {1e3 * (clock() - begin):.0f} ms of {1e3 * FRAME:.0f} ms"
             if (state := self.display.newest.get("/mpc_state")) is not None:
                 self._pace.add(clock(), to_seconds(decode.stamp(state)))
             self.write(self._of_speed(clock(), drawing), self.robot.said)
@@ -69,5 +69,7 @@ class GraphPage(Page[GraphRobot]):
 
     def _of_speed(self, now: float, drawing: str) -> str:
         if (silent := now - self._heard) > SILENT:
-            return strong(f"no state for {silent:.0f} s: the graph has ended, or hangs")
+            return strong(
+                f"no state for {silent:.0f} s: the graph has ended, or hangs"
+            )
         return of_speed(self._pace.until(now), 1.0, drawing)

@@ -47,9 +47,13 @@ class GraphRobot:
         self._preview: GaitPreview | None = None
         self.gait = STAND  # wanted last
         self._state: State | None = None  # of the supervisor, the last
-        self._to: dict[State, Request] = {}  # requests that lead to what is wanted
+        self._to: dict[
+            State, Request
+        ] = {}  # requests that lead to what is wanted
         self._asked: State | None = None  # in which the last of them was made
-        self._tries = self._wait = 0  # tries that are left, and states until the next
+        self._tries = self._wait = (
+            0  # tries that are left, and states until the next
+        )
         kinds = {_name(request): Trigger for request in Request}
         kinds |= {"set_gait": SetGait, "sim_robot/inject": InjectFault}
         self._clients = {
@@ -103,7 +107,9 @@ class GraphRobot:
     def set_pose(self, pose: Array | None) -> None:
         """Take a height m, roll, pitch rad, (3,), or the gait's own; raises ConfigError."""
         if pose is None:
-            self._call("set_gait", SetGait.Request(gait=self._commanded().requested))
+            self._call(
+                "set_gait", SetGait.Request(gait=self._commanded().requested)
+            )
         else:
             self._steering.lean(self._commanded(), np.array(pose))
 
@@ -154,7 +160,10 @@ class GraphRobot:
             self._call(_name(request), Trigger.Request(), self._tried)
 
     def _call(
-        self, name: str, request: Any, answered: Callable[[Future], None] | None = None
+        self,
+        name: str,
+        request: Any,
+        answered: Callable[[Future], None] | None = None,
     ) -> None:
         client = self._clients[name]
         if not client.service_is_ready():

@@ -92,7 +92,9 @@ class _LivePlot:
         self._rows: dict[str, slice] = {}
         curves: list[tuple[str, str]] = []
         for key, curve in plot.curves.items():
-            self._rows[key] = slice(1 + len(curves), 1 + len(curves) + len(curve.names))
+            self._rows[key] = slice(
+                1 + len(curves), 1 + len(curves) + len(curve.names)
+            )
             curves += list(zip(curve.names, curve.colours))
         self._now: Array = np.full(len(curves), np.nan)
         self._table = np.zeros((1 + len(curves), 0))  # row 0: time, s

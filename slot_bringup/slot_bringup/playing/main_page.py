@@ -43,7 +43,13 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--graph", action="store_true", help="drive a running graph")
     add("--namespace", metavar="NAME", default="", help="of the graph")
     wait = "for the graph to answer (default: %(default)g s)"
-    add("--wait", default=5.0, type=within(0.0, 3600.0, "s"), metavar="S", help=wait)
+    add(
+        "--wait",
+        default=5.0,
+        type=within(0.0, 3600.0, "s"),
+        metavar="S",
+        help=wait,
+    )
     add(
         "--open",
         action="store_true",
@@ -85,7 +91,9 @@ def _play_robot(options: argparse.Namespace) -> None:
     from slot_bringup.playing.play_page import PlayPage  # noqa: PLC0415 - needs viser
     from slot_lab.play.played_robot import PlayedRobot  # noqa: PLC0415 - heavy
 
-    robot = PlayedRobot(options.scene or "flat", options.policy or DEFAULT_POLICY)
+    robot = PlayedRobot(
+        options.scene or "flat", options.policy or DEFAULT_POLICY
+    )
     with _served(options) as server:
         PlayPage(server, robot, BAGS).run(lambda: False)
 
@@ -126,8 +134,21 @@ def live_page(namespace: str, wait: float) -> Iterator[None]:
     """
     from slot_bringup.graph import TIED  # noqa: PLC0415 - heavy
 
-    command = [*TIED, sys.executable, "-P", "-m", "slot_bringup.playing.main_page"]
-    command += ["--graph", "--namespace", namespace, "--wait", str(wait), "--open"]
+    command = [
+        *TIED,
+        sys.executable,
+        "-P",
+        "-m",
+        "slot_bringup.playing.main_page",
+    ]
+    command += [
+        "--graph",
+        "--namespace",
+        namespace,
+        "--wait",
+        str(wait),
+        "--open",
+    ]
     process = subprocess.Popen(
         command, stdin=subprocess.DEVNULL, start_new_session=True
     )
@@ -165,7 +186,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         refuse(PROGRAM, error)
         return 2
     except OSError as error:
-        refuse(PROGRAM, f"{options.host}:{options.port}: {error.strerror or error}")
+        refuse(
+            PROGRAM, f"{options.host}:{options.port}: {error.strerror or error}"
+        )
         return 2
     except KeyboardInterrupt:
         return 0

@@ -107,7 +107,9 @@ class Access:
     def __init__(self, token: str = "") -> None:
         self._token = token
 
-    def refusal(self, path: str, host: str, origin: str | None, cookie: str) -> str:
+    def refusal(
+        self, path: str, host: str, origin: str | None, cookie: str
+    ) -> str:
         """Why a request is refused, or "".
 
         path: with its query; host, origin, cookie: headers, origin None where there is none.
@@ -119,9 +121,7 @@ class Access:
         if origin is not None and urlsplit(origin).netloc != host:
             return "another page"
         if self._token and not self._has_token(path, cookie):
-            return (
-                "the token is missing: open the address that scripts/play has printed"
-            )
+            return "the token is missing: open the address that scripts/play has printed"
         return ""
 
     def is_named(self, path: str) -> bool:
@@ -134,7 +134,9 @@ class Access:
         return f"{COOKIE}={self._token}; HttpOnly; SameSite=Strict; Path=/"
 
     def _has_token(self, path: str, cookie: str) -> bool:
-        values = dict(part.strip().partition("=")[::2] for part in cookie.split(";"))
+        values = dict(
+            part.strip().partition("=")[::2] for part in cookie.split(";")
+        )
         return self.is_named(path) or self._is_token(values.get(COOKIE, ""))
 
     def _is_token(self, text: str) -> bool:
@@ -162,9 +164,13 @@ def guarded(access: Access) -> Iterator[None]:
     class Guarded(serve):
         """A server that refuses the requests that `access` refuses."""
 
-        def __init__(self, *args: Any, process_request: Answer, **options: Any) -> None:
+        def __init__(
+            self, *args: Any, process_request: Answer, **options: Any
+        ) -> None:
             super().__init__(
-                *args, process_request=checked(access, process_request), **options
+                *args,
+                process_request=checked(access, process_request),
+                **options,
             )
 
     module.serve = Guarded

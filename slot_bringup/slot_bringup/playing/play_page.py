@@ -90,9 +90,13 @@ class PlayPage(Page[PlayedRobot]):
 
     def _build(self) -> None:
         gui = self.server.gui
-        run = gui.add_button_group("time", ("pause", "go on", "step", "reset", "save"))
+        run = gui.add_button_group(
+            "time", ("pause", "go on", "step", "reset", "save")
+        )
         run.on_click(lambda _: self._on_time(run.value))
-        speed = gui.add_dropdown("speed", tuple(SPEEDS), initial_value="real time")
+        speed = gui.add_dropdown(
+            "speed", tuple(SPEEDS), initial_value="real time"
+        )
         speed.on_update(
             lambda _: self.do(lambda _: self._set_speed(SPEEDS[speed.value]))
         )
@@ -150,7 +154,9 @@ class PlayPage(Page[PlayedRobot]):
         if self.robot.ended:
             return
         with self.server.atomic():
-            self.display.show(of_frame(happened), plots=self.count % PLOTTED == 0)
+            self.display.show(
+                of_frame(happened), plots=self.count % PLOTTED == 0
+            )
             self._draw()
         self._costs.add(simulated - begin, time.perf_counter() - simulated)
 
@@ -165,7 +171,9 @@ class PlayPage(Page[PlayedRobot]):
         )
         push = np.array([model.push[:3]])
         if push.any():
-            arrow = Arrows(position[None], FORCE_SCALE * push, PUSHED[None], PUSH_WIDTH)
+            arrow = Arrows(
+                position[None], FORCE_SCALE * push, PUSHED[None], PUSH_WIDTH
+            )
             view.update({"push": arrow})
         view.show("push", visible=bool(push.any()))
         if self._payload is None:
@@ -177,7 +185,9 @@ class PlayPage(Page[PlayedRobot]):
         """Add the payload, and let the mouse move it and pull at the torso."""
         colour = tuple(round(255 * c) for c in rgb(palette.SECONDARY))
         radius = controls.PAYLOAD_RADIUS
-        payload = self.server.scene.add_icosphere(PAYLOAD, radius=radius, color=colour)
+        payload = self.server.scene.add_icosphere(
+            PAYLOAD, radius=radius, color=colour
+        )
         payload.on_drag(self._on_payload)
         self.display.view.handle("torso").on_drag(self._on_torso)
         return payload
@@ -218,7 +228,11 @@ class PlayPage(Page[PlayedRobot]):
         if self.robot.ended:
             return strong(f"{self.robot.ended}: reset")
         factor = self._pace.until(now)
-        speed = "paused" if self._paused else of_speed(factor, self._speed, self._costs)
+        speed = (
+            "paused"
+            if self._paused
+            else of_speed(factor, self._speed, self._costs)
+        )
         return f"t {self.robot.time:.1f} s; {speed}"
 
 
@@ -252,7 +266,10 @@ def _of_tick(_: int, tick: Tick) -> Iterator[Named]:
     stamp, command = tick.estimate.stamp, tick.command
     yield "/mpc_state", messages.state_to_msg(tick.estimate)
     yield "/gait_preview", messages.preview_to_msg(tick.preview)
-    yield "/tendon_plan", messages.plan_to_msg(tick.plan, tick.preview, 0.0, PACE)
+    yield (
+        "/tendon_plan",
+        messages.plan_to_msg(tick.plan, tick.preview, 0.0, PACE),
+    )
     yield (
         "/desired_joint_angles",
         messages.command_to_msg(stamp, command.angle, command.rate),
@@ -269,9 +286,13 @@ _ENCODE: dict[type, Callable[[int, Any], Iterable[Named]]] = {
     TrueState: _of_truth,
     Tick: _of_tick,
     StampedHealth: _of_health,
-    OdometryReading: lambda _, odom: [("/odom", messages.odometry_to_msg(odom))],
+    OdometryReading: lambda _, odom: [
+        ("/odom", messages.odometry_to_msg(odom))
+    ],
     ImuReading: lambda _, imu: [("/imu", messages.imu_to_msg(imu))],
-    JointReading: lambda _, joints: [("/joint_states", messages.joints_to_msg(joints))],
+    JointReading: lambda _, joints: [
+        ("/joint_states", messages.joints_to_msg(joints))
+    ],
     Report: lambda now, report: [
         ("/robot_state", messages.robot_state_to_msg(now, report))
     ],
@@ -284,7 +305,10 @@ def save(robot: PlayedRobot, path: Path) -> int:
     Changes of robot and scene are named in the bag. Raises BagError.
     """
     about = {"scene": robot.scene, "policy": robot.policy} | robot.changes
-    begin, settings = time.time_ns() - round(1e9 * robot.time), read_record_settings()
+    begin, settings = (
+        time.time_ns() - round(1e9 * robot.time),
+        read_record_settings(),
+    )
     types = message_types()
     with BagWriter(path, settings, origin_here(about)) as bag:
         count = 0

@@ -87,7 +87,9 @@ class RobotDisplay:
 
 def _new_drawing() -> Drawing:
     servo = read_servo()
-    return Drawing(read_robot(), float(servo.tendon_stall(servo.nominal_voltage)))
+    return Drawing(
+        read_robot(), float(servo.tendon_stall(servo.nominal_voltage))
+    )
 
 
 def _place_camera(client: viser.ClientHandle) -> None:
@@ -112,7 +114,9 @@ class Page(Generic[Robot]):
         self.display = RobotDisplay(server)
         self.count = 0  # of frames
         self.said = ""  # what the page said last: a refusal, a bag
-        self._wanted: queue.SimpleQueue[Callable[[Robot], object]] = queue.SimpleQueue()
+        self._wanted: queue.SimpleQueue[Callable[[Robot], object]] = (
+            queue.SimpleQueue()
+        )
         self._status = StatusText()
         self._text: Any = server.gui.add_html("")
 
@@ -135,6 +139,8 @@ class Page(Generic[Robot]):
         """Write the page's text on the robot, in every third frame."""
         if self.count % WRITTEN == 0:
             shown = self.display
-            lines = self._status.of(shown.newest, shown.position, [*remarks, self.said])
+            lines = self._status.of(
+                shown.newest, shown.position, [*remarks, self.said]
+            )
             self._text.content = block([*lines, speed])
         self.count += 1

@@ -87,7 +87,9 @@ class SceneView:
 
     def _show_bars(self, name: str, bars: Bars) -> None:
         """Bars whose sections or colours have changed, as of legs whose shape is known now, are made anew."""
-        corners = bars.corners.reshape(len(bars.corners), -1, 3).astype(np.float32)
+        corners = bars.corners.reshape(len(bars.corners), -1, 3).astype(
+            np.float32
+        )
         kind = corners.shape, bars.colours.tolist()
         if self._bars.get(name) != kind:
             self._bars[name] = kind
@@ -106,13 +108,15 @@ class SceneView:
         for handle, points in zip(self._shown[name], corners):
             handle.vertices = points
 
-    def _show_strips(self, name: str, strips: Strips, shown: list[Any] | None) -> None:
+    def _show_strips(
+        self, name: str, strips: Strips, shown: list[Any] | None
+    ) -> None:
         points = np.stack([strips.points[:, :-1], strips.points[:, 1:]], axis=2)
         count = points.shape[1]
         points = points.reshape(-1, 2, 3).astype(np.float32)
-        colours = np.repeat(_bytes(strips.colours), count, axis=0)[:, None].repeat(
-            2, axis=1
-        )
+        colours = np.repeat(_bytes(strips.colours), count, axis=0)[
+            :, None
+        ].repeat(2, axis=1)
         if shown is None:
             self._shown[name] = [
                 self._scene.add_line_segments(
@@ -126,10 +130,12 @@ class SceneView:
             return
         shown[0].points, shown[0].colors = points, colours
 
-    def _show_arrows(self, name: str, arrows: Arrows, shown: list[Any] | None) -> None:
-        points = np.stack([arrows.tail, arrows.tail + arrows.vector], axis=1).astype(
-            np.float32
-        )
+    def _show_arrows(
+        self, name: str, arrows: Arrows, shown: list[Any] | None
+    ) -> None:
+        points = np.stack(
+            [arrows.tail, arrows.tail + arrows.vector], axis=1
+        ).astype(np.float32)
         if shown is None:
             if not len(points):
                 return

@@ -45,10 +45,15 @@ class StatusText:
 
     def __init__(self) -> None:
         self._mass = read_robot().mass
-        self._stiffness = np.array(read_rollout_mpc().observer.stiffness[1:])  # N m/rad
+        self._stiffness = np.array(
+            read_rollout_mpc().observer.stiffness[1:]
+        )  # N m/rad
 
     def of(
-        self, newest: Mapping[str, Any], position: Array | None, remarks: Iterable[str]
+        self,
+        newest: Mapping[str, Any],
+        position: Array | None,
+        remarks: Iterable[str],
     ) -> list[str]:
         """State, place, plan and disturbances by the newest messages; then `remarks`."""
         lines = []
@@ -60,13 +65,17 @@ class StatusText:
             lines.append(f"x {x:.3f} m, y {y:.3f} m, height {1e3 * z:.1f} mm")
         if (plan := newest.get("/tendon_plan")) is not None:
             lines.append(escape(f"{Status(plan.status).name} {plan.message}"))
-            lines.append(self.of_disturbances(plan.mass, plan.wrench, plan.drift))
+            lines.append(
+                self.of_disturbances(plan.mass, plan.wrench, plan.drift)
+            )
             remarks = [plan.remark, *remarks]
         return lines + [
             f"<i>{escape(text)}</i>" for text in dict.fromkeys(remarks) if text
         ]
 
-    def of_disturbances(self, mass: float, wrench: ArrayLike, drift: ArrayLike) -> str:
+    def of_disturbances(
+        self, mass: float, wrench: ArrayLike, drift: ArrayLike
+    ) -> str:
         """Disturbances that the policy estimates: payload (kg), tilt (deg), slip (mm/s).
 
         A note if it estimates none. The tilt follows from the moment and the stiffness of a standing robot.
@@ -96,5 +105,7 @@ def of_speed(factor: float, wanted: float, costs: object) -> str:
     if not math.isfinite(factor):
         return f"speed is being measured; {costs}"
     if factor < SLOW * wanted:
-        return strong(f"slower than {wanted:.2f} of real time: {factor:.2f}; {costs}")
+        return strong(
+            f"slower than {wanted:.2f} of real time: {factor:.2f}; {costs}"
+        )
     return f"{factor:.2f} of real time; {costs}"

@@ -33,9 +33,13 @@ def checked(
     return array
 
 
-def one_buffer(shapes: dict[str, tuple[int, ...]]) -> tuple[Array, dict[str, Array]]:
+def one_buffer(
+    shapes: dict[str, tuple[int, ...]],
+) -> tuple[Array, dict[str, Array]]:
     """A buffer of zeros, and by name views of these shapes in it, one after the other."""
-    ends = np.cumsum([int(np.prod(shape, dtype=int)) for shape in shapes.values()])
+    ends = np.cumsum(
+        [int(np.prod(shape, dtype=int)) for shape in shapes.values()]
+    )
     buffer = np.zeros(ends[-1])
     parts = zip(shapes.items(), np.split(buffer, ends[:-1]))
     return buffer, {name: part.reshape(shape) for (name, shape), part in parts}

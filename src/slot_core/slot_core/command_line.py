@@ -72,7 +72,9 @@ def positive_integer(text: str) -> int:
     return value
 
 
-def within(low: Number, high: Number, unit: str = "") -> Callable[[str], Number]:
+def within(
+    low: Number, high: Number, unit: str = ""
+) -> Callable[[str], Number]:
     """Type of a number in [low, high] of the kind of its bounds; raises as `positive_integer`."""
     kind, end = type(low), f" {unit}" if unit else ""
 
@@ -97,7 +99,9 @@ def require_libraries() -> None:
         return
     if _missing():
         venv = Path(os.environ.get("VIRTUAL_ENV", os.devnull))
-        sys.path += [str(path) for path in venv.glob("lib/python3*/site-packages")]
+        sys.path += [
+            str(path) for path in venv.glob("lib/python3*/site-packages")
+        ]
     if missing := _missing():
         sys.exit(
             f"Python finds no {', '.join(missing)}: in a new terminal first source scripts/env of"

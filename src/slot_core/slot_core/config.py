@@ -32,7 +32,9 @@ class ConfigError(InputError):
 
 def config_dir() -> Path:
     """Directory of the YAML files: $SLOT_CONFIG if set, else the one shipped with the package."""
-    return Path(os.environ.get("SLOT_CONFIG") or Path(__file__).parent / "defaults")
+    return Path(
+        os.environ.get("SLOT_CONFIG") or Path(__file__).parent / "defaults"
+    )
 
 
 def quantity(
@@ -78,7 +80,9 @@ def load(name: str) -> Any:
         return parse(read_text(path, SIZE_MAX))
     except FileNotFoundError:
         known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
-        raise ConfigError(f"no configuration {quoted(name)} (known: {known})") from None
+        raise ConfigError(
+            f"no configuration {quoted(name)} (known: {known})"
+        ) from None
     except (OSError, ValueError) as error:
         raise ConfigError(f"{name}.yaml: {error}") from None
 
@@ -116,7 +120,9 @@ def build(cls: type[T], mapping: Any, where: str) -> T:
     if missing := [name for name in fields if name not in mapping]:
         raise ConfigError(f"{_inside(where, missing[0])} is missing")
     values = {
-        name: _convert(mapping[name], hints[name], field.metadata, _inside(where, name))
+        name: _convert(
+            mapping[name], hints[name], field.metadata, _inside(where, name)
+        )
         for name, field in fields.items()
     }
     try:
@@ -139,7 +145,9 @@ def leaves(
             yield prefix + field.name, value, field.metadata
 
 
-def dotted(mapping: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def dotted(
+    mapping: Mapping[Any, Any], prefix: str = ""
+) -> Iterator[tuple[str, Any]]:
     """Yield (dotted name, value) of nested mappings; an empty one is a value."""
     for key, value in mapping.items():
         if isinstance(value, Mapping) and value:
@@ -148,7 +156,9 @@ def dotted(mapping: Mapping[Any, Any], prefix: str = "") -> Iterator[tuple[str, 
             yield f"{prefix}{key}", value
 
 
-def replace(settings: T, changes: Mapping[str, Any], where: str = "override") -> T:
+def replace(
+    settings: T, changes: Mapping[str, Any], where: str = "override"
+) -> T:
     """Return a copy with the values at dotted names changed, checked as in `build`.
 
     Raises ConfigError as `build` does, for an unknown name, and if `changes` is no mapping.
@@ -198,7 +208,9 @@ def _convert(value: Any, kind: Any, meta: Mapping[str, Any], where: str) -> Any:
             raise ConfigError(f"{where} = {quoted(value)}: expected a mapping")
         item = typing.get_args(kind)[1]
         named = {_name(key): inner for key, inner in value.items()}
-        return {k: _convert(v, item, meta, f"{where}.{k}") for k, v in named.items()}
+        return {
+            k: _convert(v, item, meta, f"{where}.{k}") for k, v in named.items()
+        }
     if typing.get_origin(kind) is tuple:
         return _convert_tuple(value, typing.get_args(kind), meta, where)
     return _convert_scalar(value, kind, meta, where)
@@ -220,7 +232,9 @@ def _convert_tuple(
     )
 
 
-def _convert_scalar(value: Any, kind: Any, meta: Mapping[str, Any], where: str) -> Any:
+def _convert_scalar(
+    value: Any, kind: Any, meta: Mapping[str, Any], where: str
+) -> Any:
     if kind is float and not isinstance(value, bool):
         try:  # YAML 1.1 reads 1e-8 as a string
             value = float(value)
@@ -233,7 +247,9 @@ def _convert_scalar(value: Any, kind: Any, meta: Mapping[str, Any], where: str) 
                 f"{where}: {quoted(value)}: too large for a number"
             ) from None
     if type(value) is not kind:
-        raise ConfigError(f"{where} = {quoted(value)}: expected {KIND_NAMES[kind]}")
+        raise ConfigError(
+            f"{where} = {quoted(value)}: expected {KIND_NAMES[kind]}"
+        )
     if "options" in meta and value not in meta["options"]:
         known = ", ".join(meta["options"])
         raise ConfigError(f"{where} = {quoted(value)}: expected one of {known}")

@@ -33,7 +33,9 @@ LOG_2 = Fraction(
     "0.69314718055994530941723212145817656807550013436025525412068000949339362196969"
 )
 GRID = 32  # arc tangents of k / GRID are tabulated
-SERIES_BELOW = 0.125  # tangent below which the series of the arc tangent needs no table
+SERIES_BELOW = (
+    0.125  # tangent below which the series of the arc tangent needs no table
+)
 HALF_ROOT = 0.7071067811865476
 COS, SIN, ATAN2 = range(3)
 NUMBERS = (types.Float, types.Integer)
@@ -70,7 +72,10 @@ def _arc_tangents() -> Array:
 P1, P2, P3, P4 = _parts(HALF_PI, 33, 4)
 L1, L2 = _parts(LOG_2, 32, 2)
 TWO_OVER_PI, PER_LOG_2 = float(1 / HALF_PI), float(1 / LOG_2)
-QUARTER, QUARTER_REST = float(HALF_PI), float(HALF_PI - Fraction(float(HALF_PI)))
+QUARTER, QUARTER_REST = (
+    float(HALF_PI),
+    float(HALF_PI - Fraction(float(HALF_PI))),
+)
 ARC_TANGENT = _arc_tangents()
 
 
@@ -203,7 +208,9 @@ def _arc(y, x):
     if steep:
         angle, rest = _difference(QUARTER, QUARTER_REST, angle, rest)
     if math.copysign(1.0, x) < 0.0:
-        angle, rest = _difference(2.0 * QUARTER, 2.0 * QUARTER_REST, angle, rest)
+        angle, rest = _difference(
+            2.0 * QUARTER, 2.0 * QUARTER_REST, angle, rest
+        )
     return math.copysign(angle + rest, y)
 
 

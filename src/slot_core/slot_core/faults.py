@@ -48,9 +48,13 @@ class Fault:
 
     def __post_init__(self) -> None:
         """Raise ConfigError if the value is outside the range of the kind."""
-        low, high, unit = VALUE_RANGES.get(self.kind, (self.value, self.value, ""))
+        low, high, unit = VALUE_RANGES.get(
+            self.kind, (self.value, self.value, "")
+        )
         if not low <= self.value <= high:
-            raise ConfigError(f"value = {self.value}: outside [{low}, {high}] {unit}")
+            raise ConfigError(
+                f"value = {self.value}: outside [{low}, {high}] {unit}"
+            )
 
     @property
     def legs(self) -> tuple[str, ...]:
@@ -95,5 +99,7 @@ def hardware_errors(bits: int) -> str:
         for error in HardwareError
         if bits & error
     ]
-    other = [f"bit {k}" for k in range(8) if (bits & ~HARDWARE_ERROR_BITS) >> k & 1]
+    other = [
+        f"bit {k}" for k in range(8) if (bits & ~HARDWARE_ERROR_BITS) >> k & 1
+    ]
     return ", ".join(known + other) or "none"

@@ -27,14 +27,22 @@ OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 def roll_pitch_yaw(r):  # type: ignore[no-untyped-def]
     """Roll, pitch and yaw, rad, of a rotation matrix (3, 3), in a kernel."""
     level = math.sqrt(r[2, 1] * r[2, 1] + r[2, 2] * r[2, 2])
-    return atan2(r[2, 1], r[2, 2]), atan2(-r[2, 0], level), atan2(r[1, 0], r[0, 0])
+    return (
+        atan2(r[2, 1], r[2, 2]),
+        atan2(-r[2, 0], level),
+        atan2(r[1, 0], r[0, 0]),
+    )
 
 
 def rpy_of(rotation: Array) -> Array:
     """Roll, pitch and yaw (..., 3), rad, of rotation matrices (..., 3, 3); within +-pi."""
     r = np.moveaxis(np.asarray(rotation, dtype=float), (-2, -1), (0, 1))
     level = hypot(r[2, 1], r[2, 2])
-    parts = atan2(r[2, 1], r[2, 2]), atan2(-r[2, 0], level), atan2(r[1, 0], r[0, 0])
+    parts = (
+        atan2(r[2, 1], r[2, 2]),
+        atan2(-r[2, 0], level),
+        atan2(r[1, 0], r[0, 0]),
+    )
     return np.stack(parts, axis=-1)
 
 
@@ -115,17 +123,24 @@ class Transform:
     @property
     def inverse(self) -> Transform:
         """The transform back."""
-        return Transform(self.rotation.T, -product(self.rotation.T, self.position))
+        return Transform(
+            self.rotation.T, -product(self.rotation.T, self.position)
+        )
 
     def __matmul__(self, other: Transform) -> Transform:
         """First `other`, then this one."""
         turned = product(self.rotation, other.position)
-        return Transform(product(self.rotation, other.rotation), turned + self.position)
+        return Transform(
+            product(self.rotation, other.rotation), turned + self.position
+        )
 
     def apply(self, points: Array) -> Array:
         """Points (..., 3), m, transformed."""
         flat = np.reshape(points, (-1, 3))
-        return product(flat, self.rotation.T).reshape(np.shape(points)) + self.position
+        return (
+            product(flat, self.rotation.T).reshape(np.shape(points))
+            + self.position
+        )
 
     @property
     def quaternion(self) -> Array:

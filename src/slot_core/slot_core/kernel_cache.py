@@ -26,9 +26,7 @@ from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-LIMIT = (
-    500e6  # bytes; the kernels of a walk take some 20 MB, those of all tests some 60 MB
-)
+LIMIT = 500e6  # bytes; the kernels of a walk take some 20 MB, those of all tests some 60 MB
 SUFFIX = ".kernel"
 DIGEST = hashlib.sha256().digest_size
 CONFIG: Any = numba.config  # its attributes are set at run time
@@ -64,7 +62,12 @@ class KernelCache(NullCache):
             _described(signature),
             target.codegen().magic_tuple(),
             self._function.__code__.co_code,
-            dumps([cell.cell_contents for cell in self._function.__closure__ or ()]),
+            dumps(
+                [
+                    cell.cell_contents
+                    for cell in self._function.__closure__ or ()
+                ]
+            ),
             [(name, getattr(CONFIG, name)) for name in SETTINGS],
             sys.version_info[:2],
             _versions(),

@@ -43,7 +43,9 @@ def restore(thing: Any, text: str) -> None:
     used: a part of it may be set.
     """
     if len(text) > TEXT_MAX:
-        raise ValueError(f"key frame of {len(text)} characters, limit {TEXT_MAX}")
+        raise ValueError(
+            f"key frame of {len(text)} characters, limit {TEXT_MAX}"
+        )
     try:
         _restore_part(thing, json.loads(text))
     except (
@@ -53,7 +55,9 @@ def restore(thing: Any, text: str) -> None:
         ValueError,
         RecursionError,
     ) as error:
-        raise ValueError(f"no key frame of {type(thing).__name__}: {error}") from error
+        raise ValueError(
+            f"no key frame of {type(thing).__name__}: {error}"
+        ) from error
 
 
 def has_state(thing: Any) -> bool:
@@ -62,11 +66,15 @@ def has_state(thing: Any) -> bool:
     if not isinstance(state, StateParts):
         return False
     parts = [getattr(thing, name) for name in state.names]
-    return all(has_state(part) for part in parts if hasattr(type(part), "STATE"))
+    return all(
+        has_state(part) for part in parts if hasattr(type(part), "STATE")
+    )
 
 
 def _part(thing: Any) -> dict[str, Any]:
-    return {name: _plain(getattr(thing, name)) for name in type(thing).STATE.names}
+    return {
+        name: _plain(getattr(thing, name)) for name in type(thing).STATE.names
+    }
 
 
 def _plain(value: Any) -> Any:
@@ -75,7 +83,9 @@ def _plain(value: Any) -> Any:
         value = value.item()
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
-    if isinstance(value, (list, tuple, deque)) and not hasattr(value, "_asdict"):
+    if isinstance(value, (list, tuple, deque)) and not hasattr(
+        value, "_asdict"
+    ):
         return [_plain(item) for item in value]
     if isinstance(value, np.ndarray):
         return {
@@ -101,7 +111,9 @@ def _fields(value: Any) -> dict[str, Any]:
         found: dict[str, Any] = value._asdict()
         return found
     if dataclasses.is_dataclass(value):
-        return {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
+        return {
+            f.name: getattr(value, f.name) for f in dataclasses.fields(value)
+        }
     raise TypeError(f"{type(value).__name__} is no part of a key frame")
 
 

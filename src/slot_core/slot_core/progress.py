@@ -37,13 +37,20 @@ class ProgressLine:
         out: TextIO | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._program, self._out, self._clock = program, out or sys.stderr, clock
+        self._program, self._out, self._clock = (
+            program,
+            out or sys.stderr,
+            clock,
+        )
         self._terminal = self._out.isatty()
         # of the block; of the task that the share is of
         self._begin = self._since = self._clock()
         # share now, and at the begin of the task
         self._what, self._share, self._first = "", 0.0, 0.0
-        self._shown, self._width = self._begin, 0  # time and length of the last line
+        self._shown, self._width = (
+            self._begin,
+            0,
+        )  # time and length of the last line
         self._ended, self._lock = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._repeat, daemon=True)
 
@@ -81,7 +88,10 @@ class ProgressLine:
         now = self._clock()
         if now - self._begin < DELAY or not self._what:
             return
-        if now - self._shown < (REWRITE if self._terminal else REPEAT) and self._width:
+        if (
+            now - self._shown < (REWRITE if self._terminal else REPEAT)
+            and self._width
+        ):
             return
         with self._lock:
             line = printable(f"{self._program}: {self._what}{self._times(now)}")
@@ -110,6 +120,8 @@ class ProgressLine:
             self._width = 0
 
     def _print(self, text: str) -> None:
-        with suppress(OSError, ValueError):  # a closed terminal or pipe ends no work
+        with suppress(
+            OSError, ValueError
+        ):  # a closed terminal or pipe ends no work
             self._out.write(text)
             self._out.flush()

@@ -32,7 +32,9 @@ class DivergenceError(ArithmeticError):
     `state` holds the values of `SimulatedRobot.snapshot` by name; of a rod it is empty.
     """
 
-    def __init__(self, message: str, state: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, message: str, state: Mapping[str, Any] | None = None
+    ) -> None:
         super().__init__(message)
         self.state = dict(state or {})
 
@@ -47,7 +49,9 @@ class DivergenceError(ArithmeticError):
 def one_line(message: object) -> str:
     """A message or an error's text as one printable line; the middle of a long one is cut."""
     text = str(message)
-    if len(text) > 4 * LINE_MAX:  # what is cut away is neither split nor escaped
+    if (
+        len(text) > 4 * LINE_MAX
+    ):  # what is cut away is neither split nor escaped
         text = f"{text[: 2 * LINE_MAX]}{CUT}{text[-2 * LINE_MAX :]}"
     return _cut(printable(" ".join(text.split())), LINE_MAX)
 
@@ -70,7 +74,9 @@ class _Short(reprlib.Repr):
     def repr_int(self, x: int, level: int) -> str:
         """Python refuses to print very long integers."""
         return (
-            repr(x) if x.bit_length() <= 64 else f"an integer of {x.bit_length()} bits"
+            repr(x)
+            if x.bit_length() <= 64
+            else f"an integer of {x.bit_length()} bits"
         )
 
 

@@ -28,7 +28,9 @@ ARC_CELLS = 4000  # of a leg's natural shape
 GRAVITY = 9.81  # m/s^2, the value of the paper
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"
-FOOTPRINT_FRAME = "base_footprint"  # below base_link, on the floor of odom (REP-120)
+FOOTPRINT_FRAME = (
+    "base_footprint"  # below base_link, on the floor of odom (REP-120)
+)
 # Points of torso and legs that are tracked, and the columns of a CSV file with their places.
 TORSO = "torso"
 # share of a leg's arc length
@@ -67,13 +69,18 @@ class Leg:
         "horizontal extent of a leg's natural shape", "m", 0.02, 1.0
     )
     natural_shape: tuple[float, float, float, float] = quantity(
-        "cubic z(x) of the stress-free centre line, highest power first", "", -100, 100
+        "cubic z(x) of the stress-free centre line, highest power first",
+        "",
+        -100,
+        100,
     )
     width: float = quantity("width of a leg", "m", 1e-4, 0.2)
     contact_width: float = quantity(
         "distance of a leg's edges that touch the floor", "m", 1e-4, 0.2
     )
-    thickness_clamp: float = quantity("thickness of a leg at the clamp", "m", 1e-4, 0.1)
+    thickness_clamp: float = quantity(
+        "thickness of a leg at the clamp", "m", 1e-4, 0.1
+    )
     thickness_tip: float = quantity(
         "thickness of a leg at the tip, linear in between", "m", 1e-4, 0.1
     )
@@ -105,9 +112,13 @@ class Leg:
 
         By Simpson's rule in each cell; its error is below 1e-15 m.
         """
-        x, slope = np.linspace(0.0, self.reach, ARC_CELLS + 1), self.shape.deriv()
+        x, slope = (
+            np.linspace(0.0, self.reach, ARC_CELLS + 1),
+            self.shape.deriv(),
+        )
         begin, middle, end = (
-            hypot(1.0, slope(at)) for at in (x[:-1], (x[:-1] + x[1:]) / 2, x[1:])
+            hypot(1.0, slope(at))
+            for at in (x[:-1], (x[:-1] + x[1:]) / 2, x[1:])
         )
         cells = np.diff(x) / 6 * (begin + 4 * middle + end)
         return x, np.append(0.0, np.cumsum(cells))
@@ -145,7 +156,10 @@ class Tendon:
     """The tendon of a leg: from the spool through the clamp, at an offset below the centre line."""
 
     end_fraction: float = quantity(
-        "arc length of the tendon's anchor as a share of the leg's", "", 0.1, 1.0
+        "arc length of the tendon's anchor as a share of the leg's",
+        "",
+        0.1,
+        1.0,
     )
     offset: float = quantity(
         "distance of the tendon below the leg's centre line", "m", 1e-3, 0.05
@@ -200,7 +214,9 @@ class RobotParameters:
     def clamps(self) -> Array:
         """(4, 3) clamps in base_link, m: at the corner each azimuth points to, at mid height."""
         corner = np.array([self.torso.size[0] / 2, self.torso.size[1] / 2, 0.0])
-        direction = np.column_stack([cos(self.azimuth), sin(self.azimuth), np.zeros(4)])
+        direction = np.column_stack(
+            [cos(self.azimuth), sin(self.azimuth), np.zeros(4)]
+        )
         return np.sign(direction.round(9)) * corner
 
     def clamp_heights(
@@ -210,14 +226,17 @@ class RobotParameters:
         level = cos(pitch)
         up = -sin(pitch), level * sin(roll), level * cos(roll)
         x, y, z = (
-            np.multiply.outer(part, axis) for part, axis in zip(up, self.clamps.T)
+            np.multiply.outer(part, axis)
+            for part, axis in zip(up, self.clamps.T)
         )
         return np.asarray(np.asarray(height)[..., None] + x + y + z)
 
     @cached_property
     def outward(self) -> Array:
         """(4, 3) unit x axes of the leg frames in base_link."""
-        return np.column_stack([cos(self.azimuth), sin(self.azimuth), np.zeros(4)])
+        return np.column_stack(
+            [cos(self.azimuth), sin(self.azimuth), np.zeros(4)]
+        )
 
     @cached_property
     def rightward(self) -> Array:
@@ -260,7 +279,9 @@ def read_robot(parameters: str = "") -> RobotParameters:
             "robot.yaml: parameters is missing: the name of a parameter set"
         )
     if not isinstance(named := mapping.pop("parameters"), str):
-        raise ConfigError(f"robot.yaml: parameters = {quoted(named)}: expected a name")
+        raise ConfigError(
+            f"robot.yaml: parameters = {quoted(named)}: expected a name"
+        )
     name = parameters or named
     content = config.load(f"parameters/{name}")
     for dotted, value in _part(content, name, "values").items():
@@ -286,14 +307,18 @@ def _part(content: Any, name: str, part: str) -> dict[str, Any]:
     """A part of the content of the set `name`; raises ConfigError."""
     given = content if isinstance(content, dict) else {}
     values = given.get(part, {} if part != "values" else None)
-    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+    if not isinstance(values, dict) or not all(
+        isinstance(key, str) for key in values
+    ):
         raise ConfigError(
             f"parameters/{name}.yaml: {part} is missing: a mapping of dotted names"
         )
     return values
 
 
-def _insert(mapping: dict[str, Any], dotted: str, value: Any, source: str) -> None:
+def _insert(
+    mapping: dict[str, Any], dotted: str, value: Any, source: str
+) -> None:
     """Set the value at a dotted name; raises ConfigError if it is set or its parent is unknown."""
     *parents, last = dotted.split(".")
     for parent in parents:
@@ -319,4 +344,6 @@ def at_shares(nodes: Array, values: Array | None = None) -> Array:
     arc = arc_length(nodes)
     shares = np.array(list(LEG_POINTS.values())) * arc[-1]
     columns = (nodes if values is None else values).T
-    return np.column_stack([np.interp(shares, arc, column) for column in columns])
+    return np.column_stack(
+        [np.interp(shares, arc, column) for column in columns]
+    )

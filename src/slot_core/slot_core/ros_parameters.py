@@ -26,7 +26,9 @@ class Parameters(NamedTuple):
     def match(self, node: str) -> bool:
         """Whether a node, by its full name, gets them."""
         escaped = re.escape(self.pattern)
-        expression = escaped.replace(r"/\*\*", r"(/\w+)*").replace(r"\*", r"\w+")
+        expression = escaped.replace(r"/\*\*", r"(/\w+)*").replace(
+            r"\*", r"\w+"
+        )
         return re.fullmatch(expression, node) is not None
 
 
@@ -49,13 +51,18 @@ def parse_parameters(text: str, where: str) -> list[Parameters]:
 def of_node(found: list[Parameters], node: str) -> dict[str, Any]:
     """Parameters of a node, by its full name; later ones replace earlier ones."""
     return {
-        name: v for each in found if each.match(node) for name, v in each.values.items()
+        name: v
+        for each in found
+        if each.match(node)
+        for name, v in each.values.items()
     }
 
 
 def _found(content: Any, pattern: str, where: str) -> Iterator[Parameters]:
     if not isinstance(content, Mapping):
-        raise ValueError(f"{where}: {pattern or 'file'}: expected a mapping of nodes")
+        raise ValueError(
+            f"{where}: {pattern or 'file'}: expected a mapping of nodes"
+        )
     for key, value in content.items():
         if key == KEY:
             if not isinstance(value, Mapping):
@@ -63,7 +70,9 @@ def _found(content: Any, pattern: str, where: str) -> Iterator[Parameters]:
                     f"{where}: {pattern}: expected a mapping of parameters"
                 )
             values = {
-                n: v for n, v in config.dotted(value) if not isinstance(v, Mapping)
+                n: v
+                for n, v in config.dotted(value)
+                if not isinstance(v, Mapping)
             }
             yield Parameters(pattern, values)
         else:

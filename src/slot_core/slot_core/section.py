@@ -25,4 +25,6 @@ def torsion_constant(width: float | Array, thickness: float | Array) -> Array:
     tanh = (1.0 - decay) / (1.0 + decay)
     series = (tanh / (np.square(np.square(n)) * n)).sum(axis=-1)
     pi5 = np.square(np.square(np.pi)) * np.pi
-    return np.asarray(a * b * np.square(b) * (1 / 3 - 64 / pi5 * b / a * series))
+    return np.asarray(
+        a * b * np.square(b) * (1 / 3 - 64 / pi5 * b / a * series)
+    )

@@ -56,6 +56,8 @@ class _UniqueKeyLoader(yaml.CSafeLoader):
                     key_node.start_mark,
                     f"the key {quoted(key)} is repeated",
                 )
-                raise yaml.constructor.ConstructorError(None, None, problem, where)
+                raise yaml.constructor.ConstructorError(
+                    None, None, problem, where
+                )
             seen.add(key)
         return super().construct_mapping(node, deep)

@@ -92,12 +92,16 @@ def read_table(path: Path) -> Table:
     rows = []
     for number, where, cells in data:
         if len(cells) != len(columns):
-            raise TableError(f"{where}: {len(cells)} cells, {len(columns)} columns")
+            raise TableError(
+                f"{where}: {len(cells)} cells, {len(columns)} columns"
+            )
         rows.append(CsvRow(number, where, dict(zip(columns, cells))))
     return Table(tuple(comments), head, tuple(columns), tuple(rows))
 
 
-def write_points(path: Path, rows: Iterable[PointRow], comments: Sequence[str]) -> None:
+def write_points(
+    path: Path, rows: Iterable[PointRow], comments: Sequence[str]
+) -> None:
     """Write places of points as CSV: time, point, x, y, z, in s and m; raises OSError."""
     with path.open("w", newline="") as file:
         file.writelines(f"# {comment}\n" for comment in comments)

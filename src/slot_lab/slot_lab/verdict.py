@@ -36,7 +36,9 @@ class Verdict:
         """Largest sum of squares per degree of freedom that counts as explained."""
         from scipy.stats import chi2  # noqa: PLC0415 - half a second
 
-        return max(LARGEST, float(chi2.ppf(CONFIDENCE, self.freedom)) / self.freedom)
+        return max(
+            LARGEST, float(chi2.ppf(CONFIDENCE, self.freedom)) / self.freedom
+        )
 
     @property
     def code(self) -> int:
@@ -55,6 +57,8 @@ class Verdict:
             f"verdict: {word}: chi-square {self.chi_square:.3g} on {self.freedom} degrees of"
             f" freedom, {ratio:.3g} each, limit {self.limit:.3g}",
             self.largest,
-            f"at its bound: {', '.join(self.at_bound)}" if self.at_bound else "",
+            f"at its bound: {', '.join(self.at_bound)}"
+            if self.at_bound
+            else "",
         ]
         return "; ".join(filter(None, parts))

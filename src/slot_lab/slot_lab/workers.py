@@ -52,13 +52,17 @@ def gather(
     return list(client.gather(client.map(call, list(items), pure=False)))
 
 
-def serially(call: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
+def serially(
+    call: Callable[[Item], Result], items: Sequence[Item]
+) -> list[Result]:
     """As `gather`, one after the other in this process."""
     return [call(item) for item in items]
 
 
 @contextmanager
-def mapper(scheduler: str, count: int | None) -> Iterator[Callable[..., list[Any]]]:
+def mapper(
+    scheduler: str, count: int | None
+) -> Iterator[Callable[..., list[Any]]]:
     """`gather` by `workers`, or `serially` for one local process."""
     if count == 1 and not scheduler:
         yield serially

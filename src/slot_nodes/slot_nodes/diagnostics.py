@@ -30,7 +30,11 @@ PERIOD = 1.0  # s, between two diagnostics without change
 HEALTH_PERIOD = 0.05  # s, between two reports of the servos without change
 ERROR_RATE_WARNING = 0.05  # share of exchanges that failed
 INCLINE_SIGMA = math.radians(1.0)  # rad, from which on the incline is not known
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+OK, WARN, ERROR = (
+    DiagnosticStatus.OK,
+    DiagnosticStatus.WARN,
+    DiagnosticStatus.ERROR,
+)
 OF_PLAN = {Status.SOLVED: OK, Status.STOPPED: ERROR}
 OF_ESTIMATE = {Validity.VALID: OK, Validity.ODOMETRY_LOST: ERROR}
 PLAN_NAMES = {int(found): found.name for found in Status}
@@ -39,11 +43,15 @@ PLAN_NAMES = {int(found): found.name for found in Status}
 class PeriodicReport:
     """Publisher of a report every `period`, and at once when its key changes."""
 
-    def __init__(self, node: Node, kind: type, topic: str, period: float) -> None:
+    def __init__(
+        self, node: Node, kind: type, topic: str, period: float
+    ) -> None:
         """period: s."""
         self._publisher = runtime.publisher(node, kind, topic, qos.SENSOR)
         self._period = period
-        self._last: tuple[Hashable, int] | None = None  # key, and ns of the message
+        self._last: tuple[Hashable, int] | None = (
+            None  # key, and ns of the message
+        )
 
     def publish(
         self, stamp: int, make: Callable[[], Any], key: Hashable = None
@@ -90,8 +98,9 @@ class SupervisorDiagnostics:
 
     def publish(self, stamp: int, report: Report) -> None:
         """Publish the diagnostics at `stamp` (ns) if they are due; at once in a new state."""
-        make = partial(self._describe, stamp, report)
-        self._diagnostics.publish(stamp, make, report.state)
+        self._diagnostics.publish(
+            stamp, partial(self._describe, stamp, report), report.state
+        )
 
     def with_remark(self, report: Report) -> Report:
         """The report, whose warnings also name a command that the gait follows in part only."""
@@ -106,7 +115,8 @@ class SupervisorDiagnostics:
         passed = plan.overruns - before.overruns, plan.skipped - before.skipped
         disturbances = of_disturbances(plan, self._mass)
         return array(
-            stamp, [of_supervisor(report), of_controller(plan, passed), disturbances]
+            stamp,
+            [of_supervisor(report), of_controller(plan, passed), disturbances],
         )
 
 
@@ -125,14 +135,21 @@ def of_supervisor(report: Report) -> DiagnosticStatus:
     )
 
 
-def of_controller(plan: TendonPlan, passed: tuple[int, int]) -> DiagnosticStatus:
+def of_controller(
+    plan: TendonPlan, passed: tuple[int, int]
+) -> DiagnosticStatus:
     """How the newest plan was made; `passed`: overruns and skipped states since the last report."""
     overruns, skipped = passed
     level = OF_PLAN.get(plan.status, WARN)
-    name = PLAN_NAMES.get(plan.status, f"status {plan.status}")  # of another version
+    name = PLAN_NAMES.get(
+        plan.status, f"status {plan.status}"
+    )  # of another version
     message = f"{name} {plan.message}".rstrip()
     if level == OK and any(passed):
-        level, message = WARN, f"{overruns} cycles too long, {skipped} states skipped"
+        level, message = (
+            WARN,
+            f"{overruns} cycles too long, {skipped} states skipped",
+        )
     return status(
         "controller",
         level,
@@ -165,7 +182,9 @@ def of_disturbances(plan: TendonPlan, mass: float) -> DiagnosticStatus:
     )
 
 
-def of_estimator(validity: Validity, incline: tuple[float, float]) -> DiagnosticStatus:
+def of_estimator(
+    validity: Validity, incline: tuple[float, float]
+) -> DiagnosticStatus:
     """Validity of the newest estimate, and the incline of the floor where it is known.
 
     incline: angle and standard deviation, rad.
@@ -190,19 +209,12 @@ def of_servos(
     loads = [None if reading is None else reading.load for reading in readings]
     active = session.bus.active
     found = [
-        _servo(s, active, silent.get(s.leg, ""), load) for s, load in zip(servos, loads)
+        _servo(s, active, silent.get(s.leg, ""), load)
+        for s, load in zip(servos, loads)
     ]
-    message = array(stamp, [_bus(session, pace), *found])
-    for found_status in message.status:
-        found_status.hardware_id = session.bus.facts.brand
-    return message
-
-
-def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
-    level = ERROR if session.watchdog.overdue else OK
-    return status(
+    bus = status(
         "servo bus",
-        level,
+        ERROR if session.watchdog.overdue else OK,
         session.reason or "commands pass",
         action=session.action.value,
         rate_Hz=f"{pace.rate:.1f}",
@@ -210,6 +222,10 @@ def _bus(session: ServoSession, pace: BusPace) -> DiagnosticStatus:
         cycle_longest_ms=f"{1e3 * pace.longest:.2f}",
         overruns=str(pace.overruns),
     )
+    message = array(stamp, [bus, *found])
+    for found_status in message.status:
+        found_status.hardware_id = session.bus.facts.brand
+    return message
 
 
 def _servo(
@@ -233,10 +249,14 @@ def _servo(
     )
 
 
-def status(name: str, level: bytes, message: str, **values: str) -> DiagnosticStatus:
+def status(
+    name: str, level: bytes, message: str, **values: str
+) -> DiagnosticStatus:
     """One status with its values."""
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-    return DiagnosticStatus(level=level, name=name, message=message, values=pairs)
+    return DiagnosticStatus(
+        level=level, name=name, message=message, values=pairs
+    )
 
 
 def array(stamp: int, statuses: list[DiagnosticStatus]) -> DiagnosticArray:

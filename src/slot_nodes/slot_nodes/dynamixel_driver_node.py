@@ -20,7 +20,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import (
+    LifecycleNode,
+    LifecycleState,
+    TransitionCallbackReturn,
+)
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
@@ -30,7 +34,6 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.robot import LEGS, read_robot
 from slot_core.safety.states import Action
-from slot_core.servos.brand import Brand
 from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_bus import (
     Cycle,
@@ -45,7 +48,10 @@ from slot_nodes import diagnostics, inputs, messages, qos, runtime
 
 PORT_PERIOD = 0.1  # s, between two checks for the port
 DIAGNOSTICS_PERIOD = 1.0  # s
-SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+SUCCESS, FAILURE = (
+    TransitionCallbackReturn.SUCCESS,
+    TransitionCallbackReturn.FAILURE,
+)
 
 
 class DynamixelDriverNode(LifecycleNode):
@@ -69,8 +75,13 @@ class DynamixelDriverNode(LifecycleNode):
             "time to wait for the port [s]",
             between=(0.0, 3600.0),
         )
-        self._autostart = runtime.declare(self, "autostart", True, "configure at start")
-        self._session = make_session(brand, settings, 1.0 / rate)
+        self._autostart = runtime.declare(
+            self, "autostart", True, "configure at start"
+        )
+        angle_max = read_robot().tendon.angle_max
+        self._session = ServoSession(
+            brand.make_bus(settings), angle_max, 1.0 / rate
+        )
         self._port = self._session.bus.facts.port
         self._servo = read_servo()
         self._open = self._active = False
@@ -80,12 +91,18 @@ class DynamixelDriverNode(LifecycleNode):
         self._create_outputs()
         self._answer_invalid_transitions()
         inputs.subscribe(
-            self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL
+            self,
+            JointState,
+            "desired_joint_angles",
+            self._on_command,
+            qos.CONTROL,
         )
         inputs.subscribe(
             self, RobotState, "robot_state", self._on_robot_state, qos.STATE
         )
-        inputs.subscribe(self, ServoLimits, "servo_limits", self._on_limits, qos.STATE)
+        inputs.subscribe(
+            self, ServoLimits, "servo_limits", self._on_limits, qos.STATE
+        )
         self._port_deadline = time.monotonic() + self._port_timeout
         self._autostart_timer = runtime.wall_timer(
             self, PORT_PERIOD, self._configure_when_port_exists
@@ -94,7 +111,9 @@ class DynamixelDriverNode(LifecycleNode):
             self._autostart_timer.cancel()
 
     def _create_outputs(self) -> None:
-        self._joints = runtime.publisher(self, JointState, "joint_states", qos.SENSOR)
+        self._joints = runtime.publisher(
+            self, JointState, "joint_states", qos.SENSOR
+        )
         self._health = diagnostics.HealthReport(self, self._session)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, "diagnostics", qos.SENSOR
@@ -103,14 +122,20 @@ class DynamixelDriverNode(LifecycleNode):
         self.create_service(SetBool, "~/torque", self._on_torque)
         for leg in LEGS:
             name = leg.lower()
-            self._create_servo_service(f"~/reboot_{name}", partial(self._reboot, leg))
-            self._create_servo_service(f"~/zero_{name}", partial(self._zero, leg))
+            self._create_servo_service(
+                f"~/reboot_{name}", partial(self._reboot, leg)
+            )
+            self._create_servo_service(
+                f"~/zero_{name}", partial(self._zero, leg)
+            )
 
     def _answer_invalid_transitions(self) -> None:
         """Answer a transition that the state does not have; with rclpy 7.1 the node would end."""
         change = self._service_change_state.callback
 
-        def serve(request: ChangeState.Request, response: ChangeState.Response) -> Any:
+        def serve(
+            request: ChangeState.Request, response: ChangeState.Response
+        ) -> Any:
             try:
                 return change(request, response)
             except RuntimeError as error:  # an RCLError
@@ -184,7 +209,10 @@ class DynamixelDriverNode(LifecycleNode):
 
         A refusal of the first attempt ends the node; after an error the attempt is repeated.
         """
-        if not Path(self._port).exists() and time.monotonic() < self._port_deadline:
+        if (
+            not Path(self._port).exists()
+            and time.monotonic() < self._port_deadline
+        ):
             self.get_logger().info(
                 f"waiting for {self._port}", throttle_duration_sec=5.0
             )
@@ -196,23 +224,26 @@ class DynamixelDriverNode(LifecycleNode):
             raise SystemExit(1)
 
     def _on_command(self, message: JointState) -> None:
-        self._require_sole_publisher("desired_joint_angles")
+        watchdog = self._session.watchdog
+        inputs.require_sole_publisher(
+            self, "desired_joint_angles", watchdog.relax
+        )
         stamp, angle, rate = decode.joint_command(message)
-        if self._session.watchdog.limits is None:
+        if watchdog.limits is None:
             return  # torque is off until the supervisor has sent them
         now = self.get_clock().now().nanoseconds
-        inputs.require_present(stamp, now, self._session.watchdog.clock_jump)
-        if fault := self._session.offer(time.monotonic_ns(), stamp, angle, rate):
+        inputs.require_present(stamp, now, watchdog.clock_jump)
+        if fault := self._session.offer(
+            time.monotonic_ns(), stamp, angle, rate
+        ):
             raise ValueError(fault)
         if self._timer is not None:
             self._step()  # before the timer is due
 
     def _on_limits(self, message: ServoLimits) -> None:
-        self._require_sole_publisher("servo_limits")
-        self._session.watchdog.set_limits(decode.servo_limits(message))
-
-    def _require_sole_publisher(self, topic: str) -> None:
-        inputs.require_sole_publisher(self, topic, self._session.watchdog.relax)
+        watchdog = self._session.watchdog
+        inputs.require_sole_publisher(self, "servo_limits", watchdog.relax)
+        watchdog.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, message: RobotState) -> None:
         now = self.get_clock().now().nanoseconds
@@ -221,7 +252,11 @@ class DynamixelDriverNode(LifecycleNode):
         self._session.permit(permission)
         if permission.action is Action.OFF and self._active:
             self.trigger_deactivate()
-        elif self._timer and not self._active and self._session.may_start(permission):
+        elif (
+            self._timer
+            and not self._active
+            and self._session.may_start(permission)
+        ):
             self.trigger_activate()
 
     def _step(self) -> None:
@@ -230,7 +265,9 @@ class DynamixelDriverNode(LifecycleNode):
             self._cycle = cycle = self._session.step(time.monotonic_ns())
         except PortError as error:
             self._close()
-            self.get_logger().fatal(f"{error}; their bus watchdogs stop the servos")
+            self.get_logger().fatal(
+                f"{error}; their bus watchdogs stop the servos"
+            )
             raise SystemExit(1) from None
         if self._session.action is not before:
             self.get_logger().info(
@@ -242,7 +279,9 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _publish(self, cycle: Cycle) -> None:
         stamp = self.get_clock().now().nanoseconds
-        reading = cycle.joints(stamp, self._servo.tendon_stall(self._session.voltage))
+        reading = cycle.joints(
+            stamp, self._servo.tendon_stall(self._session.voltage)
+        )
         if reading is not None:
             self._joints.publish(messages.joints_to_msg(reading))
         self._health.publish_health(stamp)
@@ -259,23 +298,34 @@ class DynamixelDriverNode(LifecycleNode):
     ) -> SetBool.Response:
         if not request.data:
             self._session.watchdog.relax("torque switched off by the operator")
-            response.success, response.message = True, "slackening, then torque off"
+            response.success, response.message = (
+                True,
+                "slackening, then torque off",
+            )
         elif self._timer is None or self._active:
             response.message = (
                 "torque is on already" if self._active else "not configured"
             )
         else:
             response.success = self.trigger_activate() == SUCCESS
-            response.message = "torque on" if response.success else self._refusal
+            response.message = (
+                "torque on" if response.success else self._refusal
+            )
         return response
 
-    def _create_servo_service(self, name: str, action: Callable[[], str]) -> None:
+    def _create_servo_service(
+        self, name: str, action: Callable[[], str]
+    ) -> None:
         """Create a service that acts on one servo with torque off; `action` returns the answer."""
 
-        def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        def serve(
+            _: Trigger.Request, response: Trigger.Response
+        ) -> Trigger.Response:
             try:
                 if self._timer is None or self._session.bus.active:
-                    raise RefusedError(["needs a configured driver, torque off"])
+                    raise RefusedError(
+                        ["needs a configured driver, torque off"]
+                    )
                 response.success, response.message = True, action()
             except (ServoError, ConfigError, OSError) as error:
                 response.success, response.message = False, str(error)
@@ -287,7 +337,9 @@ class DynamixelDriverNode(LifecycleNode):
         """The bus, if it can; else raises RefusedError."""
         bus = self._session.bus
         if not isinstance(bus, ServoMaintenance):
-            raise RefusedError([f"servos of {bus.facts.brand} have no such service"])
+            raise RefusedError(
+                [f"servos of {bus.facts.brand} have no such service"]
+            )
         return bus
 
     def _reboot(self, leg: str) -> str:
@@ -314,22 +366,15 @@ class DynamixelDriverNode(LifecycleNode):
         """Slacken the tendons, torque off; return whether every servo has confirmed it."""
         off = self._session.stop()
         if off.complete:
-            runtime.last_logger(self).info("torque off, confirmed by every servo")
+            runtime.last_logger(self).info(
+                "torque off, confirmed by every servo"
+            )
         else:
-            runtime.last_logger(self).error("torque NOT off: " + "; ".join(off.reasons))
+            runtime.last_logger(self).error(
+                "torque NOT off: " + "; ".join(off.reasons)
+            )
         return off.complete
 
     def _close(self) -> None:
         self._open = False
         self._session.bus.close()
-
-
-def make_session(brand: Brand, settings: Any, period: float) -> ServoSession:
-    """Bus and watchdog; raises ConfigError if the settings contradict each other."""
-    angle_max = read_robot().tendon.angle_max
-    return ServoSession(brand.make_bus(settings), angle_max, period, time.sleep)
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(DynamixelDriverNode)

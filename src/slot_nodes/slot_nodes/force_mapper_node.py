@@ -29,18 +29,25 @@ class ForceMapperNode(Node):
         self._status = runtime.publisher(
             self, ForceMapStatus, "force_map/status", qos.CONTROL
         )
-        self._polled = inputs.PassiveSubscriptions(self)  # they come before their plan
-        self._polled.subscribe(MpcState, "mpc_state", self._on_state, qos.CONTROL)
+        self._polled = inputs.PassiveSubscriptions(
+            self
+        )  # they come before their plan
+        self._polled.subscribe(
+            MpcState, "mpc_state", self._on_state, qos.CONTROL
+        )
         self._polled.subscribe(
             GaitPreview, "gait_preview", self._on_preview, qos.CONTROL
         )
-        inputs.subscribe(self, TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL)
+        inputs.subscribe(
+            self, TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL
+        )
 
     def _on_state(self, message: MpcState) -> None:
         estimate = decode.estimate(message)
         inputs.require_finite("state", estimate.state)
         self._command(
-            estimate.stamp, self._inputs.add("state", estimate.stamp, estimate.state)
+            estimate.stamp,
+            self._inputs.add("state", estimate.stamp, estimate.state),
         )
 
     def _on_preview(self, message: GaitPreview) -> None:
@@ -68,12 +75,9 @@ class ForceMapperNode(Node):
         self._record.put(stamp)
         self._status.publish(messages.map_status_to_msg(stamp, command))
         if command.saturated.any():
-            legs = ", ".join(leg for leg, hit in zip(LEGS, command.saturated) if hit)
+            legs = ", ".join(
+                leg for leg, hit in zip(LEGS, command.saturated) if hit
+            )
             self.get_logger().info(
                 f"tendon angle at its limit: {legs}", throttle_duration_sec=5.0
             )
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(ForceMapperNode)

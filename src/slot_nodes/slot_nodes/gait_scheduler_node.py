@@ -18,7 +18,9 @@ from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime, stage_record
 
-SEARCH_PERIOD = 1.0  # s, between two looks for publishers of /cmd_vel of the other type
+SEARCH_PERIOD = (
+    1.0  # s, between two looks for publishers of /cmd_vel of the other type
+)
 
 
 class GaitSchedulerNode(Node):
@@ -44,20 +46,34 @@ class GaitSchedulerNode(Node):
         )
         text = "type of /cmd_vel: TwistStamped, else Twist as of Nav2 and teleop without options"
         stamped = runtime.declare(self, "stamped_cmd_vel", True, text)
-        self._wrong_type = ""  # one line on publishers of /cmd_vel of the other type
+        self._wrong_type = (
+            ""  # one line on publishers of /cmd_vel of the other type
+        )
         kind = TwistStamped if stamped else Twist
         inputs.subscribe(
-            self, kind, "cmd_vel", self._on_velocity, qos.SENSOR, overridable=True
+            self,
+            kind,
+            "cmd_vel",
+            self._on_velocity,
+            qos.SENSOR,
+            overridable=True,
         )
         runtime.wall_timer(
             self, SEARCH_PERIOD, partial(self._look_for_wrong_type, stamped)
         )
         inputs.subscribe(
-            self, PoseStamped, "body_pose", self._on_pose, qos.SENSOR, overridable=True
+            self,
+            PoseStamped,
+            "body_pose",
+            self._on_pose,
+            qos.SENSOR,
+            overridable=True,
         )
         self.create_service(SetGait, "set_gait", self._on_gait)
         self.create_service(SetBool, "~/followed", self._on_followed)
-        inputs.subscribe(self, MpcState, "mpc_state", self._on_state, qos.CONTROL)
+        inputs.subscribe(
+            self, MpcState, "mpc_state", self._on_state, qos.CONTROL
+        )
 
     def _on_state(self, message: MpcState) -> None:
         estimate = decode.estimate(message)
@@ -70,10 +86,14 @@ class GaitSchedulerNode(Node):
 
     def _look_for_wrong_type(self, stamped: bool) -> None:
         """Find publishers of /cmd_vel whose messages do not arrive, since their type is another."""
-        wrong, change = ("Twist", "false") if stamped else ("TwistStamped", "true")
+        wrong, change = (
+            ("Twist", "false") if stamped else ("TwistStamped", "true")
+        )
         found = self.get_publishers_info_by_topic("cmd_vel")
         nodes = [
-            info.node_name for info in found if info.topic_type.endswith(f"/{wrong}")
+            info.node_name
+            for info in found
+            if info.topic_type.endswith(f"/{wrong}")
         ]
         before, self._wrong_type = self._wrong_type, ""
         if nodes:
@@ -98,7 +118,9 @@ class GaitSchedulerNode(Node):
         self, request: SetGait.Request, response: SetGait.Response
     ) -> SetGait.Response:
         try:
-            self._scheduler.request(request.gait, decode.vector(request.velocity))
+            self._scheduler.request(
+                request.gait, decode.vector(request.velocity)
+            )
             response.success = True
         except ConfigError as error:
             response.message = str(error)
@@ -111,8 +133,3 @@ class GaitSchedulerNode(Node):
         self._scheduler.set_followed(request.data)
         response.success = True
         return response
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(GaitSchedulerNode)

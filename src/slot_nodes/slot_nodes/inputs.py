@@ -24,6 +24,8 @@ from slot_nodes.process.executor import PolledGroup
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.safety.watchdog import Watchdog
 
+UNKNOWN = "UNKNOWN"  # in the name of a node that DDS tells a moment later
+
 
 def subscribe(
     node: Node,
@@ -56,7 +58,9 @@ def subscribe(
     name = node.resolve_topic_name(topic)
     if intra_process.subscribe(name, receive, profile):
         return None
-    overriding = QoSOverridingOptions.with_default_policies() if overridable else None
+    overriding = (
+        QoSOverridingOptions.with_default_policies() if overridable else None
+    )
     take = _with_number(receive) if numbered else receive
     made = node.create_subscription(
         kind,
@@ -85,7 +89,9 @@ def sensor_profile(node: Node, profile: QoSProfile) -> QoSProfile:
 
 def _with_number(receive: Callable[[Any, int], None]) -> Any:
     """Callback with two arguments, to which rclpy passes the message's metadata too."""
-    return lambda message, info: receive(message, info["publication_sequence_number"])
+    return lambda message, info: receive(
+        message, info["publication_sequence_number"]
+    )
 
 
 def process_received(subscription: Subscription | None) -> None:
@@ -110,10 +116,16 @@ class PassiveSubscriptions:
         self._subscriptions: list[Subscription | None] = []
 
     def subscribe(
-        self, kind: type, topic: str, callback: Callable[..., None], profile: QoSProfile
+        self,
+        kind: type,
+        topic: str,
+        callback: Callable[..., None],
+        profile: QoSProfile,
     ) -> Subscription | None:
         """Subscribe as `inputs.subscribe`; messages of the same process come at once."""
-        made = subscribe(self._node, kind, topic, callback, profile, group=self._group)
+        made = subscribe(
+            self._node, kind, topic, callback, profile, group=self._group
+        )
         self._subscriptions.append(made)
         return made
 
@@ -156,15 +168,15 @@ def require_sole_publisher(
     name = node.resolve_topic_name(topic)
     if node.count_publishers(name) < 2:
         return
-    nodes = sorted(map(_full_name, node.get_publishers_info_by_topic(name)))
+    nodes = sorted(map(full_name, node.get_publishers_info_by_topic(name)))
     line = f"{name} has {len(nodes)} publishers, limit 1: {', '.join(nodes)}"
     relax(line)
     raise ValueError(line)
 
 
-def _full_name(endpoint: TopicEndpointInfo) -> str:
+def full_name(endpoint: TopicEndpointInfo) -> str:
     """Name of the node of a publisher, with its namespace."""
-    if "UNKNOWN" in endpoint.node_name:  # DDS has the name a moment later
+    if UNKNOWN in endpoint.node_name:
         return "a new node"
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
 
@@ -190,5 +202,7 @@ def require_nominal(preview: GaitPreview) -> None:
     for name in ("tendon_angle", "normal_force"):
         rows = getattr(preview, name)
         if rows.shape[1] != len(LEGS):
-            raise ValueError(f"{name}: {rows.shape[1]} a stage, expected {len(LEGS)}")
+            raise ValueError(
+                f"{name}: {rows.shape[1]} a stage, expected {len(LEGS)}"
+            )
         require_finite(name, rows)

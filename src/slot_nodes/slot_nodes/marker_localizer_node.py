@@ -17,7 +17,12 @@ from slot_core.estimation.state_estimator import read_estimator
 from slot_core.geometry import Transform
 from slot_core.messages import decode
 from slot_core.vision import image_message
-from slot_core.vision.camera import Camera, CameraError, from_camera_info, read_camera
+from slot_core.vision.camera import (
+    Camera,
+    CameraError,
+    from_camera_info,
+    read_camera,
+)
 from slot_core.vision.localizer import MarkerFix, MarkerLocalizer
 from slot_core.vision.settings import read_vision
 from slot_nodes import inputs, messages, qos, runtime
@@ -42,12 +47,16 @@ class MarkerLocalizerNode(Node):
             try:
                 self._use(read_camera(Path(file)))
             except CameraError as error:
-                raise ConfigError(f"marker_localizer: calibration {error}") from None
+                raise ConfigError(
+                    f"marker_localizer: calibration {error}"
+                ) from None
         else:
             inputs.subscribe(
                 self, CameraInfo, "camera/camera_info", self._on_info, profile
             )
-        inputs.subscribe(self, Image, "camera/image_raw", self._on_image, profile)
+        inputs.subscribe(
+            self, Image, "camera/image_raw", self._on_image, profile
+        )
 
     def _on_info(self, message: CameraInfo) -> None:
         """Take the calibration, and a new one if it changes."""
@@ -65,7 +74,9 @@ class MarkerLocalizerNode(Node):
         self._localizer = MarkerLocalizer(self._settings, camera, self._mount)
         self._camera = camera
         known = (
-            "" if camera.covariance is not None else ", its calibration taken as exact"
+            ""
+            if camera.covariance is not None
+            else ", its calibration taken as exact"
         )
         self.get_logger().info(
             f"camera of {camera.width} x {camera.height} px, f = {camera.focal:.1f} px,"
@@ -77,7 +88,9 @@ class MarkerLocalizerNode(Node):
             raise ValueError(
                 "no calibration: no usable /camera/camera_info has arrived"
             )
-        fix = self._localizer.locate(decode.stamp(message), image_message.grey(message))
+        fix = self._localizer.locate(
+            decode.stamp(message), image_message.grey(message)
+        )
         if isinstance(fix, MarkerFix):
             self._odometry.publish(messages.fix_to_odometry(fix))
             reason = fix.warning
@@ -89,8 +102,3 @@ class MarkerLocalizerNode(Node):
                 f"image at {to_seconds(fix.stamp):.3f} s: {reason}",
                 throttle_duration_sec=1.0,
             )
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(MarkerLocalizerNode)

@@ -23,7 +23,12 @@ from slot_core.gait import gait
 from slot_core.geometry import Transform
 from slot_core.matrices import product
 from slot_core.messages import decode
-from slot_core.robot import BASE_FRAME, FOOTPRINT_FRAME, ODOM_FRAME, TENDON_JOINTS
+from slot_core.robot import (
+    BASE_FRAME,
+    FOOTPRINT_FRAME,
+    ODOM_FRAME,
+    TENDON_JOINTS,
+)
 from slot_msgs import msg as slot_msgs
 from slot_msgs.msg import (
     ForceMapStatus,
@@ -79,7 +84,9 @@ def header(stamp: int, frame: str = ODOM_FRAME) -> Header:
 
 def prefix_frames(message: Any, prefix: str) -> None:
     """Put a prefix before the frames of a message, or of its parts; empty ones stay so."""
-    inside = [name for name in ("transforms", "markers") if hasattr(message, name)]
+    inside = [
+        name for name in ("transforms", "markers") if hasattr(message, name)
+    ]
     for part in getattr(message, inside[0]) if inside else [message]:
         if part.header.frame_id:
             part.header.frame_id = prefix + part.header.frame_id
@@ -105,7 +112,9 @@ def _quaternion(xyzw: Array) -> Quaternion:
 def odometry_to_msg(reading: OdometryReading) -> Odometry:
     """Pose in odom, twist in base_link; or that it is lost."""
     r = reading
-    return _odometry(r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity)
+    return _odometry(
+        r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity
+    )
 
 
 def fix_to_odometry(fix: MarkerFix) -> Odometry:
@@ -152,7 +161,10 @@ def camera_to_msg(stamp: int, camera: Camera) -> CameraInfo:
     """Calibration of a camera."""
     message = CameraInfo(header=header(stamp, OPTICAL_FRAME))
     message.width, message.height = camera.width, camera.height
-    message.distortion_model, message.d = camera.model, camera.distortion.tolist()
+    message.distortion_model, message.d = (
+        camera.model,
+        camera.distortion.tolist(),
+    )
     message.k, message.r = camera.matrix.ravel(), np.eye(3).ravel()
     message.p = camera.projection.ravel()
     return message
@@ -205,7 +217,9 @@ def state_to_msg(estimate: Estimate) -> MpcState:
     x = estimate.state
     return MpcState(
         header=header(estimate.stamp),
-        lead=Duration(sec=estimate.lead // SECOND, nanosec=estimate.lead % SECOND),
+        lead=Duration(
+            sec=estimate.lead // SECOND, nanosec=estimate.lead % SECOND
+        ),
         rpy=_vector(x[0:3]),
         position=_vector(x[3:6]),
         angular_velocity=_vector(x[6:9]),
@@ -236,7 +250,9 @@ def mounts_to_tf(*mounts: Mount) -> TFMessage:
     """Transforms from base_link to the frames of sensors; none for a sensor in base_link."""
     return TFMessage(
         transforms=[
-            _transform(header(0, BASE_FRAME), m.frame, Transform.of(m.position, m.rpy))
+            _transform(
+                header(0, BASE_FRAME), m.frame, Transform.of(m.position, m.rpy)
+            )
             for m in mounts
             if m.frame != BASE_FRAME
         ]
@@ -305,7 +321,9 @@ def plan_to_msg(
     changes: settings of the policy that were changed while it ran, by dotted name.
     """
     report = vars(plan.report)
-    arrays = [name for name, value in report.items() if isinstance(value, np.ndarray)]
+    arrays = [
+        name for name, value in report.items() if isinstance(value, np.ndarray)
+    ]
     return TendonPlan(
         header=header(preview.stamp),
         dt=preview.dt,
@@ -381,6 +399,10 @@ def robot_state_to_msg(stamp: int, report: Report) -> RobotState:
     )
 
 
-def gait_request(name: str, v_x: float, v_y: float, yaw_rate: float) -> SetGait.Request:
+def gait_request(
+    name: str, v_x: float, v_y: float, yaw_rate: float
+) -> SetGait.Request:
     """Request of a gait at a velocity (m/s) and yaw rate (rad/s) in base_link."""
-    return SetGait.Request(gait=name, velocity=Vector3(x=v_x, y=v_y, z=yaw_rate))
+    return SetGait.Request(
+        gait=name, velocity=Vector3(x=v_x, y=v_y, z=yaw_rate)
+    )

@@ -38,24 +38,40 @@ class MpcControllerNode(Node):
         simulated = self.get_parameter(
             "use_sim_time"
         ).value  # a plan takes no simulated time
-        robot, timer = read_robot(), (lambda: 0.0) if simulated else time.perf_counter
+        robot, timer = (
+            read_robot(),
+            (lambda: 0.0) if simulated else time.perf_counter,
+        )
         self._policy = TunedPolicy(
             lambda settings: kind(robot, settings, timer), settings
         )
         self._record = stage_record.Recorder(self, self._policy)
         self._names = {setting for setting, _, _ in config.leaves(settings)}
         self._pace, self._stamp = Pace(), 0
-        self._preparation = runtime.wall_timer(self, PREPARE_AFTER, self._prepare)
+        self._preparation = runtime.wall_timer(
+            self, PREPARE_AFTER, self._prepare
+        )
         self._preparation.cancel()
         self._inputs = TimeSynchronizer("state", "preview")
-        self._plans = runtime.publisher(self, TendonPlan, "tendon_plan", qos.CONTROL)
-        inputs.subscribe(
-            self, MpcState, "mpc_state", self._on_state, qos.STATE, numbered=True
+        self._plans = runtime.publisher(
+            self, TendonPlan, "tendon_plan", qos.CONTROL
         )
-        inputs.subscribe(self, GaitPreview, "gait_preview", self._on_preview, qos.STATE)
+        inputs.subscribe(
+            self,
+            MpcState,
+            "mpc_state",
+            self._on_state,
+            qos.STATE,
+            numbered=True,
+        )
+        inputs.subscribe(
+            self, GaitPreview, "gait_preview", self._on_preview, qos.STATE
+        )
         self.add_on_set_parameters_callback(self._on_parameters)
 
-    def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
+    def _on_parameters(
+        self, parameters: list[Parameter]
+    ) -> SetParametersResult:
         """Change settings of the policy, or say why not."""
         given = {
             p.name: runtime.plain_value(p.value)
@@ -72,7 +88,9 @@ class MpcControllerNode(Node):
 
     def _on_state(self, message: MpcState, number: int) -> None:
         estimate = decode.estimate(message)
-        self._step(self._inputs.add("state", estimate.stamp, (number, estimate)))
+        self._step(
+            self._inputs.add("state", estimate.stamp, (number, estimate))
+        )
 
     def _on_preview(self, message: GaitPreview) -> None:
         preview = decode.preview(message)
@@ -104,8 +122,3 @@ class MpcControllerNode(Node):
     def _prepare(self) -> None:
         self._preparation.cancel()
         self._policy.prepare()
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(MpcControllerNode)

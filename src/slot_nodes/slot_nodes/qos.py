@@ -12,7 +12,12 @@ from __future__ import annotations
 from copy import copy
 from typing import TYPE_CHECKING
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.recording.record_settings import RecordedTopic
@@ -25,7 +30,10 @@ def _profile(
 ) -> QoSProfile:
     last = HistoryPolicy.KEEP_LAST
     return QoSProfile(
-        reliability=reliability, durability=durability, history=last, depth=depth
+        reliability=reliability,
+        durability=durability,
+        history=last,
+        depth=depth,
     )
 
 
@@ -57,4 +65,6 @@ def best_effort(profile: QoSProfile) -> QoSProfile:
 def recorded(topic: RecordedTopic, depth: int) -> QoSProfile:
     """Profile of a subscription to a topic of `config/record.yaml`."""
     durability = DurabilityPolicy[topic.durability.upper()]
-    return _profile(depth, durability, ReliabilityPolicy[topic.reliability.upper()])
+    return _profile(
+        depth, durability, ReliabilityPolicy[topic.reliability.upper()]
+    )

@@ -30,7 +30,7 @@ from slot_core.recording.record_settings import (
     read_record_settings,
     root_of,
 )
-from slot_nodes import messages, qos, runtime
+from slot_nodes import inputs, messages, qos, runtime
 from slot_nodes.process.executor import DirectExecutor
 
 SENSORS = (  # types of which drivers publish best effort
@@ -40,7 +40,6 @@ SENSORS = (  # types of which drivers publish best effort
     "sensor_msgs/msg/Imu",
 )
 NODES = "recorded_nodes"  # topic in the bag alone: nodes by the topic that they publish
-UNKNOWN = "UNKNOWN"  # in the name of a node that DDS has not told yet
 ANNOUNCEMENT = 1.0  # s, between two messages that it records
 
 
@@ -64,7 +63,9 @@ class RecorderNode(Node):
             self, "about", "{}", "arguments of the graph, JSON: kept in the bag"
         )
         try:
-            self._bag = BagWriter(path, self._settings, origin_here(json.loads(about)))
+            self._bag = BagWriter(
+                path, self._settings, origin_here(json.loads(about))
+            )
         except (BagError, OSError) as error:
             raise config.ConfigError(str(error)) from None
         self._best_effort = runtime.declare(
@@ -76,7 +77,11 @@ class RecorderNode(Node):
         self._recorded = {
             n: self._listen(n, t) for n, t in self._settings.topics.items()
         }
-        self._awaited = [s for s in self._recorded.values() if _is_latched(s)]
+        self._awaited = [
+            s
+            for s in self._recorded.values()
+            if s.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        ]
         self._recording = self.create_publisher(Bool, "recording", qos.STATE)
         self._announced = -math.inf  # s, monotonic
         self._nodes: dict[str, set[str]] = {}  # that have published each topic
@@ -121,7 +126,9 @@ class RecorderNode(Node):
         now = time.monotonic()
         if now - self._announced < ANNOUNCEMENT:
             return
-        self._awaited = [s for s in self._awaited if not s.get_publisher_count()]
+        self._awaited = [
+            s for s in self._awaited if not s.get_publisher_count()
+        ]
         if not self._awaited:
             self._recording.publish(Bool(data=True))
             self._announced = now
@@ -131,8 +138,11 @@ class RecorderNode(Node):
         before = {topic: set(nodes) for topic, nodes in self._nodes.items()}
         for topic in self._recorded:
             found = self.get_publishers_info_by_topic(topic)
-            names = {f"{i.node_namespace.rstrip('/')}/{i.node_name}" for i in found}
-            known = {name for name in names if UNKNOWN not in name}
+            known = {
+                inputs.full_name(i)
+                for i in found
+                if inputs.UNKNOWN not in i.node_name
+            }
             if known:
                 self._nodes.setdefault(topic, set()).update(known)
         if self._nodes != before:
@@ -160,12 +170,3 @@ class RecorderNode(Node):
         # rclpy also passes the second argument; its annotation has only the first
         write = cast(Any, partial(self._write, name))
         return self.create_subscription(kind, name, write, profile, raw=True)
-
-
-def _is_latched(subscription: Subscription) -> bool:
-    return subscription.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(RecorderNode, RecorderNode.serve)

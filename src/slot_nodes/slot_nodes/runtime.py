@@ -15,7 +15,11 @@ from typing import Any, TypeVar, cast
 
 import rclpy
 import rclpy.utilities
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+)
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import ParameterException
@@ -95,14 +99,18 @@ class Interrupt:
         self.received = True
         if self._raises:
             self._raises = False  # a Ctrl-C to the process group comes twice
-            signal.setitimer(signal.ITIMER_REAL, INTERRUPT_PERIOD, INTERRUPT_PERIOD)
+            signal.setitimer(
+                signal.ITIMER_REAL, INTERRUPT_PERIOD, INTERRUPT_PERIOD
+            )
             raise KeyboardInterrupt
 
     def _raise(self, number: int, frame: Any) -> None:
         raise KeyboardInterrupt
 
 
-def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> None:
+def run(
+    make_node: Callable[[], Any], serve: Callable[[Any], None] = spin
+) -> None:
     """Serve a node or several until SIGINT, SIGTERM or `SystemExit`; exit code 0 unless it failed.
 
     An unusable configuration ends the process with one line and exit code 2.
@@ -113,7 +121,9 @@ def run(make_node: Callable[[], Any], serve: Callable[[Any], None] = spin) -> No
         with interrupt:
             try:
                 rclpy.init()  # its handlers of signals call those set before
-            except RuntimeError as error:  # arguments that are not YAML, a wrong domain
+            except (
+                RuntimeError
+            ) as error:  # arguments that are not YAML, a wrong domain
                 raise config.ConfigError(error) from None
             node = make_node()
             for one in getattr(node, "nodes", [node]):
@@ -174,7 +184,8 @@ def fix_clock(node: Node) -> None:
     text = "whether the time is that of /clock"
     kind = Parameter.Type.BOOL.value
     node.set_descriptor(
-        "use_sim_time", ParameterDescriptor(type=kind, description=text, read_only=True)
+        "use_sim_time",
+        ParameterDescriptor(type=kind, description=text, read_only=True),
     )
 
 
@@ -197,7 +208,9 @@ def declare_settings(
             **_descriptor(meta, value),
         )
         changes[name] = plain_value(given)
-    return config.replace(settings, changes, where=f"parameters of {node.get_name()}")
+    return config.replace(
+        settings, changes, where=f"parameters of {node.get_name()}"
+    )
 
 
 def plain_value(value: Any) -> Any:
@@ -222,7 +235,9 @@ def declare(
     return node.declare_parameter(
         name,
         default,
-        ParameterDescriptor(description=description, read_only=read_only, **descriptor),
+        ParameterDescriptor(
+            description=description, read_only=read_only, **descriptor
+        ),
     ).value
 
 
@@ -239,22 +254,33 @@ class PrefixedPublisher(Publisher):
         super().publish(msg)
 
 
-def publisher(node: Node, kind: type, topic: str, profile: QoSProfile) -> Publisher:
+def publisher(
+    node: Node, kind: type, topic: str, profile: QoSProfile
+) -> Publisher:
     """Create a publisher of messages with frames; the parameter `frame_prefix` is put before them.
 
     With prefixes like fred/ the frames of several robots can share one tree of transforms.
     """
     name = "frame_prefix"
     if not node.has_parameter(name):
-        declare(node, name, "", "prefix of the frames in messages, for example fred/")
+        declare(
+            node,
+            name,
+            "",
+            "prefix of the frames in messages, for example fred/",
+        )
     prefix = node.get_parameter(name).value
-    made = cast(Any, partial(PrefixedPublisher, prefix)) if prefix else Publisher
+    made = (
+        cast(Any, partial(PrefixedPublisher, prefix)) if prefix else Publisher
+    )
     return intra_process.publisher(
         node.create_publisher(kind, topic, profile, publisher_class=made)
     )
 
 
-def wall_timer(node: Node, period: float, callback: Callable[[], None]) -> Timer:
+def wall_timer(
+    node: Node, period: float, callback: Callable[[], None]
+) -> Timer:
     """Create a timer on the steady clock: under `use_sim_time` the ROS clock may stand still."""
     return node.create_timer(
         period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME)
@@ -271,11 +297,15 @@ def _descriptor(meta: Mapping[str, Any], value: Any) -> dict[str, Any]:
     unit = f" [{meta['unit']}]" if meta.get("unit") else ""
     descriptor: dict[str, Any] = {"description": meta["doc"] + unit}
     if "options" in meta:
-        descriptor["additional_constraints"] = "one of " + ", ".join(meta["options"])
+        descriptor["additional_constraints"] = "one of " + ", ".join(
+            meta["options"]
+        )
     if type(value) in _RANGES and all(
         math.isfinite(meta[end]) for end in ("low", "high")
     ):
-        descriptor["between"] = tuple(type(value)(meta[end]) for end in ("low", "high"))
+        descriptor["between"] = tuple(
+            type(value)(meta[end]) for end in ("low", "high")
+        )
     return descriptor
 
 

@@ -45,7 +45,12 @@ from slot_core.robot import read_robot
 from slot_core.safety.states import Action
 from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_bus import JointReading, RefusedError
-from slot_core.simulation.clocks import PATIENCE, BusClock, LockstepClock, RealTimeClock
+from slot_core.simulation.clocks import (
+    PATIENCE,
+    BusClock,
+    LockstepClock,
+    RealTimeClock,
+)
 from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.readings import (
     ImageReading,
@@ -68,15 +73,15 @@ from slot_nodes import diagnostics, inputs, messages, qos, runtime
 FROZEN_PERIOD = 0.1  # s, between two readings of the frozen robot in lockstep
 REAL_TIME_PERIOD = 0.002  # s, between two advances of the simulation
 PORTION = 20_000_000  # ns, longest simulation per callback, so that commands are taken between
-BUS_PORTION = (
-    4_000_000  # ns, so that the time of the servos stays close to that of the driver
-)
+BUS_PORTION = 4_000_000  # ns, so that the time of the servos stays close to that of the driver
 RECORDER = "recorder"
 IMAGES = "camera/image_raw"  # not recorded
 MATCH_TIMEOUT = (
     5.0  # s; a subscriber that is not matched then misses the first readings
 )
-WAIT_REPORT = 5.0  # s, between two lines that say what the first readings wait for
+WAIT_REPORT = (
+    5.0  # s, between two lines that say what the first readings wait for
+)
 LAG_WARNING = 100_000_000  # ns behind real time
 PACE_WINDOW = 1.0  # s
 
@@ -99,9 +104,7 @@ class SimRobotNode(Node):
         )
         self._is_recording = False
         self._matching_since: float | None = None  # s, monotonic
-        text = (
-            "directory for the state of a diverged simulation; empty: working directory"
-        )
+        text = "directory for the state of a diverged simulation; empty: working directory"
         self._dump = runtime.declare(self, "dump", "", text)
         self._scene = scene
         text = "port of emulated servos, in lockstep without one; empty: servos of servo.yaml"
@@ -114,7 +117,10 @@ class SimRobotNode(Node):
             "preparing; a first start compiles the dynamics, about 10 s"
         )
         try:
-            robot, rng = read_robot(settings.parameters), np.random.default_rng(seed)
+            robot, rng = (
+                read_robot(settings.parameters),
+                np.random.default_rng(seed),
+            )
             emulate = read_brand().emulate if link else None
             self._plant = RobotSimulator(robot, settings, servo, rng, emulate)
         except DivergenceError as error:
@@ -125,8 +131,14 @@ class SimRobotNode(Node):
         self._action: Action | None = None  # of the servos, as last logged
         self._create_publishers()
         self.create_service(InjectFault, "~/inject", self._on_inject)
-        self.create_subscription(Bool, "recording", self._on_recording, qos.STATE)
-        period = FROZEN_PERIOD if self._lockstep else settings.sensors.odometry.period
+        self.create_subscription(
+            Bool, "recording", self._on_recording, qos.STATE
+        )
+        period = (
+            FROZEN_PERIOD
+            if self._lockstep
+            else settings.sensors.odometry.period
+        )
         self._timer = runtime.wall_timer(self, period, self._publish_at_rest)
         self._servos = self._make_servos(link)
         self._time = self._make_clock()
@@ -151,18 +163,28 @@ class SimRobotNode(Node):
         on_state = partial(self._on_robot_state, servos)
 
         def on_limits(message: ServoLimits) -> None:
-            inputs.require_sole_publisher(self, "servo_limits", servos.watchdog.relax)
+            inputs.require_sole_publisher(
+                self, "servo_limits", servos.watchdog.relax
+            )
             servos.watchdog.set_limits(decode.servo_limits(message))
 
         inputs.subscribe(
-            self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL
+            self,
+            JointState,
+            "desired_joint_angles",
+            self._on_command,
+            qos.CONTROL,
         )
         inputs.subscribe(self, RobotState, "robot_state", on_state, qos.STATE)
-        inputs.subscribe(self, ServoLimits, "servo_limits", on_limits, qos.STATE)
+        inputs.subscribe(
+            self, ServoLimits, "servo_limits", on_limits, qos.STATE
+        )
         return servos
 
     def _create_publishers(self) -> None:
-        self._clock_topic = self.create_publisher(ClockMessage, "clock", qos.CLOCK)
+        self._clock_topic = self.create_publisher(
+            ClockMessage, "clock", qos.CLOCK
+        )
         made = partial(runtime.publisher, self)
         self._outputs: dict[type, tuple[Publisher, Callable[..., Any]]] = {
             ImuReading: (made(Imu, "imu", qos.SENSOR), messages.imu_to_msg),
@@ -174,7 +196,9 @@ class SimRobotNode(Node):
         if self._lockstep:
             self._outputs[StampedHealth] = (
                 made(ServoHealth, "servo_health", qos.SENSOR),
-                lambda report: messages.health_to_msg(report.stamp, report.health),
+                lambda report: messages.health_to_msg(
+                    report.stamp, report.health
+                ),
             )
         self._camera_info = None
         if self._plant.camera is None:
@@ -183,7 +207,9 @@ class SimRobotNode(Node):
         else:
             image = made(Image, IMAGES, qos.IMAGE)
             self._outputs[ImageReading] = image, messages.image_to_msg
-            self._camera_info = made(CameraInfo, "camera/camera_info", qos.IMAGE)
+            self._camera_info = made(
+                CameraInfo, "camera/camera_info", qos.IMAGE
+            )
         self._truth = made(Odometry, "ground_truth/odom", qos.SENSOR)
         self._legs = made(LegStates, "ground_truth/legs", qos.SENSOR)
 
@@ -216,7 +242,11 @@ class SimRobotNode(Node):
             return "the servos: torque on, or the limits of the supervisor"
         now = time.monotonic()
         self._matching_since = self._matching_since or now
-        return "" if now - self._matching_since > MATCH_TIMEOUT else self._unmatched()
+        return (
+            ""
+            if now - self._matching_since > MATCH_TIMEOUT
+            else self._unmatched()
+        )
 
     def _unmatched(self) -> str:
         """A topic with a discovered subscriber that would not receive the next message, or "".
@@ -229,11 +259,10 @@ class SimRobotNode(Node):
         for publisher in (*publishers, self._truth, self._legs):
             readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
             if (matched := publisher.get_subscription_count()) < len(readers):
-                return (
-                    f"{matched} of {len(readers)} subscribers to {publisher.topic_name}"
-                )
-            recorded = self._waits_for_recorder and not publisher.topic_name.endswith(
-                IMAGES
+                return f"{matched} of {len(readers)} subscribers to {publisher.topic_name}"
+            recorded = (
+                self._waits_for_recorder
+                and not publisher.topic_name.endswith(IMAGES)
             )
             if recorded and RECORDER not in {r.node_name for r in readers}:
                 return f"the recorder at {publisher.topic_name}"
@@ -242,10 +271,14 @@ class SimRobotNode(Node):
     def _on_recording(self, message: Bool) -> None:
         self._is_recording = True
 
-    def _on_robot_state(self, servos: SimulatedServos, message: RobotState) -> None:
+    def _on_robot_state(
+        self, servos: SimulatedServos, message: RobotState
+    ) -> None:
         permission = decode.permission(message, self._servo_time())
         try:
-            inputs.require_supervisor(self, message, self._now(), servos.watchdog)
+            inputs.require_supervisor(
+                self, message, self._now(), servos.watchdog
+            )
             servos.permit(permission)
         finally:
             self._continue(StampedHealth, decode.stamp(message))
@@ -255,7 +288,9 @@ class SimRobotNode(Node):
         try:
             relax = self._servos.watchdog.relax
             inputs.require_sole_publisher(self, "desired_joint_angles", relax)
-            inputs.require_present(stamp, self._now(), self._servos.watchdog.clock_jump)
+            inputs.require_present(
+                stamp, self._now(), self._servos.watchdog.clock_jump
+            )
             self._servos.offer(self._servo_time(), stamp, angle, rate)
         finally:
             self._continue(OdometryReading, stamp)
@@ -274,10 +309,9 @@ class SimRobotNode(Node):
 
     def _start(self) -> None:
         """Start the robot's time, in real time."""
-        assert isinstance(self._time, RealTimeClock)
         self._frozen = False
         self.destroy_timer(self._timer)
-        self._time.start(self._now())
+        self._plant.start(self._now())
         self._timer = runtime.wall_timer(
             self, REAL_TIME_PERIOD, self._advance_to_present
         )
@@ -288,7 +322,7 @@ class SimRobotNode(Node):
         now = self._now()
         assert isinstance(self._time, RealTimeClock)
         self._speed.add(to_seconds(now), to_seconds(self._plant.now))
-        if (lag := self._time.lag(now)) > LAG_WARNING:
+        if (lag := now - self._plant.now) > LAG_WARNING:
             share = 100 * self._speed.until(to_seconds(now))
             self.get_logger().warning(
                 f"simulation is {to_seconds(lag):.2f} s behind real time, at {share:.0f} % of it"
@@ -324,7 +358,9 @@ class SimRobotNode(Node):
             self._end_diverged(error)
 
     def _end_diverged(self, error: DivergenceError) -> NoReturn:
-        self._frozen = True  # time stops while the driver switches the servos off
+        self._frozen = (
+            True  # time stops while the driver switches the servos off
+        )
         self.get_logger().fatal(f"{error}; {self._save_state(error)}")
         raise SystemExit(1) from None
 
@@ -373,7 +409,9 @@ class SimRobotNode(Node):
         if isinstance(reading, StampedHealth):
             if reading.health is None:
                 assert isinstance(self._servos, BusServos)
-                reason = f"{self._servos.end}; their bus watchdogs stop the servos"
+                reason = (
+                    f"{self._servos.end}; their bus watchdogs stop the servos"
+                )
                 self.get_logger().fatal(reason)
                 raise SystemExit(1)
             self._log_action(reading.health.action, reading.health.reason)
@@ -381,7 +419,9 @@ class SimRobotNode(Node):
             self._truth.publish(messages.odometry_to_msg(reading.odometry))
             self._legs.publish(messages.legs_to_msg(reading))
         else:
-            if self._camera_info is not None and isinstance(reading, ImageReading):
+            if self._camera_info is not None and isinstance(
+                reading, ImageReading
+            ):
                 assert self._plant.camera is not None
                 info = messages.camera_to_msg(reading.stamp, self._plant.camera)
                 self._camera_info.publish(info)
@@ -390,13 +430,12 @@ class SimRobotNode(Node):
 
     def _now(self) -> int:
         """Time of the messages' clock, ns; in lockstep this robot's own."""
-        return self._plant.now if self._lockstep else self.get_clock().now().nanoseconds
+        return (
+            self._plant.now
+            if self._lockstep
+            else self.get_clock().now().nanoseconds
+        )
 
     def _servo_time(self) -> int:
         """Time of a clock that never goes back, ns."""
         return self._plant.now if self._lockstep else time.monotonic_ns()
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(SimRobotNode)

@@ -26,9 +26,7 @@ class Recorder:
         self._stamps: list[int] = []
         self._output = 0  # ns, stamp of the last output
         self._due = 0  # ns, of such stamps: of the next key frame
-        self._settled = (
-            0  # ns, of such stamps: from which on every subscriber hears all topics
-        )
+        self._settled = 0  # ns, of such stamps: from which on every subscriber hears all topics
         self._subscribers, self._waits = 0, False
         self._afterwards = intra_process.afterwards()
         self._records = runtime.publisher(
@@ -70,7 +68,9 @@ class Recorder:
             self._publish(state)
 
     def _publish(self, state: str) -> None:
-        record = StageRecord(header=messages.header(self._output), node=self._name)
+        record = StageRecord(
+            header=messages.header(self._output), node=self._name
+        )
         record.number, record.taken, record.stamp = (
             self._number,
             self._taken,

@@ -29,7 +29,9 @@ class StateEstimatorNode(Node):
         self._estimator = StateEstimator(settings)
         self._in_base_axes = not any(settings.mounts.imu.rpy)
         self._record = stage_record.Recorder(self, self._estimator)
-        self._state = runtime.publisher(self, MpcState, "mpc_state", qos.CONTROL)
+        self._state = runtime.publisher(
+            self, MpcState, "mpc_state", qos.CONTROL
+        )
         self._tf = runtime.publisher(self, TFMessage, "tf", qos.SENSOR)
         self._filtered = runtime.publisher(
             self, Odometry, "odometry/filtered", qos.SENSOR
@@ -45,7 +47,9 @@ class StateEstimatorNode(Node):
         inputs.subscribe(self, Odometry, "odom", self._on_odometry, profile)
 
     def _on_imu(self, message: Imu) -> None:
-        if self._in_base_axes and message.header.frame_id.endswith("optical_frame"):
+        if self._in_base_axes and message.header.frame_id.endswith(
+            "optical_frame"
+        ):
             self.get_logger().warning(
                 f"imu in {message.header.frame_id}, z forward: mounts.imu.rpy of estimator.yaml"
                 " has zeros, which is z up",
@@ -83,14 +87,12 @@ class StateEstimatorNode(Node):
     def _publish_rest(self, estimate: Estimate) -> None:
         """Publish the outputs for which no command waits."""
         self._tf.publish(messages.state_to_tf(estimate))
-        self._diagnostics.publish(estimate.stamp, partial(self._describe, estimate))
+        self._diagnostics.publish(
+            estimate.stamp, partial(self._describe, estimate)
+        )
 
     def _describe(self, estimate: Estimate) -> DiagnosticArray:
-        incline = self._estimator.incline
-        status = diagnostics.of_estimator(estimate.validity, incline)
+        status = diagnostics.of_estimator(
+            estimate.validity, self._estimator.incline
+        )
         return diagnostics.array(estimate.stamp, [status])
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(StateEstimatorNode)

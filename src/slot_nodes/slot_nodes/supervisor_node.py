@@ -31,7 +31,11 @@ from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import RELEASED, Request, State
 from slot_core.safety.supervisor import PERIOD, Report, Supervisor
 from slot_core.safety.tendon_watch import read_tendon_watch
-from slot_core.safety.ticked_supervisor import LockstepInputs, StartUp, TickedSupervisor
+from slot_core.safety.ticked_supervisor import (
+    LockstepInputs,
+    StartUp,
+    TickedSupervisor,
+)
 from slot_core.safety.watchdog import ServoHealth as Health
 from slot_msgs.msg import (
     EmergencyStop,
@@ -76,13 +80,19 @@ class SupervisorNode(Node):
         autostart = runtime.declare(
             self, "autostart", False, "stand up and walk without requests"
         )
-        self._start_up = StartUp(*self._start_up_requests() if autostart else ())
+        walk = [Request.WALK] * (self._walk.gait != STAND)
+        steps = [Request.READY, Request.STAND, *walk] if autostart else []
+        self._start_up = StartUp(*steps)
         self._ticked = TickedSupervisor(self._supervisor, self._start_up)
         self._gathered = LockstepInputs()
         self._last: Report | None = None
-        self._state = runtime.publisher(self, RobotState, "robot_state", qos.STATE)
+        self._state = runtime.publisher(
+            self, RobotState, "robot_state", qos.STATE
+        )
         self._diagnostics = SupervisorDiagnostics(self, robot.mass)
-        self._limits = self.create_publisher(ServoLimits, "servo_limits", qos.STATE)
+        self._limits = self.create_publisher(
+            ServoLimits, "servo_limits", qos.STATE
+        )
         self._servo_limits = messages.limits_to_msg(settings.servo_limits)
         self._send_limits()
         runtime.wall_timer(self, LIMITS_PERIOD, self._send_limits)
@@ -110,8 +120,12 @@ class SupervisorNode(Node):
             self.create_service(Trigger, f"~/{request.name.lower()}", serve)
         self.create_service(ForgetSource, "~/forget", self._on_forget)
         if not self._lockstep:
-            runtime.wall_timer(self, settings.timing.estop / 2, self._press_unheard)
-        runtime.wall_timer(self, PERIOD, self._send if self._lockstep else self._step)
+            runtime.wall_timer(
+                self, settings.timing.estop / 2, self._press_unheard
+            )
+        runtime.wall_timer(
+            self, PERIOD, self._send if self._lockstep else self._step
+        )
 
     def _send_limits(self) -> None:
         """Publish the limits; repeated, since servos that have missed them accept no command."""
@@ -119,8 +133,13 @@ class SupervisorNode(Node):
 
     def _look_for_nodes(self) -> None:
         """Look which nodes of this namespace are there."""
-        here, present = self.get_namespace(), self.get_node_names_and_namespaces()
-        self._supervisor.receive_nodes(name for name, space in present if space == here)
+        here, present = (
+            self.get_namespace(),
+            self.get_node_names_and_namespaces(),
+        )
+        self._supervisor.receive_nodes(
+            name for name, space in present if space == here
+        )
 
     def _declare_gait(self) -> SetGait.Request:
         """Declare gait and velocity of WALKING; raises ConfigError if they do not fit."""
@@ -129,16 +148,19 @@ class SupervisorNode(Node):
             self, "gait", STAND, "gait of WALKING, a file of config/gait"
         )
         v_x = runtime.declare(
-            self, "v_x", gaits.find(gait).cruise, "forward velocity of WALKING [m/s]"
+            self,
+            "v_x",
+            gaits.find(gait).cruise,
+            "forward velocity of WALKING [m/s]",
         )
-        v_y = runtime.declare(self, "v_y", 0.0, "lateral velocity of WALKING [m/s]")
-        turn = runtime.declare(self, "yaw_rate", 0.0, "yaw rate of WALKING [rad/s]")
+        v_y = runtime.declare(
+            self, "v_y", 0.0, "lateral velocity of WALKING [m/s]"
+        )
+        turn = runtime.declare(
+            self, "yaw_rate", 0.0, "yaw rate of WALKING [rad/s]"
+        )
         gaits.require_velocity(gait, np.array([v_x, v_y, turn]))
         return messages.gait_request(gait, v_x, v_y, turn)
-
-    def _start_up_requests(self) -> list[Request]:
-        walks = self._walk.gait != STAND
-        return [Request.READY, Request.STAND, *[Request.WALK][:walks]]
 
     def _subscribe_to_controller(self) -> None:
         """Subscribe to the controller; a silent gait scheduler shows as missing plans.
@@ -148,22 +170,38 @@ class SupervisorNode(Node):
         that took 0.9 of 8 ms from odometry to command.
         """
         self._hears_controller = True
-        self._polled.subscribe(MpcState, "mpc_state", self._on_state, qos.CONTROL)
-        self._polled.subscribe(TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL)
+        self._polled.subscribe(
+            MpcState, "mpc_state", self._on_state, qos.CONTROL
+        )
+        self._polled.subscribe(
+            TendonPlan, "tendon_plan", self._on_plan, qos.CONTROL
+        )
         inputs.subscribe(
-            self, JointState, "desired_joint_angles", self._on_command, qos.CONTROL
+            self,
+            JointState,
+            "desired_joint_angles",
+            self._on_command,
+            qos.CONTROL,
         )
 
     def _subscribe_to_robot(self) -> None:
         self._joints = self._polled.subscribe(
             JointState, "joint_states", self._on_joints, qos.SENSOR
         )
-        inputs.subscribe(self, ServoHealth, "servo_health", self._on_health, qos.SENSOR)
-        inputs.subscribe(self, EmergencyStop, "estop", self._on_estop, qos.SENSOR)
+        inputs.subscribe(
+            self, ServoHealth, "servo_health", self._on_health, qos.SENSOR
+        )
+        inputs.subscribe(
+            self, EmergencyStop, "estop", self._on_estop, qos.SENSOR
+        )
 
     def _now(self) -> int:
         """Time of the messages' clock, ns; in lockstep the time of the last step."""
-        return self._stepped if self._lockstep else self.get_clock().now().nanoseconds
+        return (
+            self._stepped
+            if self._lockstep
+            else self.get_clock().now().nanoseconds
+        )
 
     def _take(
         self, source: str, stamp: int, take: Callable[..., Any], *given: Any
@@ -182,24 +220,34 @@ class SupervisorNode(Node):
         self._take("state_estimator", estimate.stamp, receive, estimate)
 
     def _on_plan(self, message: TendonPlan) -> None:
-        self._take("mpc_controller", decode.stamp(message), self._receive_plan, message)
+        self._take(
+            "mpc_controller", decode.stamp(message), self._receive_plan, message
+        )
 
     def _receive_plan(self, now: int, plan: TendonPlan) -> None:
         self._diagnostics.plan = plan
-        given = plan.status, plan.fallback_cycles, plan.period
-        self._supervisor.receive_mpc(now, *given)
+        self._supervisor.receive_mpc(
+            now, plan.status, plan.fallback_cycles, plan.period
+        )
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
         receive = self._supervisor.receive_command
-        if fault := self._take("force_mapper", stamp, receive, stamp, angle, rate):
+        if fault := self._take(
+            "force_mapper", stamp, receive, stamp, angle, rate
+        ):
             self._step()
             raise ValueError(fault)
 
     def _on_joints(self, message: JointState) -> None:
         stamp, angle, torque = decode.joint_loads(message)
         self._take(
-            "joints", stamp, self._supervisor.receive_joints, stamp, angle, torque
+            "joints",
+            stamp,
+            self._supervisor.receive_joints,
+            stamp,
+            angle,
+            torque,
         )
 
     def _on_health(self, message: ServoHealth) -> None:
@@ -214,7 +262,9 @@ class SupervisorNode(Node):
         """Take the e-stop; in lockstep no released source is missed: it sends in real time."""
         source, pressed, leaving = decode.emergency_stop(message)
         leaving = leaving or self._lockstep
-        self._supervisor.receive_estop(self._now(), source, pressed, leaving=leaving)
+        self._supervisor.receive_estop(
+            self._now(), source, pressed, leaving=leaving
+        )
         if pressed:
             self._step()
 
@@ -223,12 +273,16 @@ class SupervisorNode(Node):
         for endpoint in self.get_publishers_info_by_topic("estop"):
             if endpoint.topic_type != ESTOP_TYPE:
                 source = f"a publisher of {endpoint.topic_type}"
-                self._supervisor.receive_estop(self._now(), source, pressed=True)
+                self._supervisor.receive_estop(
+                    self._now(), source, pressed=True
+                )
 
     def _on_forget(
         self, request: ForgetSource.Request, response: ForgetSource.Response
     ) -> ForgetSource.Response:
-        response.message = self._supervisor.forget_estop(self._now(), request.source)
+        response.message = self._supervisor.forget_estop(
+            self._now(), request.source
+        )
         response.success = not response.message
         return response
 
@@ -244,12 +298,16 @@ class SupervisorNode(Node):
         """Step and publish the state; in lockstep do nothing, since the reports lead to steps."""
         if self._lockstep:
             return
-        if not self._hears_controller and all(map(self.count_publishers, CONTROLLER)):
+        if not self._hears_controller and all(
+            map(self.count_publishers, CONTROLLER)
+        ):
             self._subscribe_to_controller()
         self._polled.take()
         now = self._now()
         if waiting := self._start_up.request_next(self._supervisor, now):
-            self.get_logger().info(waiting, throttle_duration_sec=5.0, skip_first=True)
+            self.get_logger().info(
+                waiting, throttle_duration_sec=5.0, skip_first=True
+            )
         report = self._diagnostics.with_remark(self._supervisor.step(now))
         self._note(report)
         self._state.publish(messages.robot_state_to_msg(now, report))
@@ -265,7 +323,9 @@ class SupervisorNode(Node):
             return
         self._awaited, self._stepped = None, stamp
         self._gathered.pass_to(self._ticked, health)
-        self._unsent = self._diagnostics.with_remark(self._ticked.step(stamp, health))
+        self._unsent = self._diagnostics.with_remark(
+            self._ticked.step(stamp, health)
+        )
         self._note(self._unsent)
         self._send()
 
@@ -276,7 +336,9 @@ class SupervisorNode(Node):
         self._make_requests()
         if not (self._wanted or self._answers):
             report, self._unsent = self._unsent, None
-            self._state.publish(messages.robot_state_to_msg(self._stepped, report))
+            self._state.publish(
+                messages.robot_state_to_msg(self._stepped, report)
+            )
 
     def _make_requests(self) -> None:
         """Call the gait scheduler's services for the wanted gait, as far as they are there."""
@@ -285,9 +347,13 @@ class SupervisorNode(Node):
                 self.get_logger().error(
                     f"gait_scheduler refuses: {answer.result().message}"
                 )
-        self._answers = [answer for answer in self._answers if not answer.done()]
+        self._answers = [
+            answer for answer in self._answers if not answer.done()
+        ]
         for name in [
-            name for name in self._wanted if self._scheduler[name].service_is_ready()
+            name
+            for name in self._wanted
+            if self._scheduler[name].service_is_ready()
         ]:
             self._answers.append(
                 self._scheduler[name].call_async(self._wanted.pop(name))
@@ -299,7 +365,10 @@ class SupervisorNode(Node):
         self._diagnostics.publish(self._now(), report)
         if last is None or report.followed != last.followed:
             self._wanted["followed"] = SetBool.Request(data=report.followed)
-        if last is None or (report.state, report.since) != (last.state, last.since):
+        if last is None or (report.state, report.since) != (
+            last.state,
+            last.since,
+        ):
             self._report_transition(report)
 
     def _report_transition(self, report: Report) -> None:
@@ -316,8 +385,3 @@ class SupervisorNode(Node):
             walking = report.state is State.WALKING
             stand = messages.gait_request(STAND, 0.0, 0.0, 0.0)
             self._wanted["gait"] = self._walk if walking else stand
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(SupervisorNode)

@@ -13,7 +13,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from slot_core.arrays import Array
 from slot_core.drawing.drawing import Drawing
-from slot_core.drawing.shapes import Arrows, Bars, Box, Shape, Strips, halves
+from slot_core.drawing.shapes import Bars, Box, Shape, Strips, halves
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.robot import read_robot
@@ -65,7 +65,9 @@ def shapes_to_msg(stamp: int, shapes: Mapping[str, Shape]) -> MarkerArray:
     """Markers of shapes by name, which becomes the namespace; others stay as they are."""
     return MarkerArray(
         markers=[
-            m for name, shape in shapes.items() for m in _markers(stamp, name, shape)
+            m
+            for name, shape in shapes.items()
+            for m in _markers(stamp, name, shape)
         ]
     )
 
@@ -74,25 +76,43 @@ def _markers(stamp: int, name: str, shape: Shape) -> list[Marker]:
     if isinstance(shape, Box):
         return [_box(stamp, name, shape)]
     if isinstance(shape, Strips):
-        return _strips(stamp, name, shape)
+        return [
+            _marker(
+                stamp,
+                name,
+                i,
+                type=Marker.LINE_STRIP,
+                scale=Vector3(x=shape.width),
+                color=_colour(colour),
+                points=[_point(p) for p in points.tolist()],
+            )
+            for i, (points, colour) in enumerate(
+                zip(shape.points, shape.colours)
+            )
+        ]
     if isinstance(shape, Bars):
         return _bars(stamp, name, shape)
-    before = _marker(stamp, name, 0, action=Marker.DELETEALL)  # of this namespace
-    return [before, *_arrows(stamp, name, shape)]
-
-
-def _strips(stamp: int, name: str, strips: Strips) -> list[Marker]:
+    before = _marker(
+        stamp, name, 0, action=Marker.DELETEALL
+    )  # of this namespace
+    ends = zip(
+        shape.tail.tolist(), (shape.tail + shape.vector).tolist(), shape.colours
+    )
+    scale = Vector3(x=shape.width, y=HEAD_WIDTH * shape.width)
     return [
-        _marker(
-            stamp,
-            name,
-            i,
-            type=Marker.LINE_STRIP,
-            scale=Vector3(x=strips.width),
-            color=_colour(colour),
-            points=[_point(p) for p in points.tolist()],
-        )
-        for i, (points, colour) in enumerate(zip(strips.points, strips.colours))
+        before,
+        *(
+            _marker(
+                stamp,
+                name,
+                i,
+                type=Marker.ARROW,
+                scale=scale,
+                color=_colour(colour),
+                points=[_point(tail), _point(head)],
+            )
+            for i, (tail, head, colour) in enumerate(ends)
+        ),
     ]
 
 
@@ -115,29 +135,11 @@ def _bars(stamp: int, name: str, bars: Bars) -> list[Marker]:
     return found
 
 
-def _arrows(stamp: int, name: str, arrows: Arrows) -> list[Marker]:
-    ends = zip(
-        arrows.tail.tolist(), (arrows.tail + arrows.vector).tolist(), arrows.colours
-    )
-    scale = Vector3(x=arrows.width, y=HEAD_WIDTH * arrows.width)
-    return [
-        _marker(
-            stamp,
-            name,
-            i,
-            type=Marker.ARROW,
-            scale=scale,
-            color=_colour(colour),
-            points=[_point(tail), _point(head)],
-        )
-        for i, (tail, head, colour) in enumerate(ends)
-    ]
-
-
 def _box(stamp: int, name: str, box: Box) -> Marker:
     x, y, z, w = box.quaternion.tolist()
     pose = Pose(
-        position=_point(box.centre.tolist()), orientation=Quaternion(x=x, y=y, z=z, w=w)
+        position=_point(box.centre.tolist()),
+        orientation=Quaternion(x=x, y=y, z=z, w=w),
     )
     x, y, z = box.size.tolist()
     size = Vector3(x=x, y=y, z=z)
@@ -163,8 +165,3 @@ def _point(place: list[float]) -> Point:
 def _colour(rgb: Array) -> ColorRGBA:
     r, g, b = rgb.tolist()
     return ColorRGBA(r=r, g=g, b=b, a=1.0)
-
-
-def main() -> None:
-    """Entry point of the node."""
-    runtime.run(VisualizerNode)

@@ -280,7 +280,10 @@ CLAIMS = (
         "sum differ from the weight",
     ),
     Claim(
-        "VI-E, Table IV", "Velocity settles in 10.098 s", CORRECTED, "7.92 s, 22 % less"
+        "VI-E, Table IV",
+        "Velocity settles in 10.098 s",
+        CORRECTED,
+        "7.92 s, 22 % less",
     ),
     Claim(
         "VI-E, Table IV",

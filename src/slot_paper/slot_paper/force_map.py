@@ -20,7 +20,9 @@ class ForceAngleLine:
     """Line f_z = slope theta - offset."""
 
     offset: float = quantity("force at angle zero, negated", "N", 0, 50)
-    slope: float = quantity("slope of the force over the angle", "N/deg", 1e-3, 10)
+    slope: float = quantity(
+        "slope of the force over the angle", "N/deg", 1e-3, 10
+    )
 
     def angle(self, normal: Array) -> Array:
         """Tendon angles, rad, for normal forces (N); not limited to the servo's range."""

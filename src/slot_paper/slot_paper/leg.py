@@ -60,20 +60,32 @@ class PaperSettings:
     damping: float = quantity(
         "linear damping, N s/m of a node and N m s of its angle", "", 0.0, 1e3
     )
-    contact_stiffness: float = quantity("contact stiffness of a node", "N/m", 0.0, 1e8)
-    contact_damping: float = quantity("contact damping of a node", "N s/m", 0.0, 1e4)
+    contact_stiffness: float = quantity(
+        "contact stiffness of a node", "N/m", 0.0, 1e8
+    )
+    contact_damping: float = quantity(
+        "contact damping of a node", "N s/m", 0.0, 1e4
+    )
     friction: float = quantity("Coulomb friction", "", 0.0, 5.0)
     servo_torque: float = quantity(
         "torque at the end of the servo's range", "N m", 0.0, 100.0
     )
     servo_range_deg: float = quantity("range of the servo", "deg", 1.0, 3600.0)
-    tension_scale: float = quantity("factor of the robot's tensions", "", 0.0, 1.0)
+    tension_scale: float = quantity(
+        "factor of the robot's tensions", "", 0.0, 1.0
+    )
     weight_share: float = quantity(
         "part of the torso's weight on each leg's base", "", 0.0, 1.0
     )
-    torso_drag: float = quantity("horizontal damping of the torso", "N s/m", 0.0, 1e4)
-    torso_stiffness: float = quantity("vertical spring of the torso", "N/m", 0.0, 1e6)
-    torso_damping: float = quantity("vertical damping of the torso", "N s/m", 0.0, 1e5)
+    torso_drag: float = quantity(
+        "horizontal damping of the torso", "N s/m", 0.0, 1e4
+    )
+    torso_stiffness: float = quantity(
+        "vertical spring of the torso", "N/m", 0.0, 1e6
+    )
+    torso_damping: float = quantity(
+        "vertical damping of the torso", "N s/m", 0.0, 1e5
+    )
     speed_limit: float = quantity(
         "speed of a node above which the solution has diverged", "m/s", 1.0, 1e6
     )
@@ -84,9 +96,13 @@ def read_paper() -> PaperSettings:
     return config.read(PaperSettings, "paper")
 
 
-def tension_of(settings: PaperSettings, robot: RobotParameters, angle: Array) -> Array:
+def tension_of(
+    settings: PaperSettings, robot: RobotParameters, angle: Array
+) -> Array:
     """Tensions (N) at tendon angles (rad): T = (angle / range) torque / spool radius."""
-    torque = angle / math.radians(settings.servo_range_deg) * settings.servo_torque
+    torque = (
+        angle / math.radians(settings.servo_range_deg) * settings.servo_torque
+    )
     return np.asarray(torque / robot.tendon.spool_radius)
 
 
@@ -112,22 +128,36 @@ class PaperLegs:
         area = leg.width * thickness
         second_moment = leg.width * thickness**3 / 12
         x = np.linspace(0.0, leg.reach, nodes)
-        self.settings, self.touching, self.base_load = settings, touching, base_load
+        self.settings, self.touching, self.base_load = (
+            settings,
+            touching,
+            base_load,
+        )
         self.spacing = leg.reach / (nodes - 1)  # m, dx
         self.mass = _masses(leg.density * area * self.spacing)  # (N,) kg
         self.inertia = leg.density * area * self.spacing**2 / 2  # (N,) kg m
         self.axial = settings.young_modulus * area[:-1]  # (N-1,) N, E A
-        self.bending = settings.young_modulus * second_moment[:-1] / self.spacing
-        self.friction = settings.friction * (leg.mass + robot.mass / 4) * gravity  # N
+        self.bending = (
+            settings.young_modulus * second_moment[:-1] / self.spacing
+        )
+        self.friction = (
+            settings.friction * (leg.mass + robot.mass / 4) * gravity
+        )  # N
         self.initial = np.stack([x, leg.shape(x)])  # (2, N) m, x and z
         end = int(robot.tendon.end_fraction * nodes)
         self.pull, self.turn = _tendon(self.initial, thickness, end)
-        self.weight = np.stack([np.zeros(nodes), self.mass * gravity])  # (2, N) N
+        self.weight = np.stack(
+            [np.zeros(nodes), self.mass * gravity]
+        )  # (2, N) N
         self.node = np.tile(self.initial, (count, 1, 1))  # (K, 2, N) m
         self.velocity = np.zeros_like(self.node)  # (K, 2, N) m/s
         self.angle = np.zeros((count, nodes))  # rad; no force depends on it
-        self.rate = np.zeros((count, nodes))  # rad/s; only the angle depends on it
-        self.base_force = np.zeros((count, 2))  # N, F_i: sum of the forces on node 0
+        self.rate = np.zeros(
+            (count, nodes)
+        )  # rad/s; only the angle depends on it
+        self.base_force = np.zeros(
+            (count, 2)
+        )  # N, F_i: sum of the forces on node 0
         self.steps = 0
 
     def advance(self, steps: int, tension: Array) -> None:

@@ -55,9 +55,7 @@ from slot_paper.force_map import ForceAngleLine
 from slot_paper.gaits import FRONT, pulled_leg
 
 AXES = 3
-SCALE = (
-    1e6  # of the objective: with R = 1e-8 as it is, Clarabel stops before its tolerance
-)
+SCALE = 1e6  # of the objective: with R = 1e-8 as it is, Clarabel stops before its tolerance
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,10 @@ class PaperTerms:
     """Terms of the paper's problem beside weights and limits."""
 
     mass: float = quantity(
-        "mass of the box, whose weight the normal forces balance", "kg", 0.1, 100
+        "mass of the box, whose weight the normal forces balance",
+        "kg",
+        0.1,
+        100,
     )
     lever: Vector3 = quantity(
         "end of a leg's lever beyond its attachment: outward along x and y, downward",
@@ -73,7 +74,9 @@ class PaperTerms:
         0,
         1,
     )
-    turning: bool = flag("whether levers, inertia and rates turn with the present yaw")
+    turning: bool = flag(
+        "whether levers, inertia and rates turn with the present yaw"
+    )
     drag: Vector3 = quantity("drag of the velocity", "1/s", 0, 10)
     balance_band: float = quantity(
         "largest imbalance of the normal forces", "N", 0, 100
@@ -120,7 +123,9 @@ def read_paper_mpc(policy: str) -> PaperMpcSettings:
     changes = dict(profile) if isinstance(profile, dict) else {}
     own = {name: changes.pop(name, None) for name in ("terms", "line")}
     config.read(MpcSettings, "mpc")  # refused under its own name
-    settings = config.build(PaperMpcSettings, {**config.load("mpc"), **own}, where)
+    settings = config.build(
+        PaperMpcSettings, {**config.load("mpc"), **own}, where
+    )
     return config.replace(settings, changes, where)
 
 
@@ -146,7 +151,9 @@ class PaperStage(FirstStage):
     def slacks(self, force: Array) -> Array:
         """Slacks (3, 4) N of forces (4, 3) N: least and largest normal force, friction."""
         x, y, normal = (self.axes * force[:, None]).sum(axis=-1).T
-        tangential = np.where(self.cone, hypot(x, y), np.maximum(np.abs(x), np.abs(y)))
+        tangential = np.where(
+            self.cone, hypot(x, y), np.maximum(np.abs(x), np.abs(y))
+        )
         limits = self.force_max - normal, self.friction * normal - tangential
         return np.stack([normal - self.least_normal, *limits])
 
@@ -181,14 +188,18 @@ class PaperProblem:
         self._axes = np.tile(np.eye(AXES), (FEET, 1, 1))
         if self._terms.leg_axes:
             self._axes = _leg_axes(robot)
-        self._phases = {pulled: self._phase(pulled) for pulled in (*FRONT, None)}
+        self._phases = {
+            pulled: self._phase(pulled) for pulled in (*FRONT, None)
+        }
         self._reference = np.zeros((self.horizon, STATES))
         self._now = self._phases[None]
 
     def read(self, preview: GaitPreview) -> PaperStage:
         """Take phase and references of a preview; returns the limits of the forces."""
         self._now = self._phases[pulled_leg(preview)]
-        self._reference = np.asarray(preview.reference, dtype=float)[: self.horizon]
+        self._reference = np.asarray(preview.reference, dtype=float)[
+            : self.horizon
+        ]
         return replace(self._now.stage, rate=preview.rate)
 
     def update(self, state: Array, preview: GaitPreview) -> None:
@@ -201,12 +212,18 @@ class PaperProblem:
     ) -> None:
         """Set state (12,), its reference (12,) over the horizon, and the pulled front leg."""
         self._now = self._phases[pulled]
-        self._set(state, np.tile(reference, (self.horizon, 1)), self.predict(dt))
+        self._set(
+            state, np.tile(reference, (self.horizon, 1)), self.predict(dt)
+        )
 
     def predict(self, dt: float, yaw: float = 0.0) -> Prediction:
         """Model of a stage of dt (s) at a yaw (rad), by explicit Euler."""
         turn = rotation_z(yaw)
-        a, b, drift = np.eye(STATES), np.zeros((STATES, INPUTS)), np.zeros(STATES)
+        a, b, drift = (
+            np.eye(STATES),
+            np.zeros((STATES, INPUTS)),
+            np.zeros(STATES),
+        )
         a[:3, 6:9], a[3:6, 9:] = dt * turn.T, dt * np.eye(AXES)
         a[9:, 9:] -= dt * np.diag(self._terms.drag)
         inertia = product(product(turn, self._inertia), turn.T)
@@ -241,7 +258,11 @@ class PaperProblem:
 
     def forces(self, z: Array) -> Array:
         """Forces (H, 4, 3) N at z."""
-        return z.reshape(self.horizon, STAGE)[:, :INPUTS].reshape(-1, FEET, AXES).copy()
+        return (
+            z.reshape(self.horizon, STAGE)[:, :INPUTS]
+            .reshape(-1, FEET, AXES)
+            .copy()
+        )
 
     def cost(self, z: Array) -> float:
         """Objective at z, the present state's error included."""
@@ -258,7 +279,9 @@ class PaperProblem:
 
     def residual(self, z: Array) -> float:
         """Largest error of the dynamics over the stages, SI units."""
-        return float(np.abs(sparse_product(self._dynamics, z) - self._drift).max())
+        return float(
+            np.abs(sparse_product(self._dynamics, z) - self._drift).max()
+        )
 
     def _set(self, state: Array, reference: Array, model: Prediction) -> None:
         """Set dynamics and linear cost for a state and references (H, 12)."""
@@ -277,25 +300,38 @@ class PaperProblem:
         slope[:-1, INPUTS:] = -2.0 * q * target[1:]
         self._slope = slope.ravel()
         error = state - target[0]
-        now_and_later = (error * (q * error)).sum() + (q * np.square(target[1:])).sum()
+        now_and_later = (error * (q * error)).sum() + (
+            q * np.square(target[1:])
+        ).sum()
         self._constant = float(now_and_later) + now.constant
 
     def _phase(self, pulled: int | None) -> _Phase:
         """The arrays of a phase."""
-        stage, weights, terms = self._stage(pulled), self._settings.weights, self._terms
+        stage, weights, terms = (
+            self._stage(pulled),
+            self._settings.weights,
+            self._terms,
+        )
         quadratic, slope = np.diag(weights.r), np.zeros(INPUTS)
         for leg in FRONT:
             along = self._along(leg)
             quadratic += terms.pull_weight * np.outer(along, along)
-            slope -= 2.0 * terms.pull_weight * terms.pull * along * (leg == pulled)
+            slope -= (
+                2.0 * terms.pull_weight * terms.pull * along * (leg == pulled)
+            )
         size = self.horizon
         last = np.append(np.ones(size - 1), 0.0)
         blocks = [m for k in last for m in (quadratic, np.diag(k * weights.q))]
         hessian = sparse.csc_matrix(2.0 * sparse.block_diag(blocks))
         missed = size * terms.pull_weight * terms.pull * terms.pull
         balance, above, bound, cones = self._limits(stage, pulled)
-        wide = [np.pad(rows, ((0, 0), (0, STATES))) for rows in (balance, above, cones)]
-        limits = sparse.vstack([sparse.kron(sparse.eye(size), rows) for rows in wide])
+        wide = [
+            np.pad(rows, ((0, 0), (0, STATES)))
+            for rows in (balance, above, cones)
+        ]
+        limits = sparse.vstack(
+            [sparse.kron(sparse.eye(size), rows) for rows in wide]
+        )
         weight = np.full(size * len(balance), self.mass * GRAVITY)
         return _Phase(
             stage=stage,

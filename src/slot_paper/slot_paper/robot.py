@@ -49,7 +49,9 @@ class PaperTorso:
     rotation: Array  # (3, 3) base_link to odom
     velocity: Array  # (3,) m/s, odom
     rate: Array  # (3,) rad/s, base_link
-    specific_force: Array  # (3,) m/s^2, base_link, mean over the last step of the scene
+    specific_force: (
+        Array  # (3,) m/s^2, base_link, mean over the last step of the scene
+    )
 
 
 class PaperRobot(SimulatedRobot):
@@ -76,7 +78,9 @@ class PaperRobot(SimulatedRobot):
         gravity = -_vertical(scene)
         load = self.settings.weight_share * robot.torso.mass * gravity
         tip = self.settings.nodes - 1
-        self.legs = PaperLegs(robot, self.settings, len(LEGS), tip, load, gravity)
+        self.legs = PaperLegs(
+            robot, self.settings, len(LEGS), tip, load, gravity
+        )
         self._outward, self._arms = robot.outward, lever_arms(robot.clamps)
         self._mobility = 1.0 / np.diag(robot.torso.inertia)
         drag, damping = self.settings.torso_drag, self.settings.torso_damping
@@ -118,7 +122,11 @@ class PaperRobot(SimulatedRobot):
 
     def _step_torso(self, h: float) -> None:
         """Semi-implicit Euler step of h (s) under the legs' forces, gravity, spring and damping."""
-        settings, state, torso = self.settings, self.state, self.parameters.torso
+        settings, state, torso = (
+            self.settings,
+            self.state,
+            self.parameters.torso,
+        )
         reaction = self.legs.base_force[:, :1] * self._outward
         reaction[:, 2] = self.legs.base_force[:, 1]
         force = _times(state.rotation, reaction.sum(axis=0))
@@ -151,7 +159,10 @@ class PaperRobot(SimulatedRobot):
     def nodes(self) -> Array:
         """(4, N, 3) m in odom, base first: x, y from the torso's corners, z of the legs' own."""
         x, z = np.moveaxis(self.legs.node, 1, 0)
-        body = self.parameters.clamps[:, None] + x[..., None] * self._outward[:, None]
+        body = (
+            self.parameters.clamps[:, None]
+            + x[..., None] * self._outward[:, None]
+        )
         turned = product(body.reshape(-1, 3), self.state.rotation.T)
         out = self.state.position + turned.reshape(body.shape)
         out[..., 2] = z

@@ -83,7 +83,9 @@ def _mpc(name: str, **match: Any) -> tuple[Ours]:
 
 def _graph(name: str, **match: Any) -> tuple[Ours]:
     """A figure of the benchmark of the graph, one process a node."""
-    return (Ours("graph", name, {"nodes": "separate", "repeat": "median", **match}),)
+    return (
+        Ours("graph", name, {"nodes": "separate", "repeat": "median", **match}),
+    )
 
 
 def _leg(name: str, factor: float) -> list[Ours]:
@@ -127,19 +129,33 @@ TABLES = (
             Line(
                 "four legs of 31 nodes and torso, a step (four times 0.35, and 0.18)",
                 [4 * 0.35 + 0.18],
-                [Ours("robot", "us_per_step", {"kind": "cost", "nodes": 31}, 1e-3)],
+                [
+                    Ours(
+                        "robot",
+                        "us_per_step",
+                        {"kind": "cost", "nodes": 31},
+                        1e-3,
+                    )
+                ],
                 judged="smaller",
             ),
             Line(
                 "MPC on forces, horizon 15, by Clarabel",
                 [6.2],
-                _mpc("median_ms", kind="solver", solver="clarabel", tolerance=1e-10),
+                _mpc(
+                    "median_ms",
+                    kind="solver",
+                    solver="clarabel",
+                    tolerance=1e-10,
+                ),
                 judged="smaller",
             ),
             Line(
                 "the same rebuilt in every cycle, through CVXPY and SCS as in the paper",
                 [6.2],
-                _mpc("median_ms", kind="cvxpy", solver="CVXPY, as published, SCS"),
+                _mpc(
+                    "median_ms", kind="cvxpy", solver="CVXPY, as published, SCS"
+                ),
                 judged="smaller",
             ),
             Line(
@@ -166,10 +182,16 @@ TABLES = (
             Line("MAE, mm", (3.85, 3.90, 2.60, 0.71), _leg("mae", 1e3)),
             Line("NRMSE, %", (5.87, 6.94, 7.88, 19.22), _leg("nrmse", 1e2)),
             Line(
-                "average error, mm", (2.23, 2.87, 2.32, 0.15), _leg("mean_error", 1e3)
+                "average error, mm",
+                (2.23, 2.87, 2.32, 0.15),
+                _leg("mean_error", 1e3),
             ),
             Line("error, %", (2.51, 3.47, 4.56, 3.21), _leg("error", 1e2)),
-            Line("accuracy, %", (97.49, 96.53, 95.44, 96.79), _leg("accuracy", 1e2)),
+            Line(
+                "accuracy, %",
+                (97.49, 96.53, 95.44, 96.79),
+                _leg("accuracy", 1e2),
+            ),
         ],
         ["single_leg"],
     ),

@@ -58,7 +58,10 @@ class ForceMap:
     STATE = StateParts("_last")
 
     def __init__(
-        self, robot: RobotParameters, settings: ForceMapSettings, springs: LegSprings
+        self,
+        robot: RobotParameters,
+        settings: ForceMapSettings,
+        springs: LegSprings,
     ):
         self._robot, self._settings, self._springs = robot, settings, springs
         self._last: Array | None = None
@@ -101,13 +104,17 @@ class ForceMap:
         height = self._robot.clamp_heights(state[5], *state[:2])
         slope = self._springs.at(nominal, height).slope
         limit = np.radians(self._settings.correction_max_deg)
-        correction = np.clip((normal - preview.normal_force[0]) / slope, -limit, limit)
+        correction = np.clip(
+            (normal - preview.normal_force[0]) / slope, -limit, limit
+        )
         return nominal + correction, slope, preview.rate
 
     def _hold(self, preview: GaitPreview) -> TendonCommand:
         """The last angles; before the first of them, the nominal angles of the preview."""
         angle = (
-            self._clip(preview.tendon_angle[0]) if self._last is None else self._last
+            self._clip(preview.tendon_angle[0])
+            if self._last is None
+            else self._last
         )
         zeros = np.zeros(len(LEGS))
         return TendonCommand(
@@ -128,6 +135,8 @@ def read_springs() -> LegSprings:
     return read_leg_springs(read_force_map().slope_min)
 
 
-def make_force_map(robot: RobotParameters, settings: ForceMapSettings) -> ForceMap:
+def make_force_map(
+    robot: RobotParameters, settings: ForceMapSettings
+) -> ForceMap:
     """The map with the table of `config/leg_map.csv`; raises ConfigError."""
     return ForceMap(robot, settings, read_leg_springs(settings.slope_min))

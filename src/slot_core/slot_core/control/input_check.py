@@ -24,15 +24,29 @@ def preview_fault(preview: GaitPreview, stages: int, most: float) -> str:
     return (
         fault_of("preview.dt", preview.dt, (), *STAGE_TIME)
         or fault_of("preview.contact", preview.contact, (stages, FEET), 0, 1)
-        or fault_of("preview.friction", preview.friction, (stages, FEET), 0, most)
         or fault_of(
-            "preview.normal_force", preview.normal_force, (stages, FEET), -most, most
+            "preview.friction", preview.friction, (stages, FEET), 0, most
         )
         or fault_of(
-            "preview.tendon_angle", preview.tendon_angle, (stages, FEET), -most, most
+            "preview.normal_force",
+            preview.normal_force,
+            (stages, FEET),
+            -most,
+            most,
         )
         or fault_of(
-            "preview.reference", preview.reference, (stages, STATES), -most, most
+            "preview.tendon_angle",
+            preview.tendon_angle,
+            (stages, FEET),
+            -most,
+            most,
+        )
+        or fault_of(
+            "preview.reference",
+            preview.reference,
+            (stages, STATES),
+            -most,
+            most,
         )
     )
 
@@ -56,7 +70,11 @@ def fault_of(
         array = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         return f"{name}: not numbers"
-    usable = array[: shape[0]].shape if array.ndim == len(shape) == 2 else array.shape
+    usable = (
+        array[: shape[0]].shape
+        if array.ndim == len(shape) == 2
+        else array.shape
+    )
     if usable != shape:
         return f"{name}: shape {array.shape}, needs {shape}"
     if (

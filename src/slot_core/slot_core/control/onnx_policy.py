@@ -49,7 +49,9 @@ class OnnxPolicy(Policy):
 
     STATE = StateParts("_action", "_missed")
 
-    def __init__(self, robot: RobotParameters, settings: OnnxSettings, timer: Timer):
+    def __init__(
+        self, robot: RobotParameters, settings: OnnxSettings, timer: Timer
+    ):
         """Load the network; raises ConfigError for a file that is none, or another's."""
         self._session, gait, self._kind = _loaded(Path(settings.file))
         self._gait, self._stride = gait, read_gaits().strides[gait]
@@ -83,7 +85,9 @@ class OnnxPolicy(Policy):
         )
         action = self.act(seen)
         if not np.isfinite(action).all():
-            return self._fall_back(Status.NOT_SOLVED, "action not finite", preview)
+            return self._fall_back(
+                Status.NOT_SOLVED, "action not finite", preview
+            )
         self._action, self._missed = np.clip(action, -1.0, 1.0), 0
         velocity = preview.velocity_ahead
         change = deviation(
@@ -91,15 +95,24 @@ class OnnxPolicy(Policy):
         )
         return gait_plan(preview, change)
 
-    def _fall_back(self, cause: Status, fault: str, preview: GaitPreview) -> TendonPlan:
+    def _fall_back(
+        self, cause: Status, fault: str, preview: GaitPreview
+    ) -> TendonPlan:
         """The gait's plan with the cause, and as many cycles as it has been without an action."""
-        self._action, self._missed = np.zeros_like(self._action), self._missed + 1
+        self._action, self._missed = (
+            np.zeros_like(self._action),
+            self._missed + 1,
+        )
         plan = gait_plan(preview)
-        return replace(plan, status=cause, message=fault, fallback_cycles=self._missed)
+        return replace(
+            plan, status=cause, message=fault, fallback_cycles=self._missed
+        )
 
     def act(self, seen: Array) -> Array:
         """Action (1, n) of the network at an observation (1, 17 + n)."""
-        (action,) = self._session.run(None, {self._input: seen.astype(np.float32)})
+        (action,) = self._session.run(
+            None, {self._input: seen.astype(np.float32)}
+        )
         return np.asarray(action, dtype=float)
 
 
@@ -129,14 +142,17 @@ def _session(file: Path) -> Any:
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     with _refused(file):
         content = read_bytes(file, SIZE_MAX)
-        return onnxruntime.InferenceSession(content, options, ["CPUExecutionProvider"])
+        return onnxruntime.InferenceSession(
+            content, options, ["CPUExecutionProvider"]
+        )
 
 
 def _require_sizes(file: Path, session: Any, expected: tuple[int, int]) -> None:
     """Raise ConfigError for a network that does not map one observation to one action."""
     ports = session.get_inputs(), session.get_outputs()
     found = tuple(
-        port[0].shape[-1] if len(port) == 1 and port[0].shape else 0 for port in ports
+        port[0].shape[-1] if len(port) == 1 and port[0].shape else 0
+        for port in ports
     )
     if found != expected:
         raise ConfigError(
@@ -145,7 +161,8 @@ def _require_sizes(file: Path, session: Any, expected: tuple[int, int]) -> None:
         )
     with _refused(file):
         session.run(
-            None, {ports[0][0].name: np.zeros((1, expected[0]), dtype=np.float32)}
+            None,
+            {ports[0][0].name: np.zeros((1, expected[0]), dtype=np.float32)},
         )
 
 
@@ -156,4 +173,6 @@ def _refused(file: Path) -> Iterator[None]:
         yield
     except Exception as error:
         line = " ".join(str(error).split())[:200]
-        raise ConfigError(f"policy {file}: {type(error).__name__}: {line}") from None
+        raise ConfigError(
+            f"policy {file}: {type(error).__name__}: {line}"
+        ) from None

@@ -28,7 +28,9 @@ class Speed:
 
     def __init__(self, window: float) -> None:
         self._window = window
-        self._values: deque[tuple[float, float]] = deque()  # s of wall time, value
+        self._values: deque[tuple[float, float]] = (
+            deque()
+        )  # s of wall time, value
 
     def add(self, at: float, value: float) -> None:
         """Take the value at `at`, s of a clock that never goes back."""
@@ -43,9 +45,13 @@ class Speed:
         self._drop(now)
         if not self._values or now - self._values[0][0] < self._window:
             return math.nan
-        return (self._values[-1][1] - self._values[0][1]) / (now - self._values[0][0])
+        return (self._values[-1][1] - self._values[0][1]) / (
+            now - self._values[0][0]
+        )
 
     def _drop(self, now: float) -> None:
         """Drop the samples older than the window, but the newest of them."""
-        while len(self._values) > 1 and now - self._values[1][0] >= self._window:
+        while (
+            len(self._values) > 1 and now - self._values[1][0] >= self._window
+        ):
             self._values.popleft()

@@ -41,7 +41,9 @@ class PlaceFeedback(Policy):
 
     STATE = StateParts()
 
-    def __init__(self, robot: RobotParameters, settings: PlaceSettings, timer: Timer):
+    def __init__(
+        self, robot: RobotParameters, settings: PlaceSettings, timer: Timer
+    ):
         """Take the gain; raises ConfigError for gaits that cannot be read."""
         self._settings, self._strides = settings, read_gaits().strides
 
@@ -61,7 +63,9 @@ class PlaceFeedback(Policy):
             return gait_plan(preview)
         phase = preview.phases
         table = stride.stride_table(phase, preview.velocity_ahead)
-        error = place_error(estimate.state, preview.reference[0], table[0, 11:13])
+        error = place_error(
+            estimate.state, preview.reference[0], table[0, 11:13]
+        )
         most = np.array(self._settings.change_max)
         change = np.clip(np.array(self._settings.gain) * error, -most, most)
         turned = stride.stride_table(phase, preview.velocity_ahead + change)

@@ -69,7 +69,9 @@ class PlanReport:
     drift: Array = field(
         default_factory=lambda: np.zeros(3)
     )  # v_x, v_y m/s, yaw rate rad/s
-    wrench: Array = field(default_factory=lambda: np.zeros(3))  # F_z N, M_x, M_y N m
+    wrench: Array = field(
+        default_factory=lambda: np.zeros(3)
+    )  # F_z N, M_x, M_y N m
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,9 @@ class Policy(Protocol):
 
     STATE: ClassVar[StateParts | None] = None
 
-    def __init__(self, robot: RobotParameters, settings: Any, timer: Timer) -> None:
+    def __init__(
+        self, robot: RobotParameters, settings: Any, timer: Timer
+    ) -> None:
         """Take the nominal robot and `read_settings`; `timer` returns seconds.
 
         Raises ConfigError for settings that contradict each other.
@@ -145,7 +149,9 @@ def policy_class(name: str) -> type[Policy]:
     elif name in POLICIES:
         place = POLICIES[name]
     elif name in RENAMED:
-        raise ConfigError(f"policy {quoted(name)}: it is named {RENAMED[name]} now")
+        raise ConfigError(
+            f"policy {quoted(name)}: it is named {RENAMED[name]} now"
+        )
     else:
         known = ", ".join(POLICIES)
         raise ConfigError(
@@ -180,5 +186,7 @@ def _class_in_file(path: Path) -> type[Policy]:
         spec.loader.exec_module(module)
         found: type[Policy] = module.POLICY
     except Exception as error:
-        raise ConfigError(f"policy {path}: {type(error).__name__}: {error}") from error
+        raise ConfigError(
+            f"policy {path}: {type(error).__name__}: {error}"
+        ) from error
     return found

@@ -48,7 +48,11 @@ class TunedPolicy:
         tried = self._made(wanted)
         if self._last is not None:
             estimate, preview = self._last
-            _require_standing(preview)
+            for gait in (preview.gait, preview.command.gait):
+                if gait != STAND:
+                    raise ConfigError(
+                        f"gait {gait}: settings change in {STAND} only, see /set_gait"
+                    )
             plan = tried.step(estimate, preview)
             if plan.status not in PLANNED:
                 raise ConfigError(f"{', '.join(changes)}: {plan.message}")
@@ -62,12 +66,3 @@ class TunedPolicy:
         return self._make(
             config.replace(self._settings, changes, "settings of the policy")
         )
-
-
-def _require_standing(preview: GaitPreview) -> None:
-    """Raise ConfigError unless the robot stands, and is to go on standing."""
-    for gait in (preview.gait, preview.command.gait):
-        if gait != STAND:
-            raise ConfigError(
-                f"gait {gait}: settings change in {STAND} only, see /set_gait"
-            )

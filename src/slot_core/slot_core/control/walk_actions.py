@@ -46,7 +46,13 @@ def observation(
     for first in (3, 6, 9):
         error[:, first : first + 2] = rotate(error[:, first : first + 2], -yaw)
     turn = 2.0 * np.pi * phase[:, None]
-    parts = [error / SCALE, sin(turn), cos(turn), velocity / AMPLITUDE_MAX, action]
+    parts = [
+        error / SCALE,
+        sin(turn),
+        cos(turn),
+        velocity / AMPLITUDE_MAX,
+        action,
+    ]
     return np.clip(np.hstack(parts), -CLIP, CLIP)
 
 

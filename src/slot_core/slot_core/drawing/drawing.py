@@ -47,7 +47,10 @@ class Trace:
 
     def extend(self, point: Array) -> dict[str, Shape]:
         """The line with one more point (3,) m; nothing if that is closer than PATH_STEP."""
-        if self._points and np.linalg.norm(point - self._points[-1]) < PATH_STEP:
+        if (
+            self._points
+            and np.linalg.norm(point - self._points[-1]) < PATH_STEP
+        ):
             return {}
         self._points = [*self._points[-PATH_POINTS + 1 :], point]
         if len(self._points) == 1:
@@ -62,7 +65,10 @@ class Drawing:
         """torque_max: torque of a servo (N m) at which its tendon is drawn as fully loaded."""
         self._robot = robot
         self._tension_max = torque_max / robot.tendon.spool_radius
-        self._position, self._quaternion = np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])
+        self._position, self._quaternion = (
+            np.zeros(3),
+            np.array([0.0, 0.0, 0.0, 1.0]),
+        )
         self._legs = natural_legs(
             self._position, self._quaternion, robot, NATURAL_NODES
         )
@@ -94,8 +100,13 @@ class Drawing:
         )
         return shapes | {"legs": leg_bars(self._legs, self._robot, known=False)}
 
-    def _draw_torso(self, position: Array, quaternion: Array) -> dict[str, Shape]:
-        self._position, self._quaternion = _finite(position), _finite(quaternion)
+    def _draw_torso(
+        self, position: Array, quaternion: Array
+    ) -> dict[str, Shape]:
+        self._position, self._quaternion = (
+            _finite(position),
+            _finite(quaternion),
+        )
         self._placed = True
         torso = torso_box(position, quaternion, self._robot)
         return {"torso": torso} | self._path.extend(position)
@@ -116,11 +127,15 @@ class Drawing:
             return {}
         _, _, torque = decode.joint_loads(message)
         return {
-            "tendons": self._tendons(_finite(torque) / self._robot.tendon.spool_radius)
+            "tendons": self._tendons(
+                _finite(torque) / self._robot.tendon.spool_radius
+            )
         }
 
     def _tendons(self, tension: Array) -> Shape:
-        return tendon_strips(self._legs, tension, self._robot, self._tension_max)
+        return tendon_strips(
+            self._legs, tension, self._robot, self._tension_max
+        )
 
     def _draw_reference(self, message: Any) -> dict[str, Shape]:
         """Reference pose of the torso now, its way over the horizon, and where it was."""
@@ -138,12 +153,19 @@ class Drawing:
         if not self._placed:
             return {}
         _, plan = decode.plan(message)
-        colours, tips = np.tile(DEMANDED, (len(LEGS), 1)), self._legs.nodes[:, -1]
+        colours, tips = (
+            np.tile(DEMANDED, (len(LEGS), 1)),
+            self._legs.nodes[:, -1],
+        )
         shapes: dict[str, Shape] = {
-            "demanded_forces": force_arrows(tips, _finite(plan.force[0]), colours)
+            "demanded_forces": force_arrows(
+                tips, _finite(plan.force[0]), colours
+            )
         }
         if len(plan.pose) and len(plan.foot):
-            shapes["predicted_path"] = path_strip(_finite(plan.pose)[:, 3:], DEMANDED)
+            shapes["predicted_path"] = path_strip(
+                _finite(plan.pose)[:, 3:], DEMANDED
+            )
             feet = _finite(plan.foot).swapaxes(0, 1)
             shapes["predicted_feet"] = Strips(feet, LEG_COLOURS, PATH_WIDTH)
         return shapes

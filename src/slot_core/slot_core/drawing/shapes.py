@@ -18,7 +18,12 @@ from slot_core.robot import LEGS, RobotParameters
 
 FORCE_SCALE = 0.012  # m of arrow per N
 LEAST_FORCE = 0.2  # N, smaller forces are not drawn
-TENDON_WIDTH, ARROW_WIDTH, EDGE_WIDTH, PATH_WIDTH = 0.002, 0.003, 0.001, 0.002  # m
+TENDON_WIDTH, ARROW_WIDTH, EDGE_WIDTH, PATH_WIDTH = (
+    0.002,
+    0.003,
+    0.001,
+    0.002,
+)  # m
 # corners of a box of edge length one
 CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 # a walk along all twelve edges, by row of CORNERS
@@ -66,9 +71,9 @@ class Bars:
         """(4 m - 2, 4) faces of a bar by row of its corners (4 m, 3), counter-clockwise outside."""
         row = np.arange(4 * self.corners.shape[1]).reshape(-1, 4)
         ahead = np.roll(row, -1, axis=1)
-        sides = np.stack([row[:-1], ahead[:-1], ahead[1:], row[1:]], axis=2).reshape(
-            -1, 4
-        )
+        sides = np.stack(
+            [row[:-1], ahead[:-1], ahead[1:], row[1:]], axis=2
+        ).reshape(-1, 4)
         return np.concatenate([sides, row[:1, ::-1], row[-1:]])
 
     @property
@@ -118,7 +123,9 @@ class Legs:
 def _at_nodes(values: Array) -> Array:
     """Unit vectors (4, n, 3) at the nodes from the segments' vectors (4, n - 1, 3)."""
     between = values[:, :-1] + values[:, 1:]
-    return _unit(np.concatenate([values[:, :1], between, values[:, -1:]], axis=1))
+    return _unit(
+        np.concatenate([values[:, :1], between, values[:, -1:]], axis=1)
+    )
 
 
 def _unit(vectors: Array) -> Array:
@@ -127,7 +134,9 @@ def _unit(vectors: Array) -> Array:
 
 def rgb(colour: str) -> Array:
     """(3,) red, green, blue in [0, 1] of #RRGGBB."""
-    return np.frombuffer(bytes.fromhex(colour.removeprefix("#")), np.uint8) / 255
+    return (
+        np.frombuffer(bytes.fromhex(colour.removeprefix("#")), np.uint8) / 255
+    )
 
 
 LEG_COLOURS = np.array([rgb(palette.LEG_COLOURS[leg]) for leg in LEGS])
@@ -137,12 +146,18 @@ SLACK, LOADED = (
 )  # tendons without load and at the largest
 
 
-def torso_box(position: Array, quaternion: Array, robot: RobotParameters) -> Box:
+def torso_box(
+    position: Array, quaternion: Array, robot: RobotParameters
+) -> Box:
     """The torso at position (3,) m and quaternion (4,) x y z w."""
-    return Box(position, quaternion, np.array(robot.torso.size), rgb(palette.TORSO))
+    return Box(
+        position, quaternion, np.array(robot.torso.size), rgb(palette.TORSO)
+    )
 
 
-def box_edges(position: Array, quaternion: Array, size: Array, colour: Array) -> Strips:
+def box_edges(
+    position: Array, quaternion: Array, size: Array, colour: Array
+) -> Strips:
     """The edges of a box of size (3,) m, in one line."""
     corners = position + Rotation.from_quat(quaternion).apply(CORNERS * size)
     return Strips(corners[EDGE_WALK][None], colour[None], EDGE_WIDTH)
@@ -170,7 +185,9 @@ def natural_legs(
     rise = robot.leg.shape(x) - robot.leg.shape(0.0)
     along = x[None, :, None] * robot.outward[:, None]
     body = (
-        robot.clamps[:, None] + along + rise[None, :, None] * np.array([0.0, 0.0, 1.0])
+        robot.clamps[:, None]
+        + along
+        + rise[None, :, None] * np.array([0.0, 0.0, 1.0])
     )
     turned = Rotation.from_quat(quaternion).apply(body.reshape(-1, 3))
     points = np.asarray(position + turned).reshape(body.shape)
@@ -182,8 +199,12 @@ def leg_bars(legs: Legs, robot: RobotParameters, *, known: bool = True) -> Bars:
     width, thickness = legs.axes
     d = robot.leg.width / 2 * width
     b = robot.leg.thickness(legs.fraction)[..., None] / 2 * thickness
-    corners = legs.nodes[:, :, None] + np.stack([-d - b, d - b, d + b, -d + b], axis=2)
-    return Bars(corners, LEG_COLOURS if known else np.tile(SLACK, (len(LEGS), 1)))
+    corners = legs.nodes[:, :, None] + np.stack(
+        [-d - b, d - b, d + b, -d + b], axis=2
+    )
+    return Bars(
+        corners, LEG_COLOURS if known else np.tile(SLACK, (len(LEGS), 1))
+    )
 
 
 def tendon_strips(
@@ -202,7 +223,9 @@ def tendon_strips(
 def force_arrows(tips: Array, force: Array, colours: Array) -> Arrows:
     """Forces (n, 3) N on the tips (n, 3) m of the legs; those below LEAST_FORCE have no arrow."""
     drawn = np.linalg.norm(force, axis=1) > LEAST_FORCE
-    return Arrows(tips[drawn], FORCE_SCALE * force[drawn], colours[drawn], ARROW_WIDTH)
+    return Arrows(
+        tips[drawn], FORCE_SCALE * force[drawn], colours[drawn], ARROW_WIDTH
+    )
 
 
 def path_strip(points: Array, colour: Array) -> Strips:

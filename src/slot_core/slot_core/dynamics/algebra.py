@@ -117,7 +117,9 @@ def product(out, a, b):
     """out = a b, all (3, 3)."""
     for i in range(3):
         for j in range(3):
-            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+            out[i, j] = (
+                a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+            )
 
 
 @helper
@@ -148,9 +150,21 @@ def rotation(out, w):
         angle = math.sqrt(square)
         a = sin(angle) / angle
         b = (1.0 - cos(angle)) / square
-    put(out, 0, (1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y))
-    put(out, 1, (b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x))
-    put(out, 2, (b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)))
+    put(
+        out,
+        0,
+        (1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y),
+    )
+    put(
+        out,
+        1,
+        (b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x),
+    )
+    put(
+        out,
+        2,
+        (b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)),
+    )
 
 
 @helper
@@ -159,7 +173,9 @@ def cosine_sine(angle):
     square = angle * angle
     if all_lanes(square < 1e-4):
         c = 1.0 - square / 2.0 * (1.0 - square / 12.0 * (1.0 - square / 30.0))
-        share = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
+        share = 1.0 - square / 6.0 * (
+            1.0 - square / 20.0 * (1.0 - square / 42.0)
+        )
         return c, angle * share
     return cos(angle), sin(angle)
 

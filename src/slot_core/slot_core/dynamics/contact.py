@@ -23,7 +23,13 @@ from typing import NamedTuple
 
 from slot_core.arrays import Array
 from slot_core.compiled import helper
-from slot_core.dynamics.algebra import dot, plus, scaled, store, times_transposed
+from slot_core.dynamics.algebra import (
+    dot,
+    plus,
+    scaled,
+    store,
+    times_transposed,
+)
 from slot_core.dynamics.lanes import like, where
 from slot_core.dynamics.terrain import Terrain
 

@@ -17,7 +17,13 @@ from numba import typeof
 from numba.core import types
 from numba.core.datamodel import models
 from numba.core.registry import cpu_target
-from numba.extending import NativeValue, intrinsic, register_model, typeof_impl, unbox
+from numba.extending import (
+    NativeValue,
+    intrinsic,
+    register_model,
+    typeof_impl,
+    unbox,
+)
 
 
 class _HandleType(types.Type):

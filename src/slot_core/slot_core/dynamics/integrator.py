@@ -53,7 +53,13 @@ from slot_core.dynamics.spatial.leg import (
     predict,
     stage,
 )
-from slot_core.dynamics.torso import add_corners, add_inertia, add_payload, add_push, at
+from slot_core.dynamics.torso import (
+    add_corners,
+    add_inertia,
+    add_payload,
+    add_push,
+    at,
+)
 
 
 @kernel
@@ -67,7 +73,9 @@ def advance(machine, steps):
     correction. A step that has used all halvings is counted; it ends the run only if it diverged.
     """
     model, state, work, start, legs, scheme = contents(machine)
-    return advance_contents(model, state, work, start, (in_lanes(legs),), scheme, steps)
+    return advance_contents(
+        model, state, work, start, (in_lanes(legs),), scheme, steps
+    )
 
 
 @kernel
@@ -95,14 +103,17 @@ def advance_contents(model, state, work, start, legs, scheme, steps):
             pieces = 1 << halving
             where, correction = -1, 0.0
             for _ in range(pieces):
-                change = step(model, state, work, legs, scheme.step / pieces, scheme)
+                change = step(
+                    model, state, work, legs, scheme.step / pieces, scheme
+                )
                 correction = max(correction, change)
                 where = lost(state, legs, model.speed_limit)
                 if where >= 0:
                     break
             if (
                 where < 0
-                and correction * (scheme.step / pieces) <= scheme.correction_limit
+                and correction * (scheme.step / pieces)
+                <= scheme.correction_limit
             ):
                 break
             if halving < scheme.halvings:
@@ -141,7 +152,9 @@ def lost(state, legs, limit):
         for i in range(leg.node_velocity.shape[0]):
             u = row(leg.node_velocity, i)
             fine = fine & all_lanes(dot(u, u) < limit * limit)
-    return -1 if fine else _which(state.node_velocity, state.tendon_angle, limit)
+    return (
+        -1 if fine else _which(state.node_velocity, state.tendon_angle, limit)
+    )
 
 
 @helper
@@ -219,7 +232,12 @@ def predict_torso(model, state, work, h, theta):
 def start_torso(model, state, work, tau):
     """Assemble the torso's system without the legs; returns its position at the stage, odom, m."""
     motion, axes, gravity = work.motion, work.rotation, row(work.field, 3)
-    v, w, v0, w0 = row(motion, 0), row(motion, 1), row(motion, 3), row(motion, 4)
+    v, w, v0, w0 = (
+        row(motion, 0),
+        row(motion, 1),
+        row(motion, 3),
+        row(motion, 4),
+    )
     place = plus(state.position, tau, times(axes, v))
     put(motion, 2, scaled(tau, minus(w, w0)))
     work.matrix[:] = 0.0
@@ -231,7 +249,9 @@ def start_torso(model, state, work, tau):
     add_push(g, model.push, axes)
     held = (state.corner_bristle, work.limit, work.slope)
     turn = row(motion, 2)
-    add_corners(H, g, model.torso, model.floor, inv, place, axes, v, w, turn, held)
+    add_corners(
+        H, g, model.torso, model.floor, inv, place, axes, v, w, turn, held
+    )
     return place
 
 

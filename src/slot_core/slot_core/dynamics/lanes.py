@@ -20,7 +20,11 @@ from numba.core.datamodel import models
 from numba.core.errors import RequireLiteralValue, TypingError
 from numba.core.imputils import lower_builtin, lower_cast
 from numba.core.typeconv.castgraph import Conversion
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.core.typing.templates import (
+    AbstractTemplate,
+    infer_global,
+    signature,
+)
 from numba.extending import intrinsic, overload, register_model
 from numba.np.arrayobj import make_array, populate_array
 
@@ -126,13 +130,17 @@ def _comparison(sign):
 
 def _chooser(sign):
     """max (>) and min (<) with Python's result: b where b is beyond a, else a."""
-    return lambda builder, a, b: builder.select(builder.fcmp_ordered(sign, b, a), b, a)
+    return lambda builder, a, b: builder.select(
+        builder.fcmp_ordered(sign, b, a), b, a
+    )
 
 
 def _sqrt(builder, a):
     kind = ir.FunctionType(_VECTOR, [_VECTOR])
     name = f"llvm.sqrt.v{COUNT}f64"
-    return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [a])
+    return builder.call(
+        cgutils.get_or_insert_function(builder.module, kind, name), [a]
+    )
 
 
 for _symbol, _name in (
@@ -183,7 +191,9 @@ def _reduced(value, kind, lanes, build):
     """Typing and code of a reduction: `build(builder, lanes)` of Lanes, a plain value as it is."""
     if not isinstance(value, type(lanes)):
         return kind(kind), lambda context, builder, sig, args: args[0]
-    return kind(lanes), lambda context, builder, sig, args: build(builder, args[0])
+    return kind(lanes), lambda context, builder, sig, args: build(
+        builder, args[0]
+    )
 
 
 def _compared(sign, bits):
@@ -226,7 +236,9 @@ def largest(typingctx, value):
     def build(builder, value):
         best, *others = (_lane(builder, value, k) for k in range(COUNT))
         for other in others:
-            best = builder.select(builder.fcmp_ordered(">", other, best), other, best)
+            best = builder.select(
+                builder.fcmp_ordered(">", other, best), other, best
+            )
         return best
 
     return _reduced(value, types.float64, LANES, build)
@@ -235,12 +247,16 @@ def largest(typingctx, value):
 @intrinsic(prefer_literal=True)
 def lane(typingctx, value, number):
     """The value of one leg; `number` must be a constant."""
-    k = number.literal_value if isinstance(number, types.IntegerLiteral) else None
+    k = (
+        number.literal_value
+        if isinstance(number, types.IntegerLiteral)
+        else None
+    )
     if k is None:
         raise RequireLiteralValue("the number of a lane must be a constant")
-    return types.float64(LANES, number), lambda context, builder, sig, args: _lane(
-        builder, args[0], k
-    )
+    return types.float64(
+        LANES, number
+    ), lambda context, builder, sig, args: _lane(builder, args[0], k)
 
 
 @intrinsic
@@ -318,14 +334,17 @@ def _convert(context, builder, kind, out, value, first):
     if not isinstance(kind, types.Array):
         parts = cgutils.unpack_tuple(builder, value, len(kind.types))
         triples = zip(kind.types, out.types, parts)
-        parts = [_convert(context, builder, *triple, first) for triple in triples]
+        parts = [
+            _convert(context, builder, *triple, first) for triple in triples
+        ]
         return context.make_tuple(builder, out, parts)
     source, view = (
         make_array(kind)(context, builder, value),
         make_array(out)(context, builder),
     )
     shape, strides = (
-        cgutils.unpack_tuple(builder, x)[:-1] for x in (source.shape, source.strides)
+        cgutils.unpack_tuple(builder, x)[:-1]
+        for x in (source.shape, source.strides)
     )
     data = builder.bitcast(builder.gep(source.data, [first]), view.data.type)
     itemsize = context.get_abi_sizeof(context.get_data_type(out.dtype))
@@ -340,11 +359,18 @@ def in_lanes(typingctx, arrays):
     The view does not keep the memory alive: the caller of the kernel must.
     """
     # not aligned: NumPy aligns to 16 bytes, a vector needs 32
-    out = _part(arrays, lambda ndim: types.Array(LANES, ndim, "C", aligned=False))
+    out = _part(
+        arrays, lambda ndim: types.Array(LANES, ndim, "C", aligned=False)
+    )
 
     def build(context, builder, sig, args):
         return _convert(
-            context, builder, arrays, out, args[0], context.get_constant(types.intp, 0)
+            context,
+            builder,
+            arrays,
+            out,
+            args[0],
+            context.get_constant(types.intp, 0),
         )
 
     return out(arrays), build

@@ -37,9 +37,7 @@ class Model(NamedTuple):
     torso: TorsoBox
     floor: Floor
     servo: Servo
-    friction: (
-        Array  # (2, 4) coefficient of the legs, and its other value where it varies
-    )
+    friction: Array  # (2, 4) coefficient of the legs, and its other value where it varies
     gravity: Array  # (3,) m/s^2, odom
     axes: Array  # (4, 3, 3) base_link to leg axes
     root: Array  # (4, 3) m, clamp from the torso's centre, leg axes
@@ -61,9 +59,7 @@ class MechanicalState(NamedTuple):
     specific_force: Array  # (3,) m/s^2, base_link, mean over the last step
     node: Array  # (4, N, 3) m from the clamp, leg axes
     node_velocity: Array  # (4, N, 3) m/s, absolute, leg axes
-    director: (
-        Array  # (4, N-1, 3) unit vectors along the width of the segments, leg axes
-    )
+    director: Array  # (4, N-1, 3) unit vectors along the width of the segments, leg axes
     swirl: Array  # (4, N-1, 3) rad/s, angular momentum of their twist over its inertia, leg axes
     tendon_angle: Array  # (4,) rad
     tendon_rate: Array  # (4,) rad/s, over the last step
@@ -89,11 +85,21 @@ class Work(NamedTuple):
     counter: Array  # (3,) halvings, steps with a pivot not positive, steps with no halving left
 
 
-LEG_STATE = ("node", "node_velocity", "director", "swirl", "drive", "bristle", "memory")
+LEG_STATE = (
+    "node",
+    "node_velocity",
+    "director",
+    "swirl",
+    "drive",
+    "bristle",
+    "memory",
+)
 """Arrays of the state with one row for each leg; in memory the legs are the last axis."""
 
 
-def state_space(nodes: int, points: int, relaxes: bool = False) -> MechanicalState:
+def state_space(
+    nodes: int, points: int, relaxes: bool = False
+) -> MechanicalState:
     """A state with N nodes and `points` contact points per leg, all zero; legs last in memory.
 
     relaxes: whether the legs have Maxwell branches.
@@ -123,7 +129,9 @@ def state_space(nodes: int, points: int, relaxes: bool = False) -> MechanicalSta
     return MechanicalState(buffer, **views)
 
 
-def spatial_leg(nodes: int, lanes: tuple[int, ...] = (), points: int = 0) -> SpatialLeg:
+def spatial_leg(
+    nodes: int, lanes: tuple[int, ...] = (), points: int = 0
+) -> SpatialLeg:
     """Arrays of one leg of N nodes, or of four with the axis `lanes` = (4,); zero, not broken."""
     n = nodes - 1
     shapes: dict[str, tuple[int, ...]] = {
@@ -184,7 +192,9 @@ def leg_lanes(model: Model, state: MechanicalState) -> SpatialLeg:
         angle=state.tendon_angle[None],
         rate=state.tendon_rate[None],
         tension=state.tension[None],
-        **{name: np.moveaxis(getattr(state, name), 0, -1) for name in LEG_STATE},
+        **{
+            name: np.moveaxis(getattr(state, name), 0, -1) for name in LEG_STATE
+        },
     )
 
 
@@ -208,7 +218,10 @@ def clamp_maps(axes: Array, root: Array) -> Array:
     """(4, 6, 6) from the torso's increments (shift, turn; base_link) to (X, Phi) of a clamp."""
     maps = np.zeros((4, 6, 6))
     for out, a, (rx, ry, rz) in zip(maps, axes, root):
-        shift, turn = np.hstack([a, np.zeros((3, 3))]), np.hstack([np.zeros((3, 3)), a])
+        shift, turn = (
+            np.hstack([a, np.zeros((3, 3))]),
+            np.hstack([np.zeros((3, 3)), a]),
+        )
         out[0] = shift[0] + turn[1] * rz - turn[2] * ry
         out[1] = shift[1] + turn[2] * rx - turn[0] * rz
         out[2] = shift[2] + turn[0] * ry - turn[1] * rx
@@ -216,7 +229,9 @@ def clamp_maps(axes: Array, root: Array) -> Array:
     return maps
 
 
-def build_model(robot: RobotParameters, scene: Scene, settings: ServoSettings) -> Model:
+def build_model(
+    robot: RobotParameters, scene: Scene, settings: ServoSettings
+) -> Model:
     """Parameters of the kernels for a robot, its scene and its servos.
 
     Raises ConfigError for a height map that cannot be read, and for a supply voltage beyond those
@@ -249,7 +264,8 @@ def build_model(robot: RobotParameters, scene: Scene, settings: ServoSettings) -
         payload=np.array([payload.mass, *payload.place]),
         push=np.zeros(6),
         fault=np.array(
-            [scene.tendons.slack, np.logical_not(scene.tendons.broken)], dtype=float
+            [scene.tendons.slack, np.logical_not(scene.tendons.broken)],
+            dtype=float,
         ),
     )
 
@@ -277,7 +293,9 @@ def build_floor(settings: FloorSettings, rod: Rod, width: float) -> Floor:
         corner_damping=settings.damping,
         corner_friction=settings.torso_friction,
         friction_velocity=settings.friction_velocity,
-        varies=("uniform", "direction", "phase").index(settings.friction_varies),
+        varies=("uniform", "direction", "phase").index(
+            settings.friction_varies
+        ),
         bristle=settings.bristle if settings.friction_law == "bristle" else 0.0,
         terrain=read_terrain(settings.height_map, settings.spacing),
     )

@@ -66,7 +66,9 @@ def _contact_point(model, state, position, velocity, leg, p):
     arm = _to_odom(model, state, leg, scaled(reach, state.director[leg, k]))
     e = minus(row(r, k + 1), row(r, k))
     w = cross(e, minus(row(v, k + 1), row(v, k)))
-    w = plus(_to_odom(model, state, leg, state.swirl[leg, k]), 1.0 / dot(e, e), w)
+    w = plus(
+        _to_odom(model, state, leg, state.swirl[leg, k]), 1.0 / dot(e, e), w
+    )
     return i, add(row(r, i), arm), add(row(v, i), cross(w, arm))
 
 
@@ -82,7 +84,9 @@ def ground_forces(model, state, position, velocity, force):
     for leg in range(4):
         own, other = friction[0, leg], friction[1, leg]
         for p in range(floor.stiffness.size):
-            i, place, u = _contact_point(model, state, position, velocity, leg, p)
+            i, place, u = _contact_point(
+                model, state, position, velocity, leg, p
+            )
             gap, up = _gap(floor.terrain, place)
             if i < floor.first or gap >= 0.0:
                 continue
@@ -90,15 +94,21 @@ def ground_forces(model, state, position, velocity, force):
             v = plus(u, -vn, up)
             stiffness, damping = floor.stiffness[p], floor.damping[p]
             normal = normal_force(stiffness, damping, gap, vn)
-            outward = times(model.axes[leg], times_transposed(state.rotation, v))[0]
+            outward = times(
+                model.axes[leg], times_transposed(state.rotation, v)
+            )[0]
             rate = state.tendon_rate[leg]
             mu = coefficient(floor, own, other, rate, outward, dot(v, v))
             bristle = v
             if floor.bristle > 0.0:
                 bristle = row(state.bristle[leg], p)
             most = mu * normal
-            hold = friction_force(floor, most, 0.0, stiffness, damping, bristle, v)
-            f = minus(minus(scaled(normal, up), scaled(hold.drag, v)), hold.held)
+            hold = friction_force(
+                floor, most, 0.0, stiffness, damping, bristle, v
+            )
+            f = minus(
+                minus(scaled(normal, up), scaled(hold.drag, v)), hold.held
+            )
             put(force, leg, add(row(force, leg), f))
 
 
@@ -153,13 +163,19 @@ def energy(model, state, segments, position, velocity):
     """
     floor = model.floor
     total = 0.5 * dot(state.rate, times(model.torso.inertia, state.rate))
-    total += _point_energy(model, model.torso.mass, state.position, state.velocity)
+    total += _point_energy(
+        model, model.torso.mass, state.position, state.velocity
+    )
     total += _point_energy(model, model.payload[0], *_payload(model, state))
     total += _corner_energy(model, state)
     for leg in range(4):
-        total += _leg_energy(model, state, segments, position[leg], velocity[leg], leg)
+        total += _leg_energy(
+            model, state, segments, position[leg], velocity[leg], leg
+        )
         for p in range(floor.stiffness.size):
-            i, place, _ = _contact_point(model, state, position, velocity, leg, p)
+            i, place, _ = _contact_point(
+                model, state, position, velocity, leg, p
+            )
             if i >= floor.first:
                 stiffness, bristle = floor.stiffness[p], state.bristle[leg]
                 total = _add_contact(total, floor, stiffness, place, bristle, p)
@@ -174,7 +190,9 @@ def _leg_energy(model, state, segments, position, velocity, leg):
     fault = (model.fault[0, leg], model.fault[1, leg])
     total += cable_energy(segments, model.tendon, angle, fault)
     for i in range(position.shape[0]):
-        total += _point_energy(model, rod.mass[i], row(position, i), row(velocity, i))
+        total += _point_energy(
+            model, rod.mass[i], row(position, i), row(velocity, i)
+        )
     for k in range(position.shape[0] - 1):
         u = minus(row(velocity, k + 1), row(velocity, k))
         s = row(state.swirl[leg], k)
@@ -196,7 +214,9 @@ def _corner_energy(model, state):
     """J, floor springs and bristles of the torso's corners."""
     total, floor = 0.0, model.floor
     for k in range(model.torso.corners.shape[0]):
-        r = add(state.position, times(state.rotation, row(model.torso.corners, k)))
+        r = add(
+            state.position, times(state.rotation, row(model.torso.corners, k))
+        )
         stiffness, bristle = floor.corner_stiffness, state.corner_bristle
         total = _add_contact(total, floor, stiffness, r, bristle, k)
     return total

@@ -16,7 +16,10 @@ class FloorSettings:
     """Shape of the floor and contact law; the equations are in `contact.py` and `terrain.py`."""
 
     stiffness: float = quantity(
-        "contact stiffness of a leg's tip and of the torso's corners", "N/m", 1e2, 1e7
+        "contact stiffness of a leg's tip and of the torso's corners",
+        "N/m",
+        1e2,
+        1e7,
     )
     line_stiffness: float = quantity(
         "contact stiffness along a leg", "N/m^2", 0.0, 1e10
@@ -90,8 +93,12 @@ class Push:
 
     time: float = quantity("start time", "s", 0.0, 1e6)
     duration: float = quantity("duration", "s", 0.0, 1e6)
-    force: tuple[float, float, float] = quantity("force in odom", "N", -1e4, 1e4)
-    moment: tuple[float, float, float] = quantity("moment in odom", "N m", -1e3, 1e3)
+    force: tuple[float, float, float] = quantity(
+        "force in odom", "N", -1e4, 1e4
+    )
+    moment: tuple[float, float, float] = quantity(
+        "moment in odom", "N m", -1e3, 1e3
+    )
 
 
 @dataclass(frozen=True)
@@ -113,10 +120,16 @@ class SolverSettings:
     iterations: int = quantity("Newton iterations per step", "", 1, 20)
     halvings: int = quantity("largest number of halvings of a step", "", 0, 12)
     correction_limit: float = quantity(
-        "energy that the last Newton correction may leave in a contact", "J", 1e-15, 1e6
+        "energy that the last Newton correction may leave in a contact",
+        "J",
+        1e-15,
+        1e6,
     )
     speed_limit: float = quantity(
-        "speed of a node beyond which the solution counts as diverged", "m/s", 1.0, 1e6
+        "speed of a node beyond which the solution counts as diverged",
+        "m/s",
+        1.0,
+        1e6,
     )
 
 
@@ -157,13 +170,18 @@ class OdometrySettings:
         "standard deviation of the velocity per axis", "m/s", 0.0, 10.0
     )
     rate_noise: float = quantity(
-        "standard deviation of the angular velocity per axis", "rad/s", 0.0, 10.0
+        "standard deviation of the angular velocity per axis",
+        "rad/s",
+        0.0,
+        10.0,
     )
     jitter: float = quantity("largest deviation of the delay", "s", 0.0, 1.0)
     position_drift: float = quantity(
         "random walk of the position per axis", "m/sqrt(s)", 0.0, 1.0
     )
-    yaw_drift: float = quantity("random walk of the yaw", "rad/sqrt(s)", 0.0, 1.0)
+    yaw_drift: float = quantity(
+        "random walk of the yaw", "rad/sqrt(s)", 0.0, 1.0
+    )
     loss: float = quantity("share of lost readings", "", 0.0, 1.0)
     dropouts: dict[str, Dropout] = text("times without odometry by name")
     jumps: dict[str, Jump] = text("jumps of the odometry by name")
@@ -179,9 +197,15 @@ class CameraSettings:
     )
     boards: tuple[str, ...] = text("boards of vision.yaml that are there")
     period: float = quantity("period of the images", "s", 1e-3, 10.0)
-    delay: float = quantity("delay from mid exposure to publication", "s", 0.0, 1.0)
-    noise: float = quantity("standard deviation of a pixel", "grey levels", 0.0, 100.0)
-    blur: float = quantity("standard deviation of the lens' blur", "px", 0.0, 20.0)
+    delay: float = quantity(
+        "delay from mid exposure to publication", "s", 0.0, 1.0
+    )
+    noise: float = quantity(
+        "standard deviation of a pixel", "grey levels", 0.0, 100.0
+    )
+    blur: float = quantity(
+        "standard deviation of the lens' blur", "px", 0.0, 20.0
+    )
     exposure: float = quantity("exposure time", "s", 0.0, 0.1)
 
 
@@ -210,7 +234,9 @@ class SensorSettings:
     camera: CameraSettings
     imu: ImuSettings
     joints: bool = flag("whether tendon angles are measured")
-    joint_period: float = quantity("period of the tendon angles", "s", 1e-3, 1.0)
+    joint_period: float = quantity(
+        "period of the tendon angles", "s", 1e-3, 1.0
+    )
     truth: bool = flag("whether exact motion, forces and shapes are published")
 
 
@@ -232,7 +258,9 @@ class StartSettings:
     tendon_angle_deg: float = quantity(
         "commanded tendon angle while settling", "deg", 0.0, 360.0
     )
-    settle: float = quantity("duration of settling before time zero", "s", 0.0, 60.0)
+    settle: float = quantity(
+        "duration of settling before time zero", "s", 0.0, 60.0
+    )
 
 
 @dataclass(frozen=True)

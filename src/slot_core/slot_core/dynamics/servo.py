@@ -39,7 +39,9 @@ from slot_core.robot import read_parameters
 class ServoSettings:
     """Mechanical model of the servo, from `config/servo.yaml`."""
 
-    model: str = choice("model of the position loop", "torque_speed", "ideal", "pid")
+    model: str = choice(
+        "model of the position loop", "torque_speed", "ideal", "pid"
+    )
     lag: float = quantity("time constant of the position loop", "s", 1e-3, 1.0)
     voltage: tuple[float, ...] = quantity(
         "supply voltages for which the maker states stall torque and speed, rising",
@@ -48,10 +50,16 @@ class ServoSettings:
         60.0,
     )
     stall_torque: tuple[float, ...] = quantity(
-        "stall torque at each of these voltages, at the shaft", "N m", 0.01, 100.0
+        "stall torque at each of these voltages, at the shaft",
+        "N m",
+        0.01,
+        100.0,
     )
     no_load_rpm: tuple[float, ...] = quantity(
-        "no-load speed of the shaft at each of these voltages", "rev/min", 1.0, 1000.0
+        "no-load speed of the shaft at each of these voltages",
+        "rev/min",
+        1.0,
+        1000.0,
     )
     nominal_voltage: float = quantity(
         "supply voltage assumed where none is known", "V", 1.0, 60.0
@@ -74,16 +82,24 @@ class ServoSettings:
     integral: float = quantity(
         "I gain of the pid: duty per angle and time", "1/(rad s)", 0.0, 1e4
     )
-    derivative: float = quantity("D gain of the pid: duty per speed", "s/rad", 0.0, 1e2)
+    derivative: float = quantity(
+        "D gain of the pid: duty per speed", "s/rad", 0.0, 1e2
+    )
     motor_time: float = quantity(
         "time constant of the motor driven by the pid", "s", 0.0, 1.0
     )
-    backlash_deg: float = quantity("play between motor and spool", "deg", 0.0, 10.0)
+    backlash_deg: float = quantity(
+        "play between motor and spool", "deg", 0.0, 10.0
+    )
 
     def __post_init__(self) -> None:
         """Raise ConfigError unless the voltages rise and each has its torque and speed."""
-        if not self.voltage or any(low >= high for low, high in pairwise(self.voltage)):
-            raise ConfigError(f"voltage = {list(self.voltage)}: expected rising values")
+        if not self.voltage or any(
+            low >= high for low, high in pairwise(self.voltage)
+        ):
+            raise ConfigError(
+                f"voltage = {list(self.voltage)}: expected rising values"
+            )
         for name in ("stall_torque", "no_load_rpm"):
             values = getattr(self, name)
             if len(values) != len(self.voltage):
@@ -135,7 +151,9 @@ class Servo(NamedTuple):
 
     gain: float  # 1/s
     speed: float  # rad/s
-    speed_loss: float  # 1/(N m), relative loss of speed per torque, 1 / tau_stall
+    speed_loss: (
+        float  # 1/(N m), relative loss of speed per torque, 1 / tau_stall
+    )
     pid: bool
     proportional: float  # 1/rad
     integral: float  # 1/(rad s)
@@ -167,11 +185,15 @@ def servo(settings: ServoSettings, voltage: float) -> Servo:
     """
     settings.require_voltage(voltage)
     ideal = settings.model == "ideal"
-    speed = settings.ideal_speed if ideal else float(settings.tendon_speed(voltage))
+    speed = (
+        settings.ideal_speed if ideal else float(settings.tendon_speed(voltage))
+    )
     return Servo(
         gain=1.0 / settings.lag,
         speed=speed,
-        speed_loss=0.0 if ideal else 1.0 / float(settings.tendon_stall(voltage)),
+        speed_loss=0.0
+        if ideal
+        else 1.0 / float(settings.tendon_stall(voltage)),
         pid=settings.model == "pid",
         proportional=settings.proportional,
         integral=settings.integral,

@@ -202,7 +202,9 @@ class SimulatedRobot(ABC):
         if command.shape != (4,):
             raise ValueError(f"command has the shape {command.shape}, not (4,)")
         if not all(0.0 <= angle <= limit for angle in command.tolist()):
-            raise ValueError(f"command {command} rad is not inside [0, {limit:.6f}]")
+            raise ValueError(
+                f"command {command} rad is not inside [0, {limit:.6f}]"
+            )
         return command
 
 
@@ -235,14 +237,19 @@ class KernelRobot(SimulatedRobot):
         self.state.rate[:] = checked("angular velocity", angular_velocity, (3,))
         self.state.velocity[:] = velocity
 
-    def damage_tendon(self, leg: int, slack: float = 0.0, broken: bool = False) -> None:
+    def damage_tendon(
+        self, leg: int, slack: float = 0.0, broken: bool = False
+    ) -> None:
         """Lengthen the tendon of leg 0 .. 3 by `slack` (m), negative: shorten it, or break it.
 
         Raises ValueError for another leg or a slack that is not finite.
         """
         if leg not in range(4):
             raise ValueError(f"leg {leg} must be 0 to 3")
-        self.model.fault[:, leg] = checked(f"slack of leg {leg}", slack, ()), not broken
+        self.model.fault[:, leg] = (
+            checked(f"slack of leg {leg}", slack, ()),
+            not broken,
+        )
 
     @property
     def halvings(self) -> int:
@@ -285,4 +292,6 @@ class KernelRobot(SimulatedRobot):
 def require_steps(steps: int) -> None:
     """Raise ValueError for a number of steps that is no integer or negative."""
     if not isinstance(steps, (int, np.integer)) or steps < 0:
-        raise ValueError(f"steps = {quoted(steps)}: expected an integer, 0 or more")
+        raise ValueError(
+            f"steps = {quoted(steps)}: expected an integer, 0 or more"
+        )

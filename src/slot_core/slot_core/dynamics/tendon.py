@@ -34,9 +34,7 @@ class TendonModel(NamedTuple):
 
     along: Array  # (N-1,) w_i
     around: Array  # (N-1,) m, d v_i
-    relaxed: (
-        float  # m, l_cmd at tendon angle zero less the natural length of the segments
-    )
+    relaxed: float  # m, l_cmd at tendon angle zero less the natural length of the segments
     stiffness: float  # N/m
     damping: float  # N s/m
     spool_radius: float  # m
@@ -51,7 +49,9 @@ def route(rod: Rod, settings: Tendon) -> TendonModel:
     if end < len(around):
         around[end] = settings.offset * rod.anchor_share
         share = rod.anchor_share * (1.0 - rod.anchor_share)
-        compliance += settings.offset * settings.offset * share / rod.bending[end]
+        compliance += (
+            settings.offset * settings.offset * share / rod.bending[end]
+        )
     return TendonModel(
         along=along,
         around=around,
@@ -67,7 +67,9 @@ def _stretch(s, tendon, angle, fault):
     """l - l_cmd, m, at tendon angle (rad), after `measure`."""
     stretch = tendon.spool_radius * angle - tendon.relaxed - fault[0]
     for i in range(s.length.size):
-        stretch += tendon.along[i] * s.extension[i] + tendon.around[i] * s.turn[i]
+        stretch += (
+            tendon.along[i] * s.extension[i] + tendon.around[i] * s.turn[i]
+        )
     return stretch
 
 

@@ -43,7 +43,9 @@ class TorsoBox(NamedTuple):
 def box(settings: Torso) -> TorsoBox:
     """Parameters of the torso: mass, inertia and the eight corners of the box."""
     signs = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
-    return TorsoBox(settings.mass, settings.inertia, signs * np.array(settings.size))
+    return TorsoBox(
+        settings.mass, settings.inertia, signs * np.array(settings.size)
+    )
 
 
 @helper
@@ -114,9 +116,13 @@ def add_corners(H, g, torso, floor, inv, place, axes, v, w, turn, held):
         if floor.bristle > 0.0:
             limit[k] = most
             stuck = tangential(axes, bristle[k], up)
-        hold = friction_force(floor, most, 1.0 / inv, stiffness, damping, stuck, u)
+        hold = friction_force(
+            floor, most, 1.0 / inv, stiffness, damping, stuck, u
+        )
         if normal > 0.0:
-            f = minus(minus(scaled(normal, up), scaled(hold.drag, u)), hold.held)
+            f = minus(
+                minus(scaled(normal, up), scaled(hold.drag, u)), hold.held
+            )
             drag = hold.drag * inv
             _add_point(H, g, p, f, stiffness + damping * inv - drag, drag, up)
 

@@ -14,9 +14,20 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from dynamixel_sdk import COMM_RX_CORRUPT, COMM_SUCCESS, GroupSyncWrite, PacketHandler
+from dynamixel_sdk import (
+    COMM_RX_CORRUPT,
+    COMM_SUCCESS,
+    GroupSyncWrite,
+    PacketHandler,
+)
 
-from slot_core.dynamixel.packet import ALERT, BROADCAST, FAST_OVERHEAD, OVERHEAD, Error
+from slot_core.dynamixel.packet import (
+    ALERT,
+    BROADCAST,
+    FAST_OVERHEAD,
+    OVERHEAD,
+    Error,
+)
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import BusSettings
 from slot_core.dynamixel.table import TABLE, decode_span, span
@@ -95,7 +106,8 @@ class Bus:
         """Model number and firmware version of every servo that answers, by id; takes about 1 s."""
         found, _ = self._handler.broadcastPing(self.port)
         return {
-            identity: (model, firmware) for identity, (model, firmware) in found.items()
+            identity: (model, firmware)
+            for identity, (model, firmware) in found.items()
         }
 
     def read(
@@ -159,7 +171,9 @@ class Bus:
         Raises CommunicationError.
         """
         item = TABLE[register]
-        group = GroupSyncWrite(self.port, self._handler, item.address, item.size)
+        group = GroupSyncWrite(
+            self.port, self._handler, item.address, item.size
+        )
         for identity, value in values.items():
             group.addParam(identity, list(item.encode(value)))
         result = group.txPacket()
@@ -178,7 +192,9 @@ class Bus:
         without retries until it answers, and use no fast sync read. A fast answer that fails
         counts as failed for all servos, since the servo at fault is unknown.
         """
-        order = sorted(ids, key=lambda identity: identity in self._silent)  # stable
+        order = sorted(
+            ids, key=lambda identity: identity in self._silent
+        )  # stable
         address, size = span(first, last)
         fast = fast and not self._silent.intersection(order)
         found = self._fast_read(order, address, size) if fast else {}
@@ -196,8 +212,12 @@ class Bus:
             for identity, status in found.items()
         }
 
-    def _fast_read(self, ids: list[int], address: int, size: int) -> dict[int, _Status]:
-        result = self._handler.syncReadTx(self.port, address, size, ids, len(ids), True)
+    def _fast_read(
+        self, ids: list[int], address: int, size: int
+    ) -> dict[int, _Status]:
+        result = self._handler.syncReadTx(
+            self.port, address, size, ids, len(ids), True
+        )
         if result != COMM_SUCCESS:
             return {}
         packet, result = self._handler.rxPacket(self.port, True)
@@ -211,7 +231,8 @@ class Bus:
             self.port.drain(self._settings.quiet)
             return {}
         parts = [
-            bytes(packet[8 + k * part_size :][: size + 2]) for k in range(len(ids))
+            bytes(packet[8 + k * part_size :][: size + 2])
+            for k in range(len(ids))
         ]
         return {
             part[1]: _Status(part[0], part[2:])
@@ -219,7 +240,9 @@ class Bus:
             if part[1] == identity and not part[0] & ~ALERT
         }
 
-    def _sync_read(self, ids: list[int], address: int, size: int) -> dict[int, _Status]:
+    def _sync_read(
+        self, ids: list[int], address: int, size: int
+    ) -> dict[int, _Status]:
         result = self._handler.syncReadTx(
             self.port, address, size, ids, len(ids), False
         )
@@ -227,10 +250,14 @@ class Bus:
             return {}
         found, _ = self._receive(ids, size)
         return {
-            identity: status for identity, status in found.items() if not status.number
+            identity: status
+            for identity, status in found.items()
+            if not status.number
         }
 
-    def _read_alone(self, identity: int, address: int, size: int) -> dict[int, _Status]:
+    def _read_alone(
+        self, identity: int, address: int, size: int
+    ) -> dict[int, _Status]:
         for _ in range(self._settings.retries):
             self._handler.readTx(self.port, identity, address, size)
             found, _ = self._receive([identity], size)
@@ -262,7 +289,9 @@ class Bus:
             if (
                 status is not None and status.number != Error.CRC
             ):  # CRC: damaged on the line, retry
-                raise InstructionError(f"{self.name(identity)}: {action}: {cause}")
+                raise InstructionError(
+                    f"{self.name(identity)}: {action}: {cause}"
+                )
         raise CommunicationError(f"{self.name(identity)}: {action}: {cause}")
 
     def _ping(self, identity: int) -> int:
@@ -279,7 +308,9 @@ class Bus:
         self.port.setPacketTimeout(STATUS_BYTES)
         return result
 
-    def _receive(self, ids: list[int], size: int) -> tuple[dict[int, _Status], int]:
+    def _receive(
+        self, ids: list[int], size: int
+    ) -> tuple[dict[int, _Status], int]:
         """Status packets with `size` bytes of data by id; the SDK's result of the last packet."""
         found: dict[int, _Status] = {}
         result, invalid = COMM_SUCCESS, 0
@@ -292,7 +323,9 @@ class Bus:
             invalid += 1
             if result == COMM_SUCCESS:
                 result = COMM_RX_CORRUPT
-            elif self.port.packet_timeout == 0:  # the SDK sets this on a timeout
+            elif (
+                self.port.packet_timeout == 0
+            ):  # the SDK sets this on a timeout
                 break
         if len(found) < len(ids):
             self.port.drain(self._settings.quiet)

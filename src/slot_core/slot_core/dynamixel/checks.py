@@ -86,7 +86,9 @@ def examine(
     return ServoInfo(joint.leg, joint.id, model, firmware, values), reasons
 
 
-def measure_zero(bus: Bus, joint: Joint, sleep: Callable[[float], None]) -> float:
+def measure_zero(
+    bus: Bus, joint: Joint, sleep: Callable[[float], None]
+) -> float:
     """Servo angle (deg), mean of SAMPLES readings with torque off.
 
     Rounded as in the configuration, since the servo's limits follow from it.
@@ -105,7 +107,9 @@ def measure_zero(bus: Bus, joint: Joint, sleep: Callable[[float], None]) -> floa
                 f"{joint.name}: moves by {moved} counts, limit {SPREAD_MAX}; hold it still"
             ]
         )
-    return round(math.degrees(statistics.fmean(found) * RAD_PER_COUNT), ZERO_DIGITS)
+    return round(
+        math.degrees(statistics.fmean(found) * RAD_PER_COUNT), ZERO_DIGITS
+    )
 
 
 def write_zero(leg: str, zero_deg: float) -> Path:
@@ -117,7 +121,9 @@ def write_zero(leg: str, zero_deg: float) -> Path:
     path = config.config_dir() / "dynamixel.yaml"
     text = read_text(path, config.SIZE_MAX)
     line = re.search(
-        rf"^(\s*zero_deg:\s*\[)({NUMBER}(?:\s*,\s*{NUMBER}){{3}})(\])", text, re.M
+        rf"^(\s*zero_deg:\s*\[)({NUMBER}(?:\s*,\s*{NUMBER}){{3}})(\])",
+        text,
+        re.M,
     )
     if line is None:
         raise config.ConfigError(f"{path}: no line zero_deg: [FL, FR, RL, RR]")

@@ -71,10 +71,14 @@ class Driver:
             "dynamixel", port.port_name, first.low, first.high, watchdog
         )
         self.active = False
-        self.health = tuple(ServoStatus(joint.leg, joint.id) for joint in self.joints)
+        self.health = tuple(
+            ServoStatus(joint.leg, joint.id) for joint in self.joints
+        )
         self.clock, self._port = clock, port
         self._fast = False
-        self._alerts: set[int] = set()  # ids whose last answer had a hardware error
+        self._alerts: set[int] = (
+            set()
+        )  # ids whose last answer had a hardware error
         self._pid = HostPid(settings.host_pid)
         self._goal: Array = np.zeros(len(LEGS))  # rad, of the tendons
         self._last: float | None = None
@@ -85,17 +89,23 @@ class Driver:
         self.active = False
         check_latency(self._port.port_name, self.settings.bus.latency_limit)
         self._port.open()
-        found = [examine(self.bus, self.settings, joint) for joint in self.joints]
+        found = [
+            examine(self.bus, self.settings, joint) for joint in self.joints
+        ]
         infos: list[ServoInfo] = [info for info, _ in found if info is not None]
         if reasons := [reason for _, reasons in found for reason in reasons]:
             self.torque_off()
             self._port.close()
             raise RefusedError(reasons)
         now = self.clock()
-        self.health = tuple(replace(health, last_answer=now) for health in self.health)
+        self.health = tuple(
+            replace(health, last_answer=now) for health in self.health
+        )
         oldest = min(info.firmware for info in infos)
         self._fast = oldest >= self.settings.servo.fast_from_firmware
-        return tuple(f"{info.leg} id {info.id} v{info.firmware}" for info in infos)
+        return tuple(
+            f"{info.leg} id {info.id} v{info.firmware}" for info in infos
+        )
 
     def activate(self) -> None:
         """Torque on at the present positions, without motion; else torque off and RefusedError."""
@@ -134,7 +144,9 @@ class Driver:
 
     def cycle(self) -> Cycle:
         """One exchange with all servos; raises PortError if the port has disappeared."""
-        self._port.is_using = False  # an interrupt may have left an exchange unfinished
+        self._port.is_using = (
+            False  # an interrupt may have left an exchange unfinished
+        )
         start = self.clock()
         h = 0.0 if self._last is None else max(start - self._last, 0.0)
         self._last = start
@@ -143,7 +155,10 @@ class Driver:
             self._regulate(readings, h)
             written = self.clock()
         else:
-            self._write_positions()
+            if self.active:
+                goals = zip(self.joints, self._goal)
+                counts = {joint.id: joint.counts(goal) for joint, goal in goals}
+                self.bus.sync_write("goal_position", counts)
             written = self.clock()
             readings = self._read()
         self._update_health(readings)
@@ -157,9 +172,12 @@ class Driver:
         with contextlib.suppress(
             ServoError
         ):  # all at once first: a silent servo delays the others
-            self.bus.sync_write("torque_enable", {joint.id: 0 for joint in self.joints})
+            self.bus.sync_write(
+                "torque_enable", {joint.id: 0 for joint in self.joints}
+            )
         reasons = [
-            self._confirm_off(index, joint) for index, joint in enumerate(self.joints)
+            self._confirm_off(index, joint)
+            for index, joint in enumerate(self.joints)
         ]
         return TorqueOff(
             tuple(not reason for reason in reasons),
@@ -191,7 +209,9 @@ class Driver:
         index = LEGS.index(leg)
         zeros = list(self.settings.joints.zero_deg)
         zeros[index] = zero_deg
-        settings = config.replace(self.settings, {"joints.zero_deg": tuple(zeros)})
+        settings = config.replace(
+            self.settings, {"joints.zero_deg": tuple(zeros)}
+        )
         self.joints, self.settings = joints(settings.joints), settings
         joint = self.joints[index]
         for register in ("min_position_limit", "max_position_limit"):
@@ -231,7 +251,9 @@ class Driver:
 
     def _prepare_servo(self, index: int, joint: Joint) -> list[str]:
         """Set goal := present position, gains and profile; returns reasons to refuse torque."""
-        present = self.bus.read(joint.id, "present_position")["present_position"]
+        present = self.bus.read(joint.id, "present_position")[
+            "present_position"
+        ]
         low, high = joint.limits()
         if not low <= present <= high:
             return [
@@ -260,22 +282,19 @@ class Driver:
             self.bus.write_verified(joint.id, register, value)
         return []
 
-    def _write_positions(self) -> None:
-        """Write the goals while torque is on."""
-        if self.active:
-            goals = zip(self.joints, self._goal)
-            self.bus.sync_write(
-                "goal_position", {joint.id: joint.counts(goal) for joint, goal in goals}
-            )
-
-    def _regulate(self, readings: tuple[ServoReading | None, ...], h: float) -> None:
+    def _regulate(
+        self, readings: tuple[ServoReading | None, ...], h: float
+    ) -> None:
         """Write the duty of the host PID."""
         if not self.active or h == 0.0:
             return
         angle = np.array([np.nan if r is None else r.angle for r in readings])
         speed = np.array([np.nan if r is None else r.rate for r in readings])
         duty = self._pid.step(self._goal, angle, speed, h)
-        pwm = {joint.id: joint.pwm(share) for joint, share in zip(self.joints, duty)}
+        pwm = {
+            joint.id: joint.pwm(share)
+            for joint, share in zip(self.joints, duty)
+        }
         self.bus.sync_write("goal_pwm", pwm)
 
     def _read(self) -> tuple[ServoReading | None, ...]:
@@ -286,7 +305,9 @@ class Driver:
             identity for identity, answer in answers.items() if answer.alert
         }
         return tuple(
-            self._reading(joint, answers[joint.id]) if joint.id in answers else None
+            self._reading(joint, answers[joint.id])
+            if joint.id in answers
+            else None
             for joint in self.joints
         )
 
@@ -348,7 +369,9 @@ class Driver:
                 reason = str(error)
                 continue
             self._change_health(index, torque=False)
-            with contextlib.suppress(ServoError):  # without effect once torque is off
+            with contextlib.suppress(
+                ServoError
+            ):  # without effect once torque is off
                 self.bus.write(joint.id, "bus_watchdog", 0)
             return ""
         return reason

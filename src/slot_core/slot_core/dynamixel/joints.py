@@ -11,7 +11,12 @@ from dataclasses import dataclass
 
 from slot_core.config import ConfigError
 from slot_core.dynamixel.settings import JointSettings
-from slot_core.dynamixel.table import COUNTS, PWM_FULL, RAD_PER_COUNT, RAD_S_PER_UNIT
+from slot_core.dynamixel.table import (
+    COUNTS,
+    PWM_FULL,
+    RAD_PER_COUNT,
+    RAD_S_PER_UNIT,
+)
 from slot_core.robot import LEGS
 
 
@@ -53,12 +58,8 @@ class Joint:
         """Tendon angle rate (rad/s) from the value of Present Velocity."""
         return velocity * RAD_S_PER_UNIT / (self.direction * self.ratio)
 
-    def tendon_torque(self, torque: float) -> float:
-        """Torque on the tendon angle (N m) from that on the servo angle, at equal power."""
-        return torque * self.direction * self.ratio
-
     def servo_torque(self, torque: float) -> float:
-        """The inverse of `tendon_torque`."""
+        """Torque on the servo angle (N m) from the torque on the tendon angle, at equal power."""
         return torque / (self.direction * self.ratio)
 
     def pwm(self, duty: float) -> int:
@@ -91,7 +92,19 @@ def joints(settings: JointSettings) -> tuple[Joint, ...]:
             f"dynamixel.yaml: joints.low_deg = {settings.low_deg}: not below high_deg ="
             f" {settings.high_deg}"
         )
-    found = tuple(_joint(settings, index) for index in range(len(LEGS)))
+    found = tuple(
+        Joint(
+            leg=leg,
+            id=settings.ids[index],
+            zero=math.radians(settings.zero_deg[index]),
+            direction=settings.direction[index],
+            ratio=settings.servo_per_tendon,
+            low=math.radians(settings.low_deg),
+            high=math.radians(settings.high_deg),
+            margin=math.radians(settings.margin_deg),
+        )
+        for index, leg in enumerate(LEGS)
+    )
     for joint in found:
         low, high = joint.limits()
         if low < 0 or high >= COUNTS:
@@ -100,16 +113,3 @@ def joints(settings: JointSettings) -> tuple[Joint, ...]:
                 " one turn; mount the spool at another angle"
             )
     return found
-
-
-def _joint(settings: JointSettings, index: int) -> Joint:
-    return Joint(
-        leg=LEGS[index],
-        id=settings.ids[index],
-        zero=math.radians(settings.zero_deg[index]),
-        direction=settings.direction[index],
-        ratio=settings.servo_per_tendon,
-        low=math.radians(settings.low_deg),
-        high=math.radians(settings.high_deg),
-        margin=math.radians(settings.margin_deg),
-    )

@@ -35,7 +35,11 @@ class SerialPort(PortHandler):
     """
 
     def __init__(
-        self, name: str, baud: int, timeout: float, clock: Clock = time.monotonic
+        self,
+        name: str,
+        baud: int,
+        timeout: float,
+        clock: Clock = time.monotonic,
     ) -> None:
         super().__init__(name)
         self._clock = clock
@@ -75,7 +79,7 @@ class SerialPort(PortHandler):
 
     def clearPort(self) -> None:  # noqa: N802
         """Discard the bytes received so far; raises PortError."""
-        self._guard(self._discard)
+        self._guard(lambda: self.ser.reset_input_buffer())  # noqa: PLW0108 - ser may be None
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Up to `length` bytes; blocks until the first or the timeout; raises PortError."""
@@ -106,14 +110,13 @@ class SerialPort(PortHandler):
             self._clock() + self._timeout + quiet
         )  # bound for a line that is never idle
         while self._clock() < end:
-            data = self._guard(lambda: self._await(self.ser.in_waiting or 1, quiet))
+            data = self._guard(
+                lambda: self._await(self.ser.in_waiting or 1, quiet)
+            )
             if not data:
                 break
             dropped += len(data)
         return dropped
-
-    def _discard(self) -> None:
-        self.ser.reset_input_buffer()
 
     def _await(self, length: int, timeout: float) -> bytes:
         if length <= 0:  # the SDK asks for that after a corrupted length field
@@ -133,7 +136,9 @@ class SerialPort(PortHandler):
             raise PortError(f"{self.port_name}: {error}") from None
 
 
-def check_latency(name: str, limit: int, tty_class: Path = TTY_CLASS) -> int | None:
+def check_latency(
+    name: str, limit: int, tty_class: Path = TTY_CLASS
+) -> int | None:
     """Latency timer (ms) of a USB serial port; None if the port has none.
 
     FTDI chips buffer received bytes for this time, 16 ms by default. Raises PortError, with the

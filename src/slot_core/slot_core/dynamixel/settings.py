@@ -39,13 +39,17 @@ class BusSettings:
         "idle time of the line awaited after an invalid answer", "s", 0.0, 0.1
     )
     retries: int = quantity("retries of a write or a read", "", 0, 10)
-    window: int = quantity("exchanges over which error rates are taken", "", 10, 100000)
+    window: int = quantity(
+        "exchanges over which error rates are taken", "", 10, 100000
+    )
 
     def __post_init__(self) -> None:
         """Raise ConfigError for a baud rate that the servos do not have."""
         if self.baud not in BAUD_RATES:
             rates = ", ".join(str(rate) for rate in BAUD_RATES)
-            raise ConfigError(f"bus.baud = {self.baud}: expected one of {rates}")
+            raise ConfigError(
+                f"bus.baud = {self.baud}: expected one of {rates}"
+            )
 
 
 @dataclass(frozen=True)
@@ -57,10 +61,18 @@ class ServoSetup:
     fast_from_firmware: int = quantity(
         "oldest with fast sync read; 256: never", "", 0, 256
     )
-    return_delay: float = quantity("delay of a servo's answer", "s", 0.0, 508e-6)
-    temperature_limit: int = quantity("overheating error above this", "degC", 0, 100)
-    voltage_min: float = quantity("input voltage error below this", "V", 6.0, 14.0)
-    voltage_max: float = quantity("input voltage error above this", "V", 6.0, 14.0)
+    return_delay: float = quantity(
+        "delay of a servo's answer", "s", 0.0, 508e-6
+    )
+    temperature_limit: int = quantity(
+        "overheating error above this", "degC", 0, 100
+    )
+    voltage_min: float = quantity(
+        "input voltage error below this", "V", 6.0, 14.0
+    )
+    voltage_max: float = quantity(
+        "input voltage error above this", "V", 6.0, 14.0
+    )
     shutdown: int = quantity(
         "hardware errors that switch torque off", "", 0, HARDWARE_ERROR_BITS
     )
@@ -99,9 +111,15 @@ class JointSettings:
     direction: tuple[int, int, int, int] = quantity(
         "1 or -1: sign of counts when pulling", "", -1, 1
     )
-    servo_per_tendon: float = quantity("servo angle per tendon angle", "", 0.1, 10.0)
-    low_deg: float = quantity("smallest tendon angle commanded", "deg", -10.0, 360.0)
-    high_deg: float = quantity("largest tendon angle commanded", "deg", 0.0, 360.0)
+    servo_per_tendon: float = quantity(
+        "servo angle per tendon angle", "", 0.1, 10.0
+    )
+    low_deg: float = quantity(
+        "smallest tendon angle commanded", "deg", -10.0, 360.0
+    )
+    high_deg: float = quantity(
+        "largest tendon angle commanded", "deg", 0.0, 360.0
+    )
     margin_deg: float = quantity(
         "margin of the servo's own limits, servo angle", "deg", 0.0, 45.0
     )
@@ -111,7 +129,9 @@ class JointSettings:
 class GainSettings:
     """Gains of the servo's own position loop, as register values."""
 
-    p: int = quantity("position P gain", "1/128 step of duty per count", 0, 16383)
+    p: int = quantity(
+        "position P gain", "1/128 step of duty per count", 0, 16383
+    )
     i: int = quantity("position I gain", "1/65536", 0, 16383)
     d: int = quantity("position D gain", "1/16", 0, 16383)
 
@@ -121,13 +141,17 @@ class HostPidSettings:
     """Position PID on the host, of tendon angles; equations: `host_pid.py`."""
 
     p: float = quantity("P gain, duty per angle", "1/rad", 0.0, 1e3)
-    i: float = quantity("I gain, duty per angle and time", "1/(rad s)", 0.0, 1e4)
+    i: float = quantity(
+        "I gain, duty per angle and time", "1/(rad s)", 0.0, 1e4
+    )
     d: float = quantity("D gain, duty per speed", "s/rad", 0.0, 1e2)
     filter_time: float = quantity(
         "time constant of the filter of the speed", "s", 0.0, 1.0
     )
     duty_limit: float = quantity("largest duty", "", 0.0, 1.0)
-    duty_rate: float = quantity("largest rate of change of the duty", "1/s", 0.1, 1e4)
+    duty_rate: float = quantity(
+        "largest rate of change of the duty", "1/s", 0.1, 1e4
+    )
     blind_time: float = quantity(
         "time without a reading until the duty is 0", "s", 0.0, 1.0
     )

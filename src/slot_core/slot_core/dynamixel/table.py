@@ -75,7 +75,9 @@ class Register:
     def decode(self, data: bytes) -> int:
         """Value of `size` bytes from the bus; raises ValueError for another number of bytes."""
         if len(data) != self.size:
-            raise ValueError(f"{self.name}: {len(data)} bytes, expected {self.size}")
+            raise ValueError(
+                f"{self.name}: {len(data)} bytes, expected {self.size}"
+            )
         return int.from_bytes(data, "little", signed=self.signed)
 
 
@@ -136,7 +138,10 @@ backup_ready                147      1  r       +           0            0      
 """
 
 # Two banks of 28: indirect data k is an alias of the byte whose address is in indirect address k.
-INDIRECT_BANKS = ((168, 224), (578, 634))  # first address register, first data byte
+INDIRECT_BANKS = (
+    (168, 224),
+    (578, 634),
+)  # first address register, first data byte
 INDIRECT_COUNT = 28
 
 
@@ -160,7 +165,9 @@ def _registers() -> Iterator[Register]:
                 low=RAM_START,
                 high=TABLE_END - 1,
             )
-            yield Register(f"indirect_data_{number}", data + k, 1, True, 0, 0, 255)
+            yield Register(
+                f"indirect_data_{number}", data + k, 1, True, 0, 0, 255
+            )
 
 
 REGISTERS = tuple(_registers())
@@ -187,5 +194,7 @@ def decode_span(address: int, data: bytes) -> dict[str, int]:
             data[register.address - address : register.end - address]
         )
         for register in map(BY_ADDRESS.get, range(address, end))
-        if register is not None and address <= register.address and register.end <= end
+        if register is not None
+        and address <= register.address
+        and register.end <= end
     }

@@ -13,7 +13,12 @@ from slot_core import config
 from slot_core.command_line import refuse
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
-from slot_core.dynamixel.checks import examine, expected, measure_zero, write_zero
+from slot_core.dynamixel.checks import (
+    examine,
+    expected,
+    measure_zero,
+    write_zero,
+)
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.joints import Joint, joints
@@ -33,10 +38,14 @@ def use(options: argparse.Namespace) -> int:
     try:
         settings = read_settings()
         changed = {
-            k: v for k, v in (("port", options.port), ("baud", options.baud)) if v
+            k: v
+            for k, v in (("port", options.port), ("baud", options.baud))
+            if v
         }
         bus = dataclasses.replace(settings.bus, **changed)
-        return TOOLS[options.action](dataclasses.replace(settings, bus=bus), options)
+        return TOOLS[options.action](
+            dataclasses.replace(settings, bus=bus), options
+        )
     except RefusedError as error:
         print("\n".join(error.reasons), file=sys.stderr)
     except (ServoError, ConfigError, ValueError, OSError) as error:
@@ -46,7 +55,9 @@ def use(options: argparse.Namespace) -> int:
 
 def scan(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     """List the servos that answer, at every baud rate the port supports, fastest first."""
-    rates = [options.baud] if options.baud else sorted(BAUD_RATES, key=lambda b: -b)
+    rates = (
+        [options.baud] if options.baud else sorted(BAUD_RATES, key=lambda b: -b)
+    )
     found = 0
     for baud in rates:
         try:
@@ -70,7 +81,9 @@ def info(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     for joint in joints(settings.joints):
         found, reasons = examine(bus, settings, joint)
         if found is not None:
-            print(f"{joint.name}: model {found.model}, firmware {found.firmware}")
+            print(
+                f"{joint.name}: model {found.model}, firmware {found.firmware}"
+            )
             print(f"  {_state(bus, joint)}")
         for reason in reasons:
             print(f"  {reason}")
@@ -84,7 +97,9 @@ def assign(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     present = list(bus.scan())
     if len(present) != 1:
         raise RefusedError(
-            [f"{len(present)} servos on the line {present}, expected exactly one"]
+            [
+                f"{len(present)} servos on the line {present}, expected exactly one"
+            ]
         )
     bus.write_verified(present[0], "torque_enable", 0)
     bus.write(present[0], "id", options.id)
@@ -132,9 +147,14 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     """Emulate four configured servos with relaxed tendons on a pseudo-terminal."""
     emulator = read_emulator()
     if options.usb_latency is not None:
-        emulator = config.replace(emulator, {"usb_latency": options.usb_latency})
+        emulator = config.replace(
+            emulator, {"usb_latency": options.usb_latency}
+        )
     servos = EmulatedDynamixels(settings, emulator)
-    for end in (signal.SIGINT, signal.SIGTERM):  # a shell's `&` makes SIGINT ignored
+    for end in (
+        signal.SIGINT,
+        signal.SIGTERM,
+    ):  # a shell's `&` makes SIGINT ignored
         signal.signal(end, signal.default_int_handler)
     with contextlib.closing(servos.serve(options.link)) as terminal:
         print(terminal.name, flush=True)
@@ -170,7 +190,9 @@ def _open(settings: DynamixelSettings, baud: int | None = None) -> Bus:
     )
     port.open()
     return Bus(
-        port, settings.bus, {joint.id: joint.name for joint in joints(settings.joints)}
+        port,
+        settings.bus,
+        {joint.id: joint.name for joint in joints(settings.joints)},
     )
 
 

@@ -16,20 +16,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import SECOND
 from slot_core.compiled import helper, kernel
-from slot_core.elementary import cos, sin
-from slot_core.estimation.matrix_kernels import (
-    congruence,
-    exponential,
-    logarithm,
-    multiply,
-    rotate,
-    rotation_matrix,
-    set_cross,
-    set_identity,
-    set_scaled,
-    store_unit,
-    symmetrise,
-)
+from slot_core.elementary import atan2, cos, sin
 from slot_core.geometry import roll_pitch_yaw
 from slot_core.matrices import (
     cholesky,
@@ -42,7 +29,10 @@ from slot_core.robot import GRAVITY
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = range(0, 15, 3)
 # sizes of the error state and of a reading's angle, position, velocity
 ERROR, MEASURED = 15, 9
-COS_PITCH_MIN = 1e-3  # keeps the covariance of roll and yaw finite at a pitch of 90 deg
+SMALL_ANGLE = 1e-4  # rad, below which the next term of a series is less than a rounding error
+COS_PITCH_MIN = (
+    1e-3  # keeps the covariance of roll and yaw finite at a pitch of 90 deg
+)
 
 
 class FilterState(NamedTuple):
@@ -73,7 +63,18 @@ class FilterWork(NamedTuple):
 def work_space() -> FilterWork:
     """Work space of one filter."""
     wide, block = (15, 15), (3, 3)
-    shapes = (block, wide, wide, (9, 9), (15, 9), block, (9,), (3,), (15,), (6,))
+    shapes = (
+        block,
+        wide,
+        wide,
+        (9, 9),
+        (15, 9),
+        block,
+        (9,),
+        (3,),
+        (15,),
+        (6,),
+    )
     return FilterWork(*(np.zeros(shape) for shape in shapes))
 
 
@@ -93,7 +94,9 @@ def interpolate(out, stamps, samples, stamp):
         weight = (stamp - stamps[before]) / (stamps[after] - stamps[before])
         weight = min(max(weight, 0.0), 2.0)
     for i in range(6):
-        out[i] = samples[before, i] + weight * (samples[after, i] - samples[before, i])
+        out[i] = samples[before, i] + weight * (
+            samples[after, i] - samples[before, i]
+        )
     return weight * weight + (1.0 - weight) * (1.0 - weight)
 
 
@@ -161,10 +164,14 @@ def propagate_through(
         dt = (stop - start) / SECOND
         if stop - start > longest:
             sample[0], sample[1], sample[2] = 0.0, 0.0, GRAVITY
-            propagate(state, work, rate, sample[:3], dt, blind_noise, False, bias_max)
+            propagate(
+                state, work, rate, sample[:3], dt, blind_noise, False, bias_max
+            )
         else:
             interpolate(sample, stamps, samples, (start + stop) // 2)
-            propagate(state, work, sample[:3], sample[3:], dt, noise, True, bias_max)
+            propagate(
+                state, work, sample[:3], sample[3:], dt, noise, True, bias_max
+            )
         start = stop
 
 
@@ -207,7 +214,9 @@ def turn_tilt(state, work, turn, dt, largest):
 
 
 @kernel
-def correct(state, work, attitude, position, velocity, variance, gate, bias_max):
+def correct(
+    state, work, attitude, position, velocity, variance, gate, bias_max
+):
     """Correct with a reading at the state's time, velocity in base_link; False for an outlier.
 
     variance (9,): of angle and position in odom and of velocity in base_link; gate: largest
@@ -296,7 +305,9 @@ def reduce_covariance(state, work, variance):
     for i in range(ERROR):
         for j in range(i + 1):
             for k in range(MEASURED):
-                state.cov[i, j] += work.gain[i, k] * variance[k] * work.gain[j, k]
+                state.cov[i, j] += (
+                    work.gain[i, k] * variance[k] * work.gain[j, k]
+                )
             state.cov[j, i] = state.cov[i, j]
 
 
@@ -373,3 +384,127 @@ def set_angle_jacobian(out, pitch, yaw):
     out[0, 0], out[0, 1] = c / cos_pitch, s / cos_pitch
     out[1, 0], out[1, 1] = -s, c
     out[2, 0], out[2, 1], out[2, 2] = c * t, s * t, 1.0
+
+
+@helper
+def exponential(x, y, z):
+    """Unit quaternion (x y z w) of the rotation vector (x, y, z), rad."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    small = angle < SMALL_ANGLE
+    scale = 0.5 - angle * angle / 48.0 if small else sin(angle / 2.0) / angle
+    return x * scale, y * scale, z * scale, cos(angle / 2.0)
+
+
+@helper
+def logarithm(x, y, z, w):
+    """Rotation vector, rad, of at most pi, of the unit quaternion (x y z w)."""
+    sine = math.sqrt(x * x + y * y + z * z)
+    sign = 1.0 if w >= 0.0 else -1.0  # -q is the same rotation
+    if sine < SMALL_ANGLE:
+        scale = sign * (2.0 + sine * sine / 3.0)
+    else:
+        scale = sign * 2.0 * atan2(sine, abs(w)) / sine
+    return x * scale, y * scale, z * scale
+
+
+@helper
+def multiply(a, b):
+    """Product a b of two quaternions: first the rotation b, then a."""
+    ax, ay, az, aw = a[0], a[1], a[2], a[3]
+    bx, by, bz, bw = b[0], b[1], b[2], b[3]
+    return (
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+
+
+@helper
+def store_unit(out, q):
+    """Store the quaternion q in out (4,), of unit norm."""
+    norm = math.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for i in range(4):
+        out[i] = q[i] / norm
+
+
+@helper
+def rotation_matrix(out, q):
+    """Rotation matrix (3, 3) of the unit quaternion q."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    out[0, 0], out[0, 1], out[0, 2] = (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - z * w),
+        2 * (x * z + y * w),
+    )
+    out[1, 0], out[1, 1], out[1, 2] = (
+        2 * (x * y + z * w),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - x * w),
+    )
+    out[2, 0], out[2, 1], out[2, 2] = (
+        2 * (x * z - y * w),
+        2 * (y * z + x * w),
+        1 - 2 * (x * x + y * y),
+    )
+
+
+@helper
+def rotate(m, a):
+    """The rotation matrix m (3, 3) times the vector a (3,)."""
+    return (
+        m[0, 0] * a[0] + m[0, 1] * a[1] + m[0, 2] * a[2],
+        m[1, 0] * a[0] + m[1, 1] * a[1] + m[1, 2] * a[2],
+        m[2, 0] * a[0] + m[2, 1] * a[1] + m[2, 2] * a[2],
+    )
+
+
+@helper
+def set_cross(out, row, column, a, scale):
+    """Set a block (3, 3) of out to scale [a]x, with [a]x b = a x b."""
+    x, y, z = scale * a[0], scale * a[1], scale * a[2]
+    out[row, column], out[row, column + 1], out[row, column + 2] = 0.0, -z, y
+    out[row + 1, column], out[row + 1, column + 1], out[row + 1, column + 2] = (
+        z,
+        0.0,
+        -x,
+    )
+    out[row + 2, column], out[row + 2, column + 1], out[row + 2, column + 2] = (
+        -y,
+        x,
+        0.0,
+    )
+
+
+@helper
+def set_scaled(out, row, column, m, scale):
+    """Set a block (3, 3) of out to scale m."""
+    for i in range(3):
+        for j in range(3):
+            out[row + i, column + j] = scale * m[i, j]
+
+
+@helper
+def set_identity(out):
+    """Set out (m, n) to ones on the diagonal and zeros beside it."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[i, j] = 1.0 if i == j else 0.0
+
+
+@helper
+def congruence(p, f, half):
+    """p <- f p f^T with a symmetric p; fast where f is sparse. half: work space of p's shape."""
+    set_product(half, f, p)
+    for i in range(p.shape[0]):
+        for j in range(i):
+            half[i, j], half[j, i] = half[j, i], half[i, j]
+    set_product(p, f, half)
+
+
+@helper
+def symmetrise(a):
+    """a <- (a + a^T) / 2."""
+    for i in range(a.shape[0]):
+        for j in range(i):
+            a[i, j] = a[j, i] = 0.5 * (a[i, j] + a[j, i])

@@ -46,8 +46,12 @@ class OdometryNoise:
     """Period, noise and admissible range of the odometry."""
 
     period: float = quantity("nominal period of the odometry", "s", 1e-3, 1)
-    position_noise: float = quantity("standard deviation of the position", "m", 1e-6, 1)
-    angle_noise: float = quantity("standard deviation of the attitude", "rad", 1e-6, 1)
+    position_noise: float = quantity(
+        "standard deviation of the position", "m", 1e-6, 1
+    )
+    angle_noise: float = quantity(
+        "standard deviation of the attitude", "rad", 1e-6, 1
+    )
     velocity_noise: float = quantity(
         "standard deviation of the velocity", "m/s", 1e-6, 10
     )
@@ -86,7 +90,10 @@ class ImuNoise:
         5,
     )
     acceleration_bias_max: float = quantity(
-        "largest bias of the accelerometer, without the tilt of odom", "m/s^2", 0, 5
+        "largest bias of the accelerometer, without the tilt of odom",
+        "m/s^2",
+        0,
+        5,
     )
     gyro_drift: float = quantity(
         "random walk of the gyroscope's bias", "rad/s/sqrt(s)", 0, 0.1
@@ -134,10 +141,16 @@ class OutlierSettings:
         100,
     )
     agreement_distance: float = quantity(
-        "largest distance of readings that agree, motion subtracted", "m", 1e-4, 1
+        "largest distance of readings that agree, motion subtracted",
+        "m",
+        1e-4,
+        1,
     )
     agreement_angle: float = quantity(
-        "largest angle of readings that agree, motion subtracted", "rad", 1e-4, 1
+        "largest angle of readings that agree, motion subtracted",
+        "rad",
+        1e-4,
+        1,
     )
     initial_readings: int = quantity(
         "accepted readings in a row until an estimate is valid", "", 1, 1000
@@ -179,7 +192,9 @@ class BufferSettings:
     """Lengths of the queues."""
 
     imu: int = quantity("largest number of IMU samples kept", "", 4, 100_000)
-    odometry: int = quantity("largest number of readings that wait", "", 1, 1000)
+    odometry: int = quantity(
+        "largest number of readings that wait", "", 1, 1000
+    )
     estimates: int = quantity(
         "largest number of estimates not yet polled; the oldest is dropped",
         "",
@@ -237,7 +252,13 @@ class OdometryMotion:
     variance: Array  # (12,) of angle, position, velocity and rate; SI
 
     def __post_init__(self) -> None:
-        sizes = {"attitude": 4, "position": 3, "velocity": 3, "rate": 3, "variance": 12}
+        sizes = {
+            "attitude": 4,
+            "position": 3,
+            "velocity": 3,
+            "rate": 3,
+            "variance": 12,
+        }
         for name, size in sizes.items():
             checked(name, getattr(self, name), (size,))
 
@@ -267,7 +288,9 @@ class InertialFilter:
         drifts = imu.gyro_drift, imu.acceleration_drift
         self.rate = Rate(np.zeros(3), 0.0, 0.0)
         self._bias_max = imu.acceleration_bias_max
-        self._noise = _densities(imu.gyro_noise, imu.acceleration_noise, *drifts)
+        self._noise = _densities(
+            imu.gyro_noise, imu.acceleration_noise, *drifts
+        )
         self._blind_noise = _densities(
             blind.gyro_noise, blind.acceleration_noise, *drifts
         )
@@ -278,7 +301,9 @@ class InertialFilter:
         state.bias[:] = 0.0
         state.cov[9:, :] = state.cov[:, 9:] = 0.0
         state.cov[GYRO_BIAS, GYRO_BIAS] = np.square(imu.gyro_bias) * np.eye(3)
-        state.cov[FORCE_BIAS, FORCE_BIAS] = np.square(imu.acceleration_bias) * np.eye(3)
+        state.cov[FORCE_BIAS, FORCE_BIAS] = np.square(
+            imu.acceleration_bias
+        ) * np.eye(3)
 
     def restart(self, motion: OdometryMotion) -> None:
         """Set the state to an odometry reading; the biases and their covariance are kept."""
@@ -311,7 +336,9 @@ class InertialFilter:
         """
         _require_some(samples)
         imu, sample = self._settings.imu, self._work.sample
-        amplification = interpolate(sample, samples.stamps, samples.values, stamp)
+        amplification = interpolate(
+            sample, samples.stamps, samples.values, stamp
+        )
         noise = float(amplification * np.square(imu.gyro_noise) * imu.rate)
         variance = noise + float(np.square(age * imu.angular_acceleration_step))
         self.rate = Rate(sample[:3] - self._state.bias[0], variance, 1.0)
@@ -324,7 +351,14 @@ class InertialFilter:
         _require_some(samples)
         longest = to_ns(self._settings.timing.imu_gap)
         blind = longest, self.rate.value, self._blind_noise
-        steps = samples.stamps, samples.values, begin, end, self._noise, self._bias_max
+        steps = (
+            samples.stamps,
+            samples.values,
+            begin,
+            end,
+            self._noise,
+            self._bias_max,
+        )
         propagate_through(self._state, self._work, *steps, *blind)
 
     def propagate_blind(self, dt: float) -> None:
@@ -332,7 +366,9 @@ class InertialFilter:
         noise = self._blind_noise, False, self._bias_max
         propagate(self._state, self._work, self.rate.value, UP, dt, *noise)
         self.rate = Rate(
-            self.rate.value, float(np.square(self._settings.blind.gyro_noise)) / dt, 0.0
+            self.rate.value,
+            float(np.square(self._settings.blind.gyro_noise)) / dt,
+            0.0,
         )
 
     def extrapolate(self, imu: Array, dt: float) -> None:
@@ -342,20 +378,34 @@ class InertialFilter:
         held[THETA] += np.square(dt * steps.angular_acceleration_step) * dt
         held[V] += np.square(steps.acceleration_step) * dt
         propagate(
-            self._state, self._work, imu[:3], imu[3:], dt, held, True, self._bias_max
+            self._state,
+            self._work,
+            imu[:3],
+            imu[3:],
+            dt,
+            held,
+            True,
+            self._bias_max,
         )
 
     def correct(self, motion: OdometryMotion) -> bool:
         """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
-        pose, gate = (motion.attitude, motion.position), self._settings.gate.distance
+        pose, gate = (
+            (motion.attitude, motion.position),
+            self._settings.gate.distance,
+        )
         noise, rate_noise = motion.variance[:9], motion.variance[9:].sum() / 3.0
         limits = gate, self._bias_max
-        if not correct(self._state, self._work, *pose, motion.velocity, noise, *limits):
+        if not correct(
+            self._state, self._work, *pose, motion.velocity, noise, *limits
+        ):
             return False
         value, variance, gyro_share = self.rate
         value = value - gyro_share * self._work.error[GYRO_BIAS]
         share = rate_noise / (rate_noise + variance)
-        fused = share * value + (1.0 - share) * motion.rate  # by the inverse variances
+        fused = (
+            share * value + (1.0 - share) * motion.rate
+        )  # by the inverse variances
         self.rate = Rate(fused, share * variance, share * gyro_share)
         return True
 
@@ -367,8 +417,12 @@ class InertialFilter:
 
         It is part of the bias of the specific force; the accelerometer's own is the other part.
         """
-        bias = product(matrix_of_quaternion(self._state.attitude), self._state.bias[1])
-        variance = float(self._state.cov[FORCE_BIAS, FORCE_BIAS].diagonal().max())
+        bias = product(
+            matrix_of_quaternion(self._state.attitude), self._state.bias[1]
+        )
+        variance = float(
+            self._state.cov[FORCE_BIAS, FORCE_BIAS].diagonal().max()
+        )
         share = min(1.0, norm(bias[:2]) / GRAVITY)
         level = math.sqrt((1.0 - share) * (1.0 + share))
         return atan2(share, level), math.sqrt(max(variance, 0.0)) / GRAVITY

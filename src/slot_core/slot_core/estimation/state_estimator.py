@@ -83,7 +83,12 @@ class StateEstimator:
         load_kernels(settings)
         self._settings = settings
         o = settings.odometry
-        noise = [o.angle_noise, o.position_noise, o.velocity_noise, o.rate_noise]
+        noise = [
+            o.angle_noise,
+            o.position_noise,
+            o.velocity_noise,
+            o.rate_noise,
+        ]
         self._variance = np.square(np.repeat(noise, 3))
         self._mount = _mount(settings.mounts.imu)
         self._ready: deque[Estimate] = deque(maxlen=settings.buffers.estimates)
@@ -98,12 +103,18 @@ class StateEstimator:
         self._rejected: deque[OdometryMotion | None] = deque(
             maxlen=self._settings.gate.max_rejections
         )
-        self._stamp: int | None = None  # ns, of the filter's state; None: not started
+        self._stamp: int | None = (
+            None  # ns, of the filter's state; None: not started
+        )
         self._corrected = self._filter.state  # at `_stamp`
-        self._reached = BEFORE_ALL_TIMES  # ns, of the filter: at or after `_stamp`
+        self._reached = (
+            BEFORE_ALL_TIMES  # ns, of the filter: at or after `_stamp`
+        )
         self._tick = BEFORE_ALL_TIMES  # ns, stamp of the last estimate
         self._accepted_stamp = 0  # ns, of the last accepted reading
-        self._accepted = 0  # accepted readings since the start; in a row until valid
+        self._accepted = (
+            0  # accepted readings since the start; in a row until valid
+        )
 
     @property
     def gyro_bias(self) -> Array:
@@ -124,9 +135,16 @@ class StateEstimator:
         if rate is None or force is None or not self._advances("imu", stamp):
             return
         if self._mount is not None:
-            rate, force = _in_base(rate, force, *self._mount)
+            # f = R f_imu - w x (w x r); no IMU measures the angular acceleration's share
+            rotation, place = self._mount
+            rate = product(rotation, rate)
+            force = product(rotation, force) - np.cross(
+                rate, np.cross(rate, place)
+            )
         sample = np.concatenate([rate, force])
-        self._imu = self._imu.followed(stamp, sample, self._settings.buffers.imu)
+        self._imu = self._imu.followed(
+            stamp, sample, self._settings.buffers.imu
+        )
         self._process_due()
         self._propagate_to_newest()
         self._tick_without_odometry(stamp)
@@ -162,7 +180,11 @@ class StateEstimator:
     def present(self) -> Estimate | None:
         """The state at the newest IMU sample; None if the filter has not reached one."""
         newest = self._newest.get("imu", BEFORE_ALL_TIMES)
-        if self._stamp is None or newest <= self._stamp or newest != self._reached:
+        if (
+            self._stamp is None
+            or newest <= self._stamp
+            or newest != self._reached
+        ):
             return None
         validity = self._validity(self._accepted_stamp == self._stamp, True)
         return self._predicted(newest, validity, 0.0)
@@ -209,7 +231,10 @@ class StateEstimator:
 
     def _is_due(self, stamp: int) -> bool:
         """Whether the IMU has reached `stamp` (ns), `imu_wait` is over, or the queue is full."""
-        waited = self._waiting[-1][0] - stamp > self._settings.timing.imu_wait * SECOND
+        waited = (
+            self._waiting[-1][0] - stamp
+            > self._settings.timing.imu_wait * SECOND
+        )
         full = len(self._waiting) > self._settings.buffers.odometry
         return self._newest.get("imu", stamp - 1) >= stamp or waited or full
 
@@ -226,7 +251,10 @@ class StateEstimator:
 
     def _tick_without_odometry(self, newest: int) -> None:
         """Publish the estimates whose odometry has been due for `odometry_wait` at `newest`, ns."""
-        timing, period = self._settings.timing, self._settings.odometry.period * SECOND
+        timing, period = (
+            self._settings.timing,
+            self._settings.odometry.period * SECOND,
+        )
         wait, gap = timing.odometry_wait * SECOND, timing.odometry_gap * SECOND
         while self._stamp is not None and newest - self._tick - period > wait:
             if newest - self._accepted_stamp > gap:
@@ -246,7 +274,11 @@ class StateEstimator:
         if accepted:
             self._accept(stamp)
         else:
-            self._reject(motion)
+            self._rejected.append(motion)
+            if self._accepted < self._settings.gate.initial_readings:
+                self._accepted = (
+                    0  # not valid yet: the readings are counted anew
+                )
         if motion is not None and self._has_relocalised():
             self._start(motion)
             return
@@ -270,11 +302,16 @@ class StateEstimator:
         self._stamp = stamp
         self._filter.restore(self._corrected)
         samples = self._imu.until(stamp)
-        first = max(int(np.searchsorted(samples.stamps, start, side="right")) - 1, 0)
+        first = max(
+            int(np.searchsorted(samples.stamps, start, side="right")) - 1, 0
+        )
         knots = [*samples.stamps[first:].tolist(), stamp]
         knots = knots if knots[0] <= start else [start, *knots]
         longest = max(b - a for a, b in pairwise(knots))
-        if not len(samples.stamps) or longest > self._settings.timing.imu_gap * SECOND:
+        if (
+            not len(samples.stamps)
+            or longest > self._settings.timing.imu_gap * SECOND
+        ):
             self._filter.propagate_blind(to_seconds(stamp - start))
             return False
         self._filter.propagate(samples, start, stamp)
@@ -288,12 +325,6 @@ class StateEstimator:
         self._accepted += 1
         self._rejected.clear()
 
-    def _reject(self, motion: OdometryMotion | None) -> None:
-        """Count a rejection; before the filter is valid it restarts the count of readings."""
-        self._rejected.append(motion)
-        if self._accepted < self._settings.gate.initial_readings:
-            self._accepted = 0
-
     def _has_relocalised(self) -> bool:
         """Whether `max_rejections` readings in a row were rejected and agree with each other."""
         readings = [motion for motion in self._rejected if motion is not None]
@@ -305,7 +336,9 @@ class StateEstimator:
         """Whether a, moved at the mean velocity of a and b, gives b within the gate."""
         half = to_seconds(b.stamp - a.stamp) / 2
         before, after = matrix_of_quaternion([a.attitude, b.attitude])
-        travel = half * (product(before, a.velocity) + product(after, b.velocity))
+        travel = half * (
+            product(before, a.velocity) + product(after, b.velocity)
+        )
         turned = quaternion_product(
             a.attitude, quaternion_of_vector(half * (a.rate + b.rate))
         )
@@ -329,14 +362,20 @@ class StateEstimator:
         self._tick = stamp
         self._propagate_to_newest()
         self._ready.append(
-            self._predicted(stamp, validity, self._settings.timing.command_delay)
+            self._predicted(
+                stamp, validity, self._settings.timing.command_delay
+            )
         )
 
-    def _predicted(self, stamp: int, validity: Validity, delay: float) -> Estimate:
+    def _predicted(
+        self, stamp: int, validity: Validity, delay: float
+    ) -> Estimate:
         """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
         assert self._stamp is not None
         saved, rate, samples = self._filter.state, self._filter.rate, self._imu
-        newest = int(samples.stamps[-1]) if len(samples.stamps) else BEFORE_ALL_TIMES
+        newest = (
+            int(samples.stamps[-1]) if len(samples.stamps) else BEFORE_ALL_TIMES
+        )
         if self._reached > self._stamp:
             self._filter.use_gyro(samples, newest, delay)
         if delay > 0.0 and newest >= self._reached:
@@ -365,17 +404,6 @@ def _mount(imu: Mount) -> tuple[Array, Array] | None:
     rotation = matrix_of_rpy(imu.rpy)
     place = np.array(imu.position)
     return (rotation, place) if np.any(imu.rpy) or place.any() else None
-
-
-def _in_base(
-    rate: Array, force: Array, rotation: Array, place: Array
-) -> tuple[Array, Array]:
-    """Angular velocity and specific force of base_link from those of an IMU at `place` on it.
-
-    f = R f_imu - w x (w x r); the angular acceleration's share is neglected, as no IMU measures it.
-    """
-    w = product(rotation, rate)
-    return w, product(rotation, force) - np.cross(w, np.cross(w, place))
 
 
 def _known(variance: Array, nominal: Array) -> Array:

@@ -62,14 +62,20 @@ class HarmonicBasis(NamedTuple):
         """Harmonics at phases (n,), in [0, 1)."""
         p = 2 * np.pi * phase
         c, s, c2, s2 = cos(p), sin(p), cos(2 * p), sin(2 * p)
-        slope = 2 * np.pi * np.column_stack([np.zeros_like(p), -s, c, -2 * s2, 2 * c2])
+        slope = (
+            2
+            * np.pi
+            * np.column_stack([np.zeros_like(p), -s, c, -2 * s2, 2 * c2])
+        )
         return cls(np.column_stack([np.ones_like(p), c, s, c2, s2]), slope)
 
     @property
     def integral(self) -> Array:
         """(n, 5) integral of the harmonics over the phase, without a constant part."""
         one, c, s, c2, s2 = self.value.T
-        return np.column_stack([0.0 * one, s, -c, s2 / 2, -c2 / 2]) / (2 * np.pi)
+        return np.column_stack([0.0 * one, s, -c, s2 / 2, -c2 / 2]) / (
+            2 * np.pi
+        )
 
 
 @dataclass(frozen=True)
@@ -83,7 +89,9 @@ class Pattern:
         "velocity commanded by amplitude one", "m/s or rad/s", 1e-3, 1
     )
     angle_deg: FourHarmonics = quantity("tendon angle", "deg", -360, 360)
-    normal_force: FourHarmonics = quantity("normal force of the ground", "N", -50, 50)
+    normal_force: FourHarmonics = quantity(
+        "normal force of the ground", "N", -50, 50
+    )
     roll: Harmonics = quantity("roll of the torso", "rad", -1, 1)
     pitch: Harmonics = quantity("pitch of the torso", "rad", -1, 1)
     height: Harmonics = quantity("height of base_link", "m", -0.2, 0.2)
@@ -94,7 +102,9 @@ class Pattern:
     def table(self) -> Array:
         """Coefficients (13, 5): 4 tendon angles (rad), 4 normal forces, TORSO_MOTION."""
         motion = [getattr(self, name) for name in TORSO_MOTION]
-        return np.vstack([np.radians(self.angle_deg), self.normal_force, motion])
+        return np.vstack(
+            [np.radians(self.angle_deg), self.normal_force, motion]
+        )
 
 
 @dataclass(frozen=True)
@@ -103,7 +113,9 @@ class Steering:
 
     rate: float = quantity("yaw rate at amplitude one", "rad/s", 1e-4, 1)
     rate_max: float = quantity("largest yaw rate", "rad/s", 1e-4, 1)
-    angle_deg: FourHarmonics = quantity("change of the tendon angle", "deg", -45, 45)
+    angle_deg: FourHarmonics = quantity(
+        "change of the tendon angle", "deg", -45, 45
+    )
 
     @cached_property
     def table(self) -> Array:
@@ -116,7 +128,9 @@ class Posture:
     """Torso at rest."""
 
     kind: str = choice("kind of the gait", "posture")
-    loaded: bool = flag("whether the legs carry the torso; else the tendons are slack")
+    loaded: bool = flag(
+        "whether the legs carry the torso; else the tendons are slack"
+    )
     height: float = quantity("height of base_link", "m", 0.015, 0.12)
     roll_deg: float = quantity("roll", "deg", -20, 20)
     pitch_deg: float = quantity("pitch", "deg", -20, 20)
@@ -175,7 +189,9 @@ class Stride:
         share = velocity[:2] / self.speeds[:2] / self.amplitude_max[:2]
         planar = velocity[:2] / max(1.0, norm(share))
         walking = self.walking(planar)
-        steering = min(self.forward_steering.rate_max, self.lateral_steering.rate_max)
+        steering = min(
+            self.forward_steering.rate_max, self.lateral_steering.rate_max
+        )
         most = (1.0 - walking) * self.turn.speed + walking * steering
         return np.append(planar, np.clip(velocity[2], -most, most))
 
@@ -187,7 +203,9 @@ class Stride:
         """
         sizes, speed = np.abs(velocity), norm(velocity[:2])
         planar = norm(velocity[:2] / self.speeds[:2] / self.amplitude_max[:2])
-        steering = min(self.forward_steering.rate_max, self.lateral_steering.rate_max)
+        steering = min(
+            self.forward_steering.rate_max, self.lateral_steering.rate_max
+        )
         slope = (self.turn.speed - steering) / self.walking_speed
         turning = self.turn.speed / max(sizes[2] + slope * speed, TINY)
         if turning * speed > self.walking_speed:
@@ -212,8 +230,12 @@ class Stride:
         table = self._rest + self._moving(velocity)  # (n or 1, 13, 5)
         table = np.broadcast_to(table, (len(phase), *table.shape[1:]))
         values = (table * basis.value[:, None]).sum(axis=-1)
-        slopes = (table[:, 8:11] * basis.slope[:, None]).sum(axis=-1) / self.period
-        sway = (table[:, 11:13] * basis.integral[:, None]).sum(axis=-1) * self.period
+        slopes = (table[:, 8:11] * basis.slope[:, None]).sum(
+            axis=-1
+        ) / self.period
+        sway = (table[:, 11:13] * basis.integral[:, None]).sum(
+            axis=-1
+        ) * self.period
         angle = np.clip(values[:, :4] + offset, *np.radians(self.range_deg))
         torso = np.zeros((len(phase), 12))
         torso[:, [0, 1, 5, 9, 10]] = values[:, 8:]
@@ -233,7 +255,9 @@ class Stride:
         ):
             table += np.maximum(a, 0.0) * one + np.maximum(-a, 0.0) * other
         steerings = (self.forward_steering, self.lateral_steering)
-        for a, steering, (one, other) in zip(amplitude.T, steerings, self._steering):
+        for a, steering, (one, other) in zip(
+            amplitude.T, steerings, self._steering
+        ):
             turn = (
                 np.clip(velocity[:, 2], -steering.rate_max, steering.rate_max)
                 / steering.rate
@@ -247,9 +271,18 @@ class Stride:
         front_rear = np.array([1.0, -1.0, 1.0, -1.0, 1.0])  # signs of the sway
         left_right = np.array([-1.0, 1.0, 1.0, 1.0, -1.0])
         return [
-            (self.forward.table, _mirrored(self.forward.table, FRONT_REAR, front_rear)),
-            (self.lateral.table, _mirrored(self.lateral.table, LEFT_RIGHT, left_right)),
-            (self.turn.table, _mirrored(self.turn.table, LEFT_RIGHT, left_right)),
+            (
+                self.forward.table,
+                _mirrored(self.forward.table, FRONT_REAR, front_rear),
+            ),
+            (
+                self.lateral.table,
+                _mirrored(self.lateral.table, LEFT_RIGHT, left_right),
+            ),
+            (
+                self.turn.table,
+                _mirrored(self.turn.table, LEFT_RIGHT, left_right),
+            ),
         ]
 
     @cached_property
@@ -259,7 +292,10 @@ class Stride:
         The mirror image of a left turn is a right turn, hence the sign.
         """
         ones = np.ones(5)
-        forward, lateral = self.forward_steering.table, self.lateral_steering.table
+        forward, lateral = (
+            self.forward_steering.table,
+            self.lateral_steering.table,
+        )
         return [
             (forward, -_mirrored(forward, FRONT_REAR, ones)),
             (lateral, -_mirrored(lateral, LEFT_RIGHT, ones)),
@@ -295,7 +331,9 @@ class GaitSettings:
     contact_force: float = quantity(
         "smallest normal force of a leg in stance", "N", 0, 10
     )
-    transition: float = quantity("duration of a blend between gaits", "s", 0, 10)
+    transition: float = quantity(
+        "duration of a blend between gaits", "s", 0, 10
+    )
     acceleration: float = quantity(
         "largest rate of change of the commanded velocity", "m/s^2", 1e-3, 10
     )
@@ -314,7 +352,9 @@ class GaitSettings:
     tilt_speed: float = quantity(
         "largest rate of change of commanded roll and pitch", "rad/s", 1e-3, 10
     )
-    tilt_max: float = quantity("largest commanded roll and pitch", "rad", 0, 0.5)
+    tilt_max: float = quantity(
+        "largest commanded roll and pitch", "rad", 0, 0.5
+    )
     velocity_timeout: float = quantity(
         "age at which a velocity command expires", "s", 0.05, 10
     )
@@ -350,7 +390,9 @@ class GaitSettings:
         if share == 1.0:
             return wanted, ""
         pairs = zip(SPEED_NAMES, wanted, share * wanted)
-        changes = ", ".join(f"{label} {v:.3g} to {c:.3g}" for label, v, c in pairs if v)
+        changes = ", ".join(
+            f"{label} {v:.3g} to {c:.3g}" for label, v, c in pairs if v
+        )
         return (
             share * wanted,
             f"velocity clipped to the reach of gait {name}: {changes}",
@@ -382,7 +424,9 @@ class GaitSettings:
         """Raise ConfigError for a body pose (3,) height, roll, pitch that a gait does not reach."""
         gait = self.find(name)
         if isinstance(gait, Posture) and not gait.loaded:
-            raise config.ConfigError(f"gait {name} has slack tendons: no body pose")
+            raise config.ConfigError(
+                f"gait {name} has slack tendons: no body pose"
+            )
         low, high = gait.height_range
         limits = (
             (low, high),
@@ -426,10 +470,10 @@ class GaitPreview:
     normal_force: Array  # (n, 4) N, of the gait
     tendon_angle: Array  # (n, 4) rad, nominal
     reference: Array  # (n, 12) [roll pitch yaw, p, omega, v]
-    velocity_ahead: (
-        Array  # (n, 3) v_x, v_y m/s, yaw rate rad/s of the reference, heading frame
+    velocity_ahead: Array  # (n, 3) v_x, v_y m/s, yaw rate rad/s of the reference, heading frame
+    corrected: (
+        bool  # whether a policy may correct the angles: loaded legs follow them
     )
-    corrected: bool  # whether a policy may correct the angles: loaded legs follow them
     command: GaitCommand  # that was in force
     remark: str = (
         ""  # one line on a command that is followed in part only, or not at all
@@ -449,7 +493,9 @@ class GaitPreview:
 
 def first_rate(angle: Array, dt: float) -> Array:
     """Rate (4,) rad/s of angles (n, 4) from stage 0 to stage 1, dt (s) later; zero without it."""
-    return np.asarray((angle[1] - angle[0]) / dt if len(angle) > 1 else np.zeros(4))
+    return np.asarray(
+        (angle[1] - angle[0]) / dt if len(angle) > 1 else np.zeros(4)
+    )
 
 
 def read_gaits() -> GaitSettings:

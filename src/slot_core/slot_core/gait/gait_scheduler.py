@@ -26,7 +26,9 @@ from slot_core.matrices import norm
 from slot_core.robot import RobotParameters
 
 LEAST_VELOCITY = 1e-4  # m/s, rad/s: below it a stride stands
-LONGEST_GAP = 0.5  # s between states; after a longer one the commands do not move
+LONGEST_GAP = (
+    0.5  # s between states; after a longer one the commands do not move
+)
 SETTLING = 0.5  # s that the servos follow before a posture is corrected: the torso still swings
 # m/s, rad/s of a torso; beyond it the odometry has jumped
 FASTEST, FASTEST_TURN = 1.0, 3.0
@@ -94,12 +96,18 @@ class GaitScheduler:
         self._current = self._previous = self._activate(STAND)
         self._since_change = settings.transition  # s
         self._stamp: int | None = None
-        self._seen: Array | None = None  # (3,) x, y (m), yaw (rad) of the last state
+        self._seen: Array | None = (
+            None  # (3,) x, y (m), yaw (rad) of the last state
+        )
         self._followed = True  # whether the servos follow the commands
         self._followed_for = SETTLING  # s
         self._velocity = np.zeros(3)  # present, at limited rates
-        self._pose = self._home(self._current.gait)  # (3,) height, roll, pitch, present
-        self._place: Array | None = None  # (3,) x, y (m), yaw (rad) of the reference
+        self._pose = self._home(
+            self._current.gait
+        )  # (3,) height, roll, pitch, present
+        self._place: Array | None = (
+            None  # (3,) x, y (m), yaw (rad) of the reference
+        )
 
     def request(self, gait: str, velocity: Array) -> None:
         """Request a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.
@@ -123,7 +131,9 @@ class GaitScheduler:
         than `velocity_timeout` from the last state's. Such a command stops the robot, since it may
         have been a late stop.
         """
-        self._wanted, self._remark = self._settings.clipped(self._requested, velocity)
+        self._wanted, self._remark = self._settings.clipped(
+            self._requested, velocity
+        )
         self._command_stamp = stamp
         if self._stamp is not None and self._is_expired(self._stamp):
             self._stop()
@@ -153,7 +163,9 @@ class GaitScheduler:
         """Preview from `stamp` (ns) on, at `state` (12,)."""
         if self._is_expired(stamp):
             self._stop()
-        elapsed = 0.0 if self._stamp is None else to_seconds(stamp - self._stamp)
+        elapsed = (
+            0.0 if self._stamp is None else to_seconds(stamp - self._stamp)
+        )
         self._stamp = stamp
         if not 0.0 <= elapsed <= LONGEST_GAP:
             elapsed = 0.0
@@ -176,21 +188,30 @@ class GaitScheduler:
             return False
         distance = norm(state[3:5] - self._seen[:2])
         angle = abs(wrapped(state[2] - self._seen[2]))
-        return bool(distance > FASTEST * elapsed or angle > FASTEST_TURN * elapsed)
+        return bool(
+            distance > FASTEST * elapsed or angle > FASTEST_TURN * elapsed
+        )
 
     def _is_expired(self, stamp: int) -> bool:
         """Whether the velocity is too old at `stamp` (ns), or too far in the future."""
         if self._command_stamp is None:
             return False
-        return abs(stamp - self._command_stamp) > self._settings.velocity_timeout * 1e9
+        return (
+            abs(stamp - self._command_stamp)
+            > self._settings.velocity_timeout * 1e9
+        )
 
-    def _activate(self, name: str, phase: float = 0.0, moving: float = 1.0) -> _Active:
+    def _activate(
+        self, name: str, phase: float = 0.0, moving: float = 1.0
+    ) -> _Active:
         return _Active(name, self._settings.find(name), phase, moving)
 
     @property
     def _running(self) -> list[list[object]]:
         """Name, phase and share of motion of the previous and of the present gait."""
-        return [[a.name, a.phase, a.moving] for a in (self._previous, self._current)]
+        return [
+            [a.name, a.phase, a.moving] for a in (self._previous, self._current)
+        ]
 
     @_running.setter
     def _running(self, both: Sequence[Sequence[Any]]) -> None:
@@ -203,13 +224,18 @@ class GaitScheduler:
         """Height, roll and pitch (3,) of a gait without a commanded body pose."""
         if isinstance(gait, Stride):
             return np.array([gait.height, 0.0, 0.0])
-        return np.array([gait.height, *np.radians([gait.roll_deg, gait.pitch_deg])])
+        return np.array(
+            [gait.height, *np.radians([gait.roll_deg, gait.pitch_deg])]
+        )
 
     def _change_gait(self, elapsed: float) -> None:
         """Start the requested gait, unless a blend is under way."""
         self._since_change += elapsed
         current = self._current.name
-        if self._requested == current or self._since_change < self._settings.transition:
+        if (
+            self._requested == current
+            or self._since_change < self._settings.transition
+        ):
             return
         self._previous, self._since_change = self._current, 0.0
         self._current = self._activate(self._requested)
@@ -238,7 +264,9 @@ class GaitScheduler:
 
     def _stride(self, elapsed: float, state: Array) -> None:
         """Advance the strides that run, and the reference place."""
-        for active in {id(a): a for a in (self._previous, self._current)}.values():
+        for active in {
+            id(a): a for a in (self._previous, self._current)
+        }.values():
             if isinstance(active.gait, Stride):
                 moving = self._moving_after(active, np.array([elapsed]))
                 active.moving = float(moving[0])
@@ -254,7 +282,9 @@ class GaitScheduler:
         else:
             self._place = moved(self._place, self._velocity, elapsed)
         s = self._settings
-        self._place = limited(self._place, state[[3, 4, 2]], s.lead, s.heading_lead)
+        self._place = limited(
+            self._place, state[[3, 4, 2]], s.lead, s.heading_lead
+        )
 
     def _waits(self) -> bool:
         """Whether the phase of a stride waits."""
@@ -266,11 +296,17 @@ class GaitScheduler:
     def _moving_after(self, active: _Active, times: Array) -> Array:
         """Share (n,) of a stride's motion at `times` (s) ahead."""
         change = times / max(self._settings.transition, 1e-9)
-        later = active.moving - change if self._is_still() else active.moving + change
+        later = (
+            active.moving - change
+            if self._is_still()
+            else active.moving + change
+        )
         return np.clip(later, 0.0, 1.0)
 
     def _preview(self, stamp: int, state: Array) -> GaitPreview:
-        times = self._settings.dt * np.arange(self._settings.stages, dtype=float)
+        times = self._settings.dt * np.arange(
+            self._settings.stages, dtype=float
+        )
         current, (velocity, place) = self._current, self._ahead(times, state)
         table = self._blend(times, velocity)
         angle, force, motion = np.split(table, [4, 8], axis=1)
@@ -299,11 +335,19 @@ class GaitScheduler:
     def _ahead(self, times: Array, state: Array) -> tuple[Array, Array]:
         """Velocities (n, 3) and places (n, 3) of the reference at `times` (s) ahead."""
         s, place, gait = self._settings, self._place, self._current.gait
-        if place is not None and self._path is not None and isinstance(gait, Stride):
+        if (
+            place is not None
+            and self._path is not None
+            and isinstance(gait, Stride)
+        ):
             return self._path.ahead(
                 place, times, self._speed, gait.reached, self._velocity
             )
-        steps = times[:, None] * [s.acceleration, s.acceleration, s.turn_acceleration]
+        steps = times[:, None] * [
+            s.acceleration,
+            s.acceleration,
+            s.turn_acceleration,
+        ]
         velocity = _toward(self._velocity, self._wanted, steps)
         begin = state[[3, 4, 2]] if place is None else place
         return velocity, places_ahead(begin, velocity, s.dt)
@@ -320,7 +364,9 @@ class GaitScheduler:
     def _blend(self, times: Array, velocity: Array) -> Array:
         """Blend (n, 20) of the previous and the present gait at velocities (n, 3)."""
         elapsed = self._since_change + times
-        share = np.clip(elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0)
+        share = np.clip(
+            elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0
+        )
         current = self._table_ahead(self._current, times, velocity)
         if share.min() == 1.0:
             return current
@@ -328,10 +374,14 @@ class GaitScheduler:
         previous = self._table_ahead(self._previous, times, velocity)
         return (1 - weight) * previous + weight * current
 
-    def _table_ahead(self, active: _Active, times: Array, velocity: Array) -> Array:
+    def _table_ahead(
+        self, active: _Active, times: Array, velocity: Array
+    ) -> Array:
         """Angles, normal forces and torso states (n, 20) of a gait at `times` (s) ahead."""
         if isinstance(active.gait, Stride):
-            return self._stride_table_ahead(active, active.gait, times, velocity)
+            return self._stride_table_ahead(
+                active, active.gait, times, velocity
+            )
         if active.gait.loaded:
             return self._posture_table_ahead(times)
         slack = np.zeros((len(times), 20))
@@ -345,7 +395,9 @@ class GaitScheduler:
         moving = self._moving_after(active, times)[:, None]
         if moving.max() == 0.0:
             return self._posture_table_ahead(times)
-        advances = active is self._current and not self._waits()  # as in `_stride`
+        advances = (
+            active is self._current and not self._waits()
+        )  # as in `_stride`
         ahead = times if advances else np.zeros_like(times)
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
         table = gait.stride_table(phase, velocity)

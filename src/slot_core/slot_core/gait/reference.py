@@ -10,15 +10,20 @@ from slot_core.matrices import norm
 def moved(place: Array, velocity: Array, dt: float) -> Array:
     """Places (..., 3) x, y (m), yaw (rad) after dt (s) at velocities (..., 3), heading frame."""
     along = rotate(velocity[..., :2], place[..., 2])
-    return np.asarray(place + dt * np.concatenate([along, velocity[..., 2:]], axis=-1))
+    return np.asarray(
+        place + dt * np.concatenate([along, velocity[..., 2:]], axis=-1)
+    )
 
 
-def limited(place: Array, robot: Array, lead: float, heading_lead: float) -> Array:
+def limited(
+    place: Array, robot: Array, lead: float, heading_lead: float
+) -> Array:
     """Reference place (3,), at most `lead` (m) and `heading_lead` (rad) from the robot's place."""
     gap, turn = place[:2] - robot[:2], wrapped(place[2] - robot[2])
     share = min(1.0, lead / max(norm(gap), 1e-12))
     return np.append(
-        robot[:2] + share * gap, robot[2] + np.clip(turn, -heading_lead, heading_lead)
+        robot[:2] + share * gap,
+        robot[2] + np.clip(turn, -heading_lead, heading_lead),
     )
 
 
@@ -30,14 +35,18 @@ def places_ahead(place: Array, velocity: Array, dt: float) -> Array:
     return np.column_stack([xy, yaw])
 
 
-def reference(state: Array, place: Array, velocity: Array, motion: Array) -> Array:
+def reference(
+    state: Array, place: Array, velocity: Array, motion: Array
+) -> Array:
     """Reference (n, 12) [roll pitch yaw, p, omega, v] in odom.
 
     place: (n, 3) x, y (m) and yaw (rad) of the reference place; velocity: (n, 3) [v_x, v_y, yaw
     rate] (m/s, rad/s) in its heading frame; motion: (n, 12), the gait's own, in that frame, is
     added. The yaw is shifted by the full turns that bring it nearest to the state's.
     """
-    yaw = place[:, 2] + 2 * np.pi * np.round((state[2] - place[0, 2]) / (2 * np.pi))
+    yaw = place[:, 2] + 2 * np.pi * np.round(
+        (state[2] - place[0, 2]) / (2 * np.pi)
+    )
     rows = motion.copy()
     rows[:, 2] = yaw
     rows[:, 6:8] = rotate(motion[:, 6:8], yaw)

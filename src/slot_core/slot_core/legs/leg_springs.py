@@ -44,7 +44,9 @@ class LegSprings:
         flat = self._table.at(np.ravel(angle), np.ravel(height))
         flat[:, 1] = np.maximum(flat[:, 1], self._slope_min)
         flat[:, 2] = np.minimum(flat[:, 2], 0.0)
-        return Springs(*(column.reshape(np.shape(angle)) for column in flat.T.copy()))
+        return Springs(
+            *(column.reshape(np.shape(angle)) for column in flat.T.copy())
+        )
 
     def angle(self, force: Array, height: Array) -> Array:
         """Tendon angles (n,) rad at which legs at heights (n,) m carry the forces (n,) N.
@@ -56,7 +58,9 @@ class LegSprings:
         height = checked("heights", height, force.shape)
         grid = np.broadcast_arrays(angles, height[:, None])
         rising = np.maximum.accumulate(self.at(*grid).force, axis=1)
-        return np.array([interpolated(f, row, angles) for f, row in zip(force, rising)])
+        return np.array(
+            [interpolated(f, row, angles) for f, row in zip(force, rising)]
+        )
 
 
 def read_leg_springs(slope_min: float) -> LegSprings:

@@ -29,7 +29,10 @@ class LegTable:
     table: Array  # (m, n, requested columns)
 
     def __post_init__(self) -> None:
-        grid = [checked("grid", values, (-1,)) for values in (self.angle, self.height)]
+        grid = [
+            checked("grid", values, (-1,))
+            for values in (self.angle, self.height)
+        ]
         checked("table", self.table, (*map(len, grid), -1))
         for values in grid:
             if len(values) < 2 or not (np.diff(values) > 0.0).all():
@@ -53,14 +56,25 @@ def read_leg_table(columns: Sequence[str]) -> LegTable:
     """Columns of `config/leg_map.csv`; raises ConfigError if it is missing or not a grid."""
     names = ("theta_deg", "height_m", *columns)
     try:
-        lines = read_text(config.config_dir() / "leg_map.csv", SIZE_MAX).splitlines()
-        rows = [[float(row[name]) for name in names] for row in csv.DictReader(lines)]
+        lines = read_text(
+            config.config_dir() / "leg_map.csv", SIZE_MAX
+        ).splitlines()
+        rows = [
+            [float(row[name]) for name in names]
+            for row in csv.DictReader(lines)
+        ]
         theta_deg, height, *values = np.array(sorted(rows)).T
         angles, heights = np.unique(theta_deg), np.unique(height)
-        table = np.array(values).T.reshape(len(angles), len(heights), len(columns))
-        return LegTable(np.radians(angles), heights, np.ascontiguousarray(table))
+        table = np.array(values).T.reshape(
+            len(angles), len(heights), len(columns)
+        )
+        return LegTable(
+            np.radians(angles), heights, np.ascontiguousarray(table)
+        )
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
-        raise config.ConfigError(f"leg_map.csv: no table of {names}: {error}") from None
+        raise config.ConfigError(
+            f"leg_map.csv: no table of {names}: {error}"
+        ) from None
 
 
 @kernel
@@ -87,5 +101,7 @@ def _place(grid, value):  # type: ignore[no-untyped-def]
     Below the grid the share is 0, above it 1.
     """
     inside = min(max(value, grid[0]), grid[-1])
-    index = min(max(np.searchsorted(grid, inside, side="right") - 1, 0), len(grid) - 2)
+    index = min(
+        max(np.searchsorted(grid, inside, side="right") - 1, 0), len(grid) - 2
+    )
     return index, (inside - grid[index]) / (grid[index + 1] - grid[index])

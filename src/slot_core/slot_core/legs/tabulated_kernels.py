@@ -68,13 +68,9 @@ class Feet(NamedTuple):
     """Variables of the legs beside the mechanical state."""
 
     command: Array  # (4,) rad
-    force: (
-        Array  # (4, 3) N, of the floor on the feet, odom, at the stage of the last step
-    )
+    force: Array  # (4, 3) N, of the floor on the feet, odom, at the stage of the last step
     limit: Array  # (4,) N, mu times the normal force
-    side_rate: (
-        Array  # (4,) m/s, of the feet out of the planes of their legs, at that stage
-    )
+    side_rate: Array  # (4,) m/s, of the feet out of the planes of their legs, at that stage
     flat: Array  # (2,) slopes of the floor, zero
 
 
@@ -144,7 +140,9 @@ def one_step(model, legs, state, feet, work, scheme):
     for k in range(4):
         angle, command = state.tendon_angle[k], feet.command[k]
         torque = model.tendon.spool_radius * state.tension[k]
-        rate = spool_rate(model.servo, state.drive[k], command, angle, torque, h)
+        rate = spool_rate(
+            model.servo, state.drive[k], command, angle, torque, h
+        )
         state.tendon_rate[k] = rate
     for _ in range(scheme.iterations):
         place = start_torso(model, state, work, tau)
@@ -159,7 +157,9 @@ def one_step(model, legs, state, feet, work, scheme):
         for k in range(4):
             bristle, limit = state.bristle[k, 0], feet.limit[k]
             slip, stiffness = state.node_velocity[k, 0], floor.stiffness[-1]
-            advance_bristle(floor, bristle, limit, stiffness, feet.flat, h, slip)
+            advance_bristle(
+                floor, bristle, limit, stiffness, feet.flat, h, slip
+            )
     finish_torso(state, work, h, theta)
     finish_rate(state, work, theta)
     for k in range(4):
@@ -171,7 +171,12 @@ def one_step(model, legs, state, feet, work, scheme):
 @helper
 def _add_leg(model, legs, state, feet, work, k, place, tau):
     """Add leg k to the linear system of the torso; store its foot, tension and ground force."""
-    axes, a, inv, beta = work.rotation, legs.outward[k], 1.0 / tau, legs.damping_time
+    axes, a, inv, beta = (
+        work.rotation,
+        legs.outward[k],
+        1.0 / tau,
+        legs.damping_time,
+    )
     radius, rate = model.tendon.spool_radius, state.tendon_rate[k]
     angle = state.tendon_angle[k] + tau * rate - model.fault[0, k] / radius
     rate *= model.fault[1, k] * (angle > 0.0)
@@ -186,7 +191,9 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     load = leg_force * foot.lean - here.sideways * state.node[k, 0, 1]
     own, other = model.friction[0, k], model.friction[1, k]
     outward, released = dot(slip, a), state.tendon_rate[k]
-    mu = coefficient(model.floor, own, other, released, outward, dot(slip, slip))
+    mu = coefficient(
+        model.floor, own, other, released, outward, dot(slip, slip)
+    )
     held = (leg_force, spring, load, slip)
     friction, normal, side, slip = _friction(
         model, state, feet, axes, k, mu, tau, held, foot
@@ -196,7 +203,9 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     stiffness = -force_slope * (1.0 + beta * inv) / foot.normal_per_drop**2
     stiffness *= leg_force > 0.0
     subtract_force(work.vector, foot.place, plus(f, normal, foot.up))
-    _add_stiffness(work.matrix, foot, stiffness, friction.drag * inv, spring * inv)
+    _add_stiffness(
+        work.matrix, foot, stiffness, friction.drag * inv, spring * inv
+    )
     along = dot(f, a) + normal * foot.slope
     tension = here.tension - here.x_a * along / radius
     tension += beta * (here.tension_h * drop_rate + here.tension_a * rate)
@@ -228,7 +237,11 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
     path = (here.x_h * a[0], here.x_h * a[1], here.x_h * a[2] - 1.0)
     lean = (up[0] * b[0] + up[1] * b[1]) / per_drop
     foot = Foot(
-        place=(root[0] + x * a[0], root[1] + x * a[1], root[2] + x * a[2] - drop),
+        place=(
+            root[0] + x * a[0],
+            root[1] + x * a[1],
+            root[2] + x * a[2] - drop,
+        ),
         up=up,
         slope=slope,
         normal_per_drop=per_drop,
@@ -247,7 +260,9 @@ def _slip_and_drop_rate(work, a, here, foot, rate):
     """
     up, shift_rate = foot.up, here.x_a * rate
     rigid = at(work.motion[0], work.motion[1], foot.place)
-    drop_rate = (dot(up, rigid) + foot.slope * shift_rate) / foot.normal_per_drop
+    drop_rate = (
+        dot(up, rigid) + foot.slope * shift_rate
+    ) / foot.normal_per_drop
     slip = plus(plus(rigid, drop_rate, foot.path), shift_rate, a)
     return drop_rate, plus(slip, -dot(up, slip), up)
 
@@ -315,14 +330,18 @@ def _friction(model, state, feet, axes, k, mu, tau, held, foot):
         bristle = tangential(axes, state.bristle[k, 0], foot.up)
     side, normal = feet.side_rate[k], leg_force / foot.normal_per_drop
     slip = plus(start, side, w)
-    f = friction_force(floor, mu * normal, tau, stiffness, damping, bristle, slip)
+    f = friction_force(
+        floor, mu * normal, tau, stiffness, damping, bristle, slip
+    )
     for _ in range(ITERATIONS):
         resistance = spring + f.drag * dot(w, w)
         side = (load - f.drag * dot(start, w) - dot(f.held, w)) / resistance
         slip = plus(start, side, w)
         pressed = max(0.0, leg_force - f.drag * dot(slip, m) - dot(f.held, m))
         normal = pressed / foot.normal_per_drop
-        f = friction_force(floor, mu * normal, tau, stiffness, damping, bristle, slip)
+        f = friction_force(
+            floor, mu * normal, tau, stiffness, damping, bristle, slip
+        )
     return f, normal, side, slip
 
 

@@ -49,7 +49,12 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
-from slot_core.dynamics.model import build_model, build_scheme, state_space, work_space
+from slot_core.dynamics.model import (
+    build_model,
+    build_scheme,
+    state_space,
+    work_space,
+)
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import KernelRobot, require_steps
@@ -106,7 +111,9 @@ class TabulatedRobot(KernelRobot):
         self.feet = Feet(*(np.zeros(shape) for shape in (4, (4, 3), 4, 4, 2)))
         self._work = work_space()
         parts = (self.model, self.legs, self.state, self.feet, self._work)
-        self.handle = Handle((*parts, build_scheme(scene.solver, self.model.floor)))
+        self.handle = Handle(
+            (*parts, build_scheme(scene.solver, self.model.floor))
+        )
         self._settle()
 
     def advance(self, steps: int, command: Array) -> None:
@@ -121,9 +128,7 @@ class TabulatedRobot(KernelRobot):
         done, divergence = advance(self.handle, steps)
         self.steps += done
         if divergence >= 0:
-            limit = (
-                f"torso is beyond {self.scene.solver.speed_limit} m/s or not a number"
-            )
+            limit = f"torso is beyond {self.scene.solver.speed_limit} m/s or not a number"
             if divergence == TOO_TILTED:
                 limit = f"torso is tilted by more than {TILT_MAX_DEG:g} deg"
             state = self.snapshot() | {"command": self.feet.command.copy()}
@@ -142,7 +147,10 @@ class TabulatedRobot(KernelRobot):
         hanging = interpolated(self.model.fault[1] * angle, *self._contact_drop)
         down = np.minimum(-node[:, 2], hanging)
         foot = self.parameters.clamps - down[:, None] * [0, 0, 1]
-        foot += node[:, :1] * self.parameters.outward + node[:, 1:2] * self.legs.left
+        foot += (
+            node[:, :1] * self.parameters.outward
+            + node[:, 1:2] * self.legs.left
+        )
         body = np.stack([self.parameters.clamps, foot], axis=1)
         return Transform(self.rotation, self.position).apply(body)
 
@@ -175,10 +183,16 @@ def map_legs(robot: RobotParameters, table: LegTable) -> MapLegs:
     angle, height = table.angle, table.height
     for values in (angle, height):
         # The table is written with six digits.
-        if len(values) < 2 or not np.allclose(np.diff(values, 2), 0.0, atol=1e-5):
-            raise ConfigError("leg_map.csv: angles and heights must have even steps")
+        if len(values) < 2 or not np.allclose(
+            np.diff(values, 2), 0.0, atol=1e-5
+        ):
+            raise ConfigError(
+                "leg_map.csv: angles and heights must have even steps"
+            )
     if angle[0] != 0.0:
-        raise ConfigError(f"leg_map.csv: the first angle is {angle[0]} rad, not zero")
+        raise ConfigError(
+            f"leg_map.csv: the first angle is {angle[0]} rad, not zero"
+        )
     return MapLegs(
         table=np.ascontiguousarray(table.table),
         angle_step=angle[-1] / (len(angle) - 1),

@@ -55,7 +55,9 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
     """
     pose, twist = message.pose.pose, message.twist.twist
     pose_variance = np.array(message.pose.covariance)[::7]  # of position, angle
-    twist_variance = np.array(message.twist.covariance)[::7]  # of velocity, rate
+    twist_variance = np.array(message.twist.covariance)[
+        ::7
+    ]  # of velocity, rate
     q = pose.orientation
     return (
         stamp(message),
@@ -67,7 +69,9 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
     )
 
 
-def torso_odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
+def torso_odometry(
+    message: Any,
+) -> tuple[int, Array, Array, Array, Array, Array]:
     """As `odometry`; raises ValueError if its child frame is not base_link."""
     if message.child_frame_id.rpartition("/")[2] != BASE_FRAME:
         frame = quoted(message.child_frame_id)
@@ -93,7 +97,9 @@ def imu(message: Any) -> tuple[int, Array, Array]:
 def velocity(message: Any) -> tuple[int, Array]:
     """(stamp, [v_x, v_y, yaw rate]) of a TwistStamped in base_link, or of a Twist with stamp 0."""
     when, twist = (
-        (stamp(message), message.twist) if hasattr(message, "header") else (0, message)
+        (stamp(message), message.twist)
+        if hasattr(message, "header")
+        else (0, message)
     )
     return when, np.array([twist.linear.x, twist.linear.y, twist.angular.z])
 
@@ -229,7 +235,10 @@ def legs(message: Any) -> tuple[int, Array, Array, Array, Array]:
     the field existed. Raises ValueError if positions or directors do not fit the stated number
     of nodes, or are not finite.
     """
-    count, position = int(message.nodes), np.array(message.position, dtype=np.float64)
+    count, position = (
+        int(message.nodes),
+        np.array(message.position, dtype=np.float64),
+    )
     director = np.array(getattr(message, "director", ()), dtype=np.float64)
     row = 3 * len(LEGS)
     for name, values, sizes in (
@@ -243,13 +252,21 @@ def legs(message: Any) -> tuple[int, Array, Array, Array, Array]:
         if not np.isfinite(values).all():
             raise ValueError(f"{name}: expected finite numbers")
     force = np.array([vector(f) for f in message.ground_force])
-    shape = position.reshape(len(LEGS), count, 3), director.reshape(len(LEGS), -1, 3)
+    shape = (
+        position.reshape(len(LEGS), count, 3),
+        director.reshape(len(LEGS), -1, 3),
+    )
     return stamp(message), np.array(message.tension), force, *shape
 
 
 def robot_state(message: Any) -> tuple[int, State, Action, str]:
     """(stamp, state, action of the servos, reason); raises ValueError on unknown numbers."""
-    return stamp(message), State(message.state), _action(message.action), message.reason
+    return (
+        stamp(message),
+        State(message.state),
+        _action(message.action),
+        message.reason,
+    )
 
 
 def permission(message: Any, now: int) -> Permission:
@@ -289,18 +306,25 @@ def emergency_stop(message: Any) -> tuple[str, bool, bool]:
 
 def servo_limits(message: Any) -> ServoLimits:
     """Limits of whatever drives the servos; raises ConfigError on one out of bounds."""
-    gate = {field.name: getattr(message, field.name) for field in fields(GateSettings)}
+    gate = {
+        field.name: getattr(message, field.name)
+        for field in fields(GateSettings)
+    }
     timing = {
         field.name: getattr(message, field.name)
         for field in fields(ServoLimits)
         if field.name != "gate"
     }
-    return config.build(ServoLimits, timing | {"gate": gate}, "servo_limits: message")
+    return config.build(
+        ServoLimits, timing | {"gate": gate}, "servo_limits: message"
+    )
 
 
 def _action(number: int) -> Action:
     if number >= len(ACTION_NUMBERS):
-        raise ValueError(f"action {number}: expected at most {len(ACTION_NUMBERS) - 1}")
+        raise ValueError(
+            f"action {number}: expected at most {len(ACTION_NUMBERS) - 1}"
+        )
     return ACTION_NUMBERS[number]
 
 

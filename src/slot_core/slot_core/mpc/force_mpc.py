@@ -14,7 +14,13 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.control.force_map import INCREMENTAL
 from slot_core.control.input_check import preview_fault, state_fault, time_fault
-from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Timer
+from slot_core.control.policy import (
+    PlanReport,
+    Policy,
+    Status,
+    TendonPlan,
+    Timer,
+)
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
 from slot_core.key_frame import StateParts
@@ -34,7 +40,9 @@ class ForceMpc(Policy):
 
     STATE = StateParts("_stage", "_last", "_missed", values=(FirstStage,))
 
-    def __init__(self, robot: RobotParameters, settings: MpcSettings, timer: Timer):
+    def __init__(
+        self, robot: RobotParameters, settings: MpcSettings, timer: Timer
+    ):
         """Set up problem and solver; `timer` returns seconds.
 
         Raises ConfigError if the weights leave the problem ill-conditioned.
@@ -82,7 +90,11 @@ class ForceMpc(Policy):
 
     def _accept(self, solution: Solution, start: float) -> TendonPlan:
         """The solution's plan if it is accepted, else the fallback's; `start`: of the tick, s."""
-        limits, problem, z = self._settings.acceptance, self._problem, solution.z
+        limits, problem, z = (
+            self._settings.acceptance,
+            self._problem,
+            solution.z,
+        )
         violation = problem.violation(z)
         report = PlanReport(
             cost=problem.cost(z),
@@ -113,7 +125,9 @@ class ForceMpc(Policy):
             used_up = f"fallback used up after {rule.cycles} cycles"
             why = "no feasible input yet" if self._last is None else used_up
             nothing = np.zeros((self._settings.horizon, FEET, 3))
-            return self._plan(nothing, Status.STOPPED, f"{why}; {fault}", report)
+            return self._plan(
+                nothing, Status.STOPPED, f"{why}; {fault}", report
+            )
         deviation = self._last
         for _ in range(self._missed):
             deviation = rule.decay * deviation
@@ -141,7 +155,9 @@ class ForceMpc(Policy):
                 slack_normal_min=above_least,
                 slack_normal_max=below_max,
                 slack_friction=friction,
-                slack_total=float(stage.force_max.sum() - self._problem.mass * GRAVITY),
+                slack_total=float(
+                    stage.force_max.sum() - self._problem.mass * GRAVITY
+                ),
                 slack_balance=self._problem.balance(first),
                 mass=self._problem.mass,
             ),

@@ -58,7 +58,9 @@ class ForceProblem:
         self.target = np.zeros((n, STAGE))
         rows = _rows(n, generic)
         self.matrix = sparse.csc_matrix(rows.astype(float))  # C
-        self._slots = self.matrix.data.astype(np.intp) - 1  # of its entries' values
+        self._slots = (
+            self.matrix.data.astype(np.intp) - 1
+        )  # of its entries' values
         self.right = np.zeros(len(rows))  # d
         feet, forces = np.zeros((n, FEET)), np.zeros((n, FEET, 3))
         self._ahead = Horizon(feet, feet, forces, np.zeros((n, STATES)))
@@ -68,7 +70,13 @@ class ForceProblem:
             clarabel.NonnegativeConeT(len(rows) - n * STATES),
         ]
         objective = sparse.diags(self.weight, format="csc"), self.c
-        parts = *objective, self.matrix, self.right, cones, options(settings.solver)
+        parts = (
+            *objective,
+            self.matrix,
+            self.right,
+            cones,
+            options(settings.solver),
+        )
         self._solver = clarabel.DefaultSolver(*parts)
         self.solve()  # the first solve is slow (page faults): not during operation
 
@@ -93,7 +101,9 @@ class ForceProblem:
             force_ref=force,
             state_ref=np.asarray(preview.reference, dtype=float)[following],
         )
-        return FirstStage(ahead.force_max[0], ahead.friction[0], force[0], preview.rate)
+        return FirstStage(
+            ahead.force_max[0], ahead.friction[0], force[0], preview.rate
+        )
 
     def update(self, state: Array, preview: GaitPreview) -> None:
         """Set the present state (12,), at stage 0 of the preview that was read.
@@ -105,10 +115,16 @@ class ForceProblem:
     def _set(self, prediction: Prediction, state: Array) -> None:
         """Set C, d and the targets for a prediction from a state (12,) and the stages ahead."""
         stages = self._ahead
-        entries = prediction.a.ravel(), prediction.b.ravel(), stages.friction.ravel()
+        entries = (
+            prediction.a.ravel(),
+            prediction.b.ravel(),
+            stages.friction.ravel(),
+        )
         values = np.concatenate([[1.0, -1.0], -np.concatenate(entries)])
         self.matrix.data[:] = values[self._slots]
-        dynamics = self.right[: self.horizon * STATES].reshape(self.horizon, STATES)
+        dynamics = self.right[: self.horizon * STATES].reshape(
+            self.horizon, STATES
+        )
         dynamics[:] = prediction.drift
         dynamics[0] += product(prediction.a, state)
         self.right[-self.horizon * FEET :] = stages.force_max.ravel()
@@ -126,7 +142,11 @@ class ForceProblem:
 
     def forces(self, z: Array) -> Array:
         """Forces (H, 4, 3) N: the inputs in z."""
-        return z.reshape(self.horizon, STAGE)[:, :INPUTS].reshape(-1, FEET, 3).copy()
+        return (
+            z.reshape(self.horizon, STAGE)[:, :INPUTS]
+            .reshape(-1, FEET, 3)
+            .copy()
+        )
 
     def cost(self, z: Array) -> float:
         """Objective of `model.py` at z."""
@@ -158,7 +178,9 @@ def _rows(horizon: int, pattern: Prediction) -> NDArray[np.int64]:
     b = np.where(pattern.b != 0, of_b.reshape(STATES, INPUTS), 0)
     dynamics = np.zeros((horizon, STATES, horizon, STAGE), dtype=np.int64)
     friction = np.zeros((horizon, FEET, 4, horizon, STAGE), dtype=np.int64)
-    least, largest = np.zeros((2, horizon, FEET, horizon, STAGE), dtype=np.int64)
+    least, largest = np.zeros(
+        (2, horizon, FEET, horizon, STAGE), dtype=np.int64
+    )
     for k in range(horizon):
         dynamics[k, :, k, :INPUTS] = b
         dynamics[k, :, k, INPUTS:] = np.eye(STATES)
@@ -177,7 +199,9 @@ def _rows(horizon: int, pattern: Prediction) -> NDArray[np.int64]:
 def _check_condition(prediction: Prediction, settings: MpcSettings) -> None:
     """Raise ConfigError if the condensed Hessian is ill-conditioned."""
     weights, limit = settings.weights, settings.acceptance.condition_max
-    condition = condensed_condition(prediction, weights.q, weights.r, settings.horizon)
+    condition = condensed_condition(
+        prediction, weights.q, weights.r, settings.horizon
+    )
     if not condition <= limit:
         raise config.ConfigError(
             f"mpc.yaml: weights.force = {list(weights.force)}: condition number {condition:.1e} "

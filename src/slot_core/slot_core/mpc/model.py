@@ -75,7 +75,11 @@ class FirstStage:
         """
         normal, tangential = force[:, 2], np.abs(force[:, :2]).max(axis=1)
         return np.stack(
-            [normal, self.force_max - normal, self.friction * normal - tangential]
+            [
+                normal,
+                self.force_max - normal,
+                self.friction * normal - tangential,
+            ]
         )
 
 
@@ -104,7 +108,11 @@ class TorsoModel:
         gain[3:] = np.tile(np.eye(3) / self._mass, FEET)
         acceleration = np.zeros(6)
         acceleration[5] = -GRAVITY
-        a, b, drift = np.eye(STATES), np.zeros((STATES, INPUTS)), np.zeros(STATES)
+        a, b, drift = (
+            np.eye(STATES),
+            np.zeros((STATES, INPUTS)),
+            np.zeros(STATES),
+        )
         a[:6, 6:] = dt * jacobian
         b[:6] = dt * dt / 2 * product(jacobian, gain)
         b[6:] = dt * gain
@@ -136,10 +144,12 @@ def condensed_condition(
         block = prediction.a @ block
     s = np.zeros((horizon * STATES, horizon * INPUTS))
     for k in range(horizon):
-        s[k * STATES :, k * INPUTS : (k + 1) * INPUTS] = columns[: horizon - k].reshape(
-            -1, INPUTS
-        )
-    hessian = s.T @ (np.tile(q, horizon)[:, None] * s) + np.diag(np.tile(r, horizon))
+        s[k * STATES :, k * INPUTS : (k + 1) * INPUTS] = columns[
+            : horizon - k
+        ].reshape(-1, INPUTS)
+    hessian = s.T @ (np.tile(q, horizon)[:, None] * s) + np.diag(
+        np.tile(r, horizon)
+    )
     eigenvalues = np.linalg.eigvalsh(hessian)
     return float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
 

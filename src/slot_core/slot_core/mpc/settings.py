@@ -19,16 +19,23 @@ class Weights:
 
     angle: Vector3 = quantity("weight of roll, pitch, yaw", "1/rad^2", 0, 1e9)
     position: Vector3 = quantity("weight of the position", "1/m^2", 0, 1e9)
-    rate: Vector3 = quantity("weight of the angular velocity", "s^2/rad^2", 0, 1e9)
+    rate: Vector3 = quantity(
+        "weight of the angular velocity", "s^2/rad^2", 0, 1e9
+    )
     velocity: Vector3 = quantity("weight of the velocity", "s^2/m^2", 0, 1e9)
     force: Vector3 = quantity(
-        "weight of a leg's deviation from its reference force", "1/N^2", 1e-12, 1e9
+        "weight of a leg's deviation from its reference force",
+        "1/N^2",
+        1e-12,
+        1e9,
     )
 
     @property
     def q(self) -> Array:
         """(12,) diagonal of Q."""
-        return np.concatenate([self.angle, self.position, self.rate, self.velocity])
+        return np.concatenate(
+            [self.angle, self.position, self.rate, self.velocity]
+        )
 
     @property
     def r(self) -> Array:
@@ -47,7 +54,10 @@ class Acceptance:
         "longest time for checks, update and solve", "s", 0, math.inf
     )
     condition_max: float = quantity(
-        "largest condition number of the Hessian, at the longest stage", "", 1, 1e12
+        "largest condition number of the Hessian, at the longest stage",
+        "",
+        1,
+        1e12,
     )
     input_max: float = quantity(
         "largest accepted magnitude of any input, SI units", "", 1, 1e9

@@ -20,7 +20,10 @@ class MpcSolverSettings:
         "largest absolute duality gap of a solution", "", 1e-12, 1e-1
     )
     tolerance_rel: float = quantity(
-        "largest relative residual and duality gap of a solution", "", 1e-12, 1e-1
+        "largest relative residual and duality gap of a solution",
+        "",
+        1e-12,
+        1e-1,
     )
     iterations: int = quantity(
         "largest number of iterations of the solver", "", 1, 100000
@@ -45,7 +48,10 @@ def options(settings: MpcSolverSettings) -> clarabel.DefaultSettings:
     # Entries removed by presolving could not be updated.
     made.presolve_enable = False
     made.input_sparse_dropzeros = False
-    made.tol_gap_abs, made.tol_gap_rel = settings.tolerance_abs, settings.tolerance_rel
+    made.tol_gap_abs, made.tol_gap_rel = (
+        settings.tolerance_abs,
+        settings.tolerance_rel,
+    )
     made.tol_feas = settings.tolerance_rel
     made.max_iter = settings.iterations
     return made

@@ -18,7 +18,11 @@ from mcap.writer import Writer
 
 from slot_core.recording.message_types import message_types
 from slot_core.recording.origin import ORIGIN, Origin
-from slot_core.recording.record_settings import BagError, RecordedTopic, RecordSettings
+from slot_core.recording.record_settings import (
+    BagError,
+    RecordedTopic,
+    RecordSettings,
+)
 
 VERSION = 9  # of metadata.yaml
 FOREVER = {
@@ -46,7 +50,10 @@ class BagWriter:
     """
 
     def __init__(
-        self, path: Path | str, settings: RecordSettings, origin: Origin | None = None
+        self,
+        path: Path | str,
+        settings: RecordSettings,
+        origin: Origin | None = None,
     ) -> None:
         self._path = Path(path)
         self._settings = settings
@@ -73,7 +80,9 @@ class BagWriter:
             topic, self._type(topic, typename)
         )
         if known.name != typename:
-            raise BagError(f"{topic}: is recorded as {known.name}, not {typename}")
+            raise BagError(
+                f"{topic}: is recorded as {known.name}, not {typename}"
+            )
         try:
             self._file.add(topic, time_ns, bytes(data))
         except OSError as error:
@@ -137,7 +146,9 @@ class BagWriter:
 
     def _next_file(self) -> _File:
         number = f"_{len(self._files)}" if self._files else ""
-        file = _File(self._path / f"{self._path.name}{number}.mcap", self._origin)
+        file = _File(
+            self._path / f"{self._path.name}{number}.mcap", self._origin
+        )
         self._files.append(file)
         for topic, kind in self._topics.items():
             file.connect(topic, kind, self._qos(topic))
@@ -222,7 +233,9 @@ class _File:
         """Bytes handed to the system."""
         return self._stream.tell()
 
-    def connect(self, topic: str, kind: MessageType, qos: list[dict[str, Any]]) -> None:
+    def connect(
+        self, topic: str, kind: MessageType, qos: list[dict[str, Any]]
+    ) -> None:
         if kind.name not in self._schemas:
             self._schemas[kind.name] = self._writer.register_schema(
                 kind.name, kind.encoding, kind.definition.encode()
@@ -240,7 +253,10 @@ class _File:
     def add(self, topic: str, time_ns: int, data: bytes) -> None:
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
         self.counts[topic] += 1
-        self.first, self.last = min(self.first, time_ns), max(self.last, time_ns)
+        self.first, self.last = (
+            min(self.first, time_ns),
+            max(self.last, time_ns),
+        )
 
     def flush(self) -> None:
         self._writer.flush()
@@ -252,7 +268,9 @@ class _File:
         """
         try:
             self._writer.flush()
-            self._writer.add_metadata("rosbag2", {"serialized_metadata": information})
+            self._writer.add_metadata(
+                "rosbag2", {"serialized_metadata": information}
+            )
             self._writer.finish()
         finally:
             self._stream.close()
@@ -269,7 +287,10 @@ class _File:
 
 def _span(files: list[_File]) -> dict[str, Any]:
     """Time of the first message and duration, as metadata.yaml holds them."""
-    first, last = min(file.first for file in files), max(file.last for file in files)
+    first, last = (
+        min(file.first for file in files),
+        max(file.last for file in files),
+    )
     return {
         "duration": {"nanoseconds": max(0, last - first)},
         "starting_time": {"nanoseconds_since_epoch": first},

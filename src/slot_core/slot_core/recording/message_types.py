@@ -24,7 +24,8 @@ def add_installed(types: Types) -> None:
     """Register those types of slot_msgs that are not yet; FileNotFoundError if none is found."""
     files = sorted(_message_files())
     add_definitions(
-        types, {f"{PACKAGE}/msg/{path.stem}": path.read_text() for path in files}
+        types,
+        {f"{PACKAGE}/msg/{path.stem}": path.read_text() for path in files},
     )
 
 
@@ -60,7 +61,9 @@ def _parsed(text: str, typename: str) -> dict[str, Any]:
 def _message_files() -> list[Path]:
     """The .msg files from the first installation that has slot_msgs, else from the source tree."""
     prefixes = [
-        Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p
+        Path(p)
+        for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        if p
     ]
     places = [prefix / "share" / PACKAGE / "msg" for prefix in prefixes]
     places.append(Path(__file__).resolve().parents[4] / PACKAGE / "msg")

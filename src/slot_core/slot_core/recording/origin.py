@@ -34,7 +34,9 @@ class Origin:
 
     # revision, and the graph's arguments
     about: Mapping[str, str] = field(default_factory=dict)
-    files: Mapping[str, bytes] = field(default_factory=dict)  # attachments by name
+    files: Mapping[str, bytes] = field(
+        default_factory=dict
+    )  # attachments by name
 
     def changed_files(self) -> list[str]:
         """Files of the configuration that are not as those here, sorted; none if not known.
@@ -46,14 +48,21 @@ class Origin:
         then = self.configuration()
         now = configuration()
         return sorted(
-            name for name in then.keys() | now.keys() if then.get(name) != now.get(name)
+            name
+            for name in then.keys() | now.keys()
+            if then.get(name) != now.get(name)
         )
 
     def configuration(self) -> dict[str, bytes]:
         """Files of the recorded configuration by path; raises as `changed_files`, also without."""
         try:
-            with zipfile.ZipFile(io.BytesIO(self.files[CONFIGURATION])) as archive:
-                if sum(file.file_size for file in archive.infolist()) > ARCHIVE_MAX:
+            with zipfile.ZipFile(
+                io.BytesIO(self.files[CONFIGURATION])
+            ) as archive:
+                if (
+                    sum(file.file_size for file in archive.infolist())
+                    > ARCHIVE_MAX
+                ):
                     raise BagError(f"more than {ARCHIVE_MAX} bytes")
                 return {name: archive.read(name) for name in archive.namelist()}
         except (
@@ -67,7 +76,8 @@ class Origin:
             return []
         about = dict(self.about)
         revision = about.pop("revision", "unknown")
-        lines = [f"recorded by  revision {revision}, {_pairs(about)}"]
+        pairs = ", ".join(f"{name} {value}" for name, value in about.items())
+        lines = [f"recorded by  revision {revision}, {pairs}"]
         try:
             changed = (
                 f"differs in {', '.join(names)}"
@@ -86,7 +96,9 @@ def origin_here(arguments: Mapping[str, Any]) -> Origin:
 
     Raises OSError if a file among the arguments cannot be read, ValueError if it is not regular.
     """
-    named = {name: str(arguments[name]) for name in FILES.keys() & arguments.keys()}
+    named = {
+        name: str(arguments[name]) for name in FILES.keys() & arguments.keys()
+    }
     attached = dict(FILES)
     if named.get("policy", "").startswith(ONNX):
         named["policy"], attached["policy"] = (
@@ -110,8 +122,12 @@ def origin_here(arguments: Mapping[str, Any]) -> Origin:
 def configuration() -> dict[str, bytes]:
     """Content of the configuration's files by their path in its directory."""
     root = config.config_dir().resolve()
-    files = sorted(path for path in root.rglob("*") if path.suffix in (".yaml", ".csv"))
-    return {path.relative_to(root).as_posix(): path.read_bytes() for path in files}
+    files = sorted(
+        path for path in root.rglob("*") if path.suffix in (".yaml", ".csv")
+    )
+    return {
+        path.relative_to(root).as_posix(): path.read_bytes() for path in files
+    }
 
 
 def revision() -> str:
@@ -135,7 +151,9 @@ def revision() -> str:
         )
         if done.returncode == 0:
             return done.stdout.strip()
-        return os.environ.get("SLOT_REVISION") or f"version {version('slot_core')}"
+        return (
+            os.environ.get("SLOT_REVISION") or f"version {version('slot_core')}"
+        )
     except (OSError, subprocess.TimeoutExpired, PackageNotFoundError):
         return "unknown"
 
@@ -143,11 +161,9 @@ def revision() -> str:
 def _zipped(files: Mapping[str, bytes]) -> bytes:
     """ZIP archive of files, equal for equal files."""
     packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+    with zipfile.ZipFile(
+        packed, "w", zipfile.ZIP_DEFLATED, compresslevel=9
+    ) as archive:
         for name, data in files.items():
             archive.writestr(zipfile.ZipInfo(name), data, zipfile.ZIP_DEFLATED)
     return packed.getvalue()
-
-
-def _pairs(values: Mapping[str, str]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in values.items())

@@ -35,7 +35,9 @@ class RecordSettings:
         "time at the start left out by the metrics", "s", 0.0, 60.0
     )
     depth: int = quantity("queue of each subscription", "messages", 1, 100_000)
-    poll: float = quantity("time between two looks at the queues", "s", 0.001, 1.0)
+    poll: float = quantity(
+        "time between two looks at the queues", "s", 0.001, 1.0
+    )
     flush: float = quantity(
         "time between two chunks: what SIGKILL loses at most", "s", 0.02, 60.0
     )
@@ -59,7 +61,8 @@ def read_record_settings(
         )
         settings.topics[VELOCITY] = plain
     topics = {
-        f"{root_of(namespace)}/{name}": topic for name, topic in settings.topics.items()
+        f"{root_of(namespace)}/{name}": topic
+        for name, topic in settings.topics.items()
     }
     return dataclasses.replace(settings, topics=topics)
 

@@ -60,7 +60,9 @@ def segment(work, k):
     """Lever of segment k, whose director is carried on from the direction a = work.begin[k]."""
     s, a = work.segments, row(work.begin, k)
     t, scale = row(s.direction, k), s.per_length[k]
-    return Lever(t, scale, 0.0, plus(ZERO, scale / (1.0 + dot(a, t)), cross(t, a)))
+    return Lever(
+        t, scale, 0.0, plus(ZERO, scale / (1.0 + dot(a, t)), cross(t, a))
+    )
 
 
 @helper

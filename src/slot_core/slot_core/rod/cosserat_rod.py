@@ -15,7 +15,6 @@ one plane. Tangent and elimination are in `assembly.py` and `elimination.py`.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
@@ -26,15 +25,18 @@ from slot_core.rod.mesh import build_mesh
 from slot_core.rod.model import (
     CLAMPED,
     FREE,
+    MIDPOINT,
+    Energy,
     Geometry,
     Loads,
     Material,
     Pose,
     RodError,
+    RodState,
+    Scheme,
     Support,
     need,
 )
-from slot_core.rod.motion import MIDPOINT, Energy, RodState, Scheme
 from slot_core.rod.statics import (
     Equilibrium,
     EquilibriumError,
@@ -130,7 +132,10 @@ class CosseratRod:
             for name, own in vars(self.state).items()
         }
         work.node[:n], work.velocity[:n] = given["position"], given["velocity"]
-        work.director[: n - 1], work.swirl[: n - 1] = given["director"], given["swirl"]
+        work.director[: n - 1], work.swirl[: n - 1] = (
+            given["director"],
+            given["swirl"],
+        )
         for frame, axes in zip(work.frame, given["ends"]):
             frame[:] = frame_rows(axes)
         work.turning[:] = 0.0
@@ -173,7 +178,11 @@ class CosseratRod:
         whole = all(
             isinstance(number, (int, np.integer)) for number in (steps, samples)
         )
-        if not whole or min(steps, samples) < 0 or (samples and steps % samples):
+        if (
+            not whole
+            or min(steps, samples) < 0
+            or (samples and steps % samples)
+        ):
             raise RodError(
                 f"samples {samples} must divide steps {steps}, integers of 0 or more"
             )
@@ -211,15 +220,17 @@ class CosseratRod:
         finally:
             kernels.settle(self._work)
             self._rest()
-            self._set(begin.toward(end, reached), loads if reached == 1.0 else None)
+            self._set(
+                begin.toward(end, reached), loads if reached == 1.0 else None
+            )
 
     def energy(self, loads: Loads = NO_LOADS) -> Energy:
         """Kinetic, elastic and potential energy of the present state under loads, J."""
         mesh, work, n = self.mesh, self._work, self.nodes
         v, spin = work.velocity[:n], work.swirl[: n - 1]
-        kinetic = mesh.mass @ (v**2).sum(axis=1) + mesh.spin[:-1] @ (spin**2).sum(
-            axis=1
-        )
+        kinetic = mesh.mass @ (v**2).sum(axis=1) + mesh.spin[:-1] @ (
+            spin**2
+        ).sum(axis=1)
         kinetic -= mesh.coupling[:-1] @ (np.diff(v, axis=0) ** 2).sum(axis=1)
         kernels.pose(mesh, work)
         return Energy(
@@ -232,10 +243,13 @@ class CosseratRod:
         """Linear momentum (3,), N s, and angular momentum about the origin (3,), N m s."""
         mesh, work, n = self.mesh, self._work, self.nodes
         r, v = work.node[:n], work.velocity[:n]
-        p, less = mesh.mass[:, None] * v, mesh.coupling[:-1, None] * np.diff(v, axis=0)
-        angular = np.cross(r, p).sum(axis=0) - np.cross(np.diff(r, axis=0), less).sum(
-            axis=0
+        p, less = (
+            mesh.mass[:, None] * v,
+            mesh.coupling[:-1, None] * np.diff(v, axis=0),
         )
+        angular = np.cross(r, p).sum(axis=0) - np.cross(
+            np.diff(r, axis=0), less
+        ).sum(axis=0)
         angular += mesh.spin[:-1] @ work.swirl[: n - 1]
         return p.sum(axis=0), angular
 
@@ -258,14 +272,12 @@ class CosseratRod:
             matrix[at, at] = mesh.mass
             matrix[at[1:], at[1:]] -= mesh.coupling[:-1]
             matrix[at[:-1], at[:-1]] -= mesh.coupling[:-1]
-            matrix[at[1:], at[:-1]] = matrix[at[:-1], at[1:]] = mesh.coupling[:-1]
+            matrix[at[1:], at[:-1]] = matrix[at[:-1], at[1:]] = mesh.coupling[
+                :-1
+            ]
         at = 4 * np.arange(n - 1) + 7
         matrix[at, at] = mesh.spin[:-1]
         return matrix
-
-    def free_unknowns(self) -> NDArray[np.intp]:
-        """Indices of the unknowns of `tangent` that exist and that no support holds."""
-        return free_unknowns(self.mesh)
 
     def natural_frequencies(self, count: int, loads: Loads = NO_LOADS) -> Array:
         """Lowest undamped natural frequencies (count,), Hz, about the present state at rest.
@@ -280,9 +292,12 @@ class CosseratRod:
             raise RodError(
                 "natural frequencies need loads with a potential: no moment, no follower"
             )
-        free = self.free_unknowns()
+        free = free_unknowns(self.mesh)
         square = np.ix_(free, free)
-        stiffness, mass = self.tangent(loads)[square], self.mass_matrix()[square]
+        stiffness, mass = (
+            self.tangent(loads)[square],
+            self.mass_matrix()[square],
+        )
         metric = np.diag(self.mesh.metric[free])
         # M x = mu (K + a M) x: the lowest frequencies have the largest mu, which are the most
         # accurate, and turns without inertia are allowed.
@@ -290,7 +305,9 @@ class CosseratRod:
         while True:
             try:
                 values = eigh(
-                    mass, stiffness + shift * (mass + 1e-9 * metric), eigvals_only=True
+                    mass,
+                    stiffness + shift * (mass + 1e-9 * metric),
+                    eigvals_only=True,
                 )
                 break
             except np.linalg.LinAlgError:
@@ -310,19 +327,24 @@ class CosseratRod:
         scheme = self.scheme
         settings = (scheme.theta, scheme.iterations, scheme.tolerance)
         done = kernels.run(
-            self.mesh, self._work, self._load, self._target, h, settings, steps, record
+            self.mesh,
+            self._work,
+            self._load,
+            self._target,
+            h,
+            settings,
+            steps,
+            record,
         )
         self.time += h * done
         if done < steps:
+            # node with the largest last increment, of its place or of the segment behind
+            change = np.abs(self._work.change[4:-3].reshape(-1, 4))
+            fastest = np.nan_to_num(change, nan=np.inf).max(axis=1).argmax()
             raise DivergenceError(
                 f"diverged after t = {self.time:g} s in step {done + 1} of {steps} "
-                f"(h = {h:g} s), largest change at node {self._fastest()}"
+                f"(h = {h:g} s), largest change at node {fastest}"
             )
-
-    def _fastest(self) -> int:
-        """Node with the largest last increment, of its place or of the segment behind."""
-        change = np.abs(self._work.change[4:-3].reshape(-1, 4))
-        return int(np.nan_to_num(change, nan=np.inf).max(axis=1).argmax())
 
     def _apply(self, loads: Loads) -> None:
         """Set the present loads, unless they are set already."""
@@ -331,7 +353,9 @@ class CosseratRod:
 
     def _nodal(self, loads: Loads) -> RodLoads:
         """Loads at the nodes."""
-        dead = self.mesh.mass[:, None] * np.asarray(loads.gravity, dtype=np.float64)
+        dead = self.mesh.mass[:, None] * np.asarray(
+            loads.gravity, dtype=np.float64
+        )
         dead[-1] += loads.force
         return RodLoads(
             dead, np.array(loads.moment, float), np.array(loads.follower, float)
@@ -348,7 +372,8 @@ def _need_step(h: float) -> None:
     """Raise RodError for a step (s) that is not finite and above 0."""
     is_number = isinstance(h, (int, float, np.number))
     need(
-        is_number and 0.0 < h < math.inf, f"step {quoted(h)} must be above 0 and finite"
+        is_number and 0.0 < h < math.inf,
+        f"step {quoted(h)} must be above 0 and finite",
     )
 
 

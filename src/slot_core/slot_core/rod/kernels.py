@@ -37,7 +37,9 @@ from slot_core.dynamics.spatial.strain import (
 from slot_core.rod.assembly import assemble
 from slot_core.rod.elimination import eliminate, load_tip, pull, substitute
 
-LARGEST_INCREMENT = 1.0  # rod lengths and rad; a step that ends with more has diverged
+LARGEST_INCREMENT = (
+    1.0  # rod lengths and rad; a step that ends with more has diverged
+)
 ZERO = (0.0, 0.0, 0.0)
 
 
@@ -257,7 +259,11 @@ def displace(work, x):
     at = 4 * n + 3
     end_frame(work, work.stage_frame, work.stage_frame, 0, (x[0], x[1], x[2]))
     end_frame(
-        work, work.stage_frame, work.stage_frame, 1, (x[at], x[at + 1], x[at + 2])
+        work,
+        work.stage_frame,
+        work.stage_frame,
+        1,
+        (x[at], x[at + 1], x[at + 2]),
     )
     put(work.stage, 0, add(row(work.stage, 0), (x[4], x[5], x[6])))
     for k in range(n - 1):
@@ -368,7 +374,9 @@ def dense(mesh, work, loads, matrix):
     for k in range(count):
         for i in range(11):
             for j in range(11):
-                matrix[4 * k + i, 4 * k + j] += work.factor[k, min(i, j), max(i, j)]
+                matrix[4 * k + i, 4 * k + j] += work.factor[
+                    k, min(i, j), max(i, j)
+                ]
     work.last[:] = 0.0
     load_tip(work, loads, work.last)
     for i in range(6):
@@ -383,6 +391,11 @@ def elastic_energy(mesh, work):
     s, total = work.segments, 0.0
     for k in range(work.normal.size):
         bend = s.turn[k] - mesh.rest_angle[k]
-        total += mesh.axial[k] * s.extension[k] ** 2 + mesh.torsion[k] * s.twist[k] ** 2
-        total += mesh.bending[k] * bend * bend + mesh.lateral[k] * s.side[k] ** 2
+        total += (
+            mesh.axial[k] * s.extension[k] ** 2
+            + mesh.torsion[k] * s.twist[k] ** 2
+        )
+        total += (
+            mesh.bending[k] * bend * bend + mesh.lateral[k] * s.side[k] ** 2
+        )
     return total / 2

@@ -71,6 +71,8 @@ def build_mesh(  # noqa: PLR0917
     middle = sections(material, geometry, (arc[1:] + arc[:-1]) / 2)
     chain = links(shape[:, :2], arc, weights(np.diff(arc)), hinge, middle)
     last = shape[-1, 2] - np.sum(chain.rest_angle)
+    turning = chain.mass * length**2 / 12
+    of_nodes = np.column_stack([chain.mass, chain.mass, chain.mass, turning])
     return Mesh(
         natural=np.column_stack([shape[:, 0], np.zeros(nodes), shape[:, 1]]),
         turn=float(shape[-1, 2]),
@@ -84,7 +86,10 @@ def build_mesh(  # noqa: PLR0917
         bending=chain.bending,
         lateral=chain.lateral,
         torsion=chain.torsion,
-        metric=_metric(chain.mass, length),
+        # norm of the unknowns in the order of `assembly.py`
+        metric=np.concatenate(
+            [np.full(4, turning[0]), of_nodes.ravel(), np.full(3, turning[-1])]
+        ),
         held=np.array([[*end.position, *end.rotation] for end in (base, tip)]),
         refinement=_refinement(geometry, arc, refined),
         none=NoTendon(np.zeros(nodes), np.zeros(nodes)),
@@ -99,7 +104,9 @@ def sections(material: Material, geometry: Geometry, s: Array) -> Sections:
 
     def over(name: str) -> Array:
         values = numbers(name, getattr(section, name)(fraction), s.shape)
-        need(bool((values > 0.0).all()), f"{name} of the section must be above 0")
+        need(
+            bool((values > 0.0).all()), f"{name} of the section must be above 0"
+        )
         return values
 
     area, inner, outer = map(over, ("area", "second_moment", "lateral_moment"))
@@ -129,10 +136,3 @@ def _refinement(geometry: Geometry, arc: Array, active: bool) -> Refinement:
         delta=np.zeros((n, 3)),
         active=active,
     )
-
-
-def _metric(mass: Array, length: float) -> Array:
-    """Norm of the unknowns (see `assembly.py` for their order)."""
-    turning = mass * length**2 / 12
-    of_node = np.column_stack([mass, mass, mass, turning]).ravel()
-    return np.concatenate([np.full(4, turning[0]), of_node, np.full(3, turning[-1])])

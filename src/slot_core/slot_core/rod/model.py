@@ -1,4 +1,4 @@
-"""Description of a rod: material, section, natural shape, supports and loads.
+"""Description of a rod: material, section, natural shape, supports, loads, scheme and state.
 
 The rod has the length L, its base at s = 0 and its tip at s = L, and a support at each. The axes of
 a section are the tangent, the width and the normal; at a base with the rotation zero they are x, y
@@ -115,15 +115,21 @@ class Rectangle:
 
     def second_moment(self, fraction: Array) -> Array:
         """Second moment of area about the width, m^4."""
-        return moments.second_moment(self.width, _linear(self.thickness, fraction))
+        return moments.second_moment(
+            self.width, _linear(self.thickness, fraction)
+        )
 
     def lateral_moment(self, fraction: Array) -> Array:
         """Second moment of area for bending sideways, m^4."""
-        return moments.second_moment(_linear(self.thickness, fraction), self.width)
+        return moments.second_moment(
+            _linear(self.thickness, fraction), self.width
+        )
 
     def torsion_constant(self, fraction: Array) -> Array:
         """Saint-Venant's torsion constant, m^4."""
-        return moments.torsion_constant(self.width, _linear(self.thickness, fraction))
+        return moments.torsion_constant(
+            self.width, _linear(self.thickness, fraction)
+        )
 
 
 @dataclass(frozen=True)
@@ -166,7 +172,9 @@ class Uniform:
     torsion: float  # m^4, torsion constant
 
     def __post_init__(self) -> None:
-        need_positive("section", self.area_m2, self.inner, self.outer, self.torsion)
+        need_positive(
+            "section", self.area_m2, self.inner, self.outer, self.torsion
+        )
 
     def area(self, fraction: Array) -> Array:
         """Area, m^2."""
@@ -215,19 +223,25 @@ class Geometry:
         x, w = (x + 1) / 2, w / 2
         cell = self.length / (nodes - 1)
         start = np.arange(nodes - 1) * cell
-        inner = start[:, None, None] + cell * x[:, None] * x  # points up to each point
+        inner = (
+            start[:, None, None] + cell * x[:, None] * x
+        )  # points up to each point
         part = cell * x * (self.curvature_at(inner) @ w)
         whole = cell * (self.curvature_at(start[:, None] + cell * x) @ w)
         angle = np.concatenate([[0.0], np.cumsum(whole)])
         inside = angle[:-1, None] + part
-        steps = cell * np.stack([np.cos(inside) @ w, np.sin(inside) @ w], axis=1)
+        steps = cell * np.stack(
+            [np.cos(inside) @ w, np.sin(inside) @ w], axis=1
+        )
         return np.column_stack(
             [np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)]), angle]
         )
 
     def curvature_at(self, s: Array) -> Array:
         """Natural curvature at arc lengths s (m), 1/m."""
-        value = self.curvature(s) if callable(self.curvature) else self.curvature
+        value = (
+            self.curvature(s) if callable(self.curvature) else self.curvature
+        )
         return numbers("curvature", value, s.shape)
 
 
@@ -259,7 +273,9 @@ class Support:
 
     def __post_init__(self) -> None:
         for held in (self.position, self.rotation):
-            are_three = np.shape(held) == (3,) and np.asarray(held).dtype == bool
+            are_three = (
+                np.shape(held) == (3,) and np.asarray(held).dtype == bool
+            )
             need(
                 are_three,
                 f"{quoted(held)} must be whether each of 3 components is held",
@@ -290,3 +306,69 @@ class Loads:
     def __post_init__(self) -> None:
         for name in ("gravity", "force", "moment", "follower"):
             need_vector(name, getattr(self, name))
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Theta time integration: forces are evaluated at t + theta h.
+
+    theta = 1/2 is the implicit midpoint rule. It is of second order and conserves linear and
+    angular momentum up to `tolerance`. It does not conserve energy: where the step resolves the
+    motion, the energy oscillates about its initial value. Above 1/2 the scheme is of first order
+    and damps motion that the step does not resolve.
+
+    Raises RodError for theta outside of 0.5 .. 1, fewer than one iteration, a tolerance below 0.
+    """
+
+    theta: float = 0.5
+    iterations: int = 20  # of Newton's method, at most
+    tolerance: float = (
+        1e-9  # of Newton's last increment, in rad and rod lengths
+    )
+
+    def __post_init__(self) -> None:
+        need(
+            0.5 <= self.theta <= 1.0,
+            f"theta {self.theta} must be within 0.5 .. 1",
+        )
+        need(
+            self.iterations >= 1,
+            f"iterations {self.iterations} must be at least 1",
+        )
+        need(
+            self.tolerance >= 0.0,
+            f"tolerance {self.tolerance} must not be below 0",
+        )
+
+
+MIDPOINT = Scheme()
+
+
+@dataclass(frozen=True)
+class RodState:
+    """State of a rod of N nodes.
+
+    The directors are unit vectors normal to their segments, against the width. The swirl is the
+    angular momentum of each segment about itself over its polar moment of inertia: its spin times
+    its direction. The columns of an end's axes are its section's tangent, width and normal.
+    """
+
+    position: Array  # (N, 3) m
+    director: Array  # (N-1, 3)
+    velocity: Array  # (N, 3) m/s
+    swirl: Array  # (N-1, 3) rad/s
+    ends: Array  # (2, 3, 3) axes of the sections at base and tip
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Energies, J. The potential of gravity and dead forces is zero at the origin."""
+
+    kinetic: float
+    elastic: float
+    potential: float
+
+    @property
+    def total(self) -> float:
+        """Sum of the three, J."""
+        return self.kinetic + self.elastic + self.potential

@@ -20,10 +20,12 @@ from scipy.linalg import eigh
 from slot_core.arrays import Array
 from slot_core.rod import kernels
 from slot_core.rod.mesh import Mesh
-from slot_core.rod.model import RodError
+from slot_core.rod.model import need
 from slot_core.rod.work import RodWork
 
-FIRST_PROBE = 64  # divisor of the first step, which measures the first rate of turn
+FIRST_PROBE = (
+    64  # divisor of the first step, which measures the first rate of turn
+)
 DESCENT_STEPS = 60  # damped steps from an unstable equilibrium, at most
 GROWTH = 1.5  # of the step from one equilibrium to the next
 
@@ -31,11 +33,11 @@ GROWTH = 1.5  # of the step from one equilibrium to the next
 class Branch(Enum):
     """Branch of equilibria that a state lies on."""
 
-    PRIMARY = "primary"  # connected to the start, and no pivot has changed its sign
-    UNSTABLE = "unstable"  # the tangent has negative pivots
-    SECONDARY = (
-        "secondary"  # stable again, after a bifurcation or beyond a critical load
+    PRIMARY = (
+        "primary"  # connected to the start, and no pivot has changed its sign
     )
+    UNSTABLE = "unstable"  # the tangent has negative pivots
+    SECONDARY = "secondary"  # stable again, after a bifurcation or beyond a critical load
 
 
 @dataclass(frozen=True)
@@ -57,20 +59,19 @@ class StaticSettings:
     turn_growth: float = 3.0  # of the turn per load factor, from step to step
     turn_floor: float = 1e-4  # rad, a turn that is always allowed
     iterations: int = 40  # of Newton's method, at most
-    tolerance: float = 1e-10  # of Newton's last increment, in rad and rod lengths
+    tolerance: float = (
+        1e-10  # of Newton's last increment, in rad and rod lengths
+    )
     critical_tolerance: float = 1e-6  # of critical load factors, relative
 
     def __post_init__(self) -> None:
-        if self.side not in {-1, 1}:
-            raise RodError(f"side {self.side} must be -1 or 1")
-        if not 0.0 < self.least_step <= self.first_step <= 1.0:
-            raise RodError(
-                f"steps {self.least_step}, {self.first_step} must be within 0 .. 1"
-            )
-        if not self.tolerance > 0.0 or not self.critical_tolerance > 0.0:
-            raise RodError(
-                f"tolerances {self.tolerance}, {self.critical_tolerance} must be above 0"
-            )
+        least, first = self.least_step, self.first_step
+        newton, critical = self.tolerance, self.critical_tolerance
+        need(self.side in {-1, 1}, f"side {self.side} must be -1 or 1")
+        within = 0.0 < least <= first <= 1.0
+        need(within, f"steps {least}, {first} must be within 0 .. 1")
+        above = newton > 0.0 and critical > 0.0
+        need(above, f"tolerances {newton}, {critical} must be above 0")
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,9 @@ class Equilibrium:
 
     branch: Branch
     negative_pivots: int  # directions in which the equilibrium is unstable
-    critical: tuple[float, ...]  # load factors at which a pivot changed its sign
+    critical: tuple[
+        float, ...
+    ]  # load factors at which a pivot changed its sign
     steps: int  # of the load factor
     iterations: int  # of Newton's method, in total
 
@@ -87,7 +90,9 @@ class Equilibrium:
 class EquilibriumError(ArithmeticError):
     """No equilibrium was found beyond `load_factor`, whose equilibrium the rod is in."""
 
-    def __init__(self, reason: str, load_factor: float, negative_pivots: int) -> None:
+    def __init__(
+        self, reason: str, load_factor: float, negative_pivots: int
+    ) -> None:
         super().__init__(
             f"{reason}; last equilibrium at load factor {load_factor:.6g} "
             f"with {negative_pivots} negative pivots"
@@ -154,7 +159,9 @@ class _Path:
             self.settings.tolerance,
         )
         self.iterations += count
-        if size < self.settings.tolerance and self.turn(frames) <= self.limit(factor):
+        if size < self.settings.tolerance and self.turn(frames) <= self.limit(
+            factor
+        ):
             return int(negative)
         self.work.posture[:] = start
         return None
@@ -162,7 +169,9 @@ class _Path:
     def frames(self) -> Array:
         """(2 N + 6, 3) unit vectors of all segments and of the ends' sections."""
         work = self.work
-        return np.concatenate([work.begin, work.from_director, *work.stage_frame])
+        return np.concatenate(
+            [work.begin, work.from_director, *work.stage_frame]
+        )
 
     def turn(self, before: Array) -> float:
         """Largest turn of a segment or section from its unit vectors before, rad."""
@@ -172,7 +181,9 @@ class _Path:
     def limit(self, factor: float) -> float:
         """Largest accepted turn of a section in the step to a load factor, rad."""
         s = self.settings
-        expected = self.rate * (factor - self.factor) if factor > self.factor else 0.0
+        expected = (
+            self.rate * (factor - self.factor) if factor > self.factor else 0.0
+        )
         return min(s.largest_turn, s.turn_growth * expected + s.turn_floor)
 
     def bisect(self, low: float, high: float, negative: int) -> float:
@@ -198,15 +209,23 @@ class _Path:
         if negative != self.negative:
             after = self.work.posture.copy()
             self.work.posture[:] = before
-            self.critical.append(self.bisect(self.factor, factor, self.negative))
+            self.critical.append(
+                self.bisect(self.factor, factor, self.negative)
+            )
             self.work.posture[:] = after
             if negative > self.negative and self.settings.stay_stable:
                 negative = self.descend(factor)
         turn = self.turn(frames)
         self.rate = (
-            math.inf if self.left_at == factor else turn / (factor - self.factor)
+            math.inf
+            if self.left_at == factor
+            else turn / (factor - self.factor)
         )
-        self.factor, self.negative, self.steps = factor, negative, self.steps + 1
+        self.factor, self.negative, self.steps = (
+            factor,
+            negative,
+            self.steps + 1,
+        )
         return True
 
     def descend(self, factor: float) -> int:
@@ -219,14 +238,22 @@ class _Path:
         loads = self.begin.toward(self.end, factor)
         value, shape = self.critical_shape(loads)
         kernels.push_aside(
-            mesh, work, self.settings.side * self.settings.largest_turn / 10 * shape
+            mesh,
+            work,
+            self.settings.side * self.settings.largest_turn / 10 * shape,
         )
         shift = -20 * value
         for _ in range(DESCENT_STEPS):
             if shift < 1e-3 * abs(value):
                 break
             size, negative, count = kernels.equilibrium(
-                mesh, work, loads, self.place, shift, 10, self.settings.tolerance
+                mesh,
+                work,
+                loads,
+                self.place,
+                shift,
+                10,
+                self.settings.tolerance,
             )
             self.iterations += count
             if not np.isfinite(size):
@@ -243,7 +270,9 @@ class _Path:
         )
         self.iterations += count
         if not size < self.settings.tolerance or negative:
-            raise EquilibriumError("no stable branch found", self.factor, self.negative)
+            raise EquilibriumError(
+                "no stable branch found", self.factor, self.negative
+            )
         self.left_at = factor
         return 0
 
@@ -276,7 +305,11 @@ class _Path:
 
 
 def follow(
-    mesh: Mesh, work: RodWork, begin: RodLoads, end: RodLoads, settings: StaticSettings
+    mesh: Mesh,
+    work: RodWork,
+    begin: RodLoads,
+    end: RodLoads,
+    settings: StaticSettings,
 ) -> Equilibrium:
     """Follow the equilibria from work's posture under the loads `begin` to the loads `end`.
 
@@ -286,12 +319,16 @@ def follow(
     path = _Path(mesh, work, begin, end, settings)
     negative = path.correct(0.0)
     if negative is None:
-        raise EquilibriumError("the present state is not near an equilibrium", 0.0, 0)
+        raise EquilibriumError(
+            "the present state is not near an equilibrium", 0.0, 0
+        )
     path.negative = negative
     step = settings.first_step / FIRST_PROBE
     while path.factor < 1.0:
         if path.advance(min(1.0, path.factor + step)):
-            step = max(GROWTH * step, settings.first_step if path.steps == 1 else 0.0)
+            step = max(
+                GROWTH * step, settings.first_step if path.steps == 1 else 0.0
+            )
             continue
         step /= 2
         if step < settings.least_step:
@@ -299,5 +336,9 @@ def follow(
                 "the branch ends or folds", path.factor, path.negative
             )
     return Equilibrium(
-        path.branch(), path.negative, tuple(path.critical), path.steps, path.iterations
+        path.branch(),
+        path.negative,
+        tuple(path.critical),
+        path.steps,
+        path.iterations,
     )

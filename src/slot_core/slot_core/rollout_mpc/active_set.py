@@ -20,16 +20,16 @@ from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, kernel
 from slot_core.matrices import cholesky, solve_cholesky
 
-PARALLEL = (
-    1e-11  # share of a normal outside of those in force, below which it depends on them
-)
+PARALLEL = 1e-11  # share of a normal outside of those in force, below which it depends on them
 STEPS_MAX = 400  # changes of the set of limits in force
 
 
 class Workspace(NamedTuple):
     """Arrays of `_minimise` for n variables."""
 
-    normal: Array  # (n, n) rows: normals of the limits in force, pointing inward
+    normal: (
+        Array  # (n, n) rows: normals of the limits in force, pointing inward
+    )
     image: Array  # (n, n) rows: H^-1 normal
     factor: Array  # (n, n) Cholesky factor of normal image^T
     multiplier: Array  # (n,)
@@ -114,13 +114,18 @@ def _add(work, inverse, bound, count, x):
         free, whole = _direction(work, inverse, count)
         first, dropped = math.inf, -1
         for k in range(count):
-            if work.change[k] > 0.0 and work.multiplier[k] < first * work.change[k]:
+            if (
+                work.change[k] > 0.0
+                and work.multiplier[k] < first * work.change[k]
+            ):
                 first, dropped = work.multiplier[k] / work.change[k], k
         missing = bound - _dot(work.goal, x)
         full = missing / free if free > PARALLEL * whole else math.inf
         step = min(first, full)
         if not step < math.inf:
-            return -1  # no point is within the limits, or a number is not finite
+            return (
+                -1
+            )  # no point is within the limits, or a number is not finite
         if full < math.inf:
             for i in range(x.size):
                 x[i] += step * work.way[i]

@@ -58,7 +58,11 @@ class DisturbanceObserver:
     )
 
     def __init__(
-        self, model: NominalRobot, settings: ObserverSettings, scale: Array, dt: float
+        self,
+        model: NominalRobot,
+        settings: ObserverSettings,
+        scale: Array,
+        dt: float,
     ):
         """scale: (6,) errors of roll, pitch, yaw, x, y, z that cost as much as one another."""
         self._scale = scale[[*PLACE, *TILTS]]
@@ -67,7 +71,9 @@ class DisturbanceObserver:
         self._stiffness, self._drift_max, self._wrench_max = np.array(limits)
         self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame
         self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
-        self.model_mismatch = False  # whether the robot moves otherwise than the model
+        self.model_mismatch = (
+            False  # whether the robot moves otherwise than the model
+        )
         self._misfit = np.zeros(6)  # mean squares, in units of the scales
         self._past: deque[_Seen] = deque()
 
@@ -98,10 +104,14 @@ class DisturbanceObserver:
         ticks = np.arange(math.ceil(passed) + 1.0)
         angles = np.array([seen.angle for seen in past])
         plan = [interpolated(ticks, known, column) for column in angles.T]
-        poses = self._model.roll_out(past[0].start, np.transpose(plan)[None]).pose[0]
+        poses = self._model.roll_out(
+            past[0].start, np.transpose(plan)[None]
+        ).pose[0]
         if np.isfinite(poses).all():
             columns = np.unwrap(poses, axis=0).T
-            pose = [interpolated(passed, ticks[1:], column) for column in columns]
+            pose = [
+                interpolated(passed, ticks[1:], column) for column in columns
+            ]
             self._correct(state, np.array(pose), self._dt * passed)
 
     def _correct(self, state: Array, pose: Array, span: float) -> None:

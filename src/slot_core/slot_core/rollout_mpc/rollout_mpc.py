@@ -23,15 +23,28 @@ from slot_core.arrays import Array
 from slot_core.control.force_map import read_springs
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.input_check import preview_fault, state_fault, time_fault
-from slot_core.control.policy import PlanReport, Policy, Status, TendonPlan, Timer
+from slot_core.control.policy import (
+    PlanReport,
+    Policy,
+    Status,
+    TendonPlan,
+    Timer,
+)
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
 from slot_core.geometry import wrapped
 from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product
 from slot_core.robot import GRAVITY, LEGS, RobotParameters
-from slot_core.rollout_mpc.disturbance_observer import PLACE, DisturbanceObserver
-from slot_core.rollout_mpc.nominal_robot import NominalRobot, NominalState, Rollouts
+from slot_core.rollout_mpc.disturbance_observer import (
+    PLACE,
+    DisturbanceObserver,
+)
+from slot_core.rollout_mpc.nominal_robot import (
+    NominalRobot,
+    NominalState,
+    Rollouts,
+)
 from slot_core.rollout_mpc.problem import Linearisation, PlanProblem
 from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
 
@@ -108,7 +121,9 @@ class RolloutMpc(Policy):
         self._model = NominalRobot(self._robot, settings.nominal, dt)
         self._problem = PlanProblem(settings, self._robot.tendon.angle_max, dt)
         scale = self._problem.scale
-        self.observer = DisturbanceObserver(self._model, settings.observer, scale, dt)
+        self.observer = DisturbanceObserver(
+            self._model, settings.observer, scale, dt
+        )
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
         # (12,) that the plan is for; None after a fallback
@@ -120,7 +135,9 @@ class RolloutMpc(Policy):
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """Plan for the estimate at stage 0 of `preview`."""
         begin, limits = self._timer(), self._settings.limits
-        fault = preview_fault(preview, self._settings.stages + 2, limits.input_max)
+        fault = preview_fault(
+            preview, self._settings.stages + 2, limits.input_max
+        )
         if not fault and preview.dt != self._dt:
             self._begin(preview.dt)
         if not fault and not preview.corrected:
@@ -136,7 +153,9 @@ class RolloutMpc(Policy):
         ready = self._ready(estimate.time, state, preview)
         plan, rollout, fault = self._improved(ready, state, preview)
         cause = Status.NOT_SOLVED if fault else Status.LATE
-        if fault := fault or time_fault(self._timer() - begin, limits.time_budget):
+        if fault := fault or time_fault(
+            self._timer() - begin, limits.time_budget
+        ):
             return self._fall_back(cause, fault)
         self._missed = 0
         if not preview.corrected:
@@ -156,7 +175,9 @@ class RolloutMpc(Policy):
     def _gait_plan(self, preview: GaitPreview) -> TendonPlan:
         """The gait's angles and forces over as many stages as a plan."""
         plan, stages = gait_plan(preview), self._settings.stages
-        return replace(plan, angle=plan.angle[:stages], force=plan.force[:stages])
+        return replace(
+            plan, angle=plan.angle[:stages], force=plan.force[:stages]
+        )
 
     def prepare(self) -> None:
         """Move the plan on by a stage, linearise its motion and correct the disturbances."""
@@ -164,7 +185,9 @@ class RolloutMpc(Policy):
         if plan is None or self._next is not None:
             return
         self._next = self._linearised(self._moved_on(plan))
-        self._stiffness = self._stiffness_of(self._next.nominal[1:-1], plan.motion.pose)
+        self._stiffness = self._stiffness_of(
+            self._next.nominal[1:-1], plan.motion.pose
+        )
         if self._state is not None:
             angle = self._angles(plan)[0]
             self.observer.observe(plan.time, plan.start, self._state, angle)
@@ -206,7 +229,11 @@ class RolloutMpc(Policy):
             found = replace(self._moved_on(found), linear=found.linear)
         gap = self._model.place(found.start) - state[PLACE]
         is_near = norm(gap[:2]) < (1 + missed) * JUMP
-        return found if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN else None
+        return (
+            found
+            if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN
+            else None
+        )
 
     def _share(self, time: int) -> float:
         """Stages from the first one of the present plan to `time` (ns)."""
@@ -220,7 +247,10 @@ class RolloutMpc(Policy):
         """
         gait = np.asarray(preview.tendon_angle, dtype=float)
         angle = gait[: self._settings.stages + 2]
-        carried = angle - product(self._shares, self.observer.wrench) / self._stiffness
+        carried = (
+            angle
+            - product(self._shares, self.observer.wrench) / self._stiffness
+        )
         nominal = np.clip(carried, 0.0, self._robot.tendon.angle_max)
         missing = float(product(carried - nominal, self._stiffness).mean())  # N
         return nominal, missing / self._settings.observer.stiffness[0]
@@ -268,7 +298,9 @@ class RolloutMpc(Policy):
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
         wanted = problem.reference(rows, place, observer.drift, plan.sag)
         if observer.model_mismatch:
-            plan = replace(plan, deviation=self._settings.limits.decay * plan.deviation)
+            plan = replace(
+                plan, deviation=self._settings.limits.decay * plan.deviation
+            )
         before = self._model.roll_out(plan.start, self._angles(plan)[None])
         error = problem.errors(before.pose, wanted, yaw)[0]
         if not np.isfinite(error).all():
@@ -276,7 +308,9 @@ class RolloutMpc(Policy):
         if observer.model_mismatch:
             return plan, before, ""
         assert plan.linear is not None
-        change = problem.change(error, plan.linear, plan.deviation, plan.nominal[:-1])
+        change = problem.change(
+            error, plan.linear, plan.deviation, plan.nominal[:-1]
+        )
         if change is None:
             return plan, before, "the quadratic programme is not solved"
         least = problem.cost(error, plan.deviation)
@@ -296,7 +330,9 @@ class RolloutMpc(Policy):
             used_up = f"fallback used up after {limits.cycles} cycles"
             why = "no plan yet" if self._plan is None else used_up
             force = _no_motion(self._settings.stages).force
-            plan = TendonPlan(np.zeros((0, len(LEGS))), np.zeros(len(LEGS)), force)
+            plan = TendonPlan(
+                np.zeros((0, len(LEGS))), np.zeros(len(LEGS)), force
+            )
             cause, fault = Status.STOPPED, f"{why}; {fault}"
         else:
             moved, motion = self._moved_on(self._plan), self._plan.motion
@@ -306,10 +342,15 @@ class RolloutMpc(Policy):
             self.observer.forget()
             self._note_disturbances()
             plan = self._published(self._plan)
-        return replace(plan, status=cause, message=fault, fallback_cycles=self._missed)
+        return replace(
+            plan, status=cause, message=fault, fallback_cycles=self._missed
+        )
 
     def _published(
-        self, plan: _Plan, preview: GaitPreview | None = None, share: float = 0.0
+        self,
+        plan: _Plan,
+        preview: GaitPreview | None = None,
+        share: float = 0.0,
     ) -> TendonPlan:
         """The present plan from `share` of a stage on; its preview, if it is new."""
         angle, motion = self._angles(plan), plan.motion
@@ -320,7 +361,9 @@ class RolloutMpc(Policy):
             motion.force,
             pose=motion.pose,
             foot=motion.foot,
-            status=Status.MODEL_MISMATCH if self._model_mismatch else Status.SOLVED,
+            status=Status.MODEL_MISMATCH
+            if self._model_mismatch
+            else Status.SOLVED,
             message=self._model_mismatch,
             report=self._report(plan, later[0], rate, preview),
         )
@@ -336,17 +379,25 @@ class RolloutMpc(Policy):
             drift=observer.drift.copy(),
             wrench=observer.wrench.copy(),
         )
-        misfit = f"model mismatch: misfit {observer.misfit:.1f}, limit {limit:g}"
+        misfit = (
+            f"model mismatch: misfit {observer.misfit:.1f}, limit {limit:g}"
+        )
         self._model_mismatch = misfit if observer.model_mismatch else ""
 
     def _report(
-        self, plan: _Plan, angle: Array, rate: Array, preview: GaitPreview | None
+        self,
+        plan: _Plan,
+        angle: Array,
+        rate: Array,
+        preview: GaitPreview | None,
     ) -> PlanReport:
         """Disturbances, and margins of the first stage of a plan."""
         fx, fy, normal = plan.motion.force[0].T
         friction = np.full(len(LEGS), math.nan)
         if preview is not None:
-            friction = preview.friction[0] * normal - np.maximum(np.abs(fx), np.abs(fy))
+            friction = preview.friction[0] * normal - np.maximum(
+                np.abs(fx), np.abs(fy)
+            )
         least, largest = self._problem.range(plan.nominal)
         return replace(
             self._disturbances,

@@ -34,7 +34,9 @@ class CostSettings:
     deviation: float = quantity(
         "mean deviation of a tendon angle from the gait's", "rad", 1e-3, 100
     )
-    swing: float = quantity("difference of a deviation from its mean", "rad", 1e-3, 100)
+    swing: float = quantity(
+        "difference of a deviation from its mean", "rad", 1e-3, 100
+    )
     change: float = quantity(
         "change of a planned tendon angle in one tick", "rad", 1e-4, 100
     )
@@ -58,7 +60,10 @@ class ObserverSettings:
     )
     wrench_gain: float = quantity("gain of the wrench on the torso", "", 0, 1)
     stiffness: Vector3 = quantity(
-        "wrench per error of height, roll and pitch", "N/m, N m/rad, N m/rad", 0, 1e4
+        "wrench per error of height, roll and pitch",
+        "N/m, N m/rad, N m/rad",
+        0,
+        1e4,
     )
     wrench_max: Vector3 = quantity(
         "largest wrench: F_z, M_x, M_y", "N, N m, N m", 0, 100
@@ -114,7 +119,12 @@ class RolloutMpcSettings:
         """Raise ConfigError for knots that are no grid of the horizon."""
         knots = self.knots
         rising = all(a < b for a, b in pairwise(knots))
-        if len(knots) < 2 or knots[0] != 0 or not rising or knots[-1] > self.stages:
+        if (
+            len(knots) < 2
+            or knots[0] != 0
+            or not rising
+            or knots[-1] > self.stages
+        ):
             raise config.ConfigError(
                 f"knots = {knots}: expected 0, then rising to at most stages = {self.stages}"
             )

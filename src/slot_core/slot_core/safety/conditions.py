@@ -14,7 +14,6 @@ from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.faults import hardware_errors
 from slot_core.robot import LEGS
-from slot_core.safety.emergency_stop import EmergencyStop
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import Action, Condition
 from slot_core.safety.watchdog import ServoHealth
@@ -22,6 +21,84 @@ from slot_core.safety.watchdog import ServoHealth
 USABLE = (Validity.VALID, Validity.IMU_MISSING)
 
 Finding = tuple[Condition, str]
+
+
+class EmergencyStop:
+    """The e-stop: it is pressed until every source that has pressed it has released it.
+
+    A source is a terminal or a button, told apart by its name. It repeats its state, so that its
+    loss is noticed. A source that is lost while pressed stays pressed until an operator says that
+    it is gone. A source that is lost while released counts as lost until it is back, or until a
+    reset with another source alive.
+    """
+
+    def __init__(self, limit: float, required: bool) -> None:
+        """`limit`: longest time between two messages of a source, s; `required`: as a setting."""
+        self._limit, self._required = limit, required
+        # by name: time of the last message, ns, and whether it said pressed
+        self._sources: dict[str, tuple[int, bool]] = {}
+
+    def receive(
+        self, time: int, source: str, pressed: bool, leaving: bool = False
+    ) -> None:
+        """State of a source; a source that is `leaving` is not missed, unless it is pressed."""
+        if leaving and not pressed:
+            self._sources.pop(source, None)
+        else:
+            self._sources[source] = time, pressed
+
+    def pressed(self, time: int) -> str:
+        """The pressed sources in one line, or ""."""
+        silent = self._silent(time)
+        names = [
+            f"{name} (silent for {silent[name]:.3g} s)"
+            if name in silent
+            else name
+            for name, (_, pressed) in self._sources.items()
+            if pressed
+        ]
+        return f"e-stop pressed at {', '.join(names)}" if names else ""
+
+    def lost(self, time: int) -> str:
+        """The released sources that are silent in one line, or that there is none, or ""."""
+        if self._required and not self._sources:
+            return "no source of the e-stop"
+        lost = [
+            f"{name} silent for {age:.3g} s"
+            for name, age in self._silent(time).items()
+            if not self._sources[name][1]
+        ]
+        return (
+            f"e-stop source {', '.join(lost)}, limit {self._limit:g} s"
+            if lost
+            else ""
+        )
+
+    def accept_losses(self, time: int) -> None:
+        """Miss released sources that are silent no more, if another source is alive."""
+        silent = self._silent(time)
+        if len(silent) < len(self._sources):
+            for name in silent:
+                if not self._sources[name][1]:
+                    del self._sources[name]
+
+    def forget(self, time: int, source: str) -> str:
+        """Release the e-stop of a silent source and forget it; returns the reason of a refusal."""
+        if source not in self._sources:
+            known = ", ".join(self._sources) or "none"
+            return f"{source}: no source of the e-stop; known: {known}"
+        if source not in self._silent(time):
+            return f"{source} still sends: release it there"
+        del self._sources[source]
+        return ""
+
+    def _silent(self, time: int) -> dict[str, float]:
+        """Time since the last message of each source that is silent, s."""
+        ages = {
+            name: to_seconds(time - received)
+            for name, (received, _) in self._sources.items()
+        }
+        return {name: age for name, age in ages.items() if age > self._limit}
 
 
 class Conditions:
@@ -39,7 +116,9 @@ class Conditions:
         self._tilt: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch
         self._stopped = ""  # why the MPC counts as stopped
         self._rejected = ""  # why the newest command was rejected
-        self._answered: list[int | None] = [None] * len(LEGS)  # time of the last answer
+        self._answered: list[int | None] = [None] * len(
+            LEGS
+        )  # time of the last answer
         self._not_finite: list[int | None] = [None] * len(LEGS)  # since when
         self._health: ServoHealth | None = None
         self._reported = 0  # time of the last health report
@@ -57,7 +136,10 @@ class Conditions:
         self._usable = self._usable or usable
         if estimate.validity is Validity.VALID:
             self._imu_missing = None
-        elif estimate.validity is Validity.IMU_MISSING and self._imu_missing is None:
+        elif (
+            estimate.validity is Validity.IMU_MISSING
+            and self._imu_missing is None
+        ):
             self._imu_missing = time
         if finite:
             self._tilt = (float(estimate.state[0]), float(estimate.state[1]))
@@ -109,7 +191,10 @@ class Conditions:
 
     def release_reason(self) -> str:
         """Reason of a RELAX or OFF that the servos report, or ""."""
-        if self._health is None or self._health.action in (Action.PASS, Action.HOLD):
+        if self._health is None or self._health.action in (
+            Action.PASS,
+            Action.HOLD,
+        ):
             return ""
         return f"servos: {self._health.reason}"
 
@@ -131,9 +216,15 @@ class Conditions:
     def imu_warning(self, time: int) -> str:
         """One line while the estimates rest on the odometry alone, or ""."""
         limit = self._settings.estimate.imu_silence
-        age = 0.0 if self._imu_missing is None else to_seconds(time - self._imu_missing)
+        age = (
+            0.0
+            if self._imu_missing is None
+            else to_seconds(time - self._imu_missing)
+        )
         return (
-            f"no usable IMU for {age:.3g} s, limit {limit:g} s" if age > limit else ""
+            f"no usable IMU for {age:.3g} s, limit {limit:g} s"
+            if age > limit
+            else ""
         )
 
     @property

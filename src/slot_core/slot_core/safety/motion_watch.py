@@ -70,7 +70,10 @@ class MotionWatch:
         if not np.isfinite(state).all():
             return
         row = np.concatenate([state[:6], command])
-        if self._window.add(time, row, self._limits.window) and not self.message:
+        if (
+            self._window.add(time, row, self._limits.window)
+            and not self.message
+        ):
             self._evaluate()
 
     def _evaluate(self) -> None:

@@ -20,7 +20,9 @@ from slot_core.safety.states import Action
 AT_REST = np.zeros(len(LEGS))
 """Rate (4,), rad/s, of a command whose angles stay."""
 AT_REST.flags.writeable = False
-EXTRAPOLATION_MAX = 0.1  # s after a command in which the goals continue at its rate
+EXTRAPOLATION_MAX = (
+    0.1  # s after a command in which the goals continue at its rate
+)
 
 
 def extrapolated(angle: Array, rate: Array, age: float | Array) -> Array:
@@ -36,7 +38,9 @@ def command_fault(angle: Array, rate: Array, angle_max: float) -> str:
     """One line that names the first angle outside [0, angle_max] or value not finite, or ""."""
     for name, values in (("command", angle), ("rate", rate)):
         if np.shape(values) != (len(LEGS),):
-            return f"{name} has the shape {np.shape(values)}, limit ({len(LEGS)},)"
+            return (
+                f"{name} has the shape {np.shape(values)}, limit ({len(LEGS)},)"
+            )
     for leg, value in zip(LEGS, angle):
         if not 0.0 <= value <= angle_max:  # NaN is not
             return f"command {leg} = {value:.4g} rad is not inside [0, {angle_max:.4g}]"
@@ -75,13 +79,18 @@ class RateLimiter:
         settings.check_ramp(angle_max)
         self.settings, self._angle_max = settings, angle_max
         self._target = np.zeros(len(LEGS))
-        self._target_rate, self._accepted = AT_REST, 0  # rad/s; ns, time of the command
+        self._target_rate, self._accepted = (
+            AT_REST,
+            0,
+        )  # rad/s; ns, time of the command
         self._goal = self._target.copy()
         self._budget = np.zeros(len(LEGS))  # s
         self._action = Action.OFF
         self._since = 0  # ns, of the present action
         self._time: int | None = None
-        self._relaxed = False  # whether the ramp to slack has ended in torque off
+        self._relaxed = (
+            False  # whether the ramp to slack has ended in torque off
+        )
 
     @property
     def goal(self) -> Array:
@@ -93,22 +102,32 @@ class RateLimiter:
         fault = command_fault(angle, rate, self._angle_max)
         if not fault:
             self._target = np.array(angle, dtype=np.float64)
-            self._target_rate, self._accepted = np.array(rate, dtype=np.float64), time
+            self._target_rate, self._accepted = (
+                np.array(rate, dtype=np.float64),
+                time,
+            )
         return fault
 
     def engage(self, angle: Array) -> None:
         """Set goals and command to the servos' angles (4,), rad: torque on without motion."""
-        self._goal = np.clip(np.asarray(angle, dtype=np.float64), 0.0, self._angle_max)
+        self._goal = np.clip(
+            np.asarray(angle, dtype=np.float64), 0.0, self._angle_max
+        )
         self._target, self._target_rate = self._goal.copy(), AT_REST
 
     def step(self, time: int, action: Action, fast: bool = False) -> Goals:
         """Goals at `time`; `fast` allows `rate_max` instead of `approach_rate`."""
-        elapsed = self._elapsed(time)
+        elapsed = 0 if self._time is None else max(time - self._time, 0)
+        self._time = time
         if action is not self._action:
             self._action, self._since, self._relaxed = action, time, False
-        self._budget = np.minimum(self._budget + elapsed, self.settings.burst)
+        budget = self._budget + to_seconds(elapsed)
+        self._budget = np.minimum(budget, self.settings.burst)
         if action is Action.PASS:
-            return self._move(self._commanded(time), self._rate(time, fast))
+            age = to_seconds(time - self._accepted)
+            angle = extrapolated(self._target, self._target_rate, age)
+            goal = np.clip(angle, 0.0, self._angle_max)
+            return self._move(goal, self._rate(time, fast))
         if action is Action.RELAX:
             return self._relax(time)
         return unchanged(action, self._goal, action is Action.HOLD)
@@ -116,19 +135,6 @@ class RateLimiter:
     def restart_rate(self, time: int) -> None:
         """Start the growth of the rate from `approach_rate` to `rate_max` anew at `time`."""
         self._since = time
-
-    def _commanded(self, time: int) -> Array:
-        """Angles (4,), rad, of the command at `time`."""
-        age = to_seconds(time - self._accepted)
-        return np.clip(
-            extrapolated(self._target, self._target_rate, age), 0.0, self._angle_max
-        )
-
-    def _elapsed(self, time: int) -> float:
-        """Seconds since the last step."""
-        elapsed = 0 if self._time is None else max(time - self._time, 0)
-        self._time = time
-        return to_seconds(elapsed)
 
     def _rate(self, time: int, fast: bool) -> float:
         """Largest rate of the goals, rad/s."""
@@ -145,8 +151,14 @@ class RateLimiter:
         slack = np.zeros(len(LEGS))
         moved = self._move(slack, self.settings.relax_rate)
         expired = time - self._since >= self.settings.relax_time * SECOND
-        self._relaxed = self._relaxed or expired or bool((self._goal == slack).all())
-        return unchanged(self._action, self._goal, False) if self._relaxed else moved
+        self._relaxed = (
+            self._relaxed or expired or bool((self._goal == slack).all())
+        )
+        return (
+            unchanged(self._action, self._goal, False)
+            if self._relaxed
+            else moved
+        )
 
     def _move(self, target: Array, rate: float) -> Goals:
         """Move the goals towards `target`, within the budget."""

@@ -27,12 +27,18 @@ class Timing:
     recovery: float = quantity(
         "time without a reason to hold that ends HOLD", "s", 0.0, 5
     )
-    clock_jump: float = quantity("change of the clock that is a jump", "s", 0.05, 60)
-    heartbeat: float = quantity("time without a message of a node", "s", 0.05, 10)
+    clock_jump: float = quantity(
+        "change of the clock that is a jump", "s", 0.05, 60
+    )
+    heartbeat: float = quantity(
+        "time without a message of a node", "s", 0.05, 10
+    )
     estop: float = quantity(
         "time without a message of the e-stop's source", "s", 0.3, 2
     )
-    servo_silent: float = quantity("time without an answer of a servo", "s", 0.05, 2)
+    servo_silent: float = quantity(
+        "time without an answer of a servo", "s", 0.05, 2
+    )
     torque_change: float = quantity(
         "time for the driver to switch torque on or off", "s", 0.05, 5
     )
@@ -58,10 +64,18 @@ class EstimateLimits:
 class GateSettings:
     """Rate limits of the servos' goals, and the ramp to slack."""
 
-    rate_max: float = quantity("rate once a command has been reached", "rad/s", 1, 200)
-    burst: float = quantity("unused time that a step may use at once", "s", 1e-3, 0.2)
-    approach_rate: float = quantity("rate until a command is reached", "rad/s", 0.1, 6)
-    resume_time: float = quantity("time from approach_rate to rate_max", "s", 0.01, 10)
+    rate_max: float = quantity(
+        "rate once a command has been reached", "rad/s", 1, 200
+    )
+    burst: float = quantity(
+        "unused time that a step may use at once", "s", 1e-3, 0.2
+    )
+    approach_rate: float = quantity(
+        "rate until a command is reached", "rad/s", 0.1, 6
+    )
+    resume_time: float = quantity(
+        "time from approach_rate to rate_max", "s", 0.01, 10
+    )
     relax_rate: float = quantity("rate of the ramp to slack", "rad/s", 0.1, 20)
     relax_time: float = quantity(
         "longest ramp to slack, then torque goes off", "s", 0.1, 10
@@ -89,14 +103,18 @@ class ServoLimits:
         "time without a command that ends in RELAX", "s", 0.05, 5
     )
     clock_jump: float = quantity("distance of a stamp from now", "s", 0.05, 60)
-    servo_silent: float = quantity("time without an answer of a servo", "s", 0.05, 2)
+    servo_silent: float = quantity(
+        "time without an answer of a servo", "s", 0.05, 2
+    )
 
 
 @dataclass(frozen=True)
 class TendonLimits:
     """Limits beyond which a tendon counts as slack or broken."""
 
-    slack_max: float = quantity("extra length, inferred from the load", "m", 1e-4, 0.05)
+    slack_max: float = quantity(
+        "extra length, inferred from the load", "m", 1e-4, 0.05
+    )
     window_min: float = quantity(
         "shortest time of the mean; else a stride", "s", 0.1, 10
     )
@@ -127,11 +145,15 @@ class MotionLimits:
     window: float = quantity(
         "time in which torso and commands are compared", "s", 0.5, 60
     )
-    command_min: float = quantity("least extent of a commanded angle", "rad", 0.05, 3)
+    command_min: float = quantity(
+        "least extent of a commanded angle", "rad", 0.05, 3
+    )
     ratio_min: float = quantity(
         "least extent of the torso's pose over it", "m/rad", 0, 1
     )
-    lever: float = quantity("by which angles of the torso count in it", "m", 0, 1)
+    lever: float = quantity(
+        "by which angles of the torso count in it", "m", 0, 1
+    )
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,9 @@ ACTIONS = {
     State.FAULT: Action.OFF,
 }
 
-REASONS_TO_HOLD = frozenset(c for c, row in TRANSITIONS.items() if row[_W] is _H)
+REASONS_TO_HOLD = frozenset(
+    c for c, row in TRANSITIONS.items() if row[_W] is _H
+)
 # Faults of the robot itself: they count in every state under torque.
 FAULTS = frozenset(
     c
@@ -166,11 +168,16 @@ class Request(enum.Enum):
     ESTOP = Condition.ESTOP_PRESSED
 
 
-LATCHED = (State.ESTOP, State.FAULT)  # left by RESET alone, which no way below makes
+LATCHED = (
+    State.ESTOP,
+    State.FAULT,
+)  # left by RESET alone, which no way below makes
 # Requests that lead from a state on: under torque, to a stride, to a posture.
 TO_RISE = {State.IDLE: Request.READY}
 TO_WALK = {State.READY: Request.STAND, State.STANDING: Request.WALK}
-TO_STAND = dict.fromkeys((State.READY, State.WALKING, State.HOLD), Request.STAND)
+TO_STAND = dict.fromkeys(
+    (State.READY, State.WALKING, State.HOLD), Request.STAND
+)
 # Advice where READY, STAND or WALK change nothing.
 _FIRST = {
     **dict.fromkeys(LATCHED, "reset first"),
@@ -206,6 +213,10 @@ def no_change(request: Request, state: State) -> str:
     """Reason why a request has no effect in a state; "" if the state is the requested one."""
     if state in _REACHED[request]:
         return ""
-    if state in _FIRST and request in (Request.READY, Request.STAND, Request.WALK):
+    if state in _FIRST and request in (
+        Request.READY,
+        Request.STAND,
+        Request.WALK,
+    ):
         return f"{request.name} refused in {state.name}: {_FIRST[state]}"
     return f"{request.name} changes nothing in {state.name}"

@@ -50,7 +50,9 @@ class Report:
     action: Action  # what the servos are permitted to do
     reason: str  # of the last transition, one line with value and limit
     since: int  # ns of `now` at the last transition
-    warnings: tuple[str, ...]  # conditions that forbid motion now, one line each
+    warnings: tuple[
+        str, ...
+    ]  # conditions that forbid motion now, one line each
     slack: Array  # (4,) m, extra length of the tendons, inferred from the load; NaN: unknown
     # whether the last transition led from HOLD back to the state before it
     resumed: bool
@@ -88,7 +90,10 @@ class Supervisor:
     """State machine; inputs: `receive_...` and `request`, output: result of `step`."""
 
     def __init__(
-        self, robot: RobotParameters, settings: SupervisorSettings, watch: TendonWatch
+        self,
+        robot: RobotParameters,
+        settings: SupervisorSettings,
+        watch: TendonWatch,
     ):
         """Raises ConfigError when the ramp to slack takes longer than `gate.relax_time`."""
         settings.gate.check_ramp(robot.tendon.angle_max)
@@ -108,7 +113,9 @@ class Supervisor:
         self._state, self._reason, self._since = State.IDLE, "started", 0
         self._resume = State.STANDING  # state after HOLD
         self._held_from = State.STANDING  # state before HOLD
-        self._resumed = False  # whether the last transition led from HOLD back to it
+        self._resumed = (
+            False  # whether the last transition led from HOLD back to it
+        )
         self._entered = 0  # steady time of the last transition
         self._ready_since = 0  # steady time of the last READY
         # steady time since which there is no reason to hold
@@ -172,7 +179,10 @@ class Supervisor:
             self._motion.observe(time, estimate.state, self._command)
         else:
             self._motion.pause()
-        self._height = self._clamp_heights(estimate.state)
+        state = estimate.state
+        self._height = np.full(len(LEGS), np.nan)
+        if np.isfinite(state).all():
+            self._height = self._robot.clamp_heights(state[5], *state[:2])
 
     def receive_command(
         self, now: int, stamp: int, angle: Array, rate: Array = AT_REST
@@ -191,7 +201,9 @@ class Supervisor:
         self._inputs.receive_command(time, fault)
         return fault
 
-    def receive_joints(self, now: int, stamp: int, angle: Array, torque: Array) -> None:
+    def receive_joints(
+        self, now: int, stamp: int, angle: Array, torque: Array
+    ) -> None:
         """Tendon angles (4,), rad, and the servos' torques on them (4,), N m, at `stamp`."""
         time = self._advance(now)
         if self._stamp_fault("joints", now, stamp):
@@ -200,7 +212,11 @@ class Supervisor:
         self._tendon_angle = np.array(angle, dtype=np.float64)
         if self._follows_gait(time):
             oldest = min(
-                stamp, *(self._newest.get(name, 0) for name in ("estimate", "command"))
+                stamp,
+                *(
+                    self._newest.get(name, 0)
+                    for name in ("estimate", "command")
+                ),
             )
             age = to_seconds(now - oldest)
             self._tendons = self._watch.observe(
@@ -230,7 +246,9 @@ class Supervisor:
             return ""
         if next_state(before, condition) is before:
             return no_change(request, before)
-        reasons = [text for c, text in active.items() if c in FORBIDDEN_BY[request]]
+        reasons = [
+            text for c, text in active.items() if c in FORBIDDEN_BY[request]
+        ]
         if not reasons:
             reasons = self._further_reasons(request)
         if reasons:
@@ -259,7 +277,9 @@ class Supervisor:
         ]
         warnings += [*self._wrong_clock.values(), *self._companions.warnings]
         warnings += filter(None, [self._inputs.imu_warning(time)])
-        for source in self._right_clock:  # not before a report has named the fault
+        for (
+            source
+        ) in self._right_clock:  # not before a report has named the fault
             self._wrong_clock.pop(source, None)
         self._right_clock.clear()
         self._followed = self._is_followed()
@@ -304,7 +324,9 @@ class Supervisor:
         limit = self._settings.timing.clock_jump
         ahead = to_seconds(stamp - now)
         if abs(ahead) > limit:
-            fault = f"{source} stamped {ahead:+.3g} s from now, limit {limit:g} s"
+            fault = (
+                f"{source} stamped {ahead:+.3g} s from now, limit {limit:g} s"
+            )
             self._wrong_clock[source] = fault
             self._right_clock.discard(source)
             return fault
@@ -342,7 +364,8 @@ class Supervisor:
     def _torque_missing(self, time: int) -> str:
         """Why the servos have no torque after the time to switch it on, or ""."""
         overdue = (
-            time - self._ready_since > self._settings.timing.torque_change * SECOND
+            time - self._ready_since
+            > self._settings.timing.torque_change * SECOND
         )
         if self._state in UNDER_TORQUE and overdue:
             return self._inputs.release_reason()
@@ -355,15 +378,17 @@ class Supervisor:
         """
         if self._inputs.torque_off(self._entered):
             ending = (
-                Condition.RELAXED_AFTER_FAULT if self._faulty else Condition.RELAXED
+                Condition.RELAXED_AFTER_FAULT
+                if self._faulty
+                else Condition.RELAXED
             )
             found[ending] = f"slack after: {self._reason}"
             return
-        limit = self._settings.gate.relax_time + self._settings.timing.torque_change
+        limit = (
+            self._settings.gate.relax_time + self._settings.timing.torque_change
+        )
         if to_seconds(time - self._entered) > limit:
-            reason = (
-                f"torque off not confirmed within {limit:.3g} s, after: {self._reason}"
-            )
+            reason = f"torque off not confirmed within {limit:.3g} s, after: {self._reason}"
             found[Condition.RELAXED_AFTER_FAULT] = reason
 
     def _end_hold(self, time: int, found: dict[Condition, str]) -> None:
@@ -376,11 +401,15 @@ class Supervisor:
         if not REASONS_TO_HOLD.isdisjoint(found):
             self._clear_since = None
             return
-        self._clear_since = time if self._clear_since is None else self._clear_since
+        self._clear_since = (
+            time if self._clear_since is None else self._clear_since
+        )
         if time - self._clear_since >= timing.recovery * SECOND:
             walks = self._resume is State.WALKING
             recovered = (
-                Condition.WALKING_RECOVERED if walks else Condition.STANDING_RECOVERED
+                Condition.WALKING_RECOVERED
+                if walks
+                else Condition.STANDING_RECOVERED
             )
             found[recovered] = (
                 f"no reason to hold for {timing.recovery:g} s, after: {self._reason}"
@@ -392,7 +421,10 @@ class Supervisor:
             return self._angles_out_of_range()
         if request is Request.STAND and (unpowered := self._inputs.unpowered()):
             return unpowered
-        limit, distance = self._settings.arrived, self._inputs.distance(self._command)
+        limit, distance = (
+            self._settings.arrived,
+            self._inputs.distance(self._command),
+        )
         if request is Request.WALK and not distance <= limit:  # nor NaN
             return [
                 f"the legs are {distance:.3g} rad from their command, limit {limit:g} rad"
@@ -401,7 +433,10 @@ class Supervisor:
 
     def _angles_out_of_range(self) -> list[str]:
         """Servos whose angle is outside the range (a wrong zero), one line each."""
-        largest, tolerance = self._robot.tendon.angle_max, self._settings.zero_tolerance
+        largest, tolerance = (
+            self._robot.tendon.angle_max,
+            self._settings.zero_tolerance,
+        )
         return [
             f"servo {leg} at {angle:.3g} rad, limits [{-tolerance:.3g}, {largest + tolerance:.3g}]"
             if np.isfinite(angle)
@@ -427,9 +462,3 @@ class Supervisor:
             self._tendons = self._watch.state
         elif after is State.RELAX:
             self._faulty = condition in REASONS_TO_RELAX
-
-    def _clamp_heights(self, state: Array) -> Array:
-        """(4,) m over the floor; NaN where the state is not finite."""
-        if not np.isfinite(state).all():
-            return np.full(len(LEGS), np.nan)
-        return self._robot.clamp_heights(state[5], *state[:2])

@@ -66,7 +66,9 @@ class TendonReport:
 class TendonWatch:
     """Means over a stride of measured and tabulated torques, and the alarms from them."""
 
-    def __init__(self, load: TendonLoad, spool_radius: float, limits: TendonLimits):
+    def __init__(
+        self, load: TendonLoad, spool_radius: float, limits: TendonLimits
+    ):
         self._load, self._radius, self._limits = load, spool_radius, limits
         self._window = MovingWindow()  # of missing torque and slope, (2, 4)
         self.reset()
@@ -81,7 +83,9 @@ class TendonWatch:
         """Discard the readings, but not the alarms."""
         self._window.clear()
         self._slack = np.full(len(LEGS), np.nan)
-        self._excess = np.zeros(len(LEGS))  # m s, sum of the slack beyond its limit
+        self._excess = np.zeros(
+            len(LEGS)
+        )  # m s, sum of the slack beyond its limit
 
     def observe(
         self,
@@ -105,7 +109,9 @@ class TendonWatch:
             np.array([angle, torque, height], dtype=np.float64),
             self._window.newest,
         )
-        if not np.isfinite(values).all() or (newest is not None and stamp <= newest):
+        if not np.isfinite(values).all() or (
+            newest is not None and stamp <= newest
+        ):
             return self.state
         elapsed = 0.0 if newest is None else to_seconds(stamp - newest)
         if elapsed > self._limits.sample_gap:
@@ -119,18 +125,24 @@ class TendonWatch:
     @property
     def state(self) -> TendonReport:
         """Slack and alarms at present."""
-        return TendonReport(self._slack.copy(), self._damaged.copy(), self._message())
+        return TendonReport(
+            self._slack.copy(), self._damaged.copy(), self._message()
+        )
 
     def _evaluate(self, elapsed: float) -> None:
         """Compute the slack from the means; sum its excess over `elapsed` (s), set the alarms."""
         missing, slope = self._window.rows().mean(axis=0)
         self._slack = (
-            self._radius * missing / np.maximum(slope, self._limits.stiffness_min)
+            self._radius
+            * missing
+            / np.maximum(slope, self._limits.stiffness_min)
         )
         shift = (self._slack * SIDES).sum() / len(LEGS)
         limit = self._limits.slack_max
         beyond = self._slack - np.clip(shift, -limit, limit) * SIDES
-        self._excess = np.maximum(self._excess + elapsed * (beyond - limit), 0.0)
+        self._excess = np.maximum(
+            self._excess + elapsed * (beyond - limit), 0.0
+        )
         over = self._excess >= self._limits.excess_max
         if not over.any():
             return
@@ -146,12 +158,15 @@ class TendonWatch:
             return ""
         limit = 1e3 * self._limits.slack_max
         legs = ", ".join(
-            f"{leg} ({1e3 * slack:.1f} mm)" for leg, slack in self._named.items()
+            f"{leg} ({1e3 * slack:.1f} mm)"
+            for leg, slack in self._named.items()
         )
         return f"slack or broken tendon {legs}, limit {limit:.1f} mm"
 
 
-def read_tendon_watch(robot: RobotParameters, limits: TendonLimits) -> TendonWatch:
+def read_tendon_watch(
+    robot: RobotParameters, limits: TendonLimits
+) -> TendonWatch:
     """The watch of the robot's tendons; raises ConfigError without `config/leg_map.csv`."""
     radius = robot.tendon.spool_radius
     return TendonWatch(

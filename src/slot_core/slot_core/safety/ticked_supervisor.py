@@ -12,10 +12,12 @@ from slot_core.safety.states import RELEASED, Request
 from slot_core.safety.supervisor import Report, Supervisor
 from slot_core.safety.watchdog import ServoHealth
 
-NOT_THE_FIRST = (
-    "start-up: the servos have obeyed an earlier supervisor, so an operator decides"
-)
-SOURCES = ("joints", *NODES, "e-stop")  # inputs of one time are taken in this order
+NOT_THE_FIRST = "start-up: the servos have obeyed an earlier supervisor, so an operator decides"
+SOURCES = (
+    "joints",
+    *NODES,
+    "e-stop",
+)  # inputs of one time are taken in this order
 Take = Callable[[int], object]
 
 

@@ -29,15 +29,10 @@ from slot_core.safety.settings import ServoLimits
 from slot_core.safety.states import Action
 
 NO_LIMITS = "no limits of the supervisor yet"
-ZEROS, UNKNOWN = partial(np.zeros, len(LEGS)), partial(np.full, len(LEGS), np.nan)
-
-
-def _no() -> NDArray[np.bool_]:
-    return np.zeros(len(LEGS), dtype=np.bool_)
-
-
-def _no_error() -> NDArray[np.int64]:
-    return np.zeros(len(LEGS), dtype=np.int64)
+ZEROS, UNKNOWN = (
+    partial(np.zeros, len(LEGS)),
+    partial(np.full, len(LEGS), np.nan),
+)
 
 
 @dataclass(frozen=True)
@@ -63,11 +58,15 @@ class ServoHealth:
     torque: NDArray[np.bool_]  # as read back
     goal: Array  # rad, tendon angles sent to the servos last
     # whether the rate limit held it back
-    slewed: NDArray[np.bool_] = field(default_factory=_no)
+    slewed: NDArray[np.bool_] = field(
+        default_factory=lambda: np.zeros(len(LEGS), dtype=np.bool_)
+    )
     # s since the last answer; inf: never answered
     silence: Array = field(default_factory=ZEROS)
     # bits of HardwareError
-    hardware_error: NDArray[np.int64] = field(default_factory=_no_error)
+    hardware_error: NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros(len(LEGS), dtype=np.int64)
+    )
     temperature: Array = field(default_factory=UNKNOWN)  # degC; NaN: not known
     voltage: Array = field(default_factory=UNKNOWN)  # V; NaN: not known
     # share of the last exchanges that failed
@@ -109,7 +108,10 @@ class Watchdog:
         if limits == self.limits:
             return
         goal = self._engaged if self._limiter is None else self._limiter.goal
-        self._limiter, self.limits = RateLimiter(limits.gate, self._angle_max), limits
+        self._limiter, self.limits = (
+            RateLimiter(limits.gate, self._angle_max),
+            limits,
+        )
         self._limiter.engage(goal)
 
     def engage(self, angle: Array) -> None:
@@ -164,7 +166,9 @@ class Watchdog:
         received = None if permission is None else permission.time
         held = self._overdue("message of the supervisor", now, received, limits)
         if permission is not None and permission.action is Action.PASS:
-            held = held or self._overdue("command", now, self._commanded, limits)
+            held = held or self._overdue(
+                "command", now, self._commanded, limits
+            )
         if permission is not None and permission.action is Action.OFF:
             return Action.OFF, permission.reason
         if self.own_reason:
@@ -186,7 +190,9 @@ class Watchdog:
             return f"no {what} yet"
         age = to_seconds(now - received)
         if age > limits.command_lost:
-            self.relax(f"no {what} for {age:.2f} s, limit {limits.command_lost:g} s")
+            self.relax(
+                f"no {what} for {age:.2f} s, limit {limits.command_lost:g} s"
+            )
         if age > limits.command_hold:
             return f"no {what} for {age:.2f} s, limit {limits.command_hold:g} s"
         return ""

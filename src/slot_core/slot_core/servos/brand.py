@@ -45,11 +45,12 @@ class EmulatedServos(Protocol):
     def watchdog_left(self) -> float:
         """Time until the first servo is stopped by its own watchdog, s; inf: none is armed."""
 
-    def inject(self, fault: Fault) -> None:
-        """Start a fault of BUS_KINDS; raises ConfigError for a kind that the servos cannot have."""
+    def set_fault(self, fault: Fault, on: bool) -> None:
+        """Start a fault of BUS_KINDS, or end it.
 
-    def clear(self, fault: Fault) -> None:
-        """End a fault; a servo that it has stopped remains so until `ServoBus.activate`."""
+        A servo that it has stopped remains so until `ServoBus.activate`. Raises ConfigError for
+        a kind that the servos cannot have.
+        """
 
     def connect(self, clock: Clock) -> ServoBus:
         """A bus in this process; its exchanges take no time."""
@@ -58,7 +59,9 @@ class EmulatedServos(Protocol):
         """A device for a driver in another process, under the name `link` if there is one."""
 
 
-Emulate: TypeAlias = "Callable[[Sequence[float] | Array, float], EmulatedServos]"
+Emulate: TypeAlias = (
+    "Callable[[Sequence[float] | Array, float], EmulatedServos]"
+)
 """Makes servos at tendon angles (4,), rad, and a supply voltage, V."""
 
 

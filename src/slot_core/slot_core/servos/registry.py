@@ -49,5 +49,7 @@ def brand_of_help() -> Brand:
     Raises ConfigError.
     """
     path = config.config_dir() / "servo_bus.yaml"
-    found = re.search(r"^brand: *(\w+)", read_text(path, config.SIZE_MAX), re.MULTILINE)
+    found = re.search(
+        r"^brand: *(\w+)", read_text(path, config.SIZE_MAX), re.MULTILINE
+    )
     return BRANDS[ServoBusSettings(found[1] if found else "").brand]()

@@ -122,7 +122,9 @@ class Cycle:
         found = [reading for reading in self.readings if reading is not None]
         if not self.complete:
             return None
-        angle, rate, load = np.array([(r.angle, r.rate, r.load) for r in found]).T
+        angle, rate, load = np.array(
+            [(r.angle, r.rate, r.load) for r in found]
+        ).T
         return JointReading(stamp, angle, rate, load * tendon_stall)
 
 

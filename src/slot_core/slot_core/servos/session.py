@@ -22,9 +22,13 @@ from slot_core.config import ConfigError
 from slot_core.robot import LEGS
 from slot_core.safety.rate_limiter import AT_REST
 from slot_core.safety.states import Action
-from slot_core.safety.watchdog import NO_LIMITS, Permission, ServoHealth, Watchdog
+from slot_core.safety.watchdog import (
+    NO_LIMITS,
+    Permission,
+    ServoHealth,
+    Watchdog,
+)
 from slot_core.servos.servo_bus import (
-    BusFacts,
     Cycle,
     RefusedError,
     ServoBus,
@@ -63,7 +67,16 @@ class ServoSession:
         Raises ConfigError for servos with a smaller range: the gait, the force map and the
         supervisor would not know of it.
         """
-        _check_range(bus.facts, angle_max)
+        facts = bus.facts
+        if facts.low > 0.0 or facts.high < angle_max:
+            low, high, largest = map(
+                math.degrees, (facts.low, facts.high, angle_max)
+            )
+            raise ConfigError(
+                f"{facts.brand}.yaml: joints: range [{low:g}, {high:g}] deg, smaller than that of"
+                f" the tendon, [0, {largest:g}] deg; change tendon.angle_max_deg of robot.yaml"
+                " instead"
+            )
         self.bus = bus
         self.period = period
         self.action, self.reason = Action.OFF, "not started"
@@ -121,9 +134,13 @@ class ServoSession:
             raise RefusedError(["the supervisor does not permit it"])
         age = self.bus.clock() - to_seconds(permission.time)
         if age > limits.command_hold:
-            raise RefusedError([f"the supervisor's permission is {age:.2f} s old"])
+            raise RefusedError(
+                [f"the supervisor's permission is {age:.2f} s old"]
+            )
 
-    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> str:
+    def offer(
+        self, now: int, stamp: int, angle: Array, rate: Array = AT_REST
+    ) -> str:
         """Accept angles (4,), rad, with their `stamp` and rate (4,), rad/s; or return why not."""
         fault = self.watchdog.offer(now, angle, rate)
         if not fault:
@@ -143,7 +160,9 @@ class ServoSession:
 
     def may_start(self, permission: Permission) -> bool:
         """Whether a permission switches torque on; not after a RELAX or a refusal, until OFF."""
-        permits = permission.action in STARTS and self.watchdog.limits is not None
+        permits = (
+            permission.action in STARTS and self.watchdog.limits is not None
+        )
         return permits and not (self.bus.active or self._locked)
 
     def step(self, now: int) -> Cycle:
@@ -159,8 +178,11 @@ class ServoSession:
 
     def _command(self, now: int) -> None:
         """Step the watchdog, and give its goals to the bus."""
+        late = ""  # the bus cycle before, which has tripped a bus watchdog
+        if self._pause and any(servo.stopped for servo in self.bus.health):
+            late = f" after {self._pause:.2f} s without a bus cycle"
         for fault in [*self.faults(), *self.silent().values()][:1]:
-            self.watchdog.relax(fault + self._delay())
+            self.watchdog.relax(fault + late)
         goals = self.watchdog.step(now)
         self.action, self.reason = self.watchdog.action, self.watchdog.reason
         self._slewed = goals.slewed
@@ -171,15 +193,6 @@ class ServoSession:
             goals.action is not Action.HOLD
         ):  # goals under HOLD may be below the range of commands
             self.bus.command(goals.angle)
-
-    def _delay(self) -> str:
-        """How late the bus cycle was that has tripped a bus watchdog, for the reason; or ""."""
-        stopped = any(servo.stopped for servo in self.bus.health)
-        return (
-            f" after {self._pause:.2f} s without a bus cycle"
-            if stopped and self._pause
-            else ""
-        )
 
     def stop(self) -> TorqueOff:
         """Ramp the tendons to slack, then torque off, read back; blocks during the ramp.
@@ -204,12 +217,19 @@ class ServoSession:
         """Rate and duration of the bus cycles since the last call."""
         times = list(self._durations)
         self._durations.clear()
-        passed = 0.0 if self._last_query is None else to_seconds(now - self._last_query)
+        passed = (
+            0.0
+            if self._last_query is None
+            else to_seconds(now - self._last_query)
+        )
         self._last_query = now
         if not times or passed <= 0.0:
             return BusPace(0.0, 0.0, 0.0, self.overruns)
         return BusPace(
-            len(times) / passed, sum(times) / len(times), max(times), self.overruns
+            len(times) / passed,
+            sum(times) / len(times),
+            max(times),
+            self.overruns,
         )
 
     @property
@@ -230,7 +250,9 @@ class ServoSession:
             silence=np.array([servo.silence(now) for servo in servos]),
             goal=self.bus.goals(),
             slewed=self._slewed,
-            hardware_error=np.array([servo.hardware_error or 0 for servo in servos]),
+            hardware_error=np.array(
+                [servo.hardware_error or 0 for servo in servos]
+            ),
             temperature=_known(servos, "temperature"),
             voltage=self.voltage,
             error_rate=np.array([servo.error_rate for servo in servos]),
@@ -247,7 +269,9 @@ class ServoSession:
     def faults(self) -> list[str]:
         """Faults of the servos, one line each."""
         return [
-            line for servo in self.bus.health for line in servo.faults(self.bus.active)
+            line
+            for servo in self.bus.health
+            for line in servo.faults(self.bus.active)
         ]
 
     def silent(self) -> dict[str, str]:
@@ -272,20 +296,15 @@ class ServoSession:
 
     def _count_overrun(self, now: int) -> None:
         """Count an overrun."""
-        pause = 0.0 if self._last_step is None else to_seconds(now - self._last_step)
+        pause = (
+            0.0
+            if self._last_step is None
+            else to_seconds(now - self._last_step)
+        )
         self.overruns += pause > LATE * self.period
         if pause > self.bus.facts.watchdog:
             self._pause = pause
         self._last_step = now
-
-
-def _check_range(facts: BusFacts, angle_max: float) -> None:
-    if facts.low > 0.0 or facts.high < angle_max:
-        low, high, largest = map(math.degrees, (facts.low, facts.high, angle_max))
-        raise ConfigError(
-            f"{facts.brand}.yaml: joints: range [{low:g}, {high:g}] deg, smaller than that of"
-            f" the tendon, [0, {largest:g}] deg; change tendon.angle_max_deg of robot.yaml instead"
-        )
 
 
 def _known(servos: tuple[ServoStatus, ...], name: str) -> Array:

@@ -16,7 +16,11 @@ from slot_core.vision.board import Board, GreyImage, make_board, print_of
 from slot_core.vision.camera import nominal
 from slot_core.vision.localizer import MarkerLocalizer
 from slot_core.vision.settings import read_vision
-from slot_core.vision.synthetic_camera import Imperfections, Surface, SyntheticCamera
+from slot_core.vision.synthetic_camera import (
+    Imperfections,
+    Surface,
+    SyntheticCamera,
+)
 
 MOMENT = 1e-3  # s, over which the motion of a board in the image is measured
 
@@ -49,7 +53,8 @@ class CameraSensor:
                 )
         boards = [make_board(there[name]) for name in settings.boards]
         self._boards: list[tuple[Board, GreyImage]] = [
-            (board, print_of(board, vision.dictionary_number)) for board in boards
+            (board, print_of(board, vision.dictionary_number))
+            for board in boards
         ]
         made = Imperfections(settings.noise, settings.blur, settings.exposure)
         self._camera = SyntheticCamera(self.camera, made, rng)
@@ -58,11 +63,14 @@ class CameraSensor:
         """The image now, stamped `stamp` (ns)."""
         base = Transform(sim.rotation, sim.position)
         turn = Rotation.from_rotvec(MOMENT * sim.angular_velocity).as_matrix()
-        soon = Transform(base.rotation @ turn, base.position + MOMENT * sim.velocity)
+        soon = Transform(
+            base.rotation @ turn, base.position + MOMENT * sim.velocity
+        )
         surfaces = []
         for board, sheet in self._boards:
             now, then = (
-                self._seen(board.pose, b).apply(board.outline) for b in (base, soon)
+                self._seen(board.pose, b).apply(board.outline)
+                for b in (base, soon)
             )
             surfaces.append(Surface(sheet, now, (then - now) / MOMENT))
         return ImageReading(stamp, self._camera.image(surfaces))
@@ -78,4 +86,6 @@ def marker_localizer(settings: CameraSettings) -> MarkerLocalizer:
     """The localiser of a scene's images, as the node of that name has it."""
     vision = read_vision()
     mount = camera_link(read_estimator().mounts.camera)
-    return MarkerLocalizer(vision, nominal(vision.camera), mount, settings.carrier)
+    return MarkerLocalizer(
+        vision, nominal(vision.camera), mount, settings.carrier
+    )

@@ -83,17 +83,9 @@ class RealTimeClock:
         """`portion`: largest time to simulate at once, ns, so that commands are taken between."""
         self._plant, self._portion = plant, portion
 
-    def start(self, now: int) -> None:
-        """Start the time of the robot at `now`."""
-        self._plant.start(now)
-
     def advance_to(self, now: int) -> Iterator[Reading]:
         """Advance towards `now` by at most one portion."""
         return self._plant.advance(min(now, self._plant.now + self._portion))
-
-    def lag(self, now: int) -> int:
-        """Time by which the robot is behind `now`, ns."""
-        return now - self._plant.now
 
 
 class BusClock(RealTimeClock):
@@ -117,7 +109,10 @@ class BusClock(RealTimeClock):
     def advance_to(self, now: int) -> Iterator[Reading]:
         """Advance towards `now` by at most one portion, and not past the next bus watchdog."""
         passed, self._last = now - self._last, now
-        until, due = min(now, self._plant.now + self._portion), self._watchdog_due()
+        until, due = (
+            min(now, self._plant.now + self._portion),
+            self._watchdog_due(),
+        )
         if due is None or until <= due:
             self.waited = 0
         else:
@@ -131,5 +126,6 @@ class BusClock(RealTimeClock):
         if math.isinf(left):
             return None
         return (
-            self._plant.now + (math.floor(left * SECOND) // self._step - 1) * self._step
+            self._plant.now
+            + (math.floor(left * SECOND) // self._step - 1) * self._step
         )

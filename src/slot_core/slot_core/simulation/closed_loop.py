@@ -46,7 +46,10 @@ class _Parts(NamedTuple):
     def changed(self, changes: Mapping[str, Any]) -> _Parts:
         """The parts with the changes, by dotted name; raises ConfigError."""
         return _Parts(
-            *(changed(part, name, changes) for name, part in self._asdict().items())
+            *(
+                changed(part, name, changes)
+                for name, part in self._asdict().items()
+            )
         )
 
 
@@ -82,9 +85,13 @@ class ClosedLoop:
         _require_below(CHANGEABLE, given)
         nominal, simulated = read_robot(), read_scene(scene)
         self.gaits = changed(read_gaits(), "gait", given)
-        settings = changed(policy_class(policy).read_settings(policy), "policy", given)
+        settings = changed(
+            policy_class(policy).read_settings(policy), "policy", given
+        )
         chosen = make_policy(policy, nominal, lambda: 0.0, settings)
-        self.controller = Controller(nominal, chosen, gait, velocity, path, self.gaits)
+        self.controller = Controller(
+            nominal, chosen, gait, velocity, path, self.gaits
+        )
         self._parts = _Parts(
             read_robot(simulated.parameters),
             simulated,
@@ -121,12 +128,18 @@ class ClosedLoop:
         self.read(self.plant.readings_at_rest(LOCKSTEP_START))
         self.plant.start(LOCKSTEP_START)
         for _ in range(ticks):
-            ticks_now = list(iter(self.controller.poll, None))  # several after a gap
+            ticks_now = list(
+                iter(self.controller.poll, None)
+            )  # several after a gap
             if ticks_now:
                 command = ticks_now[-1].command
                 self.plant.command(command.angle, command.rate)
                 yield ticks_now[-1]
-            elif not self._lost_from <= self.plant.now <= self._lost_until + SECOND:
+            elif (
+                not self._lost_from
+                <= self.plant.now
+                <= self._lost_until + SECOND
+            ):
                 raise RuntimeError(
                     f"no estimate at {self.plant.now} ns: the odometry was not usable"
                 )
@@ -142,23 +155,30 @@ class ClosedLoop:
             elif isinstance(r, ImageReading) and self._localizer is not None:
                 fix = self._localizer.locate(r.stamp, r.grey)
                 self.controller.estimator.add_odometry(*fix.odometry)
-            elif isinstance(r, OdometryReading) and not self._is_lost(r.stamp):
+            elif isinstance(r, OdometryReading):
+                if self._lost_from <= r.stamp < self._lost_until:
+                    continue
                 self.controller.estimator.add_odometry(
-                    r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity
+                    r.stamp,
+                    r.position,
+                    r.quaternion,
+                    r.velocity,
+                    r.angular_velocity,
                 )
-
-    def _is_lost(self, stamp: int) -> bool:
-        return self._lost_from <= stamp < self._lost_until
 
 
 def _require_below(parts: Sequence[str], changes: Mapping[str, Any]) -> None:
     """Raise ConfigError for a dotted name that begins with none of the parts."""
     for name in changes:
         if name.partition(".")[0] not in parts:
-            raise config.ConfigError(f"{name}: expected one of {', '.join(parts)}")
+            raise config.ConfigError(
+                f"{name}: expected one of {', '.join(parts)}"
+            )
 
 
-def changed(settings: Settings, name: str, changes: Mapping[str, Any]) -> Settings:
+def changed(
+    settings: Settings, name: str, changes: Mapping[str, Any]
+) -> Settings:
     """The settings with the changes, by dotted name, below `name`; raises ConfigError."""
     mine = {
         k.partition(".")[2]: v

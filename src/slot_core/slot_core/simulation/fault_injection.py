@@ -70,7 +70,9 @@ class FaultInjection:
         cleared.
         """
         active = [
-            (kind, each) for each in legs_of(kind, leg) if (kind, each) in self._faults
+            (kind, each)
+            for each in legs_of(kind, leg)
+            if (kind, each) in self._faults
         ]
         if not active:
             raise ValueError(f"no fault {kind!r} at {leg!r}")
@@ -112,8 +114,7 @@ class FaultInjection:
         """Apply a fault that is in `_faults` to a leg, or remove it."""
         if fault.kind in BUS_KINDS:
             assert self._emulated is not None
-            act = self._emulated.inject if on else self._emulated.clear
-            act(dataclasses.replace(fault, leg=leg))
+            self._emulated.set_fault(dataclasses.replace(fault, leg=leg), on)
         elif fault.kind != NAN:
             self._update_tendon(leg)
         elif on:

@@ -18,9 +18,7 @@ MODELS = {
     "paper": "slot_paper.robot:PaperRobot",
 }
 """Module and class of the simulated robot by the model of its legs."""
-SPEED_AT_REST = (
-    0.01  # m/s, of the torso; settled in config/scene: at most 4 mm/s, 0.14 m/s^2
-)
+SPEED_AT_REST = 0.01  # m/s, of the torso; settled in config/scene: at most 4 mm/s, 0.14 m/s^2
 ACCELERATION_AT_REST = 0.5  # m/s^2
 SETTLE_PIECE, SETTLE_MAX = 0.1, 10.0  # s, of settling beyond `start.settle`
 
@@ -52,7 +50,9 @@ def bring_to_rest(robot: SimulatedRobot) -> None:
         return
     angle = np.full(len(LEGS), math.radians(start.tendon_angle_deg))
     for _ in range(round(SETTLE_MAX / SETTLE_PIECE)):
-        speed, acceleration = _motion(robot)
+        turned = product(robot.rotation, robot.specific_force)
+        acceleration = norm(turned + np.array(robot.scene.gravity))  # m/s^2
+        speed = norm(robot.velocity)  # m/s
         if speed <= SPEED_AT_REST and acceleration <= ACCELERATION_AT_REST:
             robot.steps = 0
             return
@@ -62,11 +62,3 @@ def bring_to_rest(robot: SimulatedRobot) -> None:
         f" {1e3 * speed:.3g} mm/s, limit {1e3 * SPEED_AT_REST:g} mm/s, and"
         f" {acceleration:.3g} m/s^2, limit {ACCELERATION_AT_REST:g} m/s^2"
     )
-
-
-def _motion(robot: SimulatedRobot) -> tuple[float, float]:
-    """Speed, m/s, and acceleration, m/s^2, of the torso."""
-    acceleration = product(robot.rotation, robot.specific_force) + np.array(
-        robot.scene.gravity
-    )
-    return norm(robot.velocity), norm(acceleration)

@@ -31,7 +31,9 @@ class ManyRobots:
         """Take the robots; raises ValueError if their legs are of different models."""
         self.robots = list(robots)
         self._advance = (
-            _advance_rods if isinstance(robots[0], RodRobot) else _advance_tabulated
+            _advance_rods
+            if isinstance(robots[0], RodRobot)
+            else _advance_tabulated
         )
         self._address = np.array([robot.handle.address for robot in robots])
         self.motion = np.zeros((len(robots), COLUMNS))
@@ -72,8 +74,16 @@ class ManyRobots:
                 f"goals: {goals.min():g} to {goals.max():g} rad, not in [0, {most:g}]"
             )
         parts = np.array_split(np.arange(len(goals)), self._threads)
-        calls = [slice(int(part[0]), int(part[-1]) + 1) for part in parts if len(part)]
-        list(self._pool.map(lambda part: self._advance_part(part, goals, steps), calls))
+        calls = [
+            slice(int(part[0]), int(part[-1]) + 1)
+            for part in parts
+            if len(part)
+        ]
+        list(
+            self._pool.map(
+                lambda part: self._advance_part(part, goals, steps), calls
+            )
+        )
         return self.motion.copy()
 
     def _advance_part(self, part: slice, goals: Array, steps: int) -> None:
@@ -87,7 +97,9 @@ class ManyRobots:
 def _advance_rods(machine, address, goals, steps, motion):
     """Advance the robots at the addresses (M,) by goals (M, n, 4); write their motion (M, 20)."""
     for r in range(address.size):
-        model, state, work, start, legs, scheme = contents_at(machine, address[r])
+        model, state, work, start, legs, scheme = contents_at(
+            machine, address[r]
+        )
         fine = not math.isnan(motion[r, 0])
         for c in range(goals.shape[1]):
             for leg in range(4):
@@ -105,7 +117,9 @@ def _advance_rods(machine, address, goals, steps, motion):
 def _advance_tabulated(machine, address, goals, steps, motion):
     """As `_advance_rods`, of robots on tabulated legs."""
     for r in range(address.size):
-        model, legs, state, feet, work, scheme = contents_at(machine, address[r])
+        model, legs, state, feet, work, scheme = contents_at(
+            machine, address[r]
+        )
         fine = not math.isnan(motion[r, 0])
         for c in range(goals.shape[1]):
             for leg in range(4):
@@ -124,7 +138,9 @@ def _record(row, state, fine):
     row[0], row[1], row[2] = roll_pitch_yaw(r) if fine else (nan, nan, nan)
     for i in range(3):
         row[3 + i] = state.position[i] if fine else nan
-        row[6 + i] = r[i, 0] * w[0] + r[i, 1] * w[1] + r[i, 2] * w[2] if fine else nan
+        row[6 + i] = (
+            r[i, 0] * w[0] + r[i, 1] * w[1] + r[i, 2] * w[2] if fine else nan
+        )
         row[9 + i] = state.velocity[i] if fine else nan
     for leg in range(4):
         row[12 + leg] = state.tendon_angle[leg] if fine else nan

@@ -48,7 +48,9 @@ def ideal_servo(servo: ServoSettings, step: float) -> ServoSettings:
         raise ConfigError(
             f"servo.yaml: backlash_deg = {servo.backlash_deg}: emulated servos have none"
         )
-    return dataclasses.replace(servo, model="ideal", lag=step, ideal_rpm=UNBOUNDED_RPM)
+    return dataclasses.replace(
+        servo, model="ideal", lag=step, ideal_rpm=UNBOUNDED_RPM
+    )
 
 
 class RobotSimulator:
@@ -73,15 +75,21 @@ class RobotSimulator:
     ):
         """`emulate`: makes the emulated servos, if there are any; their torque is off."""
         odometry_rng, imu_rng, trouble_rng, camera_rng = rng.spawn(4)
-        driven = servo if emulate is None else ideal_servo(servo, scene.solver.step)
+        driven = (
+            servo if emulate is None else ideal_servo(servo, scene.solver.step)
+        )
         self.robot = make_robot(robot, scene, driven)
         bring_to_rest(self.robot)
         self.emulated: EmulatedServos | None = None
         if emulate is not None:
-            self.emulated = emulate(self.robot.tendon_angle, scene.supply_voltage)
+            self.emulated = emulate(
+                self.robot.tendon_angle, scene.supply_voltage
+            )
         self._reads_joints = scene.sensors.joints and emulate is None
         self.timeline = Timeline()
-        self.faults = FaultInjection(self.robot, scene, self.emulated, self.timeline)
+        self.faults = FaultInjection(
+            self.robot, scene, self.emulated, self.timeline
+        )
         self.held = False  # in its present pose: time runs, but nothing moves
         self._scene = scene
         self._step = to_ns(scene.solver.step)
@@ -171,9 +179,9 @@ class RobotSimulator:
     def advance(self, until: int) -> Iterator[Reading]:
         """Advance to `until` (ns) and yield each reading when it is due."""
         while self.timeline.next_due <= until:
-            event = self.timeline.pop()
-            self._simulate(event.due)
-            yield from event.action()
+            due, _, action = self.timeline.pop()
+            self._simulate(due)
+            yield from action()
         self._simulate(until)
 
     def advance_to_odometry(self) -> Iterator[Reading]:
@@ -192,24 +200,24 @@ class RobotSimulator:
         """Advance in whole time steps; the periods of `config/scene` are multiples of the step."""
         while (steps := (until - self.now) // self._step) > 0:
             if self.now >= self._next_cycle:
-                self._goal = self._commanded()
+                age = to_seconds(self.now - self._commanded_at)
+                angle = extrapolated(self._command, self._rate, age)
+                most = self.robot.parameters.tendon.angle_max
+                self._goal = np.clip(angle, 0.0, most)
                 self._next_cycle = self.now + to_ns(CYCLE)
             steps = min(steps, -((self.now - self._next_cycle) // self._step))
             if not self.held:
                 self._advance_robot(steps)
             self.timeline.now += steps * self._step
 
-    def _commanded(self) -> Array:
-        """Commanded tendon angles (4,), rad, now."""
-        age = to_seconds(self.now - self._commanded_at)
-        angle = extrapolated(self._command, self._rate, age)
-        return np.clip(angle, 0.0, self.robot.parameters.tendon.angle_max)
-
     def _advance_robot(self, steps: int) -> None:
         if self.emulated is None:
             self.robot.advance(steps, self._goal)
             return
-        step, most = self._scene.solver.step, self.robot.parameters.tendon.angle_max
+        step, most = (
+            self._scene.solver.step,
+            self.robot.parameters.tendon.angle_max,
+        )
         for _ in range(steps):
             angle = self.emulated.advance(step, self.robot.servo_torque)
             self.robot.advance(1, np.clip(angle, 0.0, most))
@@ -220,26 +228,34 @@ class RobotSimulator:
     def _read_joints(self) -> list[Reading]:
         sim = self.robot
         return [
-            JointReading(self.now, sim.tendon_angle, sim.tendon_rate, sim.servo_torque)
+            JointReading(
+                self.now, sim.tendon_angle, sim.tendon_rate, sim.servo_torque
+            )
         ]
 
     def _read_odometry(self) -> list[Reading]:
         """Return the ground truth now; schedule odometry or image after its delay, in order."""
         truth = true_odometry(self.robot, self.now)
-        reading = self._odometry_or_image(truth, to_seconds(self.now - self._started))
-        delay = self._odometry.delay() if self._camera is None else self._camera.delay
+        reading = self._odometry_or_image(
+            truth, to_seconds(self.now - self._started)
+        )
+        delay = (
+            self._odometry.delay()
+            if self._camera is None
+            else self._camera.delay
+        )
         self._delivered = max(self._delivered, self.now + to_ns(delay))
         self.timeline.schedule(self._delivered, lambda: [reading])
-        return [self._true_state(truth)] if self._scene.sensors.truth else []
+        if not self._scene.sensors.truth:
+            return []
+        r = self.robot
+        shape = r.nodes, r.directors
+        return [TrueState(self.now, truth, r.tension, r.ground_force, *shape)]
 
-    def _odometry_or_image(self, truth: OdometryReading, since: float) -> Reading:
+    def _odometry_or_image(
+        self, truth: OdometryReading, since: float
+    ) -> Reading:
         """Odometry, or the image in its place, `since` the start (s)."""
         if self._camera is not None:
             return self._camera.sample(self.robot, self.now)
         return self._odometry.sample(truth, since)
-
-    def _true_state(self, truth: OdometryReading) -> TrueState:
-        sim = self.robot
-        return TrueState(
-            self.now, truth, sim.tension, sim.ground_force, sim.nodes, sim.directors
-        )

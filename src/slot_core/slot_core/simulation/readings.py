@@ -47,9 +47,7 @@ class TrueState:
     tension: Array  # (4,) N
     ground_force: Array  # (4, 3) N in odom
     nodes: Array  # (4, N, 3) m in odom
-    directors: (
-        Array  # (4, N-1, 3) along the width of the segments, in odom; (4, 0, 3): none
-    )
+    directors: Array  # (4, N-1, 3) along the width of the segments, in odom; (4, 0, 3): none
 
 
 @dataclass(frozen=True)
@@ -72,4 +70,6 @@ Reading = (
 
 def lost_odometry(stamp: int) -> OdometryReading:
     """The reading of a visual SLAM that is lost: a quaternion of zeros, as RTAB-Map publishes it."""
-    return OdometryReading(stamp, np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3))
+    return OdometryReading(
+        stamp, np.zeros(3), np.zeros(4), np.zeros(3), np.zeros(3)
+    )

@@ -88,8 +88,13 @@ class RodRobot(KernelRobot):
         done, where = integrator.advance(self.handle, steps)
         self.steps += done
         if where >= 0:
+            leg, node = divmod(where - 1, self.scene.solver.nodes)
+            place = f"leg {LEGS[leg]} node {node}" if where else "torso"
+            limit = self.scene.solver.speed_limit
             raise DivergenceError(
-                self._divergence_message(where), self.snapshot() | {"command": command}
+                f"simulation diverged in step {self.steps + 1} at {self.time:.4f} s: {place} is"
+                f" beyond {limit} m/s or not a number",
+                self.snapshot() | {"command": command},
             )
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
@@ -136,8 +141,12 @@ class RodRobot(KernelRobot):
     @property
     def directors(self) -> Array:
         """(4, N-1, 3) unit vectors along the width of the segments, to the right, in odom."""
-        turns = (product(axes, self.state.rotation.T) for axes in self.model.axes)
-        return np.array([product(*leg) for leg in zip(self.state.director, turns)])
+        turns = (
+            product(axes, self.state.rotation.T) for axes in self.model.axes
+        )
+        return np.array(
+            [product(*leg) for leg in zip(self.state.director, turns)]
+        )
 
     @property
     def ground_force(self) -> Array:
@@ -155,21 +164,14 @@ class RodRobot(KernelRobot):
     def energy(self) -> float:
         """J: kinetic, gravity (zero at odom's origin), rods, cables, floor and bristles."""
         return float(
-            observe.energy(self.model, self.state, self._segments, *self._observe())
+            observe.energy(
+                self.model, self.state, self._segments, *self._observe()
+            )
         )
 
     def _observe(self) -> tuple[Array, Array]:
         observe.points(self.model, self.state, self._points[0], self._points[1])
         return self._points[0], self._points[1]
-
-    def _divergence_message(self, where: int) -> str:
-        leg, node = divmod(where - 1, self.scene.solver.nodes)
-        place = f"leg {LEGS[leg]} node {node}" if where else "torso"
-        limit = self.scene.solver.speed_limit
-        return (
-            f"simulation diverged in step {self.steps + 1} at {self.time:.4f} s: {place} is beyond"
-            f" {limit} m/s or not a number"
-        )
 
 
 def _state_shapes(model: Model) -> list[tuple[int, ...]]:

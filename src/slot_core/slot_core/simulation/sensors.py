@@ -7,12 +7,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from slot_core.arrays import Array
-from slot_core.dynamics.scene import CameraSettings, ImuSettings, OdometrySettings
+from slot_core.dynamics.scene import (
+    CameraSettings,
+    ImuSettings,
+    OdometrySettings,
+)
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.elementary import cos, log
 from slot_core.geometry import quaternion_of_vector, quaternion_product, rotate
 from slot_core.matrices import product
-from slot_core.simulation.readings import ImuReading, OdometryReading, lost_odometry
+from slot_core.simulation.readings import (
+    ImuReading,
+    OdometryReading,
+    lost_odometry,
+)
 
 if TYPE_CHECKING:
     from slot_core.simulation.camera_sensor import CameraSensor
@@ -21,7 +29,9 @@ if TYPE_CHECKING:
 def normal(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     """Numbers of the standard normal distribution, the same on every processor (Box, Muller)."""
     radius, turn = rng.random((2, *shape))
-    return np.asarray(np.sqrt(-2.0 * log(1.0 - radius)) * cos(2.0 * np.pi * turn))
+    return np.asarray(
+        np.sqrt(-2.0 * log(1.0 - radius)) * cos(2.0 * np.pi * turn)
+    )
 
 
 def true_odometry(sim: SimulatedRobot, stamp: int) -> OdometryReading:
@@ -49,14 +59,19 @@ class OdometrySensor:
         self._drift = np.zeros(4)  # m, rad: displacement and yaw
         self._last = 0.0  # s since the start
 
-    def sample(self, truth: OdometryReading, since: float = 0.0) -> OdometryReading:
+    def sample(
+        self, truth: OdometryReading, since: float = 0.0
+    ) -> OdometryReading:
         """Noisy odometry from the true one, `since` the start (s; 0: before it).
 
         The noise of the orientation is a rotation vector in odom.
         """
         s, noise = self._settings, normal(self._rng, (4, 3))
         displacement = self._displacement(since)
-        if self._is_lost(since):
+        within = any(
+            d.time <= since < d.time + d.duration for d in s.dropouts.values()
+        )
+        if since > 0.0 and (self._trouble.random() < s.loss or within):
             return lost_odometry(truth.stamp)
         position = truth.position + s.position_noise * noise[0]
         turn = quaternion_of_vector(s.orientation_noise * noise[1])
@@ -78,7 +93,8 @@ class OdometrySensor:
         """Delay of the next reading, s."""
         jitter = self._settings.jitter
         return max(
-            0.0, self._settings.delay + jitter * self._trouble.uniform(-1.0, 1.0)
+            0.0,
+            self._settings.delay + jitter * self._trouble.uniform(-1.0, 1.0),
         )
 
     def _displacement(self, since: float) -> Array:
@@ -96,11 +112,6 @@ class OdometrySensor:
         ]
         return self._drift + np.sum(jumps, axis=0) if jumps else self._drift
 
-    def _is_lost(self, since: float) -> bool:
-        s = self._settings
-        within = any(d.time <= since < d.time + d.duration for d in s.dropouts.values())
-        return since > 0.0 and bool(self._trouble.random() < s.loss or within)
-
 
 class ImuSensor:
     """Gyroscope and accelerometer at the torso's centre; the gyroscope's bias is drawn once."""
@@ -114,8 +125,11 @@ class ImuSensor:
         rate_noise, force_noise = normal(self._rng, (2, 3))
         return ImuReading(
             stamp,
-            sim.angular_velocity + self.bias + self._settings.rate_noise * rate_noise,
-            sim.specific_force + self._settings.acceleration_noise * force_noise,
+            sim.angular_velocity
+            + self.bias
+            + self._settings.rate_noise * rate_noise,
+            sim.specific_force
+            + self._settings.acceleration_noise * force_noise,
         )
 
 

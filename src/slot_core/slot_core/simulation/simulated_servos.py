@@ -39,9 +39,7 @@ from slot_core.simulation.readings import Reading, StampedHealth
 CYCLES = round(PERIOD / CYCLE)  # between two reports
 CLOSE_TIMEOUT = 3.0  # s, for the driver to switch the servos off
 CLOSE_STEP = 0.002  # s, between two steps of the simulation while closing
-SWITCH_INTERVAL = (
-    5e-4  # s, between thread switches: longest delay of the bus by the simulation
-)
+SWITCH_INTERVAL = 5e-4  # s, between thread switches: longest delay of the bus by the simulation
 
 
 class SimulatedServos(ABC):
@@ -76,7 +74,9 @@ class SimulatedServos(ABC):
         """Whether the servos accept commands; before that no readings are published."""
 
     @abstractmethod
-    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
+    def offer(
+        self, now: int, stamp: int, angle: Array, rate: Array = AT_REST
+    ) -> None:
         """Take angles (4,), rad, at `now`, and their rate; raises ValueError if rejected."""
 
     @abstractmethod
@@ -149,7 +149,9 @@ class DirectServos(SimulatedServos):
         """Whether the servos accept commands: in lockstep with the limits of the supervisor."""
         return not self._lockstep or self.watchdog.limits is not None
 
-    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
+    def offer(
+        self, now: int, stamp: int, angle: Array, rate: Array = AT_REST
+    ) -> None:
         """Take angles (4,), rad, at `now`, and their rate; raises ValueError if rejected."""
         self._commanded, self._arrived = stamp, now
         if fault := self.watchdog.offer(now, angle, rate):
@@ -167,7 +169,9 @@ class DirectServos(SimulatedServos):
             goals = self.watchdog.step(now)
         self._goals = goals
         self._note_torque(goals.torque and self.watchdog.permission is not None)
-        self._plant.command(goals.angle if goals.torque else np.zeros(len(LEGS)))
+        self._plant.command(
+            goals.angle if goals.torque else np.zeros(len(LEGS))
+        )
 
     @property
     def urgent(self) -> tuple[Any, ...]:
@@ -204,7 +208,10 @@ class BusServos(SimulatedServos):
     _port: EmulatedPort  # for the driver in another process, in real time
 
     def __init__(
-        self, plant: RobotSimulator, lockstep: bool = False, link: Path | None = None
+        self,
+        plant: RobotSimulator,
+        lockstep: bool = False,
+        link: Path | None = None,
     ) -> None:
         """In lockstep check every servo, else open a device under the name `link`.
 
@@ -249,7 +256,9 @@ class BusServos(SimulatedServos):
             with suppress(RefusedError):  # the session reports it
                 self.session.start()
 
-    def offer(self, now: int, stamp: int, angle: Array, rate: Array = AT_REST) -> None:
+    def offer(
+        self, now: int, stamp: int, angle: Array, rate: Array = AT_REST
+    ) -> None:
         """Take angles (4,), rad, their rate, and a bus cycle, in lockstep; else the driver does.
 
         Raises ValueError if they are rejected.
@@ -314,7 +323,9 @@ class BusServos(SimulatedServos):
             return []
         self._note_torque(self.session.bus.active)
         self._unhold()
-        reading = cycle.joints(now, self._model.tendon_stall(self.session.voltage))
+        reading = cycle.joints(
+            now, self._model.tendon_stall(self.session.voltage)
+        )
         return [] if reading is None else [reading]
 
     def _pass(self, seconds: float) -> None:

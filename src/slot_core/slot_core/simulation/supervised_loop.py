@@ -31,13 +31,19 @@ from slot_core.simulation.simulated_servos import make_servos
 
 
 def make_bus_plant(
-    robot: RobotParameters, scene: Scene, servo: ServoSettings, rng: np.random.Generator
+    robot: RobotParameters,
+    scene: Scene,
+    servo: ServoSettings,
+    rng: np.random.Generator,
 ) -> RobotSimulator:
     """Simulated robot on emulated servos of the configured brand."""
     return RobotSimulator(robot, scene, servo, rng, read_brand().emulate)
 
 
-MAKERS: dict[str, PlantMaker] = {"sim": RobotSimulator, "fake_bus": make_bus_plant}
+MAKERS: dict[str, PlantMaker] = {
+    "sim": RobotSimulator,
+    "fake_bus": make_bus_plant,
+}
 
 
 class SupervisedLoop:
@@ -64,7 +70,13 @@ class SupervisedLoop:
         hardware: `sim` or `fake_bus`, the driver with emulated servos.
         """
         self.loop = ClosedLoop(
-            scene, STAND, None, seed, policy, changes=changes, make=MAKERS[hardware]
+            scene,
+            STAND,
+            None,
+            seed,
+            policy,
+            changes=changes,
+            make=MAKERS[hardware],
         )
         self.plant = self.loop.plant
         self.report: Report | None = None  # the last
@@ -72,7 +84,9 @@ class SupervisedLoop:
         found = self.loop.gaits.find(gait)
         self._gait = (
             gait,
-            np.array([found.cruise, 0.0, 0.0]) if velocity is None else velocity,
+            np.array([found.cruise, 0.0, 0.0])
+            if velocity is None
+            else velocity,
         )
         robot, settings = read_robot(), read_supervisor()
         settings = config.replace(settings, {"estop_required": False})
@@ -92,21 +106,17 @@ class SupervisedLoop:
         Raises DivergenceError when the simulation diverges.
         """
         if self.report is None:
-            yield self._begin()
+            self._take(self.plant.readings_at_rest(LOCKSTEP_START))
+            report = self.supervise(self.servos.report())
+            self.plant.start(LOCKSTEP_START)
+            self.servos.start()
+            assert report is not None
+            yield report
         end = self.plant.now + to_ns(seconds)
         while self.plant.now < end:
             report = self._take(self.plant.advance_to_reading(StampedHealth))
             if report is not None:
                 yield report
-
-    def _begin(self) -> Report:
-        """Take the readings at rest, step the supervisor once, start the robot's clock."""
-        self._take(self.plant.readings_at_rest(LOCKSTEP_START))
-        report = self.supervise(self.servos.report())
-        self.plant.start(LOCKSTEP_START)
-        self.servos.start()
-        assert report is not None
-        return report
 
     def _take(self, readings: Iterable[Reading]) -> Report | None:
         """Take readings in turn; returns the supervisor's report on the servos' reading."""
@@ -132,7 +142,9 @@ class SupervisedLoop:
         self.ticked.add(
             "joints",
             r.stamp,
-            lambda now: supervisor.receive_joints(now, r.stamp, r.angle, r.torque),
+            lambda now: supervisor.receive_joints(
+                now, r.stamp, r.angle, r.torque
+            ),
         )
 
     def control(self, tick: Tick) -> None:
@@ -140,40 +152,50 @@ class SupervisedLoop:
         now = self.plant.now
         for node, receive in _MESSAGES.items():
             if node in self.running:
-                self.ticked.add(node, now, partial(receive, self.supervisor, tick))
+                self.ticked.add(
+                    node, now, partial(receive, self.supervisor, tick)
+                )
         if "force_mapper" in self.running:
-            with suppress(ValueError):  # rejected; the supervisor finds the same
+            with suppress(
+                ValueError
+            ):  # rejected; the supervisor finds the same
                 self.servos.offer(
-                    now, tick.estimate.stamp, tick.command.angle, tick.command.rate
+                    now,
+                    tick.estimate.stamp,
+                    tick.command.angle,
+                    tick.command.rate,
                 )
 
     def supervise(self, report: StampedHealth) -> Report | None:
         """Step the supervisor on a report of the servos, which take its permission."""
         if "supervisor" not in self.running:
             return None
-        last, self.report = self.report, self.ticked.step(report.stamp, report.health)
-        self.loop.controller.scheduler.set_followed(self.report.followed)
-        if last is None or (last.state, last.since) != (
-            self.report.state,
-            self.report.since,
-        ):
-            self._request_gait(self.report)
-        found = self.report
-        now = report.stamp
+        last, now, scheduler = (
+            self.report,
+            report.stamp,
+            self.loop.controller.scheduler,
+        )
+        self.report = found = self.ticked.step(now, report.health)
+        scheduler.set_followed(found.followed)
+        changed = last is None or (last.state, last.since) != (
+            found.state,
+            found.since,
+        )
+        if changed and not found.keeps_gait:
+            walking = found.state is State.WALKING
+            scheduler.request(
+                *(self._gait if walking else (STAND, np.zeros(3)))
+            )
         self.servos.permit(
             Permission(now, found.action, found.followed, found.reason, now)
         )
-        return self.report
-
-    def _request_gait(self, report: Report) -> None:
-        if not report.keeps_gait:
-            walking = report.state is State.WALKING
-            gait = self._gait if walking else (STAND, np.zeros(3))
-            self.loop.controller.scheduler.request(*gait)
+        return found
 
 
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
-    "state_estimator": lambda s, tick, now: s.receive_estimate(now, tick.estimate),
+    "state_estimator": lambda s, tick, now: s.receive_estimate(
+        now, tick.estimate
+    ),
     "mpc_controller": lambda s, tick, now: s.receive_mpc(
         now, tick.plan.status, tick.plan.fallback_cycles, tick.preview.period
     ),

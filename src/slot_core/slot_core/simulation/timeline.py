@@ -3,19 +3,12 @@
 import heapq
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 from slot_core.clock import to_ns
 from slot_core.simulation.readings import Reading
 
-
-@dataclass(frozen=True, order=True)
-class _Event:
-    """Action due at `due` (ns); actions of one instant run in the order of `number`."""
-
-    due: int
-    number: int
-    action: Callable[[], list[Reading]] = field(compare=False)
+# Due time (ns), number by which actions of one instant are ordered, action.
+Event = tuple[int, int, Callable[[], list[Reading]]]
 
 
 class Timeline:
@@ -23,7 +16,7 @@ class Timeline:
 
     def __init__(self) -> None:
         self.now = 0  # ns
-        self._events: list[_Event] = []
+        self._events: list[Event] = []
         self._number = itertools.count()
 
     @property
@@ -34,15 +27,15 @@ class Timeline:
     @property
     def next_due(self) -> int:
         """Time of the next action, ns."""
-        return self._events[0].due
+        return self._events[0][0]
 
-    def pop(self) -> _Event:
+    def pop(self) -> Event:
         """Remove and return the next action."""
         return heapq.heappop(self._events)
 
     def schedule(self, due: int, action: Callable[[], list[Reading]]) -> None:
         """Schedule an action that returns readings at `due` (ns)."""
-        heapq.heappush(self._events, _Event(due, next(self._number), action))
+        heapq.heappush(self._events, (due, next(self._number), action))
 
     def act(self, due: int, act: Callable[[], None]) -> None:
         """Schedule an action without readings at `due` (ns)."""

@@ -35,7 +35,9 @@ def run(jobs: list[tuple[Callable[..., Any], tuple[str, ...]]]) -> None:
             result.get()
 
 
-def compile_with(function: Callable[..., Any], arguments: tuple[str, ...]) -> None:
+def compile_with(
+    function: Callable[..., Any], arguments: tuple[str, ...]
+) -> None:
     """Call a function whose kernels are to be kept."""
     function(*arguments)
     if KernelCache.lost:

@@ -50,7 +50,9 @@ def make_board(settings: BoardSettings) -> Board:
         settings.columns * pitch + settings.gap,
         settings.rows * pitch + settings.gap,
     )
-    return Board(corners, Transform.of(settings.pose.position, settings.pose.rpy), size)
+    return Board(
+        corners, Transform.of(settings.pose.position, settings.pose.rpy), size
+    )
 
 
 def single_marker(number: int, size: float) -> Board:
@@ -87,4 +89,6 @@ def print_of(board: Board, dictionary: int) -> GreyImage:
     scale = PRINT_CELL * cells / float(corners[1, 0] - corners[0, 0])
     size = [round(scale * edge) for edge in board.size]
     fine = image_of(board, dictionary, FINER * scale)
-    return np.asarray(cv2.resize(fine, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return np.asarray(
+        cv2.resize(fine, size, interpolation=cv2.INTER_AREA), np.uint8
+    )

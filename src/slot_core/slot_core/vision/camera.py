@@ -22,7 +22,10 @@ from slot_core.arrays import Array
 from slot_core.refusal import InputError, quoted, read_text
 from slot_core.vision.settings import Intrinsics
 
-MODELS = {"plumb_bob": 5, "rational_polynomial": 8}  # coefficients by name in ROS
+MODELS = {
+    "plumb_bob": 5,
+    "rational_polynomial": 8,
+}  # coefficients by name in ROS
 SIZE_MAX = 100_000  # bytes of a calibration file
 PIXELS_MAX, LARGEST = 2**15, 1e6  # of an image's side; of K and D
 ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
@@ -47,7 +50,9 @@ class Camera:
     def model(self) -> str:
         """Name of the distortion model in ROS."""
         return next(
-            name for name, size in MODELS.items() if size == self.distortion.size
+            name
+            for name, size in MODELS.items()
+            if size == self.distortion.size
         )
 
     @property
@@ -63,7 +68,8 @@ class Camera:
     def equals(self, other: Camera) -> bool:
         """Whether all values are equal."""
         mine, its = (
-            [c.width, c.height, *c.matrix.ravel(), *c.distortion] for c in (self, other)
+            [c.width, c.height, *c.matrix.ravel(), *c.distortion]
+            for c in (self, other)
         )
         return mine == its
 
@@ -85,7 +91,9 @@ class Camera:
         """
         zero = np.zeros(3)
         points = np.column_stack([rays, np.ones(len(rays))])[:, None]
-        _, slopes = cv2.projectPoints(points, zero, zero, self.matrix, self.distortion)
+        _, slopes = cv2.projectPoints(
+            points, zero, zero, self.matrix, self.distortion
+        )
         by_ray = slopes[:, 3:5].reshape(
             -1, 2, 2
         )  # of a shift along x and y at distance one
@@ -102,7 +110,9 @@ class Camera:
         _require_last("points", points, 3)
         zero = np.zeros(3)
         flat = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 3)
-        pixels, _ = cv2.projectPoints(flat, zero, zero, self.matrix, self.distortion)
+        pixels, _ = cv2.projectPoints(
+            flat, zero, zero, self.matrix, self.distortion
+        )
         return np.asarray(pixels, np.float64).reshape(*points.shape[:-1], 2)
 
     def require_size(self, width: int, height: int) -> None:
@@ -116,7 +126,9 @@ class Camera:
 
 def _require_last(name: str, values: Array, size: int) -> None:
     if values.shape[-1:] != (size,):
-        raise ValueError(f"{name}: shape {values.shape}, expected (..., {size})")
+        raise ValueError(
+            f"{name}: shape {values.shape}, expected (..., {size})"
+        )
 
 
 def nominal(settings: Intrinsics) -> Camera:
@@ -160,8 +172,14 @@ def from_camera_info(  # noqa: PLR0917
         )
     matrix = matrix.reshape(3, 3)
     if min(matrix[0, 0], matrix[1, 1]) <= 0:
-        raise CameraError(f"f = {matrix[0, 0]:g}, {matrix[1, 1]:g} px: expected > 0")
-    known = None if covariance is None else _checked(covariance, 4 + distortion.size)
+        raise CameraError(
+            f"f = {matrix[0, 0]:g}, {matrix[1, 1]:g} px: expected > 0"
+        )
+    known = (
+        None
+        if covariance is None
+        else _checked(covariance, 4 + distortion.size)
+    )
     return Camera(width, height, matrix, distortion, known)
 
 
@@ -170,7 +188,9 @@ def _numbers(name: str, values: Any) -> Array:
     try:
         found = np.array(values, np.float64).ravel()
     except (TypeError, ValueError, OverflowError):
-        raise CameraError(f"{name} = {quoted(values)}: expected numbers") from None
+        raise CameraError(
+            f"{name} = {quoted(values)}: expected numbers"
+        ) from None
     if not (np.abs(found) <= LARGEST).all():  # NaN is not
         raise CameraError(
             f"{name} has a value that is not finite, or above {LARGEST:g}"
@@ -187,7 +207,10 @@ def _checked(covariance: Any, size: int) -> Array:
         )
     square = values.reshape(size, size)
     symmetric = np.allclose(square, square.T)
-    if not symmetric or np.linalg.eigvalsh(square).min() < -1e-9 * np.abs(square).max():
+    if (
+        not symmetric
+        or np.linalg.eigvalsh(square).min() < -1e-9 * np.abs(square).max()
+    ):
         raise CameraError(
             "intrinsics_covariance is no covariance: not symmetric and positive"
         )

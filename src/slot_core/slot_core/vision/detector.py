@@ -37,7 +37,9 @@ class Detection:
     ids: tuple[int, ...]
     pixels: Array  # (m, 4, 2) px, clockwise from the marker's top left
     rays: Array  # (m, 4, 2) x', y' without distortion
-    duplicates: tuple[int, ...] = ()  # ids seen more than once: none of them is used
+    duplicates: tuple[
+        int, ...
+    ] = ()  # ids seen more than once: none of them is used
     size: float = field(default=0.0)  # px, shortest edge
 
 

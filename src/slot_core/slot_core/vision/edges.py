@@ -7,7 +7,6 @@ into the marker by the blur. The points are freed of the distortion before lines
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from slot_core.arrays import Array
 from slot_core.vision.board import GreyImage
@@ -47,7 +46,9 @@ def edge_points(
     """
     edge = np.roll(corners, -1, axis=1) - corners
     length = np.linalg.norm(edge, axis=-1)
-    normal = np.stack([edge[..., 1], -edge[..., 0]], axis=-1) / length[..., None]
+    normal = (
+        np.stack([edge[..., 1], -edge[..., 0]], axis=-1) / length[..., None]
+    )
     half = np.clip(SHARE * length.min(axis=1) / cells, *HALF_WIDTH)
     middle = corners[:, :, None] + along[:, None] * edge[:, :, None]
 
@@ -55,7 +56,15 @@ def edge_points(
     offset = half[:, None, None, None] * ACROSS  # (m, 1, 1, p)
     outward = normal[:, :, None]  # (m, 4, 1, 2)
     places = middle[..., None, :] + offset[..., None] * outward[..., None, :]
-    grey = _sample(image, places)
+    flat = places.reshape(-1, places.shape[-2], 2).astype(np.float32)
+    sampled = cv2.remap(
+        image,
+        flat,
+        np.empty(0),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    grey = sampled.reshape(places.shape[:-1]).astype(np.float64)
 
     # centroid of their slope
     slope = np.diff(grey, axis=-1)
@@ -104,12 +113,3 @@ def _lines(points: Array, weight: Array) -> tuple[Array, Array, Array]:
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
     distance = np.abs(x * normal[..., :1] + y * normal[..., 1:])
     return centre, normal, distance
-
-
-def _sample(image: GreyImage, places: Array) -> NDArray[np.float64]:
-    """Grey levels at places (..., 2) px, linear between pixels; the border beyond the image."""
-    flat = places.reshape(-1, places.shape[-2], 2).astype(np.float32)
-    grey = cv2.remap(
-        image, flat, np.empty(0), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
-    return grey.reshape(places.shape[:-1]).astype(np.float64)

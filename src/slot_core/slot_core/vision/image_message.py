@@ -37,7 +37,9 @@ def grey(message: Any) -> GreyImage:
         )
     pixels = _pixels(message, CHANNELS[message.encoding], np.dtype(np.uint8))
     if message.encoding in TO_GREY:
-        return np.asarray(cv2.cvtColor(pixels, TO_GREY[message.encoding]), np.uint8)
+        return np.asarray(
+            cv2.cvtColor(pixels, TO_GREY[message.encoding]), np.uint8
+        )
     return np.ascontiguousarray(pixels[..., 0])
 
 

@@ -22,7 +22,11 @@ from slot_core.geometry import Transform, optical
 from slot_core.robot import BASE_FRAME, ODOM_FRAME
 from slot_core.vision.board import GreyImage, make_board
 from slot_core.vision.camera import Camera
-from slot_core.vision.detector import Detection, MarkerDetector, other_dictionary
+from slot_core.vision.detector import (
+    Detection,
+    MarkerDetector,
+    other_dictionary,
+)
 from slot_core.vision.pose import BoardPose, board_poses, nearest
 from slot_core.vision.settings import DetectionSettings, VisionSettings
 
@@ -42,7 +46,9 @@ class MarkerFix:
     quaternion: Array  # (4,) x y z w
     velocity: Array  # (3,) m/s
     angular_velocity: Array  # (3,) rad/s
-    pose_covariance: Array  # (6, 6) of x y z and rotations about the axes of odom
+    pose_covariance: (
+        Array  # (6, 6) of x y z and rotations about the axes of odom
+    )
     twist_covariance: Array  # (6, 6) of velocity and angular velocity
     markers: int
     error: float  # px, RMS of the reprojection
@@ -51,9 +57,17 @@ class MarkerFix:
     @property
     def odometry(self) -> tuple[int, Array, Array, Array, Array, Array]:
         """The arguments of `StateEstimator.add_odometry`."""
-        pose, twist = np.diag(self.pose_covariance), np.diag(self.twist_covariance)
+        pose, twist = (
+            np.diag(self.pose_covariance),
+            np.diag(self.twist_covariance),
+        )
         variance = np.concatenate([pose[3:], pose[:3], twist])
-        motion = self.position, self.quaternion, self.velocity, self.angular_velocity
+        motion = (
+            self.position,
+            self.quaternion,
+            self.velocity,
+            self.angular_velocity,
+        )
         return self.stamp, *motion, variance
 
 
@@ -92,7 +106,9 @@ class MarkerLocalizer:
         Raises ConfigError without a board in the frame that the camera does not stand on.
         """
         on_torso = (carrier or settings.carrier) == "torso"
-        placed = Transform.of(settings.world_camera.position, settings.world_camera.rpy)
+        placed = Transform.of(
+            settings.world_camera.position, settings.world_camera.rpy
+        )
         self._settings, self._camera, self._on_torso = (
             settings.detection,
             camera,
@@ -103,7 +119,9 @@ class MarkerLocalizer:
         if not boards:
             frame = ODOM_FRAME if on_torso else BASE_FRAME
             raise ConfigError(f"vision.yaml: boards: none in the frame {frame}")
-        self._boards = {name: make_board(board) for name, board in boards.items()}
+        self._boards = {
+            name: make_board(board) for name, board in boards.items()
+        }
         self._detector = MarkerDetector(settings.dictionary_number, camera)
         self._dictionary = settings.dictionary
         self._last: Known | None = None
@@ -124,7 +142,8 @@ class MarkerLocalizer:
         found = self._detector.find(image)
         self._without = 0 if found.ids else self._without + 1
         seen = {
-            name: _corners(board.corners, found) for name, board in self._boards.items()
+            name: _corners(board.corners, found)
+            for name, board in self._boards.items()
         }
         name = max(seen, key=lambda key: len(seen[key][0]))
         points, rays = seen[name]
@@ -134,7 +153,8 @@ class MarkerLocalizer:
         pose = board_poses(points, rays, noise, self._camera)
         if pose is None:
             return NoFix(
-                stamp, f"{len(points) // 4} markers of {name}: no pose explains them"
+                stamp,
+                f"{len(points) // 4} markers of {name}: no pose explains them",
             )
         expected = self._expected(stamp, self._boards[name].pose)
         ambiguous = pose.ratio < self._settings.ambiguity
@@ -152,7 +172,9 @@ class MarkerLocalizer:
                 f"{len(points) // 4} markers of {name}: two poses explain them, errors 1 :"
                 f" {pose.ratio:.2f}, limit {self._settings.ambiguity:g}",
             )
-        return self._fix(stamp, self._boards[name].pose, chosen, len(points) // 4)
+        return self._fix(
+            stamp, self._boards[name].pose, chosen, len(points) // 4
+        )
 
     def _absence(self, found: Detection, image: GreyImage) -> str:
         """Why no marker of the boards was found."""
@@ -244,8 +266,13 @@ class MarkerLocalizer:
             return np.zeros(3), np.zeros(3), np.diag(np.full(6, 1e6))
         before, dt = last[1], to_seconds(stamp - last[0])
         velocity = base.rotation.T @ (base.position - before.position) / dt
-        turn = Rotation.from_matrix(before.rotation.T @ base.rotation).as_rotvec() / dt
-        late = np.repeat([s.acceleration * dt / 2, s.angular_acceleration * dt / 2], 3)
+        turn = (
+            Rotation.from_matrix(before.rotation.T @ base.rotation).as_rotvec()
+            / dt
+        )
+        late = np.repeat(
+            [s.acceleration * dt / 2, s.angular_acceleration * dt / 2], 3
+        )
         to_base = np.kron(np.eye(2), base.rotation.T)
         noise = to_base @ (covariance + last[2]) @ to_base.T / dt**2
         return velocity, turn, noise + np.diag(late**2)
@@ -257,7 +284,9 @@ def unusual(error: float, settings: DetectionSettings) -> str:
     return usual if error > settings.error_usual else ""
 
 
-def _corners(corners: dict[int, Array], found: Detection) -> tuple[Array, Array]:
+def _corners(
+    corners: dict[int, Array], found: Detection
+) -> tuple[Array, Array]:
     """Corners (n, 3) of a board's markers that were found, and their rays (n, 2)."""
     ids = [number for number in found.ids if number in corners]
     if not ids:

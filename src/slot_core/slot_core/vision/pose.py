@@ -36,10 +36,14 @@ class BoardPose:
 
     transform: Transform
     covariance: Array  # (6, 6) of the position (m) and of the rotation vector in the optical frame
-    calibration: Array  # (6, 6) the same by the camera's calibration; zero: not known
+    calibration: (
+        Array  # (6, 6) the same by the camera's calibration; zero: not known
+    )
     error: float  # RMS distance of the corners from where they should be, of focal length one
     other: BoardPose | None = None  # the second pose of the plane
-    ratio: float = np.inf  # its error over this one's; infinite if there is none
+    ratio: float = (
+        np.inf
+    )  # its error over this one's; infinite if there is none
 
 
 def board_poses(
@@ -52,13 +56,21 @@ def board_poses(
     """
     try:
         count, turns, places, given = cv2.solvePnPGeneric(
-            points, rays[:, None], np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
+            points,
+            rays[:, None],
+            np.eye(3),
+            np.zeros(5),
+            flags=cv2.SOLVEPNP_IPPE,
         )
     except cv2.error:
         return None
     found = []
     errors = np.ravel(given)
-    tried = 1 if count > 1 and errors[1] > CERTAIN * max(errors[0], noise) else count
+    tried = (
+        1
+        if count > 1 and errors[1] > CERTAIN * max(errors[0], noise)
+        else count
+    )
     for turn, place in zip(turns[:tried], places[:tried]):
         refined = _refined(turn, place, points, rays)
         if refined is not None:
@@ -78,13 +90,21 @@ def board_poses(
 
 
 def _board_pose(
-    error: float, transform: Transform, jacobian: Array, noise: float, spread: Array
+    error: float,
+    transform: Transform,
+    jacobian: Array,
+    noise: float,
+    spread: Array,
 ) -> BoardPose:
     """The pose with the covariances of its error and of the rays' spread (2n, 2n)."""
     count, inverse = len(jacobian), np.linalg.inv(jacobian.T @ jacobian)
-    deviation = max(noise, error * np.sqrt(count / max(count - 6, 1)) / np.sqrt(2))
+    deviation = max(
+        noise, error * np.sqrt(count / max(count - 6, 1)) / np.sqrt(2)
+    )
     gain = inverse @ jacobian.T
-    return BoardPose(transform, deviation**2 * inverse, gain @ spread @ gain.T, error)
+    return BoardPose(
+        transform, deviation**2 * inverse, gain @ spread @ gain.T, error
+    )
 
 
 def _refined(
@@ -101,7 +121,9 @@ def _refined(
         points, rays[:, None], pinhole, None, turn, place, ACCURATE
     )
     turn, place = map(np.asarray, refined)
-    pose = Transform(np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.ravel(place))
+    pose = Transform(
+        np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.ravel(place)
+    )
     turned = points @ pose.rotation.T
     seen, slopes = cv2.projectPoints(turned, np.zeros(3), place, pinhole, None)
     residual = np.ravel(seen) - rays.ravel()

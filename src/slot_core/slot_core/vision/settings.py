@@ -18,8 +18,12 @@ class Intrinsics:
 
     width: int = quantity("width of the image", "px", 64, 8192)
     height: int = quantity("height of the image", "px", 64, 8192)
-    focal: tuple[float, float] = quantity("focal lengths f_x, f_y", "px", 10, 1e5)
-    centre: tuple[float, float] = quantity("principal point c_x, c_y", "px", 0, 8192)
+    focal: tuple[float, float] = quantity(
+        "focal lengths f_x, f_y", "px", 10, 1e5
+    )
+    centre: tuple[float, float] = quantity(
+        "principal point c_x, c_y", "px", 0, 8192
+    )
     distortion: tuple[float, float, float, float, float] = quantity(
         "k1 k2 p1 p2 k3", "", -10, 10
     )
@@ -42,7 +46,9 @@ class BoardSettings:
     """A grid of square markers in one plane: x to the right, y up, z towards the viewer."""
 
     pose: Placement
-    frame: str = choice("frame to which the object is fixed", ODOM_FRAME, BASE_FRAME)
+    frame: str = choice(
+        "frame to which the object is fixed", ODOM_FRAME, BASE_FRAME
+    )
     columns: int = quantity("number of markers in a row", "", 1, 50)
     rows: int = quantity("number of rows of markers", "", 1, 50)
     marker: float = quantity("edge of a marker", "m", 1e-3, 2.0)
@@ -91,7 +97,9 @@ class DetectionSettings:
         1e-3,
         10,
     )
-    error_max: float = quantity("largest RMS reprojection error", "px", 0.1, 100)
+    error_max: float = quantity(
+        "largest RMS reprojection error", "px", 0.1, 100
+    )
     error_usual: float = quantity(
         "RMS reprojection error above which a warning is given", "px", 0.01, 100
     )
@@ -122,8 +130,12 @@ class DetectionSettings:
 class ChessboardSettings:
     """The ChArUco board with which a camera is calibrated."""
 
-    columns: int = quantity("number of squares in a row of the chessboard", "", 3, 50)
-    rows: int = quantity("number of rows of squares of the chessboard", "", 3, 50)
+    columns: int = quantity(
+        "number of squares in a row of the chessboard", "", 3, 50
+    )
+    rows: int = quantity(
+        "number of rows of squares of the chessboard", "", 3, 50
+    )
     square: float = quantity("edge of a square", "m", 1e-3, 1.0)
     marker: float = quantity("edge of a marker in a square", "m", 1e-3, 1.0)
 
@@ -141,7 +153,9 @@ class VisionSettings:
     dictionary: str = text(
         "dictionary of the markers, a name of cv2.aruco as DICT_4X4_100"
     )
-    carrier: str = choice("what the camera of the localiser stands on", *CARRIERS)
+    carrier: str = choice(
+        "what the camera of the localiser stands on", *CARRIERS
+    )
     boards: dict[str, BoardSettings] = text("boards by name")
 
     def __post_init__(self) -> None:
@@ -152,7 +166,9 @@ class VisionSettings:
             raise ConfigError(
                 f"dictionary = {quoted(self.dictionary)}: not one of cv2.aruco"
             )
-        size = len(cv2.aruco.getPredefinedDictionary(self.dictionary_number).bytesList)
+        size = len(
+            cv2.aruco.getPredefinedDictionary(self.dictionary_number).bytesList
+        )
         owners: dict[int, str] = dict.fromkeys(self.points.names, "points")
         for name, board in self.boards.items():
             for number in board.ids:
@@ -162,7 +178,9 @@ class VisionSettings:
                     )
                 owners[number] = f"boards.{name}"
         if max(owners) >= size:
-            raise ConfigError(f"id {max(owners)}: {self.dictionary} ends at {size - 1}")
+            raise ConfigError(
+                f"id {max(owners)}: {self.dictionary} ends at {size - 1}"
+            )
         if (used := self.chessboard.columns * self.chessboard.rows // 2) > size:
             raise ConfigError(
                 f"chessboard: {used} markers, {self.dictionary} has {size}"
@@ -181,7 +199,9 @@ class VisionSettings:
     def boards_in(self, frame: str) -> dict[str, BoardSettings]:
         """The boards fixed in a frame, by name."""
         return {
-            name: board for name, board in self.boards.items() if board.frame == frame
+            name: board
+            for name, board in self.boards.items()
+            if board.frame == frame
         }
 
 

@@ -49,7 +49,10 @@ class SyntheticCamera:
     """Renders images of a camera."""
 
     def __init__(
-        self, camera: Camera, imperfections: Imperfections, rng: np.random.Generator
+        self,
+        camera: Camera,
+        imperfections: Imperfections,
+        rng: np.random.Generator,
     ) -> None:
         self.camera, self._made = camera, imperfections
         self._rng = rng
@@ -82,7 +85,9 @@ class SyntheticCamera:
         for surface in surfaces:
             if not surface.faces_camera:
                 continue
-            outline = np.round(self.camera.project(surface.corners)).astype(np.int32)
+            outline = np.round(self.camera.project(surface.corners)).astype(
+                np.int32
+            )
             low = np.maximum(outline.min(axis=0), 0)
             part = (
                 slice(low[1], outline[:, 1].max() + 1),
@@ -119,10 +124,14 @@ class SyntheticCamera:
         place = (slice(low[1], high[1]), slice(low[0], high[0]))
         height, width = surface.print.shape
         sheet = (
-            np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
+            np.array(
+                [[0, 0], [width, 0], [width, height], [0, height]], np.float32
+            )
             - 0.5
         )
-        rays = (surface.corners[:, :2] / surface.corners[:, 2:]).astype(np.float32)
+        rays = (surface.corners[:, :2] / surface.corners[:, 2:]).astype(
+            np.float32
+        )
         to_sheet = cv2.getPerspectiveTransform(rays, sheet.astype(np.float32))
         places = cv2.perspectiveTransform(
             np.ascontiguousarray(self._rays[place]), to_sheet
@@ -144,7 +153,10 @@ class SyntheticCamera:
         if surface.velocity is None:
             return np.zeros(2)
         way = self._made.exposure / 2 * surface.velocity
-        ends = [self.camera.project(surface.corners + sign * way) for sign in (-1, 1)]
+        ends = [
+            self.camera.project(surface.corners + sign * way)
+            for sign in (-1, 1)
+        ]
         return np.asarray(SAMPLES * (ends[1] - ends[0]).mean(axis=0), float)
 
 
@@ -172,7 +184,9 @@ def _rays(camera: Camera) -> np.ndarray:
     y = np.arange(0, height + GRID, GRID)
     pixels = (np.stack(np.meshgrid(x, y), axis=-1) + 0.5) / SAMPLES - 0.5
     coarse = camera.rays(pixels.astype(float))
-    fine_x, fine_y = np.meshgrid(np.arange(width) / GRID, np.arange(height) / GRID)
+    fine_x, fine_y = np.meshgrid(
+        np.arange(width) / GRID, np.arange(height) / GRID
+    )
     return np.asarray(
         cv2.remap(
             coarse.astype(np.float32),

@@ -92,7 +92,9 @@ class Bag:
             self._files, custom = self._find_files()
             first = self._files[0]
             origin = read_origin(first) if first.suffix == ".mcap" else Origin()
-            self.origin = origin if origin.about else Origin(custom, origin.files)
+            self.origin = (
+                origin if origin.about else Origin(custom, origin.files)
+            )
         with self._open() as readers:
             connections = [
                 (r, *entry) for r in readers for entry in self._connections(r)
@@ -101,8 +103,14 @@ class Bag:
             self.counts = dict.fromkeys(self.topics, 0)
             for _, topic, connection in connections:
                 self.counts[topic] += connection.msgcount
-            self._known = sorted({c.topic for r in readers for c in r.connections})
-            spans = [(r.start_time, r.end_time - 1) for r in readers if r.message_count]
+            self._known = sorted(
+                {c.topic for r in readers for c in r.connections}
+            )
+            spans = [
+                (r.start_time, r.end_time - 1)
+                for r in readers
+                if r.message_count
+            ]
             self.start_ns = min((first for first, _ in spans), default=0)
             self.end_ns = max((last for _, last in spans), default=0)
             _require_time(self.end_ns)
@@ -131,11 +139,14 @@ class Bag:
         with BagWriter(path, read_record_settings(), self.origin) as copy:
             with self._open() as readers:
                 kinds = {
-                    t: c for reader in readers for t, c in self._connections(reader)
+                    t: c
+                    for reader in readers
+                    for t, c in self._connections(reader)
                 }
             for topic, c in kinds.items():
                 copy.add_topic(
-                    topic, MessageType(c.msgtype, c.msgdef.data, digest=c.digest)
+                    topic,
+                    MessageType(c.msgtype, c.msgdef.data, digest=c.digest),
                 )
             for topic, time, data in self.raw():
                 copy.write(topic, self.topics[topic], time, data)
@@ -158,7 +169,9 @@ class Bag:
         self, reader: Reader, topics: tuple[str, ...]
     ) -> Iterator[tuple[str, int, bytes]]:
         names = {
-            c.id: t for t, c in self._connections(reader) if not topics or t in topics
+            c.id: t
+            for t, c in self._connections(reader)
+            if not topics or t in topics
         }
         wanted = [c for c in reader.connections if c.id in names]
         if wanted:
@@ -182,7 +195,9 @@ class Bag:
         for topic in topics:
             known, kind = self._known_topics.get(topic), self.topics.get(topic)
             if known is not None and kind not in (None, known.type):
-                raise BagError(f"{self.path}: {topic} holds {kind}, not {known.type}")
+                raise BagError(
+                    f"{self.path}: {topic} holds {kind}, not {known.type}"
+                )
 
     @contextmanager
     def using(self, topic: str) -> Iterator[None]:
@@ -201,7 +216,9 @@ class Bag:
             TypeError,
             ValueError,
         ) as error:
-            raise BagError(f"{self.path}: {topic} cannot be used: {error}") from error
+            raise BagError(
+                f"{self.path}: {topic} cannot be used: {error}"
+            ) from error
 
     def decode(self, topic: str, data: bytes) -> Any:
         """Message of CDR bytes on a topic of the bag.
@@ -215,7 +232,11 @@ class Bag:
                 return self._types.deserialize_cdr(data, kind)
             except SerdeError:
                 found = self._types.get_msgdef(kind)
-                read = found.deserialize_cdr_le if data[1] else found.deserialize_cdr_be
+                read = (
+                    found.deserialize_cdr_le
+                    if data[1]
+                    else found.deserialize_cdr_be
+                )
                 message, end = read(data[4:], 0, found.cls, self._types)
                 if len(data) - 4 - end > SPARE:
                     raise
@@ -239,7 +260,8 @@ class Bag:
             return Series(
                 np.array([time for time, _ in entries], np.int64),
                 np.array(
-                    [_stamp(message, time) for time, message in entries], np.int64
+                    [_stamp(message, time) for time, message in entries],
+                    np.int64,
                 ),
                 {field: self._column(topic, field) for field in fields},
             )
@@ -251,9 +273,13 @@ class Bag:
                 [_plain(getter(message)) for _, message in self._cache[topic]]
             )
         except AttributeError:
-            raise NoFieldError(f"{self.path}: {topic} has no field {field}") from None
+            raise NoFieldError(
+                f"{self.path}: {topic} has no field {field}"
+            ) from None
         except ValueError:
-            raise BagError(f"{self.path}: {topic} {field} changes its shape") from None
+            raise BagError(
+                f"{self.path}: {topic} {field} changes its shape"
+            ) from None
 
     def _find_files(self) -> tuple[list[Path], Mapping[str, str]]:
         """Whole files of the bag, mended where needed, and the custom data of metadata.yaml."""
@@ -261,7 +287,9 @@ class Bag:
             return [self._intact(self.path)], {}
         metadata = self.path / "metadata.yaml"
         if not metadata.exists():
-            found = sorted(p for p in self.path.iterdir() if p.suffix in STORAGES)
+            found = sorted(
+                p for p in self.path.iterdir() if p.suffix in STORAGES
+            )
             if not found:
                 raise BagError(
                     f"{self.path}: holds no metadata.yaml, .mcap or .db3 file: not a bag"
@@ -274,7 +302,8 @@ class Bag:
         content = config.parse(read_text(metadata, METADATA_MAX))
         information = content["rosbag2_bagfile_information"]
         custom = {
-            str(k): str(v) for k, v in (information.get("custom_data") or {}).items()
+            str(k): str(v)
+            for k, v in (information.get("custom_data") or {}).items()
         }
         listed = [
             self.path / PurePath(name).name
@@ -363,7 +392,9 @@ def _stamp(message: Any, time: int) -> int:
         else getattr(message, "clock", None)
     )
     return (
-        time if stamp is None else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+        time
+        if stamp is None
+        else int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
     )
 
 
@@ -372,7 +403,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
     if dataclasses.is_dataclass(value):
-        names = [f.name for f in dataclasses.fields(value) if f.name != "__msgtype__"]
+        names = [
+            f.name for f in dataclasses.fields(value) if f.name != "__msgtype__"
+        ]
         return [_plain(getattr(value, name)) for name in names]
     return value
 
@@ -407,7 +440,9 @@ def repaired(file: Path, directory: Path) -> Path:
                 topics[record.id] = record.topic, kind.name
                 bag.add_topic(record.topic, kind)
             elif isinstance(record, Message):
-                bag.write(*topics[record.channel_id], record.log_time, record.data)
+                bag.write(
+                    *topics[record.channel_id], record.log_time, record.data
+                )
     return directory / f"{directory.name}.mcap"
 
 
@@ -433,9 +468,7 @@ def _whole_records(file: Path, emit_chunks: bool = False) -> Iterator[Any]:
         while True:
             try:
                 record = next(records)
-            except (
-                Exception
-            ):  # of the library, struct, zstd and lz4: where the recording ended
+            except Exception:  # of the library, struct, zstd and lz4: where the recording ended
                 return
             yield record
 

@@ -11,7 +11,12 @@ from slot_core.clock import to_seconds
 from slot_core.messages import decode
 from slot_core.progress import untold
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.replayed_stages import REMEMBERING, STAGES, RecordedStages, Replayed
+from slot_lab.bags.replayed_stages import (
+    REMEMBERING,
+    STAGES,
+    RecordedStages,
+    Replayed,
+)
 from slot_lab.bags.topics import ESTIMATE, OUTPUTS
 
 LACKING = "the bag holds no"
@@ -44,7 +49,9 @@ class StageComparison:
     compared: int = 0
     largest: float = 0.0  # largest difference of any field
     first: Difference | None = None  # beyond the tolerance
-    begin: int = 0  # ns, stamp of the first message compared; 0: the bag's first
+    begin: int = (
+        0  # ns, stamp of the first message compared; 0: the bag's first
+    )
     gaps: int = 0  # later messages whose inputs the bag lacks
     lost: str = ""  # the first of these inputs
     nodes: Sequence[str] = ()  # of a user, which published the topic
@@ -56,8 +63,12 @@ class StageComparison:
         if self.begin:
             line += f", from {to_seconds(self.begin):.3f} s on"
         if self.gaps:
-            line += f"; {self.gaps} are not" + (f": {self.lost}" if self.lost else "")
-        return line + (f"; published by {', '.join(self.nodes)}" if self.nodes else "")
+            line += f"; {self.gaps} are not" + (
+                f": {self.lost}" if self.lost else ""
+            )
+        return line + (
+            f"; published by {', '.join(self.nodes)}" if self.nodes else ""
+        )
 
 
 def check_bag(
@@ -94,7 +105,10 @@ def check_bag(
 
 
 def _reason(
-    recorded: RecordedStages, topic: str, only: Collection[str], skip: Collection[str]
+    recorded: RecordedStages,
+    topic: str,
+    only: Collection[str],
+    skip: Collection[str],
 ) -> str:
     """Reason why a stage is not compared; else empty."""
     inputs = (topic, *STAGES[topic].inputs)
@@ -110,7 +124,9 @@ def _reason(
         return f"published by {', '.join(others)}, not by our {node}"
     if topic in REMEMBERING and recorded.begins_mid_run:
         return MID_RUN
-    another = not only and any(recorded.records.values())  # node may have published it
+    another = not only and any(
+        recorded.records.values()
+    )  # node may have published it
     if not recorded.records[node] and (another or topic == ESTIMATE):
         return f"no record of {node} in the bag"
     return ""
@@ -125,7 +141,12 @@ def compare(
     stamp are skipped, and so are those that the bag does not tell enough for. If no message is left
     the stage is left out.
     """
-    compared, largest, first, end = 0, 0.0, None, max(replayed.fields, default=0)
+    compared, largest, first, end = (
+        0,
+        0.0,
+        None,
+        max(replayed.fields, default=0),
+    )
     skipped, begin, gaps = 0, 0, 0
     for message in recorded.messages[topic]:
         stamp = decode.stamp(message)
@@ -138,7 +159,9 @@ def compare(
             begin, skipped = stamp if skipped else 0, 0
         fields = replayed.fields.get(stamp)
         if fields is None:
-            first = first or Difference(topic, stamp, "header.stamp", 1.0, math.nan)
+            first = first or Difference(
+                topic, stamp, "header.stamp", 1.0, math.nan
+            )
             continue
         gaps, skipped = gaps + skipped, 0
         compared += 1
@@ -182,7 +205,9 @@ def _numbers(value: Any) -> np.ndarray:
         return value.astype(float).ravel()
     if hasattr(value, "x"):
         return decode.vector(value)
-    values = list(value) if isinstance(value, (Sequence, np.ndarray)) else [value]
+    values = (
+        list(value) if isinstance(value, (Sequence, np.ndarray)) else [value]
+    )
     if values and hasattr(values[0], "x"):
         return np.concatenate([decode.vector(v) for v in values])
     return np.array(values, dtype=float)

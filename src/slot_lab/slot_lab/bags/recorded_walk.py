@@ -64,7 +64,9 @@ class TorsoTrack:
     @cached_property
     def tilt(self) -> Array:
         """(n,) angle between body z and world z, rad: 2 asin |(q_x, q_y)|."""
-        q = self.quaternion / np.linalg.norm(self.quaternion, axis=1, keepdims=True)
+        q = self.quaternion / np.linalg.norm(
+            self.quaternion, axis=1, keepdims=True
+        )
         return 2 * np.arcsin(np.hypot(q[:, 0], q[:, 1]).clip(max=1.0))
 
     @cached_property
@@ -91,7 +93,9 @@ class TendonAngles:
     source: str  # topic, or columns of a CSV file
     t: Array  # (n,) s, graph time
     angle: Array  # (n, 4) rad
-    rate: Array | None = None  # (n, 4) rad/s, to extrapolate commands; None: they stay
+    rate: Array | None = (
+        None  # (n, 4) rad/s, to extrapolate commands; None: they stay
+    )
     measured: bool = True  # else they are commands
 
 
@@ -133,7 +137,9 @@ def stride_mean(t: Array, values: Array, period: float) -> Array:
     """
     integral = cumulative_trapezoid(values, t, initial=0)
     before, after = t - period / 2, t + period / 2
-    mean = (np.interp(after, t, integral) - np.interp(before, t, integral)) / period
+    mean = (
+        np.interp(after, t, integral) - np.interp(before, t, integral)
+    ) / period
     return np.where((before >= t[0]) & (after <= t[-1]), mean, np.nan)
 
 
@@ -160,7 +166,11 @@ def read_motion(bag: Bag, *topics: str) -> TorsoTrack:
     where = f"{bag.path}: {topic}"
     if topic == ESTIMATE:
         return _estimated_motion(bag, where)
-    fields = ("pose.pose.position", "pose.pose.orientation", "twist.twist.linear")
+    fields = (
+        "pose.pose.position",
+        "pose.pose.orientation",
+        "twist.twist.linear",
+    )
     series = bag.series(topic, *fields)
     values = np.hstack([series[field] for field in fields])
     known = values[:, 3:7].any(axis=1)
@@ -174,7 +184,9 @@ def read_motion(bag: Bag, *topics: str) -> TorsoTrack:
         )
     velocity = Rotation.from_quat(quaternion).apply(twist)
     lost = int(np.sum(~known))
-    return TorsoTrack(topic, seconds(stamps), position, quaternion, velocity, lost)
+    return TorsoTrack(
+        topic, seconds(stamps), position, quaternion, velocity, lost
+    )
 
 
 def _estimated_motion(bag: Bag, where: str) -> TorsoTrack:
@@ -243,7 +255,9 @@ def _sound(where: str, stamps: Stamps, values: Array) -> tuple[Stamps, Array]:
         raise BagError(
             f"{where}: messages {int(np.argmax(clash))} and the next have one stamp"
         )
-    keep = np.concatenate([[True], step > 0]) if len(stamps) else np.zeros(0, bool)
+    keep = (
+        np.concatenate([[True], step > 0]) if len(stamps) else np.zeros(0, bool)
+    )
     if keep.sum() < 2:
         raise BagError(f"{where}: {keep.sum()} samples, less than 2")
     return stamps[keep], values[keep]
@@ -262,7 +276,9 @@ def read_ticks(bag: Bag) -> Ticks:
     odom = bag.series(CHAIN[0])
     stamps = np.unique(odom.stamp)
     if len(stamps) < 2:
-        raise BagError(f"{bag.path}: /odom holds {len(stamps)} stamps, less than 2")
+        raise BagError(
+            f"{bag.path}: /odom holds {len(stamps)} stamps, less than 2"
+        )
     origin = int(odom.time.min())
     times = [_first_times(bag, topic, stamps, origin) for topic in CHAIN]
     period = to_seconds(float(np.median(np.diff(stamps))))
@@ -291,12 +307,17 @@ def joint_columns(bag: Bag, topic: str, quantity: str) -> tuple[Array, Array]:
     if not len(series):
         return t, np.zeros((0, len(TENDON_JOINTS)))
     wanted = np.sort(TENDON_JOINTS)
-    if names.shape[1:] != wanted.shape or (np.sort(names, axis=1) != wanted).any():
+    if (
+        names.shape[1:] != wanted.shape
+        or (np.sort(names, axis=1) != wanted).any()
+    ):
         raise BagError(
             f"{bag.path}: {topic} does not name each of {', '.join(TENDON_JOINTS)} once"
         )
     if values.shape != names.shape:
-        raise BagError(f"{bag.path}: {topic} holds no {quantity} of every joint")
+        raise BagError(
+            f"{bag.path}: {topic} holds no {quantity} of every joint"
+        )
     order = np.argsort(TENDON_JOINTS)
     place = np.argsort(names, axis=1)[:, np.argsort(order)]
     return t, np.take_along_axis(values, place, axis=1)

@@ -89,7 +89,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="file of the policy, if it is a user's, or onnx:FILE",
     )
     some = parser.add_mutually_exclusive_group()
-    for name, text in (("--skip", "leave out"), ("--only", "compare nothing but")):
+    for name, text in (
+        ("--skip", "leave out"),
+        ("--only", "compare nothing but"),
+    ):
         some.add_argument(
             name,
             choices=list(OUTPUTS.values()),

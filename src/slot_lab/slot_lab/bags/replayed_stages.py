@@ -69,14 +69,18 @@ class RecordedStages:
         self.bag, self.origin, self.robot = bag, bag.origin, read_robot()
         self.sensors: list[tuple[str, Any]] = []  # topic and message
         self.messages: dict[str, list[Any]] = {topic: [] for topic in OUTPUTS}
-        self.records: dict[str, list[Any]] = {node: [] for node in OUTPUTS.values()}
+        self.records: dict[str, list[Any]] = {
+            node: [] for node in OUTPUTS.values()
+        }
         self.nodes: dict[
             str, list[str]
         ] = {}  # that published a topic, as far as it is known
         self._entries: list[
             tuple[str, Any]
         ] = []  # node and record, or topic and stamp (ns)
-        topics = [t for t in (*SENSORS, *OUTPUTS, RECORDS, NODES) if bag.counts.get(t)]
+        topics = [
+            t for t in (*SENSORS, *OUTPUTS, RECORDS, NODES) if bag.counts.get(t)
+        ]
         for topic, _, message in bag.merged(*topics) if topics else ():
             with bag.using(topic):
                 self._add(topic, message)
@@ -84,7 +88,8 @@ class RecordedStages:
     def _add(self, topic: str, message: Any) -> None:
         if topic == NODES:
             self.nodes = {
-                str(t): list(map(str, n)) for t, n in json.loads(message.data).items()
+                str(t): list(map(str, n))
+                for t, n in json.loads(message.data).items()
             }
         elif topic == RECORDS:
             if message.node in self.records:
@@ -106,7 +111,9 @@ class RecordedStages:
         """Nodes that published a stage's output in place of ours."""
         nodes = self.nodes.get(topic, [])
         ours = OUTPUTS[topic]
-        return [] if ours in [name.rpartition("/")[2] for name in nodes] else nodes
+        return (
+            [] if ours in [name.rpartition("/")[2] for name in nodes] else nodes
+        )
 
     @cached_property
     def estimates(self) -> dict[int, Estimate]:
@@ -126,7 +133,9 @@ class RecordedStages:
         found = [estimate.validity for estimate in self.estimates.values()]
         if Validity.VALID not in found:
             return False
-        initial = found[: found.index(Validity.VALID)].count(Validity.INITIALISING)
+        initial = found[: found.index(Validity.VALID)].count(
+            Validity.INITIALISING
+        )
         return initial < read_estimator().gate.initial_readings - 1
 
     @cached_property
@@ -146,7 +155,9 @@ class RecordedStages:
             PLANS, lambda m: json.loads(getattr(m, "settings", "") or "{}")
         )
 
-    def _by_stamp(self, topic: str, convert: Callable[[Any], Any]) -> dict[int, Any]:
+    def _by_stamp(
+        self, topic: str, convert: Callable[[Any], Any]
+    ) -> dict[int, Any]:
         with self.bag.using(topic):
             return {decode.stamp(m): convert(m) for m in self.messages[topic]}
 
@@ -171,12 +182,16 @@ class RecordedStages:
         """
         if PARAMETERS not in self.origin.files:
             return settings
-        found = parse_parameters(self.origin.files[PARAMETERS].decode(), PARAMETERS)
+        found = parse_parameters(
+            self.origin.files[PARAMETERS].decode(), PARAMETERS
+        )
         given = of_node(
             found, f"{root_of(self.origin.about.get('namespace', ''))}/{node}"
         )
         known = {name for name, _, _ in config.leaves(settings)} & given.keys()
-        return config.replace(settings, {name: given[name] for name in known}, node)
+        return config.replace(
+            settings, {name: given[name] for name in known}, node
+        )
 
     @property
     def path(self) -> Route | None:
@@ -191,7 +206,11 @@ class RecordedStages:
     @property
     def lost_path(self) -> str:
         """Path that was followed but is not in the bag, as of `ros2 bag record`; else ""."""
-        return "" if PATH in self.origin.files else self.origin.about.get("path", "")
+        return (
+            ""
+            if PATH in self.origin.files
+            else self.origin.about.get("path", "")
+        )
 
 
 @dataclass
@@ -202,7 +221,9 @@ class Replayed:
     unknown: set[int] = field(
         default_factory=set
     )  # stamps, ns, of a state that is not known
-    lost: str = ""  # an input that the bag does not hold, though the stage has taken it
+    lost: str = (
+        ""  # an input that the bag does not hold, though the stage has taken it
+    )
 
 
 def estimates(recorded: RecordedStages) -> Replayed:
@@ -255,7 +276,9 @@ def _by_topic_and_stamp(
     """Messages by topic and stamp (ns), in their order."""
     found: dict[tuple[str, int], deque[Any]] = {}
     for topic, message in messages:
-        found.setdefault((topic, decode.stamp(message)), deque()).append(message)
+        found.setdefault((topic, decode.stamp(message)), deque()).append(
+            message
+        )
     return found
 
 
@@ -320,7 +343,9 @@ def _stepped(
                 stage = None
             starts.add(entry)
             continue
-        if stage is None and (starts.are_known_at(entry) or is_independent(entry)):
+        if stage is None and (
+            starts.are_known_at(entry) or is_independent(entry)
+        ):
             at, frame = starts.frame or (entry, "")
             stage = make(at)
             if frame:
@@ -412,7 +437,9 @@ def plans(recorded: RecordedStages) -> Replayed:
     Its steps take no time, but those that were recorded as late.
     """
     kind, timer = policy_class(recorded.policy), _Timer()
-    settings = recorded.settings("mpc_controller", kind.read_settings(recorded.policy))
+    settings = recorded.settings(
+        "mpc_controller", kind.read_settings(recorded.policy)
+    )
     last = BEFORE_ALL_TIMES
 
     def make(stamp: int) -> TunedPolicy:

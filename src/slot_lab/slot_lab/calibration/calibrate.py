@@ -15,7 +15,11 @@ from slot_core.progress import ProgressLine
 from slot_core.robot import RobotParameters, read_parameters, read_robot
 from slot_lab.calibration import parameter_file
 from slot_lab.calibration.data import CONDITIONS, Data, read_data
-from slot_lab.calibration.experiments import ExperimentSettings, predict, read_settings
+from slot_lab.calibration.experiments import (
+    ExperimentSettings,
+    predict,
+    read_settings,
+)
 from slot_lab.calibration.fit import (
     FitProblem,
     ParameterEstimate,
@@ -66,7 +70,9 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
         title = f"{data.name}: {content['from']}"
         write_figure(data, options.free, result, title, options.plot)
         progress.say(f"wrote {options.plot}")
-    verdict = Verdict(result.chi_square, result.freedom, result.at_bound(options.free))
+    verdict = Verdict(
+        result.chi_square, result.freedom, result.at_bound(options.free)
+    )
     return [*parameter_file.table(content), "", verdict.line], verdict.code
 
 
@@ -105,12 +111,19 @@ def figure(
     data: Data, names: Sequence[str], estimate: ParameterEstimate, title: str
 ) -> Figure:
     """The figure; the label of each axes is a kind of measurement, `residuals` or `correlation`."""
-    kinds = [kind for kind in CONDITIONS if any(row.kind == kind for row in data.rows)]
-    out = Figure(figsize=(4.2 * (len(kinds) + 2), 4.4), dpi=DPI, layout="constrained")
+    kinds = [
+        kind
+        for kind in CONDITIONS
+        if any(row.kind == kind for row in data.rows)
+    ]
+    out = Figure(
+        figsize=(4.2 * (len(kinds) + 2), 4.4), dpi=DPI, layout="constrained"
+    )
     out.suptitle(title, fontsize=13, fontweight="bold")
     labels = [*kinds, "residuals", "correlation"]
     axes = {
-        n: out.add_subplot(1, len(labels), i, label=n) for i, n in enumerate(labels, 1)
+        n: out.add_subplot(1, len(labels), i, label=n)
+        for i, n in enumerate(labels, 1)
     }
     for kind in kinds:
         _predicted_over_measured(axes[kind], data, kind, estimate.predicted)
@@ -119,7 +132,9 @@ def figure(
     return out
 
 
-def _predicted_over_measured(ax: Axes, data: Data, kind: str, predicted: Array) -> None:
+def _predicted_over_measured(
+    ax: Axes, data: Data, kind: str, predicted: Array
+) -> None:
     members = [i for i, row in enumerate(data.rows) if row.kind == kind]
     scale, unit = UNITS[kind]
     measured = scale * np.array([data.rows[i].value for i in members])
@@ -129,7 +144,13 @@ def _predicted_over_measured(ax: Axes, data: Data, kind: str, predicted: Array) 
     ends = 1.05 * np.array([both.min(initial=0.0), both.max()])
     ax.plot(ends, ends, color=palette.PALE, lw=1.2, zorder=0)
     ax.errorbar(
-        measured, model, xerr=sigma, fmt="o", color=_colour(kind), ms=6, capsize=3
+        measured,
+        model,
+        xerr=sigma,
+        fmt="o",
+        color=_colour(kind),
+        ms=6,
+        capsize=3,
     )
     ax.set_title(kind.replace("_", " "), fontsize=11, color=palette.INK)
     ax.set(xlabel=f"measured, one sigma ({unit})", ylabel=f"predicted ({unit})")
@@ -140,9 +161,15 @@ def _predicted_over_measured(ax: Axes, data: Data, kind: str, predicted: Array) 
 def _residuals(ax: Axes, data: Data, predicted: Array) -> None:
     off = [(p - row.value) / row.sigma for p, row in zip(predicted, data.rows)]
     ax.axhspan(-1, 1, color=palette.SHADE, zorder=0)
-    ax.bar(range(1, len(off) + 1), off, color=[_colour(row.kind) for row in data.rows])
+    ax.bar(
+        range(1, len(off) + 1),
+        off,
+        color=[_colour(row.kind) for row in data.rows],
+    )
     ax.axhline(0.0, color=palette.INK, lw=0.8)
-    ax.set_title("residuals, in the order of the file", fontsize=11, color=palette.INK)
+    ax.set_title(
+        "residuals, in the order of the file", fontsize=11, color=palette.INK
+    )
     ax.set(xlabel="measurement", ylabel="(predicted - measured) / sigma")
 
 

@@ -19,7 +19,12 @@ from slot_core.command_line import command_parser, positive_integer
 from slot_lab.desk_command import run_command
 from slot_lab.verdict import EXIT_CODES
 
-FREE = ("leg.young_modulus", "tendon.offset", "tendon.cable_stiffness", "tendon.slack")
+FREE = (
+    "leg.young_modulus",
+    "tendon.offset",
+    "tendon.cable_stiffness",
+    "tendon.slack",
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,7 +45,12 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("calibrate", f"{__doc__}\n{EXIT_CODES}")
     add = parser.add_argument
     add("data", type=Path, metavar="FILE", help="measurements")
-    add("--out", type=Path, metavar="FILE", help="parameter file to write (YAML)")
+    add(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="parameter file to write (YAML)",
+    )
     add("--plot", type=Path, metavar="FILE", help="plot to write")
     add(
         "--free",
@@ -67,7 +77,9 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="evaluate the set of --start without a fit",
     )
-    add("--note", default="", metavar="TEXT", help="text for the parameter file")
+    add(
+        "--note", default="", metavar="TEXT", help="text for the parameter file"
+    )
     return parser
 
 

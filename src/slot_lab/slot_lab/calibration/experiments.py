@@ -41,7 +41,9 @@ class ExperimentSettings:
     pull_time: float = quantity(
         "of marker_range: T of theta sin(pi t / 2 T), t <= T", "s", 0.1, 100
     )
-    hold_time: float = quantity("of marker_range: time at the full angle", "s", 0, 100)
+    hold_time: float = quantity(
+        "of marker_range: time at the full angle", "s", 0, 100
+    )
     pull_rate_deg: float = quantity(
         "of force_angle: rate of the tendon angle", "deg/s", 0.1, 1000
     )
@@ -77,7 +79,9 @@ def predict(
         ).append(i)
     for (kind, *_), members in tests.items():
         try:
-            out[members] = TESTS[kind][0](robot, [rows[i] for i in members], settings)
+            out[members] = TESTS[kind][0](
+                robot, [rows[i] for i in members], settings
+            )
         except (DivergenceError, NoEquilibriumError, ConfigError) as error:
             raise PredictionError(
                 f"{kind} of line {rows[members[0]].line}: {error}"
@@ -101,16 +105,23 @@ def marker_ranges(
     }
     loaded = config.replace(robot, {"torso.mass": 4 * first.load_N / GRAVITY})
     scene = config.replace(read_scene("flat"), changes)
-    sim = RodRobot(loaded, scene, config.replace(read_servo(), {"model": "ideal"}))
+    sim = RodRobot(
+        loaded, scene, config.replace(read_servo(), {"model": "ideal"})
+    )
     steps = max(1, round(SAMPLE / scene.solver.step))
     heights = [sim.nodes[0, :, 2]]
     while sim.time < settings.pull_time + settings.hold_time:
         part = math.sin(math.pi / 2 * min(1.0, sim.time / settings.pull_time))
-        sim.advance(steps, np.full(len(LEGS), math.radians(part * first.theta_deg)))
+        sim.advance(
+            steps, np.full(len(LEGS), math.radians(part * first.theta_deg))
+        )
         heights.append(sim.nodes[0, :, 2])
     arc = sim.model.rod.arc
     return np.array(
-        [np.ptp([_at(row.place, arc, height) for height in heights]) for row in rows]
+        [
+            np.ptp([_at(row.place, arc, height) for height in heights])
+            for row in rows
+        ]
     )
 
 

@@ -35,26 +35,36 @@ from slot_core.robot import RobotParameters
 from slot_lab.workers import serially
 
 LEVEL = 0.95  # of the intervals
-STEP = 0.01  # of a coordinate in central differences; wide: predictions have kinks
+STEP = (
+    0.01  # of a coordinate in central differences; wide: predictions have kinks
+)
 # A singular value of the scaled Jacobian below this part of the largest is taken as zero:
 # differences of simulated values have about four digits.
 RANK = 1e-4
-NULL_SHARE = 1e-3  # share of a parameter in a null direction that makes it undetermined
-FAILED_RESIDUAL = 1e6  # of a trial whose prediction fails, so that it is rejected
-TOLERANCE = 1e-5  # of the last step of the coordinates and the last decrease of the sum
+NULL_SHARE = (
+    1e-3  # share of a parameter in a null direction that makes it undetermined
+)
+FAILED_RESIDUAL = (
+    1e6  # of a trial whose prediction fails, so that it is rejected
+)
+TOLERANCE = (
+    1e-5  # of the last step of the coordinates and the last decrease of the sum
+)
 EDGE = 1e-6  # of a coordinate; a result this close to a bound is at its bound
 TRIALS = 60  # evaluations of a start, at most
-BEST_CONVERGED = (
-    "well: the best start converged; a start that was stopped found nothing better"
-)
+BEST_CONVERGED = "well: the best start converged; a start that was stopped found nothing better"
 BEST_STOPPED = (
     "not well: the best start was stopped while its sum of squares still fell; give more"
     " --starts, or continue the fit from the parameters that it found"
 )
 SCATTER = 1.0  # of further starts: a factor e, or the width of the bounds
 
-Predict = Callable[[Array], Array]  # values of the parameters (p,) to predictions (n,)
-RunAll = Callable[[Predict, Sequence[Array]], Sequence[Array]]  # of several points
+Predict = Callable[
+    [Array], Array
+]  # values of the parameters (p,) to predictions (n,)
+RunAll = Callable[
+    [Predict, Sequence[Array]], Sequence[Array]
+]  # of several points
 
 
 class FitError(InputError):
@@ -76,7 +86,11 @@ class Parameter:
 
     def coordinate(self, value: float) -> float:
         """Coordinate u of a value: log(value) for positive bounds, else value over their width."""
-        return math.log(value) if self.low > 0.0 else value / (self.high - self.low)
+        return (
+            math.log(value)
+            if self.low > 0.0
+            else value / (self.high - self.low)
+        )
 
     def value(self, coordinate: float) -> float:
         """Inverse of `coordinate`."""
@@ -97,7 +111,9 @@ class FitProblem:
 
     def coordinates(self, values: Sequence[float] | Array) -> Array:
         """(p,) coordinates of values (p,)."""
-        return np.array([p.coordinate(v) for p, v in zip(self.parameters, values)])
+        return np.array(
+            [p.coordinate(v) for p, v in zip(self.parameters, values)]
+        )
 
     def values(self, u: Array) -> Array:
         """(p,) values at coordinates u (p,)."""
@@ -172,7 +188,11 @@ def parameters_of(
 
     Raises ConfigError for a name that is no number of the robot or is given twice.
     """
-    known = {name: (v, meta) for name, v, meta in leaves(robot) if isinstance(v, float)}
+    known = {
+        name: (v, meta)
+        for name, v, meta in leaves(robot)
+        if isinstance(v, float)
+    }
     for name in names:
         if name not in known:
             raise ConfigError(
@@ -182,7 +202,8 @@ def parameters_of(
         raise ConfigError(f"a parameter is named twice: {', '.join(names)}")
     chosen = [(name, *known[name]) for name in names]
     return tuple(
-        Parameter(name, v, meta["low"], meta["high"]) for name, v, meta in chosen
+        Parameter(name, v, meta["low"], meta["high"])
+        for name, v, meta in chosen
     )
 
 
@@ -211,7 +232,9 @@ def fit(
             reason = str(error)
             say(f"{name}: {error}")
             continue
-        end = "converged" if found.converged else f"stopped after {TRIALS} trials"
+        end = (
+            "converged" if found.converged else f"stopped after {TRIALS} trials"
+        )
         say(f"{name}: sum of squares {found.chi_square:.6g}, {end}")
         stopped += not found.converged
         if best is None or found.chi_square < best.chi_square:
@@ -258,7 +281,9 @@ def _fit_from(
         ftol=TOLERANCE,
         max_nfev=TRIALS,
     )
-    u = np.where(end.x - low < EDGE, low, np.where(high - end.x < EDGE, high, end.x))
+    u = np.where(
+        end.x - low < EDGE, low, np.where(high - end.x < EDGE, high, end.x)
+    )
     return FitResult(problem.allowed(u), float(2 * end.cost), bool(end.status))
 
 
@@ -283,7 +308,9 @@ def estimate(
     significant = singular > RANK * singular[0]
     chi_square, rank = float(residual @ residual), int(significant.sum())
     determined = np.all(np.abs(directions[~significant]) < NULL_SHARE, axis=0)
-    inverse = directions[significant].T / singular[significant] / length[:, None]
+    inverse = (
+        directions[significant].T / singular[significant] / length[:, None]
+    )
     if groups is None:
         freedom = len(residual) - rank
         covariance = inverse @ inverse.T * (chi_square / max(freedom, 1))
@@ -291,11 +318,15 @@ def estimate(
         moved = inverse @ (
             left[:, : len(u)].T[significant] * residual
         )  # (p, n), by each residual
-        sums = np.array([moved[:, groups == k].sum(axis=1) for k in np.unique(groups)])
+        sums = np.array(
+            [moved[:, groups == k].sum(axis=1) for k in np.unique(groups)]
+        )
         freedom = max(len(sums) - rank, 0)
         covariance = sums.T @ sums * (len(sums) / max(freedom, 1))
     deviation = np.where(determined, np.sqrt(np.diag(covariance)), np.nan)
-    width = deviation * (student.ppf((1 + LEVEL) / 2, freedom) if freedom else np.nan)
+    width = deviation * (
+        student.ppf((1 + LEVEL) / 2, freedom) if freedom else np.nan
+    )
     return ParameterEstimate(
         values=problem.allowed(u),
         predicted=problem.measured + residual * problem.sigma,
@@ -303,7 +334,9 @@ def estimate(
         freedom=freedom,
         interval=_intervals(problem, u, width),
         correlation=covariance / np.outer(deviation, deviation),
-        condition=float(singular[0] / singular[-1]) if significant.all() else math.inf,
+        condition=float(singular[0] / singular[-1])
+        if significant.all()
+        else math.inf,
         at_limit=(u - low < STEP) | (high - u < STEP),
     )
 
@@ -313,4 +346,6 @@ def _intervals(problem: FitProblem, u: Array, width: Array) -> Array:
     low, high = problem.bounds()
     width = np.where((u - width <= low) & (u + width >= high), np.nan, width)
     with np.errstate(over="ignore"):  # overflow gives infinity
-        return np.column_stack([problem.values(u - width), problem.values(u + width)])
+        return np.column_stack(
+            [problem.values(u - width), problem.values(u + width)]
+        )

@@ -47,7 +47,11 @@ def record(  # noqa: PLR0917
         "values": {name: float(value) for name, value in values.items()},
         "from": origin,
         **({"note": note} if note else {}),
-        "data": {"file": data.name, "sha256": data.sha256, "figures": len(data.rows)},
+        "data": {
+            "file": data.name,
+            "sha256": data.sha256,
+            "figures": len(data.rows),
+        },
         "residuals": residuals(data, estimate),
         "fit": {
             "sum_of_squares": rounded(estimate.chi_square),
@@ -55,7 +59,9 @@ def record(  # noqa: PLR0917
             "condition": rounded(estimate.condition),
             "at_limit": [n for n, at in zip(names, estimate.at_limit) if at],
         },
-        "confidence": {n: interval_of(row) for n, row in zip(names, estimate.interval)},
+        "confidence": {
+            n: interval_of(row) for n, row in zip(names, estimate.interval)
+        },
         "correlation": correlation_of(estimate.correlation),
     }
 
@@ -80,7 +86,9 @@ def write(path: Path, content: Mapping[str, Any], head: str = HEAD) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     values = {"values": content["values"]}
     rest = {key: value for key, value in content.items() if key != "values"}
-    body = yaml.safe_dump(rest, sort_keys=False, default_flow_style=None, width=WIDTH)
+    body = yaml.safe_dump(
+        rest, sort_keys=False, default_flow_style=None, width=WIDTH
+    )
     path.write_text(head + yaml.safe_dump(values, sort_keys=False) + body)
 
 
@@ -106,8 +114,12 @@ def table(content: Mapping[str, Any]) -> list[str]:
 
 
 def _residual_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    conditions = [[f"{k} {row[k]:g}" for k in row if k not in RESULTS] for row in rows]
-    labels = [" ".join([row["kind"], *texts]) for row, texts in zip(rows, conditions)]
+    conditions = [
+        [f"{k} {row[k]:g}" for k in row if k not in RESULTS] for row in rows
+    ]
+    labels = [
+        " ".join([row["kind"], *texts]) for row, texts in zip(rows, conditions)
+    ]
     width = max(map(len, labels)) + 1
     head = f"{'measured':>11}{'predicted':>11}{'sigma':>9}{'off by':>8}"
     out = [f"{'measurement':<{width}}{head}"]
@@ -133,7 +145,9 @@ def rounded(value: float, digits: int = DIGITS) -> float:
 def correlation_of(correlation: Array) -> list[list[float | None]]:
     """Rows of a correlation in the file; null for NaN."""
     rows = correlation.tolist()
-    return [[rounded(v, 3) if math.isfinite(v) else None for v in r] for r in rows]
+    return [
+        [rounded(v, 3) if math.isfinite(v) else None for v in r] for r in rows
+    ]
 
 
 def interval_of(interval: Sequence[float] | Array) -> list[float] | str:

@@ -28,7 +28,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("calibrate --camera", __doc__)
     add = parser.add_argument
-    add("film", type=Path, metavar="RECORDING", help="folder of images, video, or bag")
+    add(
+        "film",
+        type=Path,
+        metavar="RECORDING",
+        help="folder of images, video, or bag",
+    )
     add(
         "--out",
         type=Path,

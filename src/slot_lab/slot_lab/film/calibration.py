@@ -19,8 +19,12 @@ NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
 CORNERS_MIN = 8  # of a view that counts
 VIEWS_MIN = 8
 COVERED_MIN = 0.5  # share of the image's width and height that the corners span
-ERROR_MAX = 1.0  # px, RMS: beyond it the board is bent or has another size ratio
-GROSS = 3.0  # times the median error of the views, beyond which a view is left out
+ERROR_MAX = (
+    1.0  # px, RMS: beyond it the board is bent or has another size ratio
+)
+GROSS = (
+    3.0  # times the median error of the views, beyond which a view is left out
+)
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,9 @@ class Calibration:
     error: float  # px, RMS of the reprojection
     errors: dict[str, float]  # px, of each view used, by name
     left_out: tuple[str, ...]  # views with gross errors
-    covered: tuple[float, float]  # share of the width and height that the corners span
+    covered: tuple[
+        float, float
+    ]  # share of the width and height that the corners span
 
 
 def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
@@ -51,7 +57,9 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     silence_opencv()
     board, size = chessboard(read_vision()), (0, 0)
     views: list[BoardView] = []
-    for number, frame in enumerate(read_film(options.film, topic=options.topic)):
+    for number, frame in enumerate(
+        read_film(options.film, topic=options.topic)
+    ):
         progress(f"image {number}")
         shape = frame.grey.shape[1], frame.grey.shape[0]
         if number and shape != size:
@@ -106,7 +114,9 @@ def find_view(
     points = np.asarray(board.getChessboardCorners(), np.float64)[
         np.asarray(ids).ravel()
     ]
-    return BoardView(name, points, np.asarray(corners, np.float64).reshape(-1, 2))
+    return BoardView(
+        name, points, np.asarray(corners, np.float64).reshape(-1, 2)
+    )
 
 
 def calibrate(views: list[BoardView], size: tuple[int, int]) -> Calibration:
@@ -163,7 +173,13 @@ def _solve(
     d = np.asarray(distortion, np.float64).ravel()[:5]
     poses = [*zip(*(np.asarray(part, np.float64) for part in (turns, places)))]
     covariance = _covariance(views, poses, k, d, float(error))
-    return float(error), k, d, covariance, np.asarray(errors, np.float64).ravel()
+    return (
+        float(error),
+        k,
+        d,
+        covariance,
+        np.asarray(errors, np.float64).ravel(),
+    )
 
 
 def _covariance(
@@ -180,9 +196,13 @@ def _covariance(
     """
     normal = np.zeros((9, 9))
     for view, (turn, place) in zip(views, poses):
-        _, slopes = cv2.projectPoints(view.points, turn, place, matrix, distortion)
+        _, slopes = cv2.projectPoints(
+            view.points, turn, place, matrix, distortion
+        )
         pose, parameters = np.split(np.asarray(slopes, np.float64), [6], axis=1)
-        free = parameters - pose @ np.linalg.lstsq(pose, parameters, rcond=None)[0]
+        free = (
+            parameters - pose @ np.linalg.lstsq(pose, parameters, rcond=None)[0]
+        )
         normal += free.T @ free
     count = 2 * sum(len(view.pixels) for view in views)
     variance = count * error**2 / 2 / max(count - 9 - 6 * len(views), 1)
@@ -196,7 +216,9 @@ def _covariance(
     return np.asarray(variance * scale[:, None] * inverse * scale)
 
 
-def _covered(views: list[BoardView], size: tuple[int, int]) -> tuple[float, float]:
+def _covered(
+    views: list[BoardView], size: tuple[int, int]
+) -> tuple[float, float]:
     if not views:
         return 0.0, 0.0
     pixels = np.vstack([view.pixels for view in views])

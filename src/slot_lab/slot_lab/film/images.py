@@ -48,7 +48,11 @@ def read_film(
         return _of_bag(path, topic, depth)
     if not path.exists():
         raise FilmError(f"{path}: does not exist")
-    frames = _of_folder(path, rate or 30.0) if path.is_dir() else _of_video(path, rate)
+    frames = (
+        _of_folder(path, rate or 30.0)
+        if path.is_dir()
+        else _of_video(path, rate)
+    )
     return _with_depth(frames, _files(Path(depth)), depth) if depth else frames
 
 
@@ -76,7 +80,9 @@ def bag_camera(path: Path, topic: str) -> Camera:
     beside = f"{topic.rpartition('/')[0]}/camera_info"
     try:
         for _, m in Bag(path).messages(beside):
-            return from_camera_info(m.width, m.height, m.distortion_model, m.d, m.k)
+            return from_camera_info(
+                m.width, m.height, m.distortion_model, m.d, m.k
+            )
     except (BagError, CameraError) as error:
         raise FilmError(f"{path}: {beside}: {error}") from None
     raise FilmError(f"{path}: {beside} has no message")
@@ -91,7 +97,9 @@ def _of_video(path: Path, rate: float | None) -> Iterator[Frame]:
         raise FilmError(f"{path}: says {own:g} images per s; give --rate")
     number, time, step = 0, 0.0, 1.0 / (rate or own)
     while (image := video.read()[1]) is not None:
-        if rate is None:  # its own times, since films of telephones vary in their rate
+        if (
+            rate is None
+        ):  # its own times, since films of telephones vary in their rate
             own_time = video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
             time = own_time if own_time > time or not number else time + step
         else:
@@ -122,7 +130,9 @@ def _with_depth(
     """The frames with the depth images of a folder, in order."""
     for number, frame in enumerate(frames):
         if number >= len(depths):
-            raise FilmError(f"{name}: {len(depths)} depth images, fewer than images")
+            raise FilmError(
+                f"{name}: {len(depths)} depth images, fewer than images"
+            )
         depth = _read(depths[number], cv2.IMREAD_UNCHANGED)
         if depth.dtype != np.uint16 or depth.ndim != 2:
             raise FilmError(
@@ -135,7 +145,9 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
     try:
         bag = Bag(path)
         found = bag.messages(depth_topic) if depth_topic else ()
-        depths = ((to_seconds(stamp(m)), image_message.depth(m)) for _, m in found)
+        depths = (
+            (to_seconds(stamp(m)), image_message.depth(m)) for _, m in found
+        )
         before, after = None, next(depths, None)
         for _, message in bag.messages(topic):
             time = to_seconds(stamp(message))
@@ -146,7 +158,9 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
                 for d in (before, after)
                 if d is not None and abs(d[0] - time) < SYNCHRONOUS
             ]
-            nearest = min(near, key=lambda d: abs(d[0] - time))[1] if near else None
+            nearest = (
+                min(near, key=lambda d: abs(d[0] - time))[1] if near else None
+            )
             yield Frame(time, image_message.grey(message), nearest)
     except (BagError, ValueError, AttributeError) as error:
         raise FilmError(f"{path}: {topic}: {error}") from None
@@ -155,10 +169,14 @@ def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
 def _files(path: Path) -> list[Path]:
     """The images of a folder in the order of their names; raises FilmError if there are none."""
     files = sorted(
-        f for f in path.glob("*") if f.suffix.lower() in SUFFIXES and f.is_file()
+        f
+        for f in path.glob("*")
+        if f.suffix.lower() in SUFFIXES and f.is_file()
     )
     if not files:
-        raise FilmError(f"{path}: a folder without images ({', '.join(SUFFIXES)})")
+        raise FilmError(
+            f"{path}: a folder without images ({', '.join(SUFFIXES)})"
+        )
     return files
 
 

@@ -34,7 +34,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("calibrate --print", __doc__)
     add = parser.add_argument
     add("what", metavar="NAME", help="name of a board, points, or chessboard")
-    add("--out", type=Path, metavar="FILE", required=True, help="PNG or PDF to write")
+    add(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        required=True,
+        help="PNG or PDF to write",
+    )
     add(
         "--dpi",
         type=within(50, 1200),

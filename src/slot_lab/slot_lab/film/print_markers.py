@@ -14,7 +14,13 @@ from PIL import Image
 from slot_core.config import ConfigError
 from slot_core.progress import ProgressLine
 from slot_core.refusal import quoted
-from slot_core.vision.board import WHITE, GreyImage, image_of, make_board, single_marker
+from slot_core.vision.board import (
+    WHITE,
+    GreyImage,
+    image_of,
+    make_board,
+    single_marker,
+)
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_lab.desk_command import Outcome
 from slot_lab.film.calibration import chessboard
@@ -41,15 +47,21 @@ def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
     number = settings.dictionary_number
     if what == "chessboard":
         board = settings.chessboard
-        size = [round(dots * board.square * n) for n in (board.columns, board.rows)]
+        size = [
+            round(dots * board.square * n) for n in (board.columns, board.rows)
+        ]
         return np.asarray(chessboard(settings).generateImage(size), np.uint8)
     if what == "points":
         markers = []
         for i, name in settings.points.names.items():
-            marker = image_of(single_marker(i, settings.points.size), number, dots)
+            marker = image_of(
+                single_marker(i, settings.points.size), number, dots
+            )
             markers.append(_named(marker, name, dots))
         markers += [np.full_like(markers[0], WHITE)] * (-len(markers) % COLUMNS)
-        rows = [markers[k : k + COLUMNS] for k in range(0, len(markers), COLUMNS)]
+        rows = [
+            markers[k : k + COLUMNS] for k in range(0, len(markers), COLUMNS)
+        ]
         return np.vstack([np.hstack(row) for row in rows])
     if what not in settings.boards:
         known = ", ".join([*settings.boards, "points", "chessboard"])
@@ -76,15 +88,28 @@ def with_scale(sheet: GreyImage, name: str, dots: float) -> GreyImage:
 def _named(marker: GreyImage, name: str, dots: float) -> GreyImage:
     """A marker with its name above it."""
     page = np.vstack(
-        [np.full((round(0.006 * dots), marker.shape[1]), WHITE, np.uint8), marker]
+        [
+            np.full((round(0.006 * dots), marker.shape[1]), WHITE, np.uint8),
+            marker,
+        ]
     )
-    _write(page, name, (round(0.003 * dots), round(0.006 * dots)), 0.0025 * dots)
+    _write(
+        page, name, (round(0.003 * dots), round(0.006 * dots)), 0.0025 * dots
+    )
     return page
 
 
-def _write(page: GreyImage, text: str, place: tuple[int, int], height: float) -> None:
+def _write(
+    page: GreyImage, text: str, place: tuple[int, int], height: float
+) -> None:
     """Write text of a height, px, at the left end of its base line."""
     scale = height / 21.0  # px of a capital at scale one
     cv2.putText(
-        page, text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, max(1, int(scale))
+        page,
+        text,
+        place,
+        cv2.FONT_HERSHEY_SIMPLEX,
+        scale,
+        0,
+        max(1, int(scale)),
     )

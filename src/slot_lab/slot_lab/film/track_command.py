@@ -31,7 +31,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = command_parser("validate --track", __doc__)
     add = parser.add_argument
-    add("film", type=Path, metavar="RECORDING", help="video, folder of images, or bag")
+    add(
+        "film",
+        type=Path,
+        metavar="RECORDING",
+        help="video, folder of images, or bag",
+    )
     add("--out", type=Path, metavar="FILE", required=True, help="file to write")
     add(
         "--camera",

@@ -24,7 +24,11 @@ from slot_core.progress import ProgressLine, Tell, untold
 from slot_core.robot import ODOM_FRAME, POINT_FRAME, TORSO
 from slot_core.vision.board import GreyImage, make_board, single_marker
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
-from slot_core.vision.detector import Detection, MarkerDetector, other_dictionary
+from slot_core.vision.detector import (
+    Detection,
+    MarkerDetector,
+    other_dictionary,
+)
 from slot_core.vision.localizer import unusual
 from slot_core.vision.pose import board_poses
 from slot_core.vision.settings import VisionSettings, read_vision
@@ -46,7 +50,9 @@ FEWEST = 2  # markers of a board that place the camera
 GROSS = 5.0  # standard deviations, beyond which the depth is another object's
 CAMERA = "camera_link"
 MOVED = 1.0  # px, of the board before a camera that stands still
-COMPLETE = 1.02  # images that a video says over those read: some estimate their length
+COMPLETE = (
+    1.02  # images that a video says over those read: some estimate their length
+)
 
 
 class MarkerSample(NamedTuple):
@@ -126,9 +132,12 @@ class Tracker:
             frame, to_frame = CAMERA, Transform(OPTICAL, np.zeros(3))
         stacks = [np.array(seen) for seen in self._rays.values()]
         off = [
-            np.abs(seen - np.median(seen, axis=0)).mean(axis=(1, 2)) for seen in stacks
+            np.abs(seen - np.median(seen, axis=0)).mean(axis=(1, 2))
+            for seen in stacks
         ]
-        motion = self._camera.focal * max((float(o.max()) for o in off), default=0.0)
+        motion = self._camera.focal * max(
+            (float(o.max()) for o in off), default=0.0
+        )
         samples = [
             MarkerSample(s.time, s.point, to_frame.apply(s.position))
             for s in self._seen
@@ -145,8 +154,13 @@ class Tracker:
         self, found: Detection, index: int, depth: Depth | None
     ) -> Array | None:
         """Middle of a marker (3,) m in the optical frame; None without a pose."""
-        pose = board_poses(self._marker, found.rays[index], self._noise, self._camera)
-        if pose is None or pose.error * self._camera.focal > self._settings.error_max:
+        pose = board_poses(
+            self._marker, found.rays[index], self._noise, self._camera
+        )
+        if (
+            pose is None
+            or pose.error * self._camera.focal > self._settings.error_max
+        ):
             return None
         place = pose.transform.position
         if depth is None:
@@ -165,18 +179,26 @@ class Tracker:
         """Optical frame in odom, from the median rays of the board with most markers; or None."""
         if not self._boards:
             return None
-        rays = {number: np.median(seen, axis=0) for number, seen in self._rays.items()}
+        rays = {
+            number: np.median(seen, axis=0)
+            for number, seen in self._rays.items()
+        }
         board = max(
-            self._boards, key=lambda board: len(rays.keys() & board.corners.keys())
+            self._boards,
+            key=lambda board: len(rays.keys() & board.corners.keys()),
         )
         ids = sorted(rays.keys() & board.corners.keys())
         if len(ids) < FEWEST:
             return None
         points = np.concatenate([board.corners[number] for number in ids])
-        pose = board_poses(points, np.concatenate([rays[n] for n in ids]), self._noise)
+        pose = board_poses(
+            points, np.concatenate([rays[n] for n in ids]), self._noise
+        )
         if pose is None or pose.ratio < self._settings.ambiguity:
             return None
-        if (error := pose.error * self._camera.focal) > self._settings.error_max:
+        if (
+            error := pose.error * self._camera.focal
+        ) > self._settings.error_max:
             raise CameraError(
                 f"reprojection error of the board {error:.2f} px, limit"
                 f" {self._settings.error_max:g} px: wrong calibration, a moving camera, or a"
@@ -197,7 +219,9 @@ def _depth(depth: Depth, corners: Array) -> float | None:
     mask = np.zeros(part.shape, np.uint8)
     cv2.fillConvexPoly(mask, inner - low.astype(np.int32), 1)
     values = part[(mask > 0) & (part > 0)]
-    return 1e-3 * float(np.median(values)) if len(values) >= DEPTH_PIXELS else None
+    return (
+        1e-3 * float(np.median(values)) if len(values) >= DEPTH_PIXELS else None
+    )
 
 
 def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
@@ -217,11 +241,16 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
         topic=options.topic,
         tell=partial(progress, f"tracking {options.film}"),
     )
-    samples = of_leg(tracks.samples, options.leg) if options.leg else tracks.samples
+    samples = (
+        of_leg(tracks.samples, options.leg) if options.leg else tracks.samples
+    )
     if not samples:
         raise FilmError(f"{options.film}: no marker of leg {options.leg}")
     write_points(options.out, samples, [f"{POINT_FRAME}{tracks.frame}"])
-    lines = [f"{tracks.images} images, tracks in {tracks.frame}", *tracks.warnings]
+    lines = [
+        f"{tracks.images} images, tracks in {tracks.frame}",
+        *tracks.warnings,
+    ]
     counts = Counter(s.point for s in samples)
     width = max(map(len, counts))
     for point, count in counts.items():
@@ -232,7 +261,9 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
 
 def of_leg(samples: list[MarkerSample], leg: str) -> list[MarkerSample]:
     """The samples of the torso and of one leg, its points without its name."""
-    mine = [s for s in samples if s.point == TORSO or s.point.startswith(f"{leg}_")]
+    mine = [
+        s for s in samples if s.point == TORSO or s.point.startswith(f"{leg}_")
+    ]
     return [s._replace(point=s.point.removeprefix(f"{leg}_")) for s in mine]
 
 
@@ -270,7 +301,9 @@ def track_film(
 
 
 def _camera(
-    options: argparse.Namespace, settings: VisionSettings, progress: ProgressLine
+    options: argparse.Namespace,
+    settings: VisionSettings,
+    progress: ProgressLine,
 ) -> Camera:
     if options.camera:
         return read_camera(options.camera)

@@ -30,8 +30,12 @@ from slot_lab.learning.vector_env import WalkVectorEnv
 from slot_lab.workers import gather, workers
 
 DECAYS, TINY = (0.9, 0.99), 1e-8  # of Adam
-TEST_SEEDS = 1_000_000 + np.arange(16)  # of the scenes that test the mean network
-Schedule = tuple[float, float]  # a value in the first generation, and in the last
+TEST_SEEDS = 1_000_000 + np.arange(
+    16
+)  # of the scenes that test the mean network
+Schedule = tuple[
+    float, float
+]  # a value in the first generation, and in the last
 
 
 @dataclass(frozen=True)
@@ -94,8 +98,12 @@ def spread(client: Any, parts: int) -> Callable[[Walks], Array]:
 
     def call(walks: Walks) -> Array:
         task, evolution, parameters, seeds = walks
-        pieces = zip(np.array_split(parameters, parts), np.array_split(seeds, parts))
-        items = [Walks(task, evolution, *piece) for piece in pieces if len(piece[1])]
+        pieces = zip(
+            np.array_split(parameters, parts), np.array_split(seeds, parts)
+        )
+        items = [
+            Walks(task, evolution, *piece) for piece in pieces if len(piece[1])
+        ]
         return np.concatenate(gather(client, returns, items))
 
     return call
@@ -112,21 +120,27 @@ def trials(scheduler: str) -> Iterator[Callable[[Walks], Array]]:
 
 
 def learn(
-    task: Task, evolution: Evolution, evaluate: Callable[[Walks], Array] = returns
+    task: Task,
+    evolution: Evolution,
+    evaluate: Callable[[Walks], Array] = returns,
 ) -> Iterator[Generation]:
     """Yield the result of every `test_every`-th generation; the first network's actions are zero."""
     e, size = evolution, shape_of(task).size
     rng = np.random.default_rng(e.seed)
     centre, moments = np.zeros(size), np.zeros((2, size))
     best, most, mean = centre.copy(), -np.inf, np.nan
-    steps = round(task.duration / task.gaits.dt) * 2 * e.pairs  # of a generation
+    steps = (
+        round(task.duration / task.gaits.dt) * 2 * e.pairs
+    )  # of a generation
     for generation in range(e.generations + 1):
         if generation % e.test_every == 0 or generation == e.generations:
             tested = np.tile(centre, (len(TEST_SEEDS), 1))
             test = float(evaluate(Walks(task, e, tested, TEST_SEEDS)).mean())
             if test > most:
                 best, most = centre.copy(), test
-            yield Generation(generation, steps * generation, mean, test, best.copy())
+            yield Generation(
+                generation, steps * generation, mean, test, best.copy()
+            )
         if generation == e.generations:
             return
         share = generation / e.generations
@@ -141,7 +155,9 @@ def learn(
         better = found - np.tile(found.reshape(2, -1).mean(axis=0), 2)
         rank = better.argsort().argsort() / (len(found) - 1) - 0.5
         gradient = (
-            (rank[: e.pairs] - rank[e.pairs :]) @ directions / (2 * e.pairs * sigma)
+            (rank[: e.pairs] - rank[e.pairs :])
+            @ directions
+            / (2 * e.pairs * sigma)
         )
         centre += rate * _adam(moments, gradient, generation + 1)
 
@@ -155,6 +171,8 @@ def _adam(moments: Array, gradient: Array, count: int) -> Array:
 
 
 @functools.lru_cache(maxsize=4)
-def _environment(task: Task, count: int, step: float, threads: int) -> WalkVectorEnv:
+def _environment(
+    task: Task, count: int, step: float, threads: int
+) -> WalkVectorEnv:
     """A vector environment, made once in a process."""
     return WalkVectorEnv(count, task, step=step, threads=threads)

@@ -48,7 +48,8 @@ class GaitClock:
         springs, robot = read_springs(), task.robot
         share = np.full(COUNT, robot.weight / COUNT)
         rows = [
-            springs.angle(share, robot.clamp_heights(h, 0.0, 0.0)) for h in self._height
+            springs.angle(share, robot.clamp_heights(h, 0.0, 0.0))
+            for h in self._height
         ]
         self._standing = np.array(rows)  # (ticks, 4) rad
         self._rates = s.dt * np.array(
@@ -61,7 +62,9 @@ class GaitClock:
         self._place = np.zeros((count, 3))  # x, y, yaw
         self._now = self._next = np.zeros((count, 20))  # blended rows
 
-    def reset(self, which: NDArray[np.int64], velocity: Array, state: Array) -> None:
+    def reset(
+        self, which: NDArray[np.int64], velocity: Array, state: Array
+    ) -> None:
         """Start robots anew.
 
         which: (k,) indices; velocity: (k, 3) that they shall reach; state: (k, 12), as in
@@ -77,8 +80,13 @@ class GaitClock:
         self.velocity, self.phase, ahead = self._ahead(1)
         first = self._tick == 0
         self._tick += 1
-        gap, turn = ahead[:, :2] - state[:, 3:5], wrapped(ahead[:, 2] - state[:, 2])
-        share = np.minimum(1.0, self._gaits.lead / np.maximum(np.hypot(*gap.T), 1e-12))
+        gap, turn = (
+            ahead[:, :2] - state[:, 3:5],
+            wrapped(ahead[:, 2] - state[:, 2]),
+        )
+        share = np.minimum(
+            1.0, self._gaits.lead / np.maximum(np.hypot(*gap.T), 1e-12)
+        )
         most = self._gaits.heading_lead
         heading = state[:, 2] + np.clip(turn, -most, most)
         place = np.column_stack([state[:, 3:5] + share[:, None] * gap, heading])
@@ -89,7 +97,9 @@ class GaitClock:
         """Velocity, phase and place so many ticks ahead, 0 or 1."""
         if not ticks:
             return self.velocity, self.phase, self._place
-        change = np.clip(self._wanted - self.velocity, -self._rates, self._rates)
+        change = np.clip(
+            self._wanted - self.velocity, -self._rates, self._rates
+        )
         velocity, dt = self.velocity + change, self._gaits.dt
         phase = (self.phase + dt / self._stride.period) % 1.0
         return velocity, phase, moved(self._place, velocity, dt)
@@ -102,7 +112,10 @@ class GaitClock:
         rows = self._stride.stride_table(phase, velocity)
         rows[:, 13] += self._height[tick] - self._stride.height
         standing = np.zeros_like(rows)
-        standing[:, :COUNT], standing[:, 13] = self._standing[tick], self._height[tick]
+        standing[:, :COUNT], standing[:, 13] = (
+            self._standing[tick],
+            self._height[tick],
+        )
         return np.asarray((1.0 - weight) * standing + weight * rows)
 
     @property
@@ -113,7 +126,9 @@ class GaitClock:
     @property
     def reference(self) -> Array:
         """(M, 12) reference of the torso, as in `GaitPreview`; yaw may be turned by full turns."""
-        return reference(np.zeros(12), self._place, self.velocity, self._now[:, 8:])
+        return reference(
+            np.zeros(12), self._place, self.velocity, self._now[:, 8:]
+        )
 
     def ahead(self) -> list[tuple[Array, Array]]:
         """Phases (M,) and velocities (M, 3) now and a step later."""

@@ -39,7 +39,9 @@ def export(
         raise ValueError(
             "servos: a policy of the graph is not given the servos' angles"
         )
-    write_onnx(Path(file), shape, parameters, {GAIT: task.gait, KIND: task.actions})
+    write_onnx(
+        Path(file), shape, parameters, {GAIT: task.gait, KIND: task.actions}
+    )
 
 
 def draw(history: Sequence[Generation], file: Path | str) -> None:
@@ -49,7 +51,12 @@ def draw(history: Sequence[Generation], file: Path | str) -> None:
     ax = figure.subplots()
     test = [found.test for found in history]
     ax.plot(
-        steps, test, "o-", color=palette.TRUE, ms=4, label="learned, in 16 other scenes"
+        steps,
+        test,
+        "o-",
+        color=palette.TRUE,
+        ms=4,
+        label="learned, in 16 other scenes",
     )
     ax.plot(
         steps,
@@ -60,7 +67,9 @@ def draw(history: Sequence[Generation], file: Path | str) -> None:
     )
     ax.axhline(test[0], color=palette.INK, lw=1, ls="--", label="gait alone")
     ax.grid(visible=True, color=palette.PALE, lw=0.5)
-    ax.set(xlabel="steps of the environment, millions", ylabel="reward per step")
+    ax.set(
+        xlabel="steps of the environment, millions", ylabel="reward per step"
+    )
     ax.legend(frameon=False, loc="center right")
     figure.savefig(file, dpi=130)
 
@@ -72,7 +81,9 @@ def compare(*policies: str, level: str = "standard") -> str:
     ]
     for friction in FRICTION:
         for policy in policies:
-            walks = [straight_walk(policy, friction, level, seed) for seed in SEEDS]
+            walks = [
+                straight_walk(policy, friction, level, seed) for seed in SEEDS
+            ]
             speed, aside, yaw = np.abs(walks).max(axis=0)
             lines.append(
                 f"{friction:8.1f}  {policy:16s}  {1e3 * speed:20.1f}"
@@ -81,21 +92,27 @@ def compare(*policies: str, level: str = "standard") -> str:
     return "\n".join(lines)
 
 
-def straight_walk(policy: str, friction: float, level: str, seed: int) -> StraightWalk:
+def straight_walk(
+    policy: str, friction: float, level: str, seed: int
+) -> StraightWalk:
     """Walk for DURATION at SPEED, after STANDING.
 
     The reference that a policy follows begins with the error of one estimate: the first's is
     1.9 mrad and 0.8 mm (RMS), which leads 3 mm aside in 1 m; after STANDING 0.5 mrad and 0.3 mm.
     """
     changes = {"scene.floor.friction": [friction] * 4}
-    changes |= {f"scene.{name}": value for name, value in level_changes(level).items()}
+    changes |= {
+        f"scene.{name}": value for name, value in level_changes(level).items()
+    }
     loop = ClosedLoop("flat", STAND, np.zeros(3), seed, policy, changes=changes)
     dt, robot, track = loop.gaits.dt, loop.plant.robot, []
     begin, first = round(STANDING / dt), round(WARM_UP / dt)
     for tick, _ in enumerate(loop.run(begin + round(DURATION / dt)), 1):
         track.append([*robot.position[:2], robot.rpy[2]])
         if tick == begin:
-            loop.controller.scheduler.request("walk", np.array([SPEED, 0.0, 0.0]))
+            loop.controller.scheduler.request(
+                "walk", np.array([SPEED, 0.0, 0.0])
+            )
     pose = np.array(track[begin:], dtype=float) - track[begin]
     time: Array = dt * np.arange(len(pose), dtype=float)
     speed = mean_velocity(time[first:], pose[first:])[0]

@@ -48,7 +48,9 @@ class NetworkShape(NamedTuple):
         if self.mirror is None:
             return weights, bias
         seen, action = self.mirror
-        return (weights + seen @ weights @ action) / 2, (bias + bias @ action) / 2
+        return (weights + seen @ weights @ action) / 2, (
+            bias + bias @ action
+        ) / 2
 
     def actions(self, parameters: Array, seen: Array) -> Array:
         """Actions (m, k) of m networks at one observation (m, n) each."""
@@ -69,7 +71,9 @@ def write_onnx(
     kind = onnx.TensorProto.FLOAT
     graph = helper.make_graph(
         [
-            helper.make_node("Gemm", ["observation", "weights", "bias"], ["sum"]),
+            helper.make_node(
+                "Gemm", ["observation", "weights", "bias"], ["sum"]
+            ),
             helper.make_node("Tanh", ["sum"], ["action"]),
         ],
         "policy",
@@ -80,7 +84,9 @@ def write_onnx(
             numpy_helper.from_array(bias, "bias"),
         ],
     )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)])
+    model = helper.make_model(
+        graph, opset_imports=[helper.make_opsetid("", OPSET)]
+    )
     model.ir_version = IR_VERSION
     helper.set_model_props(model, dict(about))
     onnx.checker.check_model(model)

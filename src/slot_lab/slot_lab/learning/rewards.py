@@ -79,13 +79,17 @@ def reward_terms(step: Transition) -> dict[str, Array]:
 
 def fallen(state: Array) -> NDArray[np.bool_]:
     """Whether robots at states (M, 12) have fallen, or their simulation diverged."""
-    up: NDArray[np.bool_] = np.cos(state[:, 0]) * np.cos(state[:, 1]) > COS_FALLEN
+    up: NDArray[np.bool_] = (
+        np.cos(state[:, 0]) * np.cos(state[:, 1]) > COS_FALLEN
+    )
     return ~up  # also NaN
 
 
 def total(terms: Mapping[str, Array]) -> Array:
     """Reward (M,) of terms (M,)."""
-    return np.sum([weight * terms[name] for name, weight in WEIGHTS.items()], axis=0)
+    return np.sum(
+        [weight * terms[name] for name, weight in WEIGHTS.items()], axis=0
+    )
 
 
 class Course:
@@ -106,7 +110,9 @@ class Course:
         self.place = moved(self.place, velocity, self._dt)
         gap = state[:, PLACE] - self.place
         xy, turn = rotate(gap[:, :2], -self.place[:, 2]), wrapped(gap[:, 2])
-        self._gaps = np.concatenate([self._gaps[1:], np.column_stack([xy, turn])[None]])
+        self._gaps = np.concatenate(
+            [self._gaps[1:], np.column_stack([xy, turn])[None]]
+        )
 
     @property
     def aside(self) -> Array:

@@ -51,7 +51,9 @@ class Task:
     velocity: Vector3 = (0.05, 0.0, 0.0)  # m/s, m/s, rad/s
     actions: str = "amplitudes"
     observations: str = "estimated"
-    servos: bool = True  # observes the servos' angles, which a policy cannot see
+    servos: bool = (
+        True  # observes the servos' angles, which a policy cannot see
+    )
     duration: float = 10.0  # s, of an episode
     drawn: tuple[tuple[str, Range], ...] = ()  # names, and ends of their values
 
@@ -113,8 +115,12 @@ class Task:
     def changes(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Drawn values of scene and servos, numbers repeated for settings of several values."""
         found, (scene, servo) = {}, self._base
-        known = {f"scene.{name}": value for name, value, _ in config.leaves(scene)}
-        known |= {f"servo.{name}": value for name, value, _ in config.leaves(servo)}
+        known = {
+            f"scene.{name}": value for name, value, _ in config.leaves(scene)
+        }
+        known |= {
+            f"servo.{name}": value for name, value, _ in config.leaves(servo)
+        }
         for name, value in values.items():
             if name != VELOCITY:
                 many = isinstance(known.get(name), tuple) and not isinstance(
@@ -130,10 +136,13 @@ class Task:
         return changed(scene, "scene", named), changed(servo, "servo", named)
 
 
-def make_task(drawn: Mapping[str, Range] | None = None, **arguments: Any) -> Task:
+def make_task(
+    drawn: Mapping[str, Range] | None = None, **arguments: Any
+) -> Task:
     """Task of keyword arguments, as `gymnasium.make` takes them."""
     lists = {
-        name: (_plain(low), _plain(high)) for name, (low, high) in (drawn or {}).items()
+        name: (_plain(low), _plain(high))
+        for name, (low, high) in (drawn or {}).items()
     }
     if VELOCITY in arguments:
         arguments[VELOCITY] = tuple(map(float, arguments[VELOCITY]))
@@ -170,9 +179,13 @@ def action_space(task: Task) -> Box:
 def mirror_of(task: Task) -> Mirror:
     """Left and right exchanged, half a stride later, which is the same gait on the same robot."""
     legs = np.eye(len(LEGS))[LEFT_RIGHT]
-    action = {"tendons": legs, "amplitudes": np.diag(MIRRORED_VELOCITY)}[task.actions]
+    action = {"tendons": legs, "amplitudes": np.diag(MIRRORED_VELOCITY)}[
+        task.actions
+    ]
     factors = np.concatenate([MIRRORED_STATE, HALF_STRIDE, MIRRORED_VELOCITY])
-    return Mirror(block_diag(np.diag(factors), action, *[legs] * task.servos), action)
+    return Mirror(
+        block_diag(np.diag(factors), action, *[legs] * task.servos), action
+    )
 
 
 def servo_error(commanded: Array, angle: Array) -> Array:

@@ -68,7 +68,9 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.task)
         self.single_action_space = action_space(self.task)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.observation_space = batch_space(
+            self.single_observation_space, num_envs
+        )
         self.action_space = batch_space(self.single_action_space, num_envs)
         scene, _ = self.task.world({})
         if scene.pushes or scene.faults:
@@ -105,9 +107,16 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         self._restart(np.arange(self.num_envs))
         return self._observed(), {}
 
-    def step(self, actions: Array) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
+    def step(
+        self, actions: Array
+    ) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
         """Step all robots by the time between two stages of the gait."""
-        task, clock, course, robots = self.task, self._clock, self._course, self._robots
+        task, clock, course, robots = (
+            self.task,
+            self._clock,
+            self._course,
+            self._robots,
+        )
         if robots is None:
             raise gymnasium.error.ResetNeeded("step before reset")
         again = np.flatnonzero(self._ended)
@@ -140,7 +149,13 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
             reward[again] = 0.0
             terminated[again] = truncated[again] = False
         self._ended = terminated | truncated
-        return self._observed(), reward, terminated, truncated & ~terminated, terms
+        return (
+            self._observed(),
+            reward,
+            terminated,
+            truncated & ~terminated,
+            terms,
+        )
 
     @property
     def places(self) -> Array:
@@ -163,7 +178,11 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         motion = self._robots.motion[which]
         self._clock.reset(which, velocity, motion[:, STATE])
         self._course.reset(which, motion[:, STATE])
-        self._action[which], self._ticks[which], self._ended[which] = 0.0, 0, False
+        self._action[which], self._ticks[which], self._ended[which] = (
+            0.0,
+            0,
+            False,
+        )
         self._commanded[which] = motion[:, ANGLE]
 
     def _made(self, values: dict[str, Any]) -> KernelRobot:
@@ -173,7 +192,9 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         scene = config.replace(scene, NO_SENSORS | {"solver.step": step})
         robot = make_robot(self.task.robot, scene, servo)
         if not isinstance(robot, KernelRobot):
-            raise ConfigError(f"level {self.task.level}: has no vector environment")
+            raise ConfigError(
+                f"level {self.task.level}: has no vector environment"
+            )
         return robot
 
     def _observed(self) -> Array:
@@ -181,12 +202,16 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         motion = np.nan_to_num(self._robots.motion)
         state = motion[:, STATE]
         if self.task.observations == "estimated":
-            noise = np.array([stream.standard_normal(12) for stream in self._streams])
+            noise = np.array(
+                [stream.standard_normal(12) for stream in self._streams]
+            )
             state = state + ESTIMATE_NOISE * noise
         clock = self._clock
         seen = observation(
             state, clock.reference, clock.phase, clock.velocity, self._action
         )
         if self.task.servos:
-            seen = np.hstack([seen, servo_error(self._commanded, motion[:, ANGLE])])
+            seen = np.hstack(
+                [seen, servo_error(self._commanded, motion[:, ANGLE])]
+            )
         return seen.astype(np.float32)

@@ -60,7 +60,8 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         super().reset(seed=seed, options=options)
         task, values = self.task, self.task.draw(self.np_random)
         levels = {
-            f"scene.{name}": value for name, value in level_changes(task.level).items()
+            f"scene.{name}": value
+            for name, value in level_changes(task.level).items()
         }
         self._made = ClosedLoop(
             task.scene,
@@ -79,12 +80,16 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         self._take_estimate()
         return self._observed(), {}
 
-    def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: Array
+    ) -> tuple[Array, float, bool, bool, dict[str, Any]]:
         """Walk to the next estimate of the state, some 33 ms."""
         plant, task, preview = self._loop.plant, self.task, self._preview
         taken = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)[None]
         ahead = preview.velocity_ahead
-        change = deviation(task.actions, taken, task.stride, preview.phases, ahead)
+        change = deviation(
+            task.actions, taken, task.stride, preview.phases, ahead
+        )
         command = self._loop.controller.force_map.step(
             gait_plan(preview, change), preview, self._estimate.state
         )
@@ -139,7 +144,9 @@ class WalkEnv(gymnasium.Env[Any, Any]):
 
     def _take_estimate(self) -> bool:
         """Take the newest estimate and the gait's preview; False without one."""
-        found: list[Estimate] = list(iter(self._loop.controller.estimator.poll, None))
+        found: list[Estimate] = list(
+            iter(self._loop.controller.estimator.poll, None)
+        )
         for self._estimate in found:
             self._preview: GaitPreview = self._loop.controller.scheduler.step(
                 self._estimate.time, self._estimate.state
@@ -150,12 +157,18 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         """State (1, 12) of the simulated robot, as in `Estimate`."""
         robot = self._loop.plant.robot
         turn = robot.rotation @ robot.angular_velocity
-        return np.concatenate([robot.rpy, robot.position, turn, robot.velocity])[None]
+        return np.concatenate(
+            [robot.rpy, robot.position, turn, robot.velocity]
+        )[None]
 
     def _observed(self) -> Array:
         task, preview = self.task, self._preview
         true = task.observations == "true"
-        state = self._true_state() if true else np.asarray(self._estimate.state)[None]
+        state = (
+            self._true_state()
+            if true
+            else np.asarray(self._estimate.state)[None]
+        )
         seen = observation(
             np.nan_to_num(state),
             preview.reference[:1],
@@ -164,7 +177,9 @@ class WalkEnv(gymnasium.Env[Any, Any]):
             self._action,
         )
         if task.servos:
-            seen = np.hstack([seen, servo_error(self._commanded, self._angle)[None]])
+            seen = np.hstack(
+                [seen, servo_error(self._commanded, self._angle)[None]]
+            )
         return seen[0].astype(np.float32)
 
 

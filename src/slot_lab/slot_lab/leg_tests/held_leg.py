@@ -42,9 +42,13 @@ class HeldLeg:
         self, robot: RobotParameters, nodes: int, friction: float, height: float
     ):
         self.height = height  # m, checked by `StaticLeg`
-        self.model, self._leg = level_leg(robot, nodes, {"friction_law": "viscous"})
+        self.model, self._leg = level_leg(
+            robot, nodes, {"friction_law": "viscous"}
+        )
         self._leg.friction[:] = checked("friction", friction, ())
-        self._leg.stage[:, ::2] = StaticLeg(robot, nodes).solve(0.0, height).node
+        self._leg.stage[:, ::2] = (
+            StaticLeg(robot, nodes).solve(0.0, height).node
+        )
         self._start = np.zeros((2, nodes, 3))
 
     @property

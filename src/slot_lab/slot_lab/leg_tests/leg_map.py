@@ -56,11 +56,17 @@ class LegMapSettings:
     """Grid of the leg map; substeps is the number of angle steps between two points of the grid."""
 
     nodes: int = quantity("nodes of the leg", "", 4, 401)
-    angles: int = quantity("tendon angles from zero to the largest", "", 2, 1000)
-    heights: int = quantity("clamp heights from the lowest to the highest", "", 2, 1000)
+    angles: int = quantity(
+        "tendon angles from zero to the largest", "", 2, 1000
+    )
+    heights: int = quantity(
+        "clamp heights from the lowest to the highest", "", 2, 1000
+    )
     height_min: float = quantity("lowest clamp height", "m", 0.0, 1.0)
     height_max: float = quantity("highest clamp height", "m", 0.0, 1.0)
-    substeps: int = quantity("angle steps between two points of the grid", "", 1, 1000)
+    substeps: int = quantity(
+        "angle steps between two points of the grid", "", 1, 1000
+    )
 
 
 class LegEquilibrium(NamedTuple):
@@ -69,7 +75,9 @@ class LegEquilibrium(NamedTuple):
     force: float  # N, vertical force of the floor on the leg
     slope: float  # N/rad, d force / d tendon angle
     stiffness: float  # N/m, d force / d clamp height
-    contact_x: float  # m from the clamp, centre of pressure; without contact the tip
+    contact_x: (
+        float  # m from the clamp, centre of pressure; without contact the tip
+    )
     tension: float  # N, of the tendon
     node: Array  # (N, 2) m from the clamp, x and z
     # Outward shift of the material on the floor, averaged by pressure, with angle (m/rad) and
@@ -95,7 +103,9 @@ class StaticLeg:
 
     @node.setter
     def node(self, node: Array) -> None:
-        self._leg.stage[:, ::2] = checked("node", node, (len(self._leg.stage), 2))
+        self._leg.stage[:, ::2] = checked(
+            "node", node, (len(self._leg.stage), 2)
+        )
 
     def solve(self, angle: float, height: float) -> LegEquilibrium:
         """Equilibrium at a tendon angle (rad) and a clamp height (m), from the present shape.
@@ -106,7 +116,9 @@ class StaticLeg:
         _, height = checked("angle, height", (angle, height), (2,)).tolist()
         self._leg.angle[0] = angle
         for tau, tolerance in STAGES:
-            change = relax(self.model, self._leg, height, tau, tolerance, ITERATIONS)
+            change = relax(
+                self.model, self._leg, height, tau, tolerance, ITERATIONS
+            )
         if not change <= TOLERANCE:
             raise NoEquilibriumError(
                 f"leg at {math.degrees(angle):.3f} deg, {height:.4f} m: last correction of a node"
@@ -117,7 +129,9 @@ class StaticLeg:
         force, contact = normal.sum(), node[-1, 0]
         if force > 0.0:
             contact = (normal * node[:, 0]).sum() / force
-        self._leg.back[:, :, 7] = 0.0  # the last correction is no part of the response
+        self._leg.back[:, :, 7] = (
+            0.0  # the last correction is no part of the response
+        )
         slope, foot_slope = respond(
             self.model, self._leg, self._stiffness, height, 0.0, 1.0
         )
@@ -193,7 +207,9 @@ def tabulate(
         # Lower the slack leg, then pull the tendon at each height.
         tell(k / len(heights))
         resting.solve(0.0, height)
-        columns.append(_rows_at_height(robot, grid, resting.node, height, angles))
+        columns.append(
+            _rows_at_height(robot, grid, resting.node, height, angles)
+        )
     return np.stack(columns[::-1], axis=1).reshape(-1, len(COLUMNS))
 
 
@@ -211,11 +227,24 @@ def _rows_at_height(
     for before, angle in zip([0.0, *angles], angles):
         for between in np.linspace(before, angle, grid.substeps + 1)[1:]:
             here = leg.solve(between, height)
-        numbers = (here.force, here.slope, here.stiffness, here.contact_x, here.tension)
+        numbers = (
+            here.force,
+            here.slope,
+            here.stiffness,
+            here.contact_x,
+            here.tension,
+        )
         feet = (here.foot_slope, here.foot_rise)
         held = stuck.stiffness(here.node, angle, height)
         rows.append(
-            (math.degrees(angle), height, *numbers, *feet, held[0, 0], held[1, 1])
+            (
+                math.degrees(angle),
+                height,
+                *numbers,
+                *feet,
+                held[0, 0],
+                held[1, 1],
+            )
         )
     return np.array(rows)
 
@@ -250,7 +279,9 @@ class StickingLeg:
     """
 
     def __init__(self, robot: RobotParameters, nodes: int):
-        self.model, self._leg = level_leg(robot, nodes, {"friction_law": "bristle"})
+        self.model, self._leg = level_leg(
+            robot, nodes, {"friction_law": "bristle"}
+        )
         self._leg.friction[:] = 1.0  # any: points at rest are below every limit
 
     def stiffness(self, node: Array, angle: float, height: float) -> Array:

@@ -59,7 +59,9 @@ def level_leg(
 
 def at_nodes(contact: Array) -> Array:
     """(N,) sums over the contact points (P,) at each node of a leg, as of their stiffness, N/m."""
-    ends = contact.reshape(-1, 2, 2).sum(axis=-1)  # of begin and end of the segments
+    ends = contact.reshape(-1, 2, 2).sum(
+        axis=-1
+    )  # of begin and end of the segments
     return np.append(ends[:, 0], 0.0) + np.append(0.0, ends[:, 1])
 
 
@@ -76,7 +78,12 @@ def linearise(model, leg, inv, height):
 @helper
 def take_step(model, leg, height, tau, iterations, tolerance):
     """Backward Euler step of tau (s) at the leg's tendon angle; returns the last correction, m."""
-    stage, velocity, base, before = leg.stage, leg.velocity, leg.base, leg.before
+    stage, velocity, base, before = (
+        leg.stage,
+        leg.velocity,
+        leg.base,
+        leg.before,
+    )
     for i in range(stage.shape[0]):
         put(base, i, row(stage, i))
         put(before, i, row(velocity, i))

@@ -16,7 +16,9 @@ from slot_core.progress import ProgressLine
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/calibrate --leg-map`: writes the map of config/leg_map.yaml."""
-    parser = CommandParser(prog="scripts/calibrate --leg-map", description=__doc__)
+    parser = CommandParser(
+        prog="scripts/calibrate --leg-map", description=__doc__
+    )
     default = config.config_dir() / "leg_map.csv"
     parser.add_argument(
         "--out",
@@ -26,7 +28,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="CSV file (default: %(default)s)",
     )
     out = parser.parse_args(arguments).out
-    if out.is_dir() or not out.parent.is_dir():  # known before the long computation
+    if (
+        out.is_dir() or not out.parent.is_dir()
+    ):  # known before the long computation
         parser.error(f"--out {out}: not a file in an existing directory")
     from slot_core.robot import read_robot  # noqa: PLC0415
     from slot_lab.leg_tests.leg_map import LegMapSettings, tabulate, write  # noqa: PLC0415 - heavy

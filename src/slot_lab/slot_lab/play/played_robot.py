@@ -58,9 +58,15 @@ class Wishes:
     """Requests of the player to the robot; legs FL FR RL RR."""
 
     gait: str = STAND
-    velocity: Array = field(default_factory=lambda: np.zeros(3))  # m/s, m/s, rad/s
-    pose: Array | None = None  # (3,) height m, roll, pitch rad; None: the gait's own
-    up: bool = True  # under torque; False after a fall, a fault or an emergency stop
+    velocity: Array = field(
+        default_factory=lambda: np.zeros(3)
+    )  # m/s, m/s, rad/s
+    pose: Array | None = (
+        None  # (3,) height m, roll, pitch rad; None: the gait's own
+    )
+    up: bool = (
+        True  # under torque; False after a fall, a fault or an emergency stop
+    )
 
 
 class PlayedLoop(SupervisedLoop):
@@ -76,7 +82,9 @@ class PlayedLoop(SupervisedLoop):
         super().__init__(scene, STAND, None, seed, policy)
         self.wishes, self.refusal = wishes, ""
         self._keep = keep
-        self._asked: tuple[str, tuple[float, ...]] | None = None  # gait and pose
+        self._asked: tuple[str, tuple[float, ...]] | None = (
+            None  # gait and pose
+        )
 
     def receive(self, reading: Reading) -> None:
         """Keep a reading, unless it is an image, and give it to the state estimator."""
@@ -100,7 +108,9 @@ class PlayedLoop(SupervisedLoop):
         before, found = self.report, super().supervise(report)
         if found is not None:
             self._keep(self.plant.now, found)
-            if found.state in RELEASED and not (before and before.state is found.state):
+            if found.state in RELEASED and not (
+                before and before.state is found.state
+            ):
                 self.wishes.up = False
             self.refusal = self._pursue(found.state)
         return found
@@ -120,7 +130,9 @@ class PlayedLoop(SupervisedLoop):
         stands = isinstance(self.loop.gaits.find(self.wishes.gait), Posture)
         if state is (State.STANDING if stands else State.WALKING):
             return self._ask()
-        wanted = TO_RISE.get(state) or (TO_STAND if stands else TO_WALK).get(state)
+        wanted = TO_RISE.get(state) or (TO_STAND if stands else TO_WALK).get(
+            state
+        )
         if wanted is None or not self.wishes.up:
             return ""
         return self.supervisor.request(self.plant.now, wanted)
@@ -148,7 +160,9 @@ class PlayedLoop(SupervisedLoop):
 class PlayedRobot:
     """A robot in a scene under a policy; `ended` says why it has stopped for good, or is ""."""
 
-    def __init__(self, scene: str = "flat", policy: str = DEFAULT_POLICY) -> None:
+    def __init__(
+        self, scene: str = "flat", policy: str = DEFAULT_POLICY
+    ) -> None:
         """Raises ConfigError for an unknown scene or policy, and for legs that are no rods."""
         if (legs := read_scene(scene).solver.legs) != "spatial":
             raise ConfigError(
@@ -156,7 +170,9 @@ class PlayedRobot:
             )
         self.scene, self.policy = scene, policy
         self.wishes = Wishes()
-        self.changes: dict[str, Any] = {}  # of robot, scene and servo, by dotted name
+        self.changes: dict[
+            str, Any
+        ] = {}  # of robot, scene and servo, by dotted name
         self.broken: set[str] = set()  # legs whose tendon is broken
         self.reset()
 
@@ -169,7 +185,9 @@ class PlayedRobot:
         self.ended = ""
         self.wishes.up = True
         self._pull = np.zeros(3)
-        self.loop = PlayedLoop(self.scene, SEED, self.policy, self.wishes, self._keep)
+        self.loop = PlayedLoop(
+            self.scene, SEED, self.policy, self.wishes, self._keep
+        )
         self.loop.loop.change(self.changes)
         for leg in self.broken:
             self.set_tendon(leg, broken=True)
@@ -218,7 +236,13 @@ class PlayedRobot:
         """Incline the floor, uphill along +x; raises ConfigError."""
         angle = np.radians(degrees)
         self.change(
-            {"scene.gravity": [-GRAVITY * np.sin(angle), 0.0, -GRAVITY * np.cos(angle)]}
+            {
+                "scene.gravity": [
+                    -GRAVITY * np.sin(angle),
+                    0.0,
+                    -GRAVITY * np.cos(angle),
+                ]
+            }
         )
 
     def set_policy(self, policy: str) -> None:

@@ -79,7 +79,9 @@ def _parser() -> argparse.ArgumentParser:
         metavar="S",
         help="left out at the start (default: warm_up of config/record.yaml)",
     )
-    add("--namespace", default="", metavar="NAME", help="of the recorded graphs")
+    add(
+        "--namespace", default="", metavar="NAME", help="of the recorded graphs"
+    )
     return parser
 
 

@@ -39,12 +39,25 @@ PER_LEG = {
     "slack_angle": "angle",
     "slack_rate": "rate",
 }
-UNITS = {"angle": "rad", "rate": "rad/s"}  # of constraints whose slack is no force in N
-OF_THE_ROBOT = {"slack_total": "total support", "slack_balance": "total balance"}
-TOLERANCE = 1e-4  # in the unit of a slack: the violation that is a solver's rounding
+UNITS = {
+    "angle": "rad",
+    "rate": "rad/s",
+}  # of constraints whose slack is no force in N
+OF_THE_ROBOT = {
+    "slack_total": "total support",
+    "slack_balance": "total balance",
+}
+TOLERANCE = (
+    1e-4  # in the unit of a slack: the violation that is a solver's rounding
+)
 COLOURS = LinearSegmentedColormap.from_list(
     "slack",
-    [(0.0, "#67000d"), (0.4999, "#ef3b2c"), (0.5001, "#f7fbff"), (1.0, palette.TRUE)],
+    [
+        (0.0, "#67000d"),
+        (0.4999, "#ef3b2c"),
+        (0.5001, "#f7fbff"),
+        (1.0, palette.TRUE),
+    ],
 )
 """Red where a constraint is violated, pale blue where it is met with zero slack."""
 HATCHED: dict[str, Any] = {
@@ -52,7 +65,9 @@ HATCHED: dict[str, Any] = {
     "edgecolor": palette.INK,
     "hatch": "////",
 }
-CAPACITY = 1600  # columns of the plot; of more cycles each shows its least slack
+CAPACITY = (
+    1600  # columns of the plot; of more cycles each shows its least slack
+)
 
 
 @dataclass(frozen=True)
@@ -88,7 +103,9 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     progress("reading the bag")
     found = read_map(Bag(options.bag, options.namespace))
     bag = options.bag.resolve()
-    stem = bag.name if bag.is_dir() else bag.stem  # a directory v0.05 has no suffix
+    stem = (
+        bag.name if bag.is_dir() else bag.stem
+    )  # a directory v0.05 has no suffix
     out = options.out or bag.with_name(f"{stem}_constraints.png")
     write_plot(map_figure(found), out, dpi=110)
     return [*summary_lines(found), str(out)], int(found.violated.any())
@@ -107,7 +124,9 @@ def read_map(bag: Bag) -> ConstraintMap:
         except NoFieldError:
             missing.append(field)
             continue
-        names += [f"{leg} {label}" for leg in LEGS] if field in PER_LEG else [label]
+        names += (
+            [f"{leg} {label}" for leg in LEGS] if field in PER_LEG else [label]
+        )
         rows.append(column.reshape(len(column), -1).T)
     if not rows:
         raise BagError(
@@ -134,13 +153,21 @@ def unit(constraint: str) -> str:
 
 def summary_lines(found: ConstraintMap) -> list[str]:
     """Cycles by status, and for each constraint its least slack, when, and how often violated."""
-    lines = [f"{found.name}: {len(found.time)} cycles over {found.time[-1]:.2f} s"]
-    counts = {status.name: int((found.status == status).sum()) for status in Status}
+    lines = [
+        f"{found.name}: {len(found.time)} cycles over {found.time[-1]:.2f} s"
+    ]
+    counts = {
+        status.name: int((found.status == status).sum()) for status in Status
+    }
     lines.append(
         "  ".join(f"{name} {count}" for name, count in counts.items() if count)
     )
-    lines.append(f"{'constraint':<18}{'least slack':>12}{'at':>14}{'violated':>10}")
-    for name, slack, violated in zip(found.constraints, found.slack, found.violated):
+    lines.append(
+        f"{'constraint':<18}{'least slack':>12}{'at':>14}{'violated':>10}"
+    )
+    for name, slack, violated in zip(
+        found.constraints, found.slack, found.violated
+    ):
         if np.isnan(slack).all():
             lines.append(f"{name:<18}{'inactive':>22}")
             continue
@@ -149,7 +176,9 @@ def summary_lines(found: ConstraintMap) -> list[str]:
             f"{name:<18}{slack[at]:10.4f} {unit(name):<5}{found.time[at]:8.2f} s"
             f"{int(violated.sum()):10d}"
         )
-    lines += [f"{field}: not in the messages of this bag" for field in found.missing]
+    lines += [
+        f"{field}: not in the messages of this bag" for field in found.missing
+    ]
     return lines
 
 
@@ -174,7 +203,9 @@ def map_figure(found: ConstraintMap) -> Figure:
         fontsize=10,
     )
     hatched = Patch(label="not solved", **HATCHED)
-    grey = Patch(facecolor=palette.SHADE, edgecolor=palette.INK, label="inactive")
+    grey = Patch(
+        facecolor=palette.SHADE, edgecolor=palette.INK, label="inactive"
+    )
     ax.legend(
         handles=[hatched, grey],
         ncols=2,
@@ -195,7 +226,9 @@ def draw_slack(ax: Axes, found: ConstraintMap) -> Colorbar:
     time = found.time  # starts of the cycles; the last one ends a period later
     edges = _edges(time)
     groups = np.arange(0, len(time), -(-len(time) // CAPACITY))
-    rows = np.fmin.reduceat(found.slack, groups, axis=1)  # NaN only where all are
+    rows = np.fmin.reduceat(
+        found.slack, groups, axis=1
+    )  # NaN only where all are
     rows[(rows < 0) & (rows >= -TOLERANCE)] = 0.0
     units = np.array([unit(name) for name in found.constraints])
     of_legs = np.array(

@@ -12,7 +12,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/view --map`; exit code 0: clean, 1: a violation, 2: no map."""
     parser = command_parser("view --map", __doc__)
     add = parser.add_argument
-    add("bag", metavar="BAG", type=Path, help="directory of a bag, or its .mcap file")
+    add(
+        "bag",
+        metavar="BAG",
+        type=Path,
+        help="directory of a bag, or its .mcap file",
+    )
     add("--namespace", metavar="NAME", default="", help="of the recorded graph")
     add("--out", type=Path, metavar="FILE", help="default: BAG_constraints.png")
     options = parser.parse_args(arguments)

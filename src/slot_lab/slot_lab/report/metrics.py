@@ -100,7 +100,9 @@ class WalkMetrics:
     yaw_drift: float  # rad, last yaw minus the heading of the line
     period: float  # s, control period
     ticks: int  # odometry readings that require a command
-    deadline_misses: int  # ticks whose command came over a period later, or never
+    deadline_misses: (
+        int  # ticks whose command came over a period later, or never
+    )
     unanswered: int  # ticks without a command
     missed_ticks: int  # missing odometry readings: gaps in the stamps
     stages: dict[str, Latency]  # by node
@@ -109,11 +111,17 @@ class WalkMetrics:
     fallback_cycles: int | None  # MPC cycles without a solution
     longest_fallback: int | None  # consecutive ones
     violation_max: float  # N, largest constraint violation
-    saturated: tuple[float, ...]  # share of cycles, per leg, with an angle at its limit
+    saturated: tuple[
+        float, ...
+    ]  # share of cycles, per leg, with an angle at its limit
     rejected_odometry: int | None
-    servo_saturated: tuple[float, ...]  # share of samples, per leg, at the stall torque
+    servo_saturated: tuple[
+        float, ...
+    ]  # share of samples, per leg, at the stall torque
     servo_load: tuple[float, ...]  # mean torque over stall torque, per leg
-    supply_voltage: float  # V, mean of the servos; NaN: the nominal one is assumed
+    supply_voltage: (
+        float  # V, mean of the servos; NaN: the nominal one is assumed
+    )
     continuous_load: float  # largest mean load that the maker advises
 
 
@@ -171,7 +179,9 @@ def _progress(motion: TorsoTrack) -> dict[str, Any]:
 
 def _drift(whole: TorsoTrack, motion: TorsoTrack) -> dict[str, Any]:
     heading, yaw = whole.rpy[[0, -1], 2]
-    across = rotate(motion.position[:, :2] - motion.position[0, :2], -heading)[:, 1]
+    across = rotate(motion.position[:, :2] - motion.position[0, :2], -heading)[
+        :, 1
+    ]
     return {
         "lateral_drift_max": float(np.abs(across).max()),
         "lateral_drift_end": float(across[-1]),
@@ -193,9 +203,13 @@ def _timing(bag: Bag, start: float) -> dict[str, Any]:
         "deadline_misses": int(late.sum() + (due & ~answered).sum()),
         "unanswered": int((due & ~answered).sum()),
         "missed_ticks": int(gaps.clip(min=0).sum()),
-        "stages": {name: latency(ticks.latency[:, i]) for i, name in enumerate(STAGES)},
+        "stages": {
+            name: latency(ticks.latency[:, i]) for i, name in enumerate(STAGES)
+        },
         "end_to_end": latency(ticks.end_to_end),
-        "real_time_factor": float(np.ptp(ticks.stamp) / wall) if wall > 0 else math.nan,
+        "real_time_factor": float(np.ptp(ticks.stamp) / wall)
+        if wall > 0
+        else math.nan,
     }
 
 
@@ -206,10 +220,15 @@ def _control(bag: Bag, start: float) -> dict[str, Any]:
     states = _after(bag, start, "/mpc_state", "validity")
     maps = _after(bag, start, "/force_map/status", "saturated")
     violation = solves["violation"] if solves else np.zeros(0)
-    solved = violation[~np.isnan(violation)]  # without the cycles that were rejected
-    rejected = states and int(np.sum(states["validity"] == Validity.ODOMETRY_REJECTED))
+    solved = violation[
+        ~np.isnan(violation)
+    ]  # without the cycles that were rejected
+    rejected = states and int(
+        np.sum(states["validity"] == Validity.ODOMETRY_REJECTED)
+    )
     return {
-        "fallback_cycles": solves and int(np.sum(solves["status"] != Status.SOLVED)),
+        "fallback_cycles": solves
+        and int(np.sum(solves["status"] != Status.SOLVED)),
         "longest_fallback": solves and int(solves["fallback_cycles"].max()),
         "violation_max": float(solved.max()) if solved.size else math.nan,
         "saturated": _mean(maps["saturated"]) if maps else NOT_KNOWN,
@@ -231,7 +250,10 @@ def _servos(bag: Bag, start: float, servo: ServoSettings) -> dict[str, Any]:
 def _torques(bag: Bag, start: float) -> Array:
     """(n, 4) magnitudes of the servos' torques, N m; n = 0 where they are not recorded."""
     topic = "/joint_states"
-    if not bag.counts.get(topic) or not bag.series(topic, "effort")["effort"].size:
+    if (
+        not bag.counts.get(topic)
+        or not bag.series(topic, "effort")["effort"].size
+    ):
         return np.empty((0, len(LEGS)))  # a JointState may have no efforts
     t, torque = joint_columns(bag, topic, "effort")
     return np.abs(torque[t >= start])
@@ -248,17 +270,23 @@ def _supply_voltage(bag: Bag, start: float) -> Array:
     )
 
 
-def _after(bag: Bag, start: float, topic: str, *fields: str) -> dict[str, Array] | None:
+def _after(
+    bag: Bag, start: float, topic: str, *fields: str
+) -> dict[str, Array] | None:
     """Fields of a topic at or after graph time `start`; None if there are no messages."""
     if topic not in bag.topics:
         return None
     series = bag.series(topic, *fields)
     keep = seconds(series.stamp) >= start
-    return {field: series[field][keep] for field in fields} if keep.any() else None
+    return (
+        {field: series[field][keep] for field in fields} if keep.any() else None
+    )
 
 
 def _mean(rows: NDArray[Any]) -> tuple[float, ...]:
-    return tuple(float(f) for f in rows.mean(axis=0)) if len(rows) else NOT_KNOWN
+    return (
+        tuple(float(f) for f in rows.mean(axis=0)) if len(rows) else NOT_KNOWN
+    )
 
 
 @dataclass(frozen=True)
@@ -286,9 +314,13 @@ def _parts(name: str, value: Any) -> Iterator[tuple[str, float]]:
             yield from _parts(f"{name}.{key}", inner)
     elif isinstance(value, Latency):
         parts = dataclasses.asdict(value)
-        yield from ((f"{name}.{part}", parts[part]) for part in ("p50", "p99", "max"))
+        yield from (
+            (f"{name}.{part}", parts[part]) for part in ("p50", "p99", "max")
+        )
     elif isinstance(value, tuple):
-        yield from ((f"{name}.{leg}", float(part)) for leg, part in zip(LEGS, value))
+        yield from (
+            (f"{name}.{leg}", float(part)) for leg, part in zip(LEGS, value)
+        )
     else:
         yield name, math.nan if value is None else float(value)
 
@@ -296,13 +328,13 @@ def _parts(name: str, value: Any) -> Iterator[tuple[str, float]]:
 def summary_lines(metrics: WalkMetrics) -> list[str]:
     """Aligned lines `name  values`, with units; a dash where the bag lacks the data."""
     m = metrics
-    misses = (
-        f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms"
-    )
+    misses = f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms"
     unanswered = f"{m.unanswered} ticks, {m.missed_ticks} odometries missing"
     most = f"at most {m.longest_fallback} in a row"
     fallback = (
-        "-" if m.fallback_cycles is None else f"{m.fallback_cycles} cycles, {most}"
+        "-"
+        if m.fallback_cycles is None
+        else f"{m.fallback_cycles} cycles, {most}"
     )
     rows = [
         ("motion from", m.source),
@@ -353,7 +385,9 @@ def _number(value: float, form: str) -> str:
 def _latency(stage: Latency) -> str:
     if not stage.count:
         return "-"
-    p50, p99, largest = (1e3 * value for value in (stage.p50, stage.p99, stage.max))
+    p50, p99, largest = (
+        1e3 * value for value in (stage.p50, stage.p99, stage.max)
+    )
     return f"p50 {p50:6.2f}   p99 {p99:6.2f}   max {largest:6.2f} ms"
 
 
@@ -362,12 +396,17 @@ def _load(metrics: WalkMetrics) -> str:
     load, voltage = sum(metrics.servo_load) / len(LEGS), metrics.supply_voltage
     if not math.isfinite(load):
         return "-"
-    stall = f"stall at {voltage:.1f} V" if math.isfinite(voltage) else "nominal stall"
+    stall = (
+        f"stall at {voltage:.1f} V"
+        if math.isfinite(voltage)
+        else "nominal stall"
+    )
     advised = f"{100 * metrics.continuous_load:.0f} %"
     return f"{100 * load:.1f} % of {stall}; the maker advises {advised}"
 
 
 def _per_leg(fractions: Iterable[float]) -> str:
     return "   ".join(
-        f"{leg} {_number(100 * f, '{:.1f} %')}" for leg, f in zip(LEGS, fractions)
+        f"{leg} {_number(100 * f, '{:.1f} %')}"
+        for leg, f in zip(LEGS, fractions)
     )

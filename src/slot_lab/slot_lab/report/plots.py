@@ -34,7 +34,10 @@ from slot_lab.report.constraint_map import draw_slack, read_map
 from slot_lab.report.metrics import WalkMetrics
 from slot_lab.report.traces import PLOTS, disturbances
 
-SIZE, SHARP = (11.5, 9.2), 140  # inches, dots per inch: legible at the width of a page
+SIZE, SHARP = (
+    (11.5, 9.2),
+    140,
+)  # inches, dots per inch: legible at the width of a page
 WIDTHS = (1.0, 1.0, 1.2)  # of its columns, relative
 WINDOW = 4.0  # s at the end of the walk, shown in the panels of the legs
 LATENCY_BINS = 60
@@ -75,7 +78,9 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     )
     motion = read_motion(bag)
     names = ["path", "state", "height", "speed", "tilt"]
-    path, state, height, speed, tilt = _stack(left, names, (1.3, 0.12, 1.0, 1.0, 1.0))
+    path, state, height, speed, tilt = _stack(
+        left, names, (1.3, 0.12, 1.0, 1.0, 1.0)
+    )
     draw_path(path, motion, motion.between(motion.t[0] + metrics.warm_up))
     draw_states(state, bag, motion.t[0], motion.t[-1])
     draw_height(height, motion, metrics.warm_up)
@@ -100,7 +105,9 @@ def _stack(
     figure: FigureBase, names: Sequence[str], heights: Sequence[float]
 ) -> list[Axes]:
     grid = figure.add_gridspec(len(names), 1, height_ratios=heights)
-    return [figure.add_subplot(grid[i], label=name) for i, name in enumerate(names)]
+    return [
+        figure.add_subplot(grid[i], label=name) for i, name in enumerate(names)
+    ]
 
 
 def draw_path(ax: Axes, motion: TorsoTrack, counted: TorsoTrack) -> None:
@@ -113,7 +120,9 @@ def draw_path(ax: Axes, motion: TorsoTrack, counted: TorsoTrack) -> None:
     start, heading = counted.position[0, :2], motion.rpy[0, 2]
     along = rotate(counted.position[:, :2] - start, -heading)[:, 0].max()
     end = start + rotate(np.array([along, 0.0]), heading)
-    ax.plot(*motion.position[:, :2].T, color=palette.TRUE, lw=1.6, label="torso")
+    ax.plot(
+        *motion.position[:, :2].T, color=palette.TRUE, lw=1.6, label="torso"
+    )
     ax.plot(
         *np.array([start, end]).T,
         color=palette.INK,
@@ -135,14 +144,19 @@ def draw_states(ax: Axes, bag: Bag, start: float, end: float) -> None:
     """
     if bag.counts.get("/robot_state"):
         series = bag.series("/robot_state", "state")
-        time, states = seconds(series.stamp) - start, series["state"].astype(int)
+        time, states = (
+            seconds(series.stamp) - start,
+            series["state"].astype(int),
+        )
         begins = np.flatnonzero(np.diff(states, prepend=-1))
         for begin, last in zip(begins, [*time[begins[1:]], end - start]):
             state, first = (
                 State(states[begin]),
                 max(time[begin], 0.0),
             )  # it reports before it moves
-            ax.axvspan(first, last, color=STATE_COLOURS.get(state, palette.SHADE))
+            ax.axvspan(
+                first, last, color=STATE_COLOURS.get(state, palette.SHADE)
+            )
             if last - first > 0.08 * (end - start):
                 ax.text(
                     (first + last) / 2,
@@ -159,7 +173,10 @@ def draw_states(ax: Axes, bag: Bag, start: float, end: float) -> None:
 def draw_height(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
     """Height of the torso's centre."""
     ax.plot(
-        motion.t - motion.t[0], 1e3 * motion.position[:, 2], color=palette.TRUE, lw=1
+        motion.t - motion.t[0],
+        1e3 * motion.position[:, 2],
+        color=palette.TRUE,
+        lw=1,
     )
     _over_time(ax, motion, warm_up, "height of base_link", "z (mm)")
 
@@ -172,7 +189,10 @@ def draw_speed(
     t = motion.t - motion.t[0]
     ax.plot(t, v_x, color=palette.PALE, lw=0.8, label="momentary")
     if period is not None:
-        mean, label = stride_mean(t, v_x, period), f"mean over a stride, {period:.2f} s"
+        mean, label = (
+            stride_mean(t, v_x, period),
+            f"mean over a stride, {period:.2f} s",
+        )
         ax.plot(t, mean, color=palette.SECONDARY, lw=1.8, label=label)
     ax.axhline(0.0, color=palette.INK, lw=0.6)
     _over_time(ax, motion, warm_up, "forward velocity", "v_x (m/s)")
@@ -191,7 +211,9 @@ def draw_tilt(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
     ax.legend(**LEGEND)
 
 
-def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
+def draw_angles(
+    axes: Sequence[Axes], bag: Bag, start: float, end: float
+) -> None:
     """Tendon angles of each leg, desired and measured, over the last WINDOW seconds."""
     for topic, label in (
         ("/desired_joint_angles", "desired"),
@@ -203,7 +225,9 @@ def draw_angles(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> Non
     _finish_legs(axes, "tendon angles (deg)", end - start)
 
 
-def draw_forces(axes: Sequence[Axes], bag: Bag, start: float, end: float) -> None:
+def draw_forces(
+    axes: Sequence[Axes], bag: Bag, start: float, end: float
+) -> None:
     """Normal forces of each leg, planned and true, over the last WINDOW seconds.
 
     The planned ones are of the plan's first stage; only a simulator publishes true ones.
@@ -228,12 +252,19 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
     that are not positive, of nodes in one process, are left out.
     """
     columns = [*ticks.latency.T, ticks.end_to_end]
-    ms = [1e3 * column[np.isfinite(column) & (column > 0)] for column in columns]
+    ms = [
+        1e3 * column[np.isfinite(column) & (column > 0)] for column in columns
+    ]
     if measured := [values for values in ms if len(values)]:
-        low, high = min(v.min() for v in measured), max(v.max() for v in measured)
+        low, high = (
+            min(v.min() for v in measured),
+            max(v.max() for v in measured),
+        )
         high = max(high, 1e3 * ticks.period)
         bins = np.geomspace(low / 1.2, high * 1.2, LATENCY_BINS).tolist()
-        for values, name, colour in zip(ms, (*STAGES, "end to end"), LATENCY_COLOURS):
+        for values, name, colour in zip(
+            ms, (*STAGES, "end to end"), LATENCY_COLOURS
+        ):
             ax.hist(
                 values,
                 bins,
@@ -245,7 +276,11 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
         ax.set_xscale("log")
         ax.set_yscale("log")  # a single late tick stays visible
     ax.axvline(
-        1e3 * ticks.period, color=palette.INK, ls="--", lw=1, label="control period"
+        1e3 * ticks.period,
+        color=palette.INK,
+        ls="--",
+        lw=1,
+        label="control period",
     )
     ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     _finish(ax, "", "ticks", "latency (ms, logarithmic)")
@@ -275,7 +310,9 @@ def draw_constraints(ax: Axes, bag: Bag, start: float) -> None:
     """Dynamic Constraint Map: slack of each constraint of the plan's first stage over time."""
     if bag.counts.get(PLANS, 0) > 1:
         found = read_map(bag).active
-        bar = draw_slack(ax, replace(found, time=found.time + found.begin - start))
+        bar = draw_slack(
+            ax, replace(found, time=found.time + found.begin - start)
+        )
         bar.ax.tick_params(labelsize=7)
         bar.ax.yaxis.label.set_fontsize(8)
     _finish(ax, "Dynamic Constraint Map", "", "time (s)")

@@ -40,7 +40,10 @@ from slot_lab.bags.topics import LEG_STATES
 SUN = np.array([0.25, -0.45, 0.86]) / np.linalg.norm([0.25, -0.45, 0.86])
 SHADOW = "#d3d9df"
 AMBIENT = 0.55  # brightness of a face turned away from the sun
-GROUND_HALF = (0.26, 0.22)  # m, of the ground drawn around the robot, along x and y
+GROUND_HALF = (
+    0.26,
+    0.22,
+)  # m, of the ground drawn around the robot, along x and y
 GROUND_LINE = 0.1  # m between lines on the ground
 MARK: dict[str, Any] = {
     "textcoords": "offset points",
@@ -136,7 +139,9 @@ def draw_robot(
 
 def torso_solid(pose: Snapshot, robot: RobotParameters) -> Solid:
     """The torso's box."""
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    signs = np.array(
+        [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    )
     corners = Rotation.from_quat(pose.quaternion).apply(
         signs * np.array(robot.torso.size) / 2
     )
@@ -147,7 +152,8 @@ def leg_solids(pose: Snapshot, robot: RobotParameters) -> list[Solid]:
     """The legs, with their width and their taper."""
     bars = leg_bars(pose.legs, robot)
     return [
-        Solid(faces, palette.LEG_COLOURS[leg]) for leg, faces in zip(LEGS, bars.faces)
+        Solid(faces, palette.LEG_COLOURS[leg])
+        for leg, faces in zip(LEGS, bars.faces)
     ]
 
 
@@ -155,7 +161,9 @@ def _draw_solids(
     ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint
 ) -> None:
     faces = np.concatenate([solid.faces for solid in solids])
-    colours = np.concatenate([[to_rgb(s.colour)] * len(s.faces) for s in solids])
+    colours = np.concatenate(
+        [[to_rgb(s.colour)] * len(s.faces) for s in solids]
+    )
     normal = normals(faces)
     seen = normal @ camera.toward > 0
     light = AMBIENT + (1 - AMBIENT) * (normal @ SUN).clip(min=0.0)
@@ -172,11 +180,14 @@ def _draw_ground(ax: Axes, centre: Array, camera: Viewpoint) -> None:
     half = np.array([*GROUND_HALF, 0.0])
     corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * half
     outline = camera.project(corners)
-    ax.add_collection(PolyCollection([outline], facecolors=palette.SHADE, zorder=0))
+    ax.add_collection(
+        PolyCollection([outline], facecolors=palette.SHADE, zorder=0)
+    )
     ends = np.array([centre[0] - half[0], centre[0] + half[0]]) / GROUND_LINE
     marks = GROUND_LINE * np.arange(math.ceil(ends[0]), math.floor(ends[1]) + 1)
     lines = [
-        np.array([[x, -half[1], 0.0], [x, half[1], 0.0]]) for x in marks - centre[0]
+        np.array([[x, -half[1], 0.0], [x, half[1], 0.0]])
+        for x in marks - centre[0]
     ]
     shown = [camera.project(line) for line in lines]
     ax.add_collection(LineCollection(shown, colors="white", zorder=1))
@@ -187,7 +198,9 @@ def _draw_ground(ax: Axes, centre: Array, camera: Viewpoint) -> None:
     ax.set_ylim(low - 0.03, high + 0.02)
 
 
-def _draw_forces(ax: Axes, pose: Snapshot, centre: Array, camera: Viewpoint) -> None:
+def _draw_forces(
+    ax: Axes, pose: Snapshot, centre: Array, camera: Viewpoint
+) -> None:
     arrow = {
         "arrowstyle": "-|>",
         "color": palette.INK,
@@ -195,7 +208,9 @@ def _draw_forces(ax: Axes, pose: Snapshot, centre: Array, camera: Viewpoint) -> 
         "shrinkA": 0,
         "shrinkB": 0,
     }
-    for foot, force in zip(pose.legs.nodes[:, -1] * [1.0, 1.0, 0.0], pose.force):
+    for foot, force in zip(
+        pose.legs.nodes[:, -1] * [1.0, 1.0, 0.0], pose.force
+    ):
         if np.linalg.norm(force) > LEAST_FORCE:
             ends = np.array([foot, foot + FORCE_SCALE * force]) - centre
             tail, head = camera.project(ends).tolist()
@@ -258,7 +273,9 @@ def draw_frame(pose: Snapshot, robot: RobotParameters) -> Image.Image:
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
 
 
-def read_poses(bag: Bag, times: Array, robot: RobotParameters) -> list[Snapshot]:
+def read_poses(
+    bag: Bag, times: Array, robot: RobotParameters
+) -> list[Snapshot]:
     """The robot at the recorded states nearest to `times` (s of graph time).
 
     Without recorded leg states it has stress-free legs and no forces.

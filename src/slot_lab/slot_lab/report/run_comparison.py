@@ -67,7 +67,8 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
         "",
         f"motion from {' -> '.join(sources)}",
         f"after {warm_up:g} s of warm-up",
-        f"{'':<{NAME_WIDTH}}" + "".join(f"{name:>{VALUE_WIDTH}}" for name in columns),
+        f"{'':<{NAME_WIDTH}}"
+        + "".join(f"{name:>{VALUE_WIDTH}}" for name in columns),
         *map(str, pairs),
         *beyond,
     ]
@@ -99,7 +100,8 @@ class FigurePair:
 
     def __str__(self) -> str:
         values = "".join(
-            f"{_number(f.value):>{VALUE_WIDTH}}" for f in (self.first, self.second)
+            f"{_number(f.value):>{VALUE_WIDTH}}"
+            for f in (self.first, self.second)
         )
         off = self.difference
         known = f"{off:+.4g}" if off else "="
@@ -113,8 +115,12 @@ def compare_figures(
     """The figures of two walks in pairs; a figure that one lacks, such as a stage, is a NaN."""
     a, b = ({figure.name: figure for figure in run} for run in (first, second))
     units = {name: figure.unit for name, figure in {**a, **b}.items()}
-    missing = {name: Figure(name, math.nan, unit) for name, unit in units.items()}
-    return [FigurePair(a.get(n, missing[n]), b.get(n, missing[n])) for n in units]
+    missing = {
+        name: Figure(name, math.nan, unit) for name, unit in units.items()
+    }
+    return [
+        FigurePair(a.get(n, missing[n]), b.get(n, missing[n])) for n in units
+    ]
 
 
 def exceeded(
@@ -135,7 +141,9 @@ def exceeded(
     lines = []
     for pair in pairs:
         name, unit, off = pair.first.name, pair.first.unit, pair.difference
-        limits = [n for pattern, n in tolerances if fnmatch.fnmatchcase(name, pattern)]
+        limits = [
+            n for pattern, n in tolerances if fnmatch.fnmatchcase(name, pattern)
+        ]
         if limits and abs(off) > limits[-1]:
             most = f"{limits[-1]:g} {unit}".rstrip()
             change = f"{off:+.4g} {unit}".rstrip() + f", more than {most}"
@@ -156,10 +164,18 @@ def plot(first: Bag, second: Bag) -> Canvas:
     figure = Canvas(figsize=(12.0, 1.9 * len(a)), dpi=DPI, layout="constrained")
     axes = figure.subplots(len(a), 2, sharex=True)
     shared = times[0][times[0] <= times[1][-1]]
-    for (both, difference), (title, then), now in zip(axes, a.items(), b.values()):
-        both.plot(times[0], then, color=palette.TRUE, lw=1.4, label=first.path.name)
+    for (both, difference), (title, then), now in zip(
+        axes, a.items(), b.values()
+    ):
         both.plot(
-            times[1], now, color=palette.SECONDARY, lw=1.0, label=second.path.name
+            times[0], then, color=palette.TRUE, lw=1.4, label=first.path.name
+        )
+        both.plot(
+            times[1],
+            now,
+            color=palette.SECONDARY,
+            lw=1.0,
+            label=second.path.name,
         )
         change = np.interp(shared, times[1], now) - then[: len(shared)]
         difference.plot(shared, change, color=palette.INK, lw=1.0)
@@ -177,7 +193,9 @@ def plot(first: Bag, second: Bag) -> Canvas:
 def curves(walk: TorsoTrack) -> Mapping[str, Array]:
     """Curves of the torso (n,) by title, in the frame of its place and heading at the start."""
     heading = walk.rpy[0, 2]
-    forward, left = rotate(walk.position[:, :2] - walk.position[0, :2], -heading).T
+    forward, left = rotate(
+        walk.position[:, :2] - walk.position[0, :2], -heading
+    ).T
     return {
         "forward (m)": forward,
         "left (mm)": 1e3 * left,
@@ -196,7 +214,9 @@ def origin_lines(first: Bag, second: Bag) -> list[str]:
     changed = [name for name in names if a.get(name) != b.get(name)]
     shown = dict.fromkeys(["revision", "policy", *changed])
     lines = [_line(name, a.get(name, "-"), b.get(name, "-")) for name in shown]
-    if same := ", ".join(f"{name} {a[name]}" for name in names if name not in shown):
+    if same := ", ".join(
+        f"{name} {a[name]}" for name in names if name not in shown
+    ):
         lines.append(_line("the same", same, same))
     tuned = _tuned(first), _tuned(second)
     if tuned[0] != tuned[1]:
@@ -204,7 +224,9 @@ def origin_lines(first: Bag, second: Bag) -> list[str]:
             _line("changed in the run", *(text or "nothing" for text in tuned))
         )
     then, now = dict(first.origin.files), dict(second.origin.files)
-    recorded = [files.pop(CONFIGURATION, None) is not None for files in (then, now)]
+    recorded = [
+        files.pop(CONFIGURATION, None) is not None for files in (then, now)
+    ]
     lines += [_file_line(name, then, now) for name in _differing(then, now)]
     if not all(recorded):
         states = ("recorded" if has else "not recorded" for has in recorded)
@@ -230,7 +252,8 @@ def _tuned(bag: Bag) -> str:
         return ""
     with bag.using(PLANS):
         texts = dict.fromkeys(
-            getattr(message, "settings", "") for _, message in bag.messages(PLANS)
+            getattr(message, "settings", "")
+            for _, message in bag.messages(PLANS)
         )
         sets = [json.loads(text) for text in texts if text]
         changes = (change for changed in sets for change in changed.items())
@@ -247,7 +270,9 @@ def _file_line(name: str, then: Files, now: Files) -> str:
     """Line on a file that differs."""
     if name in then and name in now:
         return _line(name, "one file", "another one")
-    return _line(name, *("a file" if name in files else "-" for files in (then, now)))
+    return _line(
+        name, *("a file" if name in files else "-" for files in (then, now))
+    )
 
 
 def _configuration(bag: Bag) -> Files:
@@ -261,14 +286,20 @@ def _value_lines(then: Files, now: Files) -> Iterator[str]:
     """Lines on the values of the configuration that differ."""
     for file in _differing(then, now):
         try:
-            before, after = (_values(files[file], file) for files in (then, now))
+            before, after = (
+                _values(files[file], file) for files in (then, now)
+            )
         except (KeyError, BagError, ConfigError, UnicodeDecodeError):
             yield _file_line(file, then, now)
             continue
         names = dict.fromkeys([*before, *after])
-        changed = [name for name in names if before.get(name) != after.get(name)]
+        changed = [
+            name for name in names if before.get(name) != after.get(name)
+        ]
         for name in changed:
-            texts = (quoted(v[name]) if name in v else "-" for v in (before, after))
+            texts = (
+                quoted(v[name]) if name in v else "-" for v in (before, after)
+            )
             yield f"{file} {name}  {' -> '.join(texts)}"
         if not changed:
             yield f"{file:<{WIDTH}}other comments"

@@ -43,7 +43,9 @@ def _one(name: str, colour: str) -> Curve:
 
 
 def _of_legs(suffix: str, *, pale: bool = False) -> Curve:
-    colours = tuple(palette.LEG_COLOURS[leg] + ("70" if pale else "") for leg in LEGS)
+    colours = tuple(
+        palette.LEG_COLOURS[leg] + ("70" if pale else "") for leg in LEGS
+    )
     return Curve(tuple(f"{leg} {suffix}" for leg in LEGS), colours)
 
 
@@ -70,14 +72,22 @@ PLOTS = {
     ),
     "force": Plot(
         "vertical force (N)",
-        {"ground": _of_legs("ground"), "demanded": _of_legs("demanded", pale=True)},
+        {
+            "ground": _of_legs("ground"),
+            "demanded": _of_legs("demanded", pale=True),
+        },
     ),
     "tension": Plot("tendon tension (N)", {"simulated": _of_legs("simulated")}),
     "disturbance": Plot(
         "disturbances found",
         {
             "mpc": Curve(
-                ("load (100 g)", "slip x (cm/s)", "slip y (cm/s)", "turn (deg/s)"),
+                (
+                    "load (100 g)",
+                    "slip x (cm/s)",
+                    "slip y (cm/s)",
+                    "turn (deg/s)",
+                ),
                 (palette.INK, *list(palette.LEG_COLOURS.values())[:3]),
             )
         },
@@ -109,7 +119,9 @@ def _torso(
         "roll": math.degrees(roll),
         "pitch": math.degrees(pitch),
     }
-    return {f"{name}/{source}": np.array([value]) for name, value in scaled.items()}
+    return {
+        f"{name}/{source}": np.array([value]) for name, value in scaled.items()
+    }
 
 
 def _of_truth(message: Any) -> Values:
@@ -133,7 +145,11 @@ def _of_legs_truth(message: Any) -> Values:
 def disturbances(wrench: Array, drift: Array) -> Array:
     """Disturbances (4, ...) in the units of their plot, from wrench and drift (3, ...)."""
     return np.array(
-        [-10.0 * wrench[0] / GRAVITY, *(100.0 * drift[:2]), np.degrees(drift[2])]
+        [
+            -10.0 * wrench[0] / GRAVITY,
+            *(100.0 * drift[:2]),
+            np.degrees(drift[2]),
+        ]
     )
 
 
@@ -167,7 +183,9 @@ _VALUES: dict[str, Callable[[Any], Values]] = {
     "/desired_joint_angles": _angle("commanded"),
 }
 _STATES: dict[str, Callable[[Any], States]] = {
-    "/robot_state": lambda message: {"supervisor": decode.robot_state(message)[1].name},
+    "/robot_state": lambda message: {
+        "supervisor": decode.robot_state(message)[1].name
+    },
     "/tendon_plan": lambda message: {"mpc": Status(message.status).name},
     "/gait_preview": lambda message: {"gait": message.gait},
 }

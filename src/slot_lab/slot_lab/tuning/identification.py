@@ -6,7 +6,13 @@ from typing import Any
 import numpy as np
 
 from slot_core.arrays import Array
-from slot_core.gait.gait import TORSO_MOTION, HarmonicBasis, Pattern, Steering, Stride
+from slot_core.gait.gait import (
+    TORSO_MOTION,
+    HarmonicBasis,
+    Pattern,
+    Steering,
+    Stride,
+)
 from slot_core.geometry import rotate
 from slot_core.refusal import InputError
 from slot_lab.tuning import symmetry
@@ -59,13 +65,18 @@ def find_steering(
     speed = STEERED_AMPLITUDE * stride.forward.speed
     jobs = []
     for column in np.eye(10):
-        tried = Steering(probe, probe, symmetry.rows(symmetry.steering(step * column)))
+        tried = Steering(
+            probe, probe, symmetry.rows(symmetry.steering(step * column))
+        )
         changed = replace(stride, forward_steering=tried)
         for sign in (1.0, -1.0):
             jobs += [
-                Job(changed, mu, (speed, 0.0, sign * probe)) for mu in settings.friction
+                Job(changed, mu, (speed, 0.0, sign * probe))
+                for mu in settings.friction
             ]
-    means = np.array([motion.means[STEERED] for motion in run_jobs(run_all, jobs)])
+    means = np.array(
+        [motion.means[STEERED] for motion in run_jobs(run_all, jobs)]
+    )
     plus, minus = means.reshape(10, 2, size, 3).mean(axis=2).transpose(1, 0, 2)
     effect = (plus - minus).T / (2 * step)
     scale = 1.0 / np.array(settings.steering_scale)[:, None]
@@ -91,7 +102,8 @@ def tabulate(
         velocity = tuple(axis * getattr(stride, name).speed)
         held = name in HELD
         jobs += [
-            Job(stride, mu, velocity, hold_height=held) for mu in settings.friction
+            Job(stride, mu, velocity, hold_height=held)
+            for mu in settings.friction
         ]
     motions, size = run_jobs(run_all, jobs), len(settings.friction)
     found = {}
@@ -103,7 +115,8 @@ def tabulate(
         angle = np.array(getattr(stride, name).angle_deg)
         angle[:, 0] += np.degrees(np.mean([motion.offset for motion in part]))
         motion: dict[str, Any] = {
-            key: tuple(row.tolist()) for key, row in zip(TORSO_MOTION, tables[4:])
+            key: tuple(row.tolist())
+            for key, row in zip(TORSO_MOTION, tables[4:])
         }
         found[name] = replace(
             getattr(stride, name),

@@ -36,7 +36,13 @@ ZERO = (0.0, 0.0, 0.0, 0.0, 0.0)
 AXIS = {"forward": 0, "turn": 2}
 # Costs: per mm of dip and of mean height missed, deg of RMS tilt, deg of largest tilt, deg of mean
 # roll and pitch, mm of top, and per share of the stall torque.
-PER_DIP, PER_TILT, PER_LARGEST_TILT, PER_MEAN_TILT, PER_TOP = 0.2, 1.5, 0.5, 1.0, 1.0
+PER_DIP, PER_TILT, PER_LARGEST_TILT, PER_MEAN_TILT, PER_TOP = (
+    0.2,
+    1.5,
+    0.5,
+    1.0,
+    1.0,
+)
 PER_LOAD = 100.0
 
 
@@ -67,23 +73,33 @@ def trial(stride: Stride, kind: str, x: Array) -> Stride:
 
 def bare_pattern(angle: Array) -> Pattern:
     """Pattern of coefficients (4, 5), deg, without tables."""
-    return Pattern(1.0, symmetry.rows(angle), (ZERO,) * 4, ZERO, ZERO, ZERO, ZERO, ZERO)
+    return Pattern(
+        1.0, symmetry.rows(angle), (ZERO,) * 4, ZERO, ZERO, ZERO, ZERO, ZERO
+    )
 
 
-def jobs(stride: Stride, goal: Goal, x: Array, settings: TuningSettings) -> list[Job]:
+def jobs(
+    stride: Stride, goal: Goal, x: Array, settings: TuningSettings
+) -> list[Job]:
     """Runs of a candidate: at amplitude one on every floor, then at half on the middle one."""
     speed = getattr(stride, goal.kind).speed * np.eye(3)[AXIS[goal.kind]]
     changed, floors = trial(stride, goal.kind, x), settings.friction
     hold = goal.kind in HELD
     whole = [
-        Job(changed, friction, tuple(speed), hold_height=hold) for friction in floors
+        Job(changed, friction, tuple(speed), hold_height=hold)
+        for friction in floors
     ]
-    half = Job(changed, floors[len(floors) // 2], tuple(speed / 2), hold_height=hold)
+    half = Job(
+        changed, floors[len(floors) // 2], tuple(speed / 2), hold_height=hold
+    )
     return [*whole, half]
 
 
 def cost(
-    outcomes: Sequence[Outcome], stride: Stride, goal: Goal, settings: TuningSettings
+    outcomes: Sequence[Outcome],
+    stride: Stride,
+    goal: Goal,
+    settings: TuningSettings,
 ) -> tuple[float, Array]:
     """Cost of a candidate from the outcomes of its `jobs`, and its speed on each floor."""
     axis, floors = AXIS[goal.kind], len(outcomes) - 1
@@ -161,14 +177,24 @@ class PatternSearch:
             "seed": seed,
             "popsize": settings.population,
             "verbose": -9,
-            "bounds": [-settings.coefficient_max_deg, settings.coefficient_max_deg],
+            "bounds": [
+                -settings.coefficient_max_deg,
+                settings.coefficient_max_deg,
+            ],
         }
-        self._strategy = cma.CMAEvolutionStrategy(start, settings.step_deg, options)
-        self.best = Found(start, np.inf, np.full(len(settings.friction), np.nan))
+        self._strategy = cma.CMAEvolutionStrategy(
+            start, settings.step_deg, options
+        )
+        self.best = Found(
+            start, np.inf, np.full(len(settings.friction), np.nan)
+        )
         self.done = 0  # candidates, without the start
 
     def run(
-        self, run_all: RunAll, record: Path, progress: Callable[[str, float], None]
+        self,
+        run_all: RunAll,
+        record: Path,
+        progress: Callable[[str, float], None],
     ) -> Found:
         """Search to the end of the evaluations; the best candidate, the start included.
 
@@ -176,7 +202,9 @@ class PatternSearch:
         """
         recorded = self._open(record)
         self._generation([self._strategy.x0], recorded, run_all, record)
-        while self.done < self._settings.evaluations and not self._strategy.stop():
+        while (
+            self.done < self._settings.evaluations and not self._strategy.stop()
+        ):
             candidates = self._strategy.ask()
             costs = self._generation(candidates, recorded, run_all, record)
             self._strategy.tell(candidates, costs)
@@ -208,7 +236,9 @@ class PatternSearch:
                 self.best = Found(np.array(x), value, np.array(speed))
         return [value for value, _ in rows]
 
-    def _evaluate(self, candidates: Sequence[Array], run_all: RunAll) -> list[Any]:
+    def _evaluate(
+        self, candidates: Sequence[Array], run_all: RunAll
+    ) -> list[Any]:
         runs = len(self._settings.friction) + 1
         todo = [
             jobs(self._stride, self._goal, np.array(x), self._settings)
@@ -225,7 +255,11 @@ class PatternSearch:
     def _open(self, record: Path) -> list[Any]:
         """Generations of the record; a line cut off by an interrupt is dropped."""
         head = json.dumps(self._head)
-        lines = record.read_text().splitlines(keepends=True) if record.exists() else []
+        lines = (
+            record.read_text().splitlines(keepends=True)
+            if record.exists()
+            else []
+        )
         whole = [line for line in lines if line.endswith("\n")]
         if not whole:
             whole = [head + "\n"]

@@ -18,7 +18,9 @@ class TuningSettings:
     command_period: float = quantity(
         "time between commands of the tendon angles", "s", 1e-3, 0.1
     )
-    settling_strides: int = quantity("strides before the first that counts", "", 0, 100)
+    settling_strides: int = quantity(
+        "strides before the first that counts", "", 0, 100
+    )
     strides: int = quantity("strides that count", "", 1, 1000)
     height_gain: float = quantity(
         "share of a height error that one stride corrects", "", 0, 1
@@ -40,7 +42,9 @@ class TuningSettings:
     tilt_deg: float = quantity(
         "tilt RMS that costs nothing; largest tilt: twice", "deg", 0, 45
     )
-    load: float = quantity("mean torque over stall torque that costs nothing", "", 0, 1)
+    load: float = quantity(
+        "mean torque over stall torque that costs nothing", "", 0, 1
+    )
     dip: float = quantity(
         "drop below the stride's height that costs nothing", "m", 0, 0.1
     )

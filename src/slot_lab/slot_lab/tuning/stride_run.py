@@ -26,7 +26,10 @@ from slot_lab.tuning.settings import TuningSettings
 OUTPUTS = ("v_x", "v_y", "yaw rate", "height", "roll", "pitch")
 RISE = 0.053  # m, of the torso per rad of all angles
 OFFSET_MAX = math.radians(15.0)  # of the height's correction
-HELD = ("forward", "lateral")  # run at the stride's height; a turn finds its own
+HELD = (
+    "forward",
+    "lateral",
+)  # run at the stride's height; a turn finds its own
 TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)  # columns of a track; s, m, rad
 
 
@@ -47,7 +50,9 @@ class StrideMotion(NamedTuple):
     phase: Array  # (n,)
     force: Array  # (n, 4) N, normal
     velocity: Array  # (n, 2) m/s
-    means: Array  # (6,) `OUTPUTS`, mean over the strides; velocities in base_link
+    means: (
+        Array  # (6,) `OUTPUTS`, mean over the strides; velocities in base_link
+    )
     offset: float  # rad, mean over the strides
     top: float  # m, highest point of the torso
     load: float  # mean torque of the servos over their stall torque
@@ -75,7 +80,11 @@ def simulate(job: Job, settings: TuningSettings) -> Outcome:
 
 class _Run:
     def __init__(
-        self, job: Job, settings: TuningSettings, robot: RobotParameters, scene: Scene
+        self,
+        job: Job,
+        settings: TuningSettings,
+        robot: RobotParameters,
+        scene: Scene,
     ) -> None:
         self._job, self._settings, self._size = job, settings, robot.torso.size
         servo = read_servo()
@@ -89,11 +98,17 @@ class _Run:
     def motion(self) -> StrideMotion:
         """Run all strides; keep those that count."""
         first, count = self._settings.settling_strides, self._settings.strides
-        rows = [self._sample(-self._settings.command_period / self._job.stride.period)]
+        rows = [
+            self._sample(
+                -self._settings.command_period / self._job.stride.period
+            )
+        ]
         offsets: list[float] = []
         for stride in range(first + count):
             if stride == first:
-                rows = rows[-1:]  # whole strides: from the end of the one before
+                rows = rows[
+                    -1:
+                ]  # whole strides: from the end of the one before
                 self._top = 0.0
             begin = len(rows)
             for phase, angle in self._commands(stride):
@@ -101,7 +116,9 @@ class _Run:
                 rows.append(self._sample(phase))
             offsets.append(self._offset)
             if self._job.hold_height:
-                self._correct(float(np.mean([row[HEIGHT] for row in rows[begin:]])))
+                self._correct(
+                    float(np.mean([row[HEIGHT] for row in rows[begin:]]))
+                )
         table = np.array(rows)
         track, rest = table[:, :7], table[:, 7:]
         return StrideMotion(
@@ -118,12 +135,16 @@ class _Run:
     def _commands(self, number: int) -> list[tuple[float, Array]]:
         """Phases and tendon angles (4,) of the commands that fall into stride `number`."""
         period, dt = self._job.stride.period, self._settings.command_period
-        first, last = (math.ceil(n * period / dt - 1e-9) for n in (number, number + 1))
+        first, last = (
+            math.ceil(n * period / dt - 1e-9) for n in (number, number + 1)
+        )
         phases = np.clip(
             np.arange(first, last) * dt / period - number, 0.0, 1.0 - 1e-12
         )
         velocity = np.array(self._job.velocity)
-        angles = self._job.stride.stride_table(phases, velocity, self._offset)[:, :4]
+        angles = self._job.stride.stride_table(phases, velocity, self._offset)[
+            :, :4
+        ]
         return list(zip(phases.tolist(), np.clip(angles, 0.0, self._angle_max)))
 
     def _sample(self, phase: float) -> list[float]:
@@ -133,18 +154,35 @@ class _Run:
             self._top, float(position[2] + abs(rotation[2]) @ self._size / 2)
         )
         # The sample belongs to the end of the command.
-        later = (phase + self._settings.command_period / self._job.stride.period) % 1.0
+        later = (
+            phase + self._settings.command_period / self._job.stride.period
+        ) % 1.0
         force = robot.ground_force[:, 2]
-        motion = [robot.time, *position, *robot.rpy, later, *force, *velocity[:2]]
+        motion = [
+            robot.time,
+            *position,
+            *robot.rpy,
+            later,
+            *force,
+            *velocity[:2],
+        ]
         return [*motion, float(robot.servo_torque.mean())]
 
     def _correct(self, height: float) -> None:
         """Correct the offset by a stride's mean height (m)."""
-        change = self._settings.height_gain * (self._job.stride.height - height) / RISE
-        self._offset = float(np.clip(self._offset + change, -OFFSET_MAX, OFFSET_MAX))
+        change = (
+            self._settings.height_gain
+            * (self._job.stride.height - height)
+            / RISE
+        )
+        self._offset = float(
+            np.clip(self._offset + change, -OFFSET_MAX, OFFSET_MAX)
+        )
 
 
 def stride_means(track: Array) -> Array:
     """Means (6,) `OUTPUTS` of a track (n, 7) over its whole length."""
     velocity = mean_velocity(track[:, TIME], track[:, [X, Y, YAW]])
-    return np.concatenate([velocity, track[1:, [HEIGHT, ROLL, PITCH]].mean(axis=0)])
+    return np.concatenate(
+        [velocity, track[1:, [HEIGHT, ROLL, PITCH]].mean(axis=0)]
+    )

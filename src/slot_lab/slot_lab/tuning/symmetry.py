@@ -20,7 +20,12 @@ from slot_core.gait.gait import (
     FourHarmonics,
 )
 
-DIAGONAL = [0, 2, 1, 3]  # legs after the reflection at the diagonal through FL and RR
+DIAGONAL = [
+    0,
+    2,
+    1,
+    3,
+]  # legs after the reflection at the diagonal through FL and RR
 NUMBERS = {"forward": 10, "turn": 10}
 FREE_LEGS = {"forward": (0, 2), "turn": (0, 1)}
 """Rows of a pattern that are its numbers."""
@@ -36,7 +41,9 @@ REVERSED = {
 def forward(x: Array) -> Array:
     """Coefficients (4, 5) of the numbers (10,): FL's, then RL's."""
     front, rear = x[:5], x[5:]
-    return np.stack([front, front * HALF_STRIDE_LATER, rear, rear * HALF_STRIDE_LATER])
+    return np.stack(
+        [front, front * HALF_STRIDE_LATER, rear, rear * HALF_STRIDE_LATER]
+    )
 
 
 def steering(x: Array) -> Array:
@@ -61,7 +68,9 @@ def lateral_steering(change: Array) -> Array:
 def turn(x: Array) -> Array:
     """Coefficients (4, 5) of the numbers (10,): FL's, then FR's."""
     left, right = x[:5], x[5:]
-    return np.stack([left, right, right * HALF_STRIDE_LATER, left * HALF_STRIDE_LATER])
+    return np.stack(
+        [left, right, right * HALF_STRIDE_LATER, left * HALF_STRIDE_LATER]
+    )
 
 
 def numbers(kind: str, pattern: Array) -> Array:

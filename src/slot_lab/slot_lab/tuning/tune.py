@@ -21,7 +21,12 @@ from slot_core.robot import read_robot
 from slot_lab.desk_command import Outcome
 from slot_lab.tuning import identification, symmetry
 from slot_lab.tuning.identification import IdentificationError
-from slot_lab.tuning.pattern_search import Goal, PatternSearch, bare_pattern, start_of
+from slot_lab.tuning.pattern_search import (
+    Goal,
+    PatternSearch,
+    bare_pattern,
+    start_of,
+)
 from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import RunAll, simulate
 from slot_lab.workers import mapper
@@ -52,7 +57,9 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
 class _Tuning:
     """Search by `scripts/tune`: its options, settings and stages."""
 
-    def __init__(self, options: argparse.Namespace, progress: ProgressLine) -> None:
+    def __init__(
+        self, options: argparse.Namespace, progress: ProgressLine
+    ) -> None:
         """Read the configuration; raises ConfigError."""
         self._options = options
         self.settings = _settings(options)
@@ -82,7 +89,9 @@ class _Tuning:
         pattern, note = self._search("forward", run_all)
         across = symmetry.rows(symmetry.lateral(np.array(pattern.angle_deg)))
         self.stride = replace(
-            self.stride, forward=pattern, lateral=replace(pattern, angle_deg=across)
+            self.stride,
+            forward=pattern,
+            lateral=replace(pattern, angle_deg=across),
         )
         return [note]
 
@@ -97,13 +106,17 @@ class _Tuning:
         search = PatternSearch(self.stride, goal, start, self.settings, seed)
         found = search.run(run_all, self._record(kind), self._progress)
         angle = (
-            symmetry.forward(found.x) if kind == "forward" else symmetry.turn(found.x)
+            symmetry.forward(found.x)
+            if kind == "forward"
+            else symmetry.turn(found.x)
         )
         if not np.mean(found.speed) >= LEAST_SPEED:
             raise IdentificationError(
                 f"{kind}: no candidate moves; more evaluations are needed"
             )
-        pattern = replace(bare_pattern(angle), speed=float(np.mean(found.speed)))
+        pattern = replace(
+            bare_pattern(angle), speed=float(np.mean(found.speed))
+        )
         speeds = ", ".join(f"{v:.4f}" for v in found.speed)
         friction = ", ".join(f"{value:g}" for value in self.settings.friction)
         return pattern, f"{kind}: {speeds} at friction {friction}, open loop"
@@ -124,7 +137,9 @@ class _Tuning:
                 steering.rate, steering.rate_max, symmetry.rows(across)
             ),
         )
-        stray = f"v_y {change[0]:+.4f} m/s, roll {np.degrees(change[2]):+.2f} deg"
+        stray = (
+            f"v_y {change[0]:+.4f} m/s, roll {np.degrees(change[2]):+.2f} deg"
+        )
         return [f"steering: {steering.rate:.4f} rad/s with {stray}"]
 
     def _identify(self, run_all: RunAll) -> list[str]:
@@ -150,7 +165,9 @@ def _settings(options: argparse.Namespace) -> TuningSettings:
         "scene": options.scene,
     }
     changes = dict(QUICK) if options.quick else {}
-    changes |= {name: value for name, value in given.items() if value is not None}
+    changes |= {
+        name: value for name, value in given.items() if value is not None
+    }
     return config.replace(read_tuning(), changes, where="scripts/tune")
 
 
@@ -163,12 +180,17 @@ def _start(options: argparse.Namespace) -> Stride:
     names = ("height_range", "period", "cruise")
     changes = {name: getattr(options, name) for name in names}
     if options.height is not None:
-        height, share = options.height, read_robot().weight / 4  # N, of a leg at rest
+        height, share = (
+            options.height,
+            read_robot().weight / 4,
+        )  # N, of a leg at rest
         angle = read_springs().angle(np.array([share]), np.array([height]))[0]
         centre = [round(float(np.degrees(angle)), 1)] * 4
         changes |= {"height": height, "centre_deg": centre}
         changes["height_range"] = options.height_range or [options.height] * 2
-    given = {name: value for name, value in changes.items() if value is not None}
+    given = {
+        name: value for name, value in changes.items() if value is not None
+    }
     return config.replace(stride, given, where="scripts/tune")
 
 
@@ -184,8 +206,14 @@ def write_gait(path: Path, stride: Stride, head: Sequence[str]) -> None:
 
 def _lines(settings: Any, indent: str) -> Iterator[str]:
     """Lines of a settings object: values first, then nested objects, rows of matrices in a line."""
-    values = {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
-    nested = [name for name, value in values.items() if dataclasses.is_dataclass(value)]
+    values = {
+        f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)
+    }
+    nested = [
+        name
+        for name, value in values.items()
+        if dataclasses.is_dataclass(value)
+    ]
     for name in [*(name for name in values if name not in nested), *nested]:
         value = values[name]
         if name in nested:

@@ -29,7 +29,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else arguments
     parser = _parser()
     options = parser.parse_args(words)
-    options.stages = [stage for stage in STAGES if stage in (options.stages or STAGES)]
+    options.stages = [
+        stage for stage in STAGES if stage in (options.stages or STAGES)
+    ]
     options.command = f"scripts/tune {shlex.join(words)}"
     from slot_lab.tuning.tune import run  # noqa: PLC0415 - heavy
 
@@ -40,14 +42,29 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_parser("tune", __doc__)
     add = parser.add_argument
     add("gait", metavar="NAME", help="name of the stride that is written")
-    add("stages", nargs="*", metavar="STAGE", type=_stage, help=", ".join(STAGES))
-    add("--like", metavar="NAME", help="stride to start from (default: the same)")
+    add(
+        "stages",
+        nargs="*",
+        metavar="STAGE",
+        type=_stage,
+        help=", ".join(STAGES),
+    )
+    add(
+        "--like",
+        metavar="NAME",
+        help="stride to start from (default: the same)",
+    )
     add(
         "--scratch",
         action="store_true",
         help="start the searches from a random pattern",
     )
-    add("--out", type=Path, metavar="FILE", help="default: config/gait/NAME.yaml")
+    add(
+        "--out",
+        type=Path,
+        metavar="FILE",
+        help="default: config/gait/NAME.yaml",
+    )
     add(
         "--seed",
         metavar="N",
@@ -56,7 +73,13 @@ def _parser() -> argparse.ArgumentParser:
         help="seed of the searches (default: 1)",
     )
     add("--evaluations", type=int, metavar="N", help="candidates of a search")
-    add("--friction", type=float, nargs="+", metavar="N", help="friction of the floors")
+    add(
+        "--friction",
+        type=float,
+        nargs="+",
+        metavar="N",
+        help="friction of the floors",
+    )
     add("--tilt", type=float, metavar="DEG", help="tilt RMS that costs nothing")
     add(
         "--top",
@@ -74,7 +97,12 @@ def _parser() -> argparse.ArgumentParser:
         help="heights that can be commanded",
     )
     add("--period", type=float, metavar="S", help="duration of a stride")
-    add("--cruise", type=float, metavar="M/S", help="v_x if none is requested, m/s")
+    add(
+        "--cruise",
+        type=float,
+        metavar="M/S",
+        help="v_x if none is requested, m/s",
+    )
     add(
         "--scene",
         metavar="NAME",
@@ -93,7 +121,9 @@ def _parser() -> argparse.ArgumentParser:
         help="local processes (default: cores)",
     )
     add(
-        "--quick", action="store_true", help="one floor, 32 candidates: a demonstration"
+        "--quick",
+        action="store_true",
+        help="one floor, 32 candidates: a demonstration",
     )
     return parser
 

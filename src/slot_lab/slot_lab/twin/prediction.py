@@ -43,7 +43,9 @@ from slot_lab.twin.settings import TwinSettings
 
 LEAST_SETTLING = 1.0  # s
 LONGEST_GAP = 0.06  # s, between two angles, across which a spline is drawn
-BEYOND = 0.1  # rad, by which a measured angle may exceed the range of the tendons
+BEYOND = (
+    0.1  # rad, by which a measured angle may exceed the range of the tendons
+)
 POINT_PERIOD = 1 / 30  # s, between two written rows of a point
 FREE_RPM = 1000.0  # of a spool whose angle is imposed
 
@@ -65,8 +67,12 @@ def read_parts(scene: str, parameters: str = "") -> ModelParts:
     floor = read_scene(scene)
     named = parameters or floor.parameters
     if parameters:
-        values = read_parameters(parameters, "scene") | {"parameters": parameters}
-        floor = config.replace(floor, values, f"parameters/{parameters}.yaml: scene")
+        values = read_parameters(parameters, "scene") | {
+            "parameters": parameters
+        }
+        floor = config.replace(
+            floor, values, f"parameters/{parameters}.yaml: scene"
+        )
     return ModelParts(read_robot(named), floor, read_servo(named))
 
 
@@ -89,7 +95,9 @@ def simulate(
         follows = {"model": "ideal", "ideal_rpm": FREE_RPM, "backlash_deg": 0.0}
         servo = config.replace(servo, follows | {"lag": settings.hold / 2})
     commands = _commands(recorded, parts, settings, begin, end)
-    sim = make_robot(parts.robot, config.replace(scene, {"start.settle": 0.0}), servo)
+    sim = make_robot(
+        parts.robot, config.replace(scene, {"start.settle": 0.0}), servo
+    )
     settling = max(scene.start.settle, LEAST_SETTLING)
     sim.advance(round(settling / step), commands[0][1])
     _place(sim, recorded.motion, begin)
@@ -167,7 +175,9 @@ def _commands(
         at = begin + edges * step
         rows = _spline(angles)(at)
     else:
-        effect = np.rint((angles.t + settings.command_delay - begin) / step).astype(int)
+        effect = np.rint(
+            (angles.t + settings.command_delay - begin) / step
+        ).astype(int)
         edges = np.unique(
             np.concatenate([edges, effect[(effect > 0) & (effect < edges[-1])]])
         )

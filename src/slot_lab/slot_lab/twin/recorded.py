@@ -46,7 +46,9 @@ class BagRecording:
     def span(self) -> tuple[float, float]:
         """Begin and end of the time that both cover, s of graph time."""
         t, moved = self.angles.t, self.motion.t
-        return max(float(t[0]), float(moved[0])), min(float(t[-1]), float(moved[-1]))
+        return max(float(t[0]), float(moved[0])), min(
+            float(t[-1]), float(moved[-1])
+        )
 
 
 def read_recorded(
@@ -79,7 +81,9 @@ def _from_table(path: Path, measured: bool) -> BagRecording:
     table = read_table(path)
     if table.columns != COLUMNS:
         given = ",".join(table.columns)[:80]
-        raise TableError(f"{table.head}: columns {given}: expected {','.join(COLUMNS)}")
+        raise TableError(
+            f"{table.head}: columns {given}: expected {','.join(COLUMNS)}"
+        )
     t, angle = _columns(path, table, LEGS)
     at, pose = _columns(path, table, POSE)
     quaternion = Rotation.from_euler("xyz", pose[:, 3:]).as_quat()
@@ -92,7 +96,9 @@ def _from_table(path: Path, measured: bool) -> BagRecording:
     )
 
 
-def _columns(path: Path, table: Table, names: Sequence[str]) -> tuple[Array, Array]:
+def _columns(
+    path: Path, table: Table, names: Sequence[str]
+) -> tuple[Array, Array]:
     """Times (n,) and values (n, m) of the rows in which the columns are not all empty."""
     rows = [row for row in table.rows if any(row.cells[name] for name in names)]
     values = increasing_numbers(rows, ["time", *names])

@@ -94,8 +94,12 @@ def find_strides(
     t, angle = recorded.angles.t, recorded.angles.angle
     least = np.radians(settings.least_motion_deg)
     moved = t[np.abs(angle - angle[0]).max(axis=1) > least / 2]
-    edges = np.arange(max(begin, float(moved[0]) if len(moved) else begin), end, length)
-    row = _longest_row([_range(t, angle, *pair) >= least for pair in pairwise(edges)])
+    edges = np.arange(
+        max(begin, float(moved[0]) if len(moved) else begin), end, length
+    )
+    row = _longest_row(
+        [_range(t, angle, *pair) >= least for pair in pairwise(edges)]
+    )
     count = len(row) - settings.run_in
     if count < LEAST_STRIDES:
         raise ConfigError(
@@ -170,7 +174,9 @@ def error_growth(
     rows = []
     for ahead in range(1, strides.count):
         off = _displacements(moved[0], ahead) - _displacements(moved[1], ahead)
-        rows.append((ahead, _rms(np.hypot(off[:, 0], off[:, 1])), _rms(off[:, 2])))
+        rows.append(
+            (ahead, _rms(np.hypot(off[:, 0], off[:, 1])), _rms(off[:, 2]))
+        )
     return np.array(rows)
 
 

@@ -71,7 +71,10 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     Raises BagError, ConfigError, DivergenceError, FitError, PredictionError, TableError,
     OSError.
     """
-    settings, names = read_twin(), places([*filter(None, options.fit.split(","))])
+    settings, names = (
+        read_twin(),
+        places([*filter(None, options.fit.split(","))]),
+    )
     if options.set:
         place_of(options.set)
     parts = read_parts(options.scene, options.parameters)
@@ -88,7 +91,11 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     angles, measured = recorded.angles, recorded.motion
     lost = measured.left_out
     left_out = f", without {lost} readings that were lost" if lost else ""
-    kind = "measured" if angles.measured else "commands, through the model of the servo"
+    kind = (
+        "measured"
+        if angles.measured
+        else "commands, through the model of the servo"
+    )
     lines = [
         f"{recorded.name}: {strides.count} strides of {strides.period:.3g} s",
         f"tendon angles       {angles.source} ({kind})",
@@ -141,8 +148,12 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     place = out / "twin.png"
     draw(place, title, measured, tracks, strides=strides, seen=split)
     told = partial(progress, "predicting the points of the legs")
-    write_predicted_points(recorded, parts, settings, out / "predicted.csv", told)
-    (out / "summary.txt").write_text("\n".join([*lines, "", verdict.line]) + "\n")
+    write_predicted_points(
+        recorded, parts, settings, out / "predicted.csv", told
+    )
+    (out / "summary.txt").write_text(
+        "\n".join([*lines, "", verdict.line]) + "\n"
+    )
     place = f"twin.png, predicted.csv and summary.txt are in {out}"
     return [*lines, "", place, verdict.line], verdict.code
 
@@ -160,7 +171,9 @@ def judge(
     freedom = sum(block.size - ALIGNED for block in blocks)
     rms = np.sqrt(np.mean(np.vstack(blocks) ** 2, axis=0))
     worst = int(rms.argmax())
-    largest = f"largest: {COORDINATES[worst]}, {rms[worst]:.3g} times the uncertainty"
+    largest = (
+        f"largest: {COORDINATES[worst]}, {rms[worst]:.3g} times the uncertainty"
+    )
     return Verdict(chi_square, freedom, at_bound, largest)
 
 
@@ -173,7 +186,9 @@ class _Trials:
 
     def __init__(self, directory: Path, run_all: RunAll, fit: Any) -> None:
         self._run_all = run_all
-        self._directory = directory / hashlib.sha256(pickle.dumps(fit)).hexdigest()[:16]
+        self._directory = (
+            directory / hashlib.sha256(pickle.dumps(fit)).hexdigest()[:16]
+        )
         self._directory.mkdir(parents=True, exist_ok=True)
 
     def __call__(
@@ -181,7 +196,9 @@ class _Trials:
     ) -> list[Array]:
         paths = [self._path(point) for point in points]
         todo = [n for n, path in enumerate(paths) if not path.exists()]
-        for n, result in zip(todo, self._run_all(call, [points[n] for n in todo])):
+        for n, result in zip(
+            todo, self._run_all(call, [points[n] for n in todo])
+        ):
             partial = paths[n].with_suffix(".part.npy")
             np.save(partial, result)
             partial.replace(paths[n])
@@ -221,14 +238,22 @@ def draw(
         _of_strides(ax, column, measured, predictions, strides)
         if seen is not None:
             ax.axvspan(seen + 0.5, strides.count, color=palette.SHADE, zorder=0)
-            ax.text(seen + 0.7, ax.get_ylim()[0], "held out", fontsize=8, va="bottom")
+            ax.text(
+                seen + 0.7,
+                ax.get_ylim()[0],
+                "held out",
+                fontsize=8,
+                va="bottom",
+            )
     _growth(growth, measured, predictions, strides)
     for ax, (column, label) in zip(over_time, OVER_TIME.items()):
         _over_time(ax, inside, aligned, column, label)
     write_plot(figure, path, DPI)
 
 
-def _path(ax: Axes, measured: TorsoTrack, aligned: Mapping[str, Aligned]) -> None:
+def _path(
+    ax: Axes, measured: TorsoTrack, aligned: Mapping[str, Aligned]
+) -> None:
     x, y = 1e3 * measured.position[:, :2].T
     ax.plot(x, y, color=palette.INK, lw=1, label="measured")
     for (name, (_, pose)), colour in zip(aligned.items(), COLOURS):
@@ -252,11 +277,19 @@ def _of_strides(
         found = stride_errors(track, measured, strides)
         number = np.arange(1, len(found.measured) + 1)
         ax.plot(
-            number, factor * found.predicted[:, column], ".-", color=colour, label=name
+            number,
+            factor * found.predicted[:, column],
+            ".-",
+            color=colour,
+            label=name,
         )
-    ax.plot(number, factor * found.measured[:, column], "o", color=palette.INK, ms=4)
+    ax.plot(
+        number, factor * found.measured[:, column], "o", color=palette.INK, ms=4
+    )
     kind = "forward displacement" if column == 0 else "turn"
-    _finish(ax, f"{kind} of each stride", "stride", "mm" if column == 0 else "deg")
+    _finish(
+        ax, f"{kind} of each stride", "stride", "mm" if column == 0 else "deg"
+    )
 
 
 def _growth(

@@ -49,7 +49,12 @@ def _parser() -> argparse.ArgumentParser:
         choices=[MEASURED, COMMANDED],
         help="tendon angles that are simulated; of a CSV file, what they are",
     )
-    add("--motion", default="", choices=MOTION_TOPICS, help="motion that is compared")
+    add(
+        "--motion",
+        default="",
+        choices=MOTION_TOPICS,
+        help="motion that is compared",
+    )
     add("--namespace", metavar="NAME", default="", help="of the recorded graph")
     add(
         "--period",
@@ -72,7 +77,12 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="starts of the fit (default: 1)",
     )
-    add("--out", type=Path, metavar="DIR", help="default: results/twin/RECORDING")
+    add(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="default: results/twin/RECORDING",
+    )
     add(
         "--scheduler",
         default="",

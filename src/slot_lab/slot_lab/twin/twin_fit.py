@@ -44,7 +44,12 @@ from slot_lab.calibration.fit import (
 from slot_lab.twin.prediction import ModelParts, predict
 from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings
-from slot_lab.twin.strides import StrideErrors, Strides, residuals, stride_errors
+from slot_lab.twin.strides import (
+    StrideErrors,
+    Strides,
+    residuals,
+    stride_errors,
+)
 from slot_lab.workers import serially
 
 SHORT = {
@@ -52,15 +57,22 @@ SHORT = {
     "young_modulus": ("robot.leg.young_modulus",),
     "mass": ("robot.torso.mass",),
     "lag": ("servo.lag",),
-    "tendon_offset": tuple(f"scene.tendons.slack[{leg}]" for leg in range(len(LEGS))),
+    "tendon_offset": tuple(
+        f"scene.tendons.slack[{leg}]" for leg in range(len(LEGS))
+    ),
 }
 # Narrower than the bounds of the settings, which allow any robot.
-BOUNDS = {"scene.floor.friction": (0.02, 2.0), "scene.tendons.slack": (-0.003, 0.006)}
+BOUNDS = {
+    "scene.floor.friction": (0.02, 2.0),
+    "scene.tendons.slack": (-0.003, 0.006),
+}
 PLACE = re.compile(r"(robot|scene|servo)\.([a-z_.]+)(?:\[([0-3])\])?")
 HEAD = """# Parameter set of the robot; `parameters` of a scene, or in config/robot.yaml, names it.
 # Written by scripts/twin; slot_lab/twin/twin_fit.py describes the keys.
 """
-CORRELATED = 0.95  # beyond it the data determine a combination, not the parameters
+CORRELATED = (
+    0.95  # beyond it the data determine a combination, not the parameters
+)
 UNITS = {
     "displacement": ("displacement of a stride", 1e3, "mm"),
     "place": ("place after 4 strides", 1e3, "mm"),
@@ -80,7 +92,9 @@ class TwinFit:
     converged: bool
     parts: ModelParts  # with the fitted values
     seen: Sequence[StrideErrors]  # before and after, of the strides of the fit
-    held_out: Sequence[StrideErrors]  # before and after, of the strides held out
+    held_out: Sequence[
+        StrideErrors
+    ]  # before and after, of the strides held out
 
 
 def places(names: Sequence[str]) -> tuple[str, ...]:
@@ -93,7 +107,9 @@ def places(names: Sequence[str]) -> tuple[str, ...]:
                 " scene. or servo."
             )
     if len(set(found)) < len(found):
-        raise ConfigError(f"--fit: a parameter is named twice: {', '.join(found)}")
+        raise ConfigError(
+            f"--fit: a parameter is named twice: {', '.join(found)}"
+        )
     return tuple(found)
 
 
@@ -109,7 +125,9 @@ def parameter(parts: ModelParts, place: str) -> Parameter:
         raise ConfigError(f"--fit {place}: {part} has no number {name}")
     value, meta = known[name]
     if index is not None and not isinstance(value, tuple):
-        raise ConfigError(f"--fit {place}: {name} is one number, without an index")
+        raise ConfigError(
+            f"--fit {place}: {name} is one number, without an index"
+        )
     if isinstance(value, tuple):
         index = 0 if index is None and len(value) == len(LEGS) else index
         if index is None or index >= len(value):
@@ -152,7 +170,11 @@ def changed(
     given = changes(parts, names, values)
     return replace(
         parts,
-        **{k: config.replace(getattr(parts, k), v) for k, v in given.items() if v},
+        **{
+            k: config.replace(getattr(parts, k), v)
+            for k, v in given.items()
+            if v
+        },
     )
 
 
@@ -169,12 +191,16 @@ def fit_twin(
     tell: Callable[[str], object] = untold,
 ) -> TwinFit:
     """Fit the parameters at `names` (places); raises ConfigError, FitError, PredictionError."""
-    if recorded.angles.measured and any(name.startswith("servo.") for name in names):
+    if recorded.angles.measured and any(
+        name.startswith("servo.") for name in names
+    ):
         raise ConfigError(
             "--fit of the servo needs its commands: --angles /desired_joint_angles"
         )
     seen, held_out = strides.split(settings.held_out)
-    call = partial(stride_residuals, recorded, parts, tuple(names), (seen, settings))
+    call = partial(
+        stride_residuals, recorded, parts, tuple(names), (seen, settings)
+    )
     measured = recorded.motion
     blocks = residuals(measured, measured, seen, settings)
     if len(blocks) <= len(names):
@@ -230,14 +256,23 @@ def _is_number(value: Any, meta: Mapping[str, Any]) -> bool:
 
 
 def record_fit(
-    recorded: BagRecording, parts: ModelParts, start: str, found: TwinFit, note: str
+    recorded: BagRecording,
+    parts: ModelParts,
+    start: str,
+    found: TwinFit,
+    note: str,
 ) -> dict[str, Any]:
     """Content of the file; start: the set that the fit started from."""
     fitted = [parameter_file.rounded(value) for value in found.estimate.values]
-    values, given = dict(read_parameters(start)), changes(parts, found.names, fitted)
+    values, given = (
+        dict(read_parameters(start)),
+        changes(parts, found.names, fitted),
+    )
     for name in values.keys() & given["robot"].keys():
         values[name] = given["robot"].pop(name)
-    kept = {part: read_parameters(start, part) | new for part, new in given.items()}
+    kept = {
+        part: read_parameters(start, part) | new for part, new in given.items()
+    }
     result = found.estimate
     end = "" if found.converged else ", not converged"
     return {
@@ -254,7 +289,10 @@ def record_fit(
         },
         "errors": {
             name: {"before": _errors(pair[0]), "after": _errors(pair[1])}
-            for name, pair in (("fit", found.seen), ("held_out", found.held_out))
+            for name, pair in (
+                ("fit", found.seen),
+                ("held_out", found.held_out),
+            )
         },
         "confidence": {
             n: parameter_file.interval_of(row)
@@ -275,7 +313,9 @@ def place_of(name: str) -> Path:
     """Path of a new set; raises ConfigError if the name is taken or is no name of a file."""
     path = config.config_dir() / "parameters" / f"{name}.yaml"
     if not name or not name.replace("_", "").replace("-", "").isalnum():
-        raise ConfigError(f"--set {quoted(name)}: expected letters, digits, _ and -")
+        raise ConfigError(
+            f"--set {quoted(name)}: expected letters, digits, _ and -"
+        )
     if path.exists():
         raise ConfigError(f"--set {name}: {path} exists; it stays as it is")
     return path
@@ -289,7 +329,8 @@ def error_lines(columns: dict[str, StrideErrors]) -> list[str]:
     ]
     for key, (label, scale, unit) in UNITS.items():
         cells = [
-            f"{scale * errors.summary()[key]:.3f} {unit}" for errors in columns.values()
+            f"{scale * errors.summary()[key]:.3f} {unit}"
+            for errors in columns.values()
         ]
         lines.append(label.ljust(34) + "".join(f"{cell:>16}" for cell in cells))
     return lines
@@ -300,10 +341,16 @@ def fit_lines(found: TwinFit) -> list[str]:
     result = found.estimate
     lines = [f"{'parameter':<28}{'start':>12}{'value':>12}   95 % interval"]
     rows = zip(
-        found.names, found.start, result.values, result.interval, result.at_limit
+        found.names,
+        found.start,
+        result.values,
+        result.interval,
+        result.at_limit,
     )
     for name, start, value, (low, high), limit in rows:
-        interval = "undetermined" if math.isnan(low) else f"{low:.4g} to {high:.4g}"
+        interval = (
+            "undetermined" if math.isnan(low) else f"{low:.4g} to {high:.4g}"
+        )
         interval += ", at its bound" if limit else ""
         lines.append(f"{name:<28}{start:>12.5g}{value:>12.5g}   {interval}")
     return lines + [
@@ -311,7 +358,9 @@ def fit_lines(found: TwinFit) -> list[str]:
     ]
 
 
-def undetermined(names: tuple[str, ...], result: ParameterEstimate) -> list[str]:
+def undetermined(
+    names: tuple[str, ...], result: ParameterEstimate
+) -> list[str]:
     """Parameters that the data do not determine, and pairs of which they give only a combination."""
     out = [n for n, low in zip(names, result.interval[:, 0]) if math.isnan(low)]
     for i, row in enumerate(result.correlation):
@@ -326,5 +375,6 @@ def undetermined(names: tuple[str, ...], result: ParameterEstimate) -> list[str]
 def _errors(errors: StrideErrors) -> dict[str, float]:
     found, units = errors.summary(), UNITS.items()
     return {
-        f"{key}_{unit}": round(scale * found[key], 4) for key, (_, scale, unit) in units
+        f"{key}_{unit}": round(scale * found[key], 4)
+        for key, (_, scale, unit) in units
     }

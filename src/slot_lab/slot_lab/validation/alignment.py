@@ -68,7 +68,9 @@ class FrameAlignment:
 
     def attitude(self, rpy: Array) -> Array:
         """Attitudes (n, 3) of the measurement in the frame of the run, yaw unwrapped."""
-        turned = Rotation.from_matrix(self.rotation) * Rotation.from_euler("xyz", rpy)
+        turned = Rotation.from_matrix(self.rotation) * Rotation.from_euler(
+            "xyz", rpy
+        )
         return np.unwrap(rpy_of(turned.as_matrix()), axis=0)
 
 
@@ -102,10 +104,10 @@ class TimeAlignment:
     drift: float
     offset_width: float = 0.0  # s; NaN: too few groups to tell
     drift_width: float = 0.0  # 0: not fitted
-    rest: float = (
-        0.0  # m, RMS per coordinate of the differences without their moving mean
-    )
-    rival_rest: float = np.inf  # m, of the next best shift; infinite: there is none
+    rest: float = 0.0  # m, RMS per coordinate of the differences without their moving mean
+    rival_rest: float = (
+        np.inf
+    )  # m, of the next best shift; infinite: there is none
     rival_offset: float = np.nan  # s
 
     def apply(self, t: Array) -> Array:
@@ -121,7 +123,9 @@ def align_times(
     Raises RecordingError for motion that is not enough to align.
     """
     starts = (
-        candidates(*cross_correlation(pairs, frame)) if offset is None else [offset]
+        candidates(*cross_correlation(pairs, frame))
+        if offset is None
+        else [offset]
     )
     found, refusals = [], []
     for start in starts:
@@ -135,7 +139,9 @@ def align_times(
     others = [f for f in found if abs(f.offset - found[0].offset) > APART]
     if not others:
         return found[0]
-    return replace(found[0], rival_rest=others[0].rest, rival_offset=others[0].offset)
+    return replace(
+        found[0], rival_rest=others[0].rest, rival_offset=others[0].offset
+    )
 
 
 def candidates(shifts: Array, score: Array) -> list[float]:
@@ -180,7 +186,9 @@ def cross_correlation(pairs: Sequence[Pair], frame: str) -> tuple[Array, Array]:
     power = correlate(energy[1], ones[0], method="fft")  # in the overlap
     power *= correlate(ones[1], energy[0], method="fft")
     good = overlap >= OVERLAP * min(sizes)
-    score = np.array([np.trace(best_rotation(h, frame) @ h) for h in total[good]])
+    score = np.array(
+        [np.trace(best_rotation(h, frame) @ h) for h in total[good]]
+    )
     most = power[good].max()
     if not most > 0:
         raise RecordingError(
@@ -195,7 +203,9 @@ def _velocity(track: PointTrack, grid: Array) -> Array:
     place = np.column_stack(
         [np.interp(grid, track.t, column) for column in track.position.T]
     )
-    speed = gaussian_filter1d(np.gradient(place, GRID, axis=0), SMOOTH / GRID, axis=0)
+    speed = gaussian_filter1d(
+        np.gradient(place, GRID, axis=0), SMOOTH / GRID, axis=0
+    )
     return np.asarray(speed - speed.mean(axis=0))
 
 
@@ -206,7 +216,9 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
     without their moving mean. Covariance of the estimate from the scores of the groups, as
     in slot_lab/calibration/fit.py. Raises RecordingError for too few samples.
     """
-    parts = [part for pair in pairs if len((part := _inside(pair, start))[0]) > 1]
+    parts = [
+        part for pair in pairs if len((part := _inside(pair, start))[0]) > 1
+    ]
     count = sum(len(t) for t, _, _ in parts)
     if count < LEAST_SAMPLES:
         raise RecordingError(
@@ -226,11 +238,15 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
         drifted = u[1] * late if size == 2 else np.zeros(len(late))
         shift = np.split(u[0] + drifted, ends)
         places = [
-            spline(start + t + moved) for (t, _, spline), moved in zip(parts, shift)
+            spline(start + t + moved)
+            for (t, _, spline), moved in zip(parts, shift)
         ]
         run = np.vstack([place - place.mean(axis=0) for place in places])
         off = measured @ best_rotation(measured.T @ run, frame).T - run
-        fast = [_fast(t, part) for (t, _, _), part in zip(parts, np.split(off, ends))]
+        fast = [
+            _fast(t, part)
+            for (t, _, _), part in zip(parts, np.split(off, ends))
+        ]
         return np.concatenate([part.ravel() for part in fast])
 
     limit = np.array([APART, DRIFT_MAX * duration])[:size]
@@ -245,12 +261,19 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
     jacobian = np.asarray(found.jac)
     block = np.repeat(np.floor((times - times.min()) / SLOW), 3)
     scores = np.array(
-        [jacobian[block == k].T @ found.fun[block == k] for k in np.unique(block)]
+        [
+            jacobian[block == k].T @ found.fun[block == k]
+            for k in np.unique(block)
+        ]
     )
     inverse = np.linalg.pinv(jacobian.T @ jacobian)
     freedom = len(scores) - size
-    covariance = inverse @ scores.T @ scores @ inverse * (len(scores) / max(freedom, 1))
-    to_result = np.array([[1.0, -middle / duration], [0.0, 1.0 / duration]])[:, :size]
+    covariance = (
+        inverse @ scores.T @ scores @ inverse * (len(scores) / max(freedom, 1))
+    )
+    to_result = np.array([[1.0, -middle / duration], [0.0, 1.0 / duration]])[
+        :, :size
+    ]
     offset, drift = to_result @ found.x
     factor = student.ppf((1 + LEVEL) / 2, freedom) if freedom > 0 else np.nan
     widths = factor * np.sqrt(np.diag(to_result @ covariance @ to_result.T))
@@ -266,12 +289,17 @@ def _inside(pair: Pair, start: float) -> tuple[Array, Array, CubicSpline]:
     measured, run = pair
     at = start + measured.t
     keep = (at >= run.t[0] + APART) & (at <= run.t[-1] - APART)
-    return measured.t[keep], measured.position[keep], CubicSpline(run.t, run.position)
+    return (
+        measured.t[keep],
+        measured.position[keep],
+        CubicSpline(run.t, run.position),
+    )
 
 
 def _fast(t: Array, off: Array) -> Array:
     """Differences (n, 3) at times t without their moving mean over SLOW."""
     samples = max(1, round(SLOW / float(np.median(np.diff(t)))))
     return np.asarray(
-        off - uniform_filter1d(off, min(samples, len(t)), axis=0, mode="nearest")
+        off
+        - uniform_filter1d(off, min(samples, len(t)), axis=0, mode="nearest")
     )

@@ -99,7 +99,11 @@ def compare(
     point. offset: of the clocks, s, if known. leg: of points without one. block: of the bootstrap,
     s. Raises RecordingError if the recordings have no point or no time in common.
     """
-    if any(f"{leg}_{name}" in r.points for r in (run, measured) for name in LEG_POINTS):
+    if any(
+        f"{leg}_{name}" in r.points
+        for r in (run, measured)
+        for name in LEG_POINTS
+    ):
         run, measured = _with_leg(run, leg), _with_leg(measured, leg)
     names = [name for name in run.points if name in measured.points]
     if not names:
@@ -110,7 +114,9 @@ def compare(
     pairs = [(measured.points[name], run.points[name]) for name in names]
     clock = align_times(pairs, frame, offset)
     joined = {name: _joined(pair, clock) for name, pair in zip(names, pairs)}
-    joined = {n: part for n, part in joined.items() if len(part[0]) >= LEAST_SAMPLES}
+    joined = {
+        n: part for n, part in joined.items() if len(part[0]) >= LEAST_SAMPLES
+    }
     if not joined:
         raise RecordingError(
             f"no point has {LEAST_SAMPLES} samples in the time of both recordings"
@@ -122,7 +128,10 @@ def compare(
         early = t <= until
         place, target = theirs.position[early], mine.position[early]
         if zero:  # the turn from the motion alone
-            place, target = place - place.mean(axis=0), target - target.mean(axis=0)
+            place, target = (
+                place - place.mean(axis=0),
+                target - target.mean(axis=0),
+            )
         parts.append((place, target))
     places, targets = (np.vstack(part) for part in zip(*parts))
     aligned = align_frames(places, targets, frame)
@@ -157,12 +166,15 @@ def _coordinates(
 def _with_leg(recording: PointRecording, leg: str) -> PointRecording:
     """The recording with the leg in the names of leg points."""
     points = {
-        f"{leg}_{k}" if k in LEG_POINTS else k: v for k, v in recording.points.items()
+        f"{leg}_{k}" if k in LEG_POINTS else k: v
+        for k, v in recording.points.items()
     }
     return dataclasses.replace(recording, points=points)
 
 
-def _joined(pair: Pair, clock: TimeAlignment) -> tuple[Array, PointTrack, PointTrack]:
+def _joined(
+    pair: Pair, clock: TimeAlignment
+) -> tuple[Array, PointTrack, PointTrack]:
     """Times of the measurement within the run (n,), and both tracks there."""
     measured, run = pair
     t = clock.apply(measured.t)
@@ -188,7 +200,9 @@ def paper_points(comparison: Comparison) -> dict[str, dict[str, str]]:
     return found
 
 
-def judge(comparison: Comparison, sigma: float, frame: str, zero: bool) -> Verdict:
+def judge(
+    comparison: Comparison, sigma: float, frame: str, zero: bool
+) -> Verdict:
     """Verdict by the positions, whose standard uncertainty is `sigma` (m).
 
     frame: what is free in the frames. zero: whether each point's mean difference is taken
@@ -263,5 +277,7 @@ def _drawn(off: Array, block: int, rng: np.random.Generator) -> Array:
     """(DRAWS, n) errors put together from blocks that begin anywhere."""
     count = math.ceil(len(off) / block)
     starts = rng.integers(0, len(off) - block + 1, size=(DRAWS, count))
-    index = (starts[:, :, None] + np.arange(block)).reshape(DRAWS, -1)[:, : len(off)]
+    index = (starts[:, :, None] + np.arange(block)).reshape(DRAWS, -1)[
+        :, : len(off)
+    ]
     return np.asarray(off[index])

@@ -34,7 +34,12 @@ from slot_core.robot import (
 from slot_lab.bags.bag import STORAGES, Bag
 from slot_lab.bags.recorded_walk import read_legs, read_motion
 from slot_lab.bags.topics import LEG_STATES, MOTION_TOPICS
-from slot_lab.csv_table import CsvRow, TableError, increasing_numbers, read_table
+from slot_lab.csv_table import (
+    CsvRow,
+    TableError,
+    increasing_numbers,
+    read_table,
+)
 
 POINTS = (*BODY_POINTS, *LEG_POINTS)
 WIDE = ("time", "x", "y", "z")
@@ -83,7 +88,9 @@ def read_recording(
     if path.suffix.lower() in VIDEOS:
         return _from_video(path, camera, tell)
     if path.is_dir() or path.suffix in STORAGES:
-        return _from_bag(Bag(path, namespace), [motion] if motion else MOTION_TOPICS)
+        return _from_bag(
+            Bag(path, namespace), [motion] if motion else MOTION_TOPICS
+        )
     return _from_csv(path)
 
 
@@ -122,7 +129,9 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
         raise RecordingError(str(error)) from None
     rows: dict[str, list[tuple[float, ...]]] = {}
     for sample in found.samples:
-        rows.setdefault(sample.point, []).append((sample.time, *sample.position))
+        rows.setdefault(sample.point, []).append(
+            (sample.time, *sample.position)
+        )
     tracks = {
         name: PointTrack(np.array(part)[:, 0], np.array(part)[:, 1:])
         for name, part in rows.items()
@@ -134,7 +143,9 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
         )
     unknown = "without --camera: the nominal camera of config/vision.yaml"
     notes = [*([] if camera else [unknown]), *found.warnings]
-    return _since_first(path.name, tracks, notes, tilted=found.frame != ODOM_FRAME)
+    return _since_first(
+        path.name, tracks, notes, tilted=found.frame != ODOM_FRAME
+    )
 
 
 def _from_csv(path: Path) -> PointRecording:
@@ -168,7 +179,9 @@ def _from_csv(path: Path) -> PointRecording:
         attitude = np.unwrap(rpy, axis=0) if rpy.size else None
         tracks[name] = PointTrack(t[:, 0], position, attitude)
     frames = [
-        c.removeprefix(POINT_FRAME) for c in table.comments if c.startswith(POINT_FRAME)
+        c.removeprefix(POINT_FRAME)
+        for c in table.comments
+        if c.startswith(POINT_FRAME)
     ]
     tilted = frames[:1] not in ([], [ODOM_FRAME])
     return _since_first(path.name, tracks, tilted=tilted)
@@ -183,5 +196,7 @@ def _since_first(
 ) -> PointRecording:
     """The recording with times since its first sample."""
     first = min(float(track.t[0]) for track in tracks.values())
-    moved = {k: PointTrack(v.t - first, v.position, v.rpy) for k, v in tracks.items()}
+    moved = {
+        k: PointTrack(v.t - first, v.position, v.rpy) for k, v in tracks.items()
+    }
     return PointRecording(name, moved, notes, tilted)

@@ -21,7 +21,9 @@ from slot_lab.validation.comparison import (
 )
 
 DPI = 100
-RIVAL = 1.05  # times the best shift's rest, up to which another shift is as good
+RIVAL = (
+    1.05  # times the best shift's rest, up to which another shift is as good
+)
 SHARES = ("nrmse", "error", "accuracy")  # metrics that are parts of one
 TITLES = {
     "rmse": "RMSE",
@@ -35,7 +37,11 @@ TITLES = {
 
 def report(comparison: Comparison, frame: str) -> list[str]:
     """All tables as text, line by line."""
-    lines = [*alignment_lines(comparison, frame), "", *coordinate_table(comparison)]
+    lines = [
+        *alignment_lines(comparison, frame),
+        "",
+        *coordinate_table(comparison),
+    ]
     for leg, points in paper_points(comparison).items():
         lines += ["", *leg_table(comparison, leg, points)]
     if (TORSO, "x") in comparison.series:
@@ -63,7 +69,9 @@ def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
         f" {_numbers(1e3 * placed.shift, 1)} mm"
     )
     if comparison.only:
-        lines.append(f"points   only in one recording: {', '.join(comparison.only)}")
+        lines.append(
+            f"points   only in one recording: {', '.join(comparison.only)}"
+        )
     if comparison.brief:
         names = ", ".join(comparison.brief)
         lines.append(f"points   seen too briefly or too late: {names}")
@@ -81,12 +89,16 @@ def coordinate_table(comparison: Comparison) -> list[str]:
     for (point, axis), series in comparison.series.items():
         low, high = (scale(axis) * v for v in series.errors.interval["rmse"])
         cells = "".join(f"{cell(series, axis, name):>11}" for name in NAMES)
-        between = "-" if math.isnan(low) else f"{low:.2f} to {high:.2f} {unit(axis)}"
+        between = (
+            "-" if math.isnan(low) else f"{low:.2f} to {high:.2f} {unit(axis)}"
+        )
         lines.append(f"{point:<16}{axis:<6}{cells}   {between}")
     return lines
 
 
-def leg_table(comparison: Comparison, leg: str, points: dict[str, str]) -> list[str]:
+def leg_table(
+    comparison: Comparison, leg: str, points: dict[str, str]
+) -> list[str]:
     """The paper's table of the single leg: z of four points, with 95 % intervals."""
     columns = ("fixed base", "1/3 length", "2/3 length", "tip")
     title = f"single leg {leg}".rstrip() + ", z"
@@ -101,7 +113,8 @@ def leg_table(comparison: Comparison, leg: str, points: dict[str, str]) -> list[
 def torso_table(comparison: Comparison) -> list[str]:
     """The paper's table of the whole body: RMSE of x and z of the torso."""
     x, z = (
-        _with_interval(comparison.series[TORSO, axis], axis, "rmse") for axis in "xz"
+        _with_interval(comparison.series[TORSO, axis], axis, "rmse")
+        for axis in "xz"
     )
     return [
         f"{'whole body':<14}{'RMSE in x':>26}{'RMSE in z':>26}",
@@ -119,7 +132,9 @@ def write_csv(comparison: Comparison, path: Path) -> None:
             e = series.errors
             bounds = [bound for name in NAMES for bound in e.interval[name]]
             numbers = [e.span, *(e.value[name] for name in NAMES), *bounds]
-            out.writerow([point, axis, e.samples, *(f"{v:.6g}" for v in numbers)])
+            out.writerow(
+                [point, axis, e.samples, *(f"{v:.6g}" for v in numbers)]
+            )
 
 
 def scale(axis: str) -> float:
@@ -151,7 +166,9 @@ def _factor(axis: str, name: str) -> float:
 
 
 def _numbers(values: Array | Sequence[float], digits: int) -> str:
-    return " ".join(f"{round(float(v), digits) + 0.0:.{digits}f}" for v in values)
+    return " ".join(
+        f"{round(float(v), digits) + 0.0:.{digits}f}" for v in values
+    )
 
 
 def draw(comparison: Comparison, title: str, out: Path) -> list[Path]:
@@ -159,18 +176,25 @@ def draw(comparison: Comparison, title: str, out: Path) -> list[Path]:
     written = []
     torso = [key for key in comparison.series if key[0] == TORSO]
     if torso:
-        written.append(_figure(comparison, torso, f"{title}: torso", out / "torso.png"))
+        written.append(
+            _figure(comparison, torso, f"{title}: torso", out / "torso.png")
+        )
     for leg, points in paper_points(comparison).items():
         keys = [(points[name], "z") for name in LEG_POINTS]
         name = "_".join(filter(None, (leg, "leg.png")))
         written.append(
-            _figure(comparison, keys, f"{title}: leg {leg}".rstrip(), out / name)
+            _figure(
+                comparison, keys, f"{title}: leg {leg}".rstrip(), out / name
+            )
         )
     return written
 
 
 def _figure(
-    comparison: Comparison, keys: Sequence[tuple[str, str]], title: str, path: Path
+    comparison: Comparison,
+    keys: Sequence[tuple[str, str]],
+    title: str,
+    path: Path,
 ) -> Path:
     figure = Figure(
         figsize=(11.0, 1.9 * len(keys) + 0.8), dpi=DPI, layout="constrained"
@@ -182,7 +206,9 @@ def _figure(
     for (both, difference), (point, axis) in zip(axes, keys):
         found, factor = comparison.series[point, axis], scale(axis)
         run, measured = factor * found.run, factor * found.measured
-        both.plot(found.t, measured, ".", ms=2.5, color=palette.INK, label="measured")
+        both.plot(
+            found.t, measured, ".", ms=2.5, color=palette.INK, label="measured"
+        )
         both.plot(found.t, run, color=palette.SECONDARY, lw=1.2, label="run")
         both.set_title(f"{point} {axis} ({unit(axis)})", fontsize=9, loc="left")
         difference.plot(found.t, run - measured, color=palette.TRUE, lw=0.8)

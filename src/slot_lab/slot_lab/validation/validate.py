@@ -43,7 +43,9 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     )
     tell = partial(progress, f"reading {options.measurement}")
     tell(0.0)
-    measured = read_recording(options.measurement, camera=options.camera, tell=tell)
+    measured = read_recording(
+        options.measurement, camera=options.camera, tell=tell
+    )
     for recording in (run, measured):
         if recording.tilted and options.frame != "rigid":
             raise RecordingError(
@@ -68,7 +70,9 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     verdict = judge(found, options.sigma, options.frame, options.zero)
     out = options.out
     out.mkdir(parents=True, exist_ok=True)
-    (out / "summary.txt").write_text("\n".join([*lines, "", verdict.line]) + "\n")
+    (out / "summary.txt").write_text(
+        "\n".join([*lines, "", verdict.line]) + "\n"
+    )
     tables.write_csv(found, out / "errors.csv")
     progress("drawing")
     plots = tables.draw(found, f"{run.name} and {measured.name}", out)
@@ -132,7 +136,12 @@ def _parser() -> argparse.ArgumentParser:
         default=1.0,
         help="of the bootstrap (default: 1 s)",
     )
-    add("--camera", type=Path, metavar="FILE", help="calibration of a video's camera")
+    add(
+        "--camera",
+        type=Path,
+        metavar="FILE",
+        help="calibration of a video's camera",
+    )
     add("--namespace", metavar="NAME", default="", help="of the run's bag")
     add(
         "--motion",

@@ -1,6 +1,6 @@
-"""Several nodes of the graph in one process: `controller NAME... --ros-args ...`.
+"""Processes of the graph: with one node, or several: `controller NAME... --ros-args ...`.
 
-The nodes are those of the separate processes. A message between them is handed over as the object
+Several nodes are those of the separate processes. A message between them is handed over as the object
 it is (intra_process.py) and goes out on its topic too. In lockstep, in which one node works at a
 time anyway, robot and supervisor share the process too.
 """
@@ -8,6 +8,8 @@ time anyway, robot and supervisor share the process too.
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 import rclpy.utilities
 from rclpy.node import Node
@@ -18,7 +20,12 @@ from slot_nodes.process.executor import DirectExecutor
 from slot_nodes.process.intra_process import Mailbox
 
 # In the order of the data: a node that calls `inputs.process_received` is made after the publisher.
-CONTROLLER = ("state_estimator", "gait_scheduler", "mpc_controller", "force_mapper")
+CONTROLLER = (
+    "state_estimator",
+    "gait_scheduler",
+    "mpc_controller",
+    "force_mapper",
+)
 CHAIN = ("sim_robot", *CONTROLLER, "supervisor")
 
 
@@ -62,7 +69,13 @@ class ComposedNodes:
             node.destroy_node()
 
 
+def serve_one() -> None:
+    """Entry point of a node's process; the program has the node's name."""
+    kind: Any = node_class(Path(sys.argv[0]).name)
+    runtime.run(kind, getattr(kind, "serve", runtime.spin))
+
+
 def main() -> None:
-    """Entry point of the process."""
+    """Entry point of a process with several nodes."""
     names = rclpy.utilities.remove_ros_args(sys.argv)[1:]
     runtime.run(lambda: ComposedNodes(names), ComposedNodes.spin)

@@ -71,7 +71,10 @@ class DirectExecutor(SingleThreadedExecutor):
     def _serve(self, timeout_sec: float | None) -> None:
         """Wait and run the callbacks that are ready."""
         self._wait(timeout_sec)
-        timers, subscriptions = self._ready("timer"), self._ready("subscription")
+        timers, subscriptions = (
+            self._ready("timer"),
+            self._ready("subscription"),
+        )
         for subscription in subscriptions:
             for _ in range(subscription.qos_profile.depth):
                 taken = _call(self._take_subscription(subscription))
@@ -81,14 +84,21 @@ class DirectExecutor(SingleThreadedExecutor):
             if _is_due(timer):
                 _call(self._take_timer(timer))
         if self._context.ok() and self._has_others():
-            self._entities_changed = True  # a node may have been added or removed
+            self._entities_changed = (
+                True  # a node may have been added or removed
+            )
             super().spin_once(timeout_sec=0.0)
-            for _ in (
-                self._waiting_tasks()
-            ):  # callbacks of an answer; nothing would wake them
+            # callbacks of an answer: nothing would wake rclpy, whose spin runs one task at a time
+            waiting = [
+                t for t, *_ in self._tasks if not (t.done() or t.executing())
+            ]
+            for _ in waiting:
                 super().spin_once(timeout_sec=0.0)
             # rclpy takes the trigger of a signal, but ends only if the context has ended by then
-            if self._sigint_gc is not None and self._sigint_gc._executor_triggered:
+            if (
+                self._sigint_gc is not None
+                and self._sigint_gc._executor_triggered
+            ):
                 raise ExternalShutdownException
 
     def _wait(self, timeout_sec: float | None) -> None:
@@ -123,7 +133,9 @@ class DirectExecutor(SingleThreadedExecutor):
             "client": [e for node in nodes for e in node.clients],
             "service": [e for node in nodes for e in node.services],
         }
-        self._waitables = [waitable for node in nodes for waitable in node.waitables]
+        self._waitables = [
+            waitable for node in nodes for waitable in node.waitables
+        ]
         count = NumberOfEntities(*(len(self._entities[kind]) for kind in KINDS))
         for waitable in self._waitables:
             count += waitable.get_num_entities()
@@ -140,19 +152,16 @@ class DirectExecutor(SingleThreadedExecutor):
             else []
         )
 
-    def _waiting_tasks(self) -> list[Any]:
-        """Tasks of rclpy that have not begun, of which its spin runs one at a time."""
-        return [
-            task for task, *_ in self._tasks if not (task.done() or task.executing())
-        ]
-
     def _has_others(self) -> bool:
         """Whether anything but a message or a timer is ready."""
         return (
             self._is_triggered(self._guard)
-            or any(map(self._wait_set.get_ready_entities, ("client", "service")))
             or any(
-                w.is_ready(self._wait_set) for w in filter(_is_awaited, self._waitables)
+                map(self._wait_set.get_ready_entities, ("client", "service"))
+            )
+            or any(
+                w.is_ready(self._wait_set)
+                for w in filter(_is_awaited, self._waitables)
             )
         )
 

@@ -15,7 +15,9 @@ from typing import Any
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-Receive = Callable[[Any, int], None]  # a message and its number on the topic, from 1
+Receive = Callable[
+    [Any, int], None
+]  # a message and its number on the topic, from 1
 Reader = tuple[Receive, bool]  # bool: the newest message only
 # messages delivered in a row: robot and controller in lockstep always have another one
 DELIVERIES_MAX = 250
@@ -157,11 +159,16 @@ def subscribe(topic: str, receive: Receive, profile: QoSProfile) -> bool:
 
 
 def subscribe_later(
-    topic: str, receive: Receive, profile: QoSProfile, unsubscribe: Callable[[], Any]
+    topic: str,
+    receive: Receive,
+    profile: QoSProfile,
+    unsubscribe: Callable[[], Any],
 ) -> None:
     """Subscribe a node that is being made to a topic that a node made later may publish.
 
     Then its subscription by DDS is ended by `unsubscribe`.
     """
     if _present is not None:
-        _present.add_early_reader(topic, (receive, profile.depth == 1), unsubscribe)
+        _present.add_early_reader(
+            topic, (receive, profile.depth == 1), unsubscribe
+        )

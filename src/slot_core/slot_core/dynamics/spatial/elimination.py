@@ -32,7 +32,16 @@ to the energy of the lumped masses.
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
 from slot_core.compiled import helper
-from slot_core.dynamics.algebra import add, cross, dot, minus, plus, put, row, scaled
+from slot_core.dynamics.algebra import (
+    add,
+    cross,
+    dot,
+    minus,
+    plus,
+    put,
+    row,
+    scaled,
+)
 from slot_core.dynamics.lanes import largest, like, total, where
 from slot_core.dynamics.spatial.floor_contact import add_contact
 from slot_core.dynamics.spatial.hinge import Symmetric, bend, between, rows
@@ -67,7 +76,9 @@ def eliminate(model, leg, inv, place):
     for k in range(leg.segments.length.size - 1, -1, -1):
         form = _add_node(model, leg, k + 1, inv, form)
         form = add_contact(model, leg, k, 1, inv, place, form)
-        form, positive, both, one = _reduce(model, leg, k, inv, place, form, both, one)
+        form, positive, both, one = _reduce(
+            model, leg, k, inv, place, form, both, one
+        )
         definite = definite & positive
     form = _add_node(model, leg, 0, inv, form)
     _write(leg.form, form, both, one)
@@ -111,9 +122,13 @@ def _reduce(model, leg, k, inv, place, form, both, one):
         _column(c[1], t, scale, -axial * bulge[1], stretch),
         _column(c[2], t, scale, -axial * bulge[2], stretch),
     )
-    pulled = _lift(plus(form.pull, along, t), add(form.twist, hinge.tendon), t, scale)
+    pulled = _lift(
+        plus(form.pull, along, t), add(form.twist, hinge.tendon), t, scale
+    )
     force = plus(form.force, normal, t)
-    force = plus(force, -inv * rod.coupling[k], growth(leg.velocity, leg.before, k))
+    force = plus(
+        force, -inv * rod.coupling[k], growth(leg.velocity, leg.before, k)
+    )
     loaded = _lift(force, begin.moment, t, scale)
     w, z = solve_rows(pivot, x), solve_rows(pivot, r)
     wc, wo = solve(pivot, pulled), solve(pivot, loaded)
@@ -263,7 +278,11 @@ def _arm(r, t, scale):
 @helper
 def _arms(rows, t, scale):
     """The rows of M A for the three rows of M."""
-    return _arm(rows[0], t, scale), _arm(rows[1], t, scale), _arm(rows[2], t, scale)
+    return (
+        _arm(rows[0], t, scale),
+        _arm(rows[1], t, scale),
+        _arm(rows[2], t, scale),
+    )
 
 
 @helper
@@ -318,7 +337,9 @@ def couple(tendon, leg, inv):
     """
     F, release, reduced = leg.form, leg.release, leg.reduced
     taut = tendon.stiffness + tendon.damping * inv
-    stiffness = where(leg.pull[0] > 0.0, like(taut, F[6, 6]), like(0.0, F[6, 6]))
+    stiffness = where(
+        leg.pull[0] > 0.0, like(taut, F[6, 6]), like(0.0, F[6, 6])
+    )
     factor = stiffness / (1.0 - stiffness * F[6, 6])
     for c in range(6):
         release[c] = factor * F[6, c]

@@ -79,10 +79,14 @@ def _touch(floor, leg, k, i, p, a, gap, up, inv, form):
     if floor.bristle > 0.0:
         leg.limit[p] = mu * normal
         bristle = tangential(leg.field, leg.bristle[p], up)
-    hold = friction_force(floor, mu * normal, 1.0 / inv, stiffness, damping, bristle, v)
+    hold = friction_force(
+        floor, mu * normal, 1.0 / inv, stiffness, damping, bristle, v
+    )
     g = minus(add(scaled(hold.drag, v), hold.held), scaled(normal, up))
     drag = hold.drag * inv
-    stiff = where(normal > 0.0, stiffness + damping * inv - drag, like(0.0, drag))
+    stiff = where(
+        normal > 0.0, stiffness + damping * inv - drag, like(0.0, drag)
+    )
     s = scaled(stiff, up)
     C = Symmetric(
         xx=drag + s[0] * up[0],

@@ -54,9 +54,15 @@ def _derivative(before, x, y, z, c):
     xz = c * x * z
     yz = c * y * z
     return (
-        combined(1.0 - c * (y * y + z * z), t, xy + 0.5 * z, d, xz - 0.5 * y, b),
-        combined(xy - 0.5 * z, t, 1.0 - c * (x * x + z * z), d, yz + 0.5 * x, b),
-        combined(xz + 0.5 * y, t, yz - 0.5 * x, d, 1.0 - c * (x * x + y * y), b),
+        combined(
+            1.0 - c * (y * y + z * z), t, xy + 0.5 * z, d, xz - 0.5 * y, b
+        ),
+        combined(
+            xy - 0.5 * z, t, 1.0 - c * (x * x + z * z), d, yz + 0.5 * x, b
+        ),
+        combined(
+            xz + 0.5 * y, t, yz - 0.5 * x, d, 1.0 - c * (x * x + y * y), b
+        ),
     )
 
 

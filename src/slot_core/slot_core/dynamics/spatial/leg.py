@@ -86,7 +86,9 @@ class SpatialLeg(NamedTuple):
     whole: Array  # (3, 3) scratch rotations
     back_turn: Array  # (3, 3)
     forth: Array  # (3, 3)
-    motion: Array  # (3, 3) torso in leg axes: v, omega, theta h (omega - omega_n)
+    motion: (
+        Array  # (3, 3) torso in leg axes: v, omega, theta h (omega - omega_n)
+    )
     axis_rate: Array  # (3,) rad/s, omega_n in leg axes
     field: Array  # (4, 3) odom's axes and gravity in leg axes
 
@@ -156,7 +158,9 @@ def load_leg(model, leg, tau):
     s, rate = leg.segments, leg.rate[0]
     clamp = frame_before(s, 0, leg.frame)
     measure(s, model.rod, leg.velocity, leg.spin, clamp, row(leg.motion, 1))
-    leg.pull[0] = pull(s, model.tendon, leg.angle[0] + tau * rate, rate, leg.fault)
+    leg.pull[0] = pull(
+        s, model.tendon, leg.angle[0] + tau * rate, rate, leg.fault
+    )
 
 
 @helper
@@ -171,7 +175,9 @@ def advance_bristles(floor, leg, h):
         u = row(leg.velocity, k + (p // 2) % 2)
         u = times(leg.field, add(u, cross(angular_velocity(leg, k), arm)))
         limit, stiffness = leg.limit[p], floor.stiffness[p]
-        advance_bristle(floor, leg.bristle[p], limit, stiffness, leg.slope[p], h, u)
+        advance_bristle(
+            floor, leg.bristle[p], limit, stiffness, leg.slope[p], h, u
+        )
 
 
 @helper

@@ -43,7 +43,12 @@ class Pivot(NamedTuple):
 def sum_of(a, b):
     """Sum of two symmetric matrices."""
     return Symmetric(
-        a.xx + b.xx, a.xy + b.xy, a.xz + b.xz, a.yy + b.yy, a.yz + b.yz, a.zz + b.zz
+        a.xx + b.xx,
+        a.xy + b.xy,
+        a.xz + b.xz,
+        a.yy + b.yy,
+        a.yz + b.yz,
+        a.zz + b.zz,
     )
 
 

@@ -52,9 +52,7 @@ class Refinement(NamedTuple):
     strain: Array  # (n, 3) 1/m, eta
     moment: Array  # (n, 3) N m, mu
     shift: Array  # (n, 3) 1/m^2, z
-    delta: (
-        Array  # (n, 3) N m, delta times the hinge's stiffness; zero where not `active`
-    )
+    delta: Array  # (n, 3) N m, delta times the hinge's stiffness; zero where not `active`
     active: bool
 
 
@@ -79,13 +77,20 @@ def refine(r, s, rod):
         twist = eta[0]
         put(r.moment, k, _stiffened(rod, k, psi))
         put(r.strain, k, eta)
-        across = (twist * eta[2] / 24.0, twist * (r.curvature[k] - eta[1]) / 24.0)
+        across = (
+            twist * eta[2] / 24.0,
+            twist * (r.curvature[k] - eta[1]) / 24.0,
+        )
         put(r.shift, k, (0.0 * twist, across[0], across[1]))
     for k in range(n):
         put(r.delta, k, _delta(r, rod, k))
     square = r.step**2
     put(r.delta, 0, plus(row(r.delta, 0), square, _begin(r, rod, 0)))
-    put(r.delta, n - 1, plus(row(r.delta, n - 1), -square, _begin(r, rod, n - 1)))
+    put(
+        r.delta,
+        n - 1,
+        plus(row(r.delta, n - 1), -square, _begin(r, rod, n - 1)),
+    )
 
 
 @helper
@@ -117,7 +122,9 @@ def _delta(r, rod, k):
     m = cross(plus(tilt, square, spread), mu)
     m = plus(m, -square / 24.0, cross(kappa, cross(kappa, mu)))
     twist = square * (eta[2] * g[1] - eta[1] * g[2]) / 12.0
-    v = cross(kappa, plus(z, 1.0 / 24.0, (rate[0], rate[1] + 3.0 * slope, rate[2])))
+    v = cross(
+        kappa, plus(z, 1.0 / 24.0, (rate[0], rate[1] + 3.0 * slope, rate[2]))
+    )
     v = add(v, _rate(r, r.shift, k))
     scale = square * r.extent[k]
     return (

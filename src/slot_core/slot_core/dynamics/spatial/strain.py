@@ -65,7 +65,9 @@ class Segments(NamedTuple):
     per_length: Array  # (N-1,) 1/m
     extension: Array  # (N-1,) m, l - l0 - c
     extension_rate: Array  # (N-1,) m/s
-    twist: Array  # (N-1,) rad, the components of psi at nodes 0 .. N-2: about t,
+    twist: (
+        Array  # (N-1,) rad, the components of psi at nodes 0 .. N-2: about t,
+    )
     twist_rate: Array  # rad/s
     turn: Array  # about d, in the plane,
     turn_rate: Array
@@ -85,7 +87,9 @@ def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Segments:
         "firm": (1,),
         "lag": (n, 4),
     }
-    return Segments(**{name: np.zeros(shape + lanes) for name, shape in shapes.items()})
+    return Segments(
+        **{name: np.zeros(shape + lanes) for name, shape in shapes.items()}
+    )
 
 
 @helper
@@ -168,7 +172,11 @@ def measure(s, rod, velocity, spin, clamp, clamp_rate):
         w = plus(scaled(s.per_length[k], cross(t, stretching)), spin[k], t)
         psi, curl = rotation_vector(before, own)
         beta = minus(w, rate)
-        beta = (dot(before[0], beta), dot(before[1], beta), dot(before[2], beta))
+        beta = (
+            dot(before[0], beta),
+            dot(before[1], beta),
+            dot(before[2], beta),
+        )
         across = cross(psi, beta)
         psi_rate = plus(plus(beta, -0.5, across), curl, cross(psi, across))
         s.curl[k] = curl
@@ -229,8 +237,13 @@ def elastic_energy(s, rod, node, director):
         bend = psi[1] - rod.rest_angle[k]
         bulge = rod.shortening[k] * (bend * bend + psi[2] * psi[2])
         s.extension[k] = s.length[k] - rod.rest_length[k] - bulge
-        energy += rod.axial[k] * s.extension[k] ** 2 + rod.torsion[k] * psi[0] * psi[0]
-        energy += rod.bending[k] * bend * bend + rod.lateral[k] * psi[2] * psi[2]
+        energy += (
+            rod.axial[k] * s.extension[k] ** 2
+            + rod.torsion[k] * psi[0] * psi[0]
+        )
+        energy += (
+            rod.bending[k] * bend * bend + rod.lateral[k] * psi[2] * psi[2]
+        )
         before = own
     return 0.5 * energy
 

@@ -1,6 +1,6 @@
 """Emulated bus of four XL430-W250: instruction packets in, status packets out, faults, time.
 
-Every servo receives every byte. In a sync or bulk read each servo answers after the one before it
+Every servo receives every byte. In a sync read each servo answers after the one before it
 has answered: if one does not answer, those after it do not either (the worse of the two behaviours
 that users report). A packet with a wrong CRC is answered with the CRC error if it has the id of one
 servo, and not at all if it is a broadcast. Every intact instruction on the bus, of any id, restarts
@@ -16,8 +16,11 @@ import numpy.typing as npt
 
 from slot_core import config
 from slot_core.config import quantity
-from slot_core.dynamics.servo import ServoSettings, read_servo
-from slot_core.dynamixel.emulator.emulated_servo import EmulatedServo, ServoModel
+from slot_core.dynamics.servo import read_servo
+from slot_core.dynamixel.emulator.emulated_servo import (
+    EmulatedServo,
+    ServoModel,
+)
 from slot_core.dynamixel.emulator.instructions import execute, read_data, uint16
 from slot_core.dynamixel.emulator.shaft import Motor
 from slot_core.dynamixel.packet import (
@@ -31,11 +34,18 @@ from slot_core.dynamixel.packet import (
     fast_status,
     status,
 )
-from slot_core.dynamixel.table import BAUD_RATES, NO_SECONDARY_ID, RETURN_DELAY_UNIT
+from slot_core.dynamixel.table import (
+    BAUD_RATES,
+    NO_SECONDARY_ID,
+    RETURN_DELAY_UNIT,
+)
 from slot_core.faults import Fault, HardwareError
 from slot_core.robot import LEGS
 
-ANSWER_READS, ANSWER_ALL = 1, 2  # values of Status Return Level (68); 0: ping only
+ANSWER_READS, ANSWER_ALL = (
+    1,
+    2,
+)  # values of Status Return Level (68); 0: ping only
 
 
 @dataclass(frozen=True)
@@ -74,9 +84,15 @@ class EmulatedBus:
     """
 
     def __init__(
-        self, settings: EmulatorSettings, ids: Sequence[int], angles: Sequence[float]
+        self,
+        settings: EmulatorSettings,
+        ids: Sequence[int],
+        angles: Sequence[float],
     ) -> None:
-        motor = _motor(read_servo(), settings.servo.voltage)
+        servo, voltage = read_servo(), settings.servo.voltage
+        servo.require_voltage(voltage)
+        speed, stall = float(servo.speed(voltage)), float(servo.stall(voltage))
+        motor = Motor(voltage, speed, stall, servo.motor_time)
         self.settings = settings
         self.servos = tuple(
             EmulatedServo(identity, settings.servo, motor, angle)
@@ -104,7 +120,9 @@ class EmulatedBus:
             self._parser.reset()
 
     def advance(
-        self, dt: float, loads: Sequence[float] | npt.NDArray[np.float64] = (0.0,) * 4
+        self,
+        dt: float,
+        loads: Sequence[float] | npt.NDArray[np.float64] = (0.0,) * 4,
     ) -> npt.NDArray[np.float64]:
         """Advance by dt s under load torques (4,), N m; returns the servo angles (4,), rad."""
         with self._lock:
@@ -118,17 +136,11 @@ class EmulatedBus:
         with self._lock:
             return min(servo.watchdog_left() for servo in self.servos)
 
-    def inject(self, fault: Fault) -> None:
-        """Start a fault now; its time is not used."""
+    def set_fault(self, fault: Fault, on: bool) -> None:
+        """Start a fault now, or end it: then hardware errors stay until the servo is rebooted."""
         with self._lock:
             for leg in fault.legs:
-                self._apply(LEGS.index(leg), fault, True)
-
-    def clear(self, fault: Fault) -> None:
-        """End a fault; hardware errors stay until the servo is rebooted."""
-        with self._lock:
-            for leg in fault.legs:
-                self._apply(LEGS.index(leg), fault, False)
+                self._apply(LEGS.index(leg), fault, on)
 
     def _apply(self, index: int, fault: Fault, on: bool) -> None:
         servo, line = self.servos[index], self._line[index]
@@ -139,7 +151,9 @@ class EmulatedBus:
         elif fault.kind == "late":
             line.late = fault.value if on else 0.0
         elif fault.kind == "wrong_id":
-            servo.memory["id"] = int(fault.value) if on else self._true_ids[index]
+            servo.memory["id"] = (
+                int(fault.value) if on else self._true_ids[index]
+            )
         elif fault.kind == "overheating":
             servo.forced_temperature = fault.value if on else np.nan
         elif fault.kind == "undervoltage":
@@ -173,12 +187,17 @@ class EmulatedBus:
     def _dispatch(
         self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]
     ) -> Iterator[Reply]:
-        if packet.instruction in _CHAINED and packet.id == BROADCAST:
+        chained = Instruction.SYNC_READ, Instruction.FAST_SYNC_READ
+        if packet.instruction in chained and packet.id == BROADCAST:
             yield from self._chain(packet, receivers)
             return
-        for index, servo in sorted(receivers, key=lambda item: item[1].memory["id"]):
+        for index, servo in sorted(
+            receivers, key=lambda item: item[1].memory["id"]
+        ):
             own = packet.id == servo.memory["id"]
-            secondary = packet.id == servo.memory["secondary_id"] != NO_SECONDARY_ID
+            secondary = (
+                packet.id == servo.memory["secondary_id"] != NO_SECONDARY_ID
+            )
             if not (own or secondary or packet.id == BROADCAST):
                 continue
             identity = servo.memory[
@@ -198,17 +217,20 @@ class EmulatedBus:
     def _chain(
         self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]
     ) -> Iterator[Reply]:
-        """Answers to a sync or bulk read, one servo after the other."""
-        by_id = {servo.memory["id"]: (index, servo) for index, servo in receivers}
-        fast = packet.instruction in {
-            Instruction.FAST_SYNC_READ,
-            Instruction.FAST_BULK_READ,
+        """Answers to a sync read, one servo after the other."""
+        by_id = {
+            servo.memory["id"]: (index, servo) for index, servo in receivers
         }
+        fast = packet.instruction == Instruction.FAST_SYNC_READ
         parts, delay = [], 0.0
-        requests = list(_requests(packet))
-        if fast and sum(size + FAST_OVERHEAD for _, _, size in requests) > PACKET_MAX:
+        address, size = (
+            uint16(packet.parameters[:2]),
+            uint16(packet.parameters[2:4]),
+        )
+        ids = packet.parameters[4:]
+        if fast and len(ids) * (size + FAST_OVERHEAD) > PACKET_MAX:
             return  # the answer is longer than a packet
-        for identity, address, size in requests:
+        for identity in ids:
             index, servo = by_id.get(identity, (-1, None))
             if servo is None or self._line[index].silent:
                 break
@@ -217,14 +239,19 @@ class EmulatedBus:
             error, data = read_data(servo, address, size)
             if fast:
                 delay = delay or self._delay(index)
-                parts.append((index, (identity, error, data.ljust(size, b"\0"))))
+                parts.append(
+                    (index, (identity, error, data.ljust(size, b"\0")))
+                )
                 continue
             yield from self._answer(index, status(identity, error, data))
         if parts:
-            yield from self._fast_answer(parts, len(requests), delay)
+            yield from self._fast_answer(parts, len(ids), delay)
 
     def _fast_answer(
-        self, parts: list[tuple[int, tuple[int, int, bytes]]], count: int, delay: float
+        self,
+        parts: list[tuple[int, tuple[int, int, bytes]]],
+        count: int,
+        delay: float,
     ) -> Iterator[Reply]:
         """Answer of `count` servos in one packet; cut off after `parts` if some do not answer."""
         whole = parts + [parts[-1]] * (count - len(parts))
@@ -245,15 +272,11 @@ class EmulatedBus:
         yield Reply(data, self._delay(index) + line.late)
 
     def _delay(self, index: int) -> float:
-        return self.servos[index].memory["return_delay_time"] * RETURN_DELAY_UNIT
+        return (
+            self.servos[index].memory["return_delay_time"] * RETURN_DELAY_UNIT
+        )
 
 
-_CHAINED = {
-    Instruction.SYNC_READ,
-    Instruction.FAST_SYNC_READ,
-    Instruction.BULK_READ,
-    Instruction.FAST_BULK_READ,
-}
 _EVENTS = {  # faults that happen at once and are not taken back
     "overload": lambda servo: servo.trip(HardwareError.OVERLOAD),
     "watchdog": lambda servo: servo.stop_by_watchdog(),
@@ -263,25 +286,6 @@ _EVENTS = {  # faults that happen at once and are not taken back
 def read_emulator() -> EmulatorSettings:
     """The settings of `config/emulator.yaml`; raises ConfigError."""
     return config.read(EmulatorSettings, "emulator")
-
-
-def _motor(servo: ServoSettings, voltage: float) -> Motor:
-    """The motor of `servo.yaml` at a supply voltage (V); raises ConfigError."""
-    servo.require_voltage(voltage)
-    speed, stall = float(servo.speed(voltage)), float(servo.stall(voltage))
-    return Motor(voltage, speed, stall, servo.motor_time)
-
-
-def _requests(packet: Packet) -> Iterator[tuple[int, int, int]]:
-    """Ids, addresses and sizes that a sync or bulk read asks for."""
-    parameters = packet.parameters
-    if packet.instruction in {Instruction.SYNC_READ, Instruction.FAST_SYNC_READ}:
-        for identity in parameters[4:]:
-            yield identity, uint16(parameters[:2]), uint16(parameters[2:4])
-        return
-    for start in range(0, len(parameters) - 4, 5):
-        part = parameters[start : start + 5]
-        yield part[0], uint16(part[1:3]), uint16(part[3:5])
 
 
 def damaged(data: bytes, rng: np.random.Generator) -> bytes:

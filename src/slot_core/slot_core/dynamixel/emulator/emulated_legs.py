@@ -103,7 +103,10 @@ class EmulatedDynamixels:
 
         torques: (4,) N m, of the tendons on their spools.
         """
-        loads = [joint.servo_torque(float(t)) for joint, t in zip(self.joints, torques)]
+        loads = [
+            joint.servo_torque(float(t))
+            for joint, t in zip(self.joints, torques)
+        ]
         self.bus.advance(dt, loads)
         return self.angles()
 
@@ -119,7 +122,9 @@ class EmulatedDynamixels:
     def powered(self) -> tuple[str, ...]:
         """Names of the legs whose servos have torque on."""
         servos = zip(LEGS, self.bus.servos)
-        return tuple(leg for leg, servo in servos if servo.memory["torque_enable"])
+        return tuple(
+            leg for leg, servo in servos if servo.memory["torque_enable"]
+        )
 
     def driven(self) -> bool:
         """Whether instructions move a servo away from where it is."""
@@ -129,18 +134,16 @@ class EmulatedDynamixels:
         """Time after which the first bus watchdog stops its servo, s; inf if none is armed."""
         return self.bus.watchdog_left()
 
-    def inject(self, fault: Fault) -> None:
-        """Start a fault now; its time is not used."""
-        self.bus.inject(fault)
-
-    def clear(self, fault: Fault) -> None:
-        """End a fault; hardware errors stay until the servo is rebooted."""
-        self.bus.clear(fault)
+    def set_fault(self, fault: Fault, on: bool) -> None:
+        """Start a fault now, or end it: then hardware errors stay until the servo is rebooted."""
+        self.bus.set_fault(fault, on)
 
     def connect(self, clock: Clock) -> Driver:
         """Driver of these servos in the same process, on a clock (s)."""
         return Driver(
-            MemoryPort(self.bus, self.settings.bus.baud, clock), self.settings, clock
+            MemoryPort(self.bus, self.settings.bus.baud, clock),
+            self.settings,
+            clock,
         )
 
     def serve(self, link: Path | None) -> PseudoTerminal:

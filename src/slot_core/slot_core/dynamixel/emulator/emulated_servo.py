@@ -23,6 +23,7 @@ from slot_core.dynamixel.table import (
     PWM_FULL,
     RAD_PER_COUNT,
     RAD_S_PER_UNIT,
+    TABLE,
     VOLTAGE_UNIT,
     WATCHDOG_UNIT,
     Mode,
@@ -46,7 +47,9 @@ class ServoModel:
     overload_time: float = quantity(
         "overload until the hardware error", "s", 0.0, 100.0
     )
-    boot_time: float = quantity("time without answers after a reboot", "s", 0.0, 10.0)
+    boot_time: float = quantity(
+        "time without answers after a reboot", "s", 0.0, 10.0
+    )
 
 
 class EmulatedServo:
@@ -64,15 +67,16 @@ class EmulatedServo:
         # address and data of a Reg Write
         self.registered: tuple[int, bytes] | None = None
         self.time = 0.0  # s
-        self.last_instruction = 0.0  # s, time of the last instruction on the bus
+        self.last_instruction = (
+            0.0  # s, time of the last instruction on the bus
+        )
         self._boot_left = 0.0  # s
         self._shut_down = False
         self._integral = 0.0
         self._overload_time = 0.0  # s for which the load has been too high
         self._unsimulated = 0.0  # s, shorter than a loop period
         self._trajectory = angle / RAD_PER_COUNT  # counts
-        self._turns = 0
-        self.clear_turns()
+        self._turns = math.floor(angle / math.tau)
         self._restart()
 
     @property
@@ -91,7 +95,9 @@ class EmulatedServo:
 
     def position(self) -> int:
         """Value of Present Position, counts."""
-        counts = math.floor(self.shaft.angle / RAD_PER_COUNT) - COUNTS * self._turns
+        counts = (
+            math.floor(self.shaft.angle / RAD_PER_COUNT) - COUNTS * self._turns
+        )
         return self._sign * counts + self.memory["homing_offset"]
 
     def read(self, address: int, size: int) -> bytes:
@@ -104,7 +110,10 @@ class EmulatedServo:
         values = self.memory.checked(address, data)
         if values.get("torque_enable") and self._shut_down:
             raise RegisterError(Error.RESULT_FAIL)
-        was_on, old_mode = self.memory["torque_enable"], self.memory["operating_mode"]
+        was_on, old_mode = (
+            self.memory["torque_enable"],
+            self.memory["operating_mode"],
+        )
         self.memory.write(address, data)
         if "torque_enable" in values and not was_on:
             self._trajectory, self._integral = float(self.position()), 0.0
@@ -113,18 +122,9 @@ class EmulatedServo:
 
     def reboot(self) -> None:
         """Reboot: RAM at its initial values, torque off, no answers for `boot_time`."""
-        self.memory.reset(eeprom=False)
+        self.memory.reset()
         self._restart()
         self._boot_left = self.model.boot_time
-
-    def factory_reset(self, keep: tuple[str, ...]) -> None:
-        """Set EEPROM to its initial values except `keep`, then reboot."""
-        self.memory.reset(eeprom=True, keep=keep)
-        self.reboot()
-
-    def clear_turns(self) -> None:
-        """Reset the turn count: the position is within one turn again."""
-        self._turns = math.floor(self.shaft.angle / math.tau)
 
     def driven(self) -> bool:
         """Whether instructions move it: torque, and a duty, a speed or a goal away from it."""
@@ -168,11 +168,16 @@ class EmulatedServo:
         """Advance by dt s under a load torque (N m); a positive one lowers the angle."""
         self.time += dt
         self._boot_left = max(self._boot_left - dt, 0.0)
-        self._check_watchdog()
+        if self.watchdog_left() < 0.0:
+            self.stop_by_watchdog()
         self._unsimulated += dt
-        while self._unsimulated >= self.model.loop_period - 1e-9:
-            self._unsimulated -= self.model.loop_period
-            self._loop(load, self.model.loop_period)
+        h = self.model.loop_period
+        while self._unsimulated >= h - 1e-9:
+            self._unsimulated -= h
+            duty = self._duty(h) if self.memory["torque_enable"] else None
+            self.memory["present_pwm"] = round((duty or 0.0) * PWM_FULL)
+            shaft_duty = None if duty is None else self._sign * duty
+            self.shaft.advance(shaft_duty, load, self.voltage, h)
         self._protect(dt)
 
     def _restart(self) -> None:
@@ -189,18 +194,8 @@ class EmulatedServo:
         memory["goal_pwm"] = memory["pwm_limit"]
         memory["profile_velocity"] = memory["profile_acceleration"] = 0
         for name in ("position_p_gain", "position_i_gain", "position_d_gain"):
-            memory.restore(name)
+            memory[name] = TABLE[name].initial
         memory["goal_position"] = self.position()
-
-    def _check_watchdog(self) -> None:
-        if self.watchdog_left() < 0.0:
-            self.stop_by_watchdog()
-
-    def _loop(self, load: float, h: float) -> None:
-        duty = self._duty(h) if self.memory["torque_enable"] else None
-        self.memory["present_pwm"] = round((duty or 0.0) * PWM_FULL)
-        shaft_duty = None if duty is None else self._sign * duty
-        self.shaft.advance(shaft_duty, load, self.voltage, h)
 
     def _duty(self, h: float) -> float:
         memory, mode = self.memory, self.memory["operating_mode"]
@@ -238,9 +233,13 @@ class EmulatedServo:
     def _advance_profile(self, h: float) -> None:
         """Move the position trajectory to the goal at no more than the profile velocity."""
         goal = self.memory["goal_position"]
-        reach = self.memory["profile_velocity"] * RAD_S_PER_UNIT * h / RAD_PER_COUNT
+        reach = (
+            self.memory["profile_velocity"] * RAD_S_PER_UNIT * h / RAD_PER_COUNT
+        )
         step = goal - self._trajectory
-        self._trajectory += step if reach == 0.0 else min(max(step, -reach), reach)
+        self._trajectory += (
+            step if reach == 0.0 else min(max(step, -reach), reach)
+        )
 
     def _velocity(self) -> float:
         return self._sign * self.shaft.speed / RAD_S_PER_UNIT
@@ -249,19 +248,21 @@ class EmulatedServo:
         memory, shaft = self.memory, self.shaft
         load = abs(shaft.torque) / shaft.motor.stall
         self._overload_time = (
-            self._overload_time + dt if load > self.model.overload_share else 0.0
+            self._overload_time + dt
+            if load > self.model.overload_share
+            else 0.0
         )
         if self._overload_time > self.model.overload_time:
             self.trip(HardwareError.OVERLOAD)
         if self.temperature() > memory["temperature_limit"]:
             self.trip(HardwareError.OVERHEATING)
         volts = self.voltage / VOLTAGE_UNIT
-        if not memory["min_voltage_limit"] <= volts <= memory["max_voltage_limit"]:
+        if (
+            not memory["min_voltage_limit"]
+            <= volts
+            <= memory["max_voltage_limit"]
+        ):
             self.trip(HardwareError.INPUT_VOLTAGE)
-
-    def moving(self) -> bool:
-        """Whether the speed is above Moving Threshold."""
-        return abs(self._velocity()) > self.memory["moving_threshold"]
 
     def temperature(self) -> float:
         """Measured temperature, degC."""
@@ -277,7 +278,10 @@ class EmulatedServo:
         memory["present_load"] = self._sign * round(
             min(max(load, -1.0), 1.0) * LOAD_FULL
         )
-        memory["moving"] = int(self.moving())
+        moving = abs(self._velocity()) > memory["moving_threshold"]
+        memory["moving"] = int(moving)
         memory["position_trajectory"] = round(self._trajectory)
         memory["present_input_voltage"] = round(self.voltage / VOLTAGE_UNIT)
-        memory["present_temperature"] = round(min(max(self.temperature(), 0.0), 255.0))
+        memory["present_temperature"] = round(
+            min(max(self.temperature(), 0.0), 255.0)
+        )

@@ -1,4 +1,7 @@
-"""Instructions of Protocol 2.0 on an emulated servo; error numbers: `memory.py`."""
+"""Instructions of Protocol 2.0 on an emulated servo; error numbers: `memory.py`.
+
+Factory Reset, Clear and the bulk instructions are answered as unknown: no driver here sends them.
+"""
 
 from collections.abc import Callable
 
@@ -7,10 +10,6 @@ from slot_core.dynamixel.emulator.memory import RegisterError
 from slot_core.dynamixel.packet import BROADCAST, Error, Instruction, Packet
 from slot_core.dynamixel.table import MODEL_NUMBER
 
-CLEAR_TURNS = b"\x01\x44\x58\x4c\x22"  # parameters of Clear
-# Registers kept by Factory Reset, by its parameter.
-KEPT = {0xFF: (), 0x01: ("id",), 0x02: ("id", "baud_rate")}
-
 
 def uint16(data: bytes) -> int:
     """Unsigned number in two bytes."""
@@ -18,7 +17,7 @@ def uint16(data: bytes) -> int:
 
 
 def execute(servo: EmulatedServo, packet: Packet) -> tuple[int, bytes]:
-    """Execute an instruction other than a sync or bulk read; error byte and data of the answer."""
+    """Execute an instruction other than a sync read; error byte and data of the answer."""
     try:
         action = _ACTIONS.get(packet.instruction)
         if action is None:
@@ -29,8 +28,10 @@ def execute(servo: EmulatedServo, packet: Packet) -> tuple[int, bytes]:
     return servo.error, data
 
 
-def read_data(servo: EmulatedServo, address: int, size: int) -> tuple[int, bytes]:
-    """Error byte and data of a servo's answer to a sync or bulk read."""
+def read_data(
+    servo: EmulatedServo, address: int, size: int
+) -> tuple[int, bytes]:
+    """Error byte and data of a servo's answer to a sync read."""
     try:
         return servo.error, servo.read(address, size)
     except RegisterError as rejection:
@@ -46,7 +47,9 @@ def _on_ping(servo: EmulatedServo, packet: Packet) -> bytes:
 def _on_read(servo: EmulatedServo, packet: Packet) -> bytes:
     if len(packet.parameters) != 4 or packet.id == BROADCAST:
         raise RegisterError(Error.DATA_LENGTH)
-    return servo.read(uint16(packet.parameters[:2]), uint16(packet.parameters[2:]))
+    return servo.read(
+        uint16(packet.parameters[:2]), uint16(packet.parameters[2:])
+    )
 
 
 def _on_write(servo: EmulatedServo, packet: Packet) -> bytes:
@@ -75,35 +78,14 @@ def _on_action(servo: EmulatedServo, packet: Packet) -> bytes:
     return b""
 
 
-def _on_factory_reset(servo: EmulatedServo, packet: Packet) -> bytes:
-    kept = KEPT.get(packet.parameters[0]) if len(packet.parameters) == 1 else None
-    if kept is None or (packet.id == BROADCAST and not kept):
-        raise RegisterError(Error.DATA_RANGE)
-    servo.factory_reset(kept)
-    return b""
-
-
 def _on_reboot(servo: EmulatedServo, packet: Packet) -> bytes:
     servo.reboot()
     return b""
 
 
-def _on_clear(servo: EmulatedServo, packet: Packet) -> bytes:
-    if packet.parameters != CLEAR_TURNS:
-        raise RegisterError(Error.DATA_RANGE)
-    if servo.moving():
-        raise RegisterError(Error.RESULT_FAIL)
-    servo.clear_turns()
-    return b""
-
-
-def _need_broadcast(packet: Packet) -> None:
+def _on_sync_write(servo: EmulatedServo, packet: Packet) -> bytes:
     if packet.id != BROADCAST:
         raise RegisterError(Error.INSTRUCTION)
-
-
-def _on_sync_write(servo: EmulatedServo, packet: Packet) -> bytes:
-    _need_broadcast(packet)
     parameters = packet.parameters
     address, size = uint16(parameters[:2]), uint16(parameters[2:4])
     for start in range(4, len(parameters) - size, size + 1):
@@ -113,27 +95,12 @@ def _on_sync_write(servo: EmulatedServo, packet: Packet) -> bytes:
     return b""
 
 
-def _on_bulk_write(servo: EmulatedServo, packet: Packet) -> bytes:
-    _need_broadcast(packet)
-    rest = packet.parameters
-    while len(rest) >= 5:
-        size = uint16(rest[3:5])
-        if rest[0] == servo.memory["id"] and len(rest) >= 5 + size:
-            servo.write(uint16(rest[1:3]), rest[5 : 5 + size])
-            break
-        rest = rest[5 + size :]
-    return b""
-
-
 _ACTIONS: dict[int, Callable[[EmulatedServo, Packet], bytes]] = {
     Instruction.PING: _on_ping,
     Instruction.READ: _on_read,
     Instruction.WRITE: _on_write,
     Instruction.REG_WRITE: _on_reg_write,
     Instruction.ACTION: _on_action,
-    Instruction.FACTORY_RESET: _on_factory_reset,
     Instruction.REBOOT: _on_reboot,
-    Instruction.CLEAR: _on_clear,
     Instruction.SYNC_WRITE: _on_sync_write,
-    Instruction.BULK_WRITE: _on_bulk_write,
 }

@@ -52,22 +52,11 @@ class Memory:
         self._bytes[register.address : register.end] = register.encode(value)
         self._values[name] = int(value)
 
-    def reset(self, eeprom: bool, keep: tuple[str, ...] = ()) -> None:
-        """Set the writable registers of RAM, with `eeprom` of EEPROM too, to their initial values.
-
-        `keep`: names of registers that keep their values.
-        """
+    def reset(self) -> None:
+        """Set the writable registers of RAM to their initial values."""
         for register in REGISTERS:
-            if (
-                (eeprom or not register.eeprom)
-                and register.writable
-                and register.name not in keep
-            ):
+            if register.writable and not register.eeprom:
                 self[register.name] = register.initial
-
-    def restore(self, name: str) -> None:
-        """Set a register to its initial value."""
-        self[name] = TABLE[name].initial
 
     def read(self, address: int, size: int) -> bytes:
         """`size` bytes from an address; raises RegisterError."""
@@ -105,12 +94,16 @@ class Memory:
         for first, data in INDIRECT_BANKS:
             if data <= address < data + INDIRECT_COUNT:
                 pointer = first + 2 * (address - data)
-                target = int.from_bytes(self._bytes[pointer : pointer + 2], "little")
+                target = int.from_bytes(
+                    self._bytes[pointer : pointer + 2], "little"
+                )
                 return target if _mappable(target) else address
         return address
 
     def _writable(self, register: Register) -> bool:
-        return register.writable and not (register.eeprom and self["torque_enable"])
+        return register.writable and not (
+            register.eeprom and self["torque_enable"]
+        )
 
     def _check(self, register: Register, value: int) -> None:
         name = register.name

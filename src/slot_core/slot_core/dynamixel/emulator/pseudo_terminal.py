@@ -16,7 +16,6 @@ import time
 import tty
 from pathlib import Path
 
-from slot_core.clock import Clock
 from slot_core.config import ConfigError
 from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus
 from slot_core.dynamixel.port import BITS_PER_BYTE
@@ -39,16 +38,14 @@ class PseudoTerminal:
     the port is under `link` if one was given, else its name may have changed.
     """
 
-    def __init__(
-        self, bus: EmulatedBus, link: Path | None = None, clock: Clock = time.monotonic
-    ) -> None:
+    def __init__(self, bus: EmulatedBus, link: Path | None = None) -> None:
         """Open the port; raises ConfigError if the link cannot be made, or is another file."""
         if link is not None:
             _require_free(link)
-        self._bus, self._link, self._clock = bus, link, clock
+        self._bus, self._link = bus, link
         self._stopping = threading.Event()
         self._free_at = 0.0  # s, when the line is idle again
-        self._last_input = clock()
+        self._last_input = time.monotonic()
         self._releasing = False
         self.in_use = True  # until a released port is closed by the driver
         self.slave = ""  # device of the driver's side; empty while unplugged
@@ -91,7 +88,7 @@ class PseudoTerminal:
         ready, _, _ = select.select([self._master_fd], [], [], POLL_PERIOD)
         if not ready:
             return
-        now = self._clock()
+        now = time.monotonic()
         if now - self._last_input > PACKET_GAP:
             self._bus.discard_partial()
         self._last_input = now
@@ -104,7 +101,7 @@ class PseudoTerminal:
             self._stopping.wait(POLL_PERIOD)
 
     def _respond(self, data: bytes, now: float) -> None:
-        baud = self._baud()
+        baud = RATES.get(termios.tcgetattr(self._master_fd)[4], 0) or 1
         byte = BITS_PER_BYTE / baud
         at = max(now, self._free_at) + len(data) * byte
         replies = self._bus.receive(data, baud)
@@ -112,18 +109,10 @@ class PseudoTerminal:
             at += self._bus.settings.usb_latency
         for reply in replies:
             at += reply.delay + len(reply.data) * byte
-            self._sleep_until(at)
+            time.sleep(max(at - time.monotonic(), 0.0))
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master_fd, reply.data)
         self._free_at = at
-
-    def _sleep_until(self, at: float) -> None:
-        left = at - self._clock()
-        if left > 0:
-            time.sleep(left)
-
-    def _baud(self) -> int:
-        return RATES.get(termios.tcgetattr(self._master_fd)[4], 0) or 1
 
     def _plug(self) -> None:
         self._master_fd, slave_fd = os.openpty()

@@ -37,7 +37,9 @@ class ShaftSettings:
     thermal_resistance: float = quantity(
         "thermal resistance from motor to room", "K/W", 0.0, 100.0
     )
-    thermal_time: float = quantity("time constant of the temperature", "s", 1.0, 1e5)
+    thermal_time: float = quantity(
+        "time constant of the temperature", "s", 1.0, 1e5
+    )
 
 
 class Motor(NamedTuple):
@@ -52,7 +54,9 @@ class Motor(NamedTuple):
 class Shaft:
     """Output shaft: angle (rad), speed (rad/s), motor torque (N m), temperature (degC)."""
 
-    def __init__(self, motor: Motor, settings: ShaftSettings, angle: float) -> None:
+    def __init__(
+        self, motor: Motor, settings: ShaftSettings, angle: float
+    ) -> None:
         self.motor, self.settings = motor, settings
         self.angle, self.speed = angle, 0.0
         self.temperature = settings.room
@@ -80,8 +84,12 @@ class Shaft:
 
     def _heat(self, duty: float | None, supply: float, h: float) -> None:
         settings, motor = self.settings, self.motor
-        share = 0.0 if duty is None else supply * duty - self.speed / motor.speed
+        share = (
+            0.0 if duty is None else supply * duty - self.speed / motor.speed
+        )
         self.torque = share * motor.stall
         power = (motor.voltage * share) ** 2 / settings.resistance
         steady = settings.room + settings.thermal_resistance * power
-        self.temperature += (steady - self.temperature) * (h / settings.thermal_time)
+        self.temperature += (steady - self.temperature) * (
+            h / settings.thermal_time
+        )

@@ -39,7 +39,9 @@ Messages: TypeAlias = list[tuple[int, Any]]
 """Messages after their stamps, ns, in the order of these."""
 States: TypeAlias = dict[str, list[tuple[float, str]]]
 """States by title: s since the first frame, name."""
-MOST_FRAMES = 3000  # 100 s at 30 Hz; of a longer run every second, third, ... is left
+MOST_FRAMES = (
+    3000  # 100 s at 30 Hz; of a longer run every second, third, ... is left
+)
 NO_VALUE = -(2**31)
 STEPS = {
     "t": 1e-4,
@@ -61,7 +63,9 @@ class RunFrames:
     """A run at n frames, with legs of m nodes."""
 
     name: str
-    columns: dict[str, Array]  # (n, k) by name: of STEPS, and curves as `plot/curve`
+    columns: dict[
+        str, Array
+    ]  # (n, k) by name: of STEPS, and curves as `plot/curve`
     thickness: Array  # (4, m) m, of the legs at their nodes
     states: States  # where they change
     known: bool  # whether the shapes of the legs are recorded
@@ -92,7 +96,9 @@ class RunFrames:
         }
 
 
-def read_frames(bag: Bag, robot: RobotParameters, tell: Tell = untold) -> RunFrames:
+def read_frames(
+    bag: Bag, robot: RobotParameters, tell: Tell = untold
+) -> RunFrames:
     """The frames of a bag; raises BagError if it holds no motion of the torso."""
     tell(0.0)
     known = bool(bag.counts.get(LEG_STATES))
@@ -109,7 +115,9 @@ def read_frames(bag: Bag, robot: RobotParameters, tell: Tell = untold) -> RunFra
     curves, states, left_out = _read_traces(bag, stamps, tell)
     return RunFrames(
         name=one_line(bag.path.absolute().name),
-        columns={n: v.reshape(len(stamps), -1) for n, v in (columns | curves).items()},
+        columns={
+            n: v.reshape(len(stamps), -1) for n, v in (columns | curves).items()
+        },
         thickness=thickness,
         states=states,
         known=known,
@@ -125,7 +133,9 @@ def _columns(stamps: Stamps, poses: list[Snapshot]) -> dict[str, Array]:
     return {
         "t": seconds(stamps - stamps[0]),
         "position": position,
-        "quaternion": _continuous(np.array([pose.quaternion for pose in poses])),
+        "quaternion": _continuous(
+            np.array([pose.quaternion for pose in poses])
+        ),
         "nodes": nodes - position[:, None, None],
         "across": np.array([pose.legs.axes[0] for pose in poses]),
         "force": np.array([pose.force for pose in poses]),
@@ -148,11 +158,15 @@ def _read_traces(
     left_out = []
     topics = [*filter(bag.counts.get, traces.TOPICS)]
     for k, topic in enumerate(topics):
-        tell((k + 1) / (len(topics) + 1))  # the robot's motion was the first part
+        tell(
+            (k + 1) / (len(topics) + 1)
+        )  # the robot's motion was the first part
         try:
             with bag.using(topic):
                 messages = (message for _, message in bag.messages(topic))
-                stamped = ((decode.stamp(message), message) for message in messages)
+                stamped = (
+                    (decode.stamp(message), message) for message in messages
+                )
                 found = sorted(stamped, key=operator.itemgetter(0))
                 curves |= _curves(topic, found, stamps)
                 states |= _states(topic, found, stamps)
@@ -175,19 +189,27 @@ def _states(topic: str, found: Messages, stamps: Stamps) -> States:
 
 def _curves(topic: str, found: Messages, stamps: Stamps) -> dict[str, Array]:
     """Values of the last message at or before each stamp; NaN before the first."""
-    last = np.searchsorted([stamp for stamp, _ in found], stamps, side="right") - 1
+    last = (
+        np.searchsorted([stamp for stamp, _ in found], stamps, side="right") - 1
+    )
     rows = [traces.values(topic, message) for _, message in found]
     columns = {
-        name: np.array([row[name] for row in rows], dtype=float) for name in rows[0]
+        name: np.array([row[name] for row in rows], dtype=float)
+        for name in rows[0]
     }
-    return {n: np.where(last[:, None] < 0, np.nan, v[last]) for n, v in columns.items()}
+    return {
+        n: np.where(last[:, None] < 0, np.nan, v[last])
+        for n, v in columns.items()
+    }
 
 
 def _step(values: Array) -> float:
     """Step of a curve: four digits of its largest value."""
     finite = np.abs(values[np.isfinite(values)])
     largest = float(finite.max(initial=0.0))
-    return 10.0 ** (math.floor(math.log10(largest)) - 3) if largest > 0.0 else 1.0
+    return (
+        10.0 ** (math.floor(math.log10(largest)) - 3) if largest > 0.0 else 1.0
+    )
 
 
 def _integers(values: Array, step: float) -> Integers:
@@ -195,9 +217,9 @@ def _integers(values: Array, step: float) -> Integers:
     with np.errstate(over="ignore"):
         scaled = values / step
     fits = np.isfinite(scaled) & (np.abs(scaled) < -NO_VALUE - 1)
-    return np.where(fits, np.rint(np.where(fits, scaled, 0.0)), NO_VALUE).astype(
-        np.int64
-    )
+    return np.where(
+        fits, np.rint(np.where(fits, scaled, 0.0)), NO_VALUE
+    ).astype(np.int64)
 
 
 def _along(integers: Integers) -> Integers:
@@ -211,7 +233,11 @@ def _packed(table: Integers) -> str:
     change = np.diff(table, axis=0, prepend=0).astype(np.int32)  # modulo 2^32
     signed = (change << 1) ^ (change >> 31)  # 0, -1, 1, -2 become 0, 1, 2, 3
     planes = (
-        np.ascontiguousarray(signed.T).astype("<i4").view(np.uint8).reshape(-1, 4).T
+        np.ascontiguousarray(signed.T)
+        .astype("<i4")
+        .view(np.uint8)
+        .reshape(-1, 4)
+        .T
     )
     return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
 
@@ -221,7 +247,9 @@ class PageError(InputError):
 
 
 def write_page(
-    bags: Sequence[Bag], path: Path, progress: Callable[[str, float], object] = untold
+    bags: Sequence[Bag],
+    path: Path,
+    progress: Callable[[str, float], object] = untold,
 ) -> list[str]:
     """Write the page of one or two bags; returns lines on it.
 
@@ -237,8 +265,12 @@ def write_page(
     progress("writing", 0.0)
     text = page(content(runs, robot))
     path.write_text(text, encoding="utf-8")
-    counts = ", ".join(f"{run.name} {run.count} frames{_thinned(run)}" for run in runs)
-    left_out = [f"left out: {reason}" for run in runs for reason in run.left_out]
+    counts = ", ".join(
+        f"{run.name} {run.count} frames{_thinned(run)}" for run in runs
+    )
+    left_out = [
+        f"left out: {reason}" for run in runs for reason in run.left_out
+    ]
     return [f"{path}: {counts}, {len(text) / 1e3:.0f} kB", *left_out]
 
 
@@ -246,7 +278,9 @@ def _thinned(run: RunFrames) -> str:
     return f" (one of {run.every})" if run.every > 1 else ""
 
 
-def content(runs: Sequence[RunFrames], robot: RobotParameters) -> dict[str, Any]:
+def content(
+    runs: Sequence[RunFrames], robot: RobotParameters
+) -> dict[str, Any]:
     """Data of a page: robot, plots and runs."""
     held = {name for run in runs for name in run.columns}
     plots = [
@@ -290,7 +324,9 @@ def page(shown: dict[str, Any]) -> str:
         "licence": _read("three/LICENSE").replace("--", "- -"),
         "core": _deflated("three/three.core.min.js"),
         "module": _deflated("three/three.module.min.js"),
-        "content": json.dumps(shown, separators=(",", ":")).replace("<", "\\u003c"),
+        "content": json.dumps(shown, separators=(",", ":")).replace(
+            "<", "\\u003c"
+        ),
         "script": "\n".join(map(_read, SCRIPTS)),
     }
     before, *rest = _read("page.html").split("{{")
@@ -303,4 +339,6 @@ def _read(name: str) -> str:
 
 
 def _deflated(name: str) -> str:
-    return base64.b64encode(zlib.compress((HERE / name).read_bytes(), 9)).decode()
+    return base64.b64encode(
+        zlib.compress((HERE / name).read_bytes(), 9)
+    ).decode()
