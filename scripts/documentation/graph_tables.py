@@ -4,13 +4,11 @@
 declares, and destroyed. A folder on the command line is that of the pages.
 """
 
-import importlib
 import inspect
 import json
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from documentation import DOC, ROOT
 from documentation.markdown import plain, table
 from slot_bringup.arguments import graph_arguments
+from slot_nodes.process.composed import node_class
 
 MARK = "<!-- Written by scripts/docs --tables. -->\n\n"  # the generated part of a page follows
 GRAPH = ROOT / "slot_bringup" / "slot_bringup" / "graph.yaml"
@@ -83,19 +82,6 @@ def created_nodes(directory: str) -> Iterator[tuple[Node, Mapping[str, str]]]:
             yield node, given
             node.destroy_node()
             rclpy.shutdown()
-
-
-def node_class(program: str) -> Any:
-    """The only node in the module of a program."""
-    (entry,) = entry_points(group="console_scripts", name=program)
-    module = importlib.import_module(entry.module)
-    classes = [kind for _, kind in inspect.getmembers(module, inspect.isclass)]
-    (node,) = [
-        k
-        for k in classes
-        if issubclass(k, Node) and k.__module__ == module.__name__
-    ]
-    return node
 
 
 class GraphTables:
