@@ -183,12 +183,13 @@ def test_the_robot_walks_on_without_its_recorder_but_not_without_another_node_an
 ):
     run, nodes = start(tmp_path)
     wait_for_commands(
-        run, seconds=2 * NODES_PERIOD
+        run, seconds=4 * NODES_PERIOD
     )  # the supervisor has seen the recorder
     if fault == "killed":
         nodes["recorder"].kill()
     else:
         nodes["recorder"].rlimit(psutil.RLIMIT_FSIZE, (1, 1))
+        nodes["recorder"].wait(timeout=30)  # else it did not write
         wait_for_warning(run, FULL)
     line = run.stderr.readline()
     while "recorder" not in line:
