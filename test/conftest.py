@@ -13,10 +13,8 @@ from real_graph import changed_config, domain  # noqa: F401 - a fixture
 # the graph may not keep up with real time. At 5 to 6 ms all of these tests pass; the limit lets a
 # machine through that takes 1.6 times as long.
 LARGEST_TICK = 9.0
-BATCHES, TICKS = (
-    5,
-    60,
-)  # the quickest batch counts: what else runs on the host comes and goes
+# the quickest batch counts: what else runs on the host comes and goes
+BATCHES, TICKS = (5, 60)
 LOAD = pytest.StashKey[machine_load.Load]()
 JUDGE = machine_load.Judge()
 

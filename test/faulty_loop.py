@@ -41,9 +41,8 @@ class FaultyLoop(SupervisedLoop):
         self._fault_at = begin
         list(self.run(begin))
         assert self.report.state is State.WALKING
-        self.plant.timeline.every(
-            CYCLE, self._watch
-        )  # after the cycle of the servos
+        # after the cycle of the servos
+        self.plant.timeline.every(CYCLE, self._watch)
         fault(self)
         for report in self.run(limit):
             self._note(report.state.name)

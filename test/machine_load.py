@@ -19,9 +19,8 @@ WINDOW = 20  # periods, over which the CPU is counted: the kernel does so in ste
 LATE = 0.05  # s; the limits of the tests are ten times as long or more
 LARGEST_LATE_SHARE = 0.02  # of the wake-ups
 LARGEST_TAKEN = 0.25  # of the CPU, over the whole test
-LARGEST_TAKEN_IN_WINDOW = (
-    0.6  # of the CPU, over a second: a half of two cores, and a tenth
-)
+# of the CPU, over a second: a half of two cores, and a tenth
+LARGEST_TAKEN_IN_WINDOW = 0.6
 
 
 @dataclass(frozen=True)
@@ -87,9 +86,8 @@ def own_cpu():
     this, total = psutil.Process(), 0.0
     for process in (this, *this.children(recursive=True)):
         with suppress(psutil.Error):  # it has ended meanwhile
-            total += sum(
-                process.cpu_times()[:4]
-            )  # user, system, and both of ended children
+            # user, system, and both of ended children
+            total += sum(process.cpu_times()[:4])
     return total
 
 

@@ -11,9 +11,8 @@ import numpy as np
 
 from slot_core.simulation.closed_loop import ClosedLoop
 
-VELOCITY = np.array(
-    [0.03, 0.01, 0.05]
-)  # m/s, m/s, rad/s: forward, sideways, turning
+# m/s, m/s, rad/s: forward, sideways, turning
+VELOCITY = np.array([0.03, 0.01, 0.05])
 
 
 def content(value):

@@ -91,9 +91,8 @@ class Walk:
 
     duration: float = 4.0  # s
     speed: float = 0.05  # m/s
-    course: float = (
-        0.0  # rad, direction of the motion to the left of the heading
-    )
+    # rad, direction of the motion to the left of the heading
+    course: float = 0.0
     yaw_rate: float = 0.0  # rad/s; yaw starts at zero
     roll: float = 0.0  # rad, amplitude of roll = A sin(2 pi t / STRIDE)
     bounce: float = 0.0  # m, amplitude of the height
@@ -116,9 +115,8 @@ class Walk:
     def position(self, t: float) -> Array:
         """(3,) m at time t after the start."""
         turned = self.yaw_rate * t
-        chord = (
-            self.speed * t * np.sinc(turned / (2 * np.pi))
-        )  # of an arc with that turn
+        # of an arc with that turn
+        chord = self.speed * t * np.sinc(turned / (2 * np.pi))
         direction = self.course + turned / 2
         height = TORSO_HEIGHT + self.bounce * np.sin(2 * np.pi * t / STRIDE)
         return np.array(

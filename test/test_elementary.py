@@ -25,9 +25,8 @@ POINTS = np.concatenate(
         RNG.uniform(-1, 1, (COUNT, 2)),
         10.0 ** RNG.uniform(-150, 150, (COUNT, 2))
         * RNG.choice([-1, 1], (COUNT, 2)),
-        np.column_stack(
-            [np.arange(1, 1025) / 1024, np.ones(1024)]
-        ),  # at the table's grid
+        # at the table's grid
+        np.column_stack([np.arange(1, 1025) / 1024, np.ones(1024)]),
         RNG.uniform(0.9, 1.1, (COUNT, 2)) * [1e-3, -1.0],
     ]
 )

@@ -236,9 +236,8 @@ def test_every_model_attaches_its_state_to_the_divergence(solver, monkeypatch):
     monkeypatch.setattr(f"{__name__}.SETTLE", 0.0)
     plant = make(solver)
     plant.start(START)
-    plant.robot.state.velocity[:] = (
-        2000.0  # m/s, beyond the speed limit of every model
-    )
+    # m/s, beyond the speed limit of every model
+    plant.robot.state.velocity[:] = 2000.0
     plant.command(np.full(4, 0.5))
     with pytest.raises(DivergenceError) as raised:
         advance(plant, 10)

@@ -29,9 +29,8 @@ def test_products_are_those_of_matrices_and_vectors(left, right):
     a, b = RNG.normal(size=left), RNG.normal(size=right)
     np.testing.assert_allclose(product(a, b), a @ b, rtol=1e-14, atol=1e-14)
     assert np.shape(product(a, b)) == np.shape(a @ b)
-    np.testing.assert_array_equal(
-        product(a.T.copy().T, b), product(a, b)
-    )  # whatever its layout
+    # whatever its layout
+    np.testing.assert_array_equal(product(a.T.copy().T, b), product(a, b))
 
 
 def test_shapes_that_do_not_fit_are_refused():

@@ -139,12 +139,8 @@ FREE = {
     "at_shares": "of points along a leg, at the desk",
     "_parts": "constants, of exact fractions",
 }
-DRAWS = {
-    "random",
-    "integers",
-    "uniform",
-    "spawn",
-}  # of a generator: exact, as `normal` is not
+# of a generator: exact, as `normal` is not
+DRAWS = {"random", "integers", "uniform", "spawn"}
 
 
 def files():
@@ -208,9 +204,8 @@ def exact(base, exponent, compiled):
     match base:
         case ast.Constant(value=1 | 2):
             return True
-        case (
-            ast.UnaryOp(operand=inner) | ast.Call(args=[inner, *_])
-        ):  # Fraction(2)
+        # Fraction(2)
+        case ast.UnaryOp(operand=inner) | ast.Call(args=[inner, *_]):
             return exact(inner, exponent, compiled)
     return compiled and isinstance(getattr(exponent, "value", None), int)
 

@@ -285,9 +285,8 @@ def against_rows(other: Path) -> list[Row]:
     for _ in range(REPEATS + 1):
         for checkout, found in timings.items():
             found.append(_times(checkout))
-    pairs = list(zip(*timings.values()))[
-        1:
-    ]  # the first may have compiled kernels
+    # the first may have compiled kernels
+    pairs = list(zip(*timings.values()))[1:]
     return [
         {
             "kind": "against",

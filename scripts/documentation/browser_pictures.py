@@ -19,10 +19,8 @@ from slot_lab.play.played_robot import PlayedRobot
 
 PAGE, PANELS, VIEW = (1200, 560), (1200, 2400), (1000, 640)  # px
 MOMENT = 4.3  # s, of the run: after a push
-FOUR_PLOTS, MORE = (
-    835,
-    925,
-)  # px, of the panel Plots with its tabs, and of the other four
+# px, of the panel Plots with its tabs, and of the other four
+FOUR_PLOTS, MORE = (835, 925)
 WALKED = 11.0  # s, so that the plots are full
 # Pixels of the robot; without a GPU they take the time.
 FAST, SHARP = "?fixedDpr=0.25", "?fixedDpr=1"

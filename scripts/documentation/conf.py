@@ -32,10 +32,8 @@ html_extra_path = [str(DOC / "walk.html")]  # shown in the place of walk.gif
 html_static_path, html_css_files = ["site.css"], ["site.css"]
 html_show_copyright = False
 html_show_search_summary = False  # a browser opens files, but fetches none
-mermaid_cmd, mermaid_output_format = (
-    "mermaidx",
-    "svg",
-)  # drawn here, without a script
+# drawn here, without a script
+mermaid_cmd, mermaid_output_format = ("mermaidx", "svg")
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["mermaid"]  # as GitHub writes it
 myst_heading_anchors = 4

@@ -121,9 +121,8 @@ class GraphTables:
         if end.topic_name not in STANDARD_TOPICS:
             kind = _kind(end.msg_type) + _quality(end.qos_profile)
             row = self._topics.setdefault(end.topic_name, [kind, {}, {}])
-            row[0] = (
-                kind if column == 1 else row[0]
-            )  # a publisher's quality of service prevails
+            # a publisher's quality of service prevails
+            row[0] = kind if column == 1 else row[0]
             row[column][node] = None
 
     def topics(self) -> str:

@@ -40,9 +40,8 @@ class Picture:
     draw: str = ""
     benchmark: str = ""
     courses: bool = False  # it is drawn from the courses over time
-    kind: str | None = (
-        ""  # of the rows: all, those of a kind, or with None those without
-    )
+    # of the rows: all, those of a kind, or with None those without
+    kind: str | None = ""
     commands: Sequence[str] = ()  # {} stands for an empty directory
     file: str = ""  # that the commands make, from which it is drawn, or which is the picture
 

@@ -21,9 +21,8 @@ bus.activate()  # torque on, without motion
 for cycle in range(61):
     bus.command(GOAL)
     reading = bus.cycle().readings[0]
-    if (
-        cycle % 10 == 0 and reading is not None
-    ):  # None: the servo has not answered
+    # None: the servo has not answered
+    if cycle % 10 == 0 and reading is not None:
         print(
             f"{time[0]:.1f} s: {reading.angle:.3f} rad, {reading.load:.0%} of the stall torque"
         )

@@ -4,14 +4,12 @@ import numpy as np
 
 from slot_core.simulation.closed_loop import ClosedLoop
 
-VELOCITY = np.array(
-    [0.05, 0.0, 0.0]
-)  # forward and to the left m/s, yaw rate rad/s
+# forward and to the left m/s, yaw rate rad/s
+VELOCITY = np.array([0.05, 0.0, 0.0])
 
 loop = ClosedLoop("flat", "walk", VELOCITY, seed=1)
-robot = (
-    loop.plant.robot
-)  # what an estimator cannot know: its state, and the forces on it
+# what an estimator cannot know: its state, and the forces on it
+robot = loop.plant.robot
 for n, tick in enumerate(loop.run(ticks=300)):  # 30 a second
     if n in {150, 156}:  # a push of 3 N to the left for 0.2 s
         robot.push([0.0, 3.0 if n == 150 else -3.0, 0.0], [0.0, 0.0, 0.0])

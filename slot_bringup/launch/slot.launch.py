@@ -98,9 +98,8 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
         else []
     )
     if stock:
-        values |= {
-            "bag": ""
-        }  # no node that records, and no robot that waits for it
+        # no node that records, and no robot that waits for it
+        values |= {"bag": ""}
     model = _robot_model(values) if given["robot_description"] == "true" else []
     return [*said, *stock, *model] + [
         Node(

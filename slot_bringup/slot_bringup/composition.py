@@ -18,9 +18,8 @@ from slot_core.robot import GRAVITY, read_robot
 
 SETTLING, MEASURED = 4, 16  # ticks
 TORSO_HEIGHT = 0.04  # m, of the standing robot
-NODES_OVER_CORE = (
-    2.0  # M, CPU time of the four nodes in a walk over that within the core
-)
+# M, CPU time of the four nodes in a walk over that within the core
+NODES_OVER_CORE = 2.0
 # M, of a core: at loads of 0.58 and 0.73 the 99th percentile from odometry to command is 5 and 8 ms
 # in one process, 9 and 10 ms in four; at 0.97 and 1.16 it is 15 and 23 ms in one, 11 ms in four.
 LOAD_MAX = 0.8

@@ -27,16 +27,14 @@ from slot_msgs.msg import MpcState, RobotState, TendonPlan
 from slot_nodes import qos
 from slot_nodes.process.executor import DirectExecutor
 
-START_TIMEOUT = (
-    90.0  # s until the first /mpc_state; the first start compiles kernels
-)
+# s until the first /mpc_state; the first start compiles kernels
+START_TIMEOUT = 90.0
 SILENCE_TIMEOUT = 10.0  # s without a new /mpc_state
 DISCOVERY_TIME = 1.0  # s to wait for messages of a graph that runs already
 SPIN = 0.1  # s, longest wait for a message before an interrupt is raised
 POLL = 0.02  # s between two looks at the messages: to wake up for each takes time from the graph
-NEWEST = QoSProfile(
-    depth=1
-)  # of a topic that is looked at less often than it comes
+# of a topic that is looked at less often than it comes
+NEWEST = QoSProfile(depth=1)
 PACE_WINDOW = 1.0  # s
 PACE_LIMIT = 0.9  # least share of real time; an odometry more or less in the window is 3 %
 SKIPPED_LIMIT = 3.0  # states a second, of 30

@@ -216,9 +216,8 @@ class Operator:
             return
         self.view.state_time = time.monotonic()
         if message.state == RobotState.ESTOP:
-            self._estop.pressed = (
-                False  # received, and latched by the supervisor
-            )
+            # received, and latched by the supervisor
+            self._estop.pressed = False
 
     def _on_motion(self, message: MpcState) -> None:
         try:
@@ -261,9 +260,8 @@ def _terminal() -> Iterator[int]:
         print("\x1b[?1049h\x1b[?25l", end="", flush=True)
         yield keyboard
     finally:
-        with suppress(
-            OSError, termios.error
-        ):  # the terminal may have been closed
+        # the terminal may have been closed
+        with suppress(OSError, termios.error):
             termios.tcsetattr(keyboard, termios.TCSANOW, before)
             print("\x1b[?25h\x1b[?1049l", end="", flush=True)
 

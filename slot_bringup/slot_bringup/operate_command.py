@@ -21,14 +21,8 @@ from slot_core.config import ConfigError
 from slot_core.names import LEGS
 from slot_core.refusal import InputError
 
-REQUESTS = (
-    "ready",
-    "stand",
-    "walk",
-    "relax",
-    "estop",
-    "reset",
-)  # to the supervisor
+# to the supervisor
+REQUESTS = ("ready", "stand", "walk", "relax", "estop", "reset")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -44,9 +44,8 @@ class Motion:
     """Torso states of the last strides, and how fast the graph's clock goes."""
 
     def __init__(self) -> None:
-        self._states: deque[tuple[float, Array]] = (
-            deque()
-        )  # stamp s, state (12,)
+        # stamp s, state (12,)
+        self._states: deque[tuple[float, Array]] = deque()
         self._pace = Speed(MEAN)
 
     def add(self, now: float, stamp: float, state: Array) -> None:
@@ -84,16 +83,14 @@ class OperatorView:
     """Newest messages; None before the first."""
 
     state: RobotState | None = None
-    state_time: float = (
-        -math.inf
-    )  # s, arrival of `state` on the monotonic clock
+    # s, arrival of `state` on the monotonic clock
+    state_time: float = -math.inf
     joints: JointState | None = None
     health: ServoHealth | None = None
     preview: GaitPreview | None = None
     motion: Motion = field(default_factory=Motion)
-    diagnostics: dict[str, DiagnosticStatus] = field(
-        default_factory=dict
-    )  # by name
+    # by name
+    diagnostics: dict[str, DiagnosticStatus] = field(default_factory=dict)
     answer: str = ""  # to the operator's last request
     servo: ServoSettings = field(default_factory=read_servo)
 

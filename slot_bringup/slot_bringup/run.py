@@ -108,13 +108,11 @@ def started(
                 processes.start(graph.nodes(values))
             yield processes
         finally:
-            with on_interrupt(
-                signal.SIG_IGN
-            ):  # the nodes are already being stopped
+            # the nodes are already being stopped
+            with on_interrupt(signal.SIG_IGN):
                 processes.stop(last="recorder")
-                with suppress(
-                    OSError
-                ):  # the recorder has reported errors of the disk
+                # the recorder has reported errors of the disk
+                with suppress(OSError):
                     shutil.copytree(scratch, logs, dirs_exist_ok=True)
 
 

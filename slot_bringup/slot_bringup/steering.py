@@ -53,9 +53,8 @@ class SteeringPublisher:
         self._velocity: Array | None = None  # (3,) that is repeated
         self._pose: Array | None = None  # (3,) that was commanded last
         self._topic: Publisher | None = None
-        self._kind: type[Twist | TwistStamped] = (
-            TwistStamped  # that the graph hears
-        )
+        # that the graph hears
+        self._kind: type[Twist | TwistStamped] = TwistStamped
         self._pose_topic = node.create_publisher(
             PoseStamped, "body_pose", qos.SENSOR
         )

@@ -57,9 +57,8 @@ class Case:
     duration: float  # s, by the stamps of the odometry
     options: tuple[str, ...] = ()
     scene: str = ""  # content of a scene file of its own
-    velocity: tuple[float, float] | None = (
-        None  # m/s, rad/s on /cmd_vel while it walks
-    )
+    # m/s, rad/s on /cmd_vel while it walks
+    velocity: tuple[float, float] | None = None
     keeps: tuple[str, ...] = ()  # of LEFT_OUT
     lacks: tuple[str, ...] = ()  # besides LEFT_OUT
 

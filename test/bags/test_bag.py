@@ -60,9 +60,8 @@ def plain(value):
     )
     if names is None:
         return value
-    fields = [
-        n for n in names if n[0] != "_" and not n.isupper()
-    ]  # without constants
+    # without constants
+    fields = [n for n in names if n[0] != "_" and not n.isupper()]
     return {n: plain(getattr(value, n)) for n in fields}
 
 

@@ -62,9 +62,8 @@ def test_a_killed_writer_loses_what_came_after_the_last_flush_and_no_more(
         if n == 100:
             bag.flush()
         bag.write("/odom", ODOM, WALL + n, odometry(n))
-    shutil.copytree(
-        tmp_path / "bag", killed
-    )  # the disk as SIGKILL would leave it now
+    # the disk as SIGKILL would leave it now
+    shutil.copytree(tmp_path / "bag", killed)
     bag.close()
     left = Bag(killed)
     assert not left.finished
@@ -125,9 +124,8 @@ def test_a_mended_bag_is_whole_to_another_reader(whole, tmp_path):
     assert entries == list(left.raw())
     assert Bag(new).finished
     assert Bag(new).origin == ORIGIN
-    assert (
-        replay_command.main([str(left.path), "--mend", str(new)]) == 2
-    )  # it exists
+    # it exists
+    assert replay_command.main([str(left.path), "--mend", str(new)]) == 2
 
 
 def copied(whole, path, plugin, mode):
@@ -193,10 +191,8 @@ def test_messages_in_the_log_of_a_database_that_was_killed_are_read(
     database.execute("PRAGMA journal_mode=WAL")
     database.execute("UPDATE messages SET timestamp = 7 WHERE id = 1")
     database.commit()
-    for name in (
-        "bag.db3",
-        "bag.db3-wal",
-    ):  # as they are while the recorder runs
+    # as they are while the recorder runs
+    for name in ("bag.db3", "bag.db3-wal"):
         shutil.copy(path / name, killed)
     database.close()
     bag = Bag(killed)

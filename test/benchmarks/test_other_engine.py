@@ -86,9 +86,8 @@ def test_chain_bent_to_a_circular_arc_has_the_sideways_compliance_of_the_unit_lo
     turn, rod = math.radians(turn_deg), fine.rod
     model = mujoco_robot.build(ROBOT, fine, mujoco_robot.STEP)
     step, data = np.diff(rod.arc), mujoco.MjData(model)
-    bent = (
-        -turn / LENGTH * (np.append(0.0, step[:-1]) + step) / 2
-    )  # between middles of segments
+    # between middles of segments
+    bent = -turn / LENGTH * (np.append(0.0, step[:-1]) + step) / 2
     for name, angle in zip(joints("turn", len(step)), bent - rod.rest_angle):
         data.joint(name).qpos[0] = angle
     mujoco.mj_forward(model, data)

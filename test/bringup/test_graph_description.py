@@ -381,12 +381,13 @@ REFUSED_BY_LAUNCH = [
         "'imu' (similar: none; --show-args lists all)",
     ),
     ("slot", {}, ["gait:=walk", "recorder:=slot", "launch-prefix:=gdb"], ""),
+    # of a user's own, which includes ours
     (
         "whole_fleet",
         {},
         ["robots:=3"],
         "",
-    ),  # of a user's own, which includes ours
+    ),
     ("slot", {"vx": "9"}, [], "v_x = 9: gait walk reaches"),
     ("slot", {"bag": "~"}, [], "exists already"),
     ("slot", {"markers": "true"}, [], "markers: the scene flat has no camera"),

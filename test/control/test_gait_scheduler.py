@@ -145,9 +145,8 @@ def test_no_sequence_of_commands_asks_for_more_than_the_final_check_lets_pass():
     # A blend of two strides that reach from end to end of the range: 1.66 rad once, of 2.02.
     assert robot.steps.max() < 1.05 * gate.rate_max * gate.burst
     angle = np.array([preview.tendon_angle for preview in robot.previews])
-    assert (
-        0.0 <= angle.min() <= angle.max() <= ROBOT.tendon.angle_max
-    )  # NaN is not
+    # NaN is not
+    assert 0.0 <= angle.min() <= angle.max() <= ROBOT.tendon.angle_max
     assert min(preview.normal_force.min() for preview in robot.previews) >= 0.0
     assert {preview.gait for preview in robot.previews} == set(GAITS.gaits)
     replayed = Ideal()
@@ -315,9 +314,8 @@ def test_a_velocity_beyond_the_reach_is_clipped_to_it_in_the_same_direction(
 
 def test_a_clipped_velocity_is_said_while_it_is_in_force():
     robot = Ideal("walk", AHEAD, seconds=2.0)
-    robot.scheduler.set_velocity(
-        robot.now, [0.5, 0.0, 1.0]
-    )  # of teleop_twist_keyboard
+    # of teleop_twist_keyboard
+    robot.scheduler.set_velocity(robot.now, [0.5, 0.0, 1.0])
     clipped, *_, expired = robot.run(GAITS.velocity_timeout + 0.2)
     v_x = clipped.command.velocity[0]
     said = f"velocity clipped to the reach of gait walk: v_x 0.5 to {v_x:.3g}, yaw rate 1 to"

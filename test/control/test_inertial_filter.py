@@ -170,9 +170,8 @@ def test_a_walk_agrees_with_the_plain_filter():
             assert np.abs(difference).max() < 1e-9
 
 
-STEEP = (
-    np.array([np.sin(0.35), 0.0, np.cos(0.35)]) * GRAVITY
-)  # odom tilted by 20 deg
+# odom tilted by 20 deg
+STEEP = np.array([np.sin(0.35), 0.0, np.cos(0.35)]) * GRAVITY
 LARGEST = SETTINGS.imu.acceleration_bias_max
 
 

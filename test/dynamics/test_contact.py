@@ -90,9 +90,8 @@ def test_a_bristle_aligns_with_the_slip_and_its_force_stays_within_mu_n():
         STIFFNESS * held[-1], MU * np.array([6.0, -8.0, 0.0]), rtol=1e-9
     )
     for bristle, v, most in zip(held, path, limit):
-        now = force_at(
-            law, most, 5.5e-4, bristle, v
-        )  # including its growth within the step
+        # including its growth within the step
+        now = force_at(law, most, 5.5e-4, bristle, v)
         assert np.linalg.norm(now) <= most * (1 + 1e-12)
 
 
@@ -150,9 +149,8 @@ def test_friction_depends_on_the_direction_of_slip_or_on_the_release_of_the_tend
         (-1.0, 0.2),
     ]:
         assert factor(by_phase, 0.6, 0.2, rate, 0.3, 0.09) == expected
-    assert (
-        factor(floor(), 0.6, 0.2, -1.0, 0.3, 0.09) == 0.6
-    )  # uniform: no effect
+    # uniform: no effect
+    assert factor(floor(), 0.6, 0.2, -1.0, 0.3, 0.09) == 0.6
 
 
 def inclined(degrees):
@@ -169,9 +167,8 @@ def inclined(degrees):
 def test_bristles_hold_below_the_friction_angle_without_creep():
     """20 deg with friction 0.4; sliding begins at 21.8 deg."""
     sim = simulator(**inclined(20.0))
-    sim.advance(
-        3000, sim.tendon_angle
-    )  # until the legs' oscillation has decayed
+    # until the legs' oscillation has decayed
+    sim.advance(3000, sim.tendon_angle)
     x = sim.position
     sim.advance(10000, sim.tendon_angle)
     assert np.abs(sim.position - x)[:2].max() < 1e-6  # m in 10 s
@@ -187,9 +184,8 @@ def test_bristles_slide_above_the_friction_angle_by_coulombs_law(friction):
     sim.advance(1000, sim.tendon_angle)
     gained = sim.momentum()[0] - before
     weight, slope = sim.parameters.weight, np.radians(25.0)
-    normal = (
-        weight * np.cos(slope) + gained[2]
-    )  # N s, impulse of the floor in 1 s
+    # N s, impulse of the floor in 1 s
+    normal = weight * np.cos(slope) + gained[2]
     expected = -weight * np.sin(slope) + friction * normal
     # the feet splay a little meanwhile
     assert gained[0] == pytest.approx(expected, rel=1e-4)
@@ -203,9 +199,8 @@ def test_the_floor_carries_robot_and_payload(law, contact):
     # with less than 90 deg a robot on its tips would rest on its torso
     start = {"start__settle": 3.0, "start__tendon_angle_deg": 90.0}
     sim = simulator(servo="pid", **floor, **load, **start)
-    sim.advance(
-        15000, sim.tendon_angle
-    )  # on its tips it oscillates for seconds
+    # on its tips it oscillates for seconds
+    sim.advance(15000, sim.tendon_angle)
     force, weight = (
         sim.ground_force.sum(0),
         sim.parameters.weight + 0.5 * GRAVITY,

@@ -15,9 +15,8 @@ from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 HELD = 1e9  # kg, a torso that no leg moves
-FIELD = np.array(
-    [-2.0, 4.0, -1.0]
-)  # m/s^2: the legs bend in both planes, twist and stretch
+# m/s^2: the legs bend in both planes, twist and stretch
+FIELD = np.array([-2.0, 4.0, -1.0])
 SHARE, TIME, DAMPING = (0.7, 0.4), (0.05, 0.6), 0.01
 RELAXING = config.replace(
     read_robot(),

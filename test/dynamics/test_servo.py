@@ -223,9 +223,8 @@ def test_backlash_is_a_dead_band_between_motor_and_spool():
     h, drive, motor, spool, expected = 1e-3, np.zeros(3), 0.0, 0.0, []
     command = 0.3 * np.sin(np.linspace(0.0, 2 * math.tau, 4000))
     for target in command:
-        motor += (
-            h * (target - spool) / SETTINGS.lag
-        )  # the encoder is on the spool
+        # the encoder is on the spool
+        motor += h * (target - spool) / SETTINGS.lag
         spool = min(max(spool, motor - play), motor + play)
         expected.append(spool)
     path = run(law, drive, 0.0, command, np.zeros(4000), h)

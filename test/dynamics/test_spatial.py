@@ -41,10 +41,8 @@ def test_a_step_solves_the_equations_of_motion_of_an_independent_energy():
     before = sim._observe()[1][leg].copy()
     swirl = sim.state.swirl[leg] @ (sim.rotation @ sim.model.axes[leg].T).T
     sim.advance(1, np.full(4, 1.0))
-    rod, turn = (
-        sim.model.rod,
-        sim.rotation @ sim.model.axes[leg].T,
-    )  # leg axes to odom
+    # leg axes to odom
+    rod, turn = (sim.model.rod, sim.rotation @ sim.model.axes[leg].T)
     node, director = sim.nodes[leg], sim.state.director[leg] @ turn.T
     clamp = Rotation.from_matrix(turn)
 
@@ -62,9 +60,8 @@ def test_a_step_solves_the_equations_of_motion_of_an_independent_energy():
         np.cross(couple, t)
         / np.linalg.norm(np.diff(node, axis=0), axis=1)[:, None]
     )
-    change[:-1] -= (
-        across  # the gyroscopic couple of the spins acts through the nodes
-    )
+    # the gyroscopic couple of the spins acts through the nodes
+    change[:-1] -= across
     change[1:] += across
     assert np.ptp(node @ sim.rotation[:, 1]) > 1e-3
     # Forces of some newtons; differences of an energy of 1 J leave 1e-9 / 1e-6.

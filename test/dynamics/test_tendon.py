@@ -118,9 +118,8 @@ def test_a_pulled_leg_converges_to_the_continuous_one_to_second_order():
         for part in np.linspace(0.1, 1.0, 10):
             here = leg.solve(part * angle, 1.0)
         errors.append(np.hypot(*(here.node[-1] - exact)))
-    assert here.tension == pytest.approx(
-        force, rel=2e-3
-    )  # N = 43, second order in 1/42
+    # N = 43, second order in 1/42
+    assert here.tension == pytest.approx(force, rel=2e-3)
     order = np.log(errors[0] / errors[2]) / np.log(42 / 12)
     assert order > 1.8
     assert errors[1] < 4e-4  # m at N = 22; without the anchor's own cell 5.7 mm

@@ -110,9 +110,8 @@ LOAD = (0.8, 0.04, -0.03, 0.05)  # mass, kg, and position, m
 
 @pytest.mark.parametrize("payload", [(0.0, 0.0, 0.0, 0.0), LOAD])
 def test_a_stiff_robot_tumbles_by_eulers_equations(payload):
-    start = np.array(
-        [0.3, 4.0, 0.5]
-    )  # mostly about one axis; the others exchange spin
+    # mostly about one axis; the others exchange spin
+    start = np.array([0.3, 4.0, 0.5])
     sim, inertia = spinning(start, payload)
     orientation, spin = euler(inertia, start, 1.0)
     # Legs of 1e9 Pa still bend by some 1e-3 rad under the spin; the scheme adds (h w)^2 = 4e-6.

@@ -296,9 +296,8 @@ def test_torque_off_names_the_servo_that_does_not_confirm(rig):
     off = rig.driver.torque_off()
     assert off.confirmed == (False, True, True, True)
     assert "servo FL (id 5)" in off.reasons[0]
-    assert (
-        rig.torque() == [0] * 4
-    )  # the silent servo executes it without an answer
+    # the silent servo executes it without an answer
+    assert rig.torque() == [0] * 4
 
 
 def test_an_error_answer_is_not_read_as_data(rig):

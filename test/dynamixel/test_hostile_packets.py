@@ -174,9 +174,8 @@ def test_no_damaged_reply_becomes_a_reading(data, fast, readings):
     )
     truth = dict(zip(IDS, readings))
     found = read(b"".join(sent), fast)
-    lost = not fast and any(
-        HEADER[:3] in held for held in readings
-    )  # the SDK unstuffs in place
+    # the SDK unstuffs in place
+    lost = not fast and any(HEADER[:3] in held for held in readings)
     assert found == truth or (lost and found.items() <= truth.items())
     which = data.draw(st.integers(0, len(sent) - 1))
     damaged = [

@@ -22,9 +22,8 @@ def test_addresses_and_sizes_equal_those_of_the_sdk():
     for row in rows:
         address, size, name = row.split("\t")
         name = name.strip().lower().replace(" ", "_")
-        if not name.endswith(
-            ("_write", "_read")
-        ):  # additional names of the SDK
+        # additional names of the SDK
+        if not name.endswith(("_write", "_read")):
             register = TABLE[NAMES.get(name, name)]
             assert (register.address, register.size) == (
                 int(address),

@@ -287,9 +287,8 @@ def test_hardware_errors_switch_torque_off_until_reboot(bus, kind, value, bit):
 def test_a_stalled_servo_switches_torque_off_by_overload(bus):
     write(bus, "torque_enable", 1)
     write(bus, "goal_position", 4000)
-    run(
-        bus, 1.2, loads=(1.35, 0, 0, 0)
-    )  # 96 % of the stall torque, limit 80 % for 1 s
+    # 96 % of the stall torque, limit 80 % for 1 s
+    run(bus, 1.2, loads=(1.35, 0, 0, 0))
     assert read(bus, "hardware_error_status") == 0x20
     assert read(bus, "torque_enable") == 0
 
@@ -360,9 +359,8 @@ def test_temperature_follows_the_heat_balance(bus):
         shaft.advance(0.5, 0.7, 11.1, 0.5)  # at rest at half the stall torque
     warm = s.room + s.thermal_resistance * (0.5 * 11.1) ** 2 / s.resistance
     closed = warm + (s.room - warm) * math.exp(-100.0 / s.thermal_time)
-    assert shaft.temperature == pytest.approx(
-        closed, abs=0.1
-    )  # Euler at h/tau = 1/360
+    # Euler at h/tau = 1/360
+    assert shaft.temperature == pytest.approx(closed, abs=0.1)
 
 
 def test_joint_conversions_are_inverse_to_each_other():

@@ -55,9 +55,8 @@ def test_a_program_takes_no_settings_and_no_packages_of_the_callers_python(
     own, python
 ):
     isolated = environment("--isolated")
-    assert (
-        isolated["PYTHONSAFEPATH"] == "1"
-    )  # no current directory, in children too
+    # no current directory, in children too
+    assert isolated["PYTHONSAFEPATH"] == "1"
     assert environment("--isolated", python) == isolated
     after = environment("", python)  # a shell of the caller's own keeps them
     assert "PYTHONSAFEPATH" not in after

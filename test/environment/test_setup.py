@@ -161,10 +161,8 @@ def test_an_interrupted_setup_continues_with_the_interrupted_phase(copy):
     venv = stamp.stat().st_mtime_ns
     hold.unlink()
     assert copy.setup()[0] == 0
-    assert copy.calls == [
-        "build",
-        "build",
-    ]  # the interrupted phase is repeated,
+    # the interrupted phase is repeated,
+    assert copy.calls == ["build", "build"]
     assert stamp.stat().st_mtime_ns == venv  # the finished one is not
     assert copy.setup() == (0, "")
 
@@ -201,10 +199,11 @@ def test_a_failing_build_is_reported_with_its_log_and_repeated_at_the_next_setup
         ("slot_msgs/msg/MpcState.msg", True),
         ("src/slot_nodes/setup.py", True),
         ("slot_bringup/rviz/new.rviz", True),
+        # installed by symbolic link
         (
             "src/slot_core/slot_core/new_module.py",
             False,
-        ),  # installed by symbolic link
+        ),
         ("config/scene/new.yaml", False),
     ],
 )

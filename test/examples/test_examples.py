@@ -78,9 +78,8 @@ def test_rod_bends(output):
         assert float(rod) == pytest.approx(float(beam), rel=1e-3)
     for rod, beam in large:
         assert float(rod) < 0.96 * float(beam)
-    strip = (
-        math.sqrt(1e7 * 4e-3**2 / 12 / 1200) / 0.2**2
-    )  # 1/s, sqrt(E I / (rho A)) / L^2
+    # 1/s, sqrt(E I / (rho A)) / L^2
+    strip = math.sqrt(1e7 * 4e-3**2 / 12 / 1200) / 0.2**2
     assert numbers(r"rest, Hz: \[([\d.]+)", text) == [
         pytest.approx(0.5596 * strip, rel=0.01)
     ]

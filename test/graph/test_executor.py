@@ -21,9 +21,8 @@ def node():
     context = Context()
     rclpy.init(context=context)
     node = rclpy.create_node("under_test", context=context)
-    executor = DirectExecutor(
-        context=context
-    )  # a node holds its executor weakly
+    # a node holds its executor weakly
+    executor = DirectExecutor(context=context)
     executor.add_node(node)
     yield node
     node.destroy_node()

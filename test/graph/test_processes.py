@@ -106,9 +106,8 @@ def test_an_interrupt_stops_every_process_without_a_fault_and_keeps_the_bag(
     """Meanwhile a second graph in the domain is refused."""
     run, nodes = start(tmp_path)
     wait_for_commands(run)
-    monkeypatch.setattr(
-        monitor, "DISCOVERY_TIME", 60.0
-    )  # it ends with the first message
+    # it ends with the first message
+    monkeypatch.setattr(monitor, "DISCOVERY_TIME", 60.0)
     with pytest.raises(
         monitor.RunError,
         match=r"another graph runs in ROS domain \d+, namespace /: set another",
@@ -182,9 +181,8 @@ def test_the_robot_walks_on_without_its_recorder_but_not_without_another_node_an
     tmp_path, fault, code, needed
 ):
     run, nodes = start(tmp_path)
-    wait_for_commands(
-        run, seconds=4 * NODES_PERIOD
-    )  # the supervisor has seen the recorder
+    # the supervisor has seen the recorder
+    wait_for_commands(run, seconds=4 * NODES_PERIOD)
     if fault == "killed":
         nodes["recorder"].kill()
     else:
@@ -232,10 +230,8 @@ def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-    received, refused = (
-        [],
-        [],
-    )  # refused: reliable subscriptions that were discovered
+    # refused: reliable subscriptions that were discovered
+    received, refused = ([], [])
     try:
         with listener("camera") as (node, executor):
             odometry = node.create_publisher(

@@ -35,9 +35,8 @@ def test_a_supervisor_alone_is_a_second_graph_in_the_domain(
     processes = Processes(tmp_path)
     nodes = graph.nodes({a.name: a.default for a in graph.arguments})
     processes.start([spec for spec in nodes if spec.name == "supervisor"])
-    monkeypatch.setattr(
-        monitor, "DISCOVERY_TIME", 60.0
-    )  # it ends with the first message
+    # it ends with the first message
+    monkeypatch.setattr(monitor, "DISCOVERY_TIME", 60.0)
     try:
         with pytest.raises(
             monitor.RunError, match="another graph runs in ROS domain "

@@ -40,10 +40,8 @@ SPACE, PREFIX = "/fleet/ida", "ida/"  # of topics and of frames
 # Topics of the machine, once a second; with key frames before or after the policy has prepared; of
 # names alone.
 OF_THE_MACHINE = {"/diagnostics", "/stage_record", "/recorded_nodes"}
-FIELDS_OF_THE_MACHINE = {
-    "solve_time",
-    "overruns",
-}  # that differ from run to run
+# that differ from run to run
+FIELDS_OF_THE_MACHINE = {"solve_time", "overruns"}
 
 
 @pytest.fixture(scope="module")
@@ -118,9 +116,8 @@ def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
     assert len(commands) > 130
     for stamp, command in commands.items():
         assert np.array_equal(recorded[stamp], command), stamp
-    other = commands_of_core(
-        seed=4, seconds=2.5
-    )  # the first stride needs no feedback
+    # the first stride needs no feedback
+    other = commands_of_core(seed=4, seconds=2.5)
     assert any(
         not np.array_equal(recorded[stamp], sent)
         for stamp, sent in other.items()
@@ -179,10 +176,8 @@ def test_a_walk_in_a_namespace_and_one_process_is_that_of_processes_but_for_name
         shared = here.keys() & there.keys()
         assert len(shared) > 0.9 * BESIDE * 30, topic
         for when in shared:
-            assert repr(here[when]) == repr(there[when]), (
-                topic,
-                when,
-            )  # NaN too
+            # NaN too
+            assert repr(here[when]) == repr(there[when]), (topic, when)
 
 
 def test_a_bag_holds_the_topics_of_its_own_namespace_only(bags):

@@ -83,9 +83,8 @@ class StressCase:
     scene: Changes
     robot: Changes = field(default_factory=dict)
     start: Callable[[RodRobot], None] = stay  # changes the initial state
-    command: Callable[[float], Array] = hold(
-        STANDING_DEG
-    )  # (4,) rad at a time, s
+    # (4,) rad at a time, s
+    command: Callable[[float], Array] = hold(STANDING_DEG)
     seconds: float = 0.6
     step: float = 1e-3  # s, h
 

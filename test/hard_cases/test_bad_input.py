@@ -105,17 +105,19 @@ def test_a_start_beyond_the_tendons_is_refused_by_name(solver):
         ("rotation", (0, 2), "torso"),
         ("velocity", 0, "torso"),
         ("rate", 2, "torso"),
+        # NaN spreads in one step; the torso is checked first
         (
             "node",
             (2, 9, 1),
             "torso",
-        ),  # NaN spreads in one step; the torso is checked first
+        ),
         ("node_velocity", (1, 21, 2), "torso"),
+        # its tendon goes slack, so no node would show it
         (
             "tendon_angle",
             3,
             "leg RR node 0",
-        ),  # its tendon goes slack, so no node would show it
+        ),
     ],
 )
 def test_a_nan_in_the_state_raises_divergence_with_its_place(

@@ -101,9 +101,8 @@ def _robots():
         "PaperLegs.advance": Case(
             lambda pull: leg.advance(1, pull), (np.zeros(1),)
         ),
-        "PaperRobot.advance": Case(
-            paper.advance, (0, np.full(4, 0.5))
-        ),  # 1 may diverge
+        # 1 may diverge
+        "PaperRobot.advance": Case(paper.advance, (0, np.full(4, 0.5))),
     }
     for name, sim in (("RodRobot", rods), ("TabulatedRobot", tabulated)):
         cases[f"{name}.advance"] = Case(sim.advance, (1, np.full(4, 0.5)))

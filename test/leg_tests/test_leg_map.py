@@ -162,9 +162,8 @@ def test_force_balance_leaves_the_coulomb_friction_of_the_sliding_foot(
     residual = np.subtract(up, down).reshape(-1, 2) / 2e-7
     touching = normal > 0.0
     assert touching.any()
-    assert force == pytest.approx(
-        normal.sum(), rel=0.01
-    )  # the difference is the contact damping
+    # the difference is the contact damping
+    assert force == pytest.approx(normal.sum(), rel=0.01)
     # The foot slides at about 10 mm/s; the regularisation at 1 mm/s lowers mu N by 0.5 %.
     expected = -friction * normal * np.sign(slip)
     assert residual[touching, 0] == pytest.approx(expected[touching], rel=0.02)

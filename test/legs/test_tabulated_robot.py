@@ -166,9 +166,8 @@ def test_energy_does_not_grow_in_a_bounce(robot):
         sim.advance(1, sim.tendon_angle)
         z, v = sim.position[2], sim.velocity[2]
         energies.append(ROBOT.mass * (v * v / 2 + GRAVITY * z) - 4 * line(z))
-    assert (
-        energies[0] - energies[-1] > 1e-3
-    )  # J: dissipated by theta = 0.55 and beta
+    # J: dissipated by theta = 0.55 and beta
+    assert energies[0] - energies[-1] > 1e-3
     # J, rounding; each step dissipates about 1e-6 J
     assert np.diff(energies).max() < 1e-9
 
@@ -288,9 +287,8 @@ def test_standing_and_stepping_agree_with_the_rods_within_a_millimetre_and_a_hal
             sim.advance(10, np.full(4, STANCE) if k < 50 else late)
             path.append(sim.position)
         paths.append(np.array(path))
-    assert (
-        np.sqrt(np.sum((paths[0] - paths[1]) ** 2, axis=1).mean()) < 1.5e-3
-    )  # 1.1 mm
+    # 1.1 mm
+    assert np.sqrt(np.sum((paths[0] - paths[1]) ** 2, axis=1).mean()) < 1.5e-3
 
 
 @pytest.mark.parametrize(

@@ -308,9 +308,8 @@ class LateFrom:
         return float(call % 2) if call // 2 >= self.cycle else 0.0
 
 
-GAIT_FORCE = np.tile(
-    [5.4, 5.2, 5.1, 5.3], (H + 1, 1)
-)  # N, normal forces of the gait
+# N, normal forces of the gait
+GAIT_FORCE = np.tile([5.4, 5.2, 5.1, 5.3], (H + 1, 1))
 LIFTED = np.ones((H + 1, 4), dtype=bool)
 LIFTED[0, 2] = False
 
@@ -372,9 +371,8 @@ def test_fallback_decays_to_the_normal_forces_of_the_gait_and_stops_after_the_co
         # the present limits hold
         expected[:, :2] *= ahead.friction.any()
         expected *= ahead.contact[0, :, None]
-        np.testing.assert_allclose(
-            result.force[0], expected, atol=1e-12
-        )  # roundoff
+        # roundoff
+        np.testing.assert_allclose(result.force[0], expected, atol=1e-12)
     for n in (rule.cycles + 1, rule.cycles + 2):
         stopped = mpc.step(x0, ahead)
         assert (stopped.status, stopped.fallback_cycles) == (Status.STOPPED, n)

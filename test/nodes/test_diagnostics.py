@@ -42,9 +42,8 @@ def test_a_walking_robot_is_reported_once_a_second(walking):
     begin = walking.now()
     walking.run(5.0)
     reports = walking.since("/diagnostics", begin)
-    assert len(reports) == pytest.approx(
-        2 * 5, abs=2
-    )  # of supervisor and state estimator
+    # of supervisor and state estimator
+    assert len(reports) == pytest.approx(2 * 5, abs=2)
     found = newest(walking, begin)
     assert set(found) == {
         "supervisor",

@@ -72,9 +72,8 @@ def test_a_pressed_estop_switches_torque_off_until_it_is_released_and_reset(
     assert walking.request("ready") == "READY refused in ESTOP: reset first"
     assert walking.request("reset") == ""
     walking.wait_for(lambda: walking.state is State.IDLE)
-    walking.wait_for(
-        lambda: max(walking.last("/joint_states").position) < 0.05
-    )  # slack
+    # slack
+    walking.wait_for(lambda: max(walking.last("/joint_states").position) < 0.05)
 
 
 def test_a_publisher_of_another_type_counts_as_pressed(walking, sources):

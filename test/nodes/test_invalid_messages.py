@@ -80,10 +80,11 @@ def assert_walks_on(rig):
         ("/tendon_plan", {"angle": [1.0] * 7}),
         ("/gait_preview", {"stages": 0}),
         ("/gait_preview", {"stages": 7}),
+        # no array of that size is made
         (
             "/gait_preview",
             {"stages": 2**32 - 1},
-        ),  # no array of that size is made
+        ),
         ("/gait_preview", {"dt": 0.0}),
         ("/gait_preview", {"tendon_angle": []}),
         ("/gait_preview", {"tendon_angle": [1.0] * 16}),

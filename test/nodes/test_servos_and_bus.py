@@ -30,9 +30,8 @@ def test_a_hardware_error_relaxes_all_until_reboot_and_reset(rig):
     rig.wait_for_torque_off(relaxed)
     rig.wait_for_state(State.FAULT, relaxed)
     rig.inject("overheating", "FR", clear=True)
-    assert "overheating" in rig.request(
-        "reset"
-    )  # the error lasts until a reboot
+    # the error lasts until a reboot
+    assert "overheating" in rig.request("reset")
     assert rig.state is State.FAULT
     assert rig.call(Trigger, "/dynamixel_driver/reboot_fr").success
     rig.wait_for(lambda: not any(rig.last("/servo_health").hardware_error))
@@ -61,9 +60,8 @@ def test_a_new_driver_clears_the_servos_watchdogs_and_starts_without_motion(
     rig.wait_for_torque_off(restarted)  # by the driver's start
     rig.wait_for(lambda: not rig.request("reset"))
     before, ready = rig.wait_for_rest(), rig.now()
-    rig.wait_for(
-        lambda: not rig.request("ready")
-    )  # once there is a health report
+    # once there is a health report
+    rig.wait_for(lambda: not rig.request("ready"))
     rig.wait_for(lambda: all(rig.last("/servo_health").torque))
     rig.wait_for(lambda: len(rig.since("/joint_states", ready)) > 60)
     sag, pull = rig.moved(before, ready)

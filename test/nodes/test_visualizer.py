@@ -38,10 +38,8 @@ def test_bent_legs_are_four_solids_in_their_colours_and_place():
         assert np.allclose(
             [marker.color.r, marker.color.g, marker.color.b], colour
         )
-        assert (marker.color.a, marker.pose.orientation.w) == (
-            1.0,
-            1.0,
-        )  # else nothing is shown
+        # else nothing is shown
+        assert (marker.color.a, marker.pose.orientation.w) == (1.0, 1.0)
         assert (marker.scale.x, marker.scale.y, marker.scale.z) == (
             1.0,
             1.0,

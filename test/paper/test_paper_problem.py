@@ -32,9 +32,8 @@ BOX = (
         ]
     )
 )
-CORNERS = np.array(
-    [[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]]
-)  # FL FR RL RR
+# FL FR RL RR
+CORNERS = np.array([[1, 1, 0], [1, -1, 0], [-1, 1, 0], [-1, -1, 0]])
 WEIGHTS = (
     np.array([0.1, 0.1, 0.1, 0, 0, 100, 0.01, 0.01, 0.01, 20, 0.1, 0, 0]) / 1000
 )
@@ -186,9 +185,8 @@ def test_a_cycle_is_the_optimum_of_the_papers_problem(name, pulled):
         assert plan.status == Status.SOLVED
         angle = (plan.force[..., 2] + 6.91) / 0.107
         assert np.degrees(plan.angle) == pytest.approx(angle)
-        assert plan.report.cost == pytest.approx(
-            cost, rel=1e-6
-        )  # measured: 1e-9
+        # measured: 1e-9
+        assert plan.report.cost == pytest.approx(cost, rel=1e-6)
         # R leaves the forces nearly free: measured 1.1e-3 N
         np.testing.assert_allclose(plan.force[0].ravel(), u[0], atol=5e-3)
 

@@ -22,10 +22,8 @@ PRINTED = read_paper()
 FULL = 116.28 / 270 * 1.5 / 0.010  # N, tension at the largest tendon angle
 SOFT = {"young_modulus": 1e6}
 AIRBORNE = {"contact_stiffness": 0.0, "contact_damping": 0.0, "friction": 0.0}
-STABLE = {
-    "young_modulus": 1e6,
-    "step": 4e-5,
-}  # below the limit of the tip's contact
+# below the limit of the tip's contact
+STABLE = {"young_modulus": 1e6, "step": 4e-5}
 UNSETTLED = {"start.settle": 0.0}
 
 
@@ -138,9 +136,8 @@ def test_below_the_step_limit_a_pulled_and_released_leg_comes_to_rest(changes):
         found.append((moving.node[0, 1, 0], np.abs(moving.velocity).max()))
     height, speed = np.array(found).T
     assert height.max() - height[0] > 0.07  # m: the leg was lifted
-    assert (
-        speed.max() < 2.0
-    )  # m/s; the profile itself moves the base at 0.3 m/s
+    # m/s; the profile itself moves the base at 0.3 m/s
+    assert speed.max() < 2.0
     assert height[-1] == pytest.approx(height[0], abs=1e-3)
     assert speed[-1] < 0.1
 

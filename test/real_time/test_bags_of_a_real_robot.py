@@ -29,10 +29,8 @@ OUTPUTS = [
     "/tendon_plan",
     "/desired_joint_angles",
 ]
-WAITED, TICKS = (
-    90,
-    30,
-)  # ticks that are waited for; at least so many are compared
+# ticks that are waited for; at least so many are compared
+WAITED, TICKS = (90, 30)
 PAUSE = 1.0  # s, between the start of the sensors and of the graph
 
 

@@ -100,9 +100,8 @@ def test_the_driver_follows_lifecycle_transitions_by_service(rig, stub, change):
     powered(rig, on)
     assert change(Transition.TRANSITION_DEACTIVATE)
     assert change(Transition.TRANSITION_CLEANUP)
-    assert (
-        rig.registers("torque_enable") == [0] * 4
-    )  # the driver has closed the port
+    # the driver has closed the port
+    assert rig.registers("torque_enable") == [0] * 4
     again = rig.now()
     assert change(Transition.TRANSITION_CONFIGURE)
     rig.wait_for(lambda: rig.since("/joint_states", again))
@@ -110,6 +109,5 @@ def test_the_driver_follows_lifecycle_transitions_by_service(rig, stub, change):
     powered(rig, again)
     assert change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
     assert rig.registers("torque_enable") == [0] * 4
-    assert not change(
-        Transition.TRANSITION_CONFIGURE
-    )  # it is finalized, and still answers
+    # it is finalized, and still answers
+    assert not change(Transition.TRANSITION_CONFIGURE)

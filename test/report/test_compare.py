@@ -25,10 +25,8 @@ from slot_lab.report.run_comparison import (
 BAGS = Path(__file__).parents[1] / "bags"
 FLAT = Walk(duration=2 * STRIDE)
 FASTER = dataclasses.replace(FLAT, speed=0.06)
-SEEN = [
-    "--warm-up",
-    "0",
-]  # the bags of the repository are shorter than the warm-up
+# the bags of the repository are shorter than the warm-up
+SEEN = ["--warm-up", "0"]
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +51,8 @@ def test_differences_of_two_synthetic_walks_are_those_of_their_speeds(walks):
     assert (speed.difference, speed.first.unit) == (pytest.approx(0.01), "m/s")
     assert height.first.value == pytest.approx(60.0)  # mm
     assert height.difference == 0.0
-    assert found["stages.mpc_controller.p99"].first.value == pytest.approx(
-        6.0
-    )  # ms
+    # ms
+    assert found["stages.mpc_controller.p99"].first.value == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize(

@@ -112,9 +112,8 @@ def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
 
 def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_the_servos():
     drawing = Drawing(ROBOT, TORQUE)
-    assert (
-        drawing.receive("/joint_states", joints(np.zeros(4))) == {}
-    )  # no pose yet
+    # no pose yet
+    assert drawing.receive("/joint_states", joints(np.zeros(4))) == {}
     state = message(
         "/mpc_state", 1.0, rpy=[0.1, 0.0, 0.5], position=[0.2, 0.1, 0.07]
     )

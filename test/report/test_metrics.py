@@ -15,15 +15,13 @@ from slot_lab.report.metrics import walk_metrics
 
 COURSE = 0.01  # rad
 WALK = Walk(duration=4 * STRIDE + 1.0, course=COURSE, roll=0.1, bounce=0.004)
-TIMING = replace(
-    WALK, truth=False
-)  # a smaller bag, for tests of the ticks alone
+# a smaller bag, for tests of the ticks alone
+TIMING = replace(WALK, truth=False)
 LAST = round(TIMING.duration * RATE)  # tick
 WARM_UP = 1.0  # leaves four whole strides
 SAMPLES = round(WALK.duration * 120) - round(WARM_UP * 120) + 1
-OVER = (
-    round(WALK.duration * 120) - 2 * 120 + 1
-)  # of which the third leg's torque is high
+# of which the third leg's torque is high
+OVER = round(WALK.duration * 120) - 2 * 120 + 1
 SERVO = read_servo()
 ROUNDING = 1e-9  # positions and speeds are doubles of order one
 
@@ -43,9 +41,8 @@ def metrics_of(tmp_path_factory):
 
 def test_a_straight_rolling_walk_has_the_figures_of_its_closed_form(metrics_of):
     m = metrics_of(WALK)
-    duration = (
-        4 * STRIDE
-    )  # 2.88 s: not a whole number of odometries, but of ground truth samples
+    # 2.88 s: not a whole number of odometries, but of ground truth samples
+    duration = 4 * STRIDE
     assert m.duration == pytest.approx(
         math.floor(duration * 120) / 120, abs=1 / 120
     )
@@ -102,9 +99,8 @@ def test_injected_latencies_come_out_per_stage(metrics_of):
     m = metrics_of(replace(TIMING, latencies=injected))
     for stage, expected in zip(m.stages.values(), injected):
         for figure in (stage.p50, stage.p99, stage.max):
-            assert figure == pytest.approx(
-                expected, abs=1e-6
-            )  # doubles of wall time in s
+            # doubles of wall time in s
+            assert figure == pytest.approx(expected, abs=1e-6)
     assert m.end_to_end.p50 == pytest.approx(sum(injected), abs=1e-6)
     assert list(m.stages) == [
         "state_estimator",
@@ -132,10 +128,11 @@ def test_late_and_missing_commands_are_misses(metrics_of):
 
 @pytest.mark.parametrize(
     ("change", "missed", "fewer"),
+    # gaps in the odometry
     [
         ({"unanswered": (LAST,)}, 0, 1),
         ({"lost": (50, 80, 81)}, 3, 3),
-    ],  # gaps in the odometry
+    ],
 )
 def test_a_command_cut_off_by_the_end_and_gaps_are_no_deadline_misses(
     metrics_of, change, missed, fewer
@@ -169,12 +166,13 @@ def test_real_time_factor_is_graph_time_over_wall_time(metrics_of):
 
 @pytest.mark.parametrize(
     ("voltage", "stall"),
+    # NaN: nominal
     [
         (11.1, 1.4),
         (9.6, 1.0 + 0.4 * 0.6 / 2.1),
         (12.6, 1.5),
         (math.nan, 1.4),
-    ],  # NaN: nominal
+    ],
 )
 def test_load_is_the_mean_torque_over_the_stall_torque_at_the_supply_voltage(
     metrics_of, voltage, stall
@@ -195,12 +193,10 @@ def test_without_ground_truth_the_state_estimate_is_the_stated_source(
     m = metrics_of(replace(WALK, truth=False))
     assert (truth.source, m.source) == ("/ground_truth/odom", "/mpc_state")
     assert m.mean_v_x == pytest.approx(0.05 * math.cos(COURSE), abs=ROUNDING)
-    assert m.tilt_max == pytest.approx(
-        0.1, rel=2e-2
-    )  # 30 Hz samples miss the peak by 1 % at most
-    assert all(
-        math.isnan(f) for f in (*m.servo_saturated, *m.servo_load)
-    )  # no joint states either
+    # 30 Hz samples miss the peak by 1 % at most
+    assert m.tilt_max == pytest.approx(0.1, rel=2e-2)
+    # no joint states either
+    assert all(math.isnan(f) for f in (*m.servo_saturated, *m.servo_load))
 
 
 def test_stride_mean_of_a_speed_with_ripple_is_the_speed():

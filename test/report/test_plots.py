@@ -20,9 +20,8 @@ from slot_lab.report.metrics import walk_metrics
 
 WALK = Walk(duration=5.0, course=0.02, roll=0.1, bounce=0.004, late=(50,))
 WARM_UP = 1.0
-ROUNDING = (
-    1e-6  # of stamps and doubles; the plotted values are of order 1 to 100
-)
+# of stamps and doubles; the plotted values are of order 1 to 100
+ROUNDING = 1e-6
 
 
 @pytest.fixture(scope="module")

@@ -33,9 +33,8 @@ from slot_lab.report.run_page.run_page import (
 
 ROOT = Path(__file__).parents[2]
 WALK = Walk(duration=1.0, roll=0.1, bounce=0.004, speed=0.2)
-XHTML = (
-    b"http://www.w3.org/1999/xhtml"  # a name of three.js, which is not loaded
-)
+# a name of three.js, which is not loaded
+XHTML = b"http://www.w3.org/1999/xhtml"
 CHROMIUM = shutil.which("chromium") or ""
 
 
@@ -93,9 +92,8 @@ def test_frames_are_the_recorded_states_of_the_legs(frames):
     nodes = (
         frames.columns["nodes"].reshape(-1, 4, NODES, 3) + place[:, None, None]
     )
-    assert nodes[7] == pytest.approx(
-        leg_nodes(WALK, t[7]), abs=1e-6
-    )  # single precision
+    # single precision
+    assert nodes[7] == pytest.approx(leg_nodes(WALK, t[7]), abs=1e-6)
     force = frames.columns["force"].reshape(-1, 4, 3)[:, :, 2]
     assert force[9] == pytest.approx(1.05 * normal_forces(t[9] - 0.03))
     assert frames.columns["height/true"][:, 0] == pytest.approx(

@@ -50,9 +50,8 @@ def test_cantilever_follows_the_elastica_to_third_order(p):
         rod = slender(nodes)
         assert rod.solve_static(loads).branch is Branch.PRIMARY
         errors.append(math.dist(place(rod)[[0, 2]], modelled))
-    assert (
-        math.dist(exact.elastica(p), modelled) < 2e-6
-    )  # stretch of the modelled rod
+    # stretch of the modelled rod
+    assert math.dist(exact.elastica(p), modelled) < 2e-6
     assert errors[2] < 2e-5  # 1.1e-5 at p = 10
     assert np.log(errors[0] / errors[2]) / np.log(30 / 8) > 2.9
 
@@ -81,9 +80,8 @@ def test_tip_force_in_any_direction_bends_and_twists_as_in_cosserats_equations(
         rod.solve_static(loads)
         errors.append(error(rod, tip))
     assert errors[2] < 1e-6
-    assert (
-        errors[0] / errors[2] > 30
-    )  # third order gives 64; some errors are small throughout
+    # third order gives 64; some errors are small throughout
+    assert errors[0] / errors[2] > 30
 
 
 @pytest.mark.parametrize(
@@ -108,9 +106,8 @@ def test_curved_tapered_leg_bends_as_in_cosserats_equations(loads):
         rod.solve_static(loads)
         errors.append(error(rod, wanted[:3]))
         turns.append(np.abs(rod.state.ends[1] - exact.axes(wanted[3:7])).max())
-    assert (
-        errors[1] < 1e-5
-    )  # 7e-6 under its weight; the leg is four times as thick at its base
+    # 7e-6 under its weight; the leg is four times as thick at its base
+    assert errors[1] < 1e-5
     assert turns[1] < 2e-4
     # Third order gives 8; weights at nodes beside the curve leave a small term of second order.
     assert errors[0] / errors[1] > (3.5 if any(loads.gravity) else 6)
@@ -157,9 +154,8 @@ def test_published_tips_of_beams_that_bend_in_space(parts, force, tip):
 
 
 def test_narrow_cantilever_buckles_sideways_at_prandtls_load():
-    section = Uniform(
-        1e6, 1e4, 1.0, 0.8
-    )  # so stiff in the plane that it hardly bends before
+    # so stiff in the plane that it hardly bends before
+    section = Uniform(1e6, 1e4, 1.0, 0.8)
     load = exact.LATERAL * math.sqrt(0.8)
     rod = CosseratRod(UNIT, Geometry(1.0, section))
     found = rod.solve_static(Loads(force=(0.0, 0.0, 1.2 * load)))
@@ -218,10 +214,8 @@ def test_buckled_column_has_the_shape_of_the_elastica(side):
 
 
 def test_snap_through_is_an_error_with_the_last_load_factor():
-    thickness, curvature = (
-        0.03,
-        0.28,
-    )  # rise 35 mm: it snaps before any unsymmetric buckling
+    # rise 35 mm: it snaps before any unsymmetric buckling
+    thickness, curvature = (0.03, 0.28)
     material = Material(12 / thickness**3, 4 / thickness**3, 1 / thickness, 0.0)
     geometry = Geometry(1.0, Rectangle(1.0, (thickness, thickness)), -curvature)
     pose = Pose(rotation=(0.0, -curvature / 2, 0.0))
@@ -236,9 +230,8 @@ def test_snap_through_is_an_error_with_the_last_load_factor():
     assert 0.0 < caught.value.load_factor < 1.0
     assert abs(last) < 0.05 * first
     assert rod.state.position[8, 2] > 0.0
-    np.testing.assert_allclose(
-        place(rod)[2], 0.0, atol=1e-9
-    )  # the tip's hinge holds
+    # the tip's hinge holds
+    np.testing.assert_allclose(place(rod)[2], 0.0, atol=1e-9)
 
 
 def test_guided_tip_deflects_by_a_twelfth_of_the_unit_load():

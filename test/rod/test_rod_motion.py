@@ -34,9 +34,8 @@ def flying():
     state, rate = rod.state, np.array([6.0, 8.0, -4.0])
     r = state.position
     velocity = np.cross(rate, r) + np.array([0.3, -0.2, 0.1])
-    velocity[:, 1:] += np.outer(
-        (r[:, 0] - 0.1) ** 2, [40.0, 60.0]
-    )  # bends the leg
+    # bends the leg
+    velocity[:, 1:] += np.outer((r[:, 0] - 0.1) ** 2, [40.0, 60.0])
     t = directions(r)
     spin = t @ rate + np.linspace(-20.0, 30.0, 16)  # twists it
     rod.state = RodState(
@@ -301,6 +300,5 @@ def test_one_newton_iteration_per_step_follows_the_converged_damped_motion(
         start = np.linalg.norm(rod.state.position[-1, 1:])
         paths.append(rod.run(1e-3, 1000, samples=100))
         assert (rod.unconverged > 0) == (iterations == 1)
-    assert (
-        np.abs(paths[0] - paths[1]).max() < 2e-3 * start
-    )  # below the error of the time step
+    # below the error of the time step
+    assert np.abs(paths[0] - paths[1]).max() < 2e-3 * start

@@ -89,7 +89,6 @@ def test_column_under_a_follower_force_flutters_beyond_becks_load(
     flexibility = eig(
         rod.mass_matrix()[free], rod.tangent(loads)[free], right=False
     )
-    lowest = flexibility[
-        np.argsort(-np.abs(flexibility))[:2]
-    ]  # 1 / omega^2; 0 without mass
+    # 1 / omega^2; 0 without mass
+    lowest = flexibility[np.argsort(-np.abs(flexibility))[:2]]
     assert (np.abs(lowest.imag).max() > 1e-3 * np.abs(lowest).max()) == flutters

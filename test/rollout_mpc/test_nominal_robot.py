@@ -61,9 +61,8 @@ def test_a_measured_state_has_the_torso_of_the_estimate_and_the_legs_of_the_mode
 def test_a_rollout_that_diverges_is_nan_and_spoils_no_other(model):
     start, plan = model.at_rest(STANDING, np.full(4, 1.3)), plans(1)
     good = model.roll_out(start, plan).pose
-    over = model.measured(
-        start, STANDING + 1.2 * np.eye(12)[1]
-    )  # rad, beyond 60 deg
+    # rad, beyond 60 deg
+    over = model.measured(start, STANDING + 1.2 * np.eye(12)[1])
     found = model.roll_out(over, plan)
     assert np.isnan([*found.pose.flat, *found.force.flat]).all()
     np.testing.assert_array_equal(model.roll_out(start, plan).pose, good)

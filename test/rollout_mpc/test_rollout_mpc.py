@@ -59,9 +59,8 @@ def test_an_estimate_between_two_stages_gets_the_plan_between_them(walking):
     np.testing.assert_allclose(between.angle[:-1], expected, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(between.report.drift, plan.report.drift)
     one, two = (step(p, walking[59]) for p in (policy, after(walking[:59])))
-    np.testing.assert_array_equal(
-        one.angle, two.angle
-    )  # it has changed nothing
+    # it has changed nothing
+    np.testing.assert_array_equal(one.angle, two.angle)
 
 
 @pytest.mark.parametrize(("share", "is_new"), [(0.7, False), (0.9, True)])

@@ -112,9 +112,8 @@ def test_goals_move_slowly_while_standing_and_gain_speed_while_walking(bench):
     ).all()
     bench.run(gate.resume_time, command=far)
     assert bench.goals.angle == pytest.approx(far)
-    bench.run(
-        0.02, command=START
-    )  # a budget of burst and two ticks covers the whole step
+    # a budget of burst and two ticks covers the whole step
+    bench.run(0.02, command=START)
     assert bench.goals.angle == pytest.approx(START)
 
 

@@ -43,14 +43,13 @@ class IdealServos:
     def __init__(self, angles=(0.0,) * 4, voltage=11.1):
         self.angle, self.voltage = np.array(angles), voltage
         self.goal, self.torque = self.angle.copy(), np.zeros(4, dtype=bool)
+        # N m; a share
         self.stall, self.load = (
             read_servo().tendon_stall(voltage),
             np.zeros(4),
-        )  # N m; a share
-        self.silent, self.unplugged = (
-            set(),
-            False,
-        )  # the legs that do not answer
+        )
+        # the legs that do not answer
+        self.silent, self.unplugged = (set(), False)
 
     def advance(self, dt, torques=(0.0,) * 4):
         self.load = np.asarray(torques) / self.stall

@@ -162,9 +162,8 @@ def test_a_fault_of_one_servo_relaxes_all_and_is_named(dynamixels, kind):
     assert "servo RL (id 2): " in dynamixels.session.reason
     assert dynamixels.servos.powered() == ()
     hold = Permission(dynamixels.now, Action.HOLD, True, "")
-    assert not dynamixels.session.may_start(
-        hold
-    )  # until the permission has been OFF
+    # until the permission has been OFF
+    assert not dynamixels.session.may_start(hold)
     dynamixels.permit(Action.OFF)
     assert dynamixels.session.may_start(hold)
 

@@ -93,9 +93,8 @@ def test_servos_measure_the_scenes_voltage_and_the_torque_of_the_tendons(scene):
     driver.configure()
     driver.activate()
     plant.start(0)
-    for _ in range(
-        50
-    ):  # every servo is asked for its voltage once in 16 cycles
+    # every servo is asked for its voltage once in 16 cycles
+    for _ in range(50):
         cycle = session.bus.cycle()
         run(plant, 0.01)
     assert session.voltage == pytest.approx(
@@ -122,9 +121,8 @@ def test_the_simulated_servo_is_that_of_the_bus():
         read_servo(),
     )
     ratio, gains = settings.joints.servo_per_tendon, settings.gains
-    duty = (
-        ratio / RAD_PER_COUNT / PWM_FULL
-    )  # per rad of tendon angle, with gain 1
+    # per rad of tendon angle, with gain 1
+    duty = ratio / RAD_PER_COUNT / PWM_FULL
     assert found.model == "pid"
     assert found.servo_per_tendon == ratio
     assert found.proportional == pytest.approx(gains.p / 128 * duty, rel=1e-4)

@@ -118,12 +118,13 @@ ROWS = {
         {"HOLD": within(SETTINGS.motion.window + 5 * ODOMETRY)},
         ("sim",),
     ),
+    # it walks on
     "IMU lost": (
         FaultyLoop.lose_imu,
         "HOLD",
         IMU_LOST,
         ("sim",),
-    ),  # it walks on
+    ),
     "IMU not finite": (FaultyLoop.spoil_imu, "warned", IMU_LOST, ("sim",)),
     "clock jumps": (
         FaultyLoop.jump_clock,

@@ -11,9 +11,8 @@ from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
 
 ROBOT, SERVO = read_robot(), read_servo()
-GOALS = np.linspace(0.9, 1.6, 3 * 2 * 4).reshape(
-    3, 2, 4
-)  # rad: robots, goals, legs
+# rad: robots, goals, legs
+GOALS = np.linspace(0.9, 1.6, 3 * 2 * 4).reshape(3, 2, 4)
 FRICTION = (0.2, 0.4, 0.7)
 
 

@@ -74,11 +74,8 @@ class VerticalDrop:
         return np.column_stack([-drag * slip, normal])
 
 
-DROP = {
-    "height": 0.05,
-    "speed": -0.4,
-    "angle": 1.2,
-}  # m, m/s, rad: suddenly taut, 70 N a tendon
+# m, m/s, rad: suddenly taut, 70 N a tendon
+DROP = {"height": 0.05, "speed": -0.4, "angle": 1.2}
 
 
 def drop_errors(steps, seconds, theta):
@@ -132,9 +129,8 @@ def test_landing_agrees_with_an_independent_solver():
     assert force > 1.0  # N: it has landed
     # contact of the torso is not in the reference
     assert node[0, 1] > ROBOT.torso.size[2] / 2
-    assert (
-        errors[0] < 2e-5
-    )  # m, of first order in the step; the motion is 20 mm
+    # m, of first order in the step; the motion is 20 mm
+    assert errors[0] < 2e-5
 
 
 @pytest.mark.parametrize(
@@ -203,6 +199,5 @@ def test_a_change_in_a_run_ends_where_a_robot_with_those_parameters_does():
     wanted, sim = RodRobot(ROBOT, scene, read_servo()), simulator()
     sim.change(ROBOT, scene, read_servo())
     sim.advance(3000, np.full(4, np.radians(scene.start.tendon_angle_deg)))
-    assert sim.position[2] == pytest.approx(
-        wanted.position[2], abs=2e-4
-    )  # feet slide otherwise
+    # feet slide otherwise
+    assert sim.position[2] == pytest.approx(wanted.position[2], abs=2e-4)

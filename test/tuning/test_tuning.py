@@ -40,11 +40,12 @@ def series(pattern, phase):
     [
         (symmetry.forward, [1, 0, 3, 2], 1),  # its mirror image
         (symmetry.turn, [3, 2, 1, 0], 1),  # after half a turn
+        # whose mirror image steers to the other side
         (
             symmetry.steering,
             [1, 0, 3, 2],
             -1,
-        ),  # whose mirror image steers to the other side
+        ),
     ],
 )
 def test_a_pattern_has_its_symmetry_half_a_stride_later(pattern, legs, sign):
@@ -101,9 +102,8 @@ def parabola(jobs):
 def test_a_start_beyond_the_largest_coefficient_is_refused_before_any_search(
     own_config, refusal
 ):
-    set_values(
-        own_config, {"tune": {"coefficient_max_deg": 68.0}}
-    )  # the walk's forward: 65
+    # the walk's forward: 65
+    set_values(own_config, {"tune": {"coefficient_max_deg": 68.0}})
     line = refusal(tune_command.main, "mine", "--like", "walk", "--quick")
     assert (
         "turn.angle_deg[1][4] = 69.84: outside [-68, 68], coefficient_max_deg"

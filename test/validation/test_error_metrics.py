@@ -33,9 +33,8 @@ def test_an_interval_contains_the_truth_in_most_series_and_widens_with_correlati
             low, high = errors(noise, np.zeros(len(noise)), 60).interval["rmse"]
             hits += low <= 1.0 <= high
             widths.append(high - low)
-    assert (
-        hits >= 48
-    )  # of 60; 57 are expected, and blocks of finite length give fewer
+    # of 60; 57 are expected, and blocks of finite length give fewer
+    assert hits >= 48
     assert np.mean(widths[30:]) > 1.5 * np.mean(widths[:30])
 
 
@@ -64,11 +63,12 @@ def test_the_interval_of_a_mean_error_near_zero_begins_at_zero():
             EXPLAINED,
             "explained: chi-square 30 on 20 degrees of",
         ),
+        # no chance
         (
             Verdict(2100.0, 1000),
             NOT_EXPLAINED,
             "2.1 each, limit 2",
-        ),  # no chance
+        ),
         (Verdict(9.0, 2), EXPLAINED, "4.5 each, limit 4.61"),  # 1 % by chance
         (Verdict(math.nan, 10), NOT_EXPLAINED, "nan"),
         (

@@ -92,9 +92,8 @@ def test_the_shipped_single_leg_gives_the_papers_table_and_plots(
     files = [
         str(EXAMPLE / f"single_leg_{name}.csv") for name in ("run", "markers")
     ]
-    assert (
-        validate.main([*files, "--out", str(tmp_path)]) == NOT_EXPLAINED
-    )  # another robot
+    # another robot
+    assert validate.main([*files, "--out", str(tmp_path)]) == NOT_EXPLAINED
     text = capsys.readouterr().out
     assert "verdict: not explained: chi-square" in text.splitlines()[-1]
     assert "largest: base z" in text.splitlines()[-1]
@@ -104,9 +103,8 @@ def test_the_shipped_single_leg_gives_the_papers_table_and_plots(
     assert (tmp_path / "leg.png").stat().st_size > 10_000
     rows = (tmp_path / "errors.csv").read_text().splitlines()
     assert len(rows) == 1 + 4 * 3
-    assert (
-        1.0 < float(rows[3].split(",")[4]) * 1e3 < 20.0
-    )  # mm, base z: another robot
+    # mm, base z: another robot
+    assert 1.0 < float(rows[3].split(",")[4]) * 1e3 < 20.0
 
 
 def test_tracks_in_the_axes_of_a_camera_are_only_compared_with_a_free_rotation(

@@ -47,9 +47,8 @@ def test_the_pose_is_that_of_the_torso_within_its_covariance():
     error = np.concatenate([fix.position - BASE.position, turn.as_rotvec()])
     assert np.abs(error[:3]).max() < 2e-3
     assert np.abs(error[3:]).max() < 5e-3
-    assert (
-        error @ np.linalg.solve(fix.pose_covariance, error) < 30.0
-    )  # six values
+    # six values
+    assert error @ np.linalg.solve(fix.pose_covariance, error) < 30.0
     assert np.sqrt(np.diag(fix.pose_covariance)).max() < 6e-3
 
 
@@ -95,10 +94,8 @@ def test_an_image_without_markers_of_the_boards_has_no_pose(settings, said):
 
 def test_an_id_seen_twice_is_not_used_while_only_a_part_of_the_image_is_searched():
     """The search around the other markers may hold one of the two only."""
-    wall, single = (
-        board("wall"),
-        single_marker(0, 0.05),
-    )  # id 0 is of the board too
+    # id 0 is of the board too
+    wall, single = (board("wall"), single_marker(0, 0.05))
     places = (wall, (0.0, 0.0, 1.8)), (single, (-0.75, 0.0, 1.8))
     sheets = [
         Surface(

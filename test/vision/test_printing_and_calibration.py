@@ -45,9 +45,8 @@ def test_a_print_is_written_with_its_resolution(tmp_path, capsys):
     box = re.search(
         rb"/MediaBox \[ *0 0 ([\d.]+) ([\d.]+) *\]", out.read_bytes()
     )
-    size = (
-        np.array([float(edge) for edge in box.groups()]) / 72 * 25.4
-    )  # of 1/72 inch
+    # of 1/72 inch
+    size = np.array([float(edge) for edge in box.groups()]) / 72 * 25.4
     np.testing.assert_allclose(size, [136, 108], atol=0.5)
     assert "136 x 108 mm at 200 dots per inch" in capsys.readouterr().out
 

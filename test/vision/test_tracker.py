@@ -14,9 +14,8 @@ from slot_lab.film.tracker import Tracker
 
 COUNT = 6
 POINTS = ["torso", "FR_base", "FR_third", "FR_two_thirds", "FR_tip"]
-LOOK = Transform.of((0, 0, 0), VISION.film_camera.rpy).rotation[
-    :, 0
-]  # of the film's camera
+# of the film's camera
+LOOK = Transform.of((0, 0, 0), VISION.film_camera.rpy).rotation[:, 0]
 
 
 @pytest.fixture(scope="module")
@@ -76,9 +75,8 @@ def test_without_a_board_the_tracks_are_in_the_axes_of_the_camera_which_may_move
     tracker, image = Tracker(VISION, CAMERA), shots[0][0].copy()
     for shift in (0, 0, 0, 4):
         tracker.add(0.0, np.roll(image, shift, axis=1))
-    assert tracker.tracks().camera_motion == pytest.approx(
-        2.0, rel=0.2
-    )  # mean of x, y
+    # mean of x, y
+    assert tracker.tracks().camera_motion == pytest.approx(2.0, rel=0.2)
     image[:290] = 120  # the board
     bare = Tracker(VISION, CAMERA)
     (tip,) = [s.position for s in bare.add(0.0, image) if s.point == "FR_tip"]

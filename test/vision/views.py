@@ -18,9 +18,8 @@ from slot_core.vision.synthetic_camera import (
 
 VISION = read_vision()
 CAMERA = nominal(VISION.camera)
-MOUNT = Transform.of(
-    (0.06, 0.0, 0.03), (0.0, 0.0, 0.0)
-)  # camera_link in base_link
+# camera_link in base_link
+MOUNT = Transform.of((0.06, 0.0, 0.03), (0.0, 0.0, 0.0))
 
 
 @functools.cache

@@ -41,12 +41,8 @@ from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.geometry import wrapped
 from slot_core.simulation.readings import ImuReading, OdometryReading
 
-DELAYS = (
-    (0.0, 0.0),
-    (0.02, 0.01),
-    (0.05, 0.02),
-    (0.08, 0.02),
-)  # s, with jitter
+# s, with jitter
+DELAYS = ((0.0, 0.0), (0.02, 0.01), (0.05, 0.02), (0.08, 0.02))
 ERRORS = {  # of the state: which part, and its name in the plot
     "roll_pitch_mrad": (slice(0, 2), "roll and pitch, mrad"),
     "position_mm": (slice(3, 6), "position, mm"),
@@ -58,10 +54,8 @@ WAYS = {  # to the state, and their colours
     "without prediction": (methods.without_prediction, palette.SECONDARY),
     "predicted": (methods.predicted, palette.TRUE),
 }
-PASSES, PLAIN_STEPS = (
-    7,
-    1000,
-)  # over the walk; steps of a filter in NumPy after each
+# over the walk; steps of a filter in NumPy after each
+PASSES, PLAIN_STEPS = (7, 1000)
 # CPU of the estimator over such a step: 50 and 150 us where it takes some 95 us.
 IMU_RATIO, ODOMETRY_RATIO = 0.5, 1.6
 

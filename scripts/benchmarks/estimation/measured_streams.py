@@ -112,10 +112,8 @@ class Slam:
 
     delay: float = 0.0  # s, mean
     jitter: float = 0.0  # s, largest deviation of the delay
-    gap: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # s after the first reading: none in between
+    # s after the first reading: none in between
+    gap: tuple[float, float] = (0.0, 0.0)
 
     def arrivals(
         self, streams: Streams, rng: np.random.Generator

@@ -32,10 +32,8 @@ from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
 from slot_lab.film.tracker import Tracker
 
 PERIOD = read_scene("marker_camera").sensors.camera.period  # s, of the images
-FILMED = (
-    slice(60, 500),
-    slice(160, 920),
-)  # px, rows and columns that show robot and board
+# px, rows and columns that show robot and board
+FILMED = (slice(60, 500), slice(160, 920))
 
 
 def rows(quick: bool, progress: Progress) -> list[Row]:

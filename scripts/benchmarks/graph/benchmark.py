@@ -74,25 +74,20 @@ WALK_FIGURES += ("mean_v_x", "fallback_cycles")
 # each.
 PSS_MB, CONTROLLER_PSS_MB = 600.0, 250.0
 # Plausibility of the walk: the figures of a robot that fell do not count.
-LEAST_SPEED, LARGEST_TILT = (
-    0.05,
-    0.5,
-)  # m/s; rad, where a supervisor would stop the robot
+# m/s; rad, where a supervisor would stop the robot
+LEAST_SPEED, LARGEST_TILT = (0.05, 0.5)
 # What composition saves at the least, against separate processes in the same run.
 # In lockstep robot and supervisor are in the process too.
 LATENCY_RATIO, CPU_RATIO, LEAST_SPEEDUP = 0.8, 0.8, 1.5
 # CPU of the controller with odometry at 100 Hz over that at 30 Hz: 3.3 if a tick takes as long.
 FAST_CPU_RATIO = 3.4
-REPLAY_RATIO = (
-    2.0  # CPU of a replay, without start-up, over controller and plant
-)
+# CPU of a replay, without start-up, over controller and plant
+REPLAY_RATIO = 2.0
 REPLAYED = 60.0  # s of a walk
 # Goals for the robot, which are the machine's too.
 CONTROLLER_CPU, RECORDER_CPU = 30.0, 5.0  # % of a core, at 30 Hz
-FEEDBACK_CPU, POLICY_CPU = (
-    0.5,
-    4.0,
-)  # ms, of the policy: after the odometry, and in all
+# ms, of the policy: after the odometry, and in all
+FEEDBACK_CPU, POLICY_CPU = (0.5, 4.0)
 LOCKSTEP_SPEED = 8.0  # times real time, composed
 REPLAY_CPU = 3.0  # s, of `REPLAYED`, without start-up
 LARGEST_CYCLE = 3.0  # CPU of a cycle of the MPC's node, messages included, over its solution alone
@@ -118,9 +113,8 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     graph = read_graph()
     values = {argument.name: argument.default for argument in graph.arguments}
     progress("closed loop in one process")
-    rows = [
-        closed_loop_row(values, plan.blocks)
-    ]  # compiles what the nodes load too
+    # compiles what the nodes load too
+    rows = [closed_loop_row(values, plan.blocks)]
     progress("cycle of the MPC's node")
     rows.append(cycle_row(CYCLES))
     modes = {SEPARATE: values, COMPOSED: values | {"composed": True}}
@@ -245,9 +239,8 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
     walk |= {"duration_s": m.duration, "period_ms": 1e3 * m.period}
     walk |= {name: getattr(m, name) for name in WALK_FIGURES}
     walk["tilt_max_rad"] = m.tilt_max
-    walk["waiting_for_a_core_percent"] = (
-        one.waited
-    )  # how loaded the machine was
+    # how loaded the machine was
+    walk["waiting_for_a_core_percent"] = one.waited
     walk["replay_cpu_s_per_s"] = one.replay_cpu
     walk["replay_differences"] = one.replay_differences
     latency = [

@@ -35,9 +35,8 @@ from slot_lab.report.metrics import WalkMetrics, walk_metrics
 STANDING = 1.0  # s, at most, from the first state to the first command
 SAMPLE_PERIOD = 0.25  # s; the kernel counts CPU time in steps of 10 ms
 ENDURANCE_PERIOD = 2.0  # s of wall time
-WARM_UP = (
-    0.2  # of the samples: kernels, buffers of the middleware and of Python fill
-)
+# of the samples: kernels, buffers of the middleware and of Python fill
+WARM_UP = 0.2
 SHARED_MEMORY = Path("/dev/shm")
 LARGEST_GROWTH = 1.0  # MB per node
 GROWING = {"memory": "MB", "threads": "", "descriptors": ""}  # of a node

@@ -22,10 +22,8 @@ from slot_lab.learning.task import make_task
 from slot_lab.learning.vector_env import WalkVectorEnv
 
 REQUIRES = ("gymnasium", "gym_softrobot")
-GOAL_CASE = (
-    "standard",
-    0.0028,
-)  # level and time step (s) of the example, and of the goal
+# level and time step (s) of the example, and of the goal
+GOAL_CASE = ("standard", 0.0028)
 CASES = (
     ("map", 0.0055),
     ("coarse", 0.0022),
@@ -36,16 +34,11 @@ CASES = (
 REFERENCE = ("fine", 0.0)
 ROBOTS, GOAL = 64, 5000.0  # steps a second, in GOAL_CASE
 FRICTION = (0.2, 0.4, 0.6)
-SPEED, WARM_UP, DURATION = (
-    0.05,
-    4.0,
-    12.4,
-)  # m/s; s, of walks: whole strides are measured
+# m/s; s, of walks: whole strides are measured
+SPEED, WARM_UP, DURATION = (0.05, 4.0, 12.4)
 SOFTQ = 30.0  # s of computing per simulated second, as published; not run here
-PEER, PEER_STEPS = (
-    "ContinuumSnake-v0",
-    2,
-)  # its octopuses need a COOMM that is not published
+# its octopuses need a COOMM that is not published
+PEER, PEER_STEPS = ("ContinuumSnake-v0", 2)
 
 
 def run(quick: bool, out: Path, progress: Progress) -> Outcome:

@@ -85,9 +85,8 @@ def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
         sorted(dict.fromkeys(wanted), key=lambda job: -job[0].duration),
         {},
     )
-    cases.run_job(
-        jobs[-1]
-    )  # the kernels are compiled once, before the workers start
+    # the kernels are compiled once, before the workers start
+    cases.run_job(jobs[-1])
     with multiprocessing.get_context("spawn").Pool(
         len(os.sched_getaffinity(0))
     ) as pool:

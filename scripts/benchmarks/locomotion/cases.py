@@ -27,13 +27,8 @@ STRIDES = read_gaits().strides
 PERIOD = STRIDES["walk"].period  # s
 FALLEN = read_supervisor().estimate.tilt_max  # rad
 PUSH_TIME = 0.2  # s
-COURSES = (
-    "time",
-    "position",
-    "rpy",
-    "torque",
-    "goal_speed",
-)  # of a motion, over its ticks
+# of a motion, over its ticks
+COURSES = ("time", "position", "rpy", "torque", "goal_speed")
 Vector3 = tuple[float, float, float]
 Changes = tuple[tuple[str, Any], ...]  # dotted names and values, hashable
 
@@ -64,9 +59,8 @@ class Case:
     schedule: tuple[
         tuple[float, Vector3], ...
     ] = ()  # times (s) and velocities from then on
-    pose: Vector3 | None = (
-        None  # height (m), roll, pitch (rad); None: the gait's own
-    )
+    # height (m), roll, pitch (rad); None: the gait's own
+    pose: Vector3 | None = None
     path: tuple[
         tuple[float, float], ...
     ] = ()  # followed at the speed of `velocity`
@@ -88,9 +82,8 @@ class WalkMotion:
     position: Array  # (n, 3) m, in odom
     rpy: Array  # (n, 3) rad, the yaw unwrapped
     torque: Array  # (n,) N m, mean over the servos
-    goal_speed: (
-        Array  # (n,) rad/s, mean speed of the commanded angles over the servos
-    )
+    # (n,) rad/s, mean speed of the commanded angles over the servos
+    goal_speed: Array
     fallen: bool
     period: float = PERIOD  # s, of a stride: for means over strides
 

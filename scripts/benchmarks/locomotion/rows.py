@@ -39,9 +39,8 @@ SPEED, LENGTH = 0.05, 0.8  # m/s, m: of the straight walks
 SIDE = 0.6  # m, of the square
 TURN_RATE = 0.15  # rad/s
 QUARTER = math.pi / 2 / TURN_RATE  # s, of a turn by 90 deg
-STEADY_STRIDES = (
-    6  # at the end of a turn; before, the angle lost at first is regained
-)
+# at the end of a turn; before, the angle lost at first is regained
+STEADY_STRIDES = 6
 DIRECTION_SPEED = 0.06  # m/s, too fast for the walk when it is slanting
 HELD = 0.003  # m/s within which a speed counts as held
 DISTURBED = 3.0  # s, time of pushes and of lost odometry

@@ -44,9 +44,8 @@ HORIZONS = (5, 10, 15, 30, 45, 60)
 STATES, RANDOM = 220, 60  # cases of the walk, random cases
 SEED = 1
 WRONG = 1e-3  # N, error above which an accepted solution counts as wrong
-Solved = tuple[
-    Sequence[Case], Array
-]  # cases, and the first forces of their optima
+# cases, and the first forces of their optima
+Solved = tuple[Sequence[Case], Array]
 
 
 def run(quick: bool, out: Path, progress: Progress) -> Outcome:

@@ -98,13 +98,10 @@ IMU = ("rate_noise", "rate_bias", "acceleration_noise")
 class RealisedCase:
     """A case as inputs of the simulated robot."""
 
-    start_angle_deg: float = (
-        63.0  # tendon angle while it settles; this one: at the reference
-    )
-    moment: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # N m about x and y, over the pulse
+    # tendon angle while it settles; this one: at the reference
+    start_angle_deg: float = 63.0
+    # N m about x and y, over the pulse
+    moment: tuple[float, float] = (0.0, 0.0)
     speed: float = 0.0  # m/s added to v_x
     noise: float = 0.0  # standard deviation on every state of the odometry, SI
 

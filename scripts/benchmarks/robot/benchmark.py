@@ -44,10 +44,8 @@ from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.rod_robot import RodRobot
 
 REQUIRES = ("mujoco",)
-COMMANDS = (
-    (0.5, (63.0, 63.0, 63.0, 63.0)),
-    (1.0, (90.0, 30.0, 50.0, 75.0)),
-)  # s, deg
+# s, deg
+COMMANDS = ((0.5, (63.0, 63.0, 63.0, 63.0)), (1.0, (90.0, 30.0, 50.0, 75.0)))
 DURATION = sum(seconds for seconds, _ in COMMANDS)
 SAMPLE = 0.01  # s
 FINE = {"nodes": 121, "step": 1e-5, "theta": 0.5, "iterations": 3}

@@ -41,9 +41,8 @@ POINT = 1e-6  # m, radius of the spheres that stand for contact points
 CORNERS = 8  # of the torso
 FLOOR, TOUCHING = 1, 2  # bits: points touch the floor, not each other
 STEP = 2e-4  # s
-REACH = (
-    2e-3  # s, time constant of a contact; the engine wants two steps at least
-)
+# s, time constant of a contact; the engine wants two steps at least
+REACH = 2e-3
 HOLD, TANGENTIAL = 0.95, 100.0
 
 
@@ -264,9 +263,8 @@ class MujocoRobot(SimulatedRobot):
             raise ValueError(
                 "the servo in MuJoCo is the pid without integral and backlash"
             )
-        self._slack = (
-            model.tendon.relaxed
-        )  # m, of a tendon at tendon angle zero
+        # m, of a tendon at tendon angle zero
+        self._slack = model.tendon.relaxed
         self._slack -= float(model.tendon.around @ model.rod.rest_angle)
         self._delay = model.tendon.damping / model.tendon.stiffness  # s
         self._model = build(robot, model, step)
@@ -297,9 +295,8 @@ class MujocoRobot(SimulatedRobot):
             data.ctrl[:] = self._slack - self._radius * ahead
             mujoco.mj_step(self._model, data)
         self.steps += steps
-        if any(
-            warning.number for warning in data.warning
-        ):  # the engine has started anew
+        # the engine has started anew
+        if any(warning.number for warning in data.warning):
             raise DivergenceError(
                 f"MuJoCo's simulation diverged before {self.time:.3f} s"
             )

@@ -39,9 +39,8 @@ SETTLED = 3.0  # s: vibrations of a leg under a load have died away
 TIP_MASS = 0.02  # kg
 SIDEWAYS = 1.0  # m/s^2
 HELD = 1e9  # kg, a torso that no leg moves
-RESTING_DAMPING = (
-    0.05  # s, at which also a loaded leg comes to rest in `SETTLED`
-)
+# s, at which also a loaded leg comes to rest in `SETTLED`
+RESTING_DAMPING = 0.05
 FEW_NODES = 14  # of a leg in MuJoCo with `quick`
 QUICK = ("walk", 0.2)
 # The crawl, whose feet slide most of the time, changes by a third between 0.2 and 0.1 ms.

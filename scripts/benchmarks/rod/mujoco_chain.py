@@ -32,10 +32,8 @@ from slot_core.dynamics.rod import weights
 from slot_core.rod.mesh import sections
 
 STEPS = (1e-3, 5e-4, 2e-4, 1e-4)  # at 2 ms the chain is unstable
-LINKS = {
-    True: (4, 6, 8, 12, 16, 20),
-    False: (4, 6, 8, 10, 12, 16, 20, 24, 30),
-}  # by `quick`
+# by `quick`
+LINKS = {True: (4, 6, 8, 12, 16, 20), False: (4, 6, 8, 10, 12, 16, 20, 24, 30)}
 FINE = (16, 32)  # links, for its own converged motion
 FINE_STEPS = (1e-4, 5e-5)
 MEANINGFUL = 30.0  # percent; a row with a larger error has diverged or rings
@@ -87,9 +85,8 @@ def release(links: int, h: float, repeats: int) -> tuple[Array, Array, float]:
             sample[:] = data.site_xpos[0]
 
     run()
-    if any(
-        warning.number for warning in data.warning
-    ):  # MuJoCo resets a simulation that diverges
+    # MuJoCo resets a simulation that diverges
+    if any(warning.number for warning in data.warning):
         tip[:] = math.nan
     elif repeats:
         return tip, start, cpu_time(run, repeats) / DURATION

@@ -31,10 +31,8 @@ from benchmarks.rod.release import (
 from slot_core.arrays import Array
 from slot_core.rod.model import Scheme
 
-FINE = {
-    True: (30, 60),
-    False: (60, 120),
-}  # elements, for its own converged motion, by `quick`
+# elements, for its own converged motion, by `quick`
+FINE = {True: (30, 60), False: (60, 120)}
 SHEAR_FACTOR = 5 / 6
 
 FIRST_STEP = 6e-5  # s; unstable with every number of elements

@@ -27,17 +27,11 @@ from slot_core.rod.model import RodState, Scheme
 DURATION, SAMPLES = 1.0, 100  # s, number of samples of the tip
 OURS = "CosseratRod"
 LARGEST_ERROR = 0.5  # percent
-LARGEST_GROWTH = (
-    6.0  # of the cost from 7 to 31 nodes; 5 if proportional to their segments
-)
+# of the cost from 7 to 31 nodes; 5 if proportional to their segments
+LARGEST_GROWTH = 6.0
 NODES = (4, 5, 7, 9, 13, 17, 31)
-STEPS = (
-    2e-3,
-    1e-3,
-    5e-4,
-    2.5e-4,
-    1.25e-4,
-)  # s; the longest one damped, the shortest undamped
+# s; the longest one damped, the shortest undamped
+STEPS = (2e-3, 1e-3, 5e-4, 2.5e-4, 1.25e-4)
 SCHEMES = ((0.5, 1), (0.5, 2), (0.5, 20), (0.55, 2))  # theta, iterations
 
 

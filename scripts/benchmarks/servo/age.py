@@ -34,10 +34,8 @@ from slot_nodes import qos
 SEPARATE, COMPOSED = "separate", "composed"
 BUSY = "composed, one core kept busy"
 NODES = (SEPARATE, COMPOSED, BUSY)
-GOALS = {
-    0.5: 3.5,
-    0.01: 6.0,
-}  # ms, composed, by the share of commands that are older
+# ms, composed, by the share of commands that are older
+GOALS = {0.5: 3.5, 0.01: 6.0}
 BUSY_GOAL = 10.0  # ms, of which 1 % may be older with one core kept busy
 AGE_RATIO = 0.7  # of the median age of a command, composed over separate nodes
 
@@ -84,9 +82,8 @@ def walk(duration: float, nodes: str) -> Array:
                 raise BenchmarkError(
                     f"the graph failed: {failure or 'no commands'}"
                 )
-            stamps = list(
-                filter(None, written)
-            )  # a zero stamp means: no command
+            # a zero stamp means: no command
+            stamps = list(filter(None, written))
             spanned = 1e-9 * (max(stamps) - min(stamps)) if stamps else 0.0
     begin = min(filter(None, written)) + warm_up * 1e9
     aged = [

@@ -82,9 +82,8 @@ def add_drive(
 
     def ask(_: object) -> None:
         if asked.value == STAND_UP:
-            gait.value = (
-                STAND  # a gait that is chosen again makes the robot walk again
-            )
+            # a gait that is chosen again makes the robot walk again
+            gait.value = STAND
         do(REQUESTS[asked.value])
 
     asked.on_click(ask)
@@ -223,9 +222,8 @@ def add_world(
 
     for slider in friction:
         _bind(do, slider, rub)
-    modulus = (
-        read_robot(scene.parameters).leg.young_modulus / 100
-    )  # Pa, of a percent
+    # Pa, of a percent
+    modulus = read_robot(scene.parameters).leg.young_modulus / 100
     slope, mass = _slope(scene.gravity), scene.payload.mass
     for label, limits, step, start, act in (
         (

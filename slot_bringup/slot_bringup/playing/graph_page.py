@@ -15,9 +15,8 @@ from slot_core.messages import decode
 from slot_lab.play.played_robot import FRAME
 
 STATE = "/robot_state"
-SILENT = (
-    2.0  # s without a state, which comes every 20 ms, until the page says so
-)
+# s without a state, which comes every 20 ms, until the page says so
+SILENT = 2.0
 
 
 class GraphPage(Page[GraphRobot]):

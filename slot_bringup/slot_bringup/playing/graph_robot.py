@@ -51,9 +51,8 @@ class GraphRobot:
             State, Request
         ] = {}  # requests that lead to what is wanted
         self._asked: State | None = None  # in which the last of them was made
-        self._tries = self._wait = (
-            0  # tries that are left, and states until the next
-        )
+        # tries that are left, and states until the next
+        self._tries = self._wait = 0
         kinds = {_name(request): Trigger for request in Request}
         kinds |= {"set_gait": SetGait, "sim_robot/inject": InjectFault}
         self._clients = {

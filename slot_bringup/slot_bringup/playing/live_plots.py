@@ -37,9 +37,8 @@ class LivePlots:
 
     def __init__(self, gui: viser.GuiApi) -> None:
         self._plots: dict[str, _LivePlot] = {}
-        self._start: int | None = (
-            None  # ns, first stamp; a graph's clock may count from 1970
-        )
+        # ns, first stamp; a graph's clock may count from 1970
+        self._start: int | None = None
         shown = ""
         for name in SHOWN:
             # the same holds for those below

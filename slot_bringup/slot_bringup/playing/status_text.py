@@ -45,9 +45,8 @@ class StatusText:
 
     def __init__(self) -> None:
         self._mass = read_robot().mass
-        self._stiffness = np.array(
-            read_rollout_mpc().observer.stiffness[1:]
-        )  # N m/rad
+        # N m/rad
+        self._stiffness = np.array(read_rollout_mpc().observer.stiffness[1:])
 
     def of(
         self,

@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 SECOND = 1_000_000_000  # ns
-LOCKSTEP_START = (
-    SECOND  # ns, on the simulated clock; a stamp of zero means "no time" in ROS
-)
+# ns, on the simulated clock; a stamp of zero means "no time" in ROS
+LOCKSTEP_START = SECOND
 Clock = Callable[[], float]  # monotonic time, s
 
 

@@ -16,9 +16,8 @@ from typing import Any, TypeVar
 
 MODULES: dict[str, Any] = sys.modules
 ABSENT = {"coverage", "scipy"} - MODULES.keys()
-MODULES |= dict.fromkeys(
-    ABSENT
-)  # which lets their import fail; Numba allows for that
+# which lets their import fail; Numba allows for that
+MODULES |= dict.fromkeys(ABSENT)
 import numba
 from numba.np import arraymath  # else imported with the first kernel
 
@@ -28,9 +27,8 @@ for _name in ABSENT:
 
 from slot_core.kernel_cache import KernelCache
 
-njit: Any = (
-    numba.njit
-)  # the type annotations of numba.njit lack some of its options
+# the type annotations of numba.njit lack some of its options
+njit: Any = numba.njit
 F = TypeVar("F", bound=Callable[..., Any])
 
 # No fastmath: the compiler neither reorders nor fuses operations, so that every processor gives the

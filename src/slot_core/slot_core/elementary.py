@@ -33,9 +33,8 @@ LOG_2 = Fraction(
     "0.69314718055994530941723212145817656807550013436025525412068000949339362196969"
 )
 GRID = 32  # arc tangents of k / GRID are tabulated
-SERIES_BELOW = (
-    0.125  # tangent below which the series of the arc tangent needs no table
-)
+# tangent below which the series of the arc tangent needs no table
+SERIES_BELOW = 0.125
 HALF_ROOT = 0.7071067811865476
 COS, SIN, ATAN2 = range(3)
 NUMBERS = (types.Float, types.Integer)

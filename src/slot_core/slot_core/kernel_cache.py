@@ -30,13 +30,14 @@ LIMIT = 500e6  # bytes; the kernels of a walk take some 20 MB, those of all test
 SUFFIX = ".kernel"
 DIGEST = hashlib.sha256().digest_size
 CONFIG: Any = numba.config  # its attributes are set at run time
+# of Numba
 SETTINGS = (
     "BOUNDSCHECK",
     "DEBUGINFO_DEFAULT",
     "LOOP_VECTORIZE",
     "OPT",
     "SLP_VECTORIZE",
-)  # of Numba
+)
 IMPORT = re.compile(
     r"^(?:from|import) (slot_[\w.]*)(?: import (\([^)]*\)|[^\n]*))?",
     re.MULTILINE,

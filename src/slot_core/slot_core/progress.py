@@ -47,10 +47,8 @@ class ProgressLine:
         self._begin = self._since = self._clock()
         # share now, and at the begin of the task
         self._what, self._share, self._first = "", 0.0, 0.0
-        self._shown, self._width = (
-            self._begin,
-            0,
-        )  # time and length of the last line
+        # time and length of the last line
+        self._shown, self._width = (self._begin, 0)
         self._ended, self._lock = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._repeat, daemon=True)
 
@@ -120,8 +118,7 @@ class ProgressLine:
             self._width = 0
 
     def _print(self, text: str) -> None:
-        with suppress(
-            OSError, ValueError
-        ):  # a closed terminal or pipe ends no work
+        # a closed terminal or pipe ends no work
+        with suppress(OSError, ValueError):
             self._out.write(text)
             self._out.flush()

@@ -49,9 +49,8 @@ class DivergenceError(ArithmeticError):
 def one_line(message: object) -> str:
     """A message or an error's text as one printable line; the middle of a long one is cut."""
     text = str(message)
-    if (
-        len(text) > 4 * LINE_MAX
-    ):  # what is cut away is neither split nor escaped
+    # what is cut away is neither split nor escaped
+    if len(text) > 4 * LINE_MAX:
         text = f"{text[: 2 * LINE_MAX]}{CUT}{text[-2 * LINE_MAX :]}"
     return _cut(printable(" ".join(text.split())), LINE_MAX)
 

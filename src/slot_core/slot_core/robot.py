@@ -28,9 +28,8 @@ ARC_CELLS = 4000  # of a leg's natural shape
 GRAVITY = 9.81  # m/s^2, the value of the paper
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"
-FOOTPRINT_FRAME = (
-    "base_footprint"  # below base_link, on the floor of odom (REP-120)
-)
+# below base_link, on the floor of odom (REP-120)
+FOOTPRINT_FRAME = "base_footprint"
 # Points of torso and legs that are tracked, and the columns of a CSV file with their places.
 TORSO = "torso"
 # share of a leg's arc length

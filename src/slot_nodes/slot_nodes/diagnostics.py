@@ -49,9 +49,8 @@ class PeriodicReport:
         """period: s."""
         self._publisher = runtime.publisher(node, kind, topic, qos.SENSOR)
         self._period = period
-        self._last: tuple[Hashable, int] | None = (
-            None  # key, and ns of the message
-        )
+        # key, and ns of the message
+        self._last: tuple[Hashable, int] | None = None
 
     def publish(
         self, stamp: int, make: Callable[[], Any], key: Hashable = None
@@ -141,9 +140,8 @@ def of_controller(
     """How the newest plan was made; `passed`: overruns and skipped states since the last report."""
     overruns, skipped = passed
     level = OF_PLAN.get(plan.status, WARN)
-    name = PLAN_NAMES.get(
-        plan.status, f"status {plan.status}"
-    )  # of another version
+    # of another version
+    name = PLAN_NAMES.get(plan.status, f"status {plan.status}")
     message = f"{name} {plan.message}".rstrip()
     if level == OK and any(passed):
         level, message = (
@@ -164,9 +162,8 @@ def of_controller(
 
 def of_disturbances(plan: TendonPlan, mass: float) -> DiagnosticStatus:
     """Disturbances that the policy estimates, payload beyond `mass` (kg); "": not estimated."""
-    known = (
-        1.0 if math.isfinite(plan.mass) else math.nan
-    )  # else the policy plans nothing now
+    # else the policy plans nothing now
+    known = 1.0 if math.isfinite(plan.mass) else math.nan
     vertical, *moment = known * np.array(plan.wrench)
     slip = 1e3 * known * np.array(plan.drift[:2])
     turn = known * math.degrees(plan.drift[2])

@@ -351,9 +351,8 @@ class DynamixelDriverNode(LifecycleNode):
 
     def _refuse(self, reason: str) -> TransitionCallbackReturn:
         self._refusal = reason
-        if (
-            self._cycle is not None or not self._autostart
-        ):  # else it is logged when the node ends
+        # else it is logged when the node ends
+        if self._cycle is not None or not self._autostart:
             self.get_logger().error(reason, throttle_duration_sec=5.0)
         return FAILURE
 

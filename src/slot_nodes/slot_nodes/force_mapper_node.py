@@ -29,9 +29,8 @@ class ForceMapperNode(Node):
         self._status = runtime.publisher(
             self, ForceMapStatus, "force_map/status", qos.CONTROL
         )
-        self._polled = inputs.PassiveSubscriptions(
-            self
-        )  # they come before their plan
+        # they come before their plan
+        self._polled = inputs.PassiveSubscriptions(self)
         self._polled.subscribe(
             MpcState, "mpc_state", self._on_state, qos.CONTROL
         )

@@ -18,9 +18,8 @@ from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait
 from slot_nodes import inputs, messages, qos, runtime, stage_record
 
-SEARCH_PERIOD = (
-    1.0  # s, between two looks for publishers of /cmd_vel of the other type
-)
+# s, between two looks for publishers of /cmd_vel of the other type
+SEARCH_PERIOD = 1.0
 
 
 class GaitSchedulerNode(Node):
@@ -46,9 +45,8 @@ class GaitSchedulerNode(Node):
         )
         text = "type of /cmd_vel: TwistStamped, else Twist as of Nav2 and teleop without options"
         stamped = runtime.declare(self, "stamped_cmd_vel", True, text)
-        self._wrong_type = (
-            ""  # one line on publishers of /cmd_vel of the other type
-        )
+        # one line on publishers of /cmd_vel of the other type
+        self._wrong_type = ""
         kind = TwistStamped if stamped else Twist
         inputs.subscribe(
             self,

@@ -103,9 +103,8 @@ class RecorderNode(Node):
                     flushed = time.monotonic()
                     self._note_nodes()
                     self._bag.flush()
-                    executor.spin_once(
-                        0.0
-                    )  # services of the parameters, events of the topics
+                    # services of the parameters, events of the topics
+                    executor.spin_once(0.0)
         except BagError as error:
             self.get_logger().fatal(str(error))
             raise SystemExit(1) from None

@@ -76,12 +76,10 @@ PORTION = 20_000_000  # ns, longest simulation per callback, so that commands ar
 BUS_PORTION = 4_000_000  # ns, so that the time of the servos stays close to that of the driver
 RECORDER = "recorder"
 IMAGES = "camera/image_raw"  # not recorded
-MATCH_TIMEOUT = (
-    5.0  # s; a subscriber that is not matched then misses the first readings
-)
-WAIT_REPORT = (
-    5.0  # s, between two lines that say what the first readings wait for
-)
+# s; a subscriber that is not matched then misses the first readings
+MATCH_TIMEOUT = 5.0
+# s, between two lines that say what the first readings wait for
+WAIT_REPORT = 5.0
 LAG_WARNING = 100_000_000  # ns behind real time
 PACE_WINDOW = 1.0  # s
 
@@ -358,9 +356,8 @@ class SimRobotNode(Node):
             self._end_diverged(error)
 
     def _end_diverged(self, error: DivergenceError) -> NoReturn:
-        self._frozen = (
-            True  # time stops while the driver switches the servos off
-        )
+        # time stops while the driver switches the servos off
+        self._frozen = True
         self.get_logger().fatal(f"{error}; {self._save_state(error)}")
         raise SystemExit(1) from None
 

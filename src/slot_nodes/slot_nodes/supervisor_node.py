@@ -52,11 +52,8 @@ from slot_nodes.diagnostics import SupervisorDiagnostics
 ESTOP_TYPE = "slot_msgs/msg/EmergencyStop"
 LIMITS_PERIOD = 1.0  # s, between two messages with the limits of the servos
 NODES_PERIOD = 1.0  # s, between two looks at which nodes are there
-CONTROLLER = (
-    "gait_preview",
-    "tendon_plan",
-    "desired_joint_angles",
-)  # one topic of each node
+# one topic of each node
+CONTROLLER = ("gait_preview", "tendon_plan", "desired_joint_angles")
 
 
 class SupervisorNode(Node):
@@ -73,9 +70,8 @@ class SupervisorNode(Node):
         )
         help_text = "step on the servos' reports, at their stamps"
         self._lockstep = runtime.declare(self, "lockstep", False, help_text)
-        self._stepped = (
-            LOCKSTEP_START - 1
-        )  # ns, in lockstep the stamp of the last report
+        # ns, in lockstep the stamp of the last report
+        self._stepped = LOCKSTEP_START - 1
         self._walk = self._declare_gait()
         autostart = runtime.declare(
             self, "autostart", False, "stand up and walk without requests"
@@ -105,9 +101,8 @@ class SupervisorNode(Node):
             str, Any
         ] = {}  # requests to make once their services are there
         self._answers: list[Future] = []  # that are awaited
-        self._awaited: tuple[int, Health] | None = (
-            None  # in lockstep, report to step on
-        )
+        # in lockstep, report to step on
+        self._awaited: tuple[int, Health] | None = None
         self._unsent: Report | None = None  # in lockstep, until it is published
         self._polled = inputs.PassiveSubscriptions(self)  # at each step
         self._polled.wake_on_message(self._lockstep)

@@ -92,9 +92,8 @@ def _markers(stamp: int, name: str, shape: Shape) -> list[Marker]:
         ]
     if isinstance(shape, Bars):
         return _bars(stamp, name, shape)
-    before = _marker(
-        stamp, name, 0, action=Marker.DELETEALL
-    )  # of this namespace
+    # of this namespace
+    before = _marker(stamp, name, 0, action=Marker.DELETEALL)
     ends = zip(
         shape.tail.tolist(), (shape.tail + shape.vector).tolist(), shape.colours
     )

@@ -140,24 +140,22 @@ class PaperLegs:
         self.bending = (
             settings.young_modulus * second_moment[:-1] / self.spacing
         )
+        # N
         self.friction = (
             settings.friction * (leg.mass + robot.mass / 4) * gravity
-        )  # N
+        )
         self.initial = np.stack([x, leg.shape(x)])  # (2, N) m, x and z
         end = int(robot.tendon.end_fraction * nodes)
         self.pull, self.turn = _tendon(self.initial, thickness, end)
-        self.weight = np.stack(
-            [np.zeros(nodes), self.mass * gravity]
-        )  # (2, N) N
+        # (2, N) N
+        self.weight = np.stack([np.zeros(nodes), self.mass * gravity])
         self.node = np.tile(self.initial, (count, 1, 1))  # (K, 2, N) m
         self.velocity = np.zeros_like(self.node)  # (K, 2, N) m/s
         self.angle = np.zeros((count, nodes))  # rad; no force depends on it
-        self.rate = np.zeros(
-            (count, nodes)
-        )  # rad/s; only the angle depends on it
-        self.base_force = np.zeros(
-            (count, 2)
-        )  # N, F_i: sum of the forces on node 0
+        # rad/s; only the angle depends on it
+        self.rate = np.zeros((count, nodes))
+        # N, F_i: sum of the forces on node 0
+        self.base_force = np.zeros((count, 2))
         self.steps = 0
 
     def advance(self, steps: int, tension: Array) -> None:

@@ -35,19 +35,14 @@ HEIGHT, SPEED = 0.04, 0.08  # m, m/s: the references of the paper
 DURATION = 25.0  # s
 DT = 0.033  # s
 SOLVED_STEPS, HELD_STEPS = 15, 5  # of a cycle
-RAISED_FORCE, RAISED_STEPS = (
-    0.2,
-    3,
-)  # N per leg beyond m g / 4, in the first steps
+# N per leg beyond m g / 4, in the first steps
+RAISED_FORCE, RAISED_STEPS = (0.2, 3)
 NOISE = 0.001  # standard deviation on every state, SI
-MOST_STATE = (
-    1.0  # SI, limit of states with noise; the authors' limit is unknown
-)
+# SI, limit of states with noise; the authors' limit is unknown
+MOST_STATE = 1.0
 SETTLED = 0.01  # cost below which a run counts as settled
-HEIGHT_BAND, TILT_BAND = (
-    2e-3,
-    10e-3,
-)  # m, rad: where the torso counts as settled
+# m, rad: where the torso counts as settled
+HEIGHT_BAND, TILT_BAND = (2e-3, 10e-3)
 ROLL, PITCH, P_Z, V_X = 0, 1, 5, 9  # indices in the state
 
 CASES: Mapping[str, Mapping[int, float]] = {

@@ -49,9 +49,8 @@ class PaperTorso:
     rotation: Array  # (3, 3) base_link to odom
     velocity: Array  # (3,) m/s, odom
     rate: Array  # (3,) rad/s, base_link
-    specific_force: (
-        Array  # (3,) m/s^2, base_link, mean over the last step of the scene
-    )
+    # (3,) m/s^2, base_link, mean over the last step of the scene
+    specific_force: Array
 
 
 class PaperRobot(SimulatedRobot):

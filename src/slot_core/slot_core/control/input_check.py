@@ -77,9 +77,8 @@ def fault_of(
     )
     if usable != shape:
         return f"{name}: shape {array.shape}, needs {shape}"
-    if (
-        low <= array.min(initial=high) and array.max(initial=low) <= high
-    ):  # false for NaN
+    # false for NaN
+    if low <= array.min(initial=high) and array.max(initial=low) <= high:
         return ""
     inside = (array >= low) & (array <= high)
     index = tuple(int(i) for i in np.argwhere(~inside)[0])

@@ -28,9 +28,8 @@ class Speed:
 
     def __init__(self, window: float) -> None:
         self._window = window
-        self._values: deque[tuple[float, float]] = (
-            deque()
-        )  # s of wall time, value
+        # s of wall time, value
+        self._values: deque[tuple[float, float]] = deque()
 
     def add(self, at: float, value: float) -> None:
         """Take the value at `at`, s of a clock that never goes back."""

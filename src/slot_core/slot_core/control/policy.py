@@ -57,21 +57,17 @@ class PlanReport:
     slack_normal_min: Array = field(default_factory=_unknown)  # (4,) N
     slack_normal_max: Array = field(default_factory=_unknown)  # (4,) N
     slack_friction: Array = field(default_factory=_unknown)  # (4,) N
-    slack_angle: Array = field(
-        default_factory=_unknown
-    )  # (4,) rad, to the nearer limit
+    # (4,) rad, to the nearer limit
+    slack_angle: Array = field(default_factory=_unknown)
     slack_rate: Array = field(default_factory=_unknown)  # (4,) rad/s
     slack_total: float = math.nan  # N, sum of contact f_max - m g
-    slack_balance: float = (
-        math.nan
-    )  # N, band - |sum f_z - m g|; infinite without `equality`
+    # N, band - |sum f_z - m g|; infinite without `equality`
+    slack_balance: float = math.nan
     mass: float = math.nan  # kg, of the model
-    drift: Array = field(
-        default_factory=lambda: np.zeros(3)
-    )  # v_x, v_y m/s, yaw rate rad/s
-    wrench: Array = field(
-        default_factory=lambda: np.zeros(3)
-    )  # F_z N, M_x, M_y N m
+    # v_x, v_y m/s, yaw rate rad/s
+    drift: Array = field(default_factory=lambda: np.zeros(3))
+    # F_z N, M_x, M_y N m
+    wrench: Array = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -91,13 +87,11 @@ class TendonPlan:
     map: str = ""  # of a plan of forces alone
     fallback_cycles: int = 0  # consecutive cycles without an accepted solution
     report: PlanReport = PlanReport()
-    pose: Array = field(
-        default_factory=lambda: np.zeros((0, 6))
-    )  # (n, 6) roll, pitch, yaw, x, y,
+    # (n, 6) roll, pitch, yaw, x, y,
+    pose: Array = field(default_factory=lambda: np.zeros((0, 6)))
     # z at the stages 1 .. n, predicted, in odom; empty: the policy predicts none
-    foot: Array = field(
-        default_factory=lambda: np.zeros((0, len(LEGS), 3))
-    )  # (n, 4, 3) m, there
+    # (n, 4, 3) m, there
+    foot: Array = field(default_factory=lambda: np.zeros((0, len(LEGS), 3)))
 
 
 @dataclass(frozen=True)

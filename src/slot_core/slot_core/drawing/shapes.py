@@ -18,12 +18,8 @@ from slot_core.robot import LEGS, RobotParameters
 
 FORCE_SCALE = 0.012  # m of arrow per N
 LEAST_FORCE = 0.2  # N, smaller forces are not drawn
-TENDON_WIDTH, ARROW_WIDTH, EDGE_WIDTH, PATH_WIDTH = (
-    0.002,
-    0.003,
-    0.001,
-    0.002,
-)  # m
+# m
+TENDON_WIDTH, ARROW_WIDTH, EDGE_WIDTH, PATH_WIDTH = (0.002, 0.003, 0.001, 0.002)
 # corners of a box of edge length one
 CORNERS = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 # a walk along all twelve edges, by row of CORNERS
@@ -140,10 +136,8 @@ def rgb(colour: str) -> Array:
 
 
 LEG_COLOURS = np.array([rgb(palette.LEG_COLOURS[leg]) for leg in LEGS])
-SLACK, LOADED = (
-    rgb(palette.PALE),
-    rgb("#C00000"),
-)  # tendons without load and at the largest
+# tendons without load and at the largest
+SLACK, LOADED = (rgb(palette.PALE), rgb("#C00000"))
 
 
 def torso_box(

@@ -112,9 +112,8 @@ def _words(value: Any) -> Iterator[int]:
         yield from (n % 2**64 for n in (*value.shape, *value.strides))
     elif isinstance(value, float):
         yield int.from_bytes(struct.pack("=d", value), sys.byteorder)
-    elif isinstance(
-        value, (int, np.int64)
-    ):  # a bool takes a byte, and the next item begins with the next word
+    elif isinstance(value, (int, np.int64)):
+        # a bool takes a byte, and the next item begins with the next word
         yield int(value) % 2**64
     else:
         raise TypeError(

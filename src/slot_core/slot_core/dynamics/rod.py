@@ -35,18 +35,16 @@ class Rod(NamedTuple):
     coupling: Array  # (N-1,) kg, mu
     spin: Array  # (N-1,) kg m^2, polar moment of inertia about the segment
     rest_length: Array  # (N-1,) m
-    rest_angle: (
-        Array  # (N-1,) rad, natural turning angles psi0 at nodes 0 .. N-2
-    )
+    # (N-1,) rad, natural turning angles psi0 at nodes 0 .. N-2
+    rest_angle: Array
     shortening: Array  # (N-1,) m/rad^2, q = h^3 / (24 w^2)
     axial: Array  # (N-1,) N/m, EA/l0
     bending: Array  # (N-1,) N m/rad, in the plane
     lateral: Array  # (N-1,) N m/rad, out of the plane
     torsion: Array  # (N-1,) N m/rad
     anchor: int  # the node where the tendon ends
-    anchor_share: (
-        float  # share of that node's bending that lies before the anchor
-    )
+    # share of that node's bending that lies before the anchor
+    anchor_share: float
     damping_time: float  # s, beta
     relaxation: Array  # (2, 2) shares and times (s) of the Maxwell branches, see spatial/strain
 

@@ -151,18 +151,16 @@ class Servo(NamedTuple):
 
     gain: float  # 1/s
     speed: float  # rad/s
-    speed_loss: (
-        float  # 1/(N m), relative loss of speed per torque, 1 / tau_stall
-    )
+    # 1/(N m), relative loss of speed per torque, 1 / tau_stall
+    speed_loss: float
     pid: bool
     proportional: float  # 1/rad
     integral: float  # 1/(rad s)
     derivative: float  # s/rad
     motor_time: float  # s
     play: float  # rad, half the backlash
-    friction: float = (
-        1.0  # load on the spool over the load without friction, while it winds
-    )
+    # load on the spool over the load without friction, while it winds
+    friction: float = 1.0
 
 
 def read_servo(parameters: str = "") -> ServoSettings:

@@ -34,9 +34,8 @@ from slot_core.dynamixel.table import TABLE, decode_span, span
 from slot_core.servos.servo_bus import ServoError
 
 PROTOCOL = 2.0
-STATUS_BYTES = (
-    OVERHEAD + 4
-)  # of a status packet without data: instruction, error and CRC
+# of a status packet without data: instruction, error and CRC
+STATUS_BYTES = OVERHEAD + 4
 
 
 class CommunicationError(ServoError):
@@ -192,9 +191,8 @@ class Bus:
         without retries until it answers, and use no fast sync read. A fast answer that fails
         counts as failed for all servos, since the servo at fault is unknown.
         """
-        order = sorted(
-            ids, key=lambda identity: identity in self._silent
-        )  # stable
+        # stable
+        order = sorted(ids, key=lambda identity: identity in self._silent)
         address, size = span(first, last)
         fast = fast and not self._silent.intersection(order)
         found = self._fast_read(order, address, size) if fast else {}
@@ -286,9 +284,8 @@ class Bus:
                 if status is None
                 else self._error_text(status.error)
             )
-            if (
-                status is not None and status.number != Error.CRC
-            ):  # CRC: damaged on the line, retry
+            # CRC: damaged on the line, retry
+            if status is not None and status.number != Error.CRC:
                 raise InstructionError(
                     f"{self.name(identity)}: {action}: {cause}"
                 )
@@ -323,9 +320,8 @@ class Bus:
             invalid += 1
             if result == COMM_SUCCESS:
                 result = COMM_RX_CORRUPT
-            elif (
-                self.port.packet_timeout == 0
-            ):  # the SDK sets this on a timeout
+            elif self.port.packet_timeout == 0:
+                # the SDK sets this on a timeout
                 break
         if len(found) < len(ids):
             self.port.drain(self._settings.quiet)

@@ -76,9 +76,8 @@ class Driver:
         )
         self.clock, self._port = clock, port
         self._fast = False
-        self._alerts: set[int] = (
-            set()
-        )  # ids whose last answer had a hardware error
+        # ids whose last answer had a hardware error
+        self._alerts: set[int] = set()
         self._pid = HostPid(settings.host_pid)
         self._goal: Array = np.zeros(len(LEGS))  # rad, of the tendons
         self._last: float | None = None
@@ -144,9 +143,8 @@ class Driver:
 
     def cycle(self) -> Cycle:
         """One exchange with all servos; raises PortError if the port has disappeared."""
-        self._port.is_using = (
-            False  # an interrupt may have left an exchange unfinished
-        )
+        # an interrupt may have left an exchange unfinished
+        self._port.is_using = False
         start = self.clock()
         h = 0.0 if self._last is None else max(start - self._last, 0.0)
         self._last = start
@@ -169,9 +167,8 @@ class Driver:
         """Switch all torque off and read it back; never raises."""
         self.active = self._port.is_using = False
         self._pid.reset()
-        with contextlib.suppress(
-            ServoError
-        ):  # all at once first: a silent servo delays the others
+        # all at once first: a silent servo delays the others
+        with contextlib.suppress(ServoError):
             self.bus.sync_write(
                 "torque_enable", {joint.id: 0 for joint in self.joints}
             )
@@ -242,9 +239,8 @@ class Driver:
                 )
                 continue
             self.bus.write_verified(joint.id, "torque_enable", 0)
-            self.bus.write_verified(
-                joint.id, "bus_watchdog", 0
-            )  # a tripped one refuses goals
+            # a tripped one refuses goals
+            self.bus.write_verified(joint.id, "bus_watchdog", 0)
             reasons += self._prepare_servo(index, joint)
         if reasons:
             raise RefusedError(reasons)
@@ -369,9 +365,8 @@ class Driver:
                 reason = str(error)
                 continue
             self._change_health(index, torque=False)
-            with contextlib.suppress(
-                ServoError
-            ):  # without effect once torque is off
+            # without effect once torque is off
+            with contextlib.suppress(ServoError):
                 self.bus.write(joint.id, "bus_watchdog", 0)
             return ""
         return reason

@@ -17,9 +17,8 @@ BROADCAST = 0xFE
 PACKET_MAX = 1024  # bytes of the longest packet accepted, as in dynamixel-sdk
 LENGTH_MIN = 3  # value of `length` without parameters: instruction and CRC
 OVERHEAD = 7  # bytes from the header to the length, both included
-FAST_OVERHEAD = (
-    4  # bytes of each servo in a fast answer beside its data: error, id, CRC
-)
+# bytes of each servo in a fast answer beside its data: error, id, CRC
+FAST_OVERHEAD = 4
 ALERT = 0x80  # bit of the error byte: Hardware Error Status is not 0
 _POLYNOMIAL = 0x8005
 _PATTERN = b"\xff\xff\xfd"

@@ -106,9 +106,8 @@ class SerialPort(PortHandler):
         Returns the number of bytes discarded; raises PortError.
         """
         dropped = 0
-        end = (
-            self._clock() + self._timeout + quiet
-        )  # bound for a line that is never idle
+        # bound for a line that is never idle
+        end = self._clock() + self._timeout + quiet
         while self._clock() < end:
             data = self._guard(
                 lambda: self._await(self.ser.in_waiting or 1, quiet)

@@ -24,16 +24,8 @@ WATCHDOG_UNIT = 0.020  # s
 RETURN_DELAY_UNIT = 2e-6  # s
 VOLTAGE_UNIT = 0.1  # V
 
-BAUD_RATES = (
-    9600,
-    57600,
-    115200,
-    1000000,
-    2000000,
-    3000000,
-    4000000,
-    4500000,
-)  # baud, by the value of Baud Rate (8)
+# baud, by the value of Baud Rate (8)
+BAUD_RATES = (9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000, 4500000)
 
 
 class Mode(enum.IntEnum):
@@ -138,10 +130,8 @@ backup_ready                147      1  r       +           0            0      
 """
 
 # Two banks of 28: indirect data k is an alias of the byte whose address is in indirect address k.
-INDIRECT_BANKS = (
-    (168, 224),
-    (578, 634),
-)  # first address register, first data byte
+# first address register, first data byte
+INDIRECT_BANKS = ((168, 224), (578, 634))
 INDIRECT_COUNT = 28
 
 
@@ -174,11 +164,12 @@ REGISTERS = tuple(_registers())
 
 TABLE: dict[str, Register] = {register.name: register for register in REGISTERS}
 
+# register of every defined byte
 BY_ADDRESS: dict[int, Register] = {
     address: register
     for register in REGISTERS
     for address in range(register.address, register.end)
-}  # register of every defined byte
+}
 
 
 def span(first: str, last: str) -> tuple[int, int]:

@@ -151,10 +151,8 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
             emulator, {"usb_latency": options.usb_latency}
         )
     servos = EmulatedDynamixels(settings, emulator)
-    for end in (
-        signal.SIGINT,
-        signal.SIGTERM,
-    ):  # a shell's `&` makes SIGINT ignored
+    # a shell's `&` makes SIGINT ignored
+    for end in (signal.SIGINT, signal.SIGTERM):
         signal.signal(end, signal.default_int_handler)
     with contextlib.closing(servos.serve(options.link)) as terminal:
         print(terminal.name, flush=True)

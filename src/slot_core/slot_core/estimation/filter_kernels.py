@@ -30,9 +30,8 @@ THETA, P, V, GYRO_BIAS, FORCE_BIAS = range(0, 15, 3)
 # sizes of the error state and of a reading's angle, position, velocity
 ERROR, MEASURED = 15, 9
 SMALL_ANGLE = 1e-4  # rad, below which the next term of a series is less than a rounding error
-COS_PITCH_MIN = (
-    1e-3  # keeps the covariance of roll and yaw finite at a pitch of 90 deg
-)
+# keeps the covariance of roll and yaw finite at a pitch of 90 deg
+COS_PITCH_MIN = 1e-3
 
 
 class FilterState(NamedTuple):

@@ -403,9 +403,8 @@ class InertialFilter:
         value, variance, gyro_share = self.rate
         value = value - gyro_share * self._work.error[GYRO_BIAS]
         share = rate_noise / (rate_noise + variance)
-        fused = (
-            share * value + (1.0 - share) * motion.rate
-        )  # by the inverse variances
+        # by the inverse variances
+        fused = share * value + (1.0 - share) * motion.rate
         self.rate = Rate(fused, share * variance, share * gyro_share)
         return True
 

@@ -103,18 +103,15 @@ class StateEstimator:
         self._rejected: deque[OdometryMotion | None] = deque(
             maxlen=self._settings.gate.max_rejections
         )
-        self._stamp: int | None = (
-            None  # ns, of the filter's state; None: not started
-        )
+        # ns, of the filter's state; None: not started
+        self._stamp: int | None = None
         self._corrected = self._filter.state  # at `_stamp`
-        self._reached = (
-            BEFORE_ALL_TIMES  # ns, of the filter: at or after `_stamp`
-        )
+        # ns, of the filter: at or after `_stamp`
+        self._reached = BEFORE_ALL_TIMES
         self._tick = BEFORE_ALL_TIMES  # ns, stamp of the last estimate
         self._accepted_stamp = 0  # ns, of the last accepted reading
-        self._accepted = (
-            0  # accepted readings since the start; in a row until valid
-        )
+        # accepted readings since the start; in a row until valid
+        self._accepted = 0
 
     @property
     def gyro_bias(self) -> Array:
@@ -276,9 +273,8 @@ class StateEstimator:
         else:
             self._rejected.append(motion)
             if self._accepted < self._settings.gate.initial_readings:
-                self._accepted = (
-                    0  # not valid yet: the readings are counted anew
-                )
+                # not valid yet: the readings are counted anew
+                self._accepted = 0
         if motion is not None and self._has_relocalised():
             self._start(motion)
             return

@@ -471,13 +471,11 @@ class GaitPreview:
     tendon_angle: Array  # (n, 4) rad, nominal
     reference: Array  # (n, 12) [roll pitch yaw, p, omega, v]
     velocity_ahead: Array  # (n, 3) v_x, v_y m/s, yaw rate rad/s of the reference, heading frame
-    corrected: (
-        bool  # whether a policy may correct the angles: loaded legs follow them
-    )
+    # whether a policy may correct the angles: loaded legs follow them
+    corrected: bool
     command: GaitCommand  # that was in force
-    remark: str = (
-        ""  # one line on a command that is followed in part only, or not at all
-    )
+    # one line on a command that is followed in part only, or not at all
+    remark: str = ""
 
     @property
     def phases(self) -> Array:

@@ -26,9 +26,8 @@ from slot_core.matrices import norm
 from slot_core.robot import RobotParameters
 
 LEAST_VELOCITY = 1e-4  # m/s, rad/s: below it a stride stands
-LONGEST_GAP = (
-    0.5  # s between states; after a longer one the commands do not move
-)
+# s between states; after a longer one the commands do not move
+LONGEST_GAP = 0.5
 SETTLING = 0.5  # s that the servos follow before a posture is corrected: the torso still swings
 # m/s, rad/s of a torso; beyond it the odometry has jumped
 FASTEST, FASTEST_TURN = 1.0, 3.0
@@ -96,18 +95,15 @@ class GaitScheduler:
         self._current = self._previous = self._activate(STAND)
         self._since_change = settings.transition  # s
         self._stamp: int | None = None
-        self._seen: Array | None = (
-            None  # (3,) x, y (m), yaw (rad) of the last state
-        )
+        # (3,) x, y (m), yaw (rad) of the last state
+        self._seen: Array | None = None
         self._followed = True  # whether the servos follow the commands
         self._followed_for = SETTLING  # s
         self._velocity = np.zeros(3)  # present, at limited rates
-        self._pose = self._home(
-            self._current.gait
-        )  # (3,) height, roll, pitch, present
-        self._place: Array | None = (
-            None  # (3,) x, y (m), yaw (rad) of the reference
-        )
+        # (3,) height, roll, pitch, present
+        self._pose = self._home(self._current.gait)
+        # (3,) x, y (m), yaw (rad) of the reference
+        self._place: Array | None = None
 
     def request(self, gait: str, velocity: Array) -> None:
         """Request a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.
@@ -395,9 +391,8 @@ class GaitScheduler:
         moving = self._moving_after(active, times)[:, None]
         if moving.max() == 0.0:
             return self._posture_table_ahead(times)
-        advances = (
-            active is self._current and not self._waits()
-        )  # as in `_stride`
+        # as in `_stride`
+        advances = active is self._current and not self._waits()
         ahead = times if advances else np.zeros_like(times)
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
         table = gait.stride_table(phase, velocity)

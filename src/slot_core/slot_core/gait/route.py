@@ -21,16 +21,13 @@ from slot_core.refusal import quoted, read_text
 
 POINTS_MAX, SIZE_MAX = 100_000, 10_000_000  # of a file, bytes
 FARTHEST = 1e6  # m from odom's origin
-KEPT, ALONG = (
-    "kept",
-    "along",
-)  # heading: that at the start; the path's direction
+# heading: that at the start; the path's direction
+KEPT, ALONG = ("kept", "along")
 LEAD = 0.04  # m, of the reference place before the robot
 ARRIVED = 0.005  # m along the path before its end, where the robot stops
 CREEP = 0.25  # least share of the speed before the end
-TURN_GAIN = (
-    1.0  # 1/s, yaw rate per heading error, where the heading follows the path
-)
+# 1/s, yaw rate per heading error, where the heading follows the path
+TURN_GAIN = 1.0
 
 
 class Route:
@@ -159,9 +156,8 @@ def read_route(file: Path | str, heading: str) -> Route:
             f"{file}: no path with columns x, y: {error}"
         ) from None
     points = np.array(rows).reshape(-1, 2)
-    if (
-        len(rows) > POINTS_MAX or not (np.abs(points) <= FARTHEST).all()
-    ):  # NaN is not
+    # NaN is not
+    if len(rows) > POINTS_MAX or not (np.abs(points) <= FARTHEST).all():
         raise ConfigError(
             f"{file}: more than {POINTS_MAX} points, or a value not within +-{FARTHEST:g} m"
         )

@@ -40,9 +40,8 @@ from slot_core.dynamics.torso import add_row, at, subtract_force
 
 TOO_FAST, TOO_TILTED = range(2)  # kinds of divergence
 TILT_MAX_DEG, COS_TILT_MAX = 60.0, 0.5  # largest tilt of the torso
-NORMAL_PER_DROP_MIN = (
-    0.25  # least D, so that a foot that moves ahead of the torso cannot lock it
-)
+# least D, so that a foot that moves ahead of the torso cannot lock it
+NORMAL_PER_DROP_MIN = 0.25
 # Of friction, normal force and side rate of a foot, each of which needs the others. They begin
 # where the step before ended: 3 leave 2 um in stand and step, 20 iterations as the reference.
 ITERATIONS = 3
@@ -96,13 +95,11 @@ class Foot(NamedTuple):
     up: tuple[float, float, float]  # n
     slope: float  # n.a
     normal_per_drop: float  # D
-    path: tuple[
-        float, float, float
-    ]  # m = x_eta a - k: shift of the foot in the torso per drop
+    # m = x_eta a - k: shift of the foot in the torso per drop
+    path: tuple[float, float, float]
     lean: float  # n.b / D: drop per shift sideways
-    across: tuple[
-        float, float, float
-    ]  # w = b + n.b / D m: shift of the foot per shift sideways
+    # w = b + n.b / D m: shift of the foot per shift sideways
+    across: tuple[float, float, float]
 
 
 @kernel

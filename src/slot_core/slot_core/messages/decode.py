@@ -24,12 +24,8 @@ from slot_core.safety.states import Action, State
 from slot_core.safety.watchdog import Permission, ServoHealth
 
 LONGEST_SOURCE = 60  # characters of a name in lines
-ACTION_NUMBERS = (
-    Action.OFF,
-    Action.RELAX,
-    Action.HOLD,
-    Action.PASS,
-)  # as in RobotState
+# as in RobotState
+ACTION_NUMBERS = (Action.OFF, Action.RELAX, Action.HOLD, Action.PASS)
 
 
 def stamp(message: Any) -> int:
@@ -55,9 +51,8 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
     """
     pose, twist = message.pose.pose, message.twist.twist
     pose_variance = np.array(message.pose.covariance)[::7]  # of position, angle
-    twist_variance = np.array(message.twist.covariance)[
-        ::7
-    ]  # of velocity, rate
+    # of velocity, rate
+    twist_variance = np.array(message.twist.covariance)[::7]
     q = pose.orientation
     return (
         stamp(message),

@@ -58,9 +58,8 @@ class ForceProblem:
         self.target = np.zeros((n, STAGE))
         rows = _rows(n, generic)
         self.matrix = sparse.csc_matrix(rows.astype(float))  # C
-        self._slots = (
-            self.matrix.data.astype(np.intp) - 1
-        )  # of its entries' values
+        # of its entries' values
+        self._slots = self.matrix.data.astype(np.intp) - 1
         self.right = np.zeros(len(rows))  # d
         feet, forces = np.zeros((n, FEET)), np.zeros((n, FEET, 3))
         self._ahead = Horizon(feet, feet, forces, np.zeros((n, STATES)))

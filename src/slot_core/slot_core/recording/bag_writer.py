@@ -25,10 +25,8 @@ from slot_core.recording.record_settings import (
 )
 
 VERSION = 9  # of metadata.yaml
-FOREVER = {
-    "sec": 9223372036,
-    "nsec": 854775807,
-}  # how rosbag2 writes an infinite time, 2^63 - 1 ns
+# how rosbag2 writes an infinite time, 2^63 - 1 ns
+FOREVER = {"sec": 9223372036, "nsec": 854775807}
 MEGABYTE = 1_000_000
 
 

@@ -34,9 +34,8 @@ class Origin:
 
     # revision, and the graph's arguments
     about: Mapping[str, str] = field(default_factory=dict)
-    files: Mapping[str, bytes] = field(
-        default_factory=dict
-    )  # attachments by name
+    # attachments by name
+    files: Mapping[str, bytes] = field(default_factory=dict)
 
     def changed_files(self) -> list[str]:
         """Files of the configuration that are not as those here, sorted; none if not known.

@@ -158,9 +158,8 @@ def substitute(mesh, work):
         F = work.factor[k]
         for i in range(3, -1, -1):
             value = F[i, 11]
-            for j in range(
-                10, i, -1
-            ):  # the newest entry last: it is available last
+            # the newest entry last: it is available last
+            for j in range(10, i, -1):
                 value -= F[i, j] * x[4 * k + j]
             x[4 * k + i] = value * F[i, i]
     return _largest(mesh, work)

@@ -37,9 +37,8 @@ from slot_core.dynamics.spatial.strain import (
 from slot_core.rod.assembly import assemble
 from slot_core.rod.elimination import eliminate, load_tip, pull, substitute
 
-LARGEST_INCREMENT = (
-    1.0  # rod lengths and rad; a step that ends with more has diverged
-)
+# rod lengths and rad; a step that ends with more has diverged
+LARGEST_INCREMENT = 1.0
 ZERO = (0.0, 0.0, 0.0)
 
 

@@ -223,9 +223,8 @@ class Geometry:
         x, w = (x + 1) / 2, w / 2
         cell = self.length / (nodes - 1)
         start = np.arange(nodes - 1) * cell
-        inner = (
-            start[:, None, None] + cell * x[:, None] * x
-        )  # points up to each point
+        # points up to each point
+        inner = start[:, None, None] + cell * x[:, None] * x
         part = cell * x * (self.curvature_at(inner) @ w)
         whole = cell * (self.curvature_at(start[:, None] + cell * x) @ w)
         angle = np.concatenate([[0.0], np.cumsum(whole)])
@@ -299,9 +298,8 @@ class Loads:
     gravity: Vector = NOWHERE  # m/s^2
     force: Vector = NOWHERE  # N, at the tip
     moment: Vector = NOWHERE  # N m, at the tip
-    follower: Vector = (
-        NOWHERE  # N, at the tip, along its section's tangent, width and normal
-    )
+    # N, at the tip, along its section's tangent, width and normal
+    follower: Vector = NOWHERE
 
     def __post_init__(self) -> None:
         for name in ("gravity", "force", "moment", "follower"):
@@ -322,9 +320,8 @@ class Scheme:
 
     theta: float = 0.5
     iterations: int = 20  # of Newton's method, at most
-    tolerance: float = (
-        1e-9  # of Newton's last increment, in rad and rod lengths
-    )
+    # of Newton's last increment, in rad and rod lengths
+    tolerance: float = 1e-9
 
     def __post_init__(self) -> None:
         need(

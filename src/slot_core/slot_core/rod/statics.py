@@ -23,9 +23,8 @@ from slot_core.rod.mesh import Mesh
 from slot_core.rod.model import need
 from slot_core.rod.work import RodWork
 
-FIRST_PROBE = (
-    64  # divisor of the first step, which measures the first rate of turn
-)
+# divisor of the first step, which measures the first rate of turn
+FIRST_PROBE = 64
 DESCENT_STEPS = 60  # damped steps from an unstable equilibrium, at most
 GROWTH = 1.5  # of the step from one equilibrium to the next
 
@@ -33,9 +32,8 @@ GROWTH = 1.5  # of the step from one equilibrium to the next
 class Branch(Enum):
     """Branch of equilibria that a state lies on."""
 
-    PRIMARY = (
-        "primary"  # connected to the start, and no pivot has changed its sign
-    )
+    # connected to the start, and no pivot has changed its sign
+    PRIMARY = "primary"
     UNSTABLE = "unstable"  # the tangent has negative pivots
     SECONDARY = "secondary"  # stable again, after a bifurcation or beyond a critical load
 
@@ -59,9 +57,8 @@ class StaticSettings:
     turn_growth: float = 3.0  # of the turn per load factor, from step to step
     turn_floor: float = 1e-4  # rad, a turn that is always allowed
     iterations: int = 40  # of Newton's method, at most
-    tolerance: float = (
-        1e-10  # of Newton's last increment, in rad and rod lengths
-    )
+    # of Newton's last increment, in rad and rod lengths
+    tolerance: float = 1e-10
     critical_tolerance: float = 1e-6  # of critical load factors, relative
 
     def __post_init__(self) -> None:
@@ -80,9 +77,8 @@ class Equilibrium:
 
     branch: Branch
     negative_pivots: int  # directions in which the equilibrium is unstable
-    critical: tuple[
-        float, ...
-    ]  # load factors at which a pivot changed its sign
+    # load factors at which a pivot changed its sign
+    critical: tuple[float, ...]
     steps: int  # of the load factor
     iterations: int  # of Newton's method, in total
 
@@ -141,9 +137,8 @@ class _Path:
         self.factor, self.negative = 0.0, 0
         self.steps = self.iterations = 0
         self.critical: list[float] = []
-        self.left_at: float | None = (
-            None  # load factor at which an unstable branch was left
-        )
+        # load factor at which an unstable branch was left
+        self.left_at: float | None = None
         self.rate = math.inf  # rad, turn per load factor in the last step
 
     def correct(self, factor: float) -> int | None:

@@ -34,9 +34,8 @@ class RodWork(NamedTuple):
     before: Array  # (N + 1, 3) m/s, velocity at the start of the step
     spin: Array  # (N,) rad/s, Omega
     rate: Array  # (2, 3) rad/s, angular velocity of the ends' sections at the stage
-    stage_director: (
-        Array  # (2, 3) of the first and the last segment at the stage
-    )
+    # (2, 3) of the first and the last segment at the stage
+    stage_director: Array
     segments: Segments
     moment: Array  # (N, 3) N m, of the hinges, with the independent axial force
     residual: Array  # (N, 3) N m, the same with the axial force of the strains
@@ -48,9 +47,8 @@ class RodWork(NamedTuple):
     gap: Array  # (2, 6) increments of the held unknowns
     change: Array  # (4 N + 7,) Newton increment
     rotation: Array  # (3, 3) scratch
-    unconverged: (
-        Array  # (1,) steps whose last increment was above the tolerance
-    )
+    # (1,) steps whose last increment was above the tolerance
+    unconverged: Array
 
 
 def work_space(mesh: Mesh) -> RodWork:

@@ -27,9 +27,8 @@ STEPS_MAX = 400  # changes of the set of limits in force
 class Workspace(NamedTuple):
     """Arrays of `_minimise` for n variables."""
 
-    normal: (
-        Array  # (n, n) rows: normals of the limits in force, pointing inward
-    )
+    # (n, n) rows: normals of the limits in force, pointing inward
+    normal: Array
     image: Array  # (n, n) rows: H^-1 normal
     factor: Array  # (n, n) Cholesky factor of normal image^T
     multiplier: Array  # (n,)
@@ -123,9 +122,8 @@ def _add(work, inverse, bound, count, x):
         full = missing / free if free > PARALLEL * whole else math.inf
         step = min(first, full)
         if not step < math.inf:
-            return (
-                -1
-            )  # no point is within the limits, or a number is not finite
+            # no point is within the limits, or a number is not finite
+            return -1
         if full < math.inf:
             for i in range(x.size):
                 x[i] += step * work.way[i]

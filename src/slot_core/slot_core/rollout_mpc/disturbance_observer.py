@@ -71,9 +71,8 @@ class DisturbanceObserver:
         self._stiffness, self._drift_max, self._wrench_max = np.array(limits)
         self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame
         self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
-        self.model_mismatch = (
-            False  # whether the robot moves otherwise than the model
-        )
+        # whether the robot moves otherwise than the model
+        self.model_mismatch = False
         self._misfit = np.zeros(6)  # mean squares, in units of the scales
         self._past: deque[_Seen] = deque()
 

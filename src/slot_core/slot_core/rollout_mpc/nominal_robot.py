@@ -32,9 +32,8 @@ from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.rollout_mpc.settings import NominalSettings
 
-SETTLING = (
-    10  # stages in which legs and servos come to rest at a constant command
-)
+# stages in which legs and servos come to rest at a constant command
+SETTLING = 10
 
 
 class NominalState(NamedTuple):

@@ -116,9 +116,8 @@ class Conditions:
         self._tilt: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch
         self._stopped = ""  # why the MPC counts as stopped
         self._rejected = ""  # why the newest command was rejected
-        self._answered: list[int | None] = [None] * len(
-            LEGS
-        )  # time of the last answer
+        # time of the last answer
+        self._answered: list[int | None] = [None] * len(LEGS)
         self._not_finite: list[int | None] = [None] * len(LEGS)  # since when
         self._health: ServoHealth | None = None
         self._reported = 0  # time of the last health report

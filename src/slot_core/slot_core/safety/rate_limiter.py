@@ -20,9 +20,8 @@ from slot_core.safety.states import Action
 AT_REST = np.zeros(len(LEGS))
 """Rate (4,), rad/s, of a command whose angles stay."""
 AT_REST.flags.writeable = False
-EXTRAPOLATION_MAX = (
-    0.1  # s after a command in which the goals continue at its rate
-)
+# s after a command in which the goals continue at its rate
+EXTRAPOLATION_MAX = 0.1
 
 
 def extrapolated(angle: Array, rate: Array, age: float | Array) -> Array:
@@ -79,18 +78,15 @@ class RateLimiter:
         settings.check_ramp(angle_max)
         self.settings, self._angle_max = settings, angle_max
         self._target = np.zeros(len(LEGS))
-        self._target_rate, self._accepted = (
-            AT_REST,
-            0,
-        )  # rad/s; ns, time of the command
+        # rad/s; ns, time of the command
+        self._target_rate, self._accepted = (AT_REST, 0)
         self._goal = self._target.copy()
         self._budget = np.zeros(len(LEGS))  # s
         self._action = Action.OFF
         self._since = 0  # ns, of the present action
         self._time: int | None = None
-        self._relaxed = (
-            False  # whether the ramp to slack has ended in torque off
-        )
+        # whether the ramp to slack has ended in torque off
+        self._relaxed = False
 
     @property
     def goal(self) -> Array:

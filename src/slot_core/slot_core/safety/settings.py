@@ -6,11 +6,8 @@ from slot_core import config
 from slot_core.config import ConfigError, flag, quantity, text
 from slot_core.refusal import quoted
 
-NODES = (
-    "state_estimator",
-    "mpc_controller",
-    "force_mapper",
-)  # a missing gait_scheduler shows as missing forces
+# a missing gait_scheduler shows as missing forces
+NODES = ("state_estimator", "mpc_controller", "force_mapper")
 
 
 @dataclass(frozen=True)

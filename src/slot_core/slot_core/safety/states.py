@@ -168,10 +168,8 @@ class Request(enum.Enum):
     ESTOP = Condition.ESTOP_PRESSED
 
 
-LATCHED = (
-    State.ESTOP,
-    State.FAULT,
-)  # left by RESET alone, which no way below makes
+# left by RESET alone, which no way below makes
+LATCHED = (State.ESTOP, State.FAULT)
 # Requests that lead from a state on: under torque, to a stride, to a posture.
 TO_RISE = {State.IDLE: Request.READY}
 TO_WALK = {State.READY: Request.STAND, State.STANDING: Request.WALK}

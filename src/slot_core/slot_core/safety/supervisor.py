@@ -50,9 +50,8 @@ class Report:
     action: Action  # what the servos are permitted to do
     reason: str  # of the last transition, one line with value and limit
     since: int  # ns of `now` at the last transition
-    warnings: tuple[
-        str, ...
-    ]  # conditions that forbid motion now, one line each
+    # conditions that forbid motion now, one line each
+    warnings: tuple[str, ...]
     slack: Array  # (4,) m, extra length of the tendons, inferred from the load; NaN: unknown
     # whether the last transition led from HOLD back to the state before it
     resumed: bool
@@ -106,16 +105,14 @@ class Supervisor:
         self._wrong_clock: dict[
             str, str
         ] = {}  # faults of inputs stamped by another clock
-        self._right_clock: set[str] = (
-            set()
-        )  # inputs with a stamp of this clock since the fault
+        # inputs with a stamp of this clock since the fault
+        self._right_clock: set[str] = set()
         self.operated = False  # whether an operator has requested anything
         self._state, self._reason, self._since = State.IDLE, "started", 0
         self._resume = State.STANDING  # state after HOLD
         self._held_from = State.STANDING  # state before HOLD
-        self._resumed = (
-            False  # whether the last transition led from HOLD back to it
-        )
+        # whether the last transition led from HOLD back to it
+        self._resumed = False
         self._entered = 0  # steady time of the last transition
         self._ready_since = 0  # steady time of the last READY
         # steady time since which there is no reason to hold

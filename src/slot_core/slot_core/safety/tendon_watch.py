@@ -83,9 +83,8 @@ class TendonWatch:
         """Discard the readings, but not the alarms."""
         self._window.clear()
         self._slack = np.full(len(LEGS), np.nan)
-        self._excess = np.zeros(
-            len(LEGS)
-        )  # m s, sum of the slack beyond its limit
+        # m s, sum of the slack beyond its limit
+        self._excess = np.zeros(len(LEGS))
 
     def observe(
         self,

@@ -13,11 +13,8 @@ from slot_core.safety.supervisor import Report, Supervisor
 from slot_core.safety.watchdog import ServoHealth
 
 NOT_THE_FIRST = "start-up: the servos have obeyed an earlier supervisor, so an operator decides"
-SOURCES = (
-    "joints",
-    *NODES,
-    "e-stop",
-)  # inputs of one time are taken in this order
+# inputs of one time are taken in this order
+SOURCES = ("joints", *NODES, "e-stop")
 Take = Callable[[int], object]
 
 

@@ -151,9 +151,8 @@ class ServoBus(Protocol):
     facts: BusFacts
     clock: Clock  # s, of all times that the bus reports
     active: bool  # whether the bus has switched torque on and not off
-    health: tuple[
-        ServoStatus, ...
-    ]  # of each servo; torque also after `activate`, `torque_off`
+    # of each servo; torque also after `activate`, `torque_off`
+    health: tuple[ServoStatus, ...]
 
     def configure(self) -> tuple[str, ...]:
         """Open the port and check every servo against the settings; returns a line for each.

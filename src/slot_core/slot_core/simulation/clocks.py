@@ -22,9 +22,8 @@ from slot_core.simulation.readings import (
 from slot_core.simulation.simulated_servos import SimulatedServos
 
 PATIENCE = SECOND // 2  # ns, longest wait for a late driver
-LONGEST_CALL = (
-    SECOND // 100
-)  # ns, of a wait, between two calls: a longer one was late itself
+# ns, of a wait, between two calls: a longer one was late itself
+LONGEST_CALL = SECOND // 100
 
 
 class LockstepClock:
@@ -37,10 +36,8 @@ class LockstepClock:
 
     def __init__(self, plant: RobotSimulator, servos: SimulatedServos) -> None:
         self._plant, self._servos = plant, servos
-        self._awaited: tuple[type, int] = (
-            OdometryReading,
-            LOCKSTEP_START,
-        )  # reading and stamp
+        # reading and stamp
+        self._awaited: tuple[type, int] = (OdometryReading, LOCKSTEP_START)
         self.running = False
 
     def at_rest(self) -> list[Reading]:

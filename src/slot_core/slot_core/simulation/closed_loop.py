@@ -128,9 +128,8 @@ class ClosedLoop:
         self.read(self.plant.readings_at_rest(LOCKSTEP_START))
         self.plant.start(LOCKSTEP_START)
         for _ in range(ticks):
-            ticks_now = list(
-                iter(self.controller.poll, None)
-            )  # several after a gap
+            # several after a gap
+            ticks_now = list(iter(self.controller.poll, None))
             if ticks_now:
                 command = ticks_now[-1].command
                 self.plant.command(command.angle, command.rate)

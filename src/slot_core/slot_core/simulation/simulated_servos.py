@@ -54,9 +54,8 @@ class SimulatedServos(ABC):
         plant.held = lockstep
         self.watchdog = Watchdog(plant.robot.parameters.tendon.angle_max)
         self.released = self._was_on = False
-        self._commanded = self._arrived = (
-            0  # ns, stamp of the newest command and when it arrived
-        )
+        # ns, stamp of the newest command and when it arrived
+        self._commanded = self._arrived = 0
 
     @property
     @abstractmethod

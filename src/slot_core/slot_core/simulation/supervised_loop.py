@@ -156,9 +156,8 @@ class SupervisedLoop:
                     node, now, partial(receive, self.supervisor, tick)
                 )
         if "force_mapper" in self.running:
-            with suppress(
-                ValueError
-            ):  # rejected; the supervisor finds the same
+            # rejected; the supervisor finds the same
+            with suppress(ValueError):
                 self.servos.offer(
                     now,
                     tick.estimate.stamp,

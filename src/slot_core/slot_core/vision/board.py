@@ -83,9 +83,8 @@ def image_of(board: Board, dictionary: int, scale: float) -> GreyImage:
 def print_of(board: Board, dictionary: int) -> GreyImage:
     """The board as an image with PRINT_CELL px a cell, edges exact to a FINER of a pixel."""
     corners = next(iter(board.corners.values()))
-    cells = (
-        cv2.aruco.getPredefinedDictionary(dictionary).markerSize + 2
-    )  # with the black border
+    # with the black border
+    cells = cv2.aruco.getPredefinedDictionary(dictionary).markerSize + 2
     scale = PRINT_CELL * cells / float(corners[1, 0] - corners[0, 0])
     size = [round(scale * edge) for edge in board.size]
     fine = image_of(board, dictionary, FINER * scale)

@@ -22,10 +22,8 @@ from slot_core.arrays import Array
 from slot_core.refusal import InputError, quoted, read_text
 from slot_core.vision.settings import Intrinsics
 
-MODELS = {
-    "plumb_bob": 5,
-    "rational_polynomial": 8,
-}  # coefficients by name in ROS
+# coefficients by name in ROS
+MODELS = {"plumb_bob": 5, "rational_polynomial": 8}
 SIZE_MAX = 100_000  # bytes of a calibration file
 PIXELS_MAX, LARGEST = 2**15, 1e6  # of an image's side; of K and D
 ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
@@ -94,9 +92,8 @@ class Camera:
         _, slopes = cv2.projectPoints(
             points, zero, zero, self.matrix, self.distortion
         )
-        by_ray = slopes[:, 3:5].reshape(
-            -1, 2, 2
-        )  # of a shift along x and y at distance one
+        # of a shift along x and y at distance one
+        by_ray = slopes[:, 3:5].reshape(-1, 2, 2)
         by_parameter = slopes[:, 6:].reshape(len(rays), 2, -1)
         return np.asarray(
             -np.linalg.solve(by_ray, by_parameter).reshape(2 * len(rays), -1)

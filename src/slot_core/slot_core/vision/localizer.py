@@ -30,9 +30,8 @@ from slot_core.vision.detector import (
 from slot_core.vision.pose import BoardPose, board_poses, nearest
 from slot_core.vision.settings import DetectionSettings, VisionSettings
 
-Known = tuple[
-    int, Transform, Array
-]  # stamp, ns; base_link in odom; covariance (6, 6) of noise
+# stamp, ns; base_link in odom; covariance (6, 6) of noise
+Known = tuple[int, Transform, Array]
 WRONG = "wrong calibration, a bent print, or boards other than in vision.yaml"
 LONG = 10  # images without a marker, after which other dictionaries are tried
 
@@ -46,9 +45,8 @@ class MarkerFix:
     quaternion: Array  # (4,) x y z w
     velocity: Array  # (3,) m/s
     angular_velocity: Array  # (3,) rad/s
-    pose_covariance: (
-        Array  # (6, 6) of x y z and rotations about the axes of odom
-    )
+    # (6, 6) of x y z and rotations about the axes of odom
+    pose_covariance: Array
     twist_covariance: Array  # (6, 6) of velocity and angular velocity
     markers: int
     error: float  # px, RMS of the reprojection

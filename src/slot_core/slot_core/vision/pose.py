@@ -36,14 +36,12 @@ class BoardPose:
 
     transform: Transform
     covariance: Array  # (6, 6) of the position (m) and of the rotation vector in the optical frame
-    calibration: (
-        Array  # (6, 6) the same by the camera's calibration; zero: not known
-    )
+    # (6, 6) the same by the camera's calibration; zero: not known
+    calibration: Array
     error: float  # RMS distance of the corners from where they should be, of focal length one
     other: BoardPose | None = None  # the second pose of the plane
-    ratio: float = (
-        np.inf
-    )  # its error over this one's; infinite if there is none
+    # its error over this one's; infinite if there is none
+    ratio: float = np.inf
 
 
 def board_poses(

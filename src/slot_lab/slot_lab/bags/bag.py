@@ -295,9 +295,8 @@ class Bag:
                     f"{self.path}: holds no metadata.yaml, .mcap or .db3 file: not a bag"
                 )
             files = [self._intact(file) for file in found]
-            self._scratch = (
-                self._scratch or TemporaryDirectory()
-            )  # it did not end, even if whole
+            # it did not end, even if whole
+            self._scratch = self._scratch or TemporaryDirectory()
             return files, {}
         content = config.parse(read_text(metadata, METADATA_MAX))
         information = content["rosbag2_bagfile_information"]

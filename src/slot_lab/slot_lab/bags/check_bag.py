@@ -49,9 +49,8 @@ class StageComparison:
     compared: int = 0
     largest: float = 0.0  # largest difference of any field
     first: Difference | None = None  # beyond the tolerance
-    begin: int = (
-        0  # ns, stamp of the first message compared; 0: the bag's first
-    )
+    # ns, stamp of the first message compared; 0: the bag's first
+    begin: int = 0
     gaps: int = 0  # later messages whose inputs the bag lacks
     lost: str = ""  # the first of these inputs
     nodes: Sequence[str] = ()  # of a user, which published the topic
@@ -124,9 +123,8 @@ def _reason(
         return f"published by {', '.join(others)}, not by our {node}"
     if topic in REMEMBERING and recorded.begins_mid_run:
         return MID_RUN
-    another = not only and any(
-        recorded.records.values()
-    )  # node may have published it
+    # node may have published it
+    another = not only and any(recorded.records.values())
     if not recorded.records[node] and (another or topic == ESTIMATE):
         return f"no record of {node} in the bag"
     return ""

@@ -93,9 +93,8 @@ class TendonAngles:
     source: str  # topic, or columns of a CSV file
     t: Array  # (n,) s, graph time
     angle: Array  # (n, 4) rad
-    rate: Array | None = (
-        None  # (n, 4) rad/s, to extrapolate commands; None: they stay
-    )
+    # (n, 4) rad/s, to extrapolate commands; None: they stay
+    rate: Array | None = None
     measured: bool = True  # else they are commands
 
 

@@ -218,12 +218,10 @@ class Replayed:
     """Output of a replayed stage, and the recorded outputs that cannot be compared with it."""
 
     fields: dict[int, Fields] = field(default_factory=dict)  # by stamp, ns
-    unknown: set[int] = field(
-        default_factory=set
-    )  # stamps, ns, of a state that is not known
-    lost: str = (
-        ""  # an input that the bag does not hold, though the stage has taken it
-    )
+    # stamps, ns, of a state that is not known
+    unknown: set[int] = field(default_factory=set)
+    # an input that the bag does not hold, though the stage has taken it
+    lost: str = ""
 
 
 def estimates(recorded: RecordedStages) -> Replayed:
@@ -373,9 +371,8 @@ class _Starts:
 
     def __init__(self, records: list[Any], begins_mid_run: bool) -> None:
         self._second = {r.number: decode.stamp(r) for r in records}.get(1)
-        self.frame: tuple[int, str] | None = (
-            None  # stamp (ns) and text, "": the start; now
-        )
+        # stamp (ns) and text, "": the start; now
+        self.frame: tuple[int, str] | None = None
         self._waiting: tuple[int, str] | None = None  # for its output
         self._last = -1  # ns, stamp of the last output
         self._begins = not records and not begins_mid_run

@@ -7,11 +7,8 @@ IMAGES = "/camera/image_raw"
 LEG_STATES = "/ground_truth/legs"
 ESTIMATE, PREVIEWS, PLANS = "/mpc_state", "/gait_preview", "/tendon_plan"
 MEASURED, COMMANDED = "/joint_states", "/desired_joint_angles"
-MOTION_TOPICS = (
-    GROUND_TRUTH,
-    ODOMETRY,
-    ESTIMATE,
-)  # the first that is recorded is taken
+# the first that is recorded is taken
+MOTION_TOPICS = (GROUND_TRUTH, ODOMETRY, ESTIMATE)
 OUTPUTS = {
     ESTIMATE: "state_estimator",
     PREVIEWS: "gait_scheduler",

@@ -35,21 +35,17 @@ from slot_core.robot import RobotParameters
 from slot_lab.workers import serially
 
 LEVEL = 0.95  # of the intervals
-STEP = (
-    0.01  # of a coordinate in central differences; wide: predictions have kinks
-)
+# of a coordinate in central differences; wide: predictions have kinks
+STEP = 0.01
 # A singular value of the scaled Jacobian below this part of the largest is taken as zero:
 # differences of simulated values have about four digits.
 RANK = 1e-4
-NULL_SHARE = (
-    1e-3  # share of a parameter in a null direction that makes it undetermined
-)
-FAILED_RESIDUAL = (
-    1e6  # of a trial whose prediction fails, so that it is rejected
-)
-TOLERANCE = (
-    1e-5  # of the last step of the coordinates and the last decrease of the sum
-)
+# share of a parameter in a null direction that makes it undetermined
+NULL_SHARE = 1e-3
+# of a trial whose prediction fails, so that it is rejected
+FAILED_RESIDUAL = 1e6
+# of the last step of the coordinates and the last decrease of the sum
+TOLERANCE = 1e-5
 EDGE = 1e-6  # of a coordinate; a result this close to a bound is at its bound
 TRIALS = 60  # evaluations of a start, at most
 BEST_CONVERGED = "well: the best start converged; a start that was stopped found nothing better"
@@ -59,12 +55,10 @@ BEST_STOPPED = (
 )
 SCATTER = 1.0  # of further starts: a factor e, or the width of the bounds
 
-Predict = Callable[
-    [Array], Array
-]  # values of the parameters (p,) to predictions (n,)
-RunAll = Callable[
-    [Predict, Sequence[Array]], Sequence[Array]
-]  # of several points
+# values of the parameters (p,) to predictions (n,)
+Predict = Callable[[Array], Array]
+# of several points
+RunAll = Callable[[Predict, Sequence[Array]], Sequence[Array]]
 
 
 class FitError(InputError):
@@ -315,9 +309,8 @@ def estimate(
         freedom = len(residual) - rank
         covariance = inverse @ inverse.T * (chi_square / max(freedom, 1))
     else:
-        moved = inverse @ (
-            left[:, : len(u)].T[significant] * residual
-        )  # (p, n), by each residual
+        # (p, n), by each residual
+        moved = inverse @ (left[:, : len(u)].T[significant] * residual)
         sums = np.array(
             [moved[:, groups == k].sum(axis=1) for k in np.unique(groups)]
         )

@@ -19,12 +19,10 @@ NAMES = ("f_x", "f_y", "c_x", "c_y", "k1", "k2", "p1", "p2", "k3")
 CORNERS_MIN = 8  # of a view that counts
 VIEWS_MIN = 8
 COVERED_MIN = 0.5  # share of the image's width and height that the corners span
-ERROR_MAX = (
-    1.0  # px, RMS: beyond it the board is bent or has another size ratio
-)
-GROSS = (
-    3.0  # times the median error of the views, beyond which a view is left out
-)
+# px, RMS: beyond it the board is bent or has another size ratio
+ERROR_MAX = 1.0
+# times the median error of the views, beyond which a view is left out
+GROSS = 3.0
 
 
 @dataclass(frozen=True)
@@ -44,9 +42,8 @@ class Calibration:
     error: float  # px, RMS of the reprojection
     errors: dict[str, float]  # px, of each view used, by name
     left_out: tuple[str, ...]  # views with gross errors
-    covered: tuple[
-        float, float
-    ]  # share of the width and height that the corners span
+    # share of the width and height that the corners span
+    covered: tuple[float, float]
 
 
 def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:

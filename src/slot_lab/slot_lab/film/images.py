@@ -97,9 +97,8 @@ def _of_video(path: Path, rate: float | None) -> Iterator[Frame]:
         raise FilmError(f"{path}: says {own:g} images per s; give --rate")
     number, time, step = 0, 0.0, 1.0 / (rate or own)
     while (image := video.read()[1]) is not None:
-        if (
-            rate is None
-        ):  # its own times, since films of telephones vary in their rate
+        # its own times, since films of telephones vary in their rate
+        if rate is None:
             own_time = video.get(cv2.CAP_PROP_POS_MSEC) / 1e3
             time = own_time if own_time > time or not number else time + step
         else:

@@ -50,9 +50,8 @@ FEWEST = 2  # markers of a board that place the camera
 GROSS = 5.0  # standard deviations, beyond which the depth is another object's
 CAMERA = "camera_link"
 MOVED = 1.0  # px, of the board before a camera that stands still
-COMPLETE = (
-    1.02  # images that a video says over those read: some estimate their length
-)
+# images that a video says over those read: some estimate their length
+COMPLETE = 1.02
 
 
 class MarkerSample(NamedTuple):

@@ -30,12 +30,10 @@ from slot_lab.learning.vector_env import WalkVectorEnv
 from slot_lab.workers import gather, workers
 
 DECAYS, TINY = (0.9, 0.99), 1e-8  # of Adam
-TEST_SEEDS = 1_000_000 + np.arange(
-    16
-)  # of the scenes that test the mean network
-Schedule = tuple[
-    float, float
-]  # a value in the first generation, and in the last
+# of the scenes that test the mean network
+TEST_SEEDS = 1_000_000 + np.arange(16)
+# a value in the first generation, and in the last
+Schedule = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -129,9 +127,8 @@ def learn(
     rng = np.random.default_rng(e.seed)
     centre, moments = np.zeros(size), np.zeros((2, size))
     best, most, mean = centre.copy(), -np.inf, np.nan
-    steps = (
-        round(task.duration / task.gaits.dt) * 2 * e.pairs
-    )  # of a generation
+    # of a generation
+    steps = round(task.duration / task.gaits.dt) * 2 * e.pairs
     for generation in range(e.generations + 1):
         if generation % e.test_every == 0 or generation == e.generations:
             tested = np.tile(centre, (len(TEST_SEEDS), 1))

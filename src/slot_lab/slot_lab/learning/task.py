@@ -51,9 +51,8 @@ class Task:
     velocity: Vector3 = (0.05, 0.0, 0.0)  # m/s, m/s, rad/s
     actions: str = "amplitudes"
     observations: str = "estimated"
-    servos: bool = (
-        True  # observes the servos' angles, which a policy cannot see
-    )
+    # observes the servos' angles, which a policy cannot see
+    servos: bool = True
     duration: float = 10.0  # s, of an episode
     drawn: tuple[tuple[str, Range], ...] = ()  # names, and ends of their values
 

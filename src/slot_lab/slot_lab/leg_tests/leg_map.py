@@ -75,9 +75,8 @@ class LegEquilibrium(NamedTuple):
     force: float  # N, vertical force of the floor on the leg
     slope: float  # N/rad, d force / d tendon angle
     stiffness: float  # N/m, d force / d clamp height
-    contact_x: (
-        float  # m from the clamp, centre of pressure; without contact the tip
-    )
+    # m from the clamp, centre of pressure; without contact the tip
+    contact_x: float
     tension: float  # N, of the tendon
     node: Array  # (N, 2) m from the clamp, x and z
     # Outward shift of the material on the floor, averaged by pressure, with angle (m/rad) and
@@ -129,9 +128,8 @@ class StaticLeg:
         force, contact = normal.sum(), node[-1, 0]
         if force > 0.0:
             contact = (normal * node[:, 0]).sum() / force
-        self._leg.back[:, :, 7] = (
-            0.0  # the last correction is no part of the response
-        )
+        # the last correction is no part of the response
+        self._leg.back[:, :, 7] = 0.0
         slope, foot_slope = respond(
             self.model, self._leg, self._stiffness, height, 0.0, 1.0
         )

@@ -59,9 +59,8 @@ def level_leg(
 
 def at_nodes(contact: Array) -> Array:
     """(N,) sums over the contact points (P,) at each node of a leg, as of their stiffness, N/m."""
-    ends = contact.reshape(-1, 2, 2).sum(
-        axis=-1
-    )  # of begin and end of the segments
+    # of begin and end of the segments
+    ends = contact.reshape(-1, 2, 2).sum(axis=-1)
     return np.append(ends[:, 0], 0.0) + np.append(0.0, ends[:, 1])
 
 

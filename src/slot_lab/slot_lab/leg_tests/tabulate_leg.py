@@ -28,9 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="CSV file (default: %(default)s)",
     )
     out = parser.parse_args(arguments).out
-    if (
-        out.is_dir() or not out.parent.is_dir()
-    ):  # known before the long computation
+    # known before the long computation
+    if out.is_dir() or not out.parent.is_dir():
         parser.error(f"--out {out}: not a file in an existing directory")
     from slot_core.robot import read_robot  # noqa: PLC0415
     from slot_lab.leg_tests.leg_map import LegMapSettings, tabulate, write  # noqa: PLC0415 - heavy

@@ -58,15 +58,12 @@ class Wishes:
     """Requests of the player to the robot; legs FL FR RL RR."""
 
     gait: str = STAND
-    velocity: Array = field(
-        default_factory=lambda: np.zeros(3)
-    )  # m/s, m/s, rad/s
-    pose: Array | None = (
-        None  # (3,) height m, roll, pitch rad; None: the gait's own
-    )
-    up: bool = (
-        True  # under torque; False after a fall, a fault or an emergency stop
-    )
+    # m/s, m/s, rad/s
+    velocity: Array = field(default_factory=lambda: np.zeros(3))
+    # (3,) height m, roll, pitch rad; None: the gait's own
+    pose: Array | None = None
+    # under torque; False after a fall, a fault or an emergency stop
+    up: bool = True
 
 
 class PlayedLoop(SupervisedLoop):
@@ -82,9 +79,8 @@ class PlayedLoop(SupervisedLoop):
         super().__init__(scene, STAND, None, seed, policy)
         self.wishes, self.refusal = wishes, ""
         self._keep = keep
-        self._asked: tuple[str, tuple[float, ...]] | None = (
-            None  # gait and pose
-        )
+        # gait and pose
+        self._asked: tuple[str, tuple[float, ...]] | None = None
 
     def receive(self, reading: Reading) -> None:
         """Keep a reading, unless it is an image, and give it to the state estimator."""
@@ -143,9 +139,8 @@ class PlayedLoop(SupervisedLoop):
         pose = () if wishes.pose is None else tuple(wishes.pose)
         gait, posed = self._asked or ("", ())
         try:
-            if wishes.gait != gait or (
-                posed and not pose
-            ):  # the pose returns to the gait's own
+            # the pose returns to the gait's own
+            if wishes.gait != gait or (posed and not pose):
                 scheduler.request(wishes.gait, np.zeros(3))
                 self._asked = wishes.gait, ()
             scheduler.set_velocity(self.plant.now, wishes.velocity)

@@ -39,17 +39,14 @@ PER_LEG = {
     "slack_angle": "angle",
     "slack_rate": "rate",
 }
-UNITS = {
-    "angle": "rad",
-    "rate": "rad/s",
-}  # of constraints whose slack is no force in N
+# of constraints whose slack is no force in N
+UNITS = {"angle": "rad", "rate": "rad/s"}
 OF_THE_ROBOT = {
     "slack_total": "total support",
     "slack_balance": "total balance",
 }
-TOLERANCE = (
-    1e-4  # in the unit of a slack: the violation that is a solver's rounding
-)
+# in the unit of a slack: the violation that is a solver's rounding
+TOLERANCE = 1e-4
 COLOURS = LinearSegmentedColormap.from_list(
     "slack",
     [
@@ -65,9 +62,8 @@ HATCHED: dict[str, Any] = {
     "edgecolor": palette.INK,
     "hatch": "////",
 }
-CAPACITY = (
-    1600  # columns of the plot; of more cycles each shows its least slack
-)
+# columns of the plot; of more cycles each shows its least slack
+CAPACITY = 1600
 
 
 @dataclass(frozen=True)
@@ -103,9 +99,8 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     progress("reading the bag")
     found = read_map(Bag(options.bag, options.namespace))
     bag = options.bag.resolve()
-    stem = (
-        bag.name if bag.is_dir() else bag.stem
-    )  # a directory v0.05 has no suffix
+    # a directory v0.05 has no suffix
+    stem = bag.name if bag.is_dir() else bag.stem
     out = options.out or bag.with_name(f"{stem}_constraints.png")
     write_plot(map_figure(found), out, dpi=110)
     return [*summary_lines(found), str(out)], int(found.violated.any())
@@ -226,9 +221,8 @@ def draw_slack(ax: Axes, found: ConstraintMap) -> Colorbar:
     time = found.time  # starts of the cycles; the last one ends a period later
     edges = _edges(time)
     groups = np.arange(0, len(time), -(-len(time) // CAPACITY))
-    rows = np.fmin.reduceat(
-        found.slack, groups, axis=1
-    )  # NaN only where all are
+    # NaN only where all are
+    rows = np.fmin.reduceat(found.slack, groups, axis=1)
     rows[(rows < 0) & (rows >= -TOLERANCE)] = 0.0
     units = np.array([unit(name) for name in found.constraints])
     of_legs = np.array(

@@ -100,9 +100,8 @@ class WalkMetrics:
     yaw_drift: float  # rad, last yaw minus the heading of the line
     period: float  # s, control period
     ticks: int  # odometry readings that require a command
-    deadline_misses: (
-        int  # ticks whose command came over a period later, or never
-    )
+    # ticks whose command came over a period later, or never
+    deadline_misses: int
     unanswered: int  # ticks without a command
     missed_ticks: int  # missing odometry readings: gaps in the stamps
     stages: dict[str, Latency]  # by node
@@ -111,17 +110,14 @@ class WalkMetrics:
     fallback_cycles: int | None  # MPC cycles without a solution
     longest_fallback: int | None  # consecutive ones
     violation_max: float  # N, largest constraint violation
-    saturated: tuple[
-        float, ...
-    ]  # share of cycles, per leg, with an angle at its limit
+    # share of cycles, per leg, with an angle at its limit
+    saturated: tuple[float, ...]
     rejected_odometry: int | None
-    servo_saturated: tuple[
-        float, ...
-    ]  # share of samples, per leg, at the stall torque
+    # share of samples, per leg, at the stall torque
+    servo_saturated: tuple[float, ...]
     servo_load: tuple[float, ...]  # mean torque over stall torque, per leg
-    supply_voltage: (
-        float  # V, mean of the servos; NaN: the nominal one is assumed
-    )
+    # V, mean of the servos; NaN: the nominal one is assumed
+    supply_voltage: float
     continuous_load: float  # largest mean load that the maker advises
 
 
@@ -220,9 +216,8 @@ def _control(bag: Bag, start: float) -> dict[str, Any]:
     states = _after(bag, start, "/mpc_state", "validity")
     maps = _after(bag, start, "/force_map/status", "saturated")
     violation = solves["violation"] if solves else np.zeros(0)
-    solved = violation[
-        ~np.isnan(violation)
-    ]  # without the cycles that were rejected
+    # without the cycles that were rejected
+    solved = violation[~np.isnan(violation)]
     rejected = states and int(
         np.sum(states["validity"] == Validity.ODOMETRY_REJECTED)
     )

@@ -34,10 +34,8 @@ from slot_lab.report.constraint_map import draw_slack, read_map
 from slot_lab.report.metrics import WalkMetrics
 from slot_lab.report.traces import PLOTS, disturbances
 
-SIZE, SHARP = (
-    (11.5, 9.2),
-    140,
-)  # inches, dots per inch: legible at the width of a page
+# inches, dots per inch: legible at the width of a page
+SIZE, SHARP = ((11.5, 9.2), 140)
 WIDTHS = (1.0, 1.0, 1.2)  # of its columns, relative
 WINDOW = 4.0  # s at the end of the walk, shown in the panels of the legs
 LATENCY_BINS = 60
@@ -150,10 +148,8 @@ def draw_states(ax: Axes, bag: Bag, start: float, end: float) -> None:
         )
         begins = np.flatnonzero(np.diff(states, prepend=-1))
         for begin, last in zip(begins, [*time[begins[1:]], end - start]):
-            state, first = (
-                State(states[begin]),
-                max(time[begin], 0.0),
-            )  # it reports before it moves
+            # it reports before it moves
+            state, first = (State(states[begin]), max(time[begin], 0.0))
             ax.axvspan(
                 first, last, color=STATE_COLOURS.get(state, palette.SHADE)
             )

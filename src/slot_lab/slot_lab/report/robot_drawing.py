@@ -40,10 +40,8 @@ from slot_lab.bags.topics import LEG_STATES
 SUN = np.array([0.25, -0.45, 0.86]) / np.linalg.norm([0.25, -0.45, 0.86])
 SHADOW = "#d3d9df"
 AMBIENT = 0.55  # brightness of a face turned away from the sun
-GROUND_HALF = (
-    0.26,
-    0.22,
-)  # m, of the ground drawn around the robot, along x and y
+# m, of the ground drawn around the robot, along x and y
+GROUND_HALF = (0.26, 0.22)
 GROUND_LINE = 0.1  # m between lines on the ground
 MARK: dict[str, Any] = {
     "textcoords": "offset points",

@@ -26,10 +26,8 @@ from slot_lab.tuning.settings import TuningSettings
 OUTPUTS = ("v_x", "v_y", "yaw rate", "height", "roll", "pitch")
 RISE = 0.053  # m, of the torso per rad of all angles
 OFFSET_MAX = math.radians(15.0)  # of the height's correction
-HELD = (
-    "forward",
-    "lateral",
-)  # run at the stride's height; a turn finds its own
+# run at the stride's height; a turn finds its own
+HELD = ("forward", "lateral")
 TIME, X, Y, HEIGHT, ROLL, PITCH, YAW = range(7)  # columns of a track; s, m, rad
 
 
@@ -50,9 +48,8 @@ class StrideMotion(NamedTuple):
     phase: Array  # (n,)
     force: Array  # (n, 4) N, normal
     velocity: Array  # (n, 2) m/s
-    means: (
-        Array  # (6,) `OUTPUTS`, mean over the strides; velocities in base_link
-    )
+    # (6,) `OUTPUTS`, mean over the strides; velocities in base_link
+    means: Array
     offset: float  # rad, mean over the strides
     top: float  # m, highest point of the torso
     load: float  # mean torque of the servos over their stall torque
@@ -106,9 +103,8 @@ class _Run:
         offsets: list[float] = []
         for stride in range(first + count):
             if stride == first:
-                rows = rows[
-                    -1:
-                ]  # whole strides: from the end of the one before
+                # whole strides: from the end of the one before
+                rows = rows[-1:]
                 self._top = 0.0
             begin = len(rows)
             for phase, angle in self._commands(stride):

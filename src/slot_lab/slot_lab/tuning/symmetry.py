@@ -20,12 +20,8 @@ from slot_core.gait.gait import (
     FourHarmonics,
 )
 
-DIAGONAL = [
-    0,
-    2,
-    1,
-    3,
-]  # legs after the reflection at the diagonal through FL and RR
+# legs after the reflection at the diagonal through FL and RR
+DIAGONAL = [0, 2, 1, 3]
 NUMBERS = {"forward": 10, "turn": 10}
 FREE_LEGS = {"forward": (0, 2), "turn": (0, 1)}
 """Rows of a pattern that are its numbers."""

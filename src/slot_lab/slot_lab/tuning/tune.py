@@ -180,10 +180,8 @@ def _start(options: argparse.Namespace) -> Stride:
     names = ("height_range", "period", "cruise")
     changes = {name: getattr(options, name) for name in names}
     if options.height is not None:
-        height, share = (
-            options.height,
-            read_robot().weight / 4,
-        )  # N, of a leg at rest
+        # N, of a leg at rest
+        height, share = (options.height, read_robot().weight / 4)
         angle = read_springs().angle(np.array([share]), np.array([height]))[0]
         centre = [round(float(np.degrees(angle)), 1)] * 4
         changes |= {"height": height, "centre_deg": centre}

@@ -43,9 +43,8 @@ from slot_lab.twin.settings import TwinSettings
 
 LEAST_SETTLING = 1.0  # s
 LONGEST_GAP = 0.06  # s, between two angles, across which a spline is drawn
-BEYOND = (
-    0.1  # rad, by which a measured angle may exceed the range of the tendons
-)
+# rad, by which a measured angle may exceed the range of the tendons
+BEYOND = 0.1
 POINT_PERIOD = 1 / 30  # s, between two written rows of a point
 FREE_RPM = 1000.0  # of a spool whose angle is imposed
 

@@ -70,9 +70,8 @@ PLACE = re.compile(r"(robot|scene|servo)\.([a-z_.]+)(?:\[([0-3])\])?")
 HEAD = """# Parameter set of the robot; `parameters` of a scene, or in config/robot.yaml, names it.
 # Written by scripts/twin; slot_lab/twin/twin_fit.py describes the keys.
 """
-CORRELATED = (
-    0.95  # beyond it the data determine a combination, not the parameters
-)
+# beyond it the data determine a combination, not the parameters
+CORRELATED = 0.95
 UNITS = {
     "displacement": ("displacement of a stride", 1e3, "mm"),
     "place": ("place after 4 strides", 1e3, "mm"),
@@ -92,9 +91,8 @@ class TwinFit:
     converged: bool
     parts: ModelParts  # with the fitted values
     seen: Sequence[StrideErrors]  # before and after, of the strides of the fit
-    held_out: Sequence[
-        StrideErrors
-    ]  # before and after, of the strides held out
+    # before and after, of the strides held out
+    held_out: Sequence[StrideErrors]
 
 
 def places(names: Sequence[str]) -> tuple[str, ...]:

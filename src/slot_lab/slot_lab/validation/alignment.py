@@ -105,9 +105,8 @@ class TimeAlignment:
     offset_width: float = 0.0  # s; NaN: too few groups to tell
     drift_width: float = 0.0  # 0: not fitted
     rest: float = 0.0  # m, RMS per coordinate of the differences without their moving mean
-    rival_rest: float = (
-        np.inf
-    )  # m, of the next best shift; infinite: there is none
+    # m, of the next best shift; infinite: there is none
+    rival_rest: float = np.inf
     rival_offset: float = np.nan  # s
 
     def apply(self, t: Array) -> Array:

@@ -68,9 +68,8 @@ class Comparison:
 
     time: TimeAlignment
     frame: FrameAlignment
-    series: Mapping[
-        tuple[str, str], PointSeries
-    ]  # by point and axis: x y z, roll pitch yaw
+    # by point and axis: x y z, roll pitch yaw
+    series: Mapping[tuple[str, str], PointSeries]
     only: tuple[str, ...]  # points of one recording alone
     brief: tuple[str, ...] = ()  # seen too briefly or too late
 

@@ -21,9 +21,8 @@ from slot_lab.validation.comparison import (
 )
 
 DPI = 100
-RIVAL = (
-    1.05  # times the best shift's rest, up to which another shift is as good
-)
+# times the best shift's rest, up to which another shift is as good
+RIVAL = 1.05
 SHARES = ("nrmse", "error", "accuracy")  # metrics that are parts of one
 TITLES = {
     "rmse": "RMSE",

@@ -14,13 +14,8 @@ from rclpy.waitable import NumberOfEntities
 
 from slot_nodes.process.intra_process import Mailbox
 
-KINDS = (
-    "subscription",
-    "guard_condition",
-    "timer",
-    "client",
-    "service",
-)  # order of a wait set
+# order of a wait set
+KINDS = ("subscription", "guard_condition", "timer", "client", "service")
 
 
 class PolledGroup(MutuallyExclusiveCallbackGroup):
@@ -84,9 +79,8 @@ class DirectExecutor(SingleThreadedExecutor):
             if _is_due(timer):
                 _call(self._take_timer(timer))
         if self._context.ok() and self._has_others():
-            self._entities_changed = (
-                True  # a node may have been added or removed
-            )
+            # a node may have been added or removed
+            self._entities_changed = True
             super().spin_once(timeout_sec=0.0)
             # callbacks of an answer: nothing would wake rclpy, whose spin runs one task at a time
             waiting = [

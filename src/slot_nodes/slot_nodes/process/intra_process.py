@@ -15,9 +15,8 @@ from typing import Any
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 
-Receive = Callable[
-    [Any, int], None
-]  # a message and its number on the topic, from 1
+# a message and its number on the topic, from 1
+Receive = Callable[[Any, int], None]
 Reader = tuple[Receive, bool]  # bool: the newest message only
 # messages delivered in a row: robot and controller in lockstep always have another one
 DELIVERIES_MAX = 250

@@ -86,9 +86,8 @@ class SpatialLeg(NamedTuple):
     whole: Array  # (3, 3) scratch rotations
     back_turn: Array  # (3, 3)
     forth: Array  # (3, 3)
-    motion: (
-        Array  # (3, 3) torso in leg axes: v, omega, theta h (omega - omega_n)
-    )
+    # (3, 3) torso in leg axes: v, omega, theta h (omega - omega_n)
+    motion: Array
     axis_rate: Array  # (3,) rad/s, omega_n in leg axes
     field: Array  # (4, 3) odom's axes and gravity in leg axes
 

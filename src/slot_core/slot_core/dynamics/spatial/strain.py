@@ -65,9 +65,8 @@ class Segments(NamedTuple):
     per_length: Array  # (N-1,) 1/m
     extension: Array  # (N-1,) m, l - l0 - c
     extension_rate: Array  # (N-1,) m/s
-    twist: (
-        Array  # (N-1,) rad, the components of psi at nodes 0 .. N-2: about t,
-    )
+    # (N-1,) rad, the components of psi at nodes 0 .. N-2: about t,
+    twist: Array
     twist_rate: Array  # rad/s
     turn: Array  # about d, in the plane,
     turn_rate: Array

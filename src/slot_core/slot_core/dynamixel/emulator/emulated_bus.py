@@ -42,10 +42,8 @@ from slot_core.dynamixel.table import (
 from slot_core.faults import Fault, HardwareError
 from slot_core.robot import LEGS
 
-ANSWER_READS, ANSWER_ALL = (
-    1,
-    2,
-)  # values of Status Return Level (68); 0: ping only
+# values of Status Return Level (68); 0: ping only
+ANSWER_READS, ANSWER_ALL = (1, 2)
 
 
 @dataclass(frozen=True)
@@ -200,9 +198,8 @@ class EmulatedBus:
             )
             if not (own or secondary or packet.id == BROADCAST):
                 continue
-            identity = servo.memory[
-                "id"
-            ]  # the answer has the id before the instruction
+            # the answer has the id before the instruction
+            identity = servo.memory["id"]
             level = servo.memory["status_return_level"]
             error, data = execute(servo, packet)
             ping = packet.instruction == Instruction.PING

@@ -67,9 +67,8 @@ class EmulatedServo:
         # address and data of a Reg Write
         self.registered: tuple[int, bytes] | None = None
         self.time = 0.0  # s
-        self.last_instruction = (
-            0.0  # s, time of the last instruction on the bus
-        )
+        # s, time of the last instruction on the bus
+        self.last_instruction = 0.0
         self._boot_left = 0.0  # s
         self._shut_down = False
         self._integral = 0.0

@@ -39,9 +39,8 @@ Messages: TypeAlias = list[tuple[int, Any]]
 """Messages after their stamps, ns, in the order of these."""
 States: TypeAlias = dict[str, list[tuple[float, str]]]
 """States by title: s since the first frame, name."""
-MOST_FRAMES = (
-    3000  # 100 s at 30 Hz; of a longer run every second, third, ... is left
-)
+# 100 s at 30 Hz; of a longer run every second, third, ... is left
+MOST_FRAMES = 3000
 NO_VALUE = -(2**31)
 STEPS = {
     "t": 1e-4,
@@ -63,9 +62,8 @@ class RunFrames:
     """A run at n frames, with legs of m nodes."""
 
     name: str
-    columns: dict[
-        str, Array
-    ]  # (n, k) by name: of STEPS, and curves as `plot/curve`
+    # (n, k) by name: of STEPS, and curves as `plot/curve`
+    columns: dict[str, Array]
     thickness: Array  # (4, m) m, of the legs at their nodes
     states: States  # where they change
     known: bool  # whether the shapes of the legs are recorded
@@ -158,9 +156,8 @@ def _read_traces(
     left_out = []
     topics = [*filter(bag.counts.get, traces.TOPICS)]
     for k, topic in enumerate(topics):
-        tell(
-            (k + 1) / (len(topics) + 1)
-        )  # the robot's motion was the first part
+        # the robot's motion was the first part
+        tell((k + 1) / (len(topics) + 1))
         try:
             with bag.using(topic):
                 messages = (message for _, message in bag.messages(topic))
