@@ -1,11 +1,14 @@
 """Processes that compute in parallel with `dask.distributed`, on this machine or on a cluster."""
 
+import argparse
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
+
+from slot_core.command_line import positive_integer
 
 LOOPBACK = "127.0.0.1"
 Item = TypeVar("Item")
@@ -57,6 +60,22 @@ def serially(
 ) -> list[Result]:
     """As `gather`, one after the other in this process."""
     return [call(item) for item in items]
+
+
+def add_worker_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a command that computes by `mapper`."""
+    parser.add_argument(
+        "--scheduler",
+        default="",
+        metavar="ADDRESS",
+        help="of dask; default: this machine",
+    )
+    parser.add_argument(
+        "--workers",
+        type=positive_integer,
+        metavar="N",
+        help="local processes (default: cores); with 1, this process",
+    )
 
 
 @contextmanager

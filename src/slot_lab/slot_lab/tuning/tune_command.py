@@ -20,6 +20,7 @@ from pathlib import Path
 from slot_core.command_line import command_parser, positive_integer
 from slot_core.refusal import quoted
 from slot_lab.desk_command import run_command
+from slot_lab.workers import add_worker_options
 
 STAGES = ("forward", "turn", "steering", "identify")
 
@@ -108,18 +109,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help="scene of config/scene; map is three times as fast",
     )
-    add(
-        "--scheduler",
-        default="",
-        metavar="ADDRESS",
-        help="of dask; default: this machine",
-    )
-    add(
-        "--workers",
-        type=positive_integer,
-        metavar="N",
-        help="local processes (default: cores)",
-    )
+    add_worker_options(parser)
     add(
         "--quick",
         action="store_true",

@@ -16,6 +16,7 @@ from slot_core.command_line import command_parser, positive_integer, within
 from slot_lab.bags.topics import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_lab.desk_command import run_command
 from slot_lab.verdict import EXIT_CODES
+from slot_lab.workers import add_worker_options
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -83,18 +84,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="default: results/twin/RECORDING",
     )
-    add(
-        "--scheduler",
-        default="",
-        metavar="ADDRESS",
-        help="of dask; default: this machine",
-    )
-    add(
-        "--workers",
-        type=positive_integer,
-        metavar="N",
-        help="local processes (default: cores); with 1, this process",
-    )
+    add_worker_options(parser)
     return parser
 
 
