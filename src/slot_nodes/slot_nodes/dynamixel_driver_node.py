@@ -100,8 +100,9 @@ class DynamixelDriverNode(LifecycleNode):
         inputs.subscribe(
             self, RobotState, "robot_state", self._on_robot_state, qos.STATE
         )
+        on_limits = partial(inputs.take_limits, self, self._session.watchdog)
         inputs.subscribe(
-            self, ServoLimits, "servo_limits", self._on_limits, qos.STATE
+            self, ServoLimits, "servo_limits", on_limits, qos.STATE
         )
         self._port_deadline = time.monotonic() + self._port_timeout
         self._autostart_timer = runtime.wall_timer(
@@ -239,11 +240,6 @@ class DynamixelDriverNode(LifecycleNode):
             raise ValueError(fault)
         if self._timer is not None:
             self._step()  # before the timer is due
-
-    def _on_limits(self, message: ServoLimits) -> None:
-        watchdog = self._session.watchdog
-        inputs.require_sole_publisher(self, "servo_limits", watchdog.relax)
-        watchdog.set_limits(decode.servo_limits(message))
 
     def _on_robot_state(self, message: RobotState) -> None:
         now = self.get_clock().now().nanoseconds

@@ -16,7 +16,7 @@ from slot_core.clock import to_seconds
 from slot_core.gait.gait import GaitPreview
 from slot_core.messages import decode
 from slot_core.robot import LEGS
-from slot_msgs.msg import RobotState
+from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import qos, runtime
 from slot_nodes.process import intra_process
 from slot_nodes.process.executor import PolledGroup
@@ -192,6 +192,12 @@ def require_supervisor(
     if message.action in (RobotState.ACTION_HOLD, RobotState.ACTION_PASS):
         require_sole_publisher(node, "robot_state", watchdog.relax)
         require_present(decode.stamp(message), now, watchdog.clock_jump)
+
+
+def take_limits(node: Node, watchdog: Watchdog, message: ServoLimits) -> None:
+    """Take the limits of the servos; raises ValueError as `require_sole_publisher`."""
+    require_sole_publisher(node, "servo_limits", watchdog.relax)
+    watchdog.set_limits(decode.servo_limits(message))
 
 
 def require_nominal(preview: GaitPreview) -> None:

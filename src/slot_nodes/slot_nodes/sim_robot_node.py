@@ -160,12 +160,7 @@ class SimRobotNode(Node):
             self._health = diagnostics.HealthReport(self, servos)
         on_state = partial(self._on_robot_state, servos)
 
-        def on_limits(message: ServoLimits) -> None:
-            inputs.require_sole_publisher(
-                self, "servo_limits", servos.watchdog.relax
-            )
-            servos.watchdog.set_limits(decode.servo_limits(message))
-
+        on_limits = partial(inputs.take_limits, self, servos.watchdog)
         inputs.subscribe(
             self,
             JointState,
