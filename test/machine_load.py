@@ -1,7 +1,8 @@
 """Whether the machine kept up with real time while a test ran: late wake-ups, CPU that others took.
 
 A test in real time that fails on a machine which did not keep up says nothing about the graph: it
-is reported as skipped, with the figures. On a machine that kept up a failure stays a failure.
+is reported as skipped, with the figures. On a machine that kept up a failure stays a failure, and
+so does an error of the code, which no load explains.
 """
 
 import os
@@ -21,6 +22,7 @@ LARGEST_LATE_SHARE = 0.02  # of the wake-ups
 LARGEST_TAKEN = 0.25  # of the CPU, over the whole test
 # of the CPU, over a second: a half of two cores, and a tenth
 LARGEST_TAKEN_IN_WINDOW = 0.6
+ERRORS_OF_CODE = (AttributeError, ImportError, NameError, TypeError)
 
 
 @dataclass(frozen=True)
@@ -125,7 +127,7 @@ class Judge:
 
     def judge(self, report, where, error, load):
         """Change the report of a failure with its exception if the load excuses it."""
-        if not report.failed:
+        if not report.failed or isinstance(error, ERRORS_OF_CODE):
             return
         known = next(
             (reason for excused, reason in self._excused if excused is error),
