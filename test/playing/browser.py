@@ -1,6 +1,5 @@
 """Headless Chromium, driven over its DevTools protocol."""
 
-import base64
 import itertools
 import json
 import shutil
@@ -119,11 +118,6 @@ class Browser:
         number = {"windowsVirtualKeyCode": ord(letter)}
         for kind in ("rawKeyDown", "keyUp"):
             self.call("Input.dispatchKeyEvent", type=kind, **code, **number)
-
-    def screenshot(self, path):
-        """Write what is seen as a PNG."""
-        data = self.call("Page.captureScreenshot", format="png")["data"]
-        Path(path).write_bytes(base64.b64decode(data))
 
 
 MIDDLE = """element => {
