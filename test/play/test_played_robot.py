@@ -55,6 +55,15 @@ def test_it_walks_where_it_is_wished_to_and_turns(walking):
     assert run(walking, 4.0).quaternion[2] - before > 0.5 * np.sin(0.2)
 
 
+def test_it_walks_on_after_it_had_to_stand(walking):
+    since = walking.loop.report.since
+    walking.loop.request(Request.STAND)
+    before = run(walking, 2.0).position[0]
+    assert walking.loop.report.state is State.WALKING
+    assert walking.loop.report.since > since
+    assert run(walking, 2.0).position[0] - before > 0.06
+
+
 def test_it_takes_a_pose_and_says_which_it_does_not(standing):
     before = standing.truth.odometry.position[2]
     standing.wishes.pose = np.array([before - 0.008, 0.0, np.radians(3.0)])

@@ -169,26 +169,25 @@ class SupervisedLoop:
         """Step the supervisor on a report of the servos, which take its permission."""
         if "supervisor" not in self.running:
             return None
-        last, now, scheduler = (
-            self.report,
-            report.stamp,
-            self.loop.controller.scheduler,
-        )
+        last, now = self.report, report.stamp
         self.report = found = self.ticked.step(now, report.health)
-        scheduler.set_followed(found.followed)
+        self.loop.controller.scheduler.set_followed(found.followed)
         changed = last is None or (last.state, last.since) != (
             found.state,
             found.since,
         )
         if changed and not found.keeps_gait:
-            walking = found.state is State.WALKING
-            scheduler.request(
-                *(self._gait if walking else (STAND, np.zeros(3)))
-            )
+            self.request_gait(found.state)
         self.servos.permit(
             Permission(now, found.action, found.followed, found.reason, now)
         )
         return found
+
+    def request_gait(self, state: State) -> None:
+        """Request the gait of a new state: the loop's in WALKING, else to stand."""
+        walking = state is State.WALKING
+        gait, velocity = self._gait if walking else (STAND, np.zeros(3))
+        self.loop.controller.scheduler.request(gait, velocity)
 
 
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {

@@ -115,11 +115,10 @@ class PlayedLoop(SupervisedLoop):
         """Make a request of the operator now."""
         self.refusal = self.supervisor.request(self.plant.now, request)
 
-    def _request_gait(self, report: Report) -> None:
+    def request_gait(self, state: State) -> None:
         """Stand in a new state, until the wishes are pursued."""
-        if not report.keeps_gait:
-            self._asked = None
-            self.loop.controller.scheduler.request(STAND, np.zeros(3))
+        self._asked = None
+        self.loop.controller.scheduler.request(STAND, np.zeros(3))
 
     def _pursue(self, state: State) -> str:
         """Make the next request; returns why it is refused, or ""."""
