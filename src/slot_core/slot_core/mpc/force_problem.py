@@ -68,15 +68,14 @@ class ForceProblem:
             clarabel.ZeroConeT(n * STATES),
             clarabel.NonnegativeConeT(len(rows) - n * STATES),
         ]
-        objective = sparse.diags(self.weight, format="csc"), self.c
-        parts = (
-            *objective,
+        self._solver = clarabel.DefaultSolver(
+            sparse.diags(self.weight, format="csc"),
+            self.c,
             self.matrix,
             self.right,
             cones,
             options(settings.solver),
         )
-        self._solver = clarabel.DefaultSolver(*parts)
         self.solve()  # the first solve is slow (page faults): not during operation
 
     @property

@@ -249,8 +249,11 @@ class RobotSimulator:
         if not self._scene.sensors.truth:
             return []
         r = self.robot
-        shape = r.nodes, r.directors
-        return [TrueState(self.now, truth, r.tension, r.ground_force, *shape)]
+        return [
+            TrueState(
+                self.now, truth, r.tension, r.ground_force, r.nodes, r.directors
+            )
+        ]
 
     def _odometry_or_image(
         self, truth: OdometryReading, since: float

@@ -185,9 +185,8 @@ class SupervisedLoop:
 
     def request_gait(self, state: State) -> None:
         """Request the gait of a new state: the loop's in WALKING, else to stand."""
-        walking = state is State.WALKING
-        gait, velocity = self._gait if walking else (STAND, np.zeros(3))
-        self.loop.controller.scheduler.request(gait, velocity)
+        wanted = self._gait if state is State.WALKING else (STAND, np.zeros(3))
+        self.loop.controller.scheduler.request(*wanted)
 
 
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
