@@ -384,3 +384,11 @@ def test_logs_and_caches_go_below_the_repository_where_the_home_cannot_be_writte
 def test_sourcing_the_environment_twice_changes_nothing():
     changes = environment().items() ^ environment(times=2).items()
     assert {name for name, _ in changes} <= {"_"}
+
+
+def test_what_versions_before_have_left_is_removed(ready):
+    left = ("cache/pip", "cache/numba", "underlay")
+    for name in left:
+        (ready.home / name).mkdir()
+    assert ready.setup() == (0, "")
+    assert not any((ready.home / name).exists() for name in left)
