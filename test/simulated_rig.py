@@ -194,8 +194,7 @@ class SimulatedRig(Rig):
         return next(p for p in found if p.topic_name == topic)
 
     def _end(self, name, code):
-        node = self._nodes[name]
-        node.destroy_node()
+        self._nodes[name].destroy_node()
         self._remove(name)
         self.exit_codes[name] = code
 

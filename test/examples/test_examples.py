@@ -49,8 +49,8 @@ def test_the_five_lines_of_the_readme(tmp_path):
 
 
 def test_walk(output):
-    x = numbers(r"x +(-?[\d.]+) m", output("walk.py"))
-    assert x[-1] > 0.4  # m: 9 s at 50 mm/s, less the start
+    # m: 9 s at 50 mm/s, less the start
+    assert numbers(r"x +(-?[\d.]+) m", output("walk.py"))[-1] > 0.4
 
 
 def test_own_controller(output):

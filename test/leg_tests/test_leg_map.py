@@ -87,8 +87,7 @@ def test_material_and_contact_shift_oppositely_where_the_leg_rolls():
     angle, step = np.radians(63.0), 1e-3
     leg, here = pulled(61, angle, 0.03)
     up, down = leg.solve(angle, 0.03 + step), leg.solve(angle, 0.03 - step)
-    outward = up.contact_x - down.contact_x
-    assert outward / (2 * step) > 0.2  # of the contact
+    assert (up.contact_x - down.contact_x) / (2 * step) > 0.2  # outward
     assert here.foot_rise < -0.1  # the material on the floor moves inward
 
 

@@ -105,8 +105,7 @@ def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
     assert np.allclose(middles, leg_nodes(WALK, end), atol=1e-6)  # float32
     assert np.allclose(seen["ground_forces"].tail, middles[:, -1])
     (path,) = seen["path"].points
-    steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    assert steps.min() >= 0.005
+    assert np.linalg.norm(np.diff(path, axis=0), axis=1).min() >= 0.005
     assert np.linalg.norm(path[-1] - WALK.position(end)) < 0.005
 
 

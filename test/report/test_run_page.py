@@ -165,8 +165,7 @@ def test_the_name_of_a_bag_cannot_leave_its_place(frames, bag, tmp_path):
     bag.save(tmp_path / name)
     text = page(content([read_frames(Bag(tmp_path / name), ROBOT)], ROBOT))
     assert text.count("<script") == 4
-    shown = json.loads(inside(text, "content"))
-    assert shown["runs"][0]["name"] == name
+    assert json.loads(inside(text, "content"))["runs"][0]["name"] == name
 
 
 def browsed(path, place, tmp_path):
