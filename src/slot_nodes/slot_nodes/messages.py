@@ -226,6 +226,8 @@ def state_to_msg(estimate: Estimate) -> MpcState:
         linear_velocity=_vector(x[9:12]),
         covariance=estimate.covariance.ravel(),
         validity=int(estimate.validity),
+        leg_stiffness=estimate.leg_stiffness,
+        message=estimate.message,
     )
 
 

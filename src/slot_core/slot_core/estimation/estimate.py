@@ -34,6 +34,9 @@ class Estimate:
     covariance: Array  # (12, 12), in the order of the state
     validity: Validity
     lead: int = 0  # ns, from `stamp` to the time of the state
+    # stiffness of the legs over the robot's weight, relative to the leg table
+    leg_stiffness: float = 1.0
+    message: str = ""  # one line: why it is unusable, or what was compensated
 
     @classmethod
     def exact(cls, state: Array, stamp: int = 0) -> Estimate:

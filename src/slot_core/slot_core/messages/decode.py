@@ -153,6 +153,8 @@ def estimate(message: Any) -> Estimate:
         np.array(message.covariance).reshape(12, 12),
         Validity(message.validity),
         time(message.lead),
+        getattr(message, "leg_stiffness", 1.0),  # older bags have none
+        getattr(message, "message", ""),
     )
 
 
