@@ -13,6 +13,7 @@ from slot_core.config import ConfigError
 from slot_core.control.controller import Controller
 from slot_core.control.policy import make_policy
 from slot_core.dynamics.scene import read_scene
+from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import GRAVITY, read_robot
 
@@ -87,7 +88,8 @@ def core_load(policy: str, gait: str) -> float:
     controller = Controller(
         robot, make_policy(policy, robot), gait, None, gaits=read_gaits()
     )
-    step, imu = to_ns(sensors.odometry.period), to_ns(sensors.imu.period)
+    period = read_estimator().timing.period
+    step, imu = to_ns(period), to_ns(sensors.imu.period)
     place, level = (
         np.array([0.0, 0.0, TORSO_HEIGHT]),
         np.array([0.0, 0.0, 0.0, 1.0]),
@@ -98,9 +100,9 @@ def core_load(policy: str, gait: str) -> float:
         LOCKSTEP_START, LOCKSTEP_START + (SETTLING + MEASURED) * step, step
     ):
         begin = time.thread_time()
-        for at in range(stamp - step + imu, stamp + 1, imu):
-            controller.estimator.add_imu(at, still, upward)
         controller.estimator.add_odometry(stamp, place, level, still, still)
-        controller.poll()
+        for at in range(stamp, stamp + step, imu):
+            controller.estimator.add_imu(at, still, upward)
+            controller.poll()
         busy.append(time.thread_time() - begin)
-    return float(np.median(busy[SETTLING:])) / sensors.odometry.period
+    return float(np.median(busy[SETTLING:])) / period

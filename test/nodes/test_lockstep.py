@@ -27,8 +27,11 @@ def test_states_equal_those_of_the_core_to_the_last_bit(rig):
     loop = SupervisedLoop("flat", "walk", None, SEED)
     reports = [(loop.plant.now, report) for report in loop.run(SECONDS)]
     states = {decode.stamp(m): m for m in states}
-    assert len(reports) > 100
-    for stamp, report in reports:
+    # /robot_state keeps one message: while DDS matches the listener, it may miss one of the first
+    received = [item for item in reports if item[0] in states]
+    assert len(received) > 100
+    assert len(received) > len(reports) - 3
+    for stamp, report in received:
         assert states[stamp].state == report.state
         assert states[stamp].reason == report.reason
         assert list(states[stamp].slack) == pytest.approx(

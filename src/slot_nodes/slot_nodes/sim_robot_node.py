@@ -39,6 +39,7 @@ from slot_core.config import ConfigError
 from slot_core.control.pace import Speed
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.estimation.state_estimator import read_estimator
 from slot_core.messages import decode
 from slot_core.refusal import DivergenceError
 from slot_core.robot import read_robot
@@ -47,6 +48,7 @@ from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_bus import JointReading, RefusedError
 from slot_core.simulation.clocks import (
     PATIENCE,
+    Answer,
     BusClock,
     LockstepClock,
     RealTimeClock,
@@ -139,11 +141,16 @@ class SimRobotNode(Node):
         )
         self._timer = runtime.wall_timer(self, period, self._publish_at_rest)
         self._servos = self._make_servos(link)
+        text = (
+            "time between two commands in lockstep, as of state_estimator [s]"
+        )
+        known = read_estimator().timing.period
+        self._tick = runtime.declare(self, "tick", known, text)
         self._time = self._make_clock()
 
     def _make_clock(self) -> LockstepClock | RealTimeClock:
         if self._lockstep:
-            return LockstepClock(self._plant, self._servos)
+            return LockstepClock(self._plant, self._servos, self._tick)
         if self._plant.emulated is not None:
             return BusClock(self._plant, self._plant.emulated, BUS_PORTION)
         return RealTimeClock(self._plant, PORTION)
@@ -274,7 +281,7 @@ class SimRobotNode(Node):
             )
             servos.permit(permission)
         finally:
-            self._continue(StampedHealth, decode.stamp(message))
+            self._continue(Answer.STATE, decode.stamp(message))
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
@@ -286,13 +293,13 @@ class SimRobotNode(Node):
             )
             self._servos.offer(self._servo_time(), stamp, angle, rate)
         finally:
-            self._continue(OdometryReading, stamp)
+            self._continue(Answer.COMMAND, stamp)
         if self._frozen and not self._lockstep:
             self._servos.step(time.monotonic_ns())
             if self._servos.moving:
                 self._start()
 
-    def _continue(self, kind: type, stamp: int) -> None:
+    def _continue(self, kind: Answer, stamp: int) -> None:
         """In lockstep advance if this is the awaited answer; the first two start the clock."""
         if isinstance(self._time, LockstepClock):
             self._publish_all(self._time.advance_on_answer(kind, stamp))

@@ -18,9 +18,9 @@ from slot_nodes.process import intra_process
 
 
 class StateEstimatorNode(Node):
-    """Runs the filter: a state for every odometry reading, predicted, and one for every IMU sample.
+    """Runs the filter: a state for every tick of the controller, and one for every IMU sample.
 
-    The control ticks are the states on `/mpc_state`; `/odometry/filtered` has the rate of the IMU.
+    The ticks are the states on `/mpc_state`; `/odometry/filtered` has the rate of the IMU.
     """
 
     def __init__(self) -> None:
@@ -43,10 +43,14 @@ class StateEstimatorNode(Node):
         self._diagnostics = diagnostics.DiagnosticReport(self)
         self._afterwards = intra_process.afterwards()
         profile = inputs.sensor_profile(self, qos.SENSOR)
-        self._imu = inputs.subscribe(self, Imu, "imu", self._on_imu, profile)
-        inputs.subscribe(self, Odometry, "odom", self._on_odometry, profile)
+        self._odometry = inputs.subscribe(
+            self, Odometry, "odom", self._on_odometry, profile
+        )
+        inputs.subscribe(self, Imu, "imu", self._on_imu, profile)
 
     def _on_imu(self, message: Imu) -> None:
+        """Take a sample, after the readings that arrived before it: it may lead to a tick."""
+        inputs.process_received(self._odometry)
         if self._in_base_axes and message.header.frame_id.endswith(
             "optical_frame"
         ):
@@ -66,9 +70,7 @@ class StateEstimatorNode(Node):
             self._filtered.publish(messages.estimate_to_odometry(present))
 
     def _on_odometry(self, message: Odometry) -> None:
-        """Correct with a reading, after the IMU samples that arrived with it."""
         reading = decode.torso_odometry(message)
-        inputs.process_received(self._imu)
         self._record.take(StageRecord.ODOMETRY, reading[0])
         self._estimator.add_odometry(*reading)
         self._publish()
@@ -79,8 +81,9 @@ class StateEstimatorNode(Node):
             self._record.put(estimate.stamp)
             self._afterwards(partial(self._publish_rest, estimate))
             if estimate.validity != Validity.VALID:
+                line = f"state at {to_seconds(estimate.stamp):.3f} s: {estimate.validity.name}"
                 self.get_logger().warning(
-                    f"state at {to_seconds(estimate.stamp):.3f} s: {estimate.validity.name}",
+                    f"{line} {estimate.message}".strip(),
                     throttle_duration_sec=1.0,
                 )
 

@@ -18,15 +18,15 @@ class Validity(enum.IntEnum):
     ODOMETRY_REJECTED = 2
     IMU_MISSING = 3
     ODOMETRY_LOST = 4
+    ODOMETRY_SLOW = 5
 
 
 @dataclass(frozen=True)
 class Estimate:
     """State of the torso for a control tick, predicted to the time when its command takes effect.
 
-    `stamp` names the tick: the stamp of its odometry reading, or of the one that was due. The
-    state is [roll pitch yaw, p, omega, v]: rad, m, rad/s, m/s, all in odom, with
-    R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in (-pi, pi].
+    `stamp` names the tick, on the time of the IMU. The state is [roll pitch yaw, p, omega, v]:
+    rad, m, rad/s, m/s, all in odom, with R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in (-pi, pi].
     """
 
     stamp: int  # ns

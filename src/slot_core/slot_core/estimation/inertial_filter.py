@@ -43,9 +43,8 @@ THETA, P, V, GYRO_BIAS, FORCE_BIAS = (slice(i, i + 3) for i in range(0, 15, 3))
 
 @dataclass(frozen=True)
 class OdometryNoise:
-    """Period, noise and admissible range of the odometry."""
+    """Noise and admissible range of the odometry."""
 
-    period: float = quantity("nominal period of the odometry", "s", 1e-3, 1)
     position_noise: float = quantity(
         "standard deviation of the position", "m", 1e-6, 1
     )
@@ -155,12 +154,22 @@ class OutlierSettings:
     initial_readings: int = quantity(
         "accepted readings in a row until an estimate is valid", "", 1, 1000
     )
+    initial_time: float = quantity(
+        "time without a rejection until an estimate is valid", "s", 0, 60
+    )
 
 
 @dataclass(frozen=True)
 class TimingSettings:
-    """Waiting time for the IMU, and gaps after which the filter degrades or restarts."""
+    """Ticks, least rates, and gaps after which the filter degrades or restarts."""
 
+    period: float = quantity("time between two estimates", "s", 1e-3, 0.1)
+    rate_min: float = quantity(
+        "least rate of the odometry with an IMU", "Hz", 0.1, 1000
+    )
+    rate_min_blind: float = quantity(
+        "least rate of the odometry without an IMU", "Hz", 0.1, 1000
+    )
     imu_wait: float = quantity(
         "a reading newer by this ends the wait for the IMU", "s", 0, 1
     )
@@ -174,10 +183,16 @@ class TimingSettings:
         5,
     )
     odometry_wait: float = quantity(
-        "time after a reading was due from which the IMU alone gives estimates",
+        "time since an accepted reading from which estimates are not valid",
         "s",
         0.02,
         5,
+    )
+    imu_lost: float = quantity(
+        "time without an IMU sample from which the odometry is the clock",
+        "s",
+        1e-3,
+        1,
     )
     command_delay: float = quantity(
         "time from the newest sample to the effect of its command", "s", 0, 0.2

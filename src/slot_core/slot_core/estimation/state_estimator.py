@@ -1,17 +1,21 @@
 """State estimator: the MPC's twelve states and their covariance, from odometry and IMU.
 
-Each odometry reading, stamped t, corrects the filter at t; it waits until the IMU has reached t, so
-the filter depends only on data stamped up to t, not on the order in which the streams arrive. The
-estimate is then predicted with all IMU samples that have arrived, and by `command_delay` beyond the
+The IMU is the clock of the controller: once the filter has started, the first sample at or after a
+tick gives an estimate, and the ticks are `period` apart. So odometry of any rate and delay serves
+alike. Each reading, stamped t, corrects the filter at t; it waits until the IMU has reached t, so
+the filter depends only on data stamped up to t, not on the order in which the streams arrive. An
+estimate is predicted with all IMU samples that have arrived, and by `command_delay` beyond the
 newest, to the time at which its command takes effect: the delay of the odometry costs no more than
 the drift of the IMU over it. The filter itself is in `inertial_filter.py`.
 
     reading                        effect
     newer than the last one:       corrects when the IMU has reached it, or after `imu_wait`
     not newer:                     dropped: repeated, or out of order
-    none for `odometry_wait`:      estimates continue on the IMU alone, as ODOMETRY_LOST
-    none for `odometry_gap`:       estimates end; the next reading restarts the filter
+    none accepted for `odometry_wait`: estimates are ODOMETRY_LOST or ODOMETRY_REJECTED
+    none accepted for `odometry_gap`:  the state stands still; the next reading restarts the filter
     rejected, but in agreement:    after `max_rejections` of them the filter restarts
+
+Without an IMU sample for `imu_lost` the odometry is the clock, and the estimates rest on it alone.
 
 A restart keeps the biases, unless readings were rejected before it: they may be what was wrong.
 """
@@ -48,6 +52,8 @@ from slot_core.matrices import norm, product
 BEFORE_ALL_TIMES = -(2**62)  # ns
 # SI, to which the variances of a message are clipped
 VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6
+EARLY = 0.25  # of a period: a reading in place of the IMU gives a tick
+INTERVAL_GAIN = 0.2  # of the mean time between readings
 
 
 def read_estimator() -> EstimatorSettings:
@@ -58,15 +64,14 @@ def read_estimator() -> EstimatorSettings:
 class StateEstimator:
     """Orders the odometry and IMU streams, filters them, and rates the validity of each estimate.
 
-    Every odometry reading gives one estimate, except before the first usable reading and, once
-    `odometry_gap` has passed without an accepted reading, before the next usable one, and except
-    readings whose place an estimate without odometry has taken. Bad data raises nothing: IMU
+    Every tick gives one estimate, from the first usable reading on. Bad data raises nothing: IMU
     samples are dropped, odometry readings are rejected.
     """
 
     STATE = StateParts(
         "_filter",
         "_newest",
+        "_begun",
         "_imu",
         "_waiting",
         "_rejected",
@@ -76,6 +81,9 @@ class StateEstimator:
         "_tick",
         "_accepted_stamp",
         "_accepted",
+        "_initial",
+        "_interval",
+        "_imu_complete",
         values=(FilterState, OdometryMotion, ImuSamples),
     )
 
@@ -98,6 +106,7 @@ class StateEstimator:
         """Return to the state after construction; estimates not yet polled are kept."""
         self._filter = InertialFilter(self._settings)
         self._newest: dict[str, int] = {}
+        self._begun = 0  # ns, stamp of the first message
         self._imu = ImuSamples.none()
         self._waiting: deque[tuple[int, OdometryMotion | None]] = deque()
         self._rejected: deque[OdometryMotion | None] = deque(
@@ -108,10 +117,13 @@ class StateEstimator:
         self._corrected = self._filter.state  # at `_stamp`
         # ns, of the filter: at or after `_stamp`
         self._reached = BEFORE_ALL_TIMES
-        self._tick = BEFORE_ALL_TIMES  # ns, stamp of the last estimate
+        self._tick = BEFORE_ALL_TIMES  # ns, stamp of the next estimate
         self._accepted_stamp = 0  # ns, of the last accepted reading
-        # accepted readings since the start; in a row until valid
-        self._accepted = 0
+        # accepted readings since `_initial`, ns; in a row until valid
+        self._accepted, self._initial = 0, 0
+        self._interval = 0.0  # s, mean of the last accepted readings
+        # whether the IMU had samples up to the last reading
+        self._imu_complete = True
 
     @property
     def gyro_bias(self) -> Array:
@@ -144,7 +156,7 @@ class StateEstimator:
         )
         self._process_due()
         self._propagate_to_newest()
-        self._tick_without_odometry(stamp)
+        self._publish_due(stamp, stamp)
 
     def add_odometry(  # noqa: PLR0917 - in the order of the message
         self,
@@ -169,6 +181,9 @@ class StateEstimator:
             motion = replace(motion, variance=_known(variance, self._variance))
         self._waiting.append((stamp, motion))
         self._process_due()
+        if self._imu_is_lost(stamp):
+            early = to_ns(EARLY * self._settings.timing.period)
+            self._publish_due(stamp, stamp + early)
 
     def poll(self) -> Estimate | None:
         """The next estimate, in order of the stamps; None if none is ready."""
@@ -183,8 +198,7 @@ class StateEstimator:
             or newest != self._reached
         ):
             return None
-        validity = self._validity(self._accepted_stamp == self._stamp, True)
-        return self._predicted(newest, validity, 0.0)
+        return self._predicted(newest, 0.0)
 
     def _decode(
         self,
@@ -218,6 +232,8 @@ class StateEstimator:
             newest = None
         if newest is not None and stamp <= newest:
             return False
+        if not self._newest:
+            self._begun = stamp
         self._newest[stream] = stamp
         return True
 
@@ -233,7 +249,13 @@ class StateEstimator:
             > self._settings.timing.imu_wait * SECOND
         )
         full = len(self._waiting) > self._settings.buffers.odometry
-        return self._newest.get("imu", stamp - 1) >= stamp or waited or full
+        reached = self._newest.get("imu", BEFORE_ALL_TIMES) >= stamp
+        return reached or waited or full or self._imu_is_lost(stamp)
+
+    def _imu_is_lost(self, stamp: int) -> bool:
+        """Whether the newest IMU sample is older than `stamp` (ns) by more than `imu_lost`."""
+        newest = self._newest.get("imu", self._begun)
+        return stamp - newest > self._settings.timing.imu_lost * SECOND
 
     def _propagate_to_newest(self) -> None:
         """Propagate to the newest IMU sample within `odometry_gap`; blindly in gaps of the IMU."""
@@ -246,41 +268,41 @@ class StateEstimator:
             self._filter.propagate(samples, self._reached, newest)
             self._reached = newest
 
-    def _tick_without_odometry(self, newest: int) -> None:
-        """Publish the estimates whose odometry has been due for `odometry_wait` at `newest`, ns."""
-        timing, period = (
-            self._settings.timing,
-            self._settings.odometry.period * SECOND,
+    def _publish_due(self, now: int, latest: int) -> None:
+        """Make the estimate of the newest tick up to `latest` (ns), if one is due at `now`.
+
+        The ticks follow the time of the IMU. A later `latest` is that of odometry in its place:
+        the tick is then at the reading, and the next one a period later.
+        """
+        period = to_ns(self._settings.timing.period)
+        if self._stamp is None or latest < self._tick:
+            return
+        missed = (now - self._tick) // period
+        tick = now if latest > now else self._tick + missed * period
+        self._ready.append(
+            self._predicted(tick, self._settings.timing.command_delay)
         )
-        wait, gap = timing.odometry_wait * SECOND, timing.odometry_gap * SECOND
-        while self._stamp is not None and newest - self._tick - period > wait:
-            if newest - self._accepted_stamp > gap:
-                return
-            self._publish(self._tick + round(period), Validity.ODOMETRY_LOST)
+        self._tick = tick + period
 
     def _process(self, stamp: int, motion: OdometryMotion | None) -> None:
-        """Predict to a reading (None: unusable), correct with it, and publish the estimate."""
+        """Predict to a reading (None: unusable), and correct with it."""
         gap = self._settings.timing.odometry_gap * SECOND
         if self._stamp is None or stamp - self._accepted_stamp > gap:
-            self._stamp = None
             if motion is not None:
                 self._start(motion)
             return
-        imu_complete = self._predict(self._stamp, stamp)
-        accepted = motion is not None and self._filter.correct(motion)
-        if accepted:
+        self._imu_complete = self._predict(self._stamp, stamp)
+        if motion is not None and self._filter.correct(motion):
             self._accept(stamp)
         else:
             self._rejected.append(motion)
-            if self._accepted < self._settings.gate.initial_readings:
+            if self._is_initialising(stamp):
                 # not valid yet: the readings are counted anew
-                self._accepted = 0
+                self._accepted, self._initial = 0, stamp
         if motion is not None and self._has_relocalised():
             self._start(motion)
             return
         self._corrected, self._reached = self._filter.state, stamp
-        if stamp > self._tick:
-            self._publish(stamp, self._validity(accepted, imu_complete))
 
     def _start(self, motion: OdometryMotion) -> None:
         """Start the filter from a reading; after rejections without the biases it has learned."""
@@ -288,10 +310,10 @@ class StateEstimator:
             self._filter.forget_biases()
         self._filter.restart(motion)
         self._stamp, self._accepted = motion.stamp, 0
+        self._initial = motion.stamp
         self._corrected, self._reached = self._filter.state, motion.stamp
+        self._tick = max(self._tick, motion.stamp)
         self._accept(motion.stamp)
-        if motion.stamp > self._tick:
-            self._publish(motion.stamp, Validity.INITIALISING)
 
     def _predict(self, start: int, stamp: int) -> bool:
         """Propagate the filter from `start` to `stamp` (ns); False if IMU data was missing."""
@@ -317,6 +339,10 @@ class StateEstimator:
         return True
 
     def _accept(self, stamp: int) -> None:
+        elapsed = to_seconds(stamp - self._accepted_stamp)
+        if 0.0 < elapsed <= self._settings.timing.odometry_gap:
+            known = self._interval or elapsed
+            self._interval = known + INTERVAL_GAIN * (elapsed - known)
         self._accepted_stamp = stamp
         self._accepted += 1
         self._rejected.clear()
@@ -346,26 +372,39 @@ class StateEstimator:
             angle <= gate.agreement_angle
         )
 
-    def _validity(self, accepted: bool, imu_complete: bool) -> Validity:
-        if not accepted:
-            return Validity.ODOMETRY_REJECTED
-        if self._accepted < self._settings.gate.initial_readings:
-            return Validity.INITIALISING
-        return Validity.VALID if imu_complete else Validity.IMU_MISSING
-
-    def _publish(self, stamp: int, validity: Validity) -> None:
-        """Make the estimate of a tick, predicted with the newest IMU sample and beyond it."""
-        self._tick = stamp
-        self._propagate_to_newest()
-        self._ready.append(
-            self._predicted(
-                stamp, validity, self._settings.timing.command_delay
-            )
+    def _is_initialising(self, stamp: int) -> bool:
+        """Whether estimates at `stamp` (ns) are not valid yet."""
+        gate = self._settings.gate
+        time = to_seconds(stamp - self._initial)
+        return (
+            self._accepted < gate.initial_readings or time < gate.initial_time
         )
 
-    def _predicted(
-        self, stamp: int, validity: Validity, delay: float
-    ) -> Estimate:
+    def _judged(self, stamp: int) -> tuple[Validity, str]:
+        """Validity of an estimate at `stamp` (ns), and its message."""
+        timing = self._settings.timing
+        without_imu = self._imu_is_lost(stamp) or not self._imu_complete
+        least = timing.rate_min_blind if without_imu else timing.rate_min
+        rate = 1.0 / max(self._interval, 1e-3)
+        if stamp - self._accepted_stamp > timing.odometry_wait * SECOND:
+            age = to_seconds(stamp - self._accepted_stamp)
+            limit = f"limit {timing.odometry_wait:g} s"
+            if any(motion is not None for motion in self._rejected):
+                line = f"odom contradicts the IMU for {age:.2g} s, {limit}"
+                return Validity.ODOMETRY_REJECTED, line
+            line = f"no usable odom for {age:.2g} s, {limit}"
+            return Validity.ODOMETRY_LOST, line
+        if self._is_initialising(stamp):
+            return Validity.INITIALISING, ""
+        if rate < least:
+            with_it = "without an IMU" if without_imu else "with an IMU"
+            return (
+                Validity.ODOMETRY_SLOW,
+                f"odom at {rate:.1f} Hz, limit {least:g} Hz {with_it}",
+            )
+        return (Validity.IMU_MISSING if without_imu else Validity.VALID), ""
+
+    def _predicted(self, stamp: int, delay: float) -> Estimate:
         """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
         assert self._stamp is not None
         saved, rate, samples = self._filter.state, self._filter.rate, self._imu
@@ -382,7 +421,10 @@ class StateEstimator:
         self._filter.restore(saved)
         self._filter.rate = rate
         lead = self._reached + to_ns(delay) - stamp
-        return Estimate(stamp, state, covariance, validity, lead)
+        validity, message = self._judged(stamp)
+        return Estimate(
+            stamp, state, covariance, validity, lead, message=message
+        )
 
 
 def _vector(values: Array, size: int, limit: float) -> Array | None:

@@ -184,9 +184,9 @@ class GaitScheduler:
             return False
         distance = norm(state[3:5] - self._seen[:2])
         angle = abs(wrapped(state[2] - self._seen[2]))
-        return bool(
-            distance > FASTEST * elapsed or angle > FASTEST_TURN * elapsed
-        )
+        # the estimates of a gap have one time, but not one place
+        most = max(elapsed, self._settings.dt)
+        return bool(distance > FASTEST * most or angle > FASTEST_TURN * most)
 
     def _is_expired(self, stamp: int) -> bool:
         """Whether the velocity is too old at `stamp` (ns), or too far in the future."""

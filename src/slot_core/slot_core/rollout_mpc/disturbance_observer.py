@@ -1,9 +1,8 @@
 """Disturbance observer: drift and wrench from the errors of the nominal robot over a stride.
 
-The nominal robot repeats the motion of the last `window` ticks or a little more, a time T, with the
-commands that were given, from the torso as it was measured then. Estimates need not come at the
-ticks, nor as often: the commands are interpolated between them, and the repeated motion between the
-ticks. The differences e between the measured and the repeated motion change at every estimate
+The nominal robot repeats the motion of the last `window` ticks, a time T, with the commands that
+were given, from the torso as it was measured then. The differences e between the measured and the
+repeated motion change at every tick
 
     drift  d += gain ((e_xy, e_yaw) / T - d)    velocity, heading frame, m/s and rad/s
     wrench w += gain K (e_z, e_roll, e_pitch)   F_z, M_x, M_y on the torso, N and N m
@@ -18,7 +17,6 @@ friction is 1 instead of 0.4. Beyond `misfit_max` the model is not to be used un
 half of that; meanwhile drift and wrench decay.
 """
 
-import math
 from collections import deque
 from typing import NamedTuple
 
@@ -27,7 +25,6 @@ import numpy as np
 from slot_core.arrays import Array, checked
 from slot_core.geometry import rotate, wrapped
 from slot_core.key_frame import StateParts
-from slot_core.matrices import interpolated
 from slot_core.robot import LEGS
 from slot_core.rollout_mpc.nominal_robot import NominalRobot, NominalState
 from slot_core.rollout_mpc.settings import ObserverSettings
@@ -39,7 +36,6 @@ TILTS = [5, 0, 1]  # height, roll and pitch
 class _Seen(NamedTuple):
     """The robot at the time of an estimate: predicted start, estimated state, commanded angles."""
 
-    time: int  # ns
     start: NominalState
     state: Array  # (12,) of the estimate
     angle: Array  # (4,) rad, commanded
@@ -80,38 +76,24 @@ class DisturbanceObserver:
         """Forget the motion so far: a gap or a jump. The estimates stay."""
         self._past.clear()
 
-    def observe(
-        self, time: int, start: NominalState, state: Array, angle: Array
-    ) -> None:
-        """Take an estimate at `time` (ns), its state (12,) and the angles (4,) commanded then.
+    def observe(self, start: NominalState, state: Array, angle: Array) -> None:
+        """Take the estimate of a tick, its state (12,) and the angles (4,) commanded then.
 
-        start: of the nominal robot, with the torso as measured. Once the estimates reach back over
-        the window, correct drift and wrench. Raises ValueError for other shapes.
+        start: of the nominal robot, with the torso as measured. Once the ticks reach back over the
+        window, correct drift and wrench. Raises ValueError for other shapes.
         """
         state = checked("state", state, (12,))
         angle = checked("angle", angle, (len(LEGS),))
-        past, s, tick = self._past, self._settings, round(1e9 * self._dt)
-        past.append(_Seen(time, start, state.copy(), angle.copy()))
-        begin = time - s.window * tick
-        while len(past) > 1 and past[1].time <= begin:
-            past.popleft()
-        if past[0].time > begin:
+        past, window = self._past, self._settings.window
+        past.append(_Seen(start, state.copy(), angle.copy()))
+        if len(past) <= window:
             return
-        # ticks after the first
-        known = [(seen.time - past[0].time) / tick for seen in past]
-        passed = known[-1]
-        ticks = np.arange(math.ceil(passed) + 1.0)
-        angles = np.array([seen.angle for seen in past])
-        plan = [interpolated(ticks, known, column) for column in angles.T]
-        poses = self._model.roll_out(
-            past[0].start, np.transpose(plan)[None]
-        ).pose[0]
+        while len(past) > window + 1:
+            past.popleft()
+        plan = np.array([seen.angle for seen in past])
+        poses = self._model.roll_out(past[0].start, plan[None]).pose[0]
         if np.isfinite(poses).all():
-            columns = np.unwrap(poses, axis=0).T
-            pose = [
-                interpolated(passed, ticks[1:], column) for column in columns
-            ]
-            self._correct(state, np.array(pose), self._dt * passed)
+            self._correct(state, poses[-1], self._dt * window)
 
     def _correct(self, state: Array, pose: Array, span: float) -> None:
         """Correct the estimates by the state (12,) and the repeated pose (6,) after `span` (s)."""

@@ -7,8 +7,7 @@ corrects the disturbances. Where `prepare` has not been called, `step` calls it:
 the same.
 
 While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
-is tried first whether the next one could be solved. An estimate that comes well before the next
-stage gets the present plan between its stages. A cycle without a new plan moves the last one on and
+is tried first whether the next one could be solved. A cycle without a new plan moves the last one on and
 lets its deviations from the gait decay; after `limits.cycles` such cycles in a row the status is
 STOPPED. While the robot moves otherwise than its model the plan is the gait's too, to which the
 deviations decay, and the status is MODEL_MISMATCH.
@@ -50,7 +49,6 @@ from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
 
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
-EARLY = 0.8  # of a stage: an estimate before that gets the present plan
 # m, rad beyond the nominal robot's motion: the odometry has jumped
 JUMP, TURN = 0.05, 0.2
 
@@ -147,8 +145,6 @@ class RolloutMpc(Policy):
         if fault := fault or state_fault(estimate.state, limits.input_max):
             return self._fall_back(Status.REJECTED, fault)
         present = self._plan
-        if present is not None and 0 <= self._share(estimate.time) < EARLY:
-            return self._published(present, share=self._share(estimate.time))
         state = np.asarray(estimate.state, dtype=float)
         ready = self._ready(estimate.time, state, preview)
         plan, rollout, fault = self._improved(ready, state, preview)
@@ -190,7 +186,7 @@ class RolloutMpc(Policy):
         )
         if self._state is not None:
             angle = self._angles(plan)[0]
-            self.observer.observe(plan.time, plan.start, self._state, angle)
+            self.observer.observe(plan.start, self._state, angle)
 
     def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
         """The plan for the state (12,) at `time` (ns), linearised near it."""
@@ -223,7 +219,7 @@ class RolloutMpc(Policy):
         self.prepare()
         found = self._next
         assert found is not None
-        if missed > 1:
+        if missed > 0:
             self.observer.forget()
         for _ in range(missed):
             found = replace(self._moved_on(found), linear=found.linear)
@@ -347,16 +343,13 @@ class RolloutMpc(Policy):
         )
 
     def _published(
-        self,
-        plan: _Plan,
-        preview: GaitPreview | None = None,
-        share: float = 0.0,
+        self, plan: _Plan, preview: GaitPreview | None = None
     ) -> TendonPlan:
-        """The present plan from `share` of a stage on; its preview, if it is new."""
+        """The present plan; its preview, if it is new."""
         angle, motion = self._angles(plan), plan.motion
-        rate, later = first_rate(angle, self._dt), _shifted(angle, share)[:-1]
+        rate = first_rate(angle, self._dt)
         return TendonPlan(
-            later,
+            angle[:-1],
             rate,
             motion.force,
             pose=motion.pose,
@@ -365,11 +358,11 @@ class RolloutMpc(Policy):
             if self._model_mismatch
             else Status.SOLVED,
             message=self._model_mismatch,
-            report=self._report(plan, later[0], rate, preview),
+            report=self._report(plan, angle[0], rate, preview),
         )
 
     def _note_disturbances(self) -> None:
-        """Note the disturbances of the present plan, which plans between stages report again.
+        """Note the disturbances of the present plan.
 
         The observer goes on in `prepare`, at a time that does not depend on the messages.
         """
@@ -419,6 +412,6 @@ def _no_motion(stages: int) -> Rollouts:
     return Rollouts(np.zeros((0, 6)), force, force[:0])
 
 
-def _shifted(rows: Array, share: float = 1.0) -> Array:
-    """Rows (n, 4) moved on by a share of a stage; the last one stays."""
-    return (1.0 - share) * rows + share * np.vstack([rows[1:], rows[-1:]])
+def _shifted(rows: Array) -> Array:
+    """Rows (n, 4) moved on by a stage; the last one stays."""
+    return np.vstack([rows[1:], rows[-1:]])

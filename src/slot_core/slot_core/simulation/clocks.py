@@ -7,14 +7,17 @@
 Times are ns.
 """
 
+import enum
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
-from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
+from slot_core.clock import LOCKSTEP_START, SECOND, to_ns, to_seconds
+from slot_core.estimation.state_estimator import EARLY
 from slot_core.servos.brand import EmulatedServos
 from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.readings import (
     ImageReading,
+    ImuReading,
     OdometryReading,
     Reading,
     StampedHealth,
@@ -26,51 +29,75 @@ PATIENCE = SECOND // 2  # ns, longest wait for a late driver
 LONGEST_CALL = SECOND // 100
 
 
+class Answer(enum.Enum):
+    """Answers for which the simulated robot waits in lockstep."""
+
+    COMMAND = "a command of the tendons"
+    STATE = "a state of the supervisor"
+
+
+ANSWERED = (ImuReading, OdometryReading, ImageReading, StampedHealth)
+
+
 class LockstepClock:
     """Clock that stops at each reading that is answered until its answer arrives.
 
-    Odometry, or an image in its place, is answered by a command with its stamp; a report of the
-    servos by the supervisor's state with its stamp. So one node works at a time, and the order of
-    processes and messages has no effect. The first two, at rest, are repeated until answered.
+    The reading that leads to a tick of the controller is answered by a command with the tick's
+    stamp; a report of the servos by the supervisor's state with its stamp. So one node works at a
+    time, and the order of processes and messages has no effect. The first two, at rest, are
+    repeated until answered.
     """
 
-    def __init__(self, plant: RobotSimulator, servos: SimulatedServos) -> None:
+    def __init__(
+        self, plant: RobotSimulator, servos: SimulatedServos, period: float
+    ) -> None:
+        """`period`: between two ticks of the controller, s."""
         self._plant, self._servos = plant, servos
-        # reading and stamp
-        self._awaited: tuple[type, int] = (OdometryReading, LOCKSTEP_START)
+        self._period = to_ns(period)
+        # kind and stamp of the answer
+        self._awaited: tuple[Answer, int] = (Answer.COMMAND, LOCKSTEP_START)
+        self._tick = LOCKSTEP_START  # ns, that was answered last
         self.running = False
 
     def at_rest(self) -> list[Reading]:
         """Readings at rest, repeated until they are answered, before the clock starts."""
-        if self._awaited[0] is OdometryReading:
+        if self._awaited[0] is Answer.COMMAND:
             return self._plant.readings_at_rest(LOCKSTEP_START)
         return [self._servos.report()]
 
-    def advance_on_answer(self, kind: type, stamp: int) -> Iterator[Reading]:
-        """Advance to the next reading that needs an answer, if this is the awaited answer.
-
-        kind: OdometryReading or StampedHealth. Yields the readings.
-        """
-        if self._awaited == (kind, stamp):
-            for reading in self._advance(kind):
-                yield reading
-            is_report = isinstance(reading, StampedHealth)
-            self._awaited = (
-                StampedHealth if is_report else OdometryReading,
-                reading.stamp,
-            )
-
-    def _advance(self, kind: type) -> Iterable[Reading]:
-        """Readings up to the next that is answered; after the first command the servos report."""
-        if not self.running and kind is OdometryReading:
-            return [self._servos.report()]
+    def advance_on_answer(self, kind: Answer, stamp: int) -> Iterator[Reading]:
+        """Yield the readings up to the next that needs an answer, if this is the awaited answer."""
+        if self._awaited != (kind, stamp):
+            return
+        if not self.running and kind is Answer.COMMAND:
+            report = self._servos.report()
+            self._awaited = Answer.STATE, report.stamp
+            yield report
+            return
         if not self.running:
             self.running = True
             self._plant.start(LOCKSTEP_START)
             self._servos.start()
-        return self._plant.advance_to_reading(
-            OdometryReading, ImageReading, StampedHealth
-        )
+        answer = None
+        while answer is None:
+            for reading in self._plant.advance_to_reading(*ANSWERED):
+                yield reading
+            answer = self._answer_to(reading)
+        self._awaited = answer
+
+    def _answer_to(self, reading: Reading) -> tuple[Answer, int] | None:
+        """Answer that a reading leads to, and its stamp (ns), as the state estimator ticks."""
+        if isinstance(reading, StampedHealth):
+            return Answer.STATE, reading.stamp
+        with_imu = self._plant.has_imu
+        if with_imu != isinstance(reading, ImuReading):
+            return None
+        early = 0 if with_imu else to_ns(EARLY * to_seconds(self._period))
+        tick = self._tick + self._period
+        if reading.stamp + early < tick:
+            return None
+        self._tick = tick if with_imu else reading.stamp
+        return Answer.COMMAND, self._tick
 
 
 class RealTimeClock:

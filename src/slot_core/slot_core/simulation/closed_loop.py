@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 PlantMaker = Callable[
     [RobotParameters, Scene, ServoSettings, np.random.Generator], RobotSimulator
 ]
+SILENCE = SECOND // 2  # ns, longest time without an estimate
+# readings of which each may lead to a tick
+SENSORS = (ImuReading, ImageReading, OdometryReading)
 CHANGEABLE = ("scene", "servo", "robot", "gait", "policy")
 Settings = TypeVar("Settings")
 
@@ -119,30 +122,23 @@ class ClosedLoop:
         self.controller.policy = make_policy(policy, read_robot(), lambda: 0.0)
 
     def run(self, ticks: int) -> Iterator[Tick]:
-        """Yield each tick after its command is set; then advance the plant to the next odometry.
+        """Yield each tick after its command is set; then advance the plant to the next one.
 
-        Where odometry is lost, the last command is held until the estimator goes on without it.
         Raises DivergenceError when the simulation diverges, and RuntimeError when the estimator
-        has no estimate for an odometry reading.
+        gives no estimate for `SILENCE`.
         """
         self.read(self.plant.readings_at_rest(LOCKSTEP_START))
         self.plant.start(LOCKSTEP_START)
         for _ in range(ticks):
-            # several after a gap
-            ticks_now = list(iter(self.controller.poll, None))
-            if ticks_now:
-                command = ticks_now[-1].command
-                self.plant.command(command.angle, command.rate)
-                yield ticks_now[-1]
-            elif (
-                not self._lost_from
-                <= self.plant.now
-                <= self._lost_until + SECOND
-            ):
-                raise RuntimeError(
-                    f"no estimate at {self.plant.now} ns: the odometry was not usable"
-                )
-            self.read(self.plant.advance_to_odometry())
+            last = self.plant.now
+            while (tick := self.controller.poll()) is None:
+                if self.plant.now - last > SILENCE:
+                    raise RuntimeError(
+                        f"no estimate at {self.plant.now} ns: the odometry was not usable"
+                    )
+                self.read(self.plant.advance_to_reading(*SENSORS))
+            self.plant.command(tick.command.angle, tick.command.rate)
+            yield tick
 
     def read(self, readings: Iterable[Reading]) -> None:
         """Give readings to the estimator."""

@@ -21,7 +21,6 @@ from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.fault_injection import FaultInjection
 from slot_core.simulation.make_robot import bring_to_rest, make_robot
 from slot_core.simulation.readings import (
-    ImageReading,
     OdometryReading,
     Reading,
     TrueState,
@@ -113,6 +112,11 @@ class RobotSimulator:
         return self.timeline.now
 
     @property
+    def has_imu(self) -> bool:
+        """Whether the scene has an IMU."""
+        return self._scene.sensors.imu.enabled
+
+    @property
     def camera(self) -> Camera | None:
         """Calibration of the camera of the scene, if it has one."""
         return None if self._camera is None else self._camera.camera
@@ -183,10 +187,6 @@ class RobotSimulator:
             self._simulate(due)
             yield from action()
         self._simulate(until)
-
-    def advance_to_odometry(self) -> Iterator[Reading]:
-        """Advance until odometry or an image is due, which is the last reading yielded."""
-        return self.advance_to_reading(OdometryReading, ImageReading)
 
     def advance_to_reading(self, *kinds: type) -> Iterator[Reading]:
         """Advance until a reading of one of these kinds is due, which is the last one yielded."""

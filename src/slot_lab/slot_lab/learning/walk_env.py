@@ -21,7 +21,7 @@ from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
 from slot_core.refusal import DivergenceError
 from slot_core.servos.servo_bus import JointReading
-from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.simulation.closed_loop import SENSORS, ClosedLoop
 from slot_lab.learning.rewards import (
     Course,
     Transition,
@@ -135,7 +135,7 @@ class WalkEnv(gymnasium.Env[Any, Any]):
     def _advance(self) -> None:
         """Advance to the next estimate; odometry may be lost meanwhile."""
         while True:
-            for reading in self._loop.plant.advance_to_odometry():
+            for reading in self._loop.plant.advance_to_reading(*SENSORS):
                 if isinstance(reading, JointReading):
                     self._angle = reading.angle
                 self._loop.read([reading])
