@@ -1,7 +1,11 @@
 """Topics of a bag: sensors, outputs of the stages, ground truth."""
 
 ODOMETRY = "/odom"
-SENSORS = (ODOMETRY, "/imu")  # in the order of the numbers in StageRecord
+SENSORS = (
+    ODOMETRY,
+    "/imu",
+    "/joint_states",
+)  # in the order of the numbers in StageRecord
 GROUND_TRUTH = "/ground_truth/odom"
 IMAGES = "/camera/image_raw"
 LEG_STATES = "/ground_truth/legs"

@@ -1,0 +1,349 @@
+"""Floor observer: where the floor is in odom, and how stiff the legs are for the robot's weight.
+
+A visual SLAM puts the origin of odom where its first image was taken. The floor is where the feet
+are. While the torso rests, tendon angles and the leg table tell its pose above the floor
+(`legs/leg_springs.py`), and so the plane of the floor in odom:
+
+    n = R u_b,    c = (n . p - h) / n_z
+
+with attitude R and place p of the torso in odom, its height h above the floor and the floor's
+normal u_b in base_link. The plane goes through (0, 0, c) with the normal n.
+
+    at rest                          learned
+    tendons slack                    the floor: the torso lies flat on it, whatever the legs are
+    loaded, after that               the ratio kappa, once, from the height
+    loaded, never slack before       kappa, if odom's origin can be the floor; else the floor,
+                                     with legs as the table's
+    loaded, later                    the floor, slowly, beyond what friction of the feet explains
+
+A floor that differs from z = 0 by less than the method tells is taken for it, and a kappa near 1
+for 1. When odom starts anew, height and tilt above the floor go on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from slot_core.arrays import Array
+from slot_core.clock import to_seconds
+from slot_core.config import quantity
+from slot_core.elementary import atan2, cos, sin
+from slot_core.estimation.filter_kernels import FilterState
+from slot_core.geometry import (
+    Transform,
+    matrix_of_quaternion,
+    quaternion_product,
+    rpy_of,
+)
+from slot_core.key_frame import StateParts
+from slot_core.legs.leg_springs import (
+    LegSprings,
+    drops,
+    rest_pose,
+    stiffness_ratio,
+)
+from slot_core.legs.leg_table import read_leg_table
+from slot_core.matrices import norm, product
+from slot_core.robot import LEGS, RobotParameters
+
+UP = np.array([0.0, 0.0, 1.0])
+JOINTS_LATE = 0.1  # s, age of tendon angles that are not used
+
+
+@dataclass(frozen=True)
+class FloorObserverSettings:
+    """When the torso rests, and what is learned of the floor then."""
+
+    rest_time: float = quantity("time at rest", "s", 0.01, 10)
+    rest_speed: float = quantity("largest speed at rest", "m/s", 1e-3, 1)
+    rest_rate: float = quantity("largest angular velocity", "rad/s", 1e-3, 10)
+    rest_angle: float = quantity(
+        "largest change of a tendon angle", "rad", 1e-4, 1
+    )
+    slack_angle: float = quantity(
+        "tendon angle up to which a tendon is slack", "rad", 0.0, 1.0
+    )
+    offset_min: float = quantity(
+        "least height of the floor that is not 0", "m", 0, 0.1
+    )
+    tilt_min: float = quantity(
+        "least tilt of the floor that is not 0", "rad", 0, 0.5
+    )
+    ratio_change: float = quantity(
+        "least change of the stiffness ratio", "", 0, 1
+    )
+    ratio_min: float = quantity("least stiffness ratio", "", 0.01, 1)
+    ratio_max: float = quantity("largest stiffness ratio", "", 1, 100)
+    load_min: float = quantity("least weight over the nominal one", "", 0.1, 1)
+    load_max: float = quantity("largest weight over the nominal one", "", 1, 10)
+    clearance: float = quantity(
+        "height of the torso's underside from which it is clear of the floor",
+        "m",
+        0,
+        0.1,
+    )
+    gain: float = quantity("share of an error that a tick corrects", "", 0, 1)
+    height_error: float = quantity(
+        "height that friction of the feet explains", "m", 0, 0.1
+    )
+    tilt_error: float = quantity(
+        "tilt that friction of the feet explains", "rad", 0, 1
+    )
+    incline_max: float = quantity(
+        "largest angle of the torso to gravity at which it counts as upright",
+        "rad",
+        0,
+        1,
+    )
+    patience: float = quantity(
+        "time without tendon angles, or a rest, after which odom counts as the floor",
+        "s",
+        0,
+        60,
+    )
+
+
+class FloorPlane(NamedTuple):
+    """Plane of the floor in odom; its frame has odom's heading and the origin (0, 0, height)."""
+
+    height: float  # m
+    normal: Array  # (3,) unit vector, upward
+
+    @property
+    def quaternion(self) -> Array:
+        """Rotation (4,) x y z w from the floor's frame to odom, about a horizontal axis."""
+        x, y, z = self.normal
+        turn = np.array([-y, x, 0.0, 1.0 + z])
+        return np.asarray(turn / norm(turn))
+
+    @property
+    def transform(self) -> Transform:
+        """From coordinates in the floor's frame to odom."""
+        place = np.array([0.0, 0.0, self.height])
+        return Transform(matrix_of_quaternion(self.quaternion), place)
+
+    @property
+    def is_odom(self) -> bool:
+        """Whether the floor is z = 0 of odom."""
+        return self.height == 0.0 and bool((self.normal == UP).all())
+
+    def above(self, attitude: Array, position: Array) -> Array:
+        """Pose (3,) height m, roll, pitch rad of a torso at a pose in odom."""
+        turn = quaternion_product(self.quaternion * BACK, attitude)
+        roll, pitch, _ = rpy_of(matrix_of_quaternion(turn))
+        height = product(self.normal, position) - self.height * self.normal[2]
+        return np.array([height, roll, pitch])
+
+
+BACK = np.array([-1.0, -1.0, -1.0, 1.0])  # of a quaternion to its inverse
+LEVEL = FloorPlane(0.0, UP)
+
+
+class _Rest(NamedTuple):
+    """The torso at rest, at a tick."""
+
+    stamp: int  # ns
+    joints: Array  # (2, 4) rad, N m
+    position: Array  # (3,) m, in odom
+    attitude: Array  # (4,) x y z w
+    force: Array  # (3,) m/s^2, specific force in base_link
+
+    @classmethod
+    def mean(cls, rows: Sequence["_Rest"]) -> "_Rest":
+        """Mean of some."""
+        joints, position, attitude, force = (
+            np.sum([row[k] for row in rows], axis=0) / len(rows)
+            for k in range(1, 5)
+        )
+        return cls(
+            rows[-1].stamp, joints, position, attitude / norm(attitude), force
+        )
+
+    @property
+    def tilt(self) -> float:
+        """Angle of the torso to gravity, rad; 0 without an IMU."""
+        x, y, z = self.force if self.force.any() else UP
+        return float(atan2(norm(np.array([x, y])), z))
+
+
+class FloorObserver:
+    """Learns the floor and the stiffness ratio at rest."""
+
+    STATE = StateParts(
+        "floor",
+        "ratio",
+        "is_known",
+        "_lay",
+        "_measured",
+        "_joints",
+        "_stamp",
+        "_begun",
+        "_rest",
+        values=(FloorPlane, _Rest),
+    )
+
+    def __init__(
+        self,
+        robot: RobotParameters,
+        springs: LegSprings,
+        settings: FloorObserverSettings,
+    ) -> None:
+        """Raises ConfigError without a leg table."""
+        self._robot, self._springs, self._settings = robot, springs, settings
+        self._tension = read_leg_table(("tension_N",))
+        self._lowest = robot.torso.size[2] / 2  # m, height of a torso that lies
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.floor, self.ratio = LEVEL, 1.0
+        # whether the floor was seen at rest, or `patience` is over
+        self.is_known = False
+        self._lay = False  # on the floor with slack tendons, since it is known
+        self._measured = False  # the ratio, since then
+        # (2, 4) rad, N m, angles and torques of the tendons
+        self._joints = np.full((2, len(LEGS)), np.nan)
+        self._stamp = self._begun = 0  # ns, of the angles; of the first tick
+        self._rest: list[_Rest] = []
+
+    def add_joints(self, stamp: int, angle: Array, torque: Array) -> None:
+        """Take tendon angles (4,) rad and torques (4,) N m at `stamp` (ns)."""
+        self._stamp = stamp
+        self._joints = np.array([angle, torque], dtype=np.float64)
+
+    def observe(
+        self, stamp: int, torso: FilterState, rate: Array, force: Array
+    ) -> None:
+        """Take the torso's motion in odom at a tick.
+
+        rate, force: (3,) angular velocity rad/s and specific force m/s^2 in base_link; without an
+        IMU the force is zero.
+        """
+        s = self._settings
+        self._begun = self._begun or stamp
+        age = to_seconds(abs(stamp - self._stamp))
+        row = _Rest(stamp, self._joints, torso.position, torso.attitude, force)
+        angle = self._joints[0]
+        still = (
+            age <= JOINTS_LATE
+            and bool(np.isfinite(angle).all())
+            and norm(torso.velocity) <= s.rest_speed
+            and norm(rate) <= s.rest_rate
+        )
+        if still and self._rest:
+            first = self._rest[0].joints[0]
+            still = np.abs(first - angle).max() <= s.rest_angle
+        if not still:
+            self._rest.clear()
+            if to_seconds(stamp - self._begun) > s.patience:
+                self.is_known = True
+            return
+        self._rest.append(row)
+        if to_seconds(stamp - self._rest[0].stamp) >= s.rest_time:
+            mean = _Rest.mean(self._rest)
+            self._rest.clear()
+            if mean.tilt <= s.incline_max:
+                self._learn(mean)
+
+    def start_anew(
+        self, before: Array, attitude: Array, position: Array
+    ) -> None:
+        """Odom starts anew at a pose: the pose `before` (3,) above the floor goes on."""
+        self._rest.clear()
+        if self.is_known:
+            self.floor = self._near(_floor_below(before, attitude, position))
+
+    def _learn(self, rest: _Rest) -> None:
+        """Learn from means at rest."""
+        known, self.is_known = self.is_known, True
+        angle = rest.joints[0]
+        if angle.max() <= self._settings.slack_angle:
+            self._lay, self._measured = True, False
+            self._move_floor(np.array([self._lowest, 0.0, 0.0]), rest)
+            return
+        seen = self.floor.above(rest.attitude, rest.position)
+        ratio = stiffness_ratio(self._robot, self._springs, angle, seen)
+        if not known:
+            self._measured = True
+            if self._can_be(ratio, seen, rest):
+                self._note(ratio)
+            else:
+                level = rest_pose(self._robot, self._springs, angle)
+                self._move_floor(level, rest)
+        elif self._lay and not self._measured:
+            # a torso that still lies gives an upper bound of the ratio
+            clear = self._lowest + self._settings.clearance
+            self._measured = bool(seen[0] > clear)
+            self._note(ratio)
+        else:
+            self._follow(seen, rest)
+
+    def _can_be(self, ratio: float, seen: Array, rest: _Rest) -> bool:
+        """Whether a ratio at a pose (3,) above the floor can be that of legs and load.
+
+        The torso is above the floor, as tilted as the legs hold it, and with the ratio e of the
+        tendons' torques to the table's, if they are known, its load m / m_0 = e / kappa is
+        between `load_min` and `load_max`.
+        """
+        s, (angle, torque) = self._settings, rest.joints
+        in_range = s.ratio_min <= ratio <= s.ratio_max
+        if not in_range or seen[0] < self._lowest - s.offset_min:
+            return False
+        held = rest_pose(self._robot, self._springs, angle, ratio)
+        if np.abs(seen - held)[1:].max() > s.tilt_error:
+            return False
+        drop = drops(self._robot, self._springs, angle, seen)
+        tension = self._tension.at(angle, drop)[:, 0].sum()
+        expected = tension * self._robot.tendon.spool_radius
+        if not (torque.sum() > 0.0 and expected > 0.0):
+            return True
+        load = torque.sum() / expected / ratio
+        return bool(s.load_min <= load <= s.load_max)
+
+    def _note(self, ratio: float) -> None:
+        """Note a ratio; one near 1 is 1."""
+        found = self._bounded(ratio)
+        is_one = abs(found - 1.0) < self._settings.ratio_change
+        self.ratio = 1.0 if is_one else found
+
+    def _bounded(self, ratio: float) -> float:
+        return min(
+            max(ratio, self._settings.ratio_min), self._settings.ratio_max
+        )
+
+    def _follow(self, seen: Array, rest: _Rest) -> None:
+        """Move the floor by a share of the error that friction does not explain."""
+        s = self._settings
+        expected = rest_pose(
+            self._robot, self._springs, rest.joints[0], self.ratio
+        )
+        most = np.array([s.height_error, s.tilt_error, s.tilt_error])
+        error = seen - expected
+        beyond = error - np.clip(error, -most, most)
+        if beyond.any():
+            wanted = seen - s.gain * beyond
+            self.floor = _floor_below(wanted, rest.attitude, rest.position)
+
+    def _move_floor(self, pose: Array, rest: _Rest) -> None:
+        """Put the floor where the torso rests at a pose (3,) above it."""
+        self.floor = self._near(
+            _floor_below(pose, rest.attitude, rest.position)
+        )
+
+    def _near(self, floor: FloorPlane) -> FloorPlane:
+        """The floor, or z = 0 of odom if it cannot be told from that."""
+        s, (x, y, _) = self._settings, floor.normal
+        level = norm(np.array([x, y])) < s.tilt_min
+        return LEVEL if level and abs(floor.height) < s.offset_min else floor
+
+
+def _floor_below(pose: Array, attitude: Array, position: Array) -> FloorPlane:
+    """Floor that a torso is above at a pose (3,) height, roll, pitch, from its pose in odom."""
+    height, roll, pitch = pose
+    up = np.array([-sin(pitch), cos(pitch) * sin(roll), cos(pitch) * cos(roll)])
+    normal = product(matrix_of_quaternion(attitude), up)
+    return FloorPlane(
+        float((product(normal, position) - height) / normal[2]), normal
+    )
