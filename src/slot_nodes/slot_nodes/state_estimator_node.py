@@ -29,7 +29,9 @@ class StateEstimatorNode(Node):
     def __init__(self) -> None:
         super().__init__("state_estimator")
         settings = runtime.declare_settings(self, read_estimator())
-        floor = FloorObserver(read_robot(), read_springs(), settings.floor)
+        floor = FloorObserver(
+            read_robot(), read_springs(), settings.floor, settings.timing.period
+        )
         self._estimator = StateEstimator(settings, floor)
         self._in_base_axes = not any(settings.mounts.imu.rpy)
         self._record = stage_record.Recorder(self, self._estimator)

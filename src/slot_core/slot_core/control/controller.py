@@ -47,7 +47,9 @@ class Controller:
         instead. gaits: in place of the configured ones.
         """
         springs, settings = read_springs(), read_estimator()
-        floor = FloorObserver(robot, springs, settings.floor)
+        floor = FloorObserver(
+            robot, springs, settings.floor, settings.timing.period
+        )
         self.estimator = StateEstimator(settings, floor)
         self.scheduler = GaitScheduler(
             gaits or read_gaits(), robot, springs, gait, velocity, path

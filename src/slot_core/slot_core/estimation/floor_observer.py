@@ -14,7 +14,8 @@ normal u_b in base_link. The plane goes through (0, 0, c) with the normal n.
     loaded, after that               the ratio kappa, once, from the height
     loaded, never slack before       kappa, if odom's origin can be the floor; else the floor,
                                      with legs as the table's
-    loaded, later                    the floor, slowly, beyond what friction of the feet explains
+
+Later, while it walks too, the floor follows slowly what friction of the feet does not explain.
 
 A floor that differs from z = 0 by less than the method tells is taken for it, and a kappa near 1
 for 1. When odom starts anew, height and tilt above the floor go on.
@@ -49,6 +50,7 @@ from slot_core.matrices import norm, product
 from slot_core.robot import LEGS, RobotParameters
 
 UP = np.array([0.0, 0.0, 1.0])
+FOLLOWED = 3  # ticks between two corrections of the floor
 JOINTS_LATE = 0.1  # s, age of tendon angles that are not used
 
 
@@ -84,7 +86,18 @@ class FloorObserverSettings:
         0,
         0.1,
     )
-    gain: float = quantity("share of an error that a tick corrects", "", 0, 1)
+    follow_time: float = quantity(
+        "time constant of the mean error, longer than a stride", "s", 0.1, 60
+    )
+    follow_speed: float = quantity(
+        "largest speed of the floor's height", "m/s", 0, 0.1
+    )
+    follow_rate: float = quantity(
+        "largest angular velocity of the floor", "rad/s", 0, 0.1
+    )
+    lift: float = quantity(
+        "height error of a robot that was lifted", "m", 0.001, 1
+    )
     height_error: float = quantity(
         "height that friction of the feet explains", "m", 0, 0.1
     )
@@ -179,6 +192,8 @@ class FloorObserver:
         "_measured",
         "_joints",
         "_stamp",
+        "_error",
+        "_ticks",
         "_begun",
         "_rest",
         values=(FloorPlane, _Rest),
@@ -189,8 +204,10 @@ class FloorObserver:
         robot: RobotParameters,
         springs: LegSprings,
         settings: FloorObserverSettings,
+        period: float,
     ) -> None:
-        """Raises ConfigError without a leg table."""
+        """`period`: between ticks, s. Raises ConfigError without a leg table."""
+        self._period = period
         self._robot, self._springs, self._settings = robot, springs, settings
         self._tension = read_leg_table(("tension_N",))
         self._lowest = robot.torso.size[2] / 2  # m, height of a torso that lies
@@ -207,6 +224,8 @@ class FloorObserver:
         self._joints = np.full((2, len(LEGS)), np.nan)
         self._stamp = self._begun = 0  # ns, of the angles; of the first tick
         self._rest: list[_Rest] = []
+        self._error = np.zeros(3)  # m, rad, mean of the pose above the floor
+        self._ticks = 0
 
     def add_joints(self, stamp: int, angle: Array, torque: Array) -> None:
         """Take tendon angles (4,) rad and torques (4,) N m at `stamp` (ns)."""
@@ -226,12 +245,15 @@ class FloorObserver:
         age = to_seconds(abs(stamp - self._stamp))
         row = _Rest(stamp, self._joints, torso.position, torso.attitude, force)
         angle = self._joints[0]
+        fresh = age <= JOINTS_LATE and bool(np.isfinite(angle).all())
         still = (
-            age <= JOINTS_LATE
-            and bool(np.isfinite(angle).all())
+            fresh
             and norm(torso.velocity) <= s.rest_speed
             and norm(rate) <= s.rest_rate
         )
+        self._ticks += 1
+        if fresh and self.is_known and self._ticks % FOLLOWED == 0:
+            self._follow(row)
         if still and self._rest:
             first = self._rest[0].joints[0]
             still = np.abs(first - angle).max() <= s.rest_angle
@@ -277,8 +299,6 @@ class FloorObserver:
             clear = self._lowest + self._settings.clearance
             self._measured = bool(seen[0] > clear)
             self._note(ratio)
-        else:
-            self._follow(seen, rest)
 
     def _can_be(self, ratio: float, seen: Array, rest: _Rest) -> bool:
         """Whether a ratio at a pose (3,) above the floor can be that of legs and load.
@@ -313,18 +333,31 @@ class FloorObserver:
             max(ratio, self._settings.ratio_min), self._settings.ratio_max
         )
 
-    def _follow(self, seen: Array, rest: _Rest) -> None:
-        """Move the floor by a share of the error that friction does not explain."""
-        s = self._settings
-        expected = rest_pose(
-            self._robot, self._springs, rest.joints[0], self.ratio
-        )
-        most = np.array([s.height_error, s.tilt_error, s.tilt_error])
-        error = seen - expected
-        beyond = error - np.clip(error, -most, most)
+    def _follow(self, now: _Rest) -> None:
+        """Move the floor slowly by the mean error that friction of the feet does not explain.
+
+        Over a stride, too, the torso is on average where the legs would hold it at rest.
+        """
+        s, angle = self._settings, now.joints[0]
+        if angle.max() <= s.slack_angle:
+            self._error[:] = 0.0
+            return
+        time = FOLLOWED * self._period
+        seen = self.floor.above(now.attitude, now.position)
+        held = rest_pose(self._robot, self._springs, angle, self.ratio)
+        error = seen - held
+        if abs(error[0]) > s.lift:
+            return
+        self._error += (error - self._error) * time / s.follow_time
+        allowed = np.array([s.height_error, s.tilt_error, s.tilt_error])
+        beyond = self._error - np.clip(self._error, -allowed, allowed)
         if beyond.any():
-            wanted = seen - s.gain * beyond
-            self.floor = _floor_below(wanted, rest.attitude, rest.position)
+            most = time * np.array(
+                [s.follow_speed, s.follow_rate, s.follow_rate]
+            )
+            moved = np.clip(beyond, -most, most)
+            self._error -= moved
+            self.floor = _floor_below(seen - moved, now.attitude, now.position)
 
     def _move_floor(self, pose: Array, rest: _Rest) -> None:
         """Put the floor where the torso rests at a pose (3,) above it."""

@@ -241,7 +241,9 @@ def estimates(recorded: RecordedStages) -> Replayed:
 
     def make() -> StateEstimator:
         springs = read_springs()
-        floor = FloorObserver(recorded.robot, springs, settings.floor)
+        floor = FloorObserver(
+            recorded.robot, springs, settings.floor, settings.timing.period
+        )
         return StateEstimator(settings, floor)
 
     estimator: StateEstimator | None = None
