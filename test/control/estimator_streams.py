@@ -153,6 +153,11 @@ def clean(motion, duration):
     )
 
 
+def without(kind, messages, start, end):
+    """The messages without those of a kind between two times, s."""
+    return [m for m in messages if m[0] != kind or not start < m[1] / SECOND < end]
+
+
 def changed(messages, readings, change):
     """The messages with `change(*values)` in the odometry readings of a slice."""
     stamps = {

@@ -176,9 +176,6 @@ class TimingSettings:
     rate_min_blind: float = quantity(
         "least rate of the odometry without an IMU", "Hz", 0.1, 1000
     )
-    imu_wait: float = quantity(
-        "a reading newer by this ends the wait for the IMU", "s", 0, 1
-    )
     imu_gap: float = quantity(
         "longest interval between IMU samples that are used", "s", 1e-3, 1
     )

@@ -9,7 +9,7 @@ newest, to the time at which its command takes effect: the delay of the odometry
 the drift of the IMU over it. The filter itself is in `inertial_filter.py`.
 
     reading                        effect
-    newer than the last one:       corrects when the IMU has reached it, or after `imu_wait`
+    newer than the last one:       corrects when the IMU has reached it, or is lost
     not newer:                     dropped: repeated, or out of order
     none accepted for `odometry_wait`: estimates are ODOMETRY_LOST or ODOMETRY_REJECTED
     none accepted for `odometry_gap`:  the state stands still; the next reading restarts the filter
@@ -55,8 +55,16 @@ BEFORE_ALL_TIMES = -(2**62)  # ns
 # SI, to which the variances of a message are clipped
 VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6
 ANGLE_MAX = 100.0  # rad, of a tendon angle that is used
-EARLY = 0.25  # of a period: a reading in place of the IMU gives a tick
+EARLY = 0.25  # of a period, see `earliness`
 INTERVAL_GAIN = 0.2  # of the mean time between readings
+
+
+def earliness(period: float, interval: float) -> int:
+    """Time before a tick from which on odometry in place of the IMU gives it, ns.
+
+    period: between ticks, interval: between readings, s. It takes the reading nearest to the tick.
+    """
+    return to_ns(min(EARLY * period, interval / 2.0))
 
 
 def read_estimator() -> EstimatorSettings:
@@ -192,7 +200,8 @@ class StateEstimator:
         self._process_due()
         self._propagate_to_newest()
         if self._imu_is_lost(stamp):
-            early = to_ns(EARLY * self._settings.timing.period)
+            period = self._settings.timing.period
+            early = earliness(period, self._interval)
             self._publish_due(stamp, stamp + early)
         else:  # the first tick, where the IMU came first
             newest = self._newest.get("imu", BEFORE_ALL_TIMES)
@@ -265,14 +274,10 @@ class StateEstimator:
             self._process(*self._waiting.popleft())
 
     def _is_due(self, stamp: int) -> bool:
-        """Whether the IMU has reached `stamp` (ns), `imu_wait` is over, or the queue is full."""
-        waited = (
-            self._waiting[-1][0] - stamp
-            > self._settings.timing.imu_wait * SECOND
-        )
+        """Whether the IMU has reached `stamp` (ns) or is lost, or the queue is full."""
         full = len(self._waiting) > self._settings.buffers.odometry
         reached = self._newest.get("imu", BEFORE_ALL_TIMES) >= stamp
-        return reached or waited or full or self._imu_is_lost(stamp)
+        return reached or full or self._imu_is_lost(self._waiting[-1][0])
 
     def _imu_is_lost(self, stamp: int) -> bool:
         """Whether the newest IMU sample is older than `stamp` (ns) by more than `imu_lost`."""

@@ -11,8 +11,8 @@ import enum
 import math
 from collections.abc import Iterator
 
-from slot_core.clock import LOCKSTEP_START, SECOND, to_ns, to_seconds
-from slot_core.estimation.state_estimator import EARLY
+from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
+from slot_core.estimation.state_estimator import earliness
 from slot_core.servos.brand import EmulatedServos
 from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.readings import (
@@ -53,7 +53,7 @@ class LockstepClock:
     ) -> None:
         """`period`: between two ticks of the controller, s."""
         self._plant, self._servos = plant, servos
-        self._period = to_ns(period)
+        self._period = period
         # kind and stamp of the answer
         self._awaited: tuple[Answer, int] = (Answer.COMMAND, LOCKSTEP_START)
         self._tick = LOCKSTEP_START  # ns, that was answered last
@@ -89,11 +89,13 @@ class LockstepClock:
         """Answer that a reading leads to, and its stamp (ns), as the state estimator ticks."""
         if isinstance(reading, StampedHealth):
             return Answer.STATE, reading.stamp
-        with_imu = self._plant.has_imu
+        sensors = self._plant.sensors
+        with_imu = sensors.imu.enabled
         if with_imu != isinstance(reading, ImuReading):
             return None
-        early = 0 if with_imu else to_ns(EARLY * to_seconds(self._period))
-        tick = self._tick + self._period
+        interval = 0.0 if with_imu else sensors.pose_period
+        early = earliness(self._period, interval)
+        tick = self._tick + to_ns(self._period)
         if reading.stamp + early < tick:
             return None
         self._tick = tick if with_imu else reading.stamp

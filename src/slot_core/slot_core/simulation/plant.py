@@ -12,7 +12,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import to_ns, to_seconds
 from slot_core.config import ConfigError
-from slot_core.dynamics.scene import Push, Scene
+from slot_core.dynamics.scene import Push, Scene, SensorSettings
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.robot import RobotParameters
 from slot_core.safety.rate_limiter import AT_REST, extrapolated
@@ -112,9 +112,9 @@ class RobotSimulator:
         return self.timeline.now
 
     @property
-    def has_imu(self) -> bool:
-        """Whether the scene has an IMU."""
-        return self._scene.sensors.imu.enabled
+    def sensors(self) -> SensorSettings:
+        """Sensors of the scene."""
+        return self._scene.sensors
 
     @property
     def camera(self) -> Camera | None:
@@ -140,8 +140,7 @@ class RobotSimulator:
             self.timeline.every(sensors.imu.period, self._read_imu)
         if self._reads_joints:
             self.timeline.every(sensors.joint_period, self._read_joints)
-        placing = sensors.camera if sensors.camera.enabled else sensors.odometry
-        self.timeline.every(placing.period, self._read_odometry)
+        self.timeline.every(sensors.pose_period, self._read_odometry)
         for push in self._scene.pushes.values():
             self.push(push)
         self.faults.start()
