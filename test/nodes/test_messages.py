@@ -88,13 +88,15 @@ def test_state_and_its_transform():
         Validity.IMU_MISSING,
         LEAD,
         0.8,
+        False,
         "a line",
         floor,
     )
     message = through_dds(messages.state_to_msg(estimate))
     got = decode.estimate(message)
     assert (got.stamp, got.validity, got.lead) == (STAMP, 3, LEAD)
-    assert (got.leg_stiffness, got.message) == (0.8, "a line")
+    assert (got.leg_stiffness, got.legs_are_known) == (0.8, False)
+    assert got.message == "a line"
     assert (got.state == state).all()
     assert (got.covariance == estimate.covariance).all()
     transforms = through_dds(messages.state_to_tf(estimate)).transforms

@@ -228,6 +228,7 @@ def state_to_msg(estimate: Estimate) -> MpcState:
         covariance=estimate.covariance.ravel(),
         validity=int(estimate.validity),
         leg_stiffness=estimate.leg_stiffness,
+        legs_are_known=estimate.legs_are_known,
         message=estimate.message,
     )
 

@@ -38,6 +38,7 @@ class Estimate:
     lead: int = 0  # ns, from `stamp` to the time of the state
     # stiffness of the legs over the robot's weight, relative to the leg table
     leg_stiffness: float = 1.0
+    legs_are_known: bool = True  # whether that is measured, or cannot be
     message: str = ""  # one line: why it is unusable, or what was compensated
     floor: FloorPlane = LEVEL  # in odom
 

@@ -30,7 +30,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.config import quantity
-from slot_core.elementary import atan2, cos, sin
+from slot_core.elementary import atan2, cos, log, sin
 from slot_core.estimation.filter_kernels import FilterState
 from slot_core.geometry import (
     Transform,
@@ -78,8 +78,18 @@ class FloorObserverSettings:
     )
     ratio_min: float = quantity("least stiffness ratio", "", 0.01, 1)
     ratio_max: float = quantity("largest stiffness ratio", "", 1, 100)
-    load_min: float = quantity("least weight over the nominal one", "", 0.1, 1)
-    load_max: float = quantity("largest weight over the nominal one", "", 1, 10)
+    modulus_error: float = quantity(
+        "standard deviation of the logarithm of the legs' modulus", "", 0.01, 9
+    )
+    load_error: float = quantity(
+        "standard deviation of the logarithm of the weight", "", 0.01, 9
+    )
+    torque_error: float = quantity(
+        "standard deviation of the logarithm of the torques", "", 0.01, 9
+    )
+    origin_cost: float = quantity(
+        "variances by which an origin elsewhere is less likely", "", 0, 100
+    )
     clearance: float = quantity(
         "height of the torso's underside from which it is clear of the floor",
         "m",
@@ -188,8 +198,8 @@ class FloorObserver:
         "floor",
         "ratio",
         "is_known",
+        "_lain",
         "_lay",
-        "_measured",
         "_joints",
         "_stamp",
         "_error",
@@ -218,14 +228,20 @@ class FloorObserver:
         self.floor, self.ratio = LEVEL, 1.0
         # whether the floor was seen at rest, or `patience` is over
         self.is_known = False
-        self._lay = False  # on the floor with slack tendons, since it is known
-        self._measured = False  # the ratio, since then
+        # floor below a torso that lay, until it has stood up
+        self._lain: FloorPlane | None = None
+        self._lay = 0  # ns, when it lay last
         # (2, 4) rad, N m, angles and torques of the tendons
         self._joints = np.full((2, len(LEGS)), np.nan)
         self._stamp = self._begun = 0  # ns, of the angles; of the first tick
         self._rest: list[_Rest] = []
         self._error = np.zeros(3)  # m, rad, mean of the pose above the floor
         self._ticks = 0
+
+    @property
+    def legs_are_known(self) -> bool:
+        """Whether the ratio is measured, or cannot be, since the torso last lay on the floor."""
+        return self.is_known and self._lain is None
 
     def add_joints(self, stamp: int, angle: Array, torque: Array) -> None:
         """Take tendon angles (4,) rad and torques (4,) N m at `stamp` (ns)."""
@@ -251,6 +267,8 @@ class FloorObserver:
             and norm(torso.velocity) <= s.rest_speed
             and norm(rate) <= s.rest_rate
         )
+        if to_seconds(stamp - self._lay) > s.patience:
+            self._lain = None
         self._ticks += 1
         if fresh and self.is_known and self._ticks % FOLLOWED == 0:
             self._follow(row)
@@ -274,6 +292,7 @@ class FloorObserver:
     ) -> None:
         """Odom starts anew at a pose: the pose `before` (3,) above the floor goes on."""
         self._rest.clear()
+        self._lain = None
         if self.is_known:
             self.floor = self._near(_floor_below(before, attitude, position))
 
@@ -282,45 +301,59 @@ class FloorObserver:
         known, self.is_known = self.is_known, True
         angle = rest.joints[0]
         if angle.max() <= self._settings.slack_angle:
-            self._lay, self._measured = True, False
-            self._move_floor(np.array([self._lowest, 0.0, 0.0]), rest)
+            lying = np.array([self._lowest, 0.0, 0.0])
+            self._lain = _floor_below(lying, rest.attitude, rest.position)
+            self._lay = rest.stamp
+            self.floor = self._near(self._lain)
             return
         seen = self.floor.above(rest.attitude, rest.position)
         ratio = stiffness_ratio(self._robot, self._springs, angle, seen)
         if not known:
-            self._measured = True
-            if self._can_be(ratio, seen, rest):
+            if self._is_at_zero(ratio, seen, rest):
                 self._note(ratio)
             else:
-                level = rest_pose(self._robot, self._springs, angle)
-                self._move_floor(level, rest)
-        elif self._lay and not self._measured:
-            # a torso that still lies gives an upper bound of the ratio
-            clear = self._lowest + self._settings.clearance
-            self._measured = bool(seen[0] > clear)
-            self._note(ratio)
+                nominal = rest_pose(self._robot, self._springs, angle)
+                self.floor = self._near(
+                    _floor_below(nominal, rest.attitude, rest.position)
+                )
+        elif self._lain is not None:
+            seen = self._lain.above(rest.attitude, rest.position)
+            self._note(stiffness_ratio(self._robot, self._springs, angle, seen))
+            # of a torso that still lies it is an upper bound
+            if seen[0] > self._lowest + self._settings.clearance:
+                self._lain = None
 
-    def _can_be(self, ratio: float, seen: Array, rest: _Rest) -> bool:
-        """Whether a ratio at a pose (3,) above the floor can be that of legs and load.
+    def _is_at_zero(self, ratio: float, seen: Array, rest: _Rest) -> bool:
+        """Whether z = 0 of odom is likelier the floor than legs and load are the nominal ones.
 
-        The torso is above the floor, as tilted as the legs hold it, and with the ratio e of the
-        tendons' torques to the table's, if they are known, its load m / m_0 = e / kappa is
-        between `load_min` and `load_max`.
+        With the ratio e of the tendons' torques to the table's at the pose seen, the legs' modulus
+        is e and the load e / kappa times the nominal one; with e_1 at the pose of nominal legs the
+        torques contradict these. The sums of squared logarithms over their standard deviations are
+        compared, with `origin_cost` for an origin elsewhere.
         """
-        s, (angle, torque) = self._settings, rest.joints
+        s, angle = self._settings, rest.joints[0]
         in_range = s.ratio_min <= ratio <= s.ratio_max
         if not in_range or seen[0] < self._lowest - s.offset_min:
             return False
         held = rest_pose(self._robot, self._springs, angle, ratio)
         if np.abs(seen - held)[1:].max() > s.tilt_error:
             return False
-        drop = drops(self._robot, self._springs, angle, seen)
+        modulus = self._torque_ratio(seen, rest)
+        if modulus <= 0.0:  # not known
+            return True
+        nominal = rest_pose(self._robot, self._springs, angle)
+        cost = _cost(modulus, s.modulus_error)
+        cost += _cost(modulus / ratio, s.load_error)
+        contradiction = self._torque_ratio(nominal, rest)
+        return cost < s.origin_cost + _cost(contradiction, s.torque_error)
+
+    def _torque_ratio(self, pose: Array, rest: _Rest) -> float:
+        """Torques of the tendons over the table's at a pose (3,) above the floor."""
+        angle, torque = rest.joints
+        drop = drops(self._robot, self._springs, angle, pose)
         tension = self._tension.at(angle, drop)[:, 0].sum()
         expected = tension * self._robot.tendon.spool_radius
-        if not (torque.sum() > 0.0 and expected > 0.0):
-            return True
-        load = torque.sum() / expected / ratio
-        return bool(s.load_min <= load <= s.load_max)
+        return float(torque.sum() / max(expected, 1e-6))
 
     def _note(self, ratio: float) -> None:
         """Note a ratio; one near 1 is 1."""
@@ -359,17 +392,16 @@ class FloorObserver:
             self._error -= moved
             self.floor = _floor_below(seen - moved, now.attitude, now.position)
 
-    def _move_floor(self, pose: Array, rest: _Rest) -> None:
-        """Put the floor where the torso rests at a pose (3,) above it."""
-        self.floor = self._near(
-            _floor_below(pose, rest.attitude, rest.position)
-        )
-
     def _near(self, floor: FloorPlane) -> FloorPlane:
         """The floor, or z = 0 of odom if it cannot be told from that."""
         s, (x, y, _) = self._settings, floor.normal
         level = norm(np.array([x, y])) < s.tilt_min
         return LEVEL if level and abs(floor.height) < s.offset_min else floor
+
+
+def _cost(ratio: float, error: float) -> float:
+    """Square of the logarithm of a ratio, over its standard deviation."""
+    return float(np.square(log(ratio) / error))
 
 
 def _floor_below(pose: Array, attitude: Array, position: Array) -> FloorPlane:

@@ -470,9 +470,19 @@ class StateEstimator:
         self._filter.rate = rate
         lead = self._reached + to_ns(delay) - stamp
         validity, message = self._judged(stamp)
-        ratio = 1.0 if self._floor is None else self._floor.ratio
+        ratio, known = 1.0, True
+        if self._floor is not None:
+            ratio, known = self._floor.ratio, self._floor.legs_are_known
         return Estimate(
-            stamp, state, covariance, validity, lead, ratio, message, floor
+            stamp,
+            state,
+            covariance,
+            validity,
+            lead,
+            ratio,
+            known,
+            message,
+            floor,
         )
 
 
