@@ -178,6 +178,16 @@ def test_odometry_that_starts_anew_goes_on_at_the_height_and_tilt_before():
     np.testing.assert_allclose(found, before, atol=1e-12)
 
 
+def test_a_robot_that_hung_in_the_air_and_was_put_down_finds_the_floor():
+    """The SLAM was started in the air; there the robot was slack, and bent its legs."""
+    world = World(-0.6)
+    for angle in (SLACK, STANDING):
+        world.hold(np.array([0.35, 0.0, 0.0]), angle, seconds=3.0)
+    world.rest(STANDING)
+    assert world.observer.ratio == 1.0
+    np.testing.assert_allclose(world.above(STANDING), 0.0, atol=1e-5)
+
+
 def test_the_floor_follows_a_drift_of_the_odometry_and_not_a_robot_that_is_lifted():
     """It stays within what friction of the feet explains."""
     world = World(0.1)

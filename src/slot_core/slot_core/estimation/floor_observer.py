@@ -306,22 +306,31 @@ class FloorObserver:
             self._lay = rest.stamp
             self.floor = self._near(self._lain)
             return
+        if self._lain is None:
+            seen = self.floor.above(rest.attitude, rest.position)
+            held = rest_pose(self._robot, self._springs, angle, self.ratio)
+            if not known or abs(seen[0] - held[0]) > self._settings.lift:
+                self._locate(rest)
+            return
+        seen = self._lain.above(rest.attitude, rest.position)
+        self._note(stiffness_ratio(self._robot, self._springs, angle, seen))
+        # of a torso that still lies it is an upper bound
+        if seen[0] > self._lowest + self._settings.clearance:
+            self._lain = None
+
+    def _locate(self, rest: _Rest) -> None:
+        """Find the floor below a robot that stands at rest, wherever it was before."""
+        self.floor, self.ratio = LEVEL, 1.0
+        angle = rest.joints[0]
         seen = self.floor.above(rest.attitude, rest.position)
         ratio = stiffness_ratio(self._robot, self._springs, angle, seen)
-        if not known:
-            if self._is_at_zero(ratio, seen, rest):
-                self._note(ratio)
-            else:
-                nominal = rest_pose(self._robot, self._springs, angle)
-                self.floor = self._near(
-                    _floor_below(nominal, rest.attitude, rest.position)
-                )
-        elif self._lain is not None:
-            seen = self._lain.above(rest.attitude, rest.position)
-            self._note(stiffness_ratio(self._robot, self._springs, angle, seen))
-            # of a torso that still lies it is an upper bound
-            if seen[0] > self._lowest + self._settings.clearance:
-                self._lain = None
+        if self._is_at_zero(ratio, seen, rest):
+            self._note(ratio)
+            return
+        nominal = rest_pose(self._robot, self._springs, angle)
+        self.floor = self._near(
+            _floor_below(nominal, rest.attitude, rest.position)
+        )
 
     def _is_at_zero(self, ratio: float, seen: Array, rest: _Rest) -> bool:
         """Whether z = 0 of odom is likelier the floor than legs and load are the nominal ones.
