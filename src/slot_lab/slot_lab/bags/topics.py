@@ -1,7 +1,7 @@
 """Topics of a bag: sensors, outputs of the stages, ground truth."""
 
-ODOMETRY = "/odom"
-SENSORS = (ODOMETRY, "/imu")  # in the order of the numbers in StageRecord
+ODOMETRY, IMU = "/odom", "/imu"
+SENSORS = (ODOMETRY, IMU)  # in the order of the numbers in StageRecord
 GROUND_TRUTH = "/ground_truth/odom"
 IMAGES = "/camera/image_raw"
 LEG_STATES = "/ground_truth/legs"
