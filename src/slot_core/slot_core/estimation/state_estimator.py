@@ -318,8 +318,8 @@ class StateEstimator:
         if any(rejected is not None for rejected in self._rejected):
             self._filter.forget_biases()
         self._filter.restart(motion)
-        self._stamp, self._accepted = motion.stamp, 0
-        self._initial = motion.stamp
+        self._stamp = self._initial = self._accepted_stamp = motion.stamp
+        self._accepted = 0
         self._corrected, self._reached = self._filter.state, motion.stamp
         self._tick = max(self._tick, motion.stamp)
         self._accept(motion.stamp)
@@ -349,7 +349,7 @@ class StateEstimator:
 
     def _accept(self, stamp: int) -> None:
         elapsed = to_seconds(stamp - self._accepted_stamp)
-        if 0.0 < elapsed <= self._settings.timing.odometry_gap:
+        if elapsed > 0.0:  # else the filter has started
             known = self._interval or elapsed
             self._interval = known + INTERVAL_GAIN * (elapsed - known)
         self._accepted_stamp = stamp
