@@ -22,8 +22,7 @@ from slot_core.simulation.supervised_loop import SupervisedLoop
 PAGE = Path(__file__).parents[2] / "slot_bringup" / "doc" / "safety.md"
 SETTINGS = read_supervisor()
 TIMING = SETTINGS.timing
-# s, between two commands: a period, and up to a sample of the IMU
-TICK = 0.033 + 0.005
+TICK, SAMPLE = 0.033, 0.005  # s, of the controller and, at which it ticks, of the IMU
 STRIDE = read_gaits().strides["walk"].period
 WAIT = read_estimator().timing.odometry_wait
 NO_ODOMETRY = WAIT + (SETTINGS.estimate.coast_cycles + 1) * TICK
@@ -33,12 +32,12 @@ BOTH = ("sim", "fake_bus")
 
 def within(limit):
     """Bounds (s) of an event with a limit from the cause on: a step of the supervisor later."""
-    return 0.0, limit + PERIOD + CYCLE
+    return 0.0, limit + SAMPLE + PERIOD + CYCLE
 
 
 def after(limit):
     """Bounds (s) of an event with a limit from the last message on, and no sooner."""
-    return limit - TICK, limit + PERIOD + CYCLE
+    return limit - TICK - SAMPLE, limit + SAMPLE + PERIOD + CYCLE
 
 
 LOST = {"HOLD": after(TIMING.command_hold), "RELAX": after(TIMING.command_lost)}
@@ -137,13 +136,13 @@ ROWS = {
     "roll too large": (
         lambda loop: loop.tilt("x"),
         "torque off",
-        {"RELAX": within(5 * TICK)},
+        {"RELAX": within(6 * TICK)},
         ("sim",),
     ),
     "pitch too large": (
         lambda loop: loop.tilt("y"),
         "RELAX",
-        {"RELAX": within(5 * TICK)},
+        {"RELAX": within(6 * TICK)},
         ("sim",),
     ),
     "servo silent": (
