@@ -35,7 +35,7 @@ CORE = {
     "dynamics": "",
     "rod": "dynamics",
     "legs": "dynamics",
-    "estimation": "",
+    "estimation": "legs",
     "gait": "legs",
     "control": "legs estimation gait",
     "mpc": "legs estimation gait control",

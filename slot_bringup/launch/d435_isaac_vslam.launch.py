@@ -6,6 +6,9 @@ Needs realsense2_camera and isaac_ros_visual_slam 4.x on a Jetson or an NVIDIA G
 arguments of slot.launch.py. The SLAM is started as in its own launch file for RealSense, which has
 no arguments and publishes odom -> camera_link; here it is base_link, without that transform.
 Written after the published parameters and topics; it was not run with a camera.
+
+The origin of odom is where base_link was at the first image. It need not be the floor: the state
+estimator learns the floor's place while the robot lies with slack tendons, and as it stands up.
 """
 
 from pathlib import Path

@@ -5,6 +5,9 @@ ros2 launch slot_bringup d435_rtabmap.launch.py gait:=walk
 Needs ros-jazzy-realsense2-camera and ros-jazzy-rtabmap-launch. Takes the arguments of
 slot.launch.py. Written after the published launch files of realsense2_camera and rtabmap_launch;
 it was not run with a camera.
+
+The origin of odom is where base_link was at the first image. It need not be the floor: the state
+estimator learns the floor's place while the robot lies with slack tendons, and as it stands up.
 """
 
 from pathlib import Path

@@ -155,7 +155,9 @@ def clean(motion, duration):
 
 def without(kind, messages, start, end):
     """The messages without those of a kind between two times, s."""
-    return [m for m in messages if m[0] != kind or not start < m[1] / SECOND < end]
+    return [
+        m for m in messages if m[0] != kind or not start < m[1] / SECOND < end
+    ]
 
 
 def changed(messages, readings, change):

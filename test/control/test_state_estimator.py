@@ -236,7 +236,9 @@ def test_the_filter_does_not_depend_on_the_interleaving_of_the_streams(seed):
     (expected, one), (estimates, other) = run(messages), run(shuffled)
     stamps = [[e.stamp for e in found] for found in (expected, estimates)]
     assert set(stamps[1]) >= set(stamps[0][2:])
-    assert sum(same([a], [b]) for a, b in zip(estimates[-50:], expected[-50:])) > 5
+    assert (
+        sum(same([a], [b]) for a, b in zip(estimates[-50:], expected[-50:])) > 5
+    )
     assert same([other.present()], [one.present()])
 
 
@@ -299,7 +301,9 @@ def test_after_a_long_gap_in_the_odometry_the_filter_restarts_and_keeps_the_bias
 def test_the_stamps_of_the_estimates_increase_whatever_arrives():
     rng = np.random.default_rng(2)
     kept = [
-        m for m in noisy(Walk(), 20.0, 3) if m[0] == "imu" or rng.random() < 0.15
+        m
+        for m in noisy(Walk(), 20.0, 3)
+        if m[0] == "imu" or rng.random() < 0.15
     ]
     estimates, _ = run(arriving(kept, lambda: rng.uniform(0.0, 0.3)))
     assert min(np.diff([e.stamp for e in estimates])) > 0
@@ -425,7 +429,9 @@ def test_readings_that_alternate_between_two_positions_are_not_accepted():
     last = 19 / 30
     times = np.array([e.stamp for e in estimates]) / SECOND - last
     late = estimates[np.flatnonzero(times > timing.odometry_wait)[0] :]
-    rejected = [e for e, t in zip(late, times[-len(late) :]) if t < timing.odometry_gap]
+    rejected = [
+        e for e, t in zip(late, times[-len(late) :]) if t < timing.odometry_gap
+    ]
     assert set(validities(rejected)) == {Validity.ODOMETRY_REJECTED}
     assert rejected[0].message.startswith("odom contradicts the IMU for 0.5")
     assert Validity.VALID not in validities(late)

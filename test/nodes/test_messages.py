@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from tf2_msgs.msg import TFMessage
 
 from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.floor_observer import FloorPlane
 from slot_core.estimation.inertial_filter import Mount
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import Transform, matrix_of_quaternion
@@ -79,34 +80,46 @@ def test_imu_marks_its_orientation_as_missing():
 
 def test_state_and_its_transform():
     state = np.concatenate([[0.1, -0.2, 2.0], RNG.normal(size=9)])
+    floor = FloorPlane(0.2, np.array([0.0, -0.6, 0.8]))
     estimate = Estimate(
-        STAMP, state, RNG.normal(size=(12, 12)), Validity.IMU_MISSING, LEAD
+        STAMP,
+        state,
+        RNG.normal(size=(12, 12)),
+        Validity.IMU_MISSING,
+        LEAD,
+        0.8,
+        False,
+        "a line",
+        floor,
     )
     message = through_dds(messages.state_to_msg(estimate))
     got = decode.estimate(message)
     assert (got.stamp, got.validity, got.lead) == (STAMP, 3, LEAD)
+    assert (got.leg_stiffness, got.legs_are_known) == (0.8, False)
+    assert got.message == "a line"
     assert (got.state == state).all()
     assert (got.covariance == estimate.covariance).all()
-    transform, footprint = through_dds(
-        messages.state_to_tf(estimate)
-    ).transforms
-    assert (transform.header.frame_id, transform.child_frame_id) == (
-        "odom",
-        "base_link",
+    transforms = through_dds(messages.state_to_tf(estimate)).transforms
+    assert [
+        (t.header.frame_id, t.child_frame_id, decode.stamp(t))
+        for t in transforms
+    ] == [
+        ("odom", "floor", STAMP + LEAD),
+        ("odom", "base_link", STAMP + LEAD),
+        ("base_link", "base_footprint", STAMP + LEAD),
+    ]
+    plane, base, below = (as_transform(t.transform) for t in transforms)
+    # the floor's normal, and a point of it, in odom
+    assert plane.apply(np.array([0.0, 0.0, 1.0])) == pytest.approx(
+        [0.0, -0.6, 1.0]
     )
-    q = transform.transform.rotation
-    yaw_pitch_roll = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_euler("ZYX")
+    on_floor = plane.inverse @ base
+    yaw_pitch_roll = Rotation.from_matrix(on_floor.rotation).as_euler("ZYX")
     assert yaw_pitch_roll == pytest.approx([2.0, -0.2, 0.1])
-    assert decode.stamp(transform) == decode.stamp(footprint) == STAMP + LEAD
-    base, below = (as_transform(t.transform) for t in (transform, footprint))
-    place = base @ below  # in odom: on the floor, level, with the torso's yaw
+    place = on_floor @ below  # level, with the torso's yaw
     assert place.position == pytest.approx([*state[3:5], 0.0])
     assert place.rotation == pytest.approx(
         Rotation.from_euler("z", 2.0).as_matrix()
-    )
-    assert (footprint.header.frame_id, footprint.child_frame_id) == (
-        "base_link",
-        "base_footprint",
     )
 
 

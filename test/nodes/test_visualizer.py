@@ -46,7 +46,7 @@ def test_bent_legs_are_four_solids_in_their_colours_and_place():
             1.0,
         )
         assert (marker.header.frame_id, marker.header.stamp.nanosec) == (
-            "odom",
+            "floor",
             1,
         )
 

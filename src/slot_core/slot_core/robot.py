@@ -27,6 +27,9 @@ TENDON_JOINTS = tuple(f"{leg}_tendon" for leg in LEGS)
 ARC_CELLS = 4000  # of a leg's natural shape
 GRAVITY = 9.81  # m/s^2, the value of the paper
 ODOM_FRAME = "odom"
+FLOOR_FRAME = (
+    "floor"  # z = 0 where the feet are, see estimation/floor_observer.py
+)
 BASE_FRAME = "base_link"
 # below base_link, on the floor of odom (REP-120)
 FOOTPRINT_FRAME = "base_footprint"

@@ -25,6 +25,7 @@ from slot_core.matrices import product
 from slot_core.messages import decode
 from slot_core.robot import (
     BASE_FRAME,
+    FLOOR_FRAME,
     FOOTPRINT_FRAME,
     ODOM_FRAME,
     TENDON_JOINTS,
@@ -216,7 +217,7 @@ def state_to_msg(estimate: Estimate) -> MpcState:
     """The twelve states with covariance and validity."""
     x = estimate.state
     return MpcState(
-        header=header(estimate.stamp),
+        header=header(estimate.stamp, FLOOR_FRAME),
         lead=Duration(
             sec=estimate.lead // SECOND, nanosec=estimate.lead % SECOND
         ),
@@ -227,18 +228,22 @@ def state_to_msg(estimate: Estimate) -> MpcState:
         covariance=estimate.covariance.ravel(),
         validity=int(estimate.validity),
         leg_stiffness=estimate.leg_stiffness,
+        legs_are_known=estimate.legs_are_known,
         message=estimate.message,
     )
 
 
 def state_to_tf(estimate: Estimate) -> TFMessage:
-    """Transforms from odom to base_link, and from there to its footprint on the floor."""
+    """Transforms from odom to floor and base_link, and from there to its footprint on the floor."""
+    floor = estimate.floor.transform
     base = Transform.of(estimate.state[3:6], estimate.state[0:3])
     x, y, _ = base.position
     footprint = Transform.of((x, y, 0.0), (0.0, 0.0, estimate.state[2]))
+    in_odom = base if estimate.floor.is_odom else floor @ base
     return TFMessage(
         transforms=[
-            _transform(header(estimate.time), BASE_FRAME, base),
+            _transform(header(estimate.time), FLOOR_FRAME, floor),
+            _transform(header(estimate.time), BASE_FRAME, in_odom),
             _transform(
                 header(estimate.time, BASE_FRAME),
                 FOOTPRINT_FRAME,
@@ -290,7 +295,7 @@ def estimate_to_odometry(estimate: Estimate) -> Odometry:
 def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
     """Gait preview, arrays row-major."""
     return GaitPreview(
-        header=header(preview.stamp),
+        header=header(preview.stamp, FLOOR_FRAME),
         gait=preview.gait,
         phase=preview.phase,
         period=preview.period,
@@ -327,7 +332,7 @@ def plan_to_msg(
         name for name, value in report.items() if isinstance(value, np.ndarray)
     ]
     return TendonPlan(
-        header=header(preview.stamp),
+        header=header(preview.stamp, FLOOR_FRAME),
         dt=preview.dt,
         stages=len(plan.force),
         angle=_doubles(plan.angle),
@@ -352,7 +357,7 @@ def plan_to_msg(
 def map_status_to_msg(stamp: int, command: TendonCommand) -> ForceMapStatus:
     """Map of a plan to tendon angles: slopes, unclamped angles, saturation."""
     return ForceMapStatus(
-        header=header(stamp),
+        header=header(stamp, FLOOR_FRAME),
         map=command.map,
         force=command.force.tolist(),
         slope=command.slope.tolist(),

@@ -35,7 +35,7 @@ class Recorder:
         self._publish("")
 
     def take(self, topic: int, stamp: int) -> None:
-        """Note an input, ODOMETRY or IMU, before the stage gets it; stamp: ns."""
+        """Note an input, ODOMETRY, IMU or JOINTS, before the stage gets it; stamp: ns."""
         if len(self._taken) >= TAKEN_MAX:
             self._publish(capture(self._stage))
         self._taken.append(topic)

@@ -1,17 +1,20 @@
-"""`/odom` and `/imu` to `/mpc_state`, `/odometry/filtered`, `/tf`, `/tf_static`, `/diagnostics`."""
+"""`/odom`, `/imu`, `/joint_states` to `/mpc_state`, `/odometry/filtered`, `/tf`, `/tf_static`."""
 
 from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import Imu, JointState
 from tf2_msgs.msg import TFMessage
 
 from slot_core.clock import to_seconds
+from slot_core.control.force_map import read_springs
 from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.floor_observer import FloorObserver
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.messages import decode
+from slot_core.robot import read_robot
 from slot_msgs.msg import MpcState, StageRecord
 from slot_nodes import diagnostics, inputs, messages, qos, runtime, stage_record
 from slot_nodes.process import intra_process
@@ -26,7 +29,10 @@ class StateEstimatorNode(Node):
     def __init__(self) -> None:
         super().__init__("state_estimator")
         settings = runtime.declare_settings(self, read_estimator())
-        self._estimator = StateEstimator(settings)
+        floor = FloorObserver(
+            read_robot(), read_springs(), settings.floor, settings.timing.period
+        )
+        self._estimator = StateEstimator(settings, floor)
         self._in_base_axes = not any(settings.mounts.imu.rpy)
         self._record = stage_record.Recorder(self, self._estimator)
         self._state = runtime.publisher(
@@ -46,10 +52,15 @@ class StateEstimatorNode(Node):
         self._odometry = inputs.subscribe(
             self, Odometry, "odom", self._on_odometry, profile
         )
+        self._joints = inputs.PassiveSubscriptions(self)
+        self._joints.subscribe(
+            JointState, "joint_states", self._on_joints, qos.SENSOR
+        )
         inputs.subscribe(self, Imu, "imu", self._on_imu, profile)
 
     def _on_imu(self, message: Imu) -> None:
         """Take a sample, after the readings that arrived before it: it may lead to a tick."""
+        self._joints.take()
         inputs.process_received(self._odometry)
         if self._in_base_axes and message.header.frame_id.endswith(
             "optical_frame"
@@ -71,9 +82,15 @@ class StateEstimatorNode(Node):
 
     def _on_odometry(self, message: Odometry) -> None:
         reading = decode.torso_odometry(message)
+        self._joints.take()
         self._record.take(StageRecord.ODOMETRY, reading[0])
         self._estimator.add_odometry(*reading)
         self._publish()
+
+    def _on_joints(self, message: JointState) -> None:
+        reading = decode.joint_loads(message)
+        self._record.take(StageRecord.JOINTS, reading[0])
+        self._estimator.add_joints(*reading)
 
     def _publish(self) -> None:
         while (estimate := self._estimator.poll()) is not None:

@@ -16,7 +16,7 @@ from slot_core.drawing.drawing import Drawing
 from slot_core.drawing.shapes import Bars, Box, Shape, Strips, halves
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
-from slot_core.robot import read_robot
+from slot_core.robot import FLOOR_FRAME, read_robot
 from slot_msgs.msg import GaitPreview, LegStates, MpcState, TendonPlan
 from slot_nodes import inputs, messages, qos, runtime
 
@@ -154,7 +154,8 @@ def _box(stamp: int, name: str, box: Box) -> Marker:
 
 
 def _marker(stamp: int, name: str, number: int, **fields: Any) -> Marker:
-    return Marker(header=messages.header(stamp), ns=name, id=number, **fields)
+    header = messages.header(stamp, FLOOR_FRAME)
+    return Marker(header=header, ns=name, id=number, **fields)
 
 
 def _point(place: list[float]) -> Point:

@@ -11,6 +11,7 @@ from slot_core.control.force_map import (
 )
 from slot_core.control.policy import Policy, TendonPlan
 from slot_core.estimation.estimate import Estimate
+from slot_core.estimation.floor_observer import FloorObserver
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.gait.gait import GaitPreview, GaitSettings, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
@@ -45,9 +46,13 @@ class Controller:
         velocity: (3,) m/s, m/s, rad/s, or None for the gait's `cruise`. path: followed by a stride
         instead. gaits: in place of the configured ones.
         """
-        self.estimator = StateEstimator(read_estimator())
+        springs, settings = read_springs(), read_estimator()
+        floor = FloorObserver(
+            robot, springs, settings.floor, settings.timing.period
+        )
+        self.estimator = StateEstimator(settings, floor)
         self.scheduler = GaitScheduler(
-            gaits or read_gaits(), robot, read_springs(), gait, velocity, path
+            gaits or read_gaits(), robot, springs, gait, velocity, path
         )
         self.policy = policy
         self.force_map = make_force_map(robot, read_force_map())

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core.arrays import Array
+from slot_core.estimation.floor_observer import LEVEL, FloorPlane
 
 
 class Validity(enum.IntEnum):
@@ -30,7 +31,8 @@ class Estimate:
     """State of the torso for a control tick, predicted to the time when its command takes effect.
 
     `stamp` names the tick, on the time of the IMU. The state is [roll pitch yaw, p, omega, v]:
-    rad, m, rad/s, m/s, all in odom, with R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in (-pi, pi].
+    rad, m, rad/s, m/s, all in the floor's frame, with R = Rz(yaw) Ry(pitch) Rx(roll) and yaw in
+    (-pi, pi].
     """
 
     stamp: int  # ns
@@ -40,7 +42,9 @@ class Estimate:
     lead: int = 0  # ns, from `stamp` to the time of the state
     # stiffness of the legs over the robot's weight, relative to the leg table
     leg_stiffness: float = 1.0
+    legs_are_known: bool = True  # whether that is measured, or cannot be
     message: str = ""  # one line: why it is unusable, or what was compensated
+    floor: FloorPlane = LEVEL  # in odom
 
     @classmethod
     def exact(cls, state: Array, stamp: int = 0) -> Estimate:

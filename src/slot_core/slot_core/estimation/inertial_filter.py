@@ -31,8 +31,14 @@ from slot_core.estimation.filter_kernels import (
     propagate_through,
     work_space,
 )
+from slot_core.estimation.floor_observer import (
+    BACK,
+    LEVEL,
+    FloorObserverSettings,
+    FloorPlane,
+)
 from slot_core.estimation.imu_samples import ImuSamples
-from slot_core.geometry import matrix_of_quaternion
+from slot_core.geometry import matrix_of_quaternion, quaternion_product
 from slot_core.key_frame import StateParts
 from slot_core.matrices import norm, product
 from slot_core.robot import GRAVITY
@@ -240,6 +246,7 @@ class MountSettings:
 class EstimatorSettings:
     """Settings of `config/estimator.yaml`."""
 
+    floor: FloorObserverSettings
     odometry: OdometryNoise
     imu: ImuNoise
     blind: BlindSettings
@@ -438,12 +445,30 @@ class InertialFilter:
         level = math.sqrt((1.0 - share) * (1.0 + share))
         return atan2(share, level), math.sqrt(max(variance, 0.0)) / GRAVITY
 
-    def output(self) -> tuple[Array, Array]:
-        """State (12,) and covariance (12, 12) of `Estimate`; the covariance is of first order."""
+    def output(self, floor: FloorPlane = LEVEL) -> tuple[Array, Array]:
+        """State (12,) and covariance (12, 12) of `Estimate`; the covariance is of first order.
+
+        With another floor than z = 0 of odom the filter's state is changed, and has to be restored.
+        """
+        if not floor.is_odom:
+            self._refer_to(floor)
         state, cov = np.empty(12), np.empty((12, 12))
         rate, variance, gyro_share = self.rate
         output(self._state, self._work, rate, gyro_share, variance, state, cov)
         return state, cov
+
+    def _refer_to(self, floor: FloorPlane) -> None:
+        """Turn and move attitude, position and velocity from odom into the frame of a floor."""
+        state, back = self._state, floor.quaternion * BACK
+        turn = matrix_of_quaternion(back)
+        state.attitude[:] = quaternion_product(back, state.attitude)
+        state.position[2] -= floor.height
+        state.position[:] = product(turn, state.position)
+        state.velocity[:] = product(turn, state.velocity)
+        jacobian = np.eye(15)
+        for part in (THETA, P, V):
+            jacobian[part, part] = turn
+        state.cov[:] = product(product(jacobian, state.cov), jacobian.T)
 
 
 def _require_some(samples: ImuSamples) -> None:

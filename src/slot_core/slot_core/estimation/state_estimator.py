@@ -32,6 +32,7 @@ from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.elementary import atan2
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.filter_kernels import FilterState
+from slot_core.estimation.floor_observer import LEVEL, FloorObserver, FloorPlane
 from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.estimation.inertial_filter import (
     EstimatorSettings,
@@ -48,10 +49,12 @@ from slot_core.geometry import (
 )
 from slot_core.key_frame import StateParts
 from slot_core.matrices import norm, product
+from slot_core.robot import LEGS
 
 BEFORE_ALL_TIMES = -(2**62)  # ns
 # SI, to which the variances of a message are clipped
 VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6
+ANGLE_MAX = 100.0  # rad, of a tendon angle that is used
 EARLY = 0.25  # of a period, see `earliness`
 INTERVAL_GAIN = 0.2  # of the mean time between readings
 
@@ -92,12 +95,16 @@ class StateEstimator:
         "_initial",
         "_interval",
         "_imu_complete",
+        "_floor",
         values=(FilterState, OdometryMotion, ImuSamples),
     )
 
-    def __init__(self, settings: EstimatorSettings) -> None:
+    def __init__(
+        self, settings: EstimatorSettings, floor: FloorObserver | None = None
+    ) -> None:
+        """Without a floor observer the floor is z = 0 of odom."""
         load_kernels(settings)
-        self._settings = settings
+        self._settings, self._floor = settings, floor
         o = settings.odometry
         noise = [
             o.angle_noise,
@@ -113,6 +120,8 @@ class StateEstimator:
     def _reset(self) -> None:
         """Return to the state after construction; estimates not yet polled are kept."""
         self._filter = InertialFilter(self._settings)
+        if self._floor is not None:
+            self._floor.reset()
         self._newest: dict[str, int] = {}
         self._begun = 0  # ns, stamp of the first message
         self._imu = ImuSamples.none()
@@ -198,12 +207,21 @@ class StateEstimator:
             newest = self._newest.get("imu", BEFORE_ALL_TIMES)
             self._publish_due(newest, newest)
 
+    def add_joints(self, stamp: int, angle: Array, torque: Array) -> None:
+        """Add tendon angles (4,) rad and torques (4,) N m at `stamp` (ns).
+
+        At rest they tell where the floor is. Torques that are not finite are unknown.
+        """
+        known = _vector(angle, len(LEGS), ANGLE_MAX)
+        if known is not None and self._floor is not None:
+            self._floor.add_joints(stamp, known, np.nan_to_num(torque))
+
     def poll(self) -> Estimate | None:
         """The next estimate, in order of the stamps; None if none is ready."""
         return self._ready.popleft() if self._ready else None
 
     def present(self) -> Estimate | None:
-        """The state at the newest IMU sample; None if the filter has not reached one."""
+        """The state in odom at the newest IMU sample; None if the filter has not reached one."""
         newest = self._newest.get("imu", BEFORE_ALL_TIMES)
         if (
             self._stamp is None
@@ -211,7 +229,7 @@ class StateEstimator:
             or newest != self._reached
         ):
             return None
-        return self._predicted(newest, 0.0)
+        return self._predicted(newest, 0.0, LEVEL)
 
     def _decode(
         self,
@@ -286,12 +304,24 @@ class StateEstimator:
         period = to_ns(self._settings.timing.period)
         if self._stamp is None or latest < self._tick:
             return
+        if self._floor is not None:
+            self._observe_floor(self._floor, now)
         missed = (now - self._tick) // period
         tick = now if latest > now else self._tick + missed * period
-        self._ready.append(
-            self._predicted(tick, self._settings.timing.command_delay)
-        )
+        floor = LEVEL if self._floor is None else self._floor.floor
+        delay = self._settings.timing.command_delay
+        self._ready.append(self._predicted(tick, delay, floor))
         self._tick = tick + period
+
+    def _observe_floor(self, floor: FloorObserver, now: int) -> None:
+        """Let the floor observer take the torso's pose, if it is known at `now` (ns)."""
+        if now - self._accepted_stamp > to_ns(
+            self._settings.timing.odometry_wait
+        ):
+            return
+        samples = self._imu.values
+        force = samples[-1, 3:] if len(samples) else np.zeros(3)
+        floor.observe(now, self._filter.state, self._filter.rate.value, force)
 
     def _process(self, stamp: int, motion: OdometryMotion | None) -> None:
         """Predict to a reading (None: unusable), and correct with it."""
@@ -317,6 +347,10 @@ class StateEstimator:
         """Start the filter from a reading; after rejections without the biases it has learned."""
         if any(rejected is not None for rejected in self._rejected):
             self._filter.forget_biases()
+        if self._stamp is not None and self._floor is not None:
+            old = self._filter.state
+            before = self._floor.floor.above(old.attitude, old.position)
+            self._floor.start_anew(before, motion.attitude, motion.position)
         self._filter.restart(motion)
         self._stamp = self._initial = self._accepted_stamp = motion.stamp
         self._accepted = 0
@@ -405,6 +439,9 @@ class StateEstimator:
             return Validity.ODOMETRY_LOST, line
         if self._is_initialising(stamp):
             return Validity.INITIALISING, ""
+        if self._floor is not None and not self._floor.is_known:
+            line = "the floor is not known before the torso rests on it"
+            return Validity.INITIALISING, line
         if rate < least:
             with_it = "without an IMU" if without_imu else "with an IMU"
             return (
@@ -413,7 +450,9 @@ class StateEstimator:
             )
         return (Validity.IMU_MISSING if without_imu else Validity.VALID), ""
 
-    def _predicted(self, stamp: int, delay: float) -> Estimate:
+    def _predicted(
+        self, stamp: int, delay: float, floor: FloorPlane
+    ) -> Estimate:
         """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
         assert self._stamp is not None
         saved, rate, samples = self._filter.state, self._filter.rate, self._imu
@@ -426,13 +465,24 @@ class StateEstimator:
             self._filter.extrapolate(samples.values[-1], delay)
         elif delay > 0.0:
             self._filter.propagate_blind(delay)
-        state, covariance = self._filter.output()
+        state, covariance = self._filter.output(floor)
         self._filter.restore(saved)
         self._filter.rate = rate
         lead = self._reached + to_ns(delay) - stamp
         validity, message = self._judged(stamp)
+        ratio, known = 1.0, True
+        if self._floor is not None:
+            ratio, known = self._floor.ratio, self._floor.legs_are_known
         return Estimate(
-            stamp, state, covariance, validity, lead, message=message
+            stamp,
+            state,
+            covariance,
+            validity,
+            lead,
+            ratio,
+            known,
+            message,
+            floor,
         )
 
 

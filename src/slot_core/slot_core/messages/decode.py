@@ -154,6 +154,7 @@ def estimate(message: Any) -> Estimate:
         Validity(message.validity),
         time(message.lead),
         getattr(message, "leg_stiffness", 1.0),  # older bags have none
+        getattr(message, "legs_are_known", True),
         getattr(message, "message", ""),
     )
 

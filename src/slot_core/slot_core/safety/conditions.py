@@ -111,6 +111,7 @@ class Conditions:
         self._missed = 0  # unusable estimates in a row
         self._imu_missing: int | None = None  # since when
         self._usable = False  # whether there has been a usable estimate
+        self.legs_are_known = True  # see Estimate
         self._tilt: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch
         self._stopped = ""  # why the MPC counts as stopped
         self._rejected = ""  # why the newest command was rejected
@@ -131,6 +132,7 @@ class Conditions:
         usable = finite and estimate.validity in USABLE
         self._missed = 0 if usable else self._missed + 1
         self._usable = self._usable or usable
+        self.legs_are_known = estimate.legs_are_known
         if estimate.validity is Validity.VALID:
             self._imu_missing = None
         elif (

@@ -426,6 +426,8 @@ class Supervisor:
             return [
                 f"the legs are {distance:.3g} rad from their command, limit {limit:g} rad"
             ]
+        if request is Request.WALK and not self._inputs.legs_are_known:
+            return ["the stiffness of the legs is not measured yet"]
         return []
 
     def _angles_out_of_range(self) -> list[str]:

@@ -18,6 +18,7 @@ from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.route import Route
 from slot_core.robot import RobotParameters, read_robot
+from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.readings import (
     ImageReading,
@@ -147,6 +148,8 @@ class ClosedLoop:
                 self.controller.estimator.add_imu(
                     r.stamp, r.angular_velocity, r.specific_force
                 )
+            elif isinstance(r, JointReading):
+                self.controller.estimator.add_joints(r.stamp, r.angle, r.torque)
             elif isinstance(r, ImageReading) and self._localizer is not None:
                 fix = self._localizer.locate(r.stamp, r.grey)
                 self.controller.estimator.add_odometry(*fix.odometry)

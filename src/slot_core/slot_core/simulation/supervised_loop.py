@@ -138,6 +138,7 @@ class SupervisedLoop:
 
     def receive_joints(self, reading: JointReading) -> None:
         """Give the joints to the supervisor."""
+        self.receive(reading)
         r, supervisor = reading, self.supervisor
         self.ticked.add(
             "joints",

@@ -24,6 +24,7 @@ from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.control.policy import Status, TendonPlan, policy_class
 from slot_core.control.tuned_policy import TunedPolicy
 from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.floor_observer import FloorObserver
 from slot_core.estimation.state_estimator import (
     BEFORE_ALL_TIMES,
     StateEstimator,
@@ -56,6 +57,10 @@ PREVIEW = (
     "velocity_ahead",
     "corrected",
 )
+READERS = dict(
+    zip(SENSORS, (decode.torso_odometry, decode.imu, decode.joint_loads))
+)
+TAKERS = dict(zip(SENSORS, ("add_odometry", "add_imu", "add_joints")))
 PLAN = ("angle", "rate", "force", "pose", "status", "fallback_cycles")
 Fields = dict[str, Any]
 """Values by the name of the message's field."""
@@ -234,12 +239,20 @@ def estimates(recorded: RecordedStages) -> Replayed:
     """
     settings = recorded.settings("state_estimator", read_estimator())
     found, readings = Replayed(), _by_topic_and_stamp(recorded.sensors)
+
+    def make() -> StateEstimator:
+        springs = read_springs()
+        floor = FloorObserver(
+            recorded.robot, springs, settings.floor, settings.timing.period
+        )
+        return StateEstimator(settings, floor)
+
     estimator: StateEstimator | None = None
     known: list[tuple[int, int]] = []  # stamps of the outputs: after, up to
     expected, before = -1, BEFORE_ALL_TIMES
     for record in recorded.records["state_estimator"]:
         if record.number == 0:
-            estimator, expected = StateEstimator(settings), 1
+            estimator, expected = make(), 1
             continue
         if record.number != expected:
             estimator = None
@@ -258,7 +271,7 @@ def estimates(recorded: RecordedStages) -> Replayed:
         if estimator is not None:
             known.append((before, decode.stamp(record)))
         elif record.state:
-            estimator = StateEstimator(settings)
+            estimator = make()
             restore(estimator, record.state)
         before = decode.stamp(record)
     found.unknown = {
@@ -294,14 +307,9 @@ def _take_next(
 
 def _take(estimator: StateEstimator | None, topic: str, message: Any) -> None:
     """Let the estimator take a message; raises ValueError if its node refuses it."""
-    if topic == ODOMETRY:
-        odometry = decode.torso_odometry(message)
-        if estimator is not None:
-            estimator.add_odometry(*odometry)
-    else:
-        imu = decode.imu(message)
-        if estimator is not None:
-            estimator.add_imu(*imu)
+    reading = READERS[topic](message)
+    if estimator is not None:
+        getattr(estimator, TAKERS[topic])(*reading)
 
 
 def _polled(estimator: StateEstimator) -> dict[int, Fields]:

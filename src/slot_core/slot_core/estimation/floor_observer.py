@@ -1,0 +1,423 @@
+"""Floor observer: where the floor is in odom, and how stiff the legs are for the robot's weight.
+
+A visual SLAM puts the origin of odom where its first image was taken. The floor is where the feet
+are. While the torso rests, tendon angles and the leg table tell its pose above the floor
+(`legs/leg_springs.py`), and so the plane of the floor in odom:
+
+    n = R u_b,    c = (n . p - h) / n_z
+
+with attitude R and place p of the torso in odom, its height h above the floor and the floor's
+normal u_b in base_link. The plane goes through (0, 0, c) with the normal n.
+
+    at rest                          learned
+    tendons slack                    the floor: the torso lies flat on it, whatever the legs are
+    loaded, after that               the ratio kappa, once, from the height
+    loaded, never slack before       kappa, if odom's origin can be the floor; else the floor,
+                                     with legs as the table's
+
+Later, while it walks too, the floor follows slowly what friction of the feet does not explain.
+
+A floor that differs from z = 0 by less than the method tells is taken for it, and a kappa near 1
+for 1. When odom starts anew, height and tilt above the floor go on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from slot_core.arrays import Array
+from slot_core.clock import to_seconds
+from slot_core.config import quantity
+from slot_core.elementary import atan2, cos, log, sin
+from slot_core.estimation.filter_kernels import FilterState
+from slot_core.geometry import (
+    Transform,
+    matrix_of_quaternion,
+    quaternion_product,
+    rpy_of,
+)
+from slot_core.key_frame import StateParts
+from slot_core.legs.leg_springs import (
+    LegSprings,
+    drops,
+    rest_pose,
+    stiffness_ratio,
+)
+from slot_core.legs.leg_table import read_leg_table
+from slot_core.matrices import norm, product
+from slot_core.robot import LEGS, RobotParameters
+
+UP = np.array([0.0, 0.0, 1.0])
+FOLLOWED = 3  # ticks between two corrections of the floor
+JOINTS_LATE = 0.1  # s, age of tendon angles that are not used
+
+
+@dataclass(frozen=True)
+class FloorObserverSettings:
+    """When the torso rests, and what is learned of the floor then."""
+
+    rest_time: float = quantity("time at rest", "s", 0.01, 10)
+    rest_speed: float = quantity("largest speed at rest", "m/s", 1e-3, 1)
+    rest_rate: float = quantity("largest angular velocity", "rad/s", 1e-3, 10)
+    rest_angle: float = quantity(
+        "largest change of a tendon angle", "rad", 1e-4, 1
+    )
+    slack_angle: float = quantity(
+        "tendon angle up to which a tendon is slack", "rad", 0.0, 1.0
+    )
+    offset_min: float = quantity(
+        "least height of the floor that is not 0", "m", 0, 0.1
+    )
+    tilt_min: float = quantity(
+        "least tilt of the floor that is not 0", "rad", 0, 0.5
+    )
+    ratio_change: float = quantity(
+        "least change of the stiffness ratio", "", 0, 1
+    )
+    ratio_min: float = quantity("least stiffness ratio", "", 0.01, 1)
+    ratio_max: float = quantity("largest stiffness ratio", "", 1, 100)
+    modulus_error: float = quantity(
+        "standard deviation of the logarithm of the legs' modulus", "", 0.01, 9
+    )
+    load_error: float = quantity(
+        "standard deviation of the logarithm of the weight", "", 0.01, 9
+    )
+    torque_error: float = quantity(
+        "standard deviation of the logarithm of the torques", "", 0.01, 9
+    )
+    origin_cost: float = quantity(
+        "variances by which an origin elsewhere is less likely", "", 0, 100
+    )
+    clearance: float = quantity(
+        "height of the torso's underside from which it is clear of the floor",
+        "m",
+        0,
+        0.1,
+    )
+    follow_time: float = quantity(
+        "time constant of the mean error, longer than a stride", "s", 0.1, 60
+    )
+    follow_speed: float = quantity(
+        "largest speed of the floor's height", "m/s", 0, 0.1
+    )
+    follow_rate: float = quantity(
+        "largest angular velocity of the floor", "rad/s", 0, 0.1
+    )
+    lift: float = quantity(
+        "height error of a robot that was lifted", "m", 0.001, 1
+    )
+    height_error: float = quantity(
+        "height that friction of the feet explains", "m", 0, 0.1
+    )
+    tilt_error: float = quantity(
+        "tilt that friction of the feet explains", "rad", 0, 1
+    )
+    incline_max: float = quantity(
+        "largest angle of the torso to gravity at which it counts as upright",
+        "rad",
+        0,
+        1,
+    )
+    patience: float = quantity(
+        "time without tendon angles, or a rest, after which odom counts as the floor",
+        "s",
+        0,
+        60,
+    )
+
+
+class FloorPlane(NamedTuple):
+    """Plane of the floor in odom; its frame has odom's heading and the origin (0, 0, height)."""
+
+    height: float  # m
+    normal: Array  # (3,) unit vector, upward
+
+    @property
+    def quaternion(self) -> Array:
+        """Rotation (4,) x y z w from the floor's frame to odom, about a horizontal axis."""
+        x, y, z = self.normal
+        turn = np.array([-y, x, 0.0, 1.0 + z])
+        return np.asarray(turn / norm(turn))
+
+    @property
+    def transform(self) -> Transform:
+        """From coordinates in the floor's frame to odom."""
+        place = np.array([0.0, 0.0, self.height])
+        return Transform(matrix_of_quaternion(self.quaternion), place)
+
+    @property
+    def is_odom(self) -> bool:
+        """Whether the floor is z = 0 of odom."""
+        return self.height == 0.0 and bool((self.normal == UP).all())
+
+    def above(self, attitude: Array, position: Array) -> Array:
+        """Pose (3,) height m, roll, pitch rad of a torso at a pose in odom."""
+        turn = quaternion_product(self.quaternion * BACK, attitude)
+        roll, pitch, _ = rpy_of(matrix_of_quaternion(turn))
+        height = product(self.normal, position) - self.height * self.normal[2]
+        return np.array([height, roll, pitch])
+
+
+BACK = np.array([-1.0, -1.0, -1.0, 1.0])  # of a quaternion to its inverse
+LEVEL = FloorPlane(0.0, UP)
+
+
+class _Rest(NamedTuple):
+    """The torso at rest, at a tick."""
+
+    stamp: int  # ns
+    joints: Array  # (2, 4) rad, N m
+    position: Array  # (3,) m, in odom
+    attitude: Array  # (4,) x y z w
+    force: Array  # (3,) m/s^2, specific force in base_link
+
+    @classmethod
+    def mean(cls, rows: Sequence["_Rest"]) -> "_Rest":
+        """Mean of some."""
+        joints, position, attitude, force = (
+            np.sum([row[k] for row in rows], axis=0) / len(rows)
+            for k in range(1, 5)
+        )
+        return cls(
+            rows[-1].stamp, joints, position, attitude / norm(attitude), force
+        )
+
+    @property
+    def tilt(self) -> float:
+        """Angle of the torso to gravity, rad; 0 without an IMU."""
+        x, y, z = self.force if self.force.any() else UP
+        return float(atan2(norm(np.array([x, y])), z))
+
+
+class FloorObserver:
+    """Learns the floor and the stiffness ratio at rest."""
+
+    STATE = StateParts(
+        "floor",
+        "ratio",
+        "is_known",
+        "_lain",
+        "_lay",
+        "_joints",
+        "_stamp",
+        "_error",
+        "_ticks",
+        "_begun",
+        "_rest",
+        values=(FloorPlane, _Rest),
+    )
+
+    def __init__(
+        self,
+        robot: RobotParameters,
+        springs: LegSprings,
+        settings: FloorObserverSettings,
+        period: float,
+    ) -> None:
+        """`period`: between ticks, s. Raises ConfigError without a leg table."""
+        self._period = period
+        self._robot, self._springs, self._settings = robot, springs, settings
+        self._tension = read_leg_table(("tension_N",))
+        self._lowest = robot.torso.size[2] / 2  # m, height of a torso that lies
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.floor, self.ratio = LEVEL, 1.0
+        # whether the floor was seen at rest, or `patience` is over
+        self.is_known = False
+        # floor below a torso that lay, until it has stood up
+        self._lain: FloorPlane | None = None
+        self._lay = 0  # ns, when it lay last
+        # (2, 4) rad, N m, angles and torques of the tendons
+        self._joints = np.full((2, len(LEGS)), np.nan)
+        self._stamp = self._begun = 0  # ns, of the angles; of the first tick
+        self._rest: list[_Rest] = []
+        self._error = np.zeros(3)  # m, rad, mean of the pose above the floor
+        self._ticks = 0
+
+    @property
+    def legs_are_known(self) -> bool:
+        """Whether the ratio is measured, or cannot be, since the torso last lay on the floor."""
+        return self.is_known and self._lain is None
+
+    def add_joints(self, stamp: int, angle: Array, torque: Array) -> None:
+        """Take tendon angles (4,) rad and torques (4,) N m at `stamp` (ns)."""
+        self._stamp = stamp
+        self._joints = np.array([angle, torque], dtype=np.float64)
+
+    def observe(
+        self, stamp: int, torso: FilterState, rate: Array, force: Array
+    ) -> None:
+        """Take the torso's motion in odom at a tick.
+
+        rate, force: (3,) angular velocity rad/s and specific force m/s^2 in base_link; without an
+        IMU the force is zero.
+        """
+        s = self._settings
+        self._begun = self._begun or stamp
+        age = to_seconds(abs(stamp - self._stamp))
+        row = _Rest(stamp, self._joints, torso.position, torso.attitude, force)
+        angle = self._joints[0]
+        fresh = age <= JOINTS_LATE and bool(np.isfinite(angle).all())
+        still = (
+            fresh
+            and norm(torso.velocity) <= s.rest_speed
+            and norm(rate) <= s.rest_rate
+        )
+        if to_seconds(stamp - self._lay) > s.patience:
+            self._lain = None
+        self._ticks += 1
+        if fresh and self.is_known and self._ticks % FOLLOWED == 0:
+            self._follow(row)
+        if still and self._rest:
+            first = self._rest[0].joints[0]
+            still = np.abs(first - angle).max() <= s.rest_angle
+        if not still:
+            self._rest.clear()
+            if to_seconds(stamp - self._begun) > s.patience:
+                self.is_known = True
+            return
+        self._rest.append(row)
+        if to_seconds(stamp - self._rest[0].stamp) >= s.rest_time:
+            mean = _Rest.mean(self._rest)
+            self._rest.clear()
+            if mean.tilt <= s.incline_max:
+                self._learn(mean)
+
+    def start_anew(
+        self, before: Array, attitude: Array, position: Array
+    ) -> None:
+        """Odom starts anew at a pose: the pose `before` (3,) above the floor goes on."""
+        self._rest.clear()
+        self._lain = None
+        if self.is_known:
+            self.floor = self._near(_floor_below(before, attitude, position))
+
+    def _learn(self, rest: _Rest) -> None:
+        """Learn from means at rest."""
+        known, self.is_known = self.is_known, True
+        angle = rest.joints[0]
+        if angle.max() <= self._settings.slack_angle:
+            lying = np.array([self._lowest, 0.0, 0.0])
+            self._lain = _floor_below(lying, rest.attitude, rest.position)
+            self._lay = rest.stamp
+            self.floor = self._near(self._lain)
+            return
+        if self._lain is None:
+            seen = self.floor.above(rest.attitude, rest.position)
+            held = rest_pose(self._robot, self._springs, angle, self.ratio)
+            if not known or abs(seen[0] - held[0]) > self._settings.lift:
+                self._locate(rest)
+            return
+        seen = self._lain.above(rest.attitude, rest.position)
+        self._note(stiffness_ratio(self._robot, self._springs, angle, seen))
+        # of a torso that still lies it is an upper bound
+        if seen[0] > self._lowest + self._settings.clearance:
+            self._lain = None
+
+    def _locate(self, rest: _Rest) -> None:
+        """Find the floor below a robot that stands at rest, wherever it was before."""
+        self.floor, self.ratio = LEVEL, 1.0
+        angle = rest.joints[0]
+        seen = self.floor.above(rest.attitude, rest.position)
+        ratio = stiffness_ratio(self._robot, self._springs, angle, seen)
+        if self._is_at_zero(ratio, seen, rest):
+            self._note(ratio)
+            return
+        nominal = rest_pose(self._robot, self._springs, angle)
+        self.floor = self._near(
+            _floor_below(nominal, rest.attitude, rest.position)
+        )
+
+    def _is_at_zero(self, ratio: float, seen: Array, rest: _Rest) -> bool:
+        """Whether z = 0 of odom is likelier the floor than legs and load are the nominal ones.
+
+        With the ratio e of the tendons' torques to the table's at the pose seen, the legs' modulus
+        is e and the load e / kappa times the nominal one; with e_1 at the pose of nominal legs the
+        torques contradict these. The sums of squared logarithms over their standard deviations are
+        compared, with `origin_cost` for an origin elsewhere.
+        """
+        s, angle = self._settings, rest.joints[0]
+        in_range = s.ratio_min <= ratio <= s.ratio_max
+        if not in_range or seen[0] < self._lowest - s.offset_min:
+            return False
+        held = rest_pose(self._robot, self._springs, angle, ratio)
+        if np.abs(seen - held)[1:].max() > s.tilt_error:
+            return False
+        modulus = self._torque_ratio(seen, rest)
+        if modulus <= 0.0:  # not known
+            return True
+        nominal = rest_pose(self._robot, self._springs, angle)
+        cost = _cost(modulus, s.modulus_error)
+        cost += _cost(modulus / ratio, s.load_error)
+        contradiction = self._torque_ratio(nominal, rest)
+        return cost < s.origin_cost + _cost(contradiction, s.torque_error)
+
+    def _torque_ratio(self, pose: Array, rest: _Rest) -> float:
+        """Torques of the tendons over the table's at a pose (3,) above the floor."""
+        angle, torque = rest.joints
+        drop = drops(self._robot, self._springs, angle, pose)
+        tension = self._tension.at(angle, drop)[:, 0].sum()
+        expected = tension * self._robot.tendon.spool_radius
+        return float(torque.sum() / max(expected, 1e-6))
+
+    def _note(self, ratio: float) -> None:
+        """Note a ratio; one near 1 is 1."""
+        found = self._bounded(ratio)
+        is_one = abs(found - 1.0) < self._settings.ratio_change
+        self.ratio = 1.0 if is_one else found
+
+    def _bounded(self, ratio: float) -> float:
+        return min(
+            max(ratio, self._settings.ratio_min), self._settings.ratio_max
+        )
+
+    def _follow(self, now: _Rest) -> None:
+        """Move the floor slowly by the mean error that friction of the feet does not explain.
+
+        Over a stride, too, the torso is on average where the legs would hold it at rest.
+        """
+        s, angle = self._settings, now.joints[0]
+        if angle.max() <= s.slack_angle:
+            self._error[:] = 0.0
+            return
+        time = FOLLOWED * self._period
+        seen = self.floor.above(now.attitude, now.position)
+        held = rest_pose(self._robot, self._springs, angle, self.ratio)
+        error = seen - held
+        if abs(error[0]) > s.lift:
+            return
+        self._error += (error - self._error) * time / s.follow_time
+        allowed = np.array([s.height_error, s.tilt_error, s.tilt_error])
+        beyond = self._error - np.clip(self._error, -allowed, allowed)
+        if beyond.any():
+            most = time * np.array(
+                [s.follow_speed, s.follow_rate, s.follow_rate]
+            )
+            moved = np.clip(beyond, -most, most)
+            self._error -= moved
+            self.floor = _floor_below(seen - moved, now.attitude, now.position)
+
+    def _near(self, floor: FloorPlane) -> FloorPlane:
+        """The floor, or z = 0 of odom if it cannot be told from that."""
+        s, (x, y, _) = self._settings, floor.normal
+        level = norm(np.array([x, y])) < s.tilt_min
+        return LEVEL if level and abs(floor.height) < s.offset_min else floor
+
+
+def _cost(ratio: float, error: float) -> float:
+    """Square of the logarithm of a ratio, over its standard deviation."""
+    return float(np.square(log(ratio) / error))
+
+
+def _floor_below(pose: Array, attitude: Array, position: Array) -> FloorPlane:
+    """Floor that a torso is above at a pose (3,) height, roll, pitch, from its pose in odom."""
+    height, roll, pitch = pose
+    up = np.array([-sin(pitch), cos(pitch) * sin(roll), cos(pitch) * cos(roll)])
+    normal = product(matrix_of_quaternion(attitude), up)
+    return FloorPlane(
+        float((product(normal, position) - height) / normal[2]), normal
+    )
