@@ -14,13 +14,12 @@ from slot_core.arrays import Array
 from slot_core.control.policy import TendonPlan
 from slot_core.drawing import palette
 from slot_core.drawing.shapes import FORCE_SCALE, bent_legs
-from slot_core.dynamics.scene import read_scene
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import LEGS, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
 
-DT = read_scene("flat").sensors.odometry.period  # s, between ticks
+DT = read_gaits().dt  # s, between ticks
 SETTLED = 3.0  # s, before the first still
 FIVE = math.radians(5.0)
 CAMERA = Viewpoint()

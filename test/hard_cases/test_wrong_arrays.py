@@ -215,7 +215,7 @@ def _policies():
             (np.zeros_like(angle), angle),
         ),
         "DisturbanceObserver.observe": Case(
-            lambda *parts: observer.observe(0, start, *parts), (state, angle[0])
+            lambda *parts: observer.observe(start, *parts), (state, angle[0])
         ),
         "ForceMap.step": Case(
             mapped,

@@ -231,7 +231,7 @@ def test_a_plant_runs_the_papers_robot(monkeypatch):
     )
     robot.start(0)
     robot.command(np.full(4, 1.0))
-    *_, odometry = robot.advance_to_odometry()
+    *_, odometry = robot.advance_to_reading(readings.OdometryReading)
     assert isinstance(odometry, readings.OdometryReading)
     np.testing.assert_array_equal(robot.robot.tendon_angle, 1.0)
     torque = np.full(4, 1.0 / math.radians(270) * 1.5)

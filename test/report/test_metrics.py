@@ -154,7 +154,7 @@ def test_events_in_the_warm_up_are_left_out(metrics_of, warm_up, counted):
         m.deadline_misses,
         m.unanswered,
         m.fallback_cycles,
-        m.rejected_odometry,
+        m.unusable_states,
     )
     assert found == counted
 

@@ -14,6 +14,7 @@ from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.clocks import (
     PATIENCE,
+    Answer,
     BusClock,
     LockstepClock,
     RealTimeClock,
@@ -27,8 +28,9 @@ from slot_core.simulation.readings import (
 from slot_core.simulation.simulated_servos import DirectServos
 
 SCENE = config.replace(read_scene("map"), {"start.settle": 0.1})
-PERIOD = round(SCENE.sensors.odometry.period * SECOND)  # ns
-DELAY = round(SCENE.sensors.odometry.delay * SECOND)  # ns
+TICK = 0.033  # s
+PERIOD = round(TICK * SECOND)  # ns
+IMU = round(SCENE.sensors.imu.period * SECOND)  # ns
 STEP = round(SCENE.solver.step * SECOND)  # ns
 PORTION = 4 * STEP  # ns
 NOW = 7 * SECOND  # ns
@@ -41,36 +43,65 @@ def plant():
     )
 
 
+# stamps of the commands, in ns after the start, by the scene's sensors
+COMMANDS = {
+    "imu": ({}, [PERIOD * n for n in range(1, 20)]),
+    "slow odometry": (
+        {"sensors.odometry.period": 0.2},
+        [PERIOD * n for n in range(1, 20)],
+    ),
+    "no imu": (
+        {"sensors.imu.enabled": False, "sensors.odometry.period": 0.01},
+        [30_000_000 * n for n in range(1, 20)],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", COMMANDS)
 def test_lockstep_advances_from_one_reading_to_the_next_on_its_answer_alone(
-    plant,
+    case,
 ):
+    changes, commands = COMMANDS[case]
+    plant = RobotSimulator(
+        read_robot(),
+        config.replace(SCENE, changes),
+        read_servo(),
+        np.random.default_rng(0),
+    )
     servos = DirectServos(plant, lockstep=True)
     servos.watchdog.set_limits(read_supervisor().servo_limits)
-    clock = LockstepClock(plant, servos)
+    clock = LockstepClock(plant, servos, TICK)
     kinds = [type(reading) for reading in clock.at_rest()]
-    assert kinds == [ImuReading, JointReading, OdometryReading]
-    kind, stamp, answered = OdometryReading, LOCKSTEP_START, []
-    for _ in range(41):
-        before, other = plant.now, {OdometryReading, StampedHealth} - {kind}
+    assert kinds[-2:] == [JointReading, OdometryReading]
+    kind, stamp, answered = Answer.COMMAND, LOCKSTEP_START, []
+    while len(answered) < 41:
+        before, (other,) = plant.now, {*Answer} - {kind}
         for wrong in (stamp - PERIOD, stamp - 1, stamp + 1, stamp + PERIOD):
             assert list(clock.advance_on_answer(kind, wrong)) == []
-        assert list(clock.advance_on_answer(*other, stamp)) == []
+        assert list(clock.advance_on_answer(other, stamp)) == []
         assert plant.now == before
-        *others, reading = clock.advance_on_answer(kind, stamp)
-        assert not any(
-            isinstance(r, (OdometryReading, StampedHealth)) for r in others
-        )
-        kind, stamp = type(reading), reading.stamp
-        assert plant.now == stamp + (DELAY if kind is OdometryReading else 0)
+        *_, reading = clock.advance_on_answer(kind, stamp)
+        kind = Answer.COMMAND
+        if isinstance(reading, StampedHealth):
+            kind, stamp = Answer.STATE, reading.stamp
+        elif isinstance(reading, ImuReading):
+            stamp = LOCKSTEP_START + commands[len(found(answered, kind))]
+            assert 0 <= reading.stamp - stamp < IMU
+        else:
+            stamp = reading.stamp
         answered.append((kind, stamp - LOCKSTEP_START))
+    times = found(answered, Answer.COMMAND)
+    assert times == commands[: len(times)]
     # the first report of the servos is at rest
-    for kind, period in (
-        (OdometryReading, PERIOD),
-        (StampedHealth, round(SUPERVISOR * SECOND)),
-    ):
-        times = [time for k, time in answered[1:] if k is kind]
-        assert times == [period * n for n in range(1, len(times) + 1)]
-        assert len(times) > 10
+    _, *states = found(answered, Answer.STATE)
+    period = round(SUPERVISOR * SECOND)
+    assert states == [period * n for n in range(1, len(states) + 1)]
+    assert min(len(times), len(states)) > 10
+
+
+def found(answered, kind):
+    """Times of the answers of a kind, ns after the start."""
+    return [time for k, time in answered if k is kind]
 
 
 def test_real_time_advances_by_at_most_one_portion(plant):

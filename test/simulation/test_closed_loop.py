@@ -7,20 +7,22 @@ import pytest
 
 from benchmarks.locomotion.cases import slow_servos, stiffness
 from slot_core.config import ConfigError
-from slot_core.dynamics.scene import read_scene
 from slot_core.estimation.estimate import Validity
+from slot_core.estimation.state_estimator import read_estimator
 from slot_core.robot import read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
 
-PERIOD = read_scene("flat").sensors.odometry.period  # s
+PERIOD = read_estimator().timing.period  # s
 
 ROBOT = read_robot()
 
 
-def walk(duration, scene="flat", gait="walk", velocity=None, **options):
+def walk(
+    duration, scene="flat", gait="walk", velocity=None, seed=0, **options
+):
     """Positions (n, 3), m, and roll-pitch-yaw (n, 3), rad, at every tick, and the ticks."""
     velocity = np.array([0.05, 0.0, 0.0] if velocity is None else velocity)
-    loop = ClosedLoop(scene, gait, velocity, 0, **options)
+    loop = ClosedLoop(scene, gait, velocity, seed, **options)
     robot, rows = loop.plant.robot, []
     for tick in loop.run(round(duration / PERIOD)):
         rows.append((robot.position, robot.rpy, tick))
@@ -105,11 +107,34 @@ def test_robot_walks_on_and_stays_upright_on_other_floors(
     assert np.degrees(np.abs(rpy[:, :2])).max() < 12.0
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("late", [0.01, 0.1])
+def test_robot_walks_at_the_commanded_speed_with_odometry_at_5_hz(late, seed):
+    slow = {
+        "scene.sensors.odometry.period": 0.2,
+        "scene.sensors.odometry.delay": late,
+    }
+    position, _, ticks = walk(10.0, seed=seed, changes=slow)
+    # measured: 1 %
+    assert mean_velocity(position)[0] == pytest.approx(0.05, rel=0.1)
+    usable = {tick.estimate.validity for tick in ticks[after(1.0)]}
+    assert usable == {Validity.VALID}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_loss_of_odometry_for_0_3_s_keeps_the_robot_on_its_path(seed):
+    position, _, ticks = walk(10.0, seed=seed, lost_odometry=(4.0, 0.3))
+    # measured: as without the loss
+    assert np.abs(position[after(4.0), 1]).max() < 0.01
+    usable = {tick.estimate.validity for tick in ticks[after(1.0)]}
+    assert usable == {Validity.VALID}
+
+
 def test_standing_robot_does_not_drift_nor_fall_in_a_gap_of_the_odometry():
     options = {
         "gait": "stand",
         "velocity": (0, 0, 0),
-        "lost_odometry": (6.0, 0.3),
+        "lost_odometry": (6.0, 0.8),
     }
     position, rpy, ticks = walk(10.0, **options)
     late = position[after(3.0)]

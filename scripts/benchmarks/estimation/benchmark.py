@@ -3,7 +3,8 @@
 Sensor streams come from walks in simulation, with the sensors' noise of config/scene/flat.yaml;
 delays and a loss are put on them. Three ways are compared: the authors' finite differences
 with zero angular rates, the filter's state at the stamp of the odometry, and the state predicted
-with the IMU to its newest sample. Errors are RMS over all axes, at the arrival of the odometry.
+with the IMU to its newest sample. Errors are RMS over all axes, at the arrival of the odometry or,
+of the last way, at the ticks.
 Vision, on rendered images: `vision_rows.py`.
 """
 

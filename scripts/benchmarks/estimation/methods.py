@@ -1,7 +1,7 @@
 """Ways to the state that the MPC uses: the authors', the filter without prediction, and with it.
 
 Each yields (time of use in ns, state (12,)) for the arrivals of a `Slam`. A state is used when its
-odometry has arrived.
+odometry has arrived, or at a tick of the controller.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -50,8 +50,8 @@ def without_prediction(
 ) -> Iterator[Use]:
     """The filter's state at the stamp of the odometry, used when that has arrived.
 
-    In order of the stamps the estimator's states are newer than that by `lead`; as long after the
-    arrival they are as old as they should be.
+    The ticks have the stamps of the simulated odometry. In order of the stamps the estimator's states
+    are newer than that by `lead`; as long after the arrival they are as old as they should be.
     """
     arrival_of = {
         r.stamp: time for time, r in arrivals if isinstance(r, OdometryReading)

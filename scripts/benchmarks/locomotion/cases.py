@@ -22,7 +22,7 @@ from slot_core.robot import GRAVITY, read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.simulation.closed_loop import ClosedLoop
 
-DT = read_scene("flat").sensors.odometry.period  # s, between ticks
+DT = read_gaits().dt  # s, between ticks
 STRIDES = read_gaits().strides
 PERIOD = STRIDES["walk"].period  # s
 FALLEN = read_supervisor().estimate.tilt_max  # rad

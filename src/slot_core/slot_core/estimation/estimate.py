@@ -22,6 +22,10 @@ class Validity(enum.IntEnum):
     ODOMETRY_SLOW = 5
 
 
+USABLE = (Validity.VALID, Validity.IMU_MISSING)
+"""Validities of a state on which the robot may move."""
+
+
 @dataclass(frozen=True)
 class Estimate:
     """State of the torso for a control tick, predicted to the time when its command takes effect.

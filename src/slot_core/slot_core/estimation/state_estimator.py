@@ -352,8 +352,8 @@ class StateEstimator:
             before = self._floor.floor.above(old.attitude, old.position)
             self._floor.start_anew(before, motion.attitude, motion.position)
         self._filter.restart(motion)
-        self._stamp, self._accepted = motion.stamp, 0
-        self._initial = motion.stamp
+        self._stamp = self._initial = self._accepted_stamp = motion.stamp
+        self._accepted = 0
         self._corrected, self._reached = self._filter.state, motion.stamp
         self._tick = max(self._tick, motion.stamp)
         self._accept(motion.stamp)
@@ -383,7 +383,7 @@ class StateEstimator:
 
     def _accept(self, stamp: int) -> None:
         elapsed = to_seconds(stamp - self._accepted_stamp)
-        if 0.0 < elapsed <= self._settings.timing.odometry_gap:
+        if elapsed > 0.0:  # else the filter has started
             known = self._interval or elapsed
             self._interval = known + INTERVAL_GAIN * (elapsed - known)
         self._accepted_stamp = stamp

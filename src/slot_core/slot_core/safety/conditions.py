@@ -11,14 +11,12 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import to_ns, to_seconds
 from slot_core.control.policy import Status
-from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.estimate import USABLE, Estimate, Validity
 from slot_core.faults import hardware_errors
 from slot_core.robot import LEGS
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import Action, Condition
 from slot_core.safety.watchdog import ServoHealth
-
-USABLE = (Validity.VALID, Validity.IMU_MISSING)
 
 Finding = tuple[Condition, str]
 

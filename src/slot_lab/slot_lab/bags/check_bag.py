@@ -198,7 +198,9 @@ def compare(
 
 
 def _numbers(value: Any) -> np.ndarray:
-    """A message's field as a flat array: numbers, arrays, vectors and arrays of vectors."""
+    """A message's field as a flat array: numbers, text, arrays, vectors and arrays of vectors."""
+    if isinstance(value, str):
+        value = value.encode()
     if isinstance(value, np.ndarray) and value.dtype != object:
         return value.astype(float).ravel()
     if hasattr(value, "x"):

@@ -24,12 +24,13 @@ from slot_lab.bags.topics import (
     COMMANDED,
     ESTIMATE,
     GROUND_TRUTH,
+    IMU,
     LEG_STATES,
     MEASURED,
+    ODOMETRY,
     OUTPUTS,
 )
 
-CHAIN = ("/odom", *OUTPUTS)
 STAGES = tuple(OUTPUTS.values())
 LENGTH_ERROR = 0.01  # largest deviation of a quaternion's length from one
 
@@ -100,10 +101,11 @@ class TendonAngles:
 
 @dataclass(frozen=True)
 class Ticks:
-    """Publication times of the messages of each tick; a tick is one message on /odom."""
+    """Publication times of the messages of each tick; a tick is one state on /mpc_state."""
 
     stamp: Array  # (n,) s, graph time
-    time: Array  # (n, 5) s, wall clock by topic of CHAIN; NaN: not published
+    # (n, 5) s, wall clock of the sensor's message and of OUTPUTS; NaN: not published
+    time: Array
     period: float  # s, control period: the median distance of the stamps
     end: float  # s, wall clock when the bag ends
 
@@ -119,7 +121,7 @@ class Ticks:
 
     @property
     def end_to_end(self) -> Array:
-        """(n,) s, between the publications of the odometry and its command."""
+        """(n,) s, between the publications of the sensor's message and its command."""
         return self.time[:, -1] - self.time[:, 0]
 
     def after(self, t: float) -> Ticks:
@@ -271,18 +273,35 @@ def _first_recorded(bag: Bag, topics: Sequence[str]) -> str:
 
 
 def read_ticks(bag: Bag) -> Ticks:
-    """The ticks of the chain of nodes; raises BagError for fewer than two stamps on /odom."""
-    odom = bag.series(CHAIN[0])
-    stamps = np.unique(odom.stamp)
+    """The ticks of the chain of nodes; raises BagError for fewer than two states."""
+    states = bag.series(ESTIMATE)
+    stamps = np.unique(states.stamp)
     if len(stamps) < 2:
         raise BagError(
-            f"{bag.path}: /odom holds {len(stamps)} stamps, less than 2"
+            f"{bag.path}: {ESTIMATE} holds {len(stamps)} stamps, less than 2"
         )
-    origin = int(odom.time.min())
-    times = [_first_times(bag, topic, stamps, origin) for topic in CHAIN]
+    origin = int(states.time.min())
+    times = [_sensor_times(bag, stamps, origin)]
+    times += [_first_times(bag, topic, stamps, origin) for topic in OUTPUTS]
     period = to_seconds(float(np.median(np.diff(stamps))))
     end = to_seconds(bag.end_ns - origin)
     return Ticks(seconds(stamps), np.column_stack(times), period, end)
+
+
+def _sensor_times(bag: Bag, stamps: Stamps, origin: int) -> Array:
+    """(n,) s since origin (ns) of the message that led to each tick, of stamps (n,); NaN: none.
+
+    It is the IMU's first sample at or after the stamp, or the odometry of that stamp.
+    """
+    times = _first_times(bag, ODOMETRY, stamps, origin)
+    if bag.counts.get(IMU):
+        imu = bag.series(IMU)
+        order = np.argsort(imu.stamp)
+        at = np.searchsorted(imu.stamp[order], stamps)
+        sampled = at < len(order)
+        sample = seconds(imu.time[order[at[sampled]]], origin)
+        times[sampled] = np.fmin(times[sampled], sample)
+    return times
 
 
 def _first_times(bag: Bag, topic: str, stamps: Stamps, origin: int) -> Array:

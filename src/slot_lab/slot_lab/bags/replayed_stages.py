@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple, TypeVar
@@ -129,19 +130,19 @@ class RecordedStages:
     def begins_mid_run(self) -> bool:
         """Whether the states before the first one are not in the bag.
 
-        Before its first valid state an estimator publishes `gate.initial_readings` - 1 states that
-        are initialising. Of a bag without a valid one it is not known: it counts as begun. Of a
-        bag with records of the stages these tell.
+        An estimator's states are initialising for `gate.initial_time`. Of a bag without a valid one
+        it is not known: it counts as begun. Of a bag with records of the stages these tell.
         """
         if any(self.records.values()):
             return False
-        found = [estimate.validity for estimate in self.estimates.values()]
-        if Validity.VALID not in found:
-            return False
-        initial = found[: found.index(Validity.VALID)].count(
-            Validity.INITIALISING
-        )
-        return initial < read_estimator().gate.initial_readings - 1
+        settings = read_estimator()
+        valid = [
+            stamp
+            for stamp, estimate in self.estimates.items()
+            if estimate.validity is Validity.VALID
+        ]
+        initial = to_seconds(min(valid) - min(self.estimates)) if valid else inf
+        return initial < settings.gate.initial_time - settings.timing.period
 
     @cached_property
     def previews(self) -> dict[int, GaitPreview]:
@@ -324,6 +325,7 @@ def _polled(estimator: StateEstimator) -> dict[int, Fields]:
             "covariance": estimate.covariance,
             "validity": int(estimate.validity),
             "leg_stiffness": estimate.leg_stiffness,
+            "message": list(estimate.message.encode()),
         }
     return fields
 

@@ -1,16 +1,12 @@
 """Topics of a bag: sensors, outputs of the stages, ground truth."""
 
-ODOMETRY = "/odom"
-SENSORS = (
-    ODOMETRY,
-    "/imu",
-    "/joint_states",
-)  # in the order of the numbers in StageRecord
+ODOMETRY, IMU, MEASURED = "/odom", "/imu", "/joint_states"
+SENSORS = (ODOMETRY, IMU, MEASURED)  # in the order of StageRecord's numbers
 GROUND_TRUTH = "/ground_truth/odom"
 IMAGES = "/camera/image_raw"
 LEG_STATES = "/ground_truth/legs"
 ESTIMATE, PREVIEWS, PLANS = "/mpc_state", "/gait_preview", "/tendon_plan"
-MEASURED, COMMANDED = "/joint_states", "/desired_joint_angles"
+COMMANDED = "/desired_joint_angles"
 # the first that is recorded is taken
 MOTION_TOPICS = (GROUND_TRUTH, ODOMETRY, ESTIMATE)
 OUTPUTS = {

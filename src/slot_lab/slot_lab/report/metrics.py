@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from slot_core.arrays import Array
 from slot_core.control.policy import Status
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.estimation.estimate import Validity
+from slot_core.estimation.estimate import USABLE
 from slot_core.geometry import rotate
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import Bag, BagError
@@ -58,7 +58,7 @@ UNITS: dict[str, tuple[float, str]] = {
     "longest_fallback": COUNT,
     "violation_max": (1.0, "N"),
     "saturated": PERCENT,
-    "rejected_odometry": COUNT,
+    "unusable_states": COUNT,
     "servo_saturated": PERCENT,
     "servo_load": PERCENT,
     "supply_voltage": (1.0, "V"),
@@ -99,11 +99,11 @@ class WalkMetrics:
     lateral_drift_end: float  # m, last distance from the line, left positive
     yaw_drift: float  # rad, last yaw minus the heading of the line
     period: float  # s, control period
-    ticks: int  # odometry readings that require a command
+    ticks: int  # states that require a command
     # ticks whose command came over a period later, or never
     deadline_misses: int
     unanswered: int  # ticks without a command
-    missed_ticks: int  # missing odometry readings: gaps in the stamps
+    missed_ticks: int  # gaps in the stamps
     stages: dict[str, Latency]  # by node
     end_to_end: Latency
     real_time_factor: float  # graph time over wall time
@@ -112,7 +112,7 @@ class WalkMetrics:
     violation_max: float  # N, largest constraint violation
     # share of cycles, per leg, with an angle at its limit
     saturated: tuple[float, ...]
-    rejected_odometry: int | None
+    unusable_states: int | None
     # share of samples, per leg, at the stall torque
     servo_saturated: tuple[float, ...]
     servo_load: tuple[float, ...]  # mean torque over stall torque, per leg
@@ -218,16 +218,14 @@ def _control(bag: Bag, start: float) -> dict[str, Any]:
     violation = solves["violation"] if solves else np.zeros(0)
     # without the cycles that were rejected
     solved = violation[~np.isnan(violation)]
-    rejected = states and int(
-        np.sum(states["validity"] == Validity.ODOMETRY_REJECTED)
-    )
+    unusable = states and int(np.sum(~np.isin(states["validity"], USABLE)))
     return {
         "fallback_cycles": solves
         and int(np.sum(solves["status"] != Status.SOLVED)),
         "longest_fallback": solves and int(solves["fallback_cycles"].max()),
         "violation_max": float(solved.max()) if solved.size else math.nan,
         "saturated": _mean(maps["saturated"]) if maps else NOT_KNOWN,
-        "rejected_odometry": rejected,
+        "unusable_states": unusable,
     }
 
 
@@ -324,7 +322,7 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
     """Aligned lines `name  values`, with units; a dash where the bag lacks the data."""
     m = metrics
     misses = f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms"
-    unanswered = f"{m.unanswered} ticks, {m.missed_ticks} odometries missing"
+    unanswered = f"{m.unanswered} ticks, {m.missed_ticks} left out"
     most = f"at most {m.longest_fallback} in a row"
     fallback = (
         "-"
@@ -358,8 +356,8 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
         ("servo load", _per_leg(m.servo_load)),
         ("  all servos", _load(m)),
         (
-            "rejected odometry",
-            "-" if m.rejected_odometry is None else str(m.rejected_odometry),
+            "unusable states",
+            "-" if m.unusable_states is None else str(m.unusable_states),
         ),
     ]
     return [f"{name:<{NAME_WIDTH}}{value}" for name, value in rows]
