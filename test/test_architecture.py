@@ -39,7 +39,7 @@ CORE = {
     "gait": "legs",
     "control": "legs estimation gait",
     "mpc": "legs estimation gait control",
-    "safety": "legs estimation control",
+    "safety": "legs estimation gait control",
     "messages": "estimation gait control safety",
     "recording": "",
     "drawing": "messages",

@@ -291,6 +291,8 @@ class GaitScheduler:
 
     def _moving_after(self, active: _Active, times: Array) -> Array:
         """Share (n,) of a stride's motion at `times` (s) ahead."""
+        if not self._followed:
+            return np.zeros(len(times))
         change = times / max(self._settings.transition, 1e-9)
         later = (
             active.moving - change
