@@ -49,9 +49,10 @@ class GaitScheduler:
     Velocity and body pose follow their commands at limited rates. A change of gait is a linear
     blend of the tendon angles over `transition` seconds; a request during a blend takes effect at
     its end. A run starts from the posture `stand`. A stride without velocity stands on its centre;
-    it gets there, and back, by a blend as well. While the servos do not follow the commands the
-    phase waits, and no policy corrects anything. The reference place moves with the velocity, or
-    along the path, at most `lead` ahead of the robot; without a velocity it is the robot's.
+    it gets there, and back, by a blend as well. While the servos do not follow the commands a stride
+    stands on its centre, its phase waits, and no policy corrects anything; then it blends from there.
+    The reference place moves with the velocity, or along the path, at most `lead` ahead of the
+    robot; without a velocity it is the robot's.
     """
 
     STATE = StateParts(

@@ -40,7 +40,7 @@ class Action(enum.Enum):
     """Reaction of the servos to commands."""
 
     PASS = "pass"  # follow them, rate-limited
-    HOLD = "hold"  # keep the last goals, or ease a stride's to those of standing
+    HOLD = "hold"  # keep the last goals; those of a stride ease to standing
     RELAX = "relax"  # a ramp to slack, then torque off
     OFF = "off"  # torque off at once
 
@@ -52,7 +52,7 @@ class State(enum.IntEnum):
     READY = 1  # under torque, without motion
     STANDING = 2  # the servos follow the commands of a posture
     WALKING = 3  # the servos follow the commands of a stride
-    HOLD = 4  # the last goals, or after a stride those of standing, until the reason is gone
+    HOLD = 4  # the last goals, after a stride standing, until the reason is gone
     RELAX = 5  # a ramp to slack, then torque off
     ESTOP = 6  # torque off, until reset
     FAULT = 7  # torque off, until reset
