@@ -40,9 +40,7 @@ class WatchdogBench:
             if permission is not None:
                 reason = "the supervisor's reason"
                 self.watchdog.permit(
-                    Permission(
-                        self.now, permission, fast, reason, walks=walks
-                    )
+                    Permission(self.now, permission, fast, reason, walks=walks)
                 )
             if command is not None:
                 self.watchdog.offer(self.now, command)
@@ -97,7 +95,8 @@ def test_the_age_of_commands_does_not_count_under_hold(bench):
 
 
 @pytest.mark.parametrize(
-    "held", [{"permission": Action.HOLD}, {"permission": None}, {"command": None}]
+    "held",
+    [{"permission": Action.HOLD}, {"permission": None}, {"command": None}],
 )
 def test_in_a_stride_a_hold_moves_all_legs_slowly_to_the_angle_of_standing(
     bench, held

@@ -268,7 +268,8 @@ class GaitScheduler:
                 moving = self._moving_after(active, np.array([elapsed]))
                 active.moving = float(moving[0])
         current = self._current
-        if isinstance(current.gait, Posture) or self._waits():
+        waits = self._is_still() or not self._followed
+        if isinstance(current.gait, Posture) or waits:
             self._place = None
             return
         current.phase = (current.phase + elapsed / current.gait.period) % 1.0
@@ -282,10 +283,6 @@ class GaitScheduler:
         self._place = limited(
             self._place, state[[3, 4, 2]], s.lead, s.heading_lead
         )
-
-    def _waits(self) -> bool:
-        """Whether the phase of a stride waits."""
-        return self._is_still() or not self._followed
 
     def _is_still(self) -> bool:
         return bool((np.abs(self._velocity) < LEAST_VELOCITY).all())
@@ -395,7 +392,7 @@ class GaitScheduler:
         if moving.max() == 0.0:
             return self._posture_table_ahead(times)
         # as in `_stride`
-        advances = active is self._current and not self._waits()
+        advances = active is self._current and not self._is_still()
         ahead = times if advances else np.zeros_like(times)
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
         table = gait.stride_table(phase, velocity)

@@ -52,7 +52,9 @@ class State(enum.IntEnum):
     READY = 1  # under torque, without motion
     STANDING = 2  # the servos follow the commands of a posture
     WALKING = 3  # the servos follow the commands of a stride
-    HOLD = 4  # the last goals, after a stride standing, until the reason is gone
+    HOLD = (
+        4  # the last goals, after a stride standing, until the reason is gone
+    )
     RELAX = 5  # a ramp to slack, then torque off
     ESTOP = 6  # torque off, until reset
     FAULT = 7  # torque off, until reset
