@@ -9,10 +9,12 @@ from supervisor_bench import (
     OVERLOAD,
     STEP,
     STRIDE,
+    WAYS,
     bench_in,
     state,
 )
 
+from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import Action, Request, State
@@ -123,6 +125,36 @@ def test_a_hold_of_a_stand_or_with_stand_requested_ends_in_standing(
     bench.silent.clear()
     assert bench.time_until(State.STANDING, 1.0) < 1.0
     assert bench.reports[-1].resumed == resumed
+
+
+def hold_once(bench):
+    """Let the robot hold and recover; returns the state after that."""
+    bench.status = Status.STOPPED
+    bench.run(CYCLE)
+    bench.status = Status.SOLVED
+    return bench.run(TIMING.recovery + 2 * CYCLE).state
+
+
+def test_one_hold_too_many_within_the_window_ends_in_a_fault_that_names_its_cause(
+    walking,
+):
+    held = [hold_once(walking) for _ in range(TIMING.holds_max + 1)]
+    assert held == [State.WALKING] * TIMING.holds_max + [State.RELAX]
+    assert walking.reports[-1].reason == (
+        "held 4 times in 20 s, limit 3, at last for: MPC stopped, 0 cycles"
+        " without a solution; mend that, then reset"
+    )
+    assert walking.time_until(State.FAULT, RELAX_TIME + 2 * STEP) < math.inf
+    for request in (Request.RESET, *WAYS[State.WALKING]):
+        walking.request(request)
+        walking.run(1.0)
+    assert hold_once(walking) is State.WALKING  # they count from READY on
+
+
+def test_holds_further_apart_than_the_window_do_not_count_together(walking):
+    for _ in range(2 * TIMING.holds_max):
+        assert hold_once(walking) is State.WALKING
+        walking.run(TIMING.holds_window / TIMING.holds_max)
 
 
 def test_a_missing_imu_is_warned_of_until_it_is_back_and_the_robot_walks_on(

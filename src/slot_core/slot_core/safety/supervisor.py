@@ -111,6 +111,7 @@ class Supervisor:
         self._state, self._reason, self._since = State.IDLE, "started", 0
         self._resume = State.STANDING  # state after HOLD
         self._held_from = State.STANDING  # state before HOLD
+        self._holds: list[int] = []  # steady times of the last HOLDs
         # whether the last transition led from HOLD back to it
         self._resumed = False
         self._entered = 0  # steady time of the last transition
@@ -395,6 +396,12 @@ class Supervisor:
         if held > timing.hold_max:
             reason = f"held for {held:.3g} s, limit {timing.hold_max:g} s, since: {self._reason}"
             found[Condition.HELD_TOO_LONG] = reason
+        if len(self._holds) > timing.holds_max:
+            found[Condition.HELD_TOO_OFTEN] = (
+                f"held {len(self._holds)} times in {timing.holds_window:g} s,"
+                f" limit {timing.holds_max}, at last for: {self._reason};"
+                " mend that, then reset"
+            )
         if not REASONS_TO_HOLD.isdisjoint(found):
             self._clear_since = None
             return
@@ -454,8 +461,11 @@ class Supervisor:
         self._resumed = before is State.HOLD and after is self._held_from
         if after is State.HOLD:
             self._resume = self._held_from = before
+            begin = time - self._settings.timing.holds_window * SECOND
+            self._holds = [*(t for t in self._holds if t > begin), time]
         elif after is State.READY:
             self._ready_since = time
+            self._holds.clear()
             self._watch.reset()
             self._motion.reset()
             self._tendons = self._watch.state

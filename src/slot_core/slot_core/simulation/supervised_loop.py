@@ -180,7 +180,14 @@ class SupervisedLoop:
         if changed and not found.keeps_gait:
             self.request_gait(found.state)
         self.servos.permit(
-            Permission(now, found.action, found.followed, found.reason, now)
+            Permission(
+                now,
+                found.action,
+                found.followed,
+                found.reason,
+                now,
+                walks=found.state is State.WALKING,
+            )
         )
         return found
 
