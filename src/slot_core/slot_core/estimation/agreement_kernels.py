@@ -298,9 +298,11 @@ def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
     for i in range(4):
         up[i] *= keep_force
     if force[3] > 0.0:
-        for i in range(3):
-            for j in range(3):  # rotation: of the reading after
-                up[i] += dt * rotation[i, j] * force[j] / force[3]
+        for reading in (before, after):
+            rotation_matrix(rotation, reading[:4])
+            for i in range(3):
+                for j in range(3):
+                    up[i] += dt / 2 * rotation[i, j] * force[j] / force[3]
         up[3] += dt
     for i in range(4):
         force[i] = 0.0

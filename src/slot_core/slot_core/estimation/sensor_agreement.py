@@ -87,6 +87,7 @@ class SensorAgreement:
         "shift",
         "_proven",
         "_weighed",
+        "withheld",
         "_moving",
         "_imu",
         "_ahead",
@@ -115,6 +116,7 @@ class SensorAgreement:
         off = not self._settings.enabled
         self._proven = off  # whether turns agree
         self._weighed = off  # whether the specific force is gravity's
+        self.withheld = 0  # ns, last sample of which motion will tell more
         self._moving = 0  # ns, IMU stamp until which the torso moves
         self._imu = 0  # ns, newest IMU stamp at the last reading
         self._ahead = 0  # readings in a row with stamps far ahead
@@ -134,9 +136,8 @@ class SensorAgreement:
 
     @property
     def forbids_motion(self) -> bool:
-        """Whether the robot must not move; it may without IMU, if odometry is fast enough."""
-        others = self._faults.keys() - {"turns"}
-        return bool(others or (self._faults and self._interval > SLOWEST))
+        """Whether the robot must not move; it may where only the IMU does not serve."""
+        return bool(self._faults.keys() - {"turns"})
 
     @property
     def reach(self) -> float:
@@ -152,6 +153,8 @@ class SensorAgreement:
         if size > self._settings.rate_still or size == 0.0:
             self._moving = stamp + LINGER
         serves = self._weighed and (self._proven or stamp > self._moving)
+        if not self._faults and not serves:
+            self.withheld = stamp
         return sample if serves and not self._faults else None
 
     def is_stray(self, stamp: int, newest: int | None) -> bool:
@@ -310,7 +313,8 @@ class SensorAgreement:
     def _judge_force(self, motion: OdometryMotion) -> None:
         """Compare the mean specific force, in odom, with [0 0 g]."""
         time = float(self._sums.up[3])
-        if time < FORCE_TIME:
+        rests = self._imu > self._moving
+        if time < FORCE_TIME or (self._weighed and not rests):
             return
         up = self._sums.up[:3] / time
         size = norm(up)

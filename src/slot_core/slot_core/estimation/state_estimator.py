@@ -54,6 +54,8 @@ from slot_core.matrices import norm, product
 from slot_core.robot import LEGS
 
 BEFORE_ALL_TIMES = -(2**62)  # ns
+# intervals of odometry after which an IMU that is withheld no more counts as missing
+WITHHELD = 3.0
 # SI, to which the variances of a message are clipped
 VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6
 ANGLE_MAX = 100.0  # rad, of a tendon angle that is used
@@ -487,7 +489,10 @@ class StateEstimator:
         timing, agreement = self._settings.timing, self._agreement
         if agreement.forbids_motion:
             return Validity.INITIALISING, agreement.message
-        without_imu = self._imu_is_lost(stamp) or not self._imu_complete
+        withheld = to_seconds(stamp - agreement.withheld)
+        is_open = withheld < WITHHELD * self._interval
+        incomplete = not (self._imu_complete or is_open)
+        without_imu = self._imu_is_lost(stamp) or incomplete
         least = timing.rate_min_blind if without_imu else timing.rate_min
         rate = 1.0 / max(self._interval, 1e-3)
         if stamp - self._accepted_stamp > timing.odometry_wait * SECOND:
