@@ -60,10 +60,12 @@ WELL = 0.2  # the same for an IMU that is turned, noise subtracted
 SHARP = 4 * MILLISECOND  # ns, standard deviation of a shift that counts
 FOLLOWED = 2 * MILLISECOND  # ns, least change of the shift, if it is certain
 # rad^2, sums of squared turns from which a shift counts, and all must be explained
-LEAST_MOTION, MOTION = 0.002, 0.01
+LEAST_MOTION, MOTION = 0.002, 0.02
 MOVES = 16.0  # squared turn of odometry over its variance that shows motion
 DISTINCT = 6.0  # standard deviations of a unit that is no noise
-TURNED = 0.9962  # cosine of 5 deg, half the angle of an IMU that is turned
+TURNED = 0.087  # rad, least angle of an IMU that counts as turned
+TURN_ERROR = 3.5  # standard deviations of an angle that is no noise
+LONG = 0.8  # s of turns from which axes count
 SQUARE_ANGLE = 0.15  # deviation of elements of a turn by multiples of 90 deg
 APART = 50.0  # between sums of twist of which one is right
 # squared distance, in six standard deviations, of a twist like the pose's
@@ -313,8 +315,8 @@ class SensorAgreement:
     def _judge_force(self, motion: OdometryMotion) -> None:
         """Compare the mean specific force, in odom, with [0 0 g]."""
         time = float(self._sums.up[3])
-        rests = self._imu > self._moving
-        if time < FORCE_TIME or (self._weighed and not rests):
+        moves = self._imu <= self._moving and "force" not in self._faults
+        if time < FORCE_TIME or (self._weighed and moves):
             return
         up = self._sums.up[:3] / time
         size = norm(up)
@@ -375,7 +377,9 @@ class SensorAgreement:
             and 2.0 * each * STEP**2 < SHARP**2 * bend
         ):
             align(work.table[best, 3:], np.sqrt(each * gyro[best]), work)
-            if work.rotation.trace() > 4.0 * TURNED**2 - 1.0:
+            noise = TURN_ERROR**2 * each / gyro[best]
+            # angle^2 of a small turn
+            if 3.0 - work.rotation.trace() < max(TURNED**2, noise):
                 half = 0.5 * STEP * (before - after) / bend
                 error = STEP * float(np.sqrt(2.0 * each / bend))
                 self._take_shift(int(SHIFTS[best]) + round(half), error)
@@ -389,8 +393,9 @@ class SensorAgreement:
                     " not used until motion tells more; is it in deg/s?"
                 )
         loud = gyro[best] > 100.0 * turned[best]
-        if moved > MOTION or loud:
-            self._explain(moved, variance)
+        is_long = moved > MOTION and count * self._interval > LONG
+        if is_long or loud:
+            self._explain(moved, is_long)
 
     def _take_shift(self, shift: int, error: float) -> None:
         """Follow a shift of the stamps, as certain as `error`, ns, or find it beyond the limit."""
@@ -411,20 +416,23 @@ class SensorAgreement:
                 " compensated"
             )
 
-    def _explain(self, moved: float, variance: float) -> None:
-        """Find axes and unit with which the gyroscope turns as the odometry does."""
-        work = self._work
+    def _explain(self, moved: float, is_long: bool) -> None:
+        """Find axes and unit with which the gyroscope turns as the odometry does.
+
+        moved: sum of squared turns of odometry without noise, rad^2; is_long: enough for axes.
+        """
+        work, variance = self._work, float(self._variance[1])
         table = work.table
         coupling = np.square(table[:, 3:]).sum(axis=1)
         best = int(np.argmax(coupling / np.maximum(table[:, 2], variance)))
         turned, gyro = float(table[best, 1]), float(table[best, 2])
         b = table[best, 3:]
         align(b, np.sqrt(variance * gyro), work)
-        product_ = float((work.rotation.ravel() * b).sum())
-        unit = product_ / max(gyro, variance)
+        shared = float((work.rotation.ravel() * b).sum())
+        unit = shared / max(gyro, variance)
         clear = unit * unit * gyro > DISTINCT**2 * variance
         noise = turned - moved
-        explained = turned - unit * product_ - noise < WELL * moved
+        explained = turned - unit * shared - noise < WELL * moved
         upright = work.rotation[2, 2] > 1.0 - 2.0 * self._settings.lean
         if clear and abs(unit / DEGREE - 1.0) < 0.3 and self.units[0] == 1.0:
             self.units = (DEGREE, self.units[1])
@@ -432,14 +440,14 @@ class SensorAgreement:
                 f"imu: turns {1 / unit:.0f} times as fast as odometry: taken"
                 " as deg/s"
             )
-        elif explained and upright and 0.7 < unit < 1.4 and moved > MOTION:
+        elif explained and upright and 0.7 < unit < 1.4 and is_long:
             self._rotation = product(_squared(work.rotation), self._rotation)
             mount = product(self._rotation, self._mount)
             self._notes["axes"] = (
                 "imu: turned against odometry: compensated; mounts.imu.rpy:"
                 f" {_angles(mount)}"
             )
-        elif moved > MOTION:
+        elif is_long:
             self._proven = False
             ratio = np.sqrt(max(gyro, 0.0) / turned)
             self._faults["turns"] = _mismatch(ratio)
@@ -449,7 +457,8 @@ class SensorAgreement:
         self._proven, self.recalibrated = False, True
         self._faults.pop("turns", None)
         self._notes.pop("rest", None)
-        for part in (self._sums.pairs, self._sums.odometry, self._sums.ring):
+        sums = self._sums
+        for part in (sums.pairs, sums.odometry, sums.ring, sums.up, sums.force):
             part[:] = 0
         self._intervals.clear()
 
@@ -495,7 +504,7 @@ def load_kernels() -> None:
 
 def _squared(rotation: Array) -> Array:
     """A rotation (3, 3), by multiples of 90 deg if it is close to one."""
-    near = np.round(rotation)
+    near = np.round(rotation) + 0.0
     is_close = np.abs(rotation - near).max() < SQUARE_ANGLE
     return near if is_close else rotation
 
