@@ -6,6 +6,7 @@ cause; what of it a set is allowed is a check. Runs that an interrupted benchmar
 `runs.jsonl` are kept if the revision is the same and committed.
 """
 
+import itertools
 import json
 import re
 from collections.abc import Sequence
@@ -75,16 +76,18 @@ def run_all(
     """Rows of all jobs: those in the file, if they are of this revision, and the others."""
     now = revision(ROOT)
     lines = path.read_text().splitlines() if path.exists() else []
-    found = {tuple(job): row for job, at, row in map(json.loads, lines) if at == now}
-    if now["dirty"] is not False:
-        found = {}
+    found = {
+        tuple(job): row
+        for job, made_at, row in map(json.loads, lines)
+        if made_at == now and not now["dirty"]
+    }
     left = [job for job in jobs if job not in found]
-    path.write_text("")
-    with path.open("a") as file:
-        for job, row in (*found.items(), *in_processes(run_job, left, progress)):
+    with path.open("w") as file:
+        for job, row in itertools.chain(
+            list(found.items()), in_processes(run_job, left, progress)
+        ):
             found[job] = row
-            file.write(json.dumps(as_json([job, now, row])) + "\n")
-            file.flush()
+            print(json.dumps(as_json([job, now, row])), file=file, flush=True)
     return found
 
 
