@@ -1,6 +1,6 @@
 """Readings as real drivers deliver them: functions of a reading, which return readings in its place.
 
-A driver is made anew for every run, since some remember the readings before.
+Each takes the memory of its run as well, a dictionary that is empty at the start.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,12 +18,12 @@ from slot_core.geometry import (
     quaternion_product,
     rpy_of,
 )
-from slot_core.robot import GRAVITY
-from slot_core.simulation.readings import OdometryReading
+from slot_core.simulation.readings import ImuReading, OdometryReading
 
-Driver = Callable[[Any], Sequence[Any]]
-MakeDriver = Callable[[], Driver]
-SEED = 0  # of the readings that a driver drops
+Memory = dict[str, Any]
+Readings = Sequence[Any]
+Driver = Callable[[Any, Memory], Readings]
+LEVEL = (0.0, 0.0, 0.0)  # rotation vector, rad
 
 
 @dataclass(frozen=True)
@@ -33,167 +33,100 @@ class CovariantOdometry(OdometryReading):
     variance: Array
 
 
-def changed(**functions: Callable[[Any], Any]) -> MakeDriver:
-    """Fields of every reading by name, as functions of the reading."""
-
-    def driver(reading: Any) -> Sequence[Any]:
-        values = {name: value(reading) for name, value in functions.items()}
-        return [replace(reading, **values)]
-
-    return lambda: driver
-
-
-def in_frame(position: Sequence[float], turn: Sequence[float]) -> Driver:
-    """Odometry in a frame whose origin is at `position` (3,), m, turned by the vector `turn`, rad."""
+def in_frame(
+    r: OdometryReading,
+    _: Memory,
+    origin: Sequence[float] = LEVEL,
+    turn: Sequence[float] = LEVEL,
+) -> Readings:
+    """Odometry in a frame with another origin, m, turned by a rotation vector, rad."""
     back = quaternion_of_vector(-np.array(turn))
-    rotation = matrix_of_quaternion(back)
-    return changed(
-        position=lambda r: rotation @ (r.position - np.array(position)),
-        quaternion=lambda r: quaternion_product(back, r.quaternion),
-    )()
+    place = matrix_of_quaternion(back) @ (r.position - np.array(origin))
+    turned = quaternion_product(back, r.quaternion)
+    return [replace(r, position=place, quaternion=turned)]
 
 
-def origin(*position: float, turn: Sequence[float] = (0, 0, 0)) -> MakeDriver:
-    """Odometry with another origin, see `in_frame`."""
-    return lambda: in_frame(position, turn)
-
-
-def started_slam(begin: float = 0.0) -> MakeDriver:
+def started_slam(
+    r: OdometryReading, memory: Memory, begin: float = 0.0
+) -> Readings:
     """Odometry of a SLAM that starts at `begin`, s: place and heading of then are its origin."""
-
-    def make() -> Driver:
-        frames: list[Driver] = []
-
-        def driver(r: OdometryReading) -> Sequence[Any]:
-            if _since_start(r) < begin:
-                return [r]
-            if not frames:
-                yaw = rpy_of(matrix_of_quaternion(r.quaternion))[2]
-                frames.append(in_frame(r.position.tolist(), (0, 0, yaw)))
-            return frames[0](r)
-
-        return driver
-
-    return make
-
-
-def pose_only(variance: float) -> MakeDriver:
-    """Odometry without twist: zeros of a variance that says so, or not."""
-
-    def driver(r: OdometryReading) -> Sequence[Any]:
-        pose = (r.stamp, r.position, r.quaternion)
-        variances = np.repeat([0.0, variance], 6)
-        return [CovariantOdometry(*pose, np.zeros(3), np.zeros(3), variances)]
-
-    return lambda: driver
-
-
-def twist_in_odom(yaw: float) -> MakeDriver:
-    """Twist in odom instead of base_link, in an odom that is turned by `yaw`, rad."""
-
-    def make() -> Driver:
-        frame = in_frame((0, 0, 0), (0, 0, yaw))
-
-        def driver(r: OdometryReading) -> Sequence[Any]:
-            [given] = frame(r)
-            rotation = matrix_of_quaternion(given.quaternion)
-            velocity = rotation @ r.velocity
-            rate = rotation @ r.angular_velocity
-            return [replace(given, velocity=velocity, angular_velocity=rate)]
-
-        return driver
-
-    return make
-
-
-def shifted(seconds: float) -> MakeDriver:
-    """Stamps shifted by a time, s."""
-    return changed(stamp=lambda r: r.stamp + to_ns(seconds))
-
-
-def stray_stamp(time: float, ahead: float) -> MakeDriver:
-    """The first reading after `time` is stamped `ahead`, both s."""
-
-    def make() -> Driver:
-        strayed: list[int] = []
-
-        def driver(r: Any) -> Sequence[Any]:
-            if strayed or _since_start(r) < time:
-                return [r]
-            strayed.append(r.stamp)
-            return [replace(r, stamp=r.stamp + to_ns(ahead))]
-
-        return driver
-
-    return make
-
-
-def repeated_stamps() -> Driver:
-    """Every second reading with the stamp of the one before it."""
-    last: list[int] = []
-
-    def driver(r: Any) -> Sequence[Any]:
-        if last:
-            return [replace(r, stamp=last.pop())]
-        last.append(r.stamp)
+    if since_start(r) < begin:
         return [r]
+    yaw = rpy_of(matrix_of_quaternion(r.quaternion))[2]
+    frame = memory.setdefault("frame", (r.position, (0.0, 0.0, yaw)))
+    return in_frame(r, memory, *frame)
 
-    return driver
+
+def pose_only(r: OdometryReading, _: Memory, variance: float) -> Readings:
+    """Odometry without twist: zeros of a variance that says so, or not."""
+    variances, zero = np.repeat([0.0, variance], 6), np.zeros(3)
+    pose = (r.stamp, r.position, r.quaternion)
+    return [CovariantOdometry(*pose, zero, zero, variances)]
 
 
-def other_sign() -> Driver:
+def twist_in_odom(r: OdometryReading, memory: Memory, yaw: float) -> Readings:
+    """Twist in odom instead of base_link, in an odom that is turned by `yaw`, rad."""
+    [given] = in_frame(r, memory, turn=(0.0, 0.0, yaw))
+    rotation = matrix_of_quaternion(given.quaternion)
+    twist = (rotation @ r.velocity, rotation @ r.angular_velocity)
+    return [replace(given, velocity=twist[0], angular_velocity=twist[1])]
+
+
+def shifted(r: Any, _: Memory, seconds: float) -> Readings:
+    """Stamps shifted by a time."""
+    return [replace(r, stamp=r.stamp + to_ns(seconds))]
+
+
+def stray_stamp(r: Any, memory: Memory, time: float, ahead: float) -> Readings:
+    """The first reading after `time` is stamped `ahead`, both s."""
+    if since_start(r) < time or memory:
+        return [r]
+    memory["strayed"] = True
+    return shifted(r, memory, ahead)
+
+
+def repeated_stamps(r: Any, memory: Memory) -> Readings:
+    """Every second reading with the stamp of the one before it."""
+    if stamp := memory.pop("stamp", 0):
+        return [replace(r, stamp=stamp)]
+    memory["stamp"] = r.stamp
+    return [r]
+
+
+def other_sign(r: OdometryReading, memory: Memory) -> Readings:
     """Every second quaternion with the other sign."""
-    sign = [1.0]
-
-    def driver(r: OdometryReading) -> Sequence[Any]:
-        sign[0] = -sign[0]
-        return [replace(r, quaternion=sign[0] * r.quaternion)]
-
-    return driver
+    memory["sign"] = -memory.get("sign", 1.0)
+    return [replace(r, quaternion=memory["sign"] * r.quaternion)]
 
 
-def dropped(share: float) -> MakeDriver:
+def dropped(r: Any, memory: Memory, share: float) -> Readings:
     """A share of the readings is lost, one by one."""
-
-    def make() -> Driver:
-        rng = np.random.default_rng(SEED)
-        return lambda r: [r] if rng.random() >= share else []
-
-    return make
+    rng = memory.setdefault("rng", np.random.default_rng(0))
+    return [r] if rng.random() >= share else []
 
 
-def lost(begin: float = 0.0, duration: float = np.inf) -> MakeDriver:
+def lost(
+    r: Any, _: Memory, begin: float = 0.0, duration: float = np.inf
+) -> Readings:
     """No reading from `begin` on for `duration`, s."""
-
-    def driver(r: Any) -> Sequence[Any]:
-        return [] if begin <= _since_start(r) < begin + duration else [r]
-
-    return lambda: driver
+    return [] if begin <= since_start(r) < begin + duration else [r]
 
 
-def turned_imu(*rpy_deg: float) -> MakeDriver:
-    """IMU turned in the torso, but declared in base_link: roll, pitch, yaw, deg."""
+def other_imu(
+    r: ImuReading,
+    _: Memory,
+    rpy_deg: Sequence[float] = LEVEL,
+    rate: float = 1.0,
+    force: float = 1.0,
+    gravity: float = 0.0,
+) -> Readings:
+    """IMU turned in the torso, in other units, or of which a driver has removed gravity, m/s^2."""
     back = matrix_of_rpy(np.radians(rpy_deg)).T
-    return changed(
-        angular_velocity=lambda r: back @ r.angular_velocity,
-        specific_force=lambda r: back @ r.specific_force,
-    )
+    felt = r.specific_force - np.array([0.0, 0.0, gravity])
+    turned = (rate * back @ r.angular_velocity, force * back @ felt)
+    return [replace(r, angular_velocity=turned[0], specific_force=turned[1])]
 
 
-def scaled_imu(rate: float = 1.0, force: float = 1.0) -> MakeDriver:
-    """IMU in other units."""
-    return changed(
-        angular_velocity=lambda r: rate * r.angular_velocity,
-        specific_force=lambda r: force * r.specific_force,
-    )
-
-
-def without_gravity() -> Driver:
-    """IMU whose driver has removed gravity, of a level torso."""
-    weight = np.array([0.0, 0.0, GRAVITY])
-    return changed(specific_force=lambda r: r.specific_force - weight)()
-
-
-def _since_start(reading: Any) -> float:
+def since_start(reading: Any) -> float:
     """Time of a reading since the start, s."""
     return to_seconds(reading.stamp - LOCKSTEP_START)

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.locomotion.cases import STRIDES, WalkMotion, motion_of
 from benchmarks.locomotion.rows import DEG, MM, WARM_UP
-from benchmarks.world.drivers import CovariantOdometry, Driver
+from benchmarks.world.drivers import CovariantOdometry, Memory
 from benchmarks.world.sets import WorldSet
 from slot_core import config
 from slot_core.clock import LOCKSTEP_START, to_seconds
@@ -16,8 +16,11 @@ from slot_core.dynamics.scene import SolverSettings
 from slot_core.gait.gait import STAND
 from slot_core.refusal import DivergenceError
 from slot_core.safety.states import State
-from slot_core.safety.supervisor import Report
-from slot_core.simulation.readings import Reading
+from slot_core.simulation.readings import (
+    ImuReading,
+    OdometryReading,
+    Reading,
+)
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 DURATION = 14.0  # s
@@ -33,100 +36,76 @@ GAITS: Mapping[str, tuple[str, str]] = {
 
 
 class FieldLoop(SupervisedLoop):
-    """Supervised loop; readings pass through the drivers of their kind."""
+    """Supervised loop of a set; readings pass through its drivers."""
 
     def __init__(
-        self,
-        scene: str,
-        gait: str,
-        seed: int,
-        changes: Mapping[str, Any],
-        drivers: Mapping[type, Driver],
+        self, one: WorldSet, column: str, seed: int, changes: Mapping[str, Any]
     ) -> None:
+        scene, gait = GAITS[column]
+        changes = {**changes, **one.changes}
         super().__init__(scene, gait, None, seed, changes=changes)
-        self._drivers = drivers
+        self._drivers = {OdometryReading: one.odometry, ImuReading: one.imu}
+        self._memory: dict[type, Memory] = {kind: {} for kind in self._drivers}
 
     def receive(self, reading: Reading) -> None:
         """Give what the driver makes of a reading to the state estimator."""
-        driver = self._drivers.get(type(reading), lambda r: [r])
-        for given in driver(reading):
+        kind = type(reading)
+        if (driver := self._drivers.get(kind)) is None:
+            super().receive(reading)
+            return
+        for given in driver(reading, self._memory[kind]):
             if isinstance(given, CovariantOdometry):
-                self.loop.controller.estimator.add_odometry(
-                    given.stamp,
-                    given.position,
-                    given.quaternion,
-                    given.velocity,
-                    given.angular_velocity,
-                    given.variance,
-                )
+                values = vars(given).values()  # in the order of the message
+                self.loop.controller.estimator.add_odometry(*values)
             else:
                 super().receive(given)
-
-
-class Course:
-    """States, lines and true motion of a run, report by report."""
-
-    def __init__(self) -> None:
-        self.states: list[State] = []
-        self.lines: dict[str, str] = {}  # by their words, without numbers
-        self._motion: list[list[float]] = []
-
-    def add(self, report: Report, loop: FieldLoop) -> None:
-        """Take a report and where the robot is."""
-        time = to_seconds(loop.plant.now - LOCKSTEP_START)
-        said = [w for w in report.warnings if "slewed" not in w]
-        if not self.states or report.state is not self.states[-1]:
-            self.states.append(report.state)
-            said = [report.reason] * (report.state in ABNORMAL)
-        elif time < SETTLED:
-            said = []
-        for line in said:
-            self.lines.setdefault(re.sub(r"[-+.\d]+", "", line), line)
-        robot = loop.plant.robot
-        self._motion.append([time, *robot.position, *robot.rpy, 0.0, 0.0])
-
-    def motion(self, gait: str) -> WalkMotion:
-        """The true motion."""
-        stride = STRIDES.get(gait, STRIDES["walk"])
-        return motion_of(np.array(self._motion), False, stride.period)
 
 
 def run_set(
     one: WorldSet, column: str, seed: int, *, duration: float, solver: str
 ) -> dict[str, Any]:
-    """A run as a row: states, HOLDs, motion after the start, and the lines that it gave."""
-    scene, gait = GAITS[column]
+    """A run as a row: states, HOLDs, motion after the start, and the lines that it gave.
+
+    lines: reasons of HOLD, RELAX and FAULT, and warnings after the start, each with the numbers
+    that it had first.
+    """
     level = config.read(SolverSettings, f"solver/{solver}")
-    changes = {
-        name: value for name, value, _ in config.leaves(level, "scene.solver.")
-    }
-    course, lines = Course(), []
+    loop = FieldLoop(
+        one,
+        column,
+        seed,
+        {f"scene.solver.{name}": x for name, x, _ in config.leaves(level)},
+    )
+    states: list[State] = []
+    motion, lines, robot = [], dict[str, str](), loop.plant.robot
     try:
-        loop = FieldLoop(
-            scene,
-            gait,
-            seed,
-            changes | dict(one.changes),
-            {kind: make() for kind, make in one.drivers.items()},
-        )
         for report in loop.run(duration):
-            course.add(report, loop)
+            time = to_seconds(loop.plant.now - LOCKSTEP_START)
+            motion.append([time, *robot.position, *robot.rpy, 0.0, 0.0])
+            said = report.warnings if time > SETTLED else ()
+            if report.state not in states[-1:]:
+                states.append(report.state)
+                said = (report.reason,) * (report.state in ABNORMAL)
+            for line in said:
+                if "slewed" not in line:
+                    lines.setdefault(re.sub(r"[-+.\d]+", "", line), line)
     except (DivergenceError, RuntimeError) as error:
-        course.states.append(State.FAULT)
-        lines = [f"{type(error).__name__}: {error}"]
-    lines += course.lines.values()
+        states.append(State.FAULT)
+        lines["error"] = f"{type(error).__name__}: {error}"
+    gait = GAITS[column][1]
+    moving = State.STANDING if gait == STAND else State.WALKING
+    stride = STRIDES.get(gait, STRIDES["walk"])
+    whole = motion_of(np.array(motion), False, stride.period)
     return {
-        "kind": "run",
         "set": one.name,
         "gait": column,
         "seed": seed,
-        "states": short(course.states),
-        "moved": State.WALKING in course.states
-        or (gait == STAND and State.STANDING in course.states),
-        "ended": course.states[-1].name,
-        "holds": course.states.count(State.HOLD),
-        "lines": lines,
-        **measured(course.motion(gait), gait == STAND),
+        "states": short(states),
+        "moved": moving in states,
+        "ended": states[-1].name,
+        "holds": states.count(State.HOLD),
+        "lines": [*lines.values()],
+        **measured(whole, gait == STAND),
     }
 
 

@@ -6,16 +6,16 @@ in motion alone, the robot may also stop with it, or walk less well and say why.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from math import pi, radians
 from typing import Any
 
 from benchmarks.locomotion import cases
 from benchmarks.locomotion.cases import Changes
 from benchmarks.world import drivers
-from benchmarks.world.drivers import MakeDriver
+from benchmarks.world.drivers import Driver
 from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
-from slot_core.simulation.readings import ImuReading, OdometryReading
+from slot_core.robot import GRAVITY
 
 WALKS, WARNED, REFUSED = "walks", "warned", "refused"
 STOPS, FAILS = "stops", "fails"
@@ -45,16 +45,10 @@ class WorldSet:
 
     name: str
     changes: Mapping[str, Any] = field(default_factory=dict)
-    odometry: MakeDriver | None = None
-    imu: MakeDriver | None = None
+    odometry: Driver | None = None
+    imu: Driver | None = None
     allowed: tuple[str, ...] = (WALKS,)
     cause: str = "(?!)"
-
-    @property
-    def drivers(self) -> Mapping[type, MakeDriver]:
-        """What makes the drivers of a run, by the kind of reading."""
-        made = {OdometryReading: self.odometry, ImuReading: self.imu}
-        return {kind: make for kind, make in made.items() if make is not None}
 
 
 def sets() -> dict[str, WorldSet]:
@@ -66,24 +60,28 @@ def sets() -> dict[str, WorldSet]:
 
 def _frames() -> list[WorldSet]:
     """Frames of the odometry, and twists that are none."""
-    heights = (-0.5, -0.1, -0.02, 0.02, 0.1, 0.5)
-    frames = {f"origin at z {z:+g} m": drivers.origin(0, 0, z) for z in heights}
-    for deg in (1, 3):
-        tilt = (0.0, radians(deg), 0.0)
-        frames[f"odom tilted by {deg} deg"] = drivers.origin(0, 0, 0, turn=tilt)
+    frame, slam = drivers.in_frame, drivers.started_slam
+    frames: dict[str, Driver] = {
+        f"origin at z {z:+g} m": partial(frame, origin=(0.0, 0.0, z))
+        for z in (-0.5, -0.1, -0.02, 0.02, 0.1, 0.5)
+    }
+    frames |= {
+        f"odom tilted by {deg} deg": partial(frame, turn=(0, radians(deg), 0))
+        for deg in (1, 3)
+    }
     turn = (radians(-2), radians(2), 1.0)
     frames |= {
-        "odom at z -.1 m, tilted, turned": drivers.origin(
-            0.3, 0.2, -0.1, turn=turn
+        "odom at z -.1 m, tilted, turned": partial(
+            frame, origin=(0.3, 0.2, -0.1), turn=turn
         ),
-        "origin at the first pose": drivers.started_slam(),
-        "SLAM restarted before it walks": drivers.started_slam(0.25),
-        "SLAM restarted in mid-walk": drivers.started_slam(MIDWAY),
-        "twist 0, covariance 0": drivers.pose_only(0.0),
-        "twist 0, covariance -1": drivers.pose_only(-1.0),
-        "twist in odom, yaw 90 deg": drivers.twist_in_odom(pi / 2),
+        "origin at the first pose": slam,
+        "SLAM restarted before it walks": partial(slam, begin=0.25),
+        "SLAM restarted in mid-walk": partial(slam, begin=MIDWAY),
+        "twist 0, covariance 0": partial(drivers.pose_only, variance=0.0),
+        "twist 0, covariance -1": partial(drivers.pose_only, variance=-1.0),
+        "twist in odom, yaw 90 deg": partial(drivers.twist_in_odom, yaw=pi / 2),
     }
-    return [WorldSet(name, odometry=make) for name, make in frames.items()]
+    return [WorldSet(name, odometry=driver) for name, driver in frames.items()]
 
 
 def _rates() -> list[WorldSet]:
@@ -126,9 +124,13 @@ def _rates() -> list[WorldSet]:
 
 def _gaps() -> list[WorldSet]:
     """Losses, stray and repeated stamps, quaternions of the other sign."""
-    seldom, stray = drivers.dropped(0.1), drivers.stray_stamp(MIDWAY, 0.4)
-    short, long = drivers.lost(MIDWAY, 0.3), drivers.lost(MIDWAY, 3.0)
-    never, cause = drivers.lost(), "odometry"
+    seldom = partial(drivers.dropped, share=0.1)
+    stray = partial(drivers.stray_stamp, time=MIDWAY, ahead=0.4)
+    short, long = (
+        partial(drivers.lost, begin=MIDWAY, duration=seconds)
+        for seconds in (0.3, 3.0)
+    )
+    never = drivers.lost
     return [
         WorldSet("odometry stamped .4 s ahead, once", odometry=stray),
         WorldSet("IMU stamped .4 s ahead, once", imu=stray),
@@ -138,7 +140,7 @@ def _gaps() -> list[WorldSet]:
         WorldSet("odometry lost for .3 s", odometry=short),
         WorldSet("IMU lost for .3 s", imu=short),
         WorldSet(
-            "odometry lost for 3 s", odometry=long, allowed=MANY, cause=cause
+            "odometry lost for 3 s", odometry=long, allowed=MANY, cause="odom"
         ),
         WorldSet(
             "no odometry", odometry=never, allowed=(REFUSED,), cause="odom"
@@ -153,7 +155,7 @@ def _clocks() -> list[WorldSet]:
     return [
         WorldSet(
             f"IMU stamped {ms:+d} ms",
-            imu=drivers.shifted(1e-3 * ms),
+            imu=partial(drivers.shifted, seconds=1e-3 * ms),
             allowed=MANY if abs(ms) > 60 else (WALKS,),
             cause=r"IMU.* m?s\b",
         )
@@ -163,18 +165,26 @@ def _clocks() -> list[WorldSet]:
 
 def _wrong_imus() -> list[WorldSet]:
     """IMUs of other units or axes, and without a part."""
-    wrong = {
-        "IMU in g": (drivers.scaled_imu(force=1 / 9.81), r"\bg\b"),
-        "IMU without gravity": (drivers.without_gravity, "gravity"),
-        "gyroscope alone": (drivers.scaled_imu(force=0.0), "accel|force"),
-        "IMU in deg/s": (drivers.scaled_imu(rate=180 / pi), "deg"),
-        "IMU in optical axes": (drivers.turned_imu(-90, 0, -90), "ax[ei]s"),
-        "IMU turned by 90 deg about z": (drivers.turned_imu(0, 0, 90), "ax[ei]s|turn"),
-        "IMU upside down": (drivers.turned_imu(180, 0, 0), "ax[ei]s|turn"),
+    wrong: dict[str, tuple[Mapping[str, Any], str]] = {
+        "IMU in g": ({"force": 1 / GRAVITY}, r"\bg\b"),
+        "IMU without gravity": ({"gravity": GRAVITY}, "gravity"),
+        "gyroscope alone": ({"force": 0.0}, "accel|force"),
+        "IMU in deg/s": ({"rate": 180 / pi}, "deg"),
+        "IMU in optical axes": ({"rpy_deg": (-90, 0, -90)}, "ax[ei]s"),
+        "IMU turned by 90 deg about z": (
+            {"rpy_deg": (0, 0, 90)},
+            "ax[ei]s|turn",
+        ),
+        "IMU upside down": ({"rpy_deg": (180, 0, 0)}, "ax[ei]s|turn"),
     }
     return [
-        WorldSet(name, imu=make, allowed=MANY, cause=f"(?i){cause}")
-        for name, (make, cause) in wrong.items()
+        WorldSet(
+            name,
+            imu=partial(drivers.other_imu, **given),
+            allowed=MANY,
+            cause=f"(?i){cause}",
+        )
+        for name, (given, cause) in wrong.items()
     ]
 
 
@@ -221,6 +231,4 @@ def _floors() -> list[WorldSet]:
 
 def _slower(name: str, changes: Changes, cause: str) -> WorldSet:
     """A set that may walk at what speed it can, if it says so."""
-    return WorldSet(
-        name, dict(changes), allowed=(WALKS, WARNED), cause=cause
-    )
+    return WorldSet(name, dict(changes), allowed=(WALKS, WARNED), cause=cause)
