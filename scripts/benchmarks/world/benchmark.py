@@ -35,7 +35,6 @@ from benchmarks.world.sets import (
     WARNED,
     sets,
 )
-from slot_core.gait.gait import STAND
 
 SEEDS = (1, 2, 3)
 QUICK = (
@@ -46,10 +45,15 @@ QUICK = (
     "twist 0, covariance 0",
     "friction 0.8",
 )
-SPEED_OFF = 0.1  # of the reference's speed
-LIMITS = {"aside": 5.0, "heading": 2.0, "tilt": 2.0}
-"""Beyond the reference's value and a tenth of it: mm, deg, deg."""
-SUNK, SUNK_STANDING = 5.0, 2.0  # mm, off the reference's height
+LIMITS = {
+    "speed": (0.1, 1e-3),
+    "aside": (0.1, 5.0),
+    "heading": (0.1, 2.0),
+    "tilt": (0.1, 2.0),
+    "height": (0.0, 5.0),
+    "stand": (0.0, 2.0),
+}
+"""Share of the reference's value, and more in m/s, mm, deg, deg, mm, that a row may be worse by."""
 Job = tuple[str, str, int, float, str]  # set, gait, seed, duration, solver
 
 
@@ -109,9 +113,11 @@ def judged(rows: Sequence[Row]) -> list[dict[str, Any]]:
     for row in rows:
         one, reference = every[row["set"]], references[row["gait"], row["seed"]]
         causes = [x for x in row["lines"] if re.search(one.cause, x)]
-        verdict = verdict_of(row, reference, bool(causes))
+        worse = worse_in(row, reference)
+        verdict = verdict_of(row, bool(worse), bool(causes))
         judgement = {
             "ratio": row["speed"] / reference["speed"],
+            "worse": " ".join(worse),
             "verdict": verdict,
             "allowed": verdict in one.allowed,
             "line": [*causes, *row["lines"], ""][0],
@@ -120,33 +126,28 @@ def judged(rows: Sequence[Row]) -> list[dict[str, Any]]:
     return found
 
 
-def verdict_of(row: Row, reference: Row, named: bool) -> str:
-    """The verdict on a run; `named`: a line names the cause."""
+def worse_in(row: Row, reference: Row) -> list[str]:
+    """Names of what is worse in a run than in its reference."""
+    off = {name: row[name] - reference[name] for name in LIMITS if name in row}
+    limits = LIMITS | {"height": LIMITS.get(row["gait"], LIMITS["height"])}
+    for name in ("speed", "height"):
+        off[name] = abs(off[name])
+    return [
+        name
+        for name, value in off.items()
+        if value > limits[name][0] * abs(reference[name]) + limits[name][1]
+    ]
+
+
+def verdict_of(row: Row, worse: bool, named: bool) -> str:
+    """The verdict on a run that is worse or not; `named`: a line names the cause."""
     if not row["moved"]:
         verdict = REFUSED
     elif row["holds"] or row["ended"] not in ("WALKING", "STANDING"):
         verdict = STOPS
-    elif is_worse(row, reference):
-        verdict = WARNED
     else:
-        return WALKS
-    return verdict if named else FAILS
-
-
-def is_worse(row: Row, reference: Row) -> bool:
-    """Whether a run moves less well than the reference."""
-    off = abs(row["speed"] - reference["speed"])
-    beyond = [
-        row[name] > 1.1 * reference[name] + limit
-        for name, limit in LIMITS.items()
-    ]
-    sunk = abs(row["height"] - reference["height"])
-    stands = row["gait"] == STAND
-    return (
-        any(beyond)
-        or sunk > (SUNK_STANDING if stands else SUNK)
-        or (not stands and off > SPEED_OFF * reference["speed"])
-    )
+        verdict = WARNED if worse else WALKS
+    return verdict if named or verdict == WALKS else FAILS
 
 
 def checks(rows: Sequence[Row]) -> list[Check]:

@@ -26,13 +26,13 @@ from slot_core.simulation.supervised_loop import SupervisedLoop
 DURATION = 14.0  # s
 SETTLED = 1.0  # s, after which warnings and tilt count
 ABNORMAL = (State.HOLD, State.RELAX, State.ESTOP, State.FAULT)
-GAITS: Mapping[str, tuple[str, str]] = {
-    "walk": ("flat", "walk"),
-    "crawl": ("flat", "crawl"),
-    "stand": ("flat", STAND),
-    "slope5": ("slope5", "walk"),
+GAITS: Mapping[str, tuple[str, str, float | None]] = {
+    "walk": ("flat", "walk", None),
+    "crawl": ("flat", "crawl", None),
+    "stand": ("flat", STAND, None),
+    "slope5": ("slope5", "walk", 0.04),
 }
-"""Scene and gait by the name of their column."""
+"""Scene, gait, and speed (m/s) if it is not that of the gait, by the name of their column."""
 
 
 class FieldLoop(SupervisedLoop):
@@ -41,9 +41,10 @@ class FieldLoop(SupervisedLoop):
     def __init__(
         self, one: WorldSet, column: str, seed: int, changes: Mapping[str, Any]
     ) -> None:
-        scene, gait = GAITS[column]
+        scene, gait, speed = GAITS[column]
+        velocity = None if speed is None else np.array([speed, 0.0, 0.0])
         changes = {**changes, **one.changes}
-        super().__init__(scene, gait, None, seed, changes=changes)
+        super().__init__(scene, gait, velocity, seed, changes=changes)
         self._drivers = {OdometryReading: one.odometry, ImuReading: one.imu}
         self._memory: dict[type, Memory] = {kind: {} for kind in self._drivers}
 
