@@ -161,10 +161,7 @@ class MotionLimits:
         "velocity off the commanded one that ends in HOLD", "m/s", 1e-3, 1
     )
     progress_min: float = quantity(
-        "share of a commanded speed below which is warned", "", 0, 1
-    )
-    speed_min: float = quantity(
-        "commanded speed from which on its share counts", "m/s", 1e-3, 1
+        "share of a speed above slip_max below which is warned", "", 0, 1
     )
 
 
