@@ -112,7 +112,7 @@ def judged(rows: Sequence[Row]) -> list[dict[str, Any]]:
     }
     for row in rows:
         one, reference = every[row["set"]], references[row["gait"], row["seed"]]
-        causes = [x for x in row["lines"] if re.search(one.cause, x)]
+        causes = [x for x in row["lines"] if re.search(one.cause, x, re.I)]
         worse = worse_in(row, reference)
         verdict = verdict_of(row, bool(worse), bool(causes))
         judgement = {
