@@ -1,6 +1,7 @@
 """Supervisor: every fault in its time limit, and what leads on from it."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -180,6 +181,38 @@ def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(
     assert walking.reports[-1].reason.startswith("no motion seen: torso ")
     refused = walking.supervisor.request(walking.now, Request.WALK)
     assert refused.startswith("WALK refused in HOLD: it ends")
+    assert walking.time_until(State.RELAX, TIMING.hold_max + 1.0) < math.inf
+
+
+@pytest.mark.parametrize(
+    ("moved", "said"),
+    [
+        ((0.0, 0.046), ""),
+        ((0.0, 0.034), "walks 34 of 50 mm/s, least 35: floor, slope, load"),
+        ((0.036, 0.05), "slides 36 mm/s right, limit 15: floor"),
+        ((0.0, -0.005), "walks -5 of 50 mm/s, least 35: floor, slope, load"),
+    ],
+)
+def test_a_walk_that_slides_or_gets_on_too_slowly_is_said_while_it_goes_on(
+    walking, moved, said
+):
+    """The heading is +y; when it walks as commanded the line goes."""
+    walking.velocity = np.array([0.05, 0.0, 0.0])
+    turned = partial(state, yaw=math.pi / 2)
+    walking.state = turned(velocity=moved)
+    report = walking.run(SETTINGS.motion.slip_window + 1.0)
+    assert report.state is State.WALKING
+    assert [w[: len(said)] for w in report.warnings] == [said] * bool(said)
+    walking.state = turned(velocity=(0.0, 0.05))
+    assert walking.run(SETTINGS.motion.slip_window + 1.0).warnings == ()
+
+
+def test_a_walk_that_slides_faster_than_it_walks_ends_in_hold(walking):
+    walking.velocity = np.array([0.05, 0.0, 0.0])
+    walking.state = state(velocity=(0.05, -0.08))
+    took = walking.time_until(State.HOLD, 10.0)
+    assert took < SETTINGS.motion.slip_window + 1.0
+    assert walking.reports[-1].reason.startswith("slides 7")
     assert walking.time_until(State.RELAX, TIMING.hold_max + 1.0) < math.inf
 
 

@@ -169,6 +169,18 @@ class MotionLimits:
     lever: float = quantity(
         "by which angles of the torso count in it", "m", 0, 1
     )
+    slip_window: float = quantity(
+        "time in which velocity and command are compared", "s", 0.5, 60
+    )
+    slip_max: float = quantity(
+        "velocity off the commanded one that is warned of", "m/s", 1e-3, 1
+    )
+    slip_hold: float = quantity(
+        "velocity off the commanded one that ends in HOLD", "m/s", 1e-3, 1
+    )
+    progress_min: float = quantity(
+        "share of a speed above slip_max below which is warned", "", 0, 1
+    )
 
 
 @dataclass(frozen=True)

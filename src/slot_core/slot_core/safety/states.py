@@ -27,7 +27,7 @@ stateDiagram-v2
   note right of FAULT: faults are SERVO_FAULT, SERVO_SILENT, TILTED
   note right of HOLD
     reasons to hold are CLOCK_JUMPED, NODE_LOST,
-    TENDON_DAMAGED, NO_MOTION, MPC_STOPPED,
+    TENDON_DAMAGED, NO_MOTION, SLIDING, MPC_STOPPED,
     ESTIMATE_LOST, COMMAND_REJECTED, COMMAND_STALE
   end note
 ```
@@ -80,6 +80,7 @@ class Condition(enum.Enum):
     NODE_LOST = "node lost"
     TENDON_DAMAGED = "tendon damaged"
     NO_MOTION = "no motion"
+    SLIDING = "sliding"
     MPC_STOPPED = "MPC stopped"
     ESTIMATE_LOST = "estimate lost"
     COMMAND_REJECTED = "command rejected"
@@ -92,6 +93,7 @@ class Condition(enum.Enum):
     WALKING_RECOVERED = "walks again"
     RELAXED = "relaxed"
     RELAXED_AFTER_FAULT = "relaxed after a fault"
+    OFF_COMMAND = "off its command"
 
 
 _I, _R, _S, _W, _H, _X, _E, _F = State
@@ -112,6 +114,7 @@ TRANSITIONS: dict[Condition, tuple[State, ...]] = {
     Condition.NODE_LOST: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.TENDON_DAMAGED: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.NO_MOTION: (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.SLIDING: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.MPC_STOPPED: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.ESTIMATE_LOST: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.COMMAND_REJECTED: (_I, _R, _H, _H, _H, _X, _E, _F),
@@ -124,6 +127,7 @@ TRANSITIONS: dict[Condition, tuple[State, ...]] = {
     Condition.WALKING_RECOVERED: (_I, _R, _S, _W, _W, _X, _E, _F),
     Condition.RELAXED: (_I, _R, _S, _W, _H, _I, _E, _F),
     Condition.RELAXED_AFTER_FAULT: (_I, _R, _S, _W, _H, _F, _E, _F),
+    Condition.OFF_COMMAND: (_I, _R, _S, _W, _H, _X, _E, _F),
 }
 
 ACTIONS = {
@@ -140,6 +144,8 @@ ACTIONS = {
 REASONS_TO_HOLD = frozenset(
     c for c, row in TRANSITIONS.items() if row[_W] is _H
 )
+# They change no state.
+REMARKS = frozenset(c for c, row in TRANSITIONS.items() if row == tuple(State))
 # Faults of the robot itself: they count in every state under torque.
 FAULTS = frozenset(
     c
