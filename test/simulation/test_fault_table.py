@@ -22,7 +22,10 @@ from slot_core.simulation.supervised_loop import SupervisedLoop
 PAGE = Path(__file__).parents[2] / "slot_bringup" / "doc" / "safety.md"
 SETTINGS = read_supervisor()
 TIMING = SETTINGS.timing
-TICK, SAMPLE = 0.033, 0.005  # s, of the controller and, at which it ticks, of the IMU
+TICK, SAMPLE = (
+    0.033,
+    0.005,
+)  # s, of the controller and, at which it ticks, of the IMU
 STRIDE = read_gaits().strides["walk"].period
 WAIT = read_estimator().timing.odometry_wait
 NO_ODOMETRY = WAIT + (SETTINGS.estimate.coast_cycles + 1) * TICK
@@ -99,7 +102,7 @@ ROWS = {
         FaultyLoop.spoil_odometry_again_and_again,
         "torque off",
         {
-            "HOLD": after((SETTINGS.estimate.coast_cycles + 1) * ODOMETRY),
+            "HOLD": after(NO_ODOMETRY),
             "RELAX": within(TIMING.holds_max + 0.5),
         },
         ("sim",),

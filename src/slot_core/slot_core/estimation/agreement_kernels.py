@@ -136,7 +136,10 @@ def coverage(sums, before, after):
     0: not yet; -1: no more.
     """
     first, count = sums.ring[0], sums.ring[1]
-    if count < 2 or sums.stamps[(first + count - 1) % KEPT] < after + SHIFTS[-1]:
+    if (
+        count < 2
+        or sums.stamps[(first + count - 1) % KEPT] < after + SHIFTS[-1]
+    ):
         return 0
     return -1 if sums.stamps[first] > before + SHIFTS[0] else 1
 
@@ -232,9 +235,10 @@ def align(b, prior, work):
             k[i, j] = b[3 * i + j] + b[3 * j + i]
             bound += abs(k[i, j])
         k[i, i] += 2.0 * prior - trace
-        k[i, 3] = k[3, i] = b[3 * ((i + 2) % 3) + (i + 1) % 3] - b[
-            3 * ((i + 1) % 3) + (i + 2) % 3
-        ]
+        k[i, 3] = k[3, i] = (
+            b[3 * ((i + 2) % 3) + (i + 1) % 3]
+            - b[3 * ((i + 1) % 3) + (i + 2) % 3]
+        )
     k[3, 3] = trace
     for i in range(4):
         k[i, i] += bound  # no eigenvalue is negative
