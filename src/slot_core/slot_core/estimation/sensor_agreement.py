@@ -69,7 +69,7 @@ LONG = 0.8  # s of turns from which axes count
 SQUARE_ANGLE = 0.15  # deviation of elements of a turn by multiples of 90 deg
 APART = 50.0  # between sums of twist of which one is right
 # squared distance, in six standard deviations, of a twist like the pose's
-NEAR = 9.0
+NEAR = 14.0
 STRAYS = 5  # stamps ahead in a row, which are no stray ones
 # m/s^2, rad/s^2 between readings
 ACCELERATION, ANGULAR_ACCELERATION = 2.0, 15.0
