@@ -198,27 +198,26 @@ class SensorAgreement:
             turn = self._work.turn.copy()
         if apart >= INTERVAL:
             self._last = motion
-        if last is not None and INTERVAL <= apart <= LONGEST_INTERVAL:
+        comparable = INTERVAL <= apart <= LONGEST_INTERVAL
+        if last is not None and comparable and self._settings.enabled:
             self._compare(last, motion, turn, is_given)
         if not is_given or self._frame in {"", "pose"}:
             velocity, rate, variance = self._twist_of_pose(motion, last, turn)
-            if is_given and not self._frame:
-                difference = np.concatenate(
-                    [motion.velocity - velocity, motion.rate - rate]
-                )
-                is_near = (difference**2 / variance[6:]).sum() < NEAR
-                is_given = bool(is_near)
-            if not is_given or self._frame == "pose":
+            difference = np.concatenate(
+                [motion.velocity - velocity, motion.rate - rate]
+            )
+            is_near = np.square(difference / np.sqrt(variance[6:])).sum() < NEAR
+            if not is_given or self._frame == "pose" or not is_near:
                 motion = replace(
                     motion, velocity=velocity, rate=rate, variance=variance
                 )
         elif self._frame == "odom":
             back = matrix_of_quaternion(motion.attitude).T
-            velocity, rate = (
-                product(back, motion.velocity),
-                product(back, motion.rate),
+            motion = replace(
+                motion,
+                velocity=product(back, motion.velocity),
+                rate=product(back, motion.rate),
             )
-            motion = replace(motion, velocity=velocity, rate=rate)
         if self.shift:
             motion = replace(motion, stamp=stamp + self.shift)
         return motion
@@ -270,12 +269,8 @@ class SensorAgreement:
         )
         if is_given:
             self._judge_twist()
-        if not self._settings.enabled:
-            return
         self._judge_force(motion)
-        self._intervals.append(
-            (last.stamp, motion.stamp, turn)
-        )
+        self._intervals.append((last.stamp, motion.stamp, turn))
         added = False
         while self._intervals:
             start, end, turn = self._intervals[0]
@@ -286,9 +281,7 @@ class SensorAgreement:
             if covered > 0:
                 self._work.turn[:] = turn
                 keep = 1.0 - (end - start) / SECOND / MEMORY
-                added |= compare_turns(
-                    self._sums, self._work, start, end, keep
-                )
+                added |= compare_turns(self._sums, self._work, start, end, keep)
         if added:
             self._judge_turns()
 
@@ -386,12 +379,12 @@ class SensorAgreement:
                 return
         square = float(self._sums.pairs[best, SQUARE])
         rate = float(np.sqrt(square / count)) / self._interval
-        if not self._proven and square > 3.0 * total[3]:
-            if rate > self._settings.rate_still:
-                self._notes["rest"] = (
-                    f"imu: turns at {rate:.2g} rad/s where odometry is at rest:"
-                    " not used until motion tells more; is it in deg/s?"
-                )
+        more = square > 3.0 * total[3] and rate > self._settings.rate_still
+        if more and not self._proven:
+            self._notes["rest"] = (
+                f"imu: turns at {rate:.2g} rad/s where odometry is at rest:"
+                " not used until motion tells more; is it in deg/s?"
+            )
         loud = gyro[best] > 100.0 * turned[best]
         is_long = moved > MOTION and count * self._interval > LONG
         if is_long or loud:
