@@ -58,7 +58,7 @@ class SupervisorBench:
         self.command = np.full(4, 1.1)
         self.angle = np.array([1.0, 1.05, 1.1, 1.15])  # where the servos are
         self.state = state()
-        self.validity = Validity.VALID
+        self.validity, self.message = Validity.VALID, ""
         self.status = Status.SOLVED
         self.velocity = np.zeros(3)  # commanded
         self.sources = {"button": False}  # of the e-stop: whether it is pressed
@@ -108,7 +108,13 @@ class SupervisorBench:
     def _send_cycle(self, now):
         """Estimate, status of the MPC and command of one odometry reading."""
         if "estimate" not in self.silent:
-            estimate = Estimate(now, self.state, np.eye(12), self.validity)
+            estimate = Estimate(
+                now,
+                self.state,
+                np.eye(12),
+                self.validity,
+                message=self.message,
+            )
             self.supervisor.receive_estimate(now, estimate)
         if "mpc" not in self.silent:
             self.supervisor.receive_mpc(

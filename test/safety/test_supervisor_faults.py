@@ -17,8 +17,9 @@ from supervisor_bench import (
 
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.safety.conditions import Conditions
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.states import Action, Request, State
+from slot_core.safety.states import Action, Condition, Request, State
 from slot_core.safety.supervisor import SteadyClock
 
 SETTINGS = read_supervisor()
@@ -39,7 +40,12 @@ REJECTED, AT_ONCE = (3 * CYCLE, 4 * CYCLE), (0.0, CYCLE)  # s
 # Differences of the bench, the state that they end in, bounds of the time until then (s), reason.
 FAULTS = [
     ({"validity": Validity.ODOMETRY_REJECTED}, "HOLD", REJECTED, UNUSABLE),
-    ({"validity": Validity.INITIALISING}, "HOLD", REJECTED, UNUSABLE),
+    (
+        {"validity": Validity.INITIALISING, "message": "imu: in g?"},
+        "HOLD",
+        REJECTED,
+        f"{UNUSABLE}: imu: in g?",
+    ),
     ({"state": np.full(12, NAN)}, "HOLD", REJECTED, UNUSABLE),
     (
         {"silent": {"estimate"}},
@@ -126,6 +132,11 @@ def test_a_hold_of_a_stand_or_with_stand_requested_ends_in_standing(
     bench.silent.clear()
     assert bench.time_until(State.STANDING, 1.0) < 1.0
     assert bench.reports[-1].resumed == resumed
+
+
+def test_before_the_first_estimate_its_topics_are_named():
+    reason = Conditions(SETTINGS).conditions(0)[Condition.ESTIMATE_LOST]
+    assert "waits for /odom and /imu" in reason
 
 
 def hold_once(bench):

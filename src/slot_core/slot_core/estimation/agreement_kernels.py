@@ -261,6 +261,26 @@ def set_turn(work, p, q):
     work.turn[0], work.turn[1], work.turn[2] = turn_between(p, q)
 
 
+@helper
+def add_force(sums, rotation, before, after, dt, keep):
+    """Add the mean specific force over dt (s) between two readings (13,), turned into odom.
+
+    rotation: work space (3, 3).
+    """
+    up, force = sums.up, sums.force
+    for i in range(4):
+        up[i] *= keep
+    if force[3] > 0.0:
+        for reading in (before, after):
+            rotation_matrix(rotation, reading[:4])
+            for i in range(3):
+                for j in range(3):
+                    up[i] += dt / 2 * rotation[i, j] * force[j] / force[3]
+        up[3] += dt
+    for i in range(4):
+        force[i] = 0.0
+
+
 @kernel
 def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
     """Add the step between two readings (13,), dt (s) apart, to the sums of twist and force.
@@ -298,15 +318,4 @@ def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
         sums.twist[kind] += min(
             square(moved) / variance[0], LARGEST_RESIDUAL
         ) + min(square(turned) / variance[1], LARGEST_RESIDUAL)
-    up, force = sums.up, sums.force
-    for i in range(4):
-        up[i] *= keep_force
-    if force[3] > 0.0:
-        for reading in (before, after):
-            rotation_matrix(rotation, reading[:4])
-            for i in range(3):
-                for j in range(3):
-                    up[i] += dt / 2 * rotation[i, j] * force[j] / force[3]
-        up[3] += dt
-    for i in range(4):
-        force[i] = 0.0
+    add_force(sums, rotation, before, after, dt, keep_force)

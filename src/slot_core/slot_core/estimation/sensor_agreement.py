@@ -69,7 +69,7 @@ LONG = 0.8  # s of turns from which axes count
 SQUARE_ANGLE = 0.15  # deviation of elements of a turn by multiples of 90 deg
 APART = 50.0  # between sums of twist of which one is right
 # squared distance, in six standard deviations, of a twist like the pose's
-NEAR = 9.0
+NEAR = 14.0
 STRAYS = 5  # stamps ahead in a row, which are no stray ones
 # m/s^2, rad/s^2 between readings
 ACCELERATION, ANGULAR_ACCELERATION = 2.0, 15.0
@@ -201,29 +201,26 @@ class SensorAgreement:
             turn = self._work.turn.copy()
         if apart >= INTERVAL:
             self._last = motion
-        if last is not None and INTERVAL <= apart <= LONGEST_INTERVAL:
+        comparable = INTERVAL <= apart <= LONGEST_INTERVAL
+        if last is not None and comparable and self._settings.enabled:
             self._compare(last, motion, turn, is_given)
         if not is_given or self._frame in {"", "pose"}:
             velocity, rate, variance = self._twist_of_pose(motion, last, turn)
-            if is_given and not self._frame:
-                difference = np.concatenate(
-                    [motion.velocity - velocity, motion.rate - rate]
-                )
-                is_near = (
-                    (difference * difference) / variance[6:]
-                ).sum() < NEAR
-                is_given = bool(is_near)
-            if not is_given or self._frame == "pose":
+            difference = np.concatenate(
+                [motion.velocity - velocity, motion.rate - rate]
+            )
+            is_near = np.square(difference / np.sqrt(variance[6:])).sum() < NEAR
+            if not is_given or self._frame == "pose" or not is_near:
                 motion = replace(
                     motion, velocity=velocity, rate=rate, variance=variance
                 )
         elif self._frame == "odom":
             back = matrix_of_quaternion(motion.attitude).T
-            velocity, rate = (
-                product(back, motion.velocity),
-                product(back, motion.rate),
+            motion = replace(
+                motion,
+                velocity=product(back, motion.velocity),
+                rate=product(back, motion.rate),
             )
-            motion = replace(motion, velocity=velocity, rate=rate)
         if self.shift:
             motion = replace(motion, stamp=stamp + self.shift)
         return motion
@@ -275,8 +272,6 @@ class SensorAgreement:
         )
         if is_given:
             self._judge_twist()
-        if not self._settings.enabled:
-            return
         self._judge_force(motion)
         self._intervals.append((last.stamp, motion.stamp, turn))
         added = False
@@ -387,8 +382,8 @@ class SensorAgreement:
                 return
         square = float(self._sums.pairs[best, SQUARE])
         rate = float(np.sqrt(square / count)) / self._interval
-        turns = square > 3.0 * total[3] and rate > self._settings.rate_still
-        if turns and not self._proven:
+        more = square > 3.0 * total[3] and rate > self._settings.rate_still
+        if more and not self._proven:
             self._notes["rest"] = (
                 f"imu: turns at {rate:.2g} rad/s where odometry is at rest:"
                 " not used until motion tells more; is it in deg/s?"

@@ -524,8 +524,6 @@ class StateEstimator:
     def _judged(self, stamp: int) -> tuple[Validity, str]:
         """Validity of an estimate at `stamp` (ns), and its message."""
         timing, agreement = self._settings.timing, self._agreement
-        if agreement.forbids_motion:
-            return Validity.INITIALISING, agreement.message
         withheld = to_seconds(stamp - agreement.withheld)
         is_open = withheld < WITHHELD * self._interval
         incomplete = not (self._imu_complete or is_open)
@@ -540,8 +538,8 @@ class StateEstimator:
                 return Validity.ODOMETRY_REJECTED, line
             line = f"no usable odom for {age:.2g} s, {limit}"
             return Validity.ODOMETRY_LOST, line
-        if self._is_initialising(stamp):
-            return Validity.INITIALISING, ""
+        if self._is_initialising(stamp) or agreement.forbids_motion:
+            return Validity.INITIALISING, agreement.message
         if self._floor is not None and not self._floor.is_known:
             line = "the floor is not known before the torso rests on it"
             return Validity.INITIALISING, line
