@@ -156,8 +156,8 @@ class StateEstimator:
         self, stamp: int, angular_velocity: Array, specific_force: Array
     ) -> None:
         """Add an IMU sample: stamp (ns), (3,) rad/s and (3,) m/s^2 in the frame of the IMU."""
-        rate = _vector(angular_velocity, 3, self._settings.imu.gyro_max)
-        force = _vector(specific_force, 3, self._settings.imu.acceleration_max)
+        rate = vector(angular_velocity, 3, self._settings.imu.gyro_max)
+        force = vector(specific_force, 3, self._settings.imu.acceleration_max)
         if rate is None or force is None or not self._advances("imu", stamp):
             return
         if self._mount is not None:
@@ -212,7 +212,7 @@ class StateEstimator:
 
         At rest they tell where the floor is. Torques that are not finite are unknown.
         """
-        known = _vector(angle, len(LEGS), ANGLE_MAX)
+        known = vector(angle, len(LEGS), ANGLE_MAX)
         if known is not None and self._floor is not None:
             self._floor.add_joints(stamp, known, np.nan_to_num(torque))
 
@@ -241,10 +241,10 @@ class StateEstimator:
     ) -> OdometryMotion | None:
         """The decoded reading; None if it is not finite, of a wrong shape, or out of range."""
         limits = self._settings.odometry
-        p = _vector(position, 3, limits.position_max)
-        q = _vector(quaternion, 4, 2.0)
-        v = _vector(velocity, 3, limits.velocity_max)
-        w = _vector(rate, 3, self._settings.imu.gyro_max)
+        p = vector(position, 3, limits.position_max)
+        q = vector(quaternion, 4, 2.0)
+        v = vector(velocity, 3, limits.velocity_max)
+        w = vector(rate, 3, self._settings.imu.gyro_max)
         if p is None or q is None or v is None or w is None:
             return None
         length = norm(q)
@@ -486,7 +486,7 @@ class StateEstimator:
         )
 
 
-def _vector(values: Array, size: int, limit: float) -> Array | None:
+def vector(values: Array, size: int, limit: float) -> Array | None:
     """A copy of `values` (size,); None for another shape or an element beyond +-limit."""
     try:
         array = np.array(values, dtype=np.float64)
