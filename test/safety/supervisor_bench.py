@@ -59,6 +59,7 @@ class SupervisorBench:
         self.angle = np.array([1.0, 1.05, 1.1, 1.15])  # where the servos are
         self.state = state()
         self.validity = Validity.VALID
+        self.deviation = np.zeros(12)  # of the estimate
         self.status = Status.SOLVED
         self.sources = {"button": False}  # of the e-stop: whether it is pressed
         self.torque = None  # N m; None: that of the tabulated leg
@@ -107,7 +108,8 @@ class SupervisorBench:
     def _send_cycle(self, now):
         """Estimate, status of the MPC and command of one odometry reading."""
         if "estimate" not in self.silent:
-            estimate = Estimate(now, self.state, np.eye(12), self.validity)
+            covariance = np.diag(self.deviation**2)
+            estimate = Estimate(now, self.state, covariance, self.validity)
             self.supervisor.receive_estimate(now, estimate)
         if "mpc" not in self.silent:
             self.supervisor.receive_mpc(now, self.status, 0, STRIDE)
@@ -134,9 +136,9 @@ class SupervisorBench:
             self.run(0.02)
 
 
-def bench_in(wanted, **inputs):
+def bench_in(wanted, settings=None, **inputs):
     """A bench whose robot has been in a state for a second; `inputs` as its attributes."""
-    bench = SupervisorBench()
+    bench = SupervisorBench(**settings or {})
     vars(bench).update(inputs)
     bench.run(0.3)
     for request in WAYS[wanted]:
