@@ -2,11 +2,14 @@
 
 import math
 import types
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from slot_core.estimation.estimate import Validity
+from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.floor_observer import FloorPlane
 from slot_core.robot import LEGS
 from slot_core.safety.states import Action, State
 from slot_core.servos.servo_bus import ServoStatus
@@ -121,12 +124,27 @@ def test_disturbances_are_in_plain_units_and_empty_where_they_are_unknown():
         (Validity.ODOMETRY_LOST, ERROR),
     ],
 )
-def test_the_incline_is_reported_where_it_is_known(validity, level):
-    known = diagnostics.of_estimator(validity, (0.1, 0.01))
-    assert (known.level, known.message) == (level, validity.name)
-    assert [v.value for v in known.values] == ["5.73", "0.573"]
-    vague = diagnostics.of_estimator(validity, (0.1, 0.1))
-    assert [v.value for v in vague.values] == ["", ""]
+def test_the_estimator_reports_floor_and_legs_and_the_incline_where_it_is_known(
+    validity, level
+):
+    estimate = replace(
+        Estimate.exact(np.zeros(12)),
+        validity=validity,
+        leg_stiffness=0.8,
+        message="a line",
+        floor=FloorPlane(-0.04, np.array([0.6, 0.0, 0.8])),
+    )
+    known = diagnostics.of_estimator(estimate, (0.1, 0.01))
+    assert (known.level, known.message) == (level, f"{validity.name} a line")
+    assert [v.value for v in known.values] == [
+        "-0.04",
+        "36.9",
+        "0.8",
+        "5.73",
+        "0.573",
+    ]
+    vague = diagnostics.of_estimator(estimate, (0.1, 0.1))
+    assert [v.value for v in vague.values][3:] == ["", ""]
 
 
 @pytest.mark.parametrize("silent", LEGS)

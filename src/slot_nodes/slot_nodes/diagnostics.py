@@ -14,8 +14,10 @@ from rclpy.node import Node
 
 from slot_core.clock import SECOND
 from slot_core.control.policy import Status
-from slot_core.estimation.estimate import Validity
+from slot_core.elementary import atan2
+from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.faults import hardware_errors
+from slot_core.matrices import norm
 from slot_core.safety.states import RELEASED, State
 from slot_msgs.msg import ServoHealth, TendonPlan
 from slot_nodes import messages, qos, runtime
@@ -180,18 +182,23 @@ def of_disturbances(plan: TendonPlan, mass: float) -> DiagnosticStatus:
 
 
 def of_estimator(
-    validity: Validity, incline: tuple[float, float]
+    estimate: Estimate, incline: tuple[float, float]
 ) -> DiagnosticStatus:
-    """Validity of the newest estimate, and the incline of the floor where it is known.
+    """Validity of the newest estimate, floor and legs, and the incline where it is known.
 
     incline: angle and standard deviation, rad.
     """
     angle, sigma = incline
     known = sigma < INCLINE_SIGMA
+    name = f"{estimate.validity.name} {estimate.message}".strip()
+    tilt = atan2(norm(estimate.floor.normal[:2]), estimate.floor.normal[2])
     return status(
         "state estimator",
-        OF_ESTIMATE.get(validity, WARN),
-        validity.name,
+        OF_ESTIMATE.get(estimate.validity, WARN),
+        name,
+        floor_height=number(estimate.floor.height),
+        floor_tilt_deg=number(math.degrees(tilt)),
+        leg_stiffness=number(estimate.leg_stiffness),
         incline_deg=number(math.degrees(angle) if known else None),
         incline_sigma_deg=number(math.degrees(sigma) if known else None),
     )

@@ -121,7 +121,5 @@ class StateEstimatorNode(Node):
         )
 
     def _describe(self, estimate: Estimate) -> DiagnosticArray:
-        status = diagnostics.of_estimator(
-            estimate.validity, self._estimator.incline
-        )
+        status = diagnostics.of_estimator(estimate, self._estimator.incline)
         return diagnostics.array(estimate.stamp, [status])

@@ -177,9 +177,9 @@ class _Rest(NamedTuple):
     @classmethod
     def mean(cls, rows: Sequence["_Rest"]) -> "_Rest":
         """Mean of some."""
+        _, *columns = zip(*rows)
         joints, position, attitude, force = (
-            np.sum([row[k] for row in rows], axis=0) / len(rows)
-            for k in range(1, 5)
+            np.sum(column, axis=0) / len(rows) for column in columns
         )
         return cls(
             rows[-1].stamp, joints, position, attitude / norm(attitude), force
