@@ -76,7 +76,7 @@ REFUSED = {
                 "path: gait sit with this velocity stays in its",
             ),
             (
-                "--odometry none --policy place".split(),
+                ["--odometry", "none", "--policy", "place"],
                 "policy = 'place': odometry none leaves gait_alone alone",
             ),
             (

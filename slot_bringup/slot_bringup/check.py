@@ -65,14 +65,7 @@ def check(values: Mapping[str, Any]) -> None:
     hardware = values["hardware"]
     if values["lockstep"]:
         _check_lockstep(values)
-        if is_simulated(values) and not scene.sensors.imu.enabled:
-            raise ConfigError(
-                f"lockstep: the scene {values['scene']} has no IMU, whose samples are its clock"
-            )
-    if is_blind(values):
-        _check_blind(values)
-    elif values["bench"]:
-        raise ConfigError("bench: needs odometry none")
+    _check_odometry(values)
     if (
         values["markers"]
         and is_simulated(values)
@@ -149,11 +142,19 @@ def _check_lockstep(values: Mapping[str, Any]) -> None:
         )
     if values["port"] is not None:
         raise ConfigError("port: emulated servos have none in lockstep")
+    if not read_scene(values["scene"]).sensors.imu.enabled:
+        raise ConfigError(
+            f"lockstep: the scene {values['scene']} has no IMU, whose samples are the clock"
+        )
 
 
-def _check_blind(values: Mapping[str, Any]) -> None:
-    """Raise ConfigError for arguments that need odometry."""
+def _check_odometry(values: Mapping[str, Any]) -> None:
+    """Raise ConfigError for arguments that need odometry, or that there is none."""
     policy = values["policy"]
+    if not is_blind(values):
+        if values["bench"]:
+            raise ConfigError("bench: needs odometry none")
+        return
     if policy not in (DEFAULT_POLICY, GAIT_ALONE):
         raise ConfigError(
             f"policy = {quoted(policy)}: odometry none leaves {GAIT_ALONE} alone"

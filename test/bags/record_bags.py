@@ -37,7 +37,9 @@ from slot_nodes import qos
 
 BAGS = Path(__file__).parent
 INPUTS = (*SENSORS, RECORDS)  # of a replay
-LATER = 2 * SECOND // 5  # ns, until which the last states are recorded as replayable
+LATER = (
+    2 * SECOND // 5
+)  # ns, until which the last states are recorded as replayable
 LEFT_OUT = ("/tf", "/force_map/status", "/diagnostics", "/ground_truth/legs")
 
 

@@ -167,7 +167,9 @@ def test_what_is_not_known_is_not_watched_and_that_is_said(
     hangs, tilt, place, said
 ):
     deviation = np.repeat([tilt, place], [3, 9])
-    bench = bench_in(State.WALKING, deviation=deviation, settings={"bench": hangs})
+    bench = bench_in(
+        State.WALKING, deviation=deviation, settings={"bench": hangs}
+    )
     for _ in range(round(SETTINGS.motion.window / CYCLE)):
         phase = 2 * np.pi * bench.now * 1e-9 / STRIDE
         bench.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
@@ -264,7 +266,9 @@ def test_inputs_stamped_by_another_clock_are_rejected_and_reported_once(
         older = now - 50_000_000
         assert "not newer" in s.receive_command(now, older, np.full(4, 1.9))
     elif source == "estimate":
-        fallen = Estimate(wall, state(roll=1.0), np.zeros((12, 12)), Validity.VALID)
+        fallen = Estimate(
+            wall, state(roll=1.0), np.zeros((12, 12)), Validity.VALID
+        )
         s.receive_estimate(now, fallen)
     else:
         s.receive_joints(now, wall, walking.angle, np.zeros(4))

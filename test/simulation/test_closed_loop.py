@@ -17,9 +17,7 @@ PERIOD = read_estimator().timing.period  # s
 ROBOT = read_robot()
 
 
-def walk(
-    duration, scene="flat", gait="walk", velocity=None, seed=0, **options
-):
+def walk(duration, scene="flat", gait="walk", velocity=None, seed=0, **options):
     """Positions (n, 3), m, and roll-pitch-yaw (n, 3), rad, at every tick, and the ticks."""
     velocity = np.array([0.05, 0.0, 0.0] if velocity is None else velocity)
     loop = ClosedLoop(scene, gait, velocity, seed, **options)

@@ -12,7 +12,6 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import LOCKSTEP_START, to_seconds
 from slot_core.control.policies import DEFAULT_POLICY
-from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.reference import mean_velocity

@@ -30,9 +30,7 @@ class StateEstimatorNode(Node):
     def __init__(self) -> None:
         super().__init__("state_estimator")
         settings = runtime.declare_settings(self, read_estimator())
-        self._estimator = make_estimator(
-            settings, read_robot(), read_springs()
-        )
+        self._estimator = make_estimator(settings, read_robot(), read_springs())
         self._in_base_axes = not any(settings.mounts.imu.rpy)
         self._record = stage_record.Recorder(self, self._estimator)
         self._state = runtime.publisher(

@@ -145,9 +145,7 @@ class Conditions:
             self._settings.estimate,
             np.sqrt(estimate.covariance.diagonal()),
         )
-        self.place_is_known = bool(
-            deviation[3:5].max() <= limits.place_error
-        )
+        self.place_is_known = bool(deviation[3:5].max() <= limits.place_error)
         self.tilt_is_known = bool(deviation[:2].max() <= limits.tilt_error)
         if finite:
             self._tilt = (float(estimate.state[0]), float(estimate.state[1]))

@@ -173,11 +173,7 @@ class Supervisor:
             return
         self._inputs.receive_estimate(time, estimate)
         known = self._inputs.place_is_known
-        if (
-            known
-            and self._state is State.WALKING
-            and self._follows_gait(time)
-        ):
+        if known and self._state is State.WALKING and self._follows_gait(time):
             self._motion.observe(time, estimate.state, self._command)
         else:
             self._motion.pause()

@@ -15,9 +15,7 @@ from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
 from slot_core.servos.brand import EmulatedServos
 from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.readings import (
-    ImageReading,
     ImuReading,
-    OdometryReading,
     Reading,
     StampedHealth,
 )

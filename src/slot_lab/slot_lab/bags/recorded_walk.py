@@ -285,7 +285,9 @@ def read_ticks(bag: Bag) -> Ticks:
     times = [_sensor_times(bag, stamps, origin, period)]
     times += [_first_times(bag, topic, stamps, origin) for topic in OUTPUTS]
     end = to_seconds(bag.end_ns - origin)
-    return Ticks(seconds(stamps), np.column_stack(times), to_seconds(period), end)
+    return Ticks(
+        seconds(stamps), np.column_stack(times), to_seconds(period), end
+    )
 
 
 def _sensor_times(
