@@ -96,6 +96,16 @@ class FaultyLoop(SupervisedLoop):
             o, position=np.full(3, np.nan)
         )
 
+    def spoil_odometry_again_and_again(self):
+        """For half a second in every second."""
+
+        def spoilt(odometry):
+            bad = odometry.stamp % SECOND < SECOND // 2
+            change = {"position": np.full(3, np.nan)} if bad else {}
+            return dataclasses.replace(odometry, **change)
+
+        self.change_odometry = spoilt
+
     def lose_imu(self):
         self.change_imu = lambda i: None
 

@@ -22,13 +22,14 @@ import dataclasses
 import importlib
 import json
 import math
+import multiprocessing
 import os
 import platform
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -36,11 +37,12 @@ from typing import Any, TypeVar
 
 from slot_core.refusal import InputError, quoted
 
-T = TypeVar("T")
+T, S = TypeVar("T"), TypeVar("S")
 Row = Mapping[str, Any]
 Progress = Callable[[str], None]
 
 COURSES = "courses.npz"
+REPORTS = 20  # lines of progress over a benchmark's runs
 ROOT = Path(os.environ.get("SLOT_ROOT") or Path(__file__).resolve().parents[2])
 BENCHMARKS = ROOT / "scripts" / "benchmarks"
 
@@ -125,6 +127,24 @@ def cpu_ratio(
     )
 
 
+def in_processes(
+    call: Callable[[S], T], jobs: Sequence[S], progress: Progress
+) -> Iterator[T]:
+    """Results of the jobs in any order, from a process on each core.
+
+    The last job is done before the others start: it compiles the kernels once.
+    """
+    if jobs:
+        yield call(jobs[-1])
+    workers = len(os.sched_getaffinity(0))
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        results = pool.imap_unordered(call, jobs[:-1])
+        for count, result in enumerate(results, 2):
+            if count % max(1, len(jobs) // REPORTS) == 0:
+                progress(f"{count} of {len(jobs)} runs")
+            yield result
+
+
 def mark_front(
     rows: Sequence[dict[str, Any]], cost: str, error: Callable[[Row], float]
 ) -> None:
@@ -190,7 +210,7 @@ def run(
     }
     path = out / f"{name}.json"
     path.write_text(
-        json.dumps(_plain(result), indent=2, allow_nan=False) + "\n"
+        json.dumps(as_json(result), indent=2, allow_nan=False) + "\n"
     )
     return path
 
@@ -224,14 +244,14 @@ def machine() -> dict[str, Any]:
     }
 
 
-def _plain(value: Any) -> Any:
+def as_json(value: Any) -> Any:
     """`value` as JSON: NumPy's numbers as Python's, NaN and infinity as null."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): as_json(item) for key, item in value.items()}
     if hasattr(value, "tolist"):  # an array or number of NumPy
         value = value.tolist()
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [as_json(item) for item in value]
     return (
         None if isinstance(value, float) and not math.isfinite(value) else value
     )

@@ -59,7 +59,15 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
             "learned",
             "default",
         ),
-        "margin": ("voltage", "friction", "speed", "aside", "tilt", "load"),
+        "margin": (
+            "voltage",
+            "friction",
+            "with",
+            "speed",
+            "aside",
+            "tilt",
+            "load",
+        ),
     },
     "mpc": {
         "solver": (

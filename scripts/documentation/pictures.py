@@ -136,6 +136,7 @@ PICTURES = {
     "perturbations.png": Picture(
         "benchmarks.perturbations.benchmark:draw_courses", "perturbations", True
     ),
+    "world.png": Picture("benchmarks.world.plots:draw", "world"),
     "walk.png": Picture(
         commands=["scripts/run --duration 20 --bag {}/walk"],
         file="walk/walk.png",

@@ -7,6 +7,7 @@ import shutil
 import socket
 import sys
 import termios
+import textwrap
 import time
 import tty
 import uuid
@@ -295,10 +296,12 @@ def _serve(
 def _draw(view: operator_screen.OperatorView) -> None:
     now = time.monotonic()
     width, height = shutil.get_terminal_size()
-    lines = map(printable, operator_screen.lines(view, now)[:height])
-    first, *others = (line[:width] for line in lines)
+    first, *others = map(printable, operator_screen.lines(view, now))
     colour = "\x1b[1;31m" if view.alarming(now) else "\x1b[1m"
-    screen = "\x1b[K\n".join((f"{colour}{first}\x1b[0m", *others))
+    # the end of a reason may be its cause
+    state = [f"{colour}{row}\x1b[0m" for row in textwrap.wrap(first, width)]
+    rows = [*state, *(line[:width] for line in others)]
+    screen = "\x1b[K\n".join(rows[:height])
     print(f"\x1b[H{screen}\x1b[K\x1b[J", end="", flush=True)
 
 

@@ -1,6 +1,7 @@
 """Keys, screen and command line of the operator's terminal."""
 
 import os
+import re
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
@@ -191,6 +192,18 @@ def test_the_screen_shows_state_warnings_problems_gait_and_what_is_wrong_with_a_
     }
     problems = [line[4:] for line in shown if "late" in line]
     assert problems == ["controller: late", "servo bus: late"]
+
+
+def test_a_narrow_terminal_shows_the_whole_reason(monkeypatch, capsys):
+    monkeypatch.setattr(
+        operate.shutil, "get_terminal_size", lambda: os.terminal_size((60, 40))
+    )
+    reason = "slack after: held 4 times in 20 s, limit 3, " + 9 * "the cause "
+    view = OperatorView(state=state(State.FAULT, reason=reason))
+    view.state_time = operate.time.monotonic()
+    operate._draw(view)
+    shown = re.sub("\x1b\\[[0-9;]*[HJKm]", "", capsys.readouterr().out)
+    assert shown.replace("\n", " ").startswith(f"FAULT for 2.5 s: {reason}")
 
 
 @pytest.mark.parametrize("which", State)

@@ -11,8 +11,12 @@ from slot_core.geometry import wrapped
 from slot_core.robot import GRAVITY
 
 UP = np.array([0.0, 0.0, GRAVITY])
-# without the prediction beyond the newest sample, which has a test of its own
-SETTINGS = config.replace(read_estimator(), {"timing.command_delay": 0.0})
+# without the prediction beyond the newest sample and the agreement of the sensors, which have tests
+# of their own
+SETTINGS = config.replace(
+    read_estimator(),
+    {"timing.command_delay": 0.0, "agreement.enabled": False},
+)
 GYRO_BIAS = np.array([0.02, -0.015, 0.01])
 GYRO_NOISE, FORCE_NOISE = 0.01, 0.3  # of one sample at 200 Hz, as in MATCHED
 MATCHED = config.replace(

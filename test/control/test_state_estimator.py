@@ -32,6 +32,7 @@ from scipy.spatial.transform import Rotation
 from slot_core import config
 from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Validity
+from slot_core.estimation.sensor_agreement import STRAYS
 from slot_core.estimation.state_estimator import StateEstimator
 from slot_core.key_frame import capture
 from slot_core.robot import GRAVITY
@@ -366,7 +367,7 @@ def test_an_imu_mounted_elsewhere_gives_the_same_estimates():
 def test_a_reading_has_its_own_variance_unless_it_is_unknown():
     messages, jump = noisy(Walk(), 1.0, 3), slice(20, 21)
     plain = run(messages)[0]
-    for unknown in (0.0, -1.0, np.nan):
+    for unknown in (0.0, np.nan):
         given = changed(messages, jump, lambda *v: (*v, np.full(12, unknown)))  # noqa: B023
         assert same(run(given)[0], plain)
     # an uncertain reading has no weight and is no outlier
@@ -532,7 +533,7 @@ def test_estimates_stay_valid_in_a_turn_on_an_incline():
 
 def test_a_clock_set_back_gives_the_estimates_of_a_new_estimator():
     first, second = noisy(Walk(), 3.0, 8, GYRO_BIAS), noisy(Walk(), 1.0, 9)
-    fresh, _ = run(second)
+    fresh, _ = run(second[STRAYS:])  # one odometry reading among them
     assert same(run(first + second)[0][-len(fresh) :], fresh)
 
 

@@ -50,6 +50,7 @@ def test_pictures_and_figures_of_a_benchmark_come_from_what_its_run_has_left(
     """The page of figures keeps the other results and names what is missing."""
     row = {"row": "lateral error, split friction", "unit": "mm", "goal": 20.0}
     margin = dict.fromkeys(margins.SHOWN) | {"kind": "margin", "friction": 0.2}
+    margin["with"] = ""
     rows = [margin | {"voltage": volt} for volt in margins.VOLTAGE]
     found = {
         "name": "locomotion",

@@ -15,7 +15,10 @@ from slot_core.estimation.inertial_filter import Mount
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import Transform, matrix_of_quaternion
 from slot_core.messages import decode
+from slot_core.safety.settings import read_supervisor
+from slot_core.safety.states import Action, State
 from slot_core.simulation.readings import ImuReading, OdometryReading, TrueState
+from slot_msgs.msg import RobotState
 from slot_nodes import messages
 
 STAMP = 1_234_567_890_123_456_789
@@ -223,6 +226,17 @@ def test_a_command_without_velocities_stays():
     message.velocity = [1.0]
     with pytest.raises(ValueError, match="once each"):
         decode.joint_command(message)
+
+
+def test_limits_and_permission_of_the_servos():
+    limits = read_supervisor().servo_limits
+    message = through_dds(messages.limits_to_msg(limits))
+    assert decode.servo_limits(message) == limits
+    for state in (State.STANDING, State.WALKING):
+        sent = RobotState(state=int(state), action=RobotState.ACTION_PASS)
+        found = decode.permission(through_dds(sent), STAMP)
+        walks = state is State.WALKING
+        assert (found.action, found.walks) == (Action.PASS, walks)
 
 
 @pytest.mark.parametrize("segments", [6, 0])

@@ -35,9 +35,9 @@ WAYS = {
 }
 
 
-def state(roll=0.0, pitch=0.0):
+def state(roll=0.0, pitch=0.0, yaw=0.0, velocity=(0.0, 0.0)):
     x = np.zeros(12)
-    x[:2], x[5] = (roll, pitch), HEIGHT
+    x[:3], x[5], x[9:11] = (roll, pitch, yaw), HEIGHT, velocity
     return x
 
 
@@ -61,6 +61,7 @@ class SupervisorBench:
         self.validity = Validity.VALID
         self.deviation = np.zeros(12)  # of the estimate
         self.status = Status.SOLVED
+        self.velocity = np.zeros(3)  # commanded
         self.sources = {"button": False}  # of the e-stop: whether it is pressed
         self.torque = None  # N m; None: that of the tabulated leg
         self.watchdog = Watchdog(ROBOT.tendon.angle_max)
@@ -112,7 +113,9 @@ class SupervisorBench:
             estimate = Estimate(now, self.state, covariance, self.validity)
             self.supervisor.receive_estimate(now, estimate)
         if "mpc" not in self.silent:
-            self.supervisor.receive_mpc(now, self.status, 0, STRIDE)
+            self.supervisor.receive_mpc(
+                now, self.status, 0, STRIDE, self.velocity
+            )
         if "command" not in self.silent:
             self.supervisor.receive_command(now, now, self.command)
             self.watchdog.offer(now, self.command)

@@ -53,7 +53,11 @@ def random_input(rng, bench, supervisor, steady):
         )
     elif kind == 4:
         supervisor.receive_mpc(
-            now, int(rng.choice([0, 1, 4], p=[0.9, 0.09, 0.01])), 0, 0.6
+            now,
+            int(rng.choice([0, 1, 4], p=[0.9, 0.09, 0.01])),
+            0,
+            0.6,
+            rng.normal(0, 0.05, 3),
         )
     elif kind == 5:
         supervisor.receive_estop(

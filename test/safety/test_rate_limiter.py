@@ -150,7 +150,10 @@ def test_no_sequence_of_commands_and_actions_exceeds_range_or_rate():
                 time, *((spoilt,) if rng.integers(2) else (MIDDLE, spoilt))
             )
         goals = built.step(
-            time, rng.choice(list(Action)), fast=bool(rng.integers(2))
+            time,
+            rng.choice(list(Action)),
+            fast=bool(rng.integers(2)),
+            ease=rng.choice([None, 0.0, LIMIT]),
         )
         times.append(time * 1e-9)
         angles.append(goals.angle)

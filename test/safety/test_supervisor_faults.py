@@ -1,6 +1,7 @@
 """Supervisor: every fault in its time limit, and what leads on from it."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,10 +10,12 @@ from supervisor_bench import (
     OVERLOAD,
     STEP,
     STRIDE,
+    WAYS,
     bench_in,
     state,
 )
 
+from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import Action, Request, State
@@ -125,6 +128,36 @@ def test_a_hold_of_a_stand_or_with_stand_requested_ends_in_standing(
     assert bench.reports[-1].resumed == resumed
 
 
+def hold_once(bench):
+    """Let the robot hold and recover; returns the state after that."""
+    bench.status = Status.STOPPED
+    bench.run(CYCLE)
+    bench.status = Status.SOLVED
+    return bench.run(TIMING.recovery + 2 * CYCLE).state
+
+
+def test_one_hold_too_many_within_the_window_ends_in_a_fault_that_names_its_cause(
+    walking,
+):
+    held = [hold_once(walking) for _ in range(TIMING.holds_max + 1)]
+    assert held == [State.WALKING] * TIMING.holds_max + [State.RELAX]
+    assert walking.reports[-1].reason == (
+        "held 4 times in 20 s, limit 3, at last for: MPC stopped, 0 cycles"
+        " without a solution; mend that, then reset"
+    )
+    assert walking.time_until(State.FAULT, RELAX_TIME + 2 * STEP) < math.inf
+    for request in (Request.RESET, *WAYS[State.WALKING]):
+        walking.request(request)
+        walking.run(1.0)
+    assert hold_once(walking) is State.WALKING  # they count from READY on
+
+
+def test_holds_further_apart_than_the_window_do_not_count_together(walking):
+    for _ in range(2 * TIMING.holds_max):
+        assert hold_once(walking) is State.WALKING
+        walking.run(TIMING.holds_window / TIMING.holds_max)
+
+
 def test_a_missing_imu_is_warned_of_until_it_is_back_and_the_robot_walks_on(
     walking,
 ):
@@ -181,6 +214,38 @@ def test_what_is_not_known_is_not_watched_and_that_is_said(
     bench.state = state()
     bench.health = OVERLOAD
     assert bench.run(0.1).state is State.RELAX
+
+
+@pytest.mark.parametrize(
+    ("moved", "said"),
+    [
+        ((0.0, 0.046), ""),
+        ((0.0, 0.034), "walks 34 of 50 mm/s, least 35: floor, slope, load"),
+        ((0.036, 0.05), "slides 36 mm/s right, limit 15: floor"),
+        ((0.0, -0.005), "walks -5 of 50 mm/s, least 35: floor, slope, load"),
+    ],
+)
+def test_a_walk_that_slides_or_gets_on_too_slowly_is_said_while_it_goes_on(
+    walking, moved, said
+):
+    """The heading is +y; when it walks as commanded the line goes."""
+    walking.velocity = np.array([0.05, 0.0, 0.0])
+    turned = partial(state, yaw=math.pi / 2)
+    walking.state = turned(velocity=moved)
+    report = walking.run(SETTINGS.motion.slip_window + 1.0)
+    assert report.state is State.WALKING
+    assert [w[: len(said)] for w in report.warnings] == [said] * bool(said)
+    walking.state = turned(velocity=(0.0, 0.05))
+    assert walking.run(SETTINGS.motion.slip_window + 1.0).warnings == ()
+
+
+def test_a_walk_that_slides_faster_than_it_walks_ends_in_hold(walking):
+    walking.velocity = np.array([0.05, 0.0, 0.0])
+    walking.state = state(velocity=(0.05, -0.08))
+    took = walking.time_until(State.HOLD, 10.0)
+    assert took < SETTINGS.motion.slip_window + 1.0
+    assert walking.reports[-1].reason.startswith("slides 7")
+    assert walking.time_until(State.RELAX, TIMING.hold_max + 1.0) < math.inf
 
 
 def test_the_end_of_a_recorder_is_said_while_the_robot_walks_on(walking):

@@ -14,6 +14,8 @@ TIMING = SETTINGS.timing
 TICK = 10_000_000  # ns
 START = np.full(4, 1.0)
 COMMAND = np.full(4, 1.2)
+STRIDE = np.array([0.3, 2.0, 1.8, 1.2])
+LIMITS = SETTINGS.servo_limits
 
 
 class WatchdogBench:
@@ -25,13 +27,20 @@ class WatchdogBench:
         self.watchdog.engage(START)
         self.now = 0
 
-    def run(self, seconds, permission=Action.PASS, command=COMMAND, fast=True):
+    def run(
+        self,
+        seconds,
+        permission=Action.PASS,
+        command=COMMAND,
+        fast=True,
+        walks=False,
+    ):
         for _ in range(round(seconds * 1e9 / TICK)):
             self.now += TICK
             if permission is not None:
                 reason = "the supervisor's reason"
                 self.watchdog.permit(
-                    Permission(self.now, permission, fast, reason)
+                    Permission(self.now, permission, fast, reason, walks=walks)
                 )
             if command is not None:
                 self.watchdog.offer(self.now, command)
@@ -83,6 +92,35 @@ def test_the_age_of_commands_does_not_count_under_hold(bench):
     bench.run(0.5)
     assert bench.run(10.0, Action.HOLD, command=None) is Action.HOLD
     assert bench.watchdog.reason == "the supervisor's reason"
+
+
+@pytest.mark.parametrize(
+    "held",
+    [{"permission": Action.HOLD}, {"permission": None}, {"command": None}],
+)
+def test_in_a_stride_a_hold_moves_all_legs_slowly_to_the_angle_of_standing(
+    bench, held
+):
+    """Also that of the watchdog itself, without the supervisor."""
+    bench.run(1.0, command=STRIDE, walks=True)
+    while bench.run(TICK * 1e-9, walks=True, **held) is not Action.HOLD:
+        pass
+    before = bench.goals.angle
+    assert bench.run(0.2, walks=True, **held) is Action.HOLD
+    moved = LIMITS.gate.approach_rate * 0.2
+    left = LIMITS.standing_angle - before
+    assert bench.goals.angle - before == pytest.approx(
+        np.clip(left, -moved, moved)
+    )
+
+
+def test_a_hold_keeps_the_angles_of_a_posture_once_it_has_settled(bench):
+    for stood, kept in ((0.9, False), (1.1, True)):
+        bench.run(1.0, command=STRIDE, walks=True)
+        bench.run(stood * LIMITS.settling, command=STRIDE)
+        bench.run(1.0, Action.HOLD)
+        aim = STRIDE if kept else np.full(4, LIMITS.standing_angle)
+        assert bench.goals.angle == pytest.approx(aim)
 
 
 def test_neither_a_hold_nor_the_supervisors_end_interrupts_a_relax(bench):

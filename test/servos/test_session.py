@@ -34,7 +34,7 @@ class SessionRig:
             if brand == "ideal"
             else EmulatedDynamixels(settings, read_emulator(), angles)
         )
-        self.time = 0.0
+        self.time, self.walks = 0.0, False
         self.bus = self.servos.connect(lambda: self.time)
         self.session = self.fresh()
         self.session.watchdog.set_limits(read_supervisor().servo_limits)
@@ -56,7 +56,9 @@ class SessionRig:
         self.time += duration
 
     def permit(self, action, reason="the supervisor's reason"):
-        self.session.permit(Permission(self.now, action, True, reason))
+        self.session.permit(
+            Permission(self.now, action, True, reason, walks=self.walks)
+        )
 
     def run(self, duration, angle=None, permission=Action.PASS):
         """Steps for a time (s), each with permission and command; returns (action, s) changes."""
@@ -144,6 +146,15 @@ def test_commands_reach_the_servos_and_their_stamp_is_recorded_once(rig):
     assert rig.servos.angles() == pytest.approx(SLIGHTLY, abs=0.01)
     with pytest.raises(RefusedError, match="torque is on already"):
         rig.session.start()
+
+
+def test_a_hold_in_a_stride_moves_the_servos_to_the_angle_of_standing(rig):
+    rig.walks = True
+    rig.run(0.5, SLIGHTLY)
+    rig.run(1.0, SLIGHTLY, Action.HOLD)
+    standing = np.full(4, read_supervisor().servo_limits.standing_angle)
+    assert rig.bus.goals() == pytest.approx(standing)
+    assert rig.servos.angles() == pytest.approx(standing, abs=0.02)
 
 
 def test_permission_off_switches_torque_off_before_the_next_cycle(rig):

@@ -96,6 +96,15 @@ ROWS = {
         {"HOLD": after(NO_ODOMETRY)},
         ("sim",),
     ),
+    "no usable estimate, again and again": (
+        FaultyLoop.spoil_odometry_again_and_again,
+        "torque off",
+        {
+            "HOLD": after((SETTINGS.estimate.coast_cycles + 1) * ODOMETRY),
+            "RELAX": within(TIMING.holds_max + 0.5),
+        },
+        ("sim",),
+    ),
     "no solution of the MPC": (
         FaultyLoop.spoil_problem,
         "HOLD",

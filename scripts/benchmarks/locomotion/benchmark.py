@@ -10,8 +10,6 @@ walk (margins.py).
 """
 
 import dataclasses
-import multiprocessing
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,6 +24,7 @@ from benchmarks.harness import (
     Row,
     at_least,
     at_most,
+    in_processes,
 )
 from benchmarks.locomotion import ablations, cases, margins, plots
 from benchmarks.locomotion.cases import (
@@ -44,7 +43,6 @@ SEEDS[DEFAULT] = (1, 2, 3, 4, 5)
 QUICK = {ALONE: (1,), DEFAULT: (1,)}
 """Seeds of the columns that are run."""
 Seeds = Mapping[str, Sequence[int]]
-REPORTS = 20  # lines of progress
 
 
 def run(quick: bool, out: Path, progress: Progress) -> Outcome:
@@ -81,20 +79,8 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
 
 def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
     """Run every job once, on all cores, the longest first."""
-    jobs, found = (
-        sorted(dict.fromkeys(wanted), key=lambda job: -job[0].duration),
-        {},
-    )
-    # the kernels are compiled once, before the workers start
-    cases.run_job(jobs[-1])
-    with multiprocessing.get_context("spawn").Pool(
-        len(os.sched_getaffinity(0))
-    ) as pool:
-        for job, motion in pool.imap_unordered(cases.run_job, jobs):
-            found[job] = motion
-            if len(found) % max(1, len(jobs) // REPORTS) == 0:
-                progress(f"{len(found)} of {len(jobs)} runs")
-    return found
+    jobs = sorted(dict.fromkeys(wanted), key=lambda job: -job[0].duration)
+    return dict(in_processes(cases.run_job, jobs, progress))
 
 
 def in_column(row: LocomotionRow, column: str) -> LocomotionRow:

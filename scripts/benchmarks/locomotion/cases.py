@@ -264,6 +264,17 @@ def slow_servos(factor: float) -> Changes:
     )
 
 
+def weak_servos(factor: float) -> Changes:
+    """Servos of another stall torque."""
+    stall = tuple(factor * torque for torque in read_servo().stall_torque)
+    return (("servo.stall_torque", stall),)
+
+
+def guides(mu: float) -> Changes:
+    """Guides of the tendons with another friction coefficient."""
+    return (("robot.tendon.guide_friction", mu),)
+
+
 def tendon_errors(error: float) -> Changes:
     """Tendons longer by `error` (m) at the left legs and shorter at the right ones."""
     nominal = read_robot().tendon.slack

@@ -1,8 +1,8 @@
-"""Margins of the default walk: what friction and the servos' supply voltage leave of it."""
+"""Margins of the default walk: what friction, guides and weak servos leave of it."""
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,30 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.harness import Check, at_most
-from benchmarks.locomotion.cases import DEFAULT, Case, Job, WalkMotion, friction
+from benchmarks.locomotion.cases import (
+    DEFAULT,
+    Case,
+    Changes,
+    Job,
+    WalkMotion,
+    friction,
+    guides,
+    weak_servos,
+)
 from benchmarks.locomotion.rows import DEG, MM, SPEED, WARM_UP
 from slot_core.drawing import palette
 from slot_core.dynamics.servo import read_servo
 
 FRICTION = (0.2, 0.4, 0.6)
 VOLTAGE = (11.1, 9.6)  # V, of a battery's nominal and almost empty cells
+WITH: Mapping[str, Changes] = {
+    "": (),
+    "guides .15": guides(0.15),
+    "guides .3": guides(0.3),
+    "stall -10 %": weak_servos(0.9),
+    "stall -20 %": weak_servos(0.8),
+}
+"""Changes by name, each on a floor of friction .4 at the nominal voltage."""
 SEED = 1
 LARGEST_LOAD = 50.0  # % of the stall torque, at the nominal voltage
 SHOWN = {
@@ -29,7 +46,7 @@ SHOWN |= {"load": "% of stall"}
 
 
 def jobs(quick: bool) -> list[Job]:
-    """A walk at the usual speed on every floor at every voltage."""
+    """A walk at the usual speed on every floor at every voltage, and with every change."""
     duration = WARM_UP + (7.0 if quick else 28.0)
     floors = [
         (*friction(mu), ("scene.supply_voltage", volt))
@@ -37,11 +54,13 @@ def jobs(quick: bool) -> list[Job]:
             VOLTAGE[: 1 if quick else None], FRICTION
         )
     ]
+    if not quick:
+        floors += [(*floors[1], *changes) for changes in WITH.values()]
     walks = [
         Case(duration, velocity=(SPEED, 0.0, 0.0), changes=floor)
         for floor in floors
     ]
-    return [(walk, DEFAULT, SEED) for walk in walks]
+    return [(walk, DEFAULT, SEED) for walk in dict.fromkeys(walks)]
 
 
 def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
@@ -58,6 +77,9 @@ def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
         "kind": "margin",
         "friction": mu,
         "voltage": volt,
+        "with": {changes: name for name, changes in WITH.items()}[
+            case.changes[2:]
+        ],
         "fallen": motion.fallen,
     }
     return row | {
@@ -74,22 +96,31 @@ def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
 def checks(found: Sequence[dict[str, Any]]) -> list[Check]:
     """The servos' load at the nominal voltage against its goal."""
     loads = [
-        values["load"] for values in found if values["voltage"] == VOLTAGE[0]
+        values["load"]
+        for values in found
+        if values["voltage"] == VOLTAGE[0] and not values["with"]
     ]
     name = f"load of the servos, walk at {SPEED:g}, mu .2 to .6"
     return [at_most(name, max(loads), LARGEST_LOAD, "% of stall")]
 
 
 def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
-    """The margins over friction, a line for each voltage."""
+    """The margins over friction, a line for each voltage, a cross for each change."""
     figure = Figure(figsize=(8.0, 4.6), layout="constrained")
     *plots, rest = figure.subplots(2, 3).flat
     for ax, (name, unit) in zip(plots, SHOWN.items()):
         for volt, colour in zip(VOLTAGE, (palette.TRUE, palette.SECONDARY)):
-            line = [values for values in found if values["voltage"] == volt]
+            line = [
+                values
+                for values in found
+                if values["voltage"] == volt and not values["with"]
+            ]
             place = [values["friction"] for values in line]
             course = [values[name] for values in line]
             ax.plot(place, course, "o-", color=colour, label=f"{volt:g} V")
+        for values in found:
+            if label := values["with"]:
+                ax.plot(values["friction"], values[name], "x", label=label)
         ax.set_title(f"{name}, {unit}", fontsize=10, loc="left")
         ax.set(xlabel="friction", xticks=FRICTION)
         ax.set_ylim(bottom=0.0)
@@ -97,6 +128,6 @@ def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
     rest.set_axis_off()
     handles, labels = plots[0].get_legend_handles_labels()
     rest.legend(
-        handles, labels, loc="center", title="supply voltage", frameon=False
+        handles, labels, loc="center", title="voltage, or with", frameon=False
     )
     figure.savefig(path, dpi=150)

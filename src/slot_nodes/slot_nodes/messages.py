@@ -348,6 +348,7 @@ def plan_to_msg(
         overruns=pace.overruns,
         skipped=pace.skipped,
         period=preview.period,
+        velocity=preview.velocity_ahead[0],
         remark=preview.remark,
         settings=json.dumps(changes) if changes else "",
         **report | {name: report[name].tolist() for name in arrays},

@@ -222,7 +222,7 @@ class SupervisorNode(Node):
     def _receive_plan(self, now: int, plan: TendonPlan) -> None:
         self._diagnostics.plan = plan
         self._supervisor.receive_mpc(
-            now, plan.status, plan.fallback_cycles, plan.period
+            now, plan.status, plan.fallback_cycles, plan.period, plan.velocity
         )
 
     def _on_command(self, message: JointState) -> None:

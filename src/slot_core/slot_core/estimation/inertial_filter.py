@@ -20,7 +20,7 @@ import numpy as np
 
 from slot_core.arrays import Array, checked
 from slot_core.clock import to_ns
-from slot_core.config import choice, quantity, text
+from slot_core.config import choice, flag, quantity, text
 from slot_core.elementary import atan2
 from slot_core.estimation.filter_kernels import (
     FilterState,
@@ -211,6 +211,31 @@ class TimingSettings:
 
 
 @dataclass(frozen=True)
+class AgreementSettings:
+    """Limits of the agreement of IMU and odometry, see `sensor_agreement.py`."""
+
+    enabled: bool = flag("whether the IMU is compared with the odometry")
+    shift_max: float = quantity(
+        "largest time between their stamps that is compensated", "s", 0, 0.07
+    )
+    stamp_ahead: float = quantity(
+        "an odometry stamp further ahead of the IMU's is dropped", "s", 0.08, 1
+    )
+    rate_still: float = quantity(
+        "angular velocity below which a time between them makes no difference",
+        "rad/s",
+        0.01,
+        1,
+    )
+    lean: float = quantity(
+        "1 - cosine of the largest angle of the specific force to up of odom",
+        "",
+        0.01,
+        1,
+    )
+
+
+@dataclass(frozen=True)
 class BufferSettings:
     """Lengths of the queues."""
 
@@ -257,6 +282,7 @@ class EstimatorSettings:
     blind: BlindSettings
     gate: OutlierSettings
     timing: TimingSettings
+    agreement: AgreementSettings
     buffers: BufferSettings
     mounts: MountSettings
 

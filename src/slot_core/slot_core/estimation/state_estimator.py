@@ -30,6 +30,7 @@ from slot_core import config
 from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.elementary import atan2
+from slot_core.estimation import sensor_agreement
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.filter_kernels import FilterState
 from slot_core.estimation.floor_observer import LEVEL, FloorObserver, FloorPlane
@@ -41,6 +42,7 @@ from slot_core.estimation.inertial_filter import (
     OdometryMotion,
     load_kernels,
 )
+from slot_core.estimation.sensor_agreement import STRAYS, SensorAgreement
 from slot_core.geometry import (
     matrix_of_quaternion,
     matrix_of_rpy,
@@ -52,6 +54,8 @@ from slot_core.matrices import norm, product
 from slot_core.robot import LEGS
 
 BEFORE_ALL_TIMES = -(2**62)  # ns
+# intervals of odometry after which an IMU that is withheld no more counts as missing
+WITHHELD = 3.0
 # SI, to which the variances of a message are clipped
 VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6
 ANGLE_MAX = 100.0  # rad, of a tendon angle that is used
@@ -81,8 +85,10 @@ class StateEstimator:
 
     STATE = StateParts(
         "_filter",
+        "_agreement",
         "_newest",
         "_begun",
+        "_behind",
         "_imu",
         "_waiting",
         "_rejected",
@@ -104,6 +110,7 @@ class StateEstimator:
     ) -> None:
         """Without a floor observer the floor is z = 0 of odom."""
         load_kernels(settings)
+        sensor_agreement.load_kernels()
         self._settings, self._floor = settings, floor
         o = settings.odometry
         noise = [
@@ -122,8 +129,12 @@ class StateEstimator:
         self._filter = InertialFilter(self._settings)
         if self._floor is not None:
             self._floor.reset()
+        mount = matrix_of_rpy(self._settings.mounts.imu.rpy)
+        self._agreement = SensorAgreement(self._settings, mount)
         self._newest: dict[str, int] = {}
         self._begun = 0  # ns, stamp of the first message
+        # by stream: stamps in a row that are far behind the newest
+        self._behind: dict[str, int] = {}
         self._imu = ImuSamples.none()
         self._waiting: deque[tuple[int, OdometryMotion | None]] = deque()
         self._rejected: deque[OdometryMotion | None] = deque(
@@ -156,10 +167,16 @@ class StateEstimator:
         self, stamp: int, angular_velocity: Array, specific_force: Array
     ) -> None:
         """Add an IMU sample: stamp (ns), (3,) rad/s and (3,) m/s^2 in the frame of the IMU."""
-        rate = vector(angular_velocity, 3, self._settings.imu.gyro_max)
-        force = vector(specific_force, 3, self._settings.imu.acceleration_max)
+        limits, (turn_unit, force_unit) = (
+            self._settings.imu,
+            self._agreement.units,
+        )
+        reach = limits.gyro_max * self._agreement.reach
+        rate = vector(angular_velocity, 3, reach / turn_unit)
+        force = vector(specific_force, 3, limits.acceleration_max / force_unit)
         if rate is None or force is None or not self._advances("imu", stamp):
             return
+        rate, force = turn_unit * rate, force_unit * force
         if self._mount is not None:
             # f = R f_imu - w x (w x r); no IMU measures the angular acceleration's share
             rotation, place = self._mount
@@ -167,10 +184,11 @@ class StateEstimator:
             force = product(rotation, force) - np.cross(
                 rate, np.cross(rate, place)
             )
-        sample = np.concatenate([rate, force])
-        self._imu = self._imu.followed(
-            stamp, sample, self._settings.buffers.imu
-        )
+        sample = self._agreement.sample(stamp, rate, force)
+        if sample is not None:
+            self._imu = self._imu.followed(
+                stamp, sample, self._settings.buffers.imu
+            )
         self._process_due()
         self._propagate_to_newest()
         self._publish_due(stamp, stamp)
@@ -189,14 +207,26 @@ class StateEstimator:
         variance: (12,) of angle, position, velocity and rate, from the message; where it is not
         positive, or without it, the settings' noise counts.
         """
-        if not self._advances("odometry", stamp):
+        agreement = self._agreement
+        if agreement.is_stray(stamp, self._newest.get("imu")):
+            return
+        shift = agreement.shift
+        if not self._advances("odometry", stamp + shift):
             return
         motion = self._decode(
             stamp, position, quaternion_xyzw, velocity, angular_velocity
         )
-        if motion is not None and variance is not None:
-            motion = replace(motion, variance=_known(variance, self._variance))
-        self._waiting.append((stamp, motion))
+        if motion is not None:
+            is_given = True
+            if variance is not None:
+                is_given = not np.any(np.asarray(variance)[6:] < 0.0)
+                known = _known(variance, self._variance)
+                motion = replace(motion, variance=known)
+            motion = agreement.compared(motion, is_given)
+            self._shift_odometry(agreement.shift - shift)
+            if agreement.recalibrated:
+                self._forget_biases()
+        self._waiting.append((stamp + agreement.shift, motion))
         self._process_due()
         self._propagate_to_newest()
         if self._imu_is_lost(stamp):
@@ -215,6 +245,29 @@ class StateEstimator:
         known = vector(angle, len(LEGS), ANGLE_MAX)
         if known is not None and self._floor is not None:
             self._floor.add_joints(stamp, known, np.nan_to_num(torque))
+
+    def _shift_odometry(self, step: int) -> None:
+        """Move the stamps of the odometry so far by `step` (ns), and those of the filter."""
+        if not step or self._stamp is None:
+            return
+        self._newest["odometry"] += step
+        self._waiting = deque(
+            (stamp + step, motion and replace(motion, stamp=motion.stamp + step))
+            for stamp, motion in self._waiting
+        )
+        self._filter.restore(self._corrected)
+        self._stamp += step
+        self._accepted_stamp += step
+        self._reached = self._stamp
+
+    def _forget_biases(self) -> None:
+        """Learn the biases anew, because axes or units of the IMU have changed."""
+        self._agreement.recalibrated = False
+        self._filter.restore(self._corrected)
+        self._filter.forget_biases()
+        self._corrected, self._imu = self._filter.state, ImuSamples.none()
+        if self._stamp is not None:
+            self._reached = self._stamp
 
     def poll(self) -> Estimate | None:
         """The next estimate, in order of the stamps; None if none is ready."""
@@ -253,15 +306,19 @@ class StateEstimator:
         return OdometryMotion(stamp, q / length, p, v, w, self._variance)
 
     def _advances(self, stream: str, stamp: int) -> bool:
-        """Whether `stamp` is the newest of its stream; a clock set back resets the estimator."""
-        newest = self._newest.get(stream)
-        if (
-            newest is not None
-            and newest - stamp > self._settings.timing.clock_jump * SECOND
-        ):
+        """Whether `stamp` is the newest of its stream; a clock set back resets the estimator.
+
+        A single stamp far behind is a stray one.
+        """
+        newest = self._newest.get(stream, BEFORE_ALL_TIMES)
+        if newest - stamp > self._settings.timing.clock_jump * SECOND:
+            self._behind[stream] = self._behind.get(stream, 0) + 1
+            if self._behind[stream] < STRAYS:
+                return False
             self._reset()
-            newest = None
-        if newest is not None and stamp <= newest:
+            newest = BEFORE_ALL_TIMES
+        self._behind[stream] = 0
+        if stamp <= newest:
             return False
         if not self._newest:
             self._begun = stamp
@@ -293,6 +350,10 @@ class StateEstimator:
         if len(samples.stamps) and samples.stamps[-1] > self._reached:
             newest = int(samples.stamps[-1])
             self._filter.propagate(samples, self._reached, newest)
+            self._reached = newest
+        newest = min(self._newest.get("imu", self._reached), end)
+        if newest > self._reached:  # samples that must not serve
+            self._filter.propagate_blind(to_seconds(newest - self._reached))
             self._reached = newest
 
     def _publish_due(self, now: int, latest: int) -> None:
@@ -425,8 +486,13 @@ class StateEstimator:
 
     def _judged(self, stamp: int) -> tuple[Validity, str]:
         """Validity of an estimate at `stamp` (ns), and its message."""
-        timing = self._settings.timing
-        without_imu = self._imu_is_lost(stamp) or not self._imu_complete
+        timing, agreement = self._settings.timing, self._agreement
+        if agreement.forbids_motion:
+            return Validity.INITIALISING, agreement.message
+        withheld = to_seconds(stamp - agreement.withheld)
+        is_open = withheld < WITHHELD * self._interval
+        incomplete = not (self._imu_complete or is_open)
+        without_imu = self._imu_is_lost(stamp) or incomplete
         least = timing.rate_min_blind if without_imu else timing.rate_min
         rate = 1.0 / max(self._interval, 1e-3)
         if stamp - self._accepted_stamp > timing.odometry_wait * SECOND:
@@ -448,7 +514,8 @@ class StateEstimator:
                 Validity.ODOMETRY_SLOW,
                 f"odom at {rate:.1f} Hz, limit {least:g} Hz {with_it}",
             )
-        return (Validity.IMU_MISSING if without_imu else Validity.VALID), ""
+        found = Validity.IMU_MISSING if without_imu else Validity.VALID
+        return found, agreement.message
 
     def _predicted(
         self, stamp: int, delay: float, floor: FloorPlane
@@ -459,7 +526,7 @@ class StateEstimator:
         newest = (
             int(samples.stamps[-1]) if len(samples.stamps) else BEFORE_ALL_TIMES
         )
-        if self._reached > self._stamp:
+        if newest >= self._reached > self._stamp:
             self._filter.use_gyro(samples, newest, delay)
         if delay > 0.0 and newest >= self._reached:
             self._filter.extrapolate(samples.values[-1], delay)

@@ -49,9 +49,10 @@ class GaitScheduler:
     Velocity and body pose follow their commands at limited rates. A change of gait is a linear
     blend of the tendon angles over `transition` seconds; a request during a blend takes effect at
     its end. A run starts from the posture `stand`. A stride without velocity stands on its centre;
-    it gets there, and back, by a blend as well. While the servos do not follow the commands the
-    phase waits, and no policy corrects anything. The reference place moves with the velocity, or
-    along the path, at most `lead` ahead of the robot; without a velocity it is the robot's.
+    it gets there, and back, by a blend as well. While the servos do not follow the commands a stride
+    stands on its centre, its phase waits, and no policy corrects anything; then it blends from there.
+    The reference place moves with the velocity, or along the path, at most `lead` ahead of the
+    robot; without a velocity it is the robot's.
     """
 
     STATE = StateParts(
@@ -267,7 +268,8 @@ class GaitScheduler:
                 moving = self._moving_after(active, np.array([elapsed]))
                 active.moving = float(moving[0])
         current = self._current
-        if isinstance(current.gait, Posture) or self._waits():
+        waits = self._is_still() or not self._followed
+        if isinstance(current.gait, Posture) or waits:
             self._place = None
             return
         current.phase = (current.phase + elapsed / current.gait.period) % 1.0
@@ -282,15 +284,13 @@ class GaitScheduler:
             self._place, state[[3, 4, 2]], s.lead, s.heading_lead
         )
 
-    def _waits(self) -> bool:
-        """Whether the phase of a stride waits."""
-        return self._is_still() or not self._followed
-
     def _is_still(self) -> bool:
         return bool((np.abs(self._velocity) < LEAST_VELOCITY).all())
 
     def _moving_after(self, active: _Active, times: Array) -> Array:
         """Share (n,) of a stride's motion at `times` (s) ahead."""
+        if not self._followed:
+            return np.zeros(len(times))
         change = times / max(self._settings.transition, 1e-9)
         later = (
             active.moving - change
@@ -392,7 +392,7 @@ class GaitScheduler:
         if moving.max() == 0.0:
             return self._posture_table_ahead(times)
         # as in `_stride`
-        advances = active is self._current and not self._waits()
+        advances = active is self._current and not self._is_still()
         ahead = times if advances else np.zeros_like(times)
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
         table = gait.stride_table(phase, velocity)

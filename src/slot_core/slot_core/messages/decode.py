@@ -269,8 +269,9 @@ def robot_state(message: Any) -> tuple[int, State, Action, str]:
 
 def permission(message: Any, now: int) -> Permission:
     """Permission of a RobotState received at `now` (ns); raises ValueError on unknown numbers."""
-    sent, _, action, reason = robot_state(message)
-    return Permission(now, action, message.followed, reason, sent)
+    sent, state, action, reason = robot_state(message)
+    walks = state is State.WALKING
+    return Permission(now, action, message.followed, reason, sent, walks)
 
 
 def servo_health(message: Any) -> tuple[int, ServoHealth]:

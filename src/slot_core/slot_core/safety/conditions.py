@@ -112,6 +112,7 @@ class Conditions:
         self._imu_missing: int | None = None  # since when
         self._usable = False  # whether there has been a usable estimate
         self.legs_are_known = True  # see Estimate
+        self._message = ""  # of the newest estimate
         self._tilt: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch
         self.place_is_known = self.tilt_is_known = True
         self._stopped = ""  # why the MPC counts as stopped
@@ -134,6 +135,7 @@ class Conditions:
         self._missed = 0 if usable else self._missed + 1
         self._usable = self._usable or usable
         self.legs_are_known = estimate.legs_are_known
+        self._message = estimate.message
         if estimate.validity is Validity.VALID:
             self._imu_missing = None
         elif (
@@ -295,14 +297,20 @@ class Conditions:
                     Condition.TILTED,
                     f"{name} {angle:+.3f} rad, limit {limits.tilt_max:g} rad",
                 )
+        age, limit = self._age(time, "estimate"), limits.silence
+        why = f": {self._message}" if self._message else ""
+        if math.isinf(age):
+            yield (
+                Condition.ESTIMATE_LOST,
+                "no estimate yet: state_estimator waits for /odom and /imu",
+            )
         if not self._usable:
-            yield Condition.ESTIMATE_LOST, "no usable estimate yet"
+            yield Condition.ESTIMATE_LOST, f"no usable estimate yet{why}"
         if self._missed > limits.coast_cycles:
             yield (
                 Condition.ESTIMATE_LOST,
-                f"{self._missed} estimates in a row unusable, limit {limits.coast_cycles}",
+                f"{self._missed} estimates in a row unusable, limit {limits.coast_cycles}{why}",
             )
-        age, limit = self._age(time, "estimate"), limits.silence
         if age > limit:
             yield (
                 Condition.ESTIMATE_LOST,

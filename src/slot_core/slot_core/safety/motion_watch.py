@@ -1,12 +1,23 @@
-"""Detection of a walk that does not move: the commanded angles swing, the torso does not.
+"""Detection of a walk that does not move, that slides, or that is slower than commanded.
 
-Over the last `window` the torso moves by the extent d of its pose,
+No motion: the commanded angles swing, the torso does not. Over the last `window` the torso moves by
+the extent d of its pose,
 
     d^2 = x^2 + y^2 + z^2 + `lever`^2 (roll^2 + pitch^2 + yaw^2)   with the extents of each,
 
 and the commands by the largest extent c of an angle. Legs that bend move the torso by d / c, in
 whatever direction: on its place, where the feet slide, or where the torso lies on the floor.
 Commands below `command_min` ask for no motion.
+
+Slip: over the last `slip_window` the mean velocity v of the torso is compared with the mean of the
+commanded one, c, both in its heading frame,
+
+    s = v - min(max(v . e, 0), |c|) e,   e = c / |c|:   what is no progress along the command.
+
+Faster than `slip_max` the robot slides, faster than `slip_hold` than it could walk back, and legs
+that hold stop it. Its progress v . e is slow below `progress_min` |c|, for |c| above `slip_max`;
+after changes between turns and straights it lacks 0.006 m/s. Estimated velocities do not
+jump with the origin of the odometry.
 """
 
 from collections import deque
@@ -15,8 +26,12 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.clock import SECOND
+from slot_core.geometry import rotate
 from slot_core.matrices import norm
 from slot_core.safety.settings import MotionLimits
+from slot_core.safety.states import Condition
+
+WAYS = (("ahead", "back"), ("left", "right"))
 
 
 class MovingWindow:
@@ -49,34 +64,57 @@ class MovingWindow:
 
 
 class MotionWatch:
-    """Poses and commands of the last window, and the alarm from them."""
+    """Poses and commands of the last windows, and the alarms from them."""
 
     def __init__(self, limits: MotionLimits) -> None:
         self._limits = limits
         self._window = MovingWindow()  # of pose (6,) and command (4,)
+        # of measured and commanded velocity, (2, 3)
+        self._velocities = MovingWindow()
         self.reset()
 
     def reset(self) -> None:
-        """Discard poses and alarm."""
-        self.message = ""  # one line once no motion was seen, until the reset
+        """Discard poses and alarms."""
+        # lines on what was seen since the reset
+        self._alarms: dict[Condition, str] = {}
         self.pause()
 
     def pause(self) -> None:
-        """Discard the poses, but not the alarm."""
+        """Discard the poses, but not the alarms."""
         self._window.clear()
+        self._velocities.clear()
+        # one line on a walk that is not as commanded, of once a second
+        self._remark, self._compared = "", 0
 
-    def observe(self, time: int, state: Array, command: Array) -> None:
-        """Take the state (12,) of the torso and the command (4,), rad, at `time` (ns)."""
+    @property
+    def findings(self) -> dict[Condition, str]:
+        """Conditions, with one line each."""
+        if self._remark:
+            return {Condition.OFF_COMMAND: self._remark, **self._alarms}
+        return self._alarms
+
+    def observe(
+        self, time: int, state: Array, command: Array, velocity: Array
+    ) -> None:
+        """Take the state (12,) of the torso and what is commanded at `time` (ns).
+
+        command: (4,) rad. velocity: (3,) v_x, v_y, yaw rate in the heading frame, m/s, rad/s; zero:
+        unknown, or to stand.
+        """
         if not np.isfinite(state).all():
             return
+        limits = self._limits
         row = np.concatenate([state[:6], command])
-        if (
-            self._window.add(time, row, self._limits.window)
-            and not self.message
-        ):
-            self._evaluate()
+        if self._window.add(time, row, limits.window) and not self._alarms:
+            self._seek_motion()
+        moved = np.append(rotate(state[9:11], -state[2]), state[8])
+        both = np.array([moved, velocity])
+        is_full = self._velocities.add(time, both, limits.slip_window)
+        if is_full and time - self._compared >= SECOND:
+            self._compared = time
+            self._compare(*self._velocities.rows().mean(axis=0))
 
-    def _evaluate(self) -> None:
+    def _seek_motion(self) -> None:
         """Set the alarm if the window shows commands without motion."""
         rows, limits = self._window.rows(), self._limits
         rows[:, 2] = np.unwrap(rows[:, 2])
@@ -84,8 +122,33 @@ class MotionWatch:
         moved = norm(extent[:6] * ([limits.lever] * 3 + [1.0] * 3))
         asked = float(extent[6:].max())
         if asked >= limits.command_min and moved < limits.ratio_min * asked:
-            self.message = (
+            self._alarms[Condition.NO_MOTION] = (
                 f"no motion seen: torso {1e3 * moved:.1f} mm, limit"
                 f" {1e3 * limits.ratio_min * asked:.1f} mm, in {limits.window:g} s with commands of"
                 f" {asked:.2f} rad"
+            )
+
+    def _compare(self, moved: Array, asked: Array) -> None:
+        """Compare mean velocities (3,): remark on slip and on slow walks, alarm on much slip."""
+        self._remark, limits, speed = "", self._limits, norm(asked[:2])
+        if speed == 0.0 and asked[2] == 0.0:
+            return
+        way = asked[:2] / max(speed, 1e-9)
+        along = float(np.sum(moved[:2] * way))
+        slip = moved[:2] - min(max(along, 0.0), speed) * way
+        fast, least = norm(slip), limits.progress_min * speed
+        if fast > limits.slip_max:
+            axis = int(abs(slip[1]) > abs(slip[0]))
+            most = fast > limits.slip_hold
+            limit = limits.slip_hold if most else limits.slip_max
+            self._remark = (
+                f"slides {1e3 * fast:.0f} mm/s {WAYS[axis][int(slip[axis] < 0.0)]}, limit"
+                f" {1e3 * limit:.0f}: floor too steep or too slippery, or the robot is pushed"
+            )
+            if most:
+                self._alarms.setdefault(Condition.SLIDING, self._remark)
+        elif speed > limits.slip_max and along < least:
+            self._remark = (
+                f"walks {1e3 * along:z.0f} of {1e3 * speed:.0f} mm/s, least {1e3 * least:.0f}:"
+                " floor, slope, load or legs allow no more"
             )

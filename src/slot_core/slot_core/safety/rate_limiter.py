@@ -111,8 +111,18 @@ class RateLimiter:
         )
         self._target, self._target_rate = self._goal.copy(), AT_REST
 
-    def step(self, time: int, action: Action, fast: bool = False) -> Goals:
-        """Goals at `time`; `fast` allows `rate_max` instead of `approach_rate`."""
+    def step(
+        self,
+        time: int,
+        action: Action,
+        fast: bool = False,
+        ease: float | None = None,
+    ) -> Goals:
+        """Goals at `time`; `fast` allows `rate_max` instead of `approach_rate`.
+
+        ease: rad, common angle to which the goals move under HOLD, at `approach_rate`; None: they
+        stay.
+        """
         elapsed = 0 if self._time is None else max(time - self._time, 0)
         self._time = time
         if action is not self._action:
@@ -126,6 +136,9 @@ class RateLimiter:
             return self._move(goal, self._rate(time, fast))
         if action is Action.RELAX:
             return self._relax(time)
+        if action is Action.HOLD and ease is not None:
+            rest = np.full(len(LEGS), ease)
+            return self._move(rest, self.settings.approach_rate)
         return unchanged(action, self._goal, action is Action.HOLD)
 
     def restart_rate(self, time: int) -> None:

@@ -2,9 +2,14 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from slot_core import config
 from slot_core.config import ConfigError, flag, quantity, text
+from slot_core.control.force_map import read_springs
+from slot_core.gait.gait import STAND, read_gaits
 from slot_core.refusal import quoted
+from slot_core.robot import LEGS, read_robot
 
 # a missing gait_scheduler shows as missing forces
 NODES = ("state_estimator", "mpc_controller", "force_mapper")
@@ -21,6 +26,10 @@ class Timing:
         "time without a command that ends in RELAX", "s", 0.05, 5
     )
     hold_max: float = quantity("longest HOLD, then RELAX", "s", 0.1, 60)
+    holds_max: int = quantity(
+        "HOLDs within `holds_window`; one more, then RELAX", "", 1, 1000
+    )
+    holds_window: float = quantity("time in which HOLDs count", "s", 1, 600)
     recovery: float = quantity(
         "time without a reason to hold that ends HOLD", "s", 0.0, 5
     )
@@ -112,6 +121,15 @@ class ServoLimits:
     servo_silent: float = quantity(
         "time without an answer of a servo", "s", 0.05, 2
     )
+    standing_angle: float = quantity(
+        "tendon angle of all legs to which HOLD moves a robot that walked",
+        "rad",
+        0,
+        3,
+    )
+    settling: float = quantity(
+        "time in a posture after which HOLD keeps the angles", "s", 0, 10
+    )
 
 
 @dataclass(frozen=True)
@@ -160,6 +178,18 @@ class MotionLimits:
     lever: float = quantity(
         "by which angles of the torso count in it", "m", 0, 1
     )
+    slip_window: float = quantity(
+        "time in which velocity and command are compared", "s", 0.5, 60
+    )
+    slip_max: float = quantity(
+        "velocity off the commanded one that is warned of", "m/s", 1e-3, 1
+    )
+    slip_hold: float = quantity(
+        "velocity off the commanded one that ends in HOLD", "m/s", 1e-3, 1
+    )
+    progress_min: float = quantity(
+        "share of a speed above slip_max below which is warned", "", 0, 1
+    )
 
 
 @dataclass(frozen=True)
@@ -196,14 +226,23 @@ class SupervisorSettings:
 
     @property
     def servo_limits(self) -> ServoLimits:
-        """Limits that the servos' watchdog keeps."""
-        timing = self.timing
+        """Limits that the servos' watchdog keeps.
+
+        standing_angle: at which legs at rest carry an equal share of the weight at the height of
+        the posture `stand`. settling: duration of a blend of gaits. Raises ConfigError without
+        `config/leg_map.csv`.
+        """
+        timing, robot, gaits = self.timing, read_robot(), read_gaits()
+        height = robot.clamp_heights(gaits.postures[STAND].height, 0.0, 0.0)
+        share = np.full(len(LEGS), robot.weight / len(LEGS))
         return ServoLimits(
             command_hold=timing.command_hold,
             command_lost=timing.command_lost,
             clock_jump=timing.clock_jump,
             servo_silent=timing.servo_silent,
             gate=self.gate,
+            standing_angle=float(read_springs().angle(share, height).mean()),
+            settling=gaits.transition,
         )
 
 

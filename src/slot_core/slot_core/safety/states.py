@@ -14,7 +14,7 @@ stateDiagram-v2
   READY --> RELAX: a fault, RELAX_REQUESTED
   STANDING --> RELAX: a fault, COMMAND_LOST, RELAX_REQUESTED
   WALKING --> RELAX: a fault, COMMAND_LOST, RELAX_REQUESTED
-  HOLD --> RELAX: a fault, COMMAND_LOST, HELD_TOO_LONG, RELAX_REQUESTED
+  HOLD --> RELAX: a fault, COMMAND_LOST, HELD_TOO_LONG, HELD_TOO_OFTEN, RELAX_REQUESTED
   RELAX --> IDLE: RELAXED
   RELAX --> FAULT: RELAXED_AFTER_FAULT
   IDLE --> FAULT: SERVO_FAULT
@@ -27,7 +27,7 @@ stateDiagram-v2
   note right of FAULT: faults are SERVO_FAULT, SERVO_SILENT, TILTED
   note right of HOLD
     reasons to hold are CLOCK_JUMPED, NODE_LOST,
-    TENDON_DAMAGED, NO_MOTION, MPC_STOPPED,
+    TENDON_DAMAGED, NO_MOTION, SLIDING, MPC_STOPPED,
     ESTIMATE_LOST, COMMAND_REJECTED, COMMAND_STALE
   end note
 ```
@@ -40,7 +40,7 @@ class Action(enum.Enum):
     """Reaction of the servos to commands."""
 
     PASS = "pass"  # follow them, rate-limited
-    HOLD = "hold"  # keep the last goals
+    HOLD = "hold"  # keep the last goals; those of a stride ease to standing
     RELAX = "relax"  # a ramp to slack, then torque off
     OFF = "off"  # torque off at once
 
@@ -52,7 +52,9 @@ class State(enum.IntEnum):
     READY = 1  # under torque, without motion
     STANDING = 2  # the servos follow the commands of a posture
     WALKING = 3  # the servos follow the commands of a stride
-    HOLD = 4  # the last goals, until the reason is gone
+    HOLD = (
+        4  # the last goals, after a stride standing, until the reason is gone
+    )
     RELAX = 5  # a ramp to slack, then torque off
     ESTOP = 6  # torque off, until reset
     FAULT = 7  # torque off, until reset
@@ -72,11 +74,13 @@ class Condition(enum.Enum):
     TILTED = "tilted"
     COMMAND_LOST = "commands lost"
     HELD_TOO_LONG = "held too long"
+    HELD_TOO_OFTEN = "held too often"
     RELAX_REQUESTED = "relax requested"
     CLOCK_JUMPED = "clock jumped"
     NODE_LOST = "node lost"
     TENDON_DAMAGED = "tendon damaged"
     NO_MOTION = "no motion"
+    SLIDING = "sliding"
     MPC_STOPPED = "MPC stopped"
     ESTIMATE_LOST = "estimate lost"
     COMMAND_REJECTED = "command rejected"
@@ -89,6 +93,7 @@ class Condition(enum.Enum):
     WALKING_RECOVERED = "walks again"
     RELAXED = "relaxed"
     RELAXED_AFTER_FAULT = "relaxed after a fault"
+    OFF_COMMAND = "off its command"
 
 
 _I, _R, _S, _W, _H, _X, _E, _F = State
@@ -103,11 +108,13 @@ TRANSITIONS: dict[Condition, tuple[State, ...]] = {
     Condition.TILTED: (_I, _X, _X, _X, _X, _X, _E, _F),
     Condition.COMMAND_LOST: (_I, _R, _X, _X, _X, _X, _E, _F),
     Condition.HELD_TOO_LONG: (_I, _R, _S, _W, _X, _X, _E, _F),
+    Condition.HELD_TOO_OFTEN: (_I, _R, _S, _W, _X, _X, _E, _F),
     Condition.RELAX_REQUESTED: (_I, _X, _X, _X, _X, _X, _E, _F),
     Condition.CLOCK_JUMPED: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.NODE_LOST: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.TENDON_DAMAGED: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.NO_MOTION: (_I, _R, _H, _H, _H, _X, _E, _F),
+    Condition.SLIDING: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.MPC_STOPPED: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.ESTIMATE_LOST: (_I, _R, _H, _H, _H, _X, _E, _F),
     Condition.COMMAND_REJECTED: (_I, _R, _H, _H, _H, _X, _E, _F),
@@ -120,6 +127,7 @@ TRANSITIONS: dict[Condition, tuple[State, ...]] = {
     Condition.WALKING_RECOVERED: (_I, _R, _S, _W, _W, _X, _E, _F),
     Condition.RELAXED: (_I, _R, _S, _W, _H, _I, _E, _F),
     Condition.RELAXED_AFTER_FAULT: (_I, _R, _S, _W, _H, _F, _E, _F),
+    Condition.OFF_COMMAND: (_I, _R, _S, _W, _H, _X, _E, _F),
 }
 
 ACTIONS = {
@@ -136,6 +144,8 @@ ACTIONS = {
 REASONS_TO_HOLD = frozenset(
     c for c, row in TRANSITIONS.items() if row[_W] is _H
 )
+# They change no state.
+REMARKS = frozenset(c for c, row in TRANSITIONS.items() if row == tuple(State))
 # Faults of the robot itself: they count in every state under torque.
 FAULTS = frozenset(
     c

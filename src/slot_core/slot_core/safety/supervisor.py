@@ -27,6 +27,7 @@ from slot_core.safety.states import (
     OPERATOR,
     REASONS_TO_HOLD,
     REASONS_TO_RELAX,
+    REMARKS,
     Action,
     Condition,
     Request,
@@ -111,6 +112,7 @@ class Supervisor:
         self._state, self._reason, self._since = State.IDLE, "started", 0
         self._resume = State.STANDING  # state after HOLD
         self._held_from = State.STANDING  # state before HOLD
+        self._holds: list[int] = []  # steady times of the last HOLDs
         # whether the last transition led from HOLD back to it
         self._resumed = False
         self._entered = 0  # steady time of the last transition
@@ -121,6 +123,8 @@ class Supervisor:
         self._followed = False  # whether the servos follow the commands
         self._unfollowed = 0  # steady time when they did not, last
         self._command = np.zeros(len(LEGS))  # rad, last accepted
+        # (3,) v_x, v_y m/s, yaw rate rad/s, commanded, in the heading frame
+        self._velocity = np.zeros(3)
         self._tendon_angle = np.full(len(LEGS), np.nan)
         self._height = np.full(len(LEGS), np.nan)  # m, of the clamps
         self._stride = settings.tendon.window_min  # s
@@ -153,17 +157,24 @@ class Supervisor:
         return self._inputs.emergency_stop.forget(self._advance(now), source)
 
     def receive_mpc(
-        self, now: int, status: int, fallback_cycles: int, stride: float
+        self,
+        now: int,
+        status: int,
+        fallback_cycles: int,
+        stride: float,
+        velocity: Array,
     ) -> None:
         """A message of the MPC's node, which is its heartbeat too.
 
         status: of a cycle (`mpc.Status`), with the cycles since the last solution. stride: period of
-        the gait, s.
+        the gait, s. velocity: (3,) commanded, v_x, v_y (m/s) and yaw rate (rad/s), heading frame.
         """
         self._inputs.receive_heartbeat(self._advance(now), "mpc_controller")
         self._inputs.receive_mpc(status, fallback_cycles)
         if np.isfinite(stride) and stride > 0.0:
             self._stride = float(stride)
+        if np.isfinite(velocity).all():
+            self._velocity = np.array(velocity, dtype=np.float64)
 
     def receive_estimate(self, now: int, estimate: Estimate) -> None:
         """Estimate of the torso's state, usable or not; heartbeat of the state estimator."""
@@ -174,7 +185,9 @@ class Supervisor:
         self._inputs.receive_estimate(time, estimate)
         known = self._inputs.place_is_known
         if known and self._state is State.WALKING and self._follows_gait(time):
-            self._motion.observe(time, estimate.state, self._command)
+            self._motion.observe(
+                time, estimate.state, self._command, self._velocity
+            )
         else:
             self._motion.pause()
         state = estimate.state
@@ -271,7 +284,7 @@ class Supervisor:
         warnings = [
             text
             for c, text in active.items()
-            if c in REASONS_TO_HOLD | REASONS_TO_RELAX
+            if c in REASONS_TO_HOLD | REASONS_TO_RELAX | REMARKS
         ]
         warnings += [*self._wrong_clock.values(), *self._companions.warnings]
         warnings += filter(None, [self._inputs.imu_warning(time)])
@@ -342,8 +355,7 @@ class Supervisor:
             found[Condition.CLOCK_JUMPED] = self._clock.jumped
         if self._tendons.damaged.any():
             found[Condition.TENDON_DAMAGED] = self._tendons.message
-        if self._motion.message:
-            found[Condition.NO_MOTION] = self._motion.message
+        found |= self._motion.findings
         if reason := self._torque_missing(time):
             found.setdefault(Condition.SERVO_FAULT, reason)
         if self._state is State.HOLD:
@@ -397,6 +409,12 @@ class Supervisor:
         if held > timing.hold_max:
             reason = f"held for {held:.3g} s, limit {timing.hold_max:g} s, since: {self._reason}"
             found[Condition.HELD_TOO_LONG] = reason
+        if len(self._holds) > timing.holds_max:
+            found[Condition.HELD_TOO_OFTEN] = (
+                f"held {len(self._holds)} times in {timing.holds_window:g} s,"
+                f" limit {timing.holds_max}, at last for: {self._reason};"
+                " mend that, then reset"
+            )
         if not REASONS_TO_HOLD.isdisjoint(found):
             self._clear_since = None
             return
@@ -456,8 +474,11 @@ class Supervisor:
         self._resumed = before is State.HOLD and after is self._held_from
         if after is State.HOLD:
             self._resume = self._held_from = before
+            begin = time - self._settings.timing.holds_window * SECOND
+            self._holds = [*(t for t in self._holds if t > begin), time]
         elif after is State.READY:
             self._ready_since = time
+            self._holds.clear()
             self._watch.reset()
             self._motion.reset()
             self._tendons = self._watch.state

@@ -1,7 +1,8 @@
 """Watchdog of the servos: their action, from the supervisor's permission and the commands.
 
     no limits or no permission yet               HOLD
-    permission HOLD, RELAX or OFF                the same
+    permission HOLD, RELAX or OFF                the same; HOLD of a robot that walked moves the
+                                                 legs to their common angle of standing
     permission PASS, no command yet              HOLD
     permission PASS and commands                 PASS: the goals follow them, rate-limited;
                                                  between two they continue at the command's rate
@@ -44,6 +45,7 @@ class Permission:
     fast: bool  # goals may move at rate_max: they have reached the commands
     reason: str
     stamp: int = 0  # ns, of the supervisor's message
+    walks: bool = False  # whether PASS is that of a stride
 
 
 @dataclass(frozen=True)
@@ -97,6 +99,8 @@ class Watchdog:
         # rad, angles of the servos when torque came on
         self._engaged = np.zeros(len(LEGS))
         self._commanded: int | None = None  # time of the last accepted command
+        # last time of a stride; None: not since then for `settling`
+        self._strode: int | None = None
 
     @property
     def clock_jump(self) -> float:
@@ -119,7 +123,12 @@ class Watchdog:
         self._engaged = np.array(angle, dtype=np.float64)
         if self._limiter is not None:
             self._limiter.engage(angle)
-        self._commanded, self.own_reason = None, ""
+        self._commanded, self._strode, self.own_reason = None, None, ""
+
+    @property
+    def eases(self) -> bool:
+        """Whether the goals of a stride are on their way to those of standing."""
+        return self.action is Action.HOLD and self._strode is not None
 
     def offer(self, now: int, angle: Array, rate: Array = AT_REST) -> str:
         """Accept tendon angles (4,), rad, with their rate (4,), rad/s; or return why not."""
@@ -158,7 +167,17 @@ class Watchdog:
             now - time > self.limits.command_hold * SECOND for time in received
         )
         fast = self.permission is not None and self.permission.fast
-        return self._limiter.step(now, self.action, fast=fast)
+        if self.action is Action.PASS:
+            self._note_stride(now, self.limits)
+        ease = self.limits.standing_angle if self.eases else None
+        return self._limiter.step(now, self.action, fast, ease)
+
+    def _note_stride(self, now: int, limits: ServoLimits) -> None:
+        """Note that the servos follow a stride, or have followed a posture for `settling`."""
+        if self.permission is not None and self.permission.walks:
+            self._strode = now
+        elif now - (self._strode or now) > limits.settling * SECOND:
+            self._strode = None
 
     def _decide(self, now: int, limits: ServoLimits) -> tuple[Action, str]:
         """Action and its reason, "" for PASS."""

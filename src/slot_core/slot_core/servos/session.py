@@ -189,8 +189,8 @@ class ServoSession:
         if not goals.torque:
             self._switch_off(self.reason)
             self._locked = bool(self.watchdog.own_reason)
-        elif goals.action is not Action.HOLD:
-            # goals under HOLD may be below the range of commands
+        elif goals.action is not Action.HOLD or self.watchdog.eases:
+            # goals that stay may be below the range of commands
             self.bus.command(goals.angle)
 
     def stop(self) -> TorqueOff:

@@ -180,7 +180,14 @@ class SupervisedLoop:
         if changed and not found.keeps_gait:
             self.request_gait(found.state)
         self.servos.permit(
-            Permission(now, found.action, found.followed, found.reason, now)
+            Permission(
+                now,
+                found.action,
+                found.followed,
+                found.reason,
+                now,
+                walks=found.state is State.WALKING,
+            )
         )
         return found
 
@@ -195,7 +202,11 @@ _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {
         now, tick.estimate
     ),
     "mpc_controller": lambda s, tick, now: s.receive_mpc(
-        now, tick.plan.status, tick.plan.fallback_cycles, tick.preview.period
+        now,
+        tick.plan.status,
+        tick.plan.fallback_cycles,
+        tick.preview.period,
+        tick.preview.velocity_ahead[0],
     ),
     "force_mapper": lambda s, tick, now: s.receive_command(
         now, tick.estimate.stamp, tick.command.angle, tick.command.rate

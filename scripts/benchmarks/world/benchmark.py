@@ -1,0 +1,160 @@
+"""Walks with sensors, legs and floors as users have them, under the supervisor.
+
+Rows are sets of `sets.py`, each with walk, crawl, stand and a walk uphill, in three seeds. The
+reference has none of their differences. A row walks as well as its reference, or a line names the
+cause; what of it a set is allowed is a check. Runs that an interrupted benchmark has left in
+`runs.jsonl` are kept if the revision is the same and committed.
+"""
+
+import itertools
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarks.harness import (
+    ROOT,
+    Check,
+    Outcome,
+    Progress,
+    Row,
+    as_json,
+    at_least,
+    in_processes,
+    revision,
+)
+from benchmarks.world.field_loop import DURATION, GAITS, run_set
+from benchmarks.world.plots import draw
+from benchmarks.world.sets import (
+    FAILS,
+    REFERENCE,
+    REFUSED,
+    STOPS,
+    WALKS,
+    WARNED,
+    sets,
+)
+
+SEEDS = (1, 2, 3)
+QUICK = (
+    REFERENCE,
+    "origin at the first pose",
+    "IMU in g",
+    "odometry at 10 Hz",
+    "twist 0, covariance 0",
+    "friction 0.8",
+)
+LIMITS = {
+    "speed": (0.1, 1e-3),
+    "aside": (0.1, 5.0),
+    "heading": (0.1, 2.0),
+    "tilt": (0.1, 2.0),
+    "height": (0.0, 5.0),
+    "stand": (0.0, 2.0),
+}
+"""Share of the reference's value, and more in m/s, mm, deg, deg, mm, that a row may be worse by."""
+Job = tuple[str, str, int, float, str]  # set, gait, seed, duration, solver
+
+
+def run(quick: bool, out: Path, progress: Progress) -> Outcome:
+    """Run every set, and judge it by the reference of its gait and seed."""
+    names = QUICK if quick else tuple(sets())
+    gaits, seeds = (("walk",), SEEDS[:1]) if quick else (tuple(GAITS), SEEDS)
+    how = (8.0, "coarse") if quick else (DURATION, "standard")
+    jobs = [
+        (name, gait, seed, *how)
+        for name in names
+        for gait in gaits
+        for seed in seeds
+    ]
+    found = run_all(jobs, out / "runs.jsonl", progress)
+    rows = judged([found[job] for job in jobs])
+    draw(rows, out / "world.png")
+    return rows, checks(rows)
+
+
+def run_all(
+    jobs: Sequence[Job], path: Path, progress: Progress
+) -> dict[Job, dict[str, Any]]:
+    """Rows of all jobs: those in the file, if they are of this revision, and the others."""
+    now = revision(ROOT)
+    lines = path.read_text().splitlines() if path.exists() else []
+    found = {
+        tuple(job): row
+        for job, made_at, row in map(json.loads, lines)
+        if made_at == now and not now["dirty"]
+    }
+    left = [job for job in jobs if job not in found]
+    with path.open("w") as file:
+        for job, row in itertools.chain(
+            list(found.items()), in_processes(run_job, left, progress)
+        ):
+            found[job] = row
+            print(json.dumps(as_json([job, now, row])), file=file, flush=True)
+    return found
+
+
+def run_job(job: Job) -> tuple[Job, dict[str, Any]]:
+    """The job and its row."""
+    name, gait, seed, duration, solver = job
+    row = run_set(sets()[name], gait, seed, duration=duration, solver=solver)
+    return job, row
+
+
+def judged(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Rows with the ratio of their speed to the reference's, their verdict, and its line."""
+    every, found = sets(), []
+    references = {
+        (row["gait"], row["seed"]): row
+        for row in rows
+        if row["set"] == REFERENCE
+    }
+    for row in rows:
+        one, reference = every[row["set"]], references[row["gait"], row["seed"]]
+        causes = [x for x in row["lines"] if re.search(one.cause, x, re.I)]
+        worse = worse_in(row, reference)
+        verdict = verdict_of(row, bool(worse), bool(causes))
+        judgement = {
+            "ratio": row["speed"] / reference["speed"],
+            "worse": " ".join(worse),
+            "verdict": verdict,
+            "allowed": verdict in one.allowed,
+            "line": [*causes, *row["lines"], ""][0],
+        }
+        found.append({**row, **judgement})
+    return found
+
+
+def worse_in(row: Row, reference: Row) -> list[str]:
+    """Names of what is worse in a run than in its reference."""
+    off = {name: row[name] - reference[name] for name in LIMITS if name in row}
+    limits = LIMITS | {"height": LIMITS.get(row["gait"], LIMITS["height"])}
+    for name in ("speed", "height"):
+        off[name] = abs(off[name])
+    return [
+        name
+        for name, value in off.items()
+        if value > limits[name][0] * abs(reference[name]) + limits[name][1]
+    ]
+
+
+def verdict_of(row: Row, worse: bool, named: bool) -> str:
+    """The verdict on a run that is worse or not; `named`: a line names the cause."""
+    if not row["moved"]:
+        verdict = REFUSED
+    elif row["holds"] or row["ended"] not in ("WALKING", "STANDING"):
+        verdict = STOPS
+    else:
+        verdict = WARNED if worse else WALKS
+    return verdict if named or verdict == WALKS else FAILS
+
+
+def checks(rows: Sequence[Row]) -> list[Check]:
+    """A check for each set: the share of its runs whose verdict is allowed."""
+    found = []
+    for name in dict.fromkeys(row["set"] for row in rows):
+        runs = [row["allowed"] for row in rows if row["set"] == name]
+        share = 100.0 * sum(runs) / len(runs)
+        found.append(at_least(f"{name}: allowed runs", share, 100.0, "%"))
+    return found
