@@ -75,6 +75,15 @@ REFUSED = {
                 f"--gait sit --path {PATH}".split(),
                 "path: gait sit with this velocity stays in its",
             ),
+            (
+                ["--odometry", "none", "--policy", "place"],
+                "policy = 'place': odometry none leaves gait_alone alone",
+            ),
+            (
+                f"--odometry none --path {PATH}".split(),
+                "path: needs odometry, which is none",
+            ),
+            (["--bench"], "bench: needs odometry none"),
             (["--namespace", "a$b"], "namespace = 'a$b': Invalid namespace: "),
             (
                 ["--frame-prefix", "/a/"],

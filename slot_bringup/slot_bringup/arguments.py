@@ -144,6 +144,21 @@ def graph_arguments() -> tuple[Argument, ...]:
             is_path=True,
         ),
         Argument(
+            "odometry",
+            str,
+            "topic",
+            "source of the torso's place; none: a robot without a camera, which stands and walks "
+            "by the gait alone, at an operator's request",
+            choices=("topic", "none"),
+        ),
+        Argument(
+            "bench",
+            bool,
+            False,
+            "the robot hangs on a bench, feet off the floor: its tilt is not watched; with "
+            "odometry none",
+        ),
+        Argument(
             "odometry_topic",
             str,
             "odom",

@@ -13,10 +13,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_namespace import validate_namespace
 from rclpy.validate_topic_name import validate_topic_name
 
-from slot_bringup.graph import absolute, is_simulated
+from slot_bringup.graph import absolute, is_blind, is_simulated
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_force_map
+from slot_core.control.policies import DEFAULT_POLICY, GAIT_ALONE
 from slot_core.control.policy import policy_class
 from slot_core.dynamics.scene import read_scene
 from slot_core.estimation.state_estimator import read_estimator
@@ -64,6 +65,7 @@ def check(values: Mapping[str, Any]) -> None:
     hardware = values["hardware"]
     if values["lockstep"]:
         _check_lockstep(values)
+    _check_odometry(values)
     if (
         values["markers"]
         and is_simulated(values)
@@ -140,6 +142,26 @@ def _check_lockstep(values: Mapping[str, Any]) -> None:
         )
     if values["port"] is not None:
         raise ConfigError("port: emulated servos have none in lockstep")
+    if not read_scene(values["scene"]).sensors.imu.enabled:
+        raise ConfigError(
+            f"lockstep: the scene {values['scene']} has no IMU, whose samples are the clock"
+        )
+
+
+def _check_odometry(values: Mapping[str, Any]) -> None:
+    """Raise ConfigError for arguments that need odometry, or that there is none."""
+    policy = values["policy"]
+    if not is_blind(values):
+        if values["bench"]:
+            raise ConfigError("bench: needs odometry none")
+        return
+    if policy not in (DEFAULT_POLICY, GAIT_ALONE):
+        raise ConfigError(
+            f"policy = {quoted(policy)}: odometry none leaves {GAIT_ALONE} alone"
+        )
+    for name in ("path", "markers"):
+        if values[name]:
+            raise ConfigError(f"{name}: needs odometry, which is none")
 
 
 def _check_ranges(values: Mapping[str, Any]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from slot_bringup.graph import policy_of
 from slot_core.clock import LOCKSTEP_START, to_ns
 from slot_core.config import ConfigError
 from slot_core.control.controller import Controller
@@ -44,7 +45,7 @@ def choose(values: Mapping[str, Any]) -> tuple[bool, str]:
             f"controller in one process: {cores:.2g} cores for the graph, less than 2",
         )
     try:
-        load = NODES_OVER_CORE * core_load(values["policy"], values["gait"])
+        load = NODES_OVER_CORE * core_load(policy_of(values), values["gait"])
     except ConfigError:
         raise
     except Exception as error:  # of a user's policy, which ends its node too

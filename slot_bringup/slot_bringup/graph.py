@@ -12,7 +12,9 @@ from typing import Any
 import yaml
 
 from slot_bringup.arguments import graph_arguments
+from slot_core.control.policies import GAIT_ALONE
 from slot_core.dynamics.scene import read_scene
+from slot_core.estimation.inertial_filter import NO_ODOMETRY
 
 CONTROLLER = "controller"  # executable of the nodes in one process
 ALWAYS, LOCKSTEP = "always", "lockstep"  # when a node can share that process
@@ -177,6 +179,7 @@ def _computed(values: Mapping[str, Any]) -> dict[str, Any]:
         "best_effort_sensors": values["hardware"] == "real",
         "simulated_time": values["lockstep"] or values["hardware"] == "none",
         "carrier": None,
+        "policy": policy_of(values),
     }
     if is_simulated(values):
         camera = read_scene(values["scene"]).sensors.camera
@@ -216,8 +219,22 @@ def is_simulated(values: Mapping[str, Any]) -> bool:
 
 
 def is_attended(values: Mapping[str, Any]) -> bool:
-    """Whether the robot stands and walks only at an operator's request: always with real servos."""
-    return bool(values["attended"] or values["hardware"] == "real")
+    """Whether the robot stands and walks only at an operator's request.
+
+    Always with real servos, and without odometry, but in lockstep, which has no operator.
+    """
+    blind = is_blind(values) and not values["lockstep"]
+    return bool(values["attended"] or values["hardware"] == "real" or blind)
+
+
+def is_blind(values: Mapping[str, Any]) -> bool:
+    """Whether the robot has no odometry."""
+    return bool(values["odometry"] == NO_ODOMETRY)
+
+
+def policy_of(values: Mapping[str, Any]) -> str:
+    """Policy of the graph: without odometry the gait alone."""
+    return GAIT_ALONE if is_blind(values) else str(values["policy"])
 
 
 def read_graph() -> Graph:

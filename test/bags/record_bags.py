@@ -6,7 +6,6 @@ need, and cut off at its duration; test_replay.py limits its size.
 
 import argparse
 import dataclasses
-import math
 import os
 import shutil
 import sys
@@ -30,11 +29,17 @@ from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.origin import CONFIGURATION, Origin
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag
+from slot_lab.bags.replayed_stages import RECORDS
+from slot_lab.bags.topics import ESTIMATE, OUTPUTS, SENSORS
 from slot_lab.report import compare
 from slot_msgs.msg import MpcState
 from slot_nodes import qos
 
 BAGS = Path(__file__).parent
+INPUTS = (*SENSORS, RECORDS)  # of a replay
+LATER = (
+    2 * SECOND // 5
+)  # ns, until which the last states are recorded as replayable
 LEFT_OUT = ("/tf", "/force_map/status", "/diagnostics", "/ground_truth/legs")
 
 
@@ -54,7 +59,7 @@ sensors.odometry.dropouts:
 class Case:
     """A bag to record: options of scripts/run, and what else happens."""
 
-    duration: float  # s, by the stamps of the odometry
+    duration: float  # s, by the stamps of the states
     options: tuple[str, ...] = ()
     scene: str = ""  # content of a scene file of its own
     # m/s, rad/s on /cmd_vel while it walks
@@ -132,13 +137,19 @@ def commanded(velocity: tuple[float, float] | None) -> Iterator[None]:
 
 def thinned(bag: Bag, path: Path, case: Case) -> Path:
     """Copy of a bag up to its duration, without LEFT_OUT and the configuration's files."""
-    odometry = [
-        (time, decode.stamp(message)) for time, message in bag.messages("/odom")
-    ]
-    end = odometry[0][1] + case.duration * SECOND
-    after = min(
-        (time for time, stamp in odometry if stamp > end), default=math.inf
-    )
+    _, first = next(iter(bag.messages(ESTIMATE)))
+    end = decode.stamp(first) + case.duration * SECOND
+
+    # of one process, messages are not in the order of their stamps
+    kept = {
+        topic: {
+            time
+            for time, message in bag.messages(topic)
+            if decode.stamp(message) <= end + LATER * (topic in INPUTS)
+        }
+        for topic in (*OUTPUTS, *INPUTS)
+    }
+    last = max(kept[ESTIMATE])
     files = {
         name: data
         for name, data in bag.origin.files.items()
@@ -148,7 +159,8 @@ def thinned(bag: Bag, path: Path, case: Case) -> Path:
     left_out = {*LEFT_OUT, *case.lacks} - {*case.keeps}
     with BagWriter(path, settings, Origin(bag.origin.about, files)) as out:
         for topic, time, data in bag.raw():
-            if time < after and topic not in left_out:
+            is_kept = time in kept[topic] if topic in kept else time <= last
+            if is_kept and topic not in left_out:
                 out.write(topic, bag.topics[topic], time, data)
     return path
 

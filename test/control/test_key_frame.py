@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from estimator_streams import SETTINGS, Walk, arriving, noisy, run, same
 
+from slot_core import config
 from slot_core.control.controller import Controller
+from slot_core.control.force_map import read_springs
 from slot_core.control.policies import POLICIES
 from slot_core.control.policy import make_policy
-from slot_core.estimation.state_estimator import StateEstimator
+from slot_core.estimation.unaided_estimator import make_estimator
 from slot_core.gait.route import Route
 from slot_core.key_frame import StateParts, capture, restore
 from slot_core.robot import read_robot
@@ -20,16 +22,21 @@ from slot_core.simulation.closed_loop import ClosedLoop
 VELOCITY = np.array([0.05, 0.0, 0.05])
 
 
+@pytest.mark.parametrize("source", ["topic", "none"])
 @pytest.mark.parametrize("seed", range(3))
-def test_an_estimator_goes_on_from_a_key_frame_at_any_message(seed):
+def test_an_estimator_goes_on_from_a_key_frame_at_any_message(seed, source):
     """Odometry that comes up to 60 ms late, in part lost, amid the IMU's samples."""
     rng = np.random.default_rng(seed)
     walk = noisy(Walk(), 3.0, seed)
     kept = [m for m in walk if m[0] == "imu" or not 1.2e9 < m[1] < 1.5e9]
     messages = arriving(kept, lambda: rng.uniform(0.0, 0.06))
+    settings = config.replace(SETTINGS, {"odometry.source": source})
     for at in [0, 1, *rng.integers(2, len(messages), 6)]:
-        _, first = run(messages[:at])
-        second = StateEstimator(SETTINGS)
+        first, second = (
+            make_estimator(settings, read_robot(), read_springs())
+            for _ in range(2)
+        )
+        run(messages[:at], estimator=first)
         restore(second, capture(first))
         rest = (
             run(messages[at:], estimator=each)[0] for each in (first, second)

@@ -59,6 +59,7 @@ class SupervisorBench:
         self.angle = np.array([1.0, 1.05, 1.1, 1.15])  # where the servos are
         self.state = state()
         self.validity, self.message = Validity.VALID, ""
+        self.deviation = np.zeros(12)  # of the estimate
         self.status = Status.SOLVED
         self.velocity = np.zeros(3)  # commanded
         self.sources = {"button": False}  # of the e-stop: whether it is pressed
@@ -111,7 +112,7 @@ class SupervisorBench:
             estimate = Estimate(
                 now,
                 self.state,
-                np.eye(12),
+                np.diag(self.deviation**2),
                 self.validity,
                 message=self.message,
             )
@@ -143,9 +144,9 @@ class SupervisorBench:
             self.run(0.02)
 
 
-def bench_in(wanted, **inputs):
+def bench_in(wanted, settings=None, **inputs):
     """A bench whose robot has been in a state for a second; `inputs` as its attributes."""
-    bench = SupervisorBench()
+    bench = SupervisorBench(**settings or {})
     vars(bench).update(inputs)
     bench.run(0.3)
     for request in WAYS[wanted]:

@@ -39,7 +39,8 @@ def random_input(rng, bench, supervisor, steady):
             list(Validity), p=[0.85, 0.03, 0.06, 0.02, 0.02, 0.02]
         )
         supervisor.receive_estimate(
-            now, Estimate(stamp, tilt + wrong, np.eye(12), Validity(valid))
+            now,
+            Estimate(stamp, tilt + wrong, np.zeros((12, 12)), Validity(valid)),
         )
     elif kind == 3:
         angle = np.clip(bench.angle + rng.normal(0, 0.01, 4), 0, 2.0)

@@ -195,6 +195,38 @@ def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(
     assert walking.time_until(State.RELAX, TIMING.hold_max + 1.0) < math.inf
 
 
+PLACE = "no watch of motion and tendons: the place is not known"
+TILT = "no watch of the tilt: it is not known"
+HANGING = "no watch of the tilt: the robot hangs on a bench"
+# setting, standard deviations of tilt and place, what is said
+UNWATCHED = [
+    (False, 0.01, 10.0, (PLACE,)),
+    (False, 0.09, 10.0, (PLACE, TILT)),
+    (True, 0.01, 10.0, (PLACE, HANGING)),
+]
+
+
+@pytest.mark.parametrize(("hangs", "tilt", "place", "said"), UNWATCHED)
+def test_what_is_not_known_is_not_watched_and_that_is_said(
+    hangs, tilt, place, said
+):
+    deviation = np.repeat([tilt, place], [3, 9])
+    bench = bench_in(
+        State.WALKING, deviation=deviation, settings={"bench": hangs}
+    )
+    for _ in range(round(SETTINGS.motion.window / CYCLE)):
+        phase = 2 * np.pi * bench.now * 1e-9 / STRIDE
+        bench.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
+        bench.run(CYCLE)
+    assert bench.reports[-1].state is State.WALKING
+    assert bench.reports[-1].warnings == said
+    bench.state = state(0.8)
+    assert (bench.run(0.2).state is State.WALKING) == (len(said) == 2)
+    bench.state = state()
+    bench.health = OVERLOAD
+    assert bench.run(0.1).state is State.RELAX
+
+
 @pytest.mark.parametrize(
     ("moved", "said"),
     [
@@ -310,7 +342,9 @@ def test_inputs_stamped_by_another_clock_are_rejected_and_reported_once(
         older = now - 50_000_000
         assert "not newer" in s.receive_command(now, older, np.full(4, 1.9))
     elif source == "estimate":
-        fallen = Estimate(wall, state(roll=1.0), np.eye(12), Validity.VALID)
+        fallen = Estimate(
+            wall, state(roll=1.0), np.zeros((12, 12)), Validity.VALID
+        )
         s.receive_estimate(now, fallen)
     else:
         s.receive_joints(now, wall, walking.angle, np.zeros(4))

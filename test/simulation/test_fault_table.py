@@ -22,10 +22,8 @@ from slot_core.simulation.supervised_loop import SupervisedLoop
 PAGE = Path(__file__).parents[2] / "slot_bringup" / "doc" / "safety.md"
 SETTINGS = read_supervisor()
 TIMING = SETTINGS.timing
-TICK, SAMPLE = (
-    0.033,
-    0.005,
-)  # s, of the controller and, at which it ticks, of the IMU
+# s, of the controller and, at which it ticks, of the IMU
+TICK, SAMPLE = 0.033, 0.005
 STRIDE = read_gaits().strides["walk"].period
 WAIT = read_estimator().timing.odometry_wait
 NO_ODOMETRY = WAIT + (SETTINGS.estimate.coast_cycles + 1) * TICK

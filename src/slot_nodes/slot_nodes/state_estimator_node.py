@@ -11,8 +11,9 @@ from tf2_msgs.msg import TFMessage
 from slot_core.clock import to_seconds
 from slot_core.control.force_map import read_springs
 from slot_core.estimation.estimate import Estimate, Validity
-from slot_core.estimation.floor_observer import FloorObserver
-from slot_core.estimation.state_estimator import StateEstimator, read_estimator
+from slot_core.estimation.inertial_filter import NO_ODOMETRY
+from slot_core.estimation.state_estimator import read_estimator
+from slot_core.estimation.unaided_estimator import make_estimator
 from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_msgs.msg import MpcState, StageRecord
@@ -29,10 +30,7 @@ class StateEstimatorNode(Node):
     def __init__(self) -> None:
         super().__init__("state_estimator")
         settings = runtime.declare_settings(self, read_estimator())
-        floor = FloorObserver(
-            read_robot(), read_springs(), settings.floor, settings.timing.period
-        )
-        self._estimator = StateEstimator(settings, floor)
+        self._estimator = make_estimator(settings, read_robot(), read_springs())
         self._record = stage_record.Recorder(self, self._estimator)
         self._state = runtime.publisher(
             self, MpcState, "mpc_state", qos.CONTROL
@@ -48,10 +46,18 @@ class StateEstimatorNode(Node):
         self._diagnostics = diagnostics.DiagnosticReport(self)
         self._afterwards = intra_process.afterwards()
         profile = inputs.sensor_profile(self, qos.SENSOR)
-        self._odometry = inputs.subscribe(
-            self, Odometry, "odom", self._on_odometry, profile
+        blind = settings.odometry.source == NO_ODOMETRY
+        self._odometry = (
+            None
+            if blind
+            else inputs.subscribe(
+                self, Odometry, "odom", self._on_odometry, profile
+            )
         )
         self._joints = inputs.PassiveSubscriptions(self)
+        # without an IMU they lead to the ticks
+        real_time = not self.get_parameter("use_sim_time").value
+        self._joints.wake_on_message(blind and real_time)
         self._joints.subscribe(
             JointState, "joint_states", self._on_joints, qos.SENSOR
         )
@@ -82,6 +88,7 @@ class StateEstimatorNode(Node):
         reading = decode.joint_loads(message)
         self._record.take(StageRecord.JOINTS, reading[0])
         self._estimator.add_joints(*reading)
+        self._publish()
 
     def _publish(self) -> None:
         while (estimate := self._estimator.poll()) is not None:

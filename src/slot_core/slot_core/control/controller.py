@@ -11,8 +11,9 @@ from slot_core.control.force_map import (
 )
 from slot_core.control.policy import Policy, TendonPlan
 from slot_core.estimation.estimate import Estimate
-from slot_core.estimation.floor_observer import FloorObserver
-from slot_core.estimation.state_estimator import StateEstimator, read_estimator
+from slot_core.estimation.inertial_filter import EstimatorSettings
+from slot_core.estimation.state_estimator import read_estimator
+from slot_core.estimation.unaided_estimator import make_estimator
 from slot_core.gait.gait import GaitPreview, GaitSettings, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.gait.route import Route
@@ -40,17 +41,17 @@ class Controller:
         velocity: Array | None,
         path: Route | None = None,
         gaits: GaitSettings | None = None,
+        estimator: EstimatorSettings | None = None,
     ):
         """Build the steps from `config/*.yaml`; raises ConfigError as they do.
 
         velocity: (3,) m/s, m/s, rad/s, or None for the gait's `cruise`. path: followed by a stride
-        instead. gaits: in place of the configured ones.
+        instead. gaits, estimator: in place of the configured ones.
         """
-        springs, settings = read_springs(), read_estimator()
-        floor = FloorObserver(
-            robot, springs, settings.floor, settings.timing.period
+        springs = read_springs()
+        self.estimator = make_estimator(
+            estimator or read_estimator(), robot, springs
         )
-        self.estimator = StateEstimator(settings, floor)
         self.scheduler = GaitScheduler(
             gaits or read_gaits(), robot, springs, gait, velocity, path
         )

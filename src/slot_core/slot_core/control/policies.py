@@ -3,7 +3,7 @@
 The paper's are in the package `slot_paper`, which is imported only when one is used.
 """
 
-DEFAULT_POLICY = "rollout_mpc"
+DEFAULT_POLICY, GAIT_ALONE = "rollout_mpc", "gait_alone"
 PAPER = "slot_paper.problem:PaperMpc"
 POLICIES = {
     DEFAULT_POLICY: "slot_core.rollout_mpc.rollout_mpc:RolloutMpc",  # MPC that simulates the robot
@@ -11,7 +11,7 @@ POLICIES = {
     "force_mpc": "slot_core.mpc.force_mpc:ForceMpc",  # MPC on ground reaction forces
     "paper_text": PAPER,  # the same as printed in the paper
     "paper_code": PAPER,  # and as in the authors' published scripts
-    "gait_alone": "slot_core.control.gait_alone:GaitAlone",
+    GAIT_ALONE: "slot_core.control.gait_alone:GaitAlone",
 }
 """Module and class by name."""
 RENAMED = {"predictive": "rollout_mpc", "forces": "force_mpc"}

@@ -239,11 +239,6 @@ class SensorSettings:
     )
     truth: bool = flag("whether exact motion, forces and shapes are published")
 
-    @property
-    def pose_period(self) -> float:
-        """Period of the images, or without a camera of the odometry, s."""
-        return (self.camera if self.camera.enabled else self.odometry).period
-
 
 NO_SENSORS = {
     "sensors.imu.period": 1.0,

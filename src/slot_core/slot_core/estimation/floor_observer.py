@@ -21,6 +21,7 @@ A floor that differs from z = 0 by less than the method tells is taken for it, a
 for 1. When odom starts anew, height and tilt above the floor go on.
 """
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -234,7 +235,7 @@ class FloorObserver:
         # (2, 4) rad, N m, angles and torques of the tendons
         self._joints = np.full((2, len(LEGS)), np.nan)
         self._stamp = self._begun = 0  # ns, of the angles; of the first tick
-        self._rest: list[_Rest] = []
+        self._rest: deque[_Rest] = deque()
         self._error = np.zeros(3)  # m, rad, mean of the pose above the floor
         self._ticks = 0
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from slot_core.arrays import Array, checked
 from slot_core.clock import to_ns
-from slot_core.config import flag, quantity, text
+from slot_core.config import choice, flag, quantity, text
 from slot_core.elementary import atan2
 from slot_core.estimation.filter_kernels import (
     FilterState,
@@ -46,11 +46,16 @@ from slot_core.robot import GRAVITY
 UP = np.array([0.0, 0.0, GRAVITY])  # specific force at rest, in odom
 THETA, P, V, GYRO_BIAS, FORCE_BIAS = (slice(i, i + 3) for i in range(0, 15, 3))
 
+NO_ODOMETRY = "none"  # source of the odometry
+
 
 @dataclass(frozen=True)
 class OdometryNoise:
-    """Noise and admissible range of the odometry."""
+    """Source, noise and admissible range of the odometry."""
 
+    source: str = choice(
+        "source; none: of a robot without a camera", "topic", NO_ODOMETRY
+    )
     position_noise: float = quantity(
         "standard deviation of the position", "m", 1e-6, 1
     )

@@ -176,8 +176,8 @@ class StateEstimator:
             self._agreement.units,
         )
         reach = limits.gyro_max * self._agreement.reach
-        rate = _vector(angular_velocity, 3, reach / turn_unit)
-        force = _vector(specific_force, 3, limits.acceleration_max / force_unit)
+        rate = vector(angular_velocity, 3, reach / turn_unit)
+        force = vector(specific_force, 3, limits.acceleration_max / force_unit)
         if rate is None or force is None or not self._advances("imu", stamp):
             return
         rate, force = turn_unit * rate, force_unit * force
@@ -276,7 +276,7 @@ class StateEstimator:
 
         At rest they tell where the floor is. Torques that are not finite are unknown.
         """
-        known = _vector(angle, len(LEGS), ANGLE_MAX)
+        known = vector(angle, len(LEGS), ANGLE_MAX)
         if known is not None and self._floor is not None:
             self._floor.add_joints(stamp, known, np.nan_to_num(torque))
 
@@ -331,10 +331,10 @@ class StateEstimator:
     ) -> OdometryMotion | None:
         """The decoded reading; None if it is not finite, of a wrong shape, or out of range."""
         limits = self._settings.odometry
-        p = _vector(position, 3, limits.position_max)
-        q = _vector(quaternion, 4, 2.0)
-        v = _vector(velocity, 3, limits.velocity_max)
-        w = _vector(rate, 3, self._settings.imu.gyro_max)
+        p = vector(position, 3, limits.position_max)
+        q = vector(quaternion, 4, 2.0)
+        v = vector(velocity, 3, limits.velocity_max)
+        w = vector(rate, 3, self._settings.imu.gyro_max)
         if p is None or q is None or v is None or w is None:
             return None
         length = norm(q)
@@ -588,7 +588,7 @@ class StateEstimator:
         )
 
 
-def _vector(values: Array, size: int, limit: float) -> Array | None:
+def vector(values: Array, size: int, limit: float) -> Array | None:
     """A copy of `values` (size,); None for another shape or an element beyond +-limit."""
     try:
         array = np.array(values, dtype=np.float64)

@@ -114,6 +114,7 @@ class Conditions:
         self.legs_are_known = True  # see Estimate
         self._message = ""  # of the newest estimate
         self._tilt: tuple[float, float] = (0.0, 0.0)  # rad, roll and pitch
+        self.place_is_known = self.tilt_is_known = True
         self._stopped = ""  # why the MPC counts as stopped
         self._rejected = ""  # why the newest command was rejected
         # time of the last answer
@@ -142,6 +143,12 @@ class Conditions:
             and self._imu_missing is None
         ):
             self._imu_missing = time
+        limits, deviation = (
+            self._settings.estimate,
+            np.sqrt(estimate.covariance.diagonal()),
+        )
+        self.place_is_known = bool(deviation[3:5].max() <= limits.place_error)
+        self.tilt_is_known = bool(deviation[:2].max() <= limits.tilt_error)
         if finite:
             self._tilt = (float(estimate.state[0]), float(estimate.state[1]))
 
@@ -214,6 +221,15 @@ class Conditions:
             return math.inf
         return float(np.abs(self._health.goal - angle).max())
 
+    def unwatched(self) -> Iterator[str]:
+        """One line for each watch that is off, and why."""
+        if not self.place_is_known:
+            yield "no watch of motion and tendons: the place is not known"
+        if not self.tilt_is_known:
+            yield "no watch of the tilt: it is not known"
+        elif self._settings.bench:
+            yield "no watch of the tilt: the robot hangs on a bench"
+
     def imu_warning(self, time: int) -> str:
         """One line while the estimates rest on the odometry alone, or ""."""
         limit = self._settings.estimate.imu_silence
@@ -274,8 +290,9 @@ class Conditions:
 
     def _torso(self, time: int) -> Iterator[Finding]:
         limits = self._settings.estimate
+        watched = self.tilt_is_known and not self._settings.bench
         for name, angle in zip(("roll", "pitch"), self._tilt):
-            if abs(angle) > limits.tilt_max:
+            if watched and abs(angle) > limits.tilt_max:
                 yield (
                     Condition.TILTED,
                     f"{name} {angle:+.3f} rad, limit {limits.tilt_max:g} rad",

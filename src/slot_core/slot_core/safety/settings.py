@@ -64,6 +64,15 @@ class EstimateLimits:
     tilt_max: float = quantity(
         "largest magnitude of roll and of pitch", "rad", 0.05, 1.5
     )
+    place_error: float = quantity(
+        "standard deviation beyond which the place is not known", "m", 0.01, 10
+    )
+    tilt_error: float = quantity(
+        "standard deviation beyond which roll and pitch are not known",
+        "rad",
+        0.01,
+        1,
+    )
 
 
 @dataclass(frozen=True)
@@ -203,6 +212,9 @@ class SupervisorSettings:
         "nodes whose end is said; the robot goes on without them"
     )
     estop_required: bool = flag("whether motion needs a source of the e-stop")
+    bench: bool = flag(
+        "whether the robot hangs on a bench: its tilt is not watched"
+    )
 
     def __post_init__(self) -> None:
         """Raise ConfigError for a node whose heartbeat the supervisor does not receive."""

@@ -183,7 +183,8 @@ class Supervisor:
         if self._stamp_fault("estimate", now, estimate.stamp):
             return
         self._inputs.receive_estimate(time, estimate)
-        if self._state is State.WALKING and self._follows_gait(time):
+        known = self._inputs.place_is_known
+        if known and self._state is State.WALKING and self._follows_gait(time):
             self._motion.observe(
                 time, estimate.state, self._command, self._velocity
             )
@@ -191,7 +192,7 @@ class Supervisor:
             self._motion.pause()
         state = estimate.state
         self._height = np.full(len(LEGS), np.nan)
-        if np.isfinite(state).all():
+        if known and np.isfinite(state).all():
             self._height = self._robot.clamp_heights(state[5], *state[:2])
 
     def receive_command(
@@ -287,6 +288,7 @@ class Supervisor:
         ]
         warnings += [*self._wrong_clock.values(), *self._companions.warnings]
         warnings += filter(None, [self._inputs.imu_warning(time)])
+        warnings += self._inputs.unwatched()
         for (
             source
         ) in self._right_clock:  # not before a report has named the fault

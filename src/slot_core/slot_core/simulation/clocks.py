@@ -12,13 +12,10 @@ import math
 from collections.abc import Iterator
 
 from slot_core.clock import LOCKSTEP_START, SECOND, to_ns
-from slot_core.estimation.state_estimator import earliness
 from slot_core.servos.brand import EmulatedServos
 from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.readings import (
-    ImageReading,
     ImuReading,
-    OdometryReading,
     Reading,
     StampedHealth,
 )
@@ -36,14 +33,14 @@ class Answer(enum.Enum):
     STATE = "a state of the supervisor"
 
 
-ANSWERED = (ImuReading, OdometryReading, ImageReading, StampedHealth)
+ANSWERED = (ImuReading, StampedHealth)
 
 
 class LockstepClock:
     """Clock that stops at each reading that is answered until its answer arrives.
 
-    The reading that leads to a tick of the controller is answered by a command with the tick's
-    stamp; a report of the servos by the supervisor's state with its stamp. So one node works at a
+    The sample of the IMU that leads to a tick of the controller is answered by a command with the
+    tick's stamp; a report of the servos by the supervisor's state with its stamp. So one node works at a
     time, and the order of processes and messages has no effect. The first two, at rest, are
     repeated until answered.
     """
@@ -53,7 +50,7 @@ class LockstepClock:
     ) -> None:
         """`period`: between two ticks of the controller, s."""
         self._plant, self._servos = plant, servos
-        self._period = period
+        self._period = to_ns(period)
         # kind and stamp of the answer
         self._awaited: tuple[Answer, int] = (Answer.COMMAND, LOCKSTEP_START)
         self._tick = LOCKSTEP_START  # ns, that was answered last
@@ -89,16 +86,10 @@ class LockstepClock:
         """Answer that a reading leads to, and its stamp (ns), as the state estimator ticks."""
         if isinstance(reading, StampedHealth):
             return Answer.STATE, reading.stamp
-        sensors = self._plant.sensors
-        with_imu = sensors.imu.enabled
-        if with_imu != isinstance(reading, ImuReading):
+        tick = self._tick + self._period
+        if reading.stamp < tick:
             return None
-        interval = 0.0 if with_imu else sensors.pose_period
-        early = earliness(self._period, interval)
-        tick = self._tick + to_ns(self._period)
-        if reading.stamp + early < tick:
-            return None
-        self._tick = tick if with_imu else reading.stamp
+        self._tick = tick
         return Answer.COMMAND, self._tick
 
 

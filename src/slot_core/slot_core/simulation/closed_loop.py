@@ -15,6 +15,7 @@ from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.control.policy import make_policy, policy_class
 from slot_core.dynamics.scene import CameraSettings, Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.route import Route
 from slot_core.robot import RobotParameters, read_robot
@@ -36,7 +37,7 @@ PlantMaker = Callable[
 SILENCE = SECOND // 2  # ns, longest time without an estimate
 # readings of which each may lead to a tick
 SENSORS = (ImuReading, ImageReading, OdometryReading)
-CHANGEABLE = ("scene", "servo", "robot", "gait", "policy")
+CHANGEABLE = ("scene", "servo", "robot", "gait", "policy", "estimator")
 Settings = TypeVar("Settings")
 
 
@@ -93,8 +94,9 @@ class ClosedLoop:
             policy_class(policy).read_settings(policy), "policy", given
         )
         chosen = make_policy(policy, nominal, lambda: 0.0, settings)
+        estimator = changed(read_estimator(), "estimator", given)
         self.controller = Controller(
-            nominal, chosen, gait, velocity, path, self.gaits
+            nominal, chosen, gait, velocity, path, self.gaits, estimator
         )
         self._parts = _Parts(
             read_robot(simulated.parameters),

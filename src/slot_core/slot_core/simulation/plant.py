@@ -12,7 +12,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import to_ns, to_seconds
 from slot_core.config import ConfigError
-from slot_core.dynamics.scene import Push, Scene, SensorSettings
+from slot_core.dynamics.scene import Push, Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.robot import RobotParameters
 from slot_core.safety.rate_limiter import AT_REST, extrapolated
@@ -112,11 +112,6 @@ class RobotSimulator:
         return self.timeline.now
 
     @property
-    def sensors(self) -> SensorSettings:
-        """Sensors of the scene."""
-        return self._scene.sensors
-
-    @property
     def camera(self) -> Camera | None:
         """Calibration of the camera of the scene, if it has one."""
         return None if self._camera is None else self._camera.camera
@@ -140,7 +135,8 @@ class RobotSimulator:
             self.timeline.every(sensors.imu.period, self._read_imu)
         if self._reads_joints:
             self.timeline.every(sensors.joint_period, self._read_joints)
-        self.timeline.every(sensors.pose_period, self._read_odometry)
+        placing = sensors.camera if sensors.camera.enabled else sensors.odometry
+        self.timeline.every(placing.period, self._read_odometry)
         for push in self._scene.pushes.values():
             self.push(push)
         self.faults.start()

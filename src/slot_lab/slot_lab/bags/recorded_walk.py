@@ -281,26 +281,32 @@ def read_ticks(bag: Bag) -> Ticks:
             f"{bag.path}: {ESTIMATE} holds {len(stamps)} stamps, less than 2"
         )
     origin = int(states.time.min())
-    times = [_sensor_times(bag, stamps, origin)]
+    period = float(np.median(np.diff(stamps)))
+    times = [_sensor_times(bag, stamps, origin, period)]
     times += [_first_times(bag, topic, stamps, origin) for topic in OUTPUTS]
-    period = to_seconds(float(np.median(np.diff(stamps))))
     end = to_seconds(bag.end_ns - origin)
-    return Ticks(seconds(stamps), np.column_stack(times), period, end)
+    return Ticks(
+        seconds(stamps), np.column_stack(times), to_seconds(period), end
+    )
 
 
-def _sensor_times(bag: Bag, stamps: Stamps, origin: int) -> Array:
+def _sensor_times(
+    bag: Bag, stamps: Stamps, origin: int, period: float
+) -> Array:
     """(n,) s since origin (ns) of the message that led to each tick, of stamps (n,); NaN: none.
 
-    It is the IMU's first sample at or after the stamp, or the odometry of that stamp.
+    It is the IMU's first sample at or after the stamp, within `period` (ns), else the odometry of
+    that stamp.
     """
     times = _first_times(bag, ODOMETRY, stamps, origin)
     if bag.counts.get(IMU):
         imu = bag.series(IMU)
         order = np.argsort(imu.stamp)
         at = np.searchsorted(imu.stamp[order], stamps)
-        sampled = at < len(order)
-        sample = seconds(imu.time[order[at[sampled]]], origin)
-        times[sampled] = np.fmin(times[sampled], sample)
+        sample = order[np.minimum(at, len(order) - 1)]
+        late = imu.stamp[sample] - stamps
+        sampled = (late >= 0) & (late < period)
+        times[sampled] = seconds(imu.time[sample[sampled]], origin)
     return times
 
 

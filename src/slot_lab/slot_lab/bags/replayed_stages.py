@@ -24,12 +24,12 @@ from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.control.policy import Status, TendonPlan, policy_class
 from slot_core.control.tuned_policy import TunedPolicy
 from slot_core.estimation.estimate import Estimate, Validity
-from slot_core.estimation.floor_observer import FloorObserver
 from slot_core.estimation.state_estimator import (
     BEFORE_ALL_TIMES,
     StateEstimator,
     read_estimator,
 )
+from slot_core.estimation.unaided_estimator import make_estimator
 from slot_core.gait.gait import GaitPreview, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.gait.route import KEPT, Route, read_route
@@ -238,14 +238,12 @@ def estimates(recorded: RecordedStages) -> Replayed:
     the estimates are unknown up to the next key frame.
     """
     settings = recorded.settings("state_estimator", read_estimator())
+    if source := recorded.origin.about.get("odometry"):
+        settings = config.replace(settings, {"odometry.source": source})
     found, readings = Replayed(), _by_topic_and_stamp(recorded.sensors)
 
     def make() -> StateEstimator:
-        springs = read_springs()
-        floor = FloorObserver(
-            recorded.robot, springs, settings.floor, settings.timing.period
-        )
-        return StateEstimator(settings, floor)
+        return make_estimator(settings, recorded.robot, read_springs())
 
     estimator: StateEstimator | None = None
     known: list[tuple[int, int]] = []  # stamps of the outputs: after, up to
