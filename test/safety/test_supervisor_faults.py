@@ -231,9 +231,9 @@ def test_what_is_not_known_is_not_watched_and_that_is_said(
     ("moved", "said"),
     [
         ((0.0, 0.046), ""),
-        ((0.0, 0.034), "walks 34 of 50 mm/s, least 35: floor, slope, load"),
+        ((0.0, 0.044), "walks 44 of 50 mm/s, least 45: floor, slope, load"),
         ((0.036, 0.05), "slides 36 mm/s right, limit 15: floor"),
-        ((0.0, -0.005), "walks -5 of 50 mm/s, least 35: floor, slope, load"),
+        ((0.0, -0.005), "walks -5 of 50 mm/s, least 45: floor, slope, load"),
     ],
 )
 def test_a_walk_that_slides_or_gets_on_too_slowly_is_said_while_it_goes_on(
@@ -243,11 +243,12 @@ def test_a_walk_that_slides_or_gets_on_too_slowly_is_said_while_it_goes_on(
     walking.velocity = np.array([0.05, 0.0, 0.0])
     turned = partial(state, yaw=math.pi / 2)
     walking.state = turned(velocity=moved)
-    report = walking.run(SETTINGS.motion.slip_window + 1.0)
+    limits = SETTINGS.motion
+    report = walking.run(limits.slip_window + limits.slow_time + 2.0)
     assert report.state is State.WALKING
     assert [w[: len(said)] for w in report.warnings] == [said] * bool(said)
     walking.state = turned(velocity=(0.0, 0.05))
-    assert walking.run(SETTINGS.motion.slip_window + 1.0).warnings == ()
+    assert walking.run(limits.slip_window + 1.0).warnings == ()
 
 
 def test_a_walk_that_slides_faster_than_it_walks_ends_in_hold(walking):

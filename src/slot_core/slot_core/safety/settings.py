@@ -188,7 +188,10 @@ class MotionLimits:
         "velocity off the commanded one that ends in HOLD", "m/s", 1e-3, 1
     )
     progress_min: float = quantity(
-        "share of a speed above slip_max below which is warned", "", 0, 1
+        "share of a speed above slip_max below which it is slow", "", 0, 1
+    )
+    slow_time: float = quantity(
+        "time of a slow walk that is not warned of", "s", 0, 60
     )
 
 
