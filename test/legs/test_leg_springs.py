@@ -4,12 +4,23 @@ import numpy as np
 import pytest
 from scipy.interpolate import RegularGridInterpolator
 
+from slot_core import config
 from slot_core.config import ConfigError
-from slot_core.legs.leg_springs import COLUMNS, read_leg_springs
+from slot_core.dynamics.scene import level_changes, read_scene
+from slot_core.dynamics.servo import read_servo
+from slot_core.legs.leg_springs import (
+    COLUMNS,
+    read_leg_springs,
+    rest_pose,
+    stiffness_ratio,
+)
 from slot_core.legs.leg_table import read_leg_table
 from slot_core.robot import read_robot
+from slot_core.simulation.make_robot import make_robot
 
 ROBOT = read_robot()
+STANDING = np.array([1.3, 1.3, 1.2, 1.2])  # rad, nose up by 1.2 deg
+AT_REST = [(0.75, 0.0, 0.4), (1.0, 0.0, 0.1), (1.0, 0.4, 0.8), (1.3, 0.8, 0.4)]
 SLOPE_MIN = 4.0  # N/rad
 
 
@@ -77,3 +88,36 @@ def test_a_table_that_is_no_grid_is_rejected(tmp_path, monkeypatch, content):
     (tmp_path / "leg_map.csv").write_text(content)
     with pytest.raises(ConfigError, match=r"^leg_map\.csv: "):
         read_leg_springs(SLOPE_MIN)
+
+
+@pytest.mark.parametrize(("modulus", "payload", "friction"), AT_REST)
+def test_height_and_angles_at_rest_tell_the_stiffness_ratio(
+    springs, modulus, payload, friction
+):
+    """Rods that stood up: within 6 %: 4 % by friction, 3 % by the cable, which does not scale."""
+    robot = config.replace(
+        ROBOT, {"leg.young_modulus": modulus * ROBOT.leg.young_modulus}, "robot"
+    )
+    changes = {
+        **level_changes("coarse"),
+        "start.tendon_angle_deg": 0.0,
+        "payload.mass": payload,
+        "floor.friction": [friction] * 4,
+        "floor.friction_other": [friction] * 4,
+    }
+    scene = config.replace(read_scene("flat"), changes, "scene")
+    rods = make_robot(robot, scene, read_servo())
+    lying = np.array([rods.position[2], *rods.rpy[:2]])
+    assert lying == pytest.approx(
+        rest_pose(ROBOT, springs, rods.tendon_angle), abs=5e-4
+    )
+    for share in np.linspace(0.0, 1.0, 50):
+        rods.advance(5, share * STANDING)
+    rods.advance(500, STANDING)
+    pose = np.array([rods.position[2], *rods.rpy[:2]])
+    ratio = modulus * ROBOT.mass / (ROBOT.mass + payload)
+    found = stiffness_ratio(ROBOT, springs, rods.tendon_angle, pose)
+    assert found == pytest.approx(ratio, rel=0.06)
+    expected = rest_pose(ROBOT, springs, rods.tendon_angle, ratio)
+    assert pose[0] == pytest.approx(expected[0], abs=1.5e-3)
+    assert pose[1:] == pytest.approx(expected[1:], abs=np.radians(0.3))
