@@ -49,20 +49,24 @@ class LegSprings:
         self._table, self._slope_min = table, slope_min
         self.at(np.zeros(1), np.zeros(1))  # compiles the kernel
 
-    def at(self, angle: Array, height: Array) -> Springs:
-        """Statics at tendon angles (rad) and clamp heights (m) of one shape; raises ValueError."""
+    def at(self, angle: Array, height: Array, ratio: float = 1.0) -> Springs:
+        """Statics at tendon angles (rad) and clamp heights (m) of one shape; raises ValueError.
+
+        ratio: kappa, so that forces are those over m / m_0.
+        """
         if np.shape(angle) != np.shape(height):
             raise ValueError(
                 f"angles {np.shape(angle)}, heights {np.shape(height)}: not equal"
             )
         flat = self._table.at(np.ravel(angle), np.ravel(height))
+        flat[:, :3] *= ratio
         flat[:, 1] = np.maximum(flat[:, 1], self._slope_min)
         flat[:, 2] = np.minimum(flat[:, 2], 0.0)
         return Springs(
             *(column.reshape(np.shape(angle)) for column in flat.T.copy())
         )
 
-    def angle(self, force: Array, height: Array) -> Array:
+    def angle(self, force: Array, height: Array, ratio: float = 1.0) -> Array:
         """Tendon angles (n,) rad at which legs at heights (n,) m carry the forces (n,) N.
 
         The least such angle; beyond the table's largest force, its largest angle. Raises ValueError
@@ -71,10 +75,17 @@ class LegSprings:
         angles, force = self._table.angle, checked("forces", force, (-1,))
         height = checked("heights", height, force.shape)
         grid = np.broadcast_arrays(angles, height[:, None])
-        rising = np.maximum.accumulate(self.at(*grid).force, axis=1)
+        rising = np.maximum.accumulate(self.at(*grid, ratio).force, axis=1)
         return np.array(
             [interpolated(f, row, angles) for f, row in zip(force, rising)]
         )
+
+    def height(self, force: float, angle: float, ratio: float = 1.0) -> float:
+        """Clamp height (m) at which a leg with a tendon angle (rad) carries a force (N)."""
+        heights = self._table.height
+        found = self.at(np.full(len(heights), angle), heights, ratio).force
+        falling = np.minimum.accumulate(found)
+        return float(interpolated(-force, -falling, heights))
 
 
 def drops(
