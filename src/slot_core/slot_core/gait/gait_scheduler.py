@@ -432,7 +432,8 @@ class GaitScheduler:
         ahead = times if advances else np.zeros_like(times)
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
         table = gait.stride_table(phase, velocity, offset)
-        table[:, [13, 8, 9]] += self._pose + [shift - gait.height, 0.0, 0.0]
+        lifted = np.array([shift - gait.height, 0.0, 0.0])
+        table[:, [13, 8, 9]] += self._pose + lifted
         if moving.min() == 1.0:
             return table
         still = self._posture_table_ahead(times, shift)

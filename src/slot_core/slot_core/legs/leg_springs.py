@@ -21,6 +21,7 @@ from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.matrices import interpolated, inverse, product
 from slot_core.robot import RobotParameters
 
+SHOWN = 0.1  # of kappa from 1: twice the error by friction of the feet
 STEPS = 60  # of Newton's method to the pose at rest, each at most STEP_MAX
 STEP_MAX = 5e-3  # m
 ROUNDING = 1e-9  # m, rad: it has converged
@@ -145,6 +146,23 @@ def rest_pose(
         if size < ROUNDING:
             break
     return pose if pose[0] > lowest else np.array([lowest, 0.0, 0.0])
+
+
+def legs_message(ratio: float, stiffness: float, mass: float) -> str:
+    """One line on legs whose ratio kappa is off by more than `SHOWN`, or "".
+
+    stiffness: E / E_0 by the servos' torque, NaN if they report none: then modulus and load cannot
+    be distinguished. mass: m_0, kg.
+    """
+    if abs(ratio - 1.0) <= SHOWN:
+        return ""
+    known = not np.isnan(stiffness)
+    modulus = (stiffness if known else ratio) - 1.0
+    load = mass * ((stiffness if known else 1.0) / ratio - 1.0)
+    return (
+        f"legs {abs(modulus):.0%} {'softer' if modulus < 0 else 'stiffer'} than the table,"
+        f" {'' if known else 'or '}{abs(load):.1f} kg {'more' if load > 0 else 'less'} load"
+    )
 
 
 def read_leg_springs(slope_min: float) -> LegSprings:
