@@ -154,6 +154,12 @@ class TendonLimits:
     stiffness_min: float = quantity(
         "least d torque / d angle to divide by", "N m/rad", 1e-3, 10
     )
+    shared: tuple[float, float] = quantity(
+        "stiffness of all four legs over the table's that counts for none",
+        "",
+        0.1,
+        10.0,
+    )
     share: float = quantity(
         "share of the largest slack for another leg to be named", "", 0, 1
     )
