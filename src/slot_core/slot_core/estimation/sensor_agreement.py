@@ -206,11 +206,13 @@ class SensorAgreement:
             self._compare(last, motion, turn, is_given)
         if not is_given or self._frame in {"", "pose"}:
             velocity, rate, variance = self._twist_of_pose(motion, last, turn)
-            difference = np.concatenate(
-                [motion.velocity - velocity, motion.rate - rate]
-            )
-            is_near = np.square(difference / np.sqrt(variance[6:])).sum() < NEAR
-            if not is_given or self._frame == "pose" or not is_near:
+            if is_given and not self._frame:
+                difference = np.concatenate(
+                    [motion.velocity - velocity, motion.rate - rate]
+                )
+                is_near = (difference**2 / variance[6:]).sum() < NEAR
+                is_given = bool(is_near)
+            if not is_given or self._frame == "pose":
                 motion = replace(
                     motion, velocity=velocity, rate=rate, variance=variance
                 )
@@ -382,8 +384,8 @@ class SensorAgreement:
                 return
         square = float(self._sums.pairs[best, SQUARE])
         rate = float(np.sqrt(square / count)) / self._interval
-        more = square > 3.0 * total[3] and rate > self._settings.rate_still
-        if more and not self._proven:
+        turns = square > 3.0 * total[3] and rate > self._settings.rate_still
+        if turns and not self._proven:
             self._notes["rest"] = (
                 f"imu: turns at {rate:.2g} rad/s where odometry is at rest:"
                 " not used until motion tells more; is it in deg/s?"
