@@ -543,8 +543,8 @@ class StateEstimator:
                 return Validity.ODOMETRY_REJECTED, line
             line = f"no usable odom for {age:.2g} s, {limit}"
             return Validity.ODOMETRY_LOST, line
-        if self._is_initialising(stamp) or agreement.forbids_motion:
-            return Validity.INITIALISING, agreement.message
+        if self._is_initialising(stamp):
+            return Validity.INITIALISING, ""
         if self._floor is not None and not self._floor.is_known:
             line = "the floor is not known before the torso rests on it"
             return Validity.INITIALISING, line
@@ -577,6 +577,8 @@ class StateEstimator:
         self._filter.rate = rate
         lead = self._reached + to_ns(delay) - stamp
         validity, message = self._judged(stamp)
+        if self._agreement.forbids_motion:
+            validity, message = Validity.INITIALISING, self._agreement.message
         ratio, known = 1.0, True
         if self._floor is not None:
             ratio, known = self._floor.ratio, self._floor.legs_are_known
