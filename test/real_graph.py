@@ -25,6 +25,7 @@ PATIENT = {
         "timing.servo_silent": 2.0,
         "timing.torque_change": 4.0,
         "timing.hold_max": 30.0,
+        "timing.holds_max": 1000,
         "estimate.coast_cycles": 30,
         "estimate.silence": 1.0,
     },

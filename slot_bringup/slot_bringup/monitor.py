@@ -1,6 +1,7 @@
 """Monitor of a running graph: prints progress, detects missing messages and nodes that end."""
 
 import math
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -60,6 +61,9 @@ class Progress:
         self.state: Array | None = None  # (12,), as MpcState, SI
         self.robot: State | None = None
         self.reason = ""  # of the supervisor's last transition
+        # of the walk: by their words, without numbers; those not printed yet
+        self._warned: set[str] = set()
+        self.news: list[str] = []
         self._begun = not supervised
         self._start = np.zeros(12)  # torso state at the begin
         self._updated = time.monotonic()
@@ -103,6 +107,11 @@ class Progress:
         """Take the newest /robot_state."""
         _, self.robot, action, self.reason = decode.robot_state(message)
         self._begun = self._begun or action is Action.PASS
+        for line in message.warnings if self.robot is State.WALKING else ():
+            words = re.sub(r"[-+.\d]+", "", line)
+            if words not in self._warned:
+                self.news.append(line)
+            self._warned.add(words)
 
     @property
     def silence(self) -> float:
@@ -193,8 +202,10 @@ def watch(
                 executor.spin_once(0.0)
                 pace.print(progress.robot in RELEASED)
                 _check(progress, processes, attended or played)
-                for line in processes.restart_ended(progress.elapsed):
+                ended = processes.restart_ended(progress.elapsed)
+                for line in (*ended, *progress.news):
                     print_error(line)
+                progress.news.clear()
                 if time.monotonic() - shown > refresh:
                     shown, line = (
                         time.monotonic(),

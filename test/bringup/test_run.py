@@ -13,7 +13,7 @@ from synthetic_walk import Walk, write_walk
 
 from slot_bringup import monitor, run
 from slot_bringup.arguments import parse
-from slot_msgs.msg import MpcState, TendonPlan
+from slot_msgs.msg import MpcState, RobotState, TendonPlan
 from slot_nodes import qos
 from slot_nodes.messages import header
 
@@ -121,6 +121,15 @@ def test_a_state_does_not_wait_behind_older_ones_where_the_machine_is_busy():
             publish(MpcState(header=header(second * 10**9)))
         assert executor.spin_until(lambda: progress.state is not None, 60.0)
         assert progress.stamp == 19.0
+
+
+def test_a_warning_of_the_walk_is_told_once_whatever_its_numbers():
+    progress, say = monitor.Progress(supervised=True), "slides {} mm/s right"
+    for speed in (20, 21, 22):
+        warnings = [say.format(speed)]
+        for state in (RobotState.STANDING, RobotState.WALKING):
+            progress.update_robot(RobotState(state=state, warnings=warnings))
+    assert progress.news == ["slides 20 mm/s right"]
 
 
 @pytest.mark.parametrize(

@@ -127,7 +127,10 @@ REFUSED = {
     "optical": (turned(OPTICAL), "optical axes? mounts.imu.rpy: [-1.571, 0, -"),
     "over": (turned(rotation("X", 180)), "turned? mounts.imu.rpy: [3.142, 0, "),
     "side": (turned(rotation("Y", 90)), "turned? mounts.imu.rpy: [0, 1.571, 0"),
-    "range": (lambda w, f: (w, 1.5 * f), "m/s2, expected 9.8: is it calibrated?"),
+    "range": (
+        lambda w, f: (w, 1.5 * f),
+        "m/s2, expected 9.8: is it calibrated?",
+    ),
 }
 
 
@@ -135,7 +138,9 @@ REFUSED = {
 def test_an_imu_that_is_wrong_at_rest_leaves_no_usable_estimate(case):
     change, expected = REFUSED[case]
     for seed in SEEDS:
-        estimates, _ = run(imu_changed(noisy(REST, 1.0, seed), change), COMPARED)
+        estimates, _ = run(
+            imu_changed(noisy(REST, 1.0, seed), change), COMPARED
+        )
         usable = {Validity.VALID, Validity.IMU_MISSING}
         assert not usable & set(validities(estimates))
         assert expected in estimates[-1].message

@@ -58,7 +58,7 @@ class SupervisorBench:
         self.command = np.full(4, 1.1)
         self.angle = np.array([1.0, 1.05, 1.1, 1.15])  # where the servos are
         self.state = state()
-        self.validity = Validity.VALID
+        self.validity, self.message = Validity.VALID, ""
         self.deviation = np.zeros(12)  # of the estimate
         self.status = Status.SOLVED
         self.velocity = np.zeros(3)  # commanded
@@ -109,8 +109,13 @@ class SupervisorBench:
     def _send_cycle(self, now):
         """Estimate, status of the MPC and command of one odometry reading."""
         if "estimate" not in self.silent:
-            covariance = np.diag(self.deviation**2)
-            estimate = Estimate(now, self.state, covariance, self.validity)
+            estimate = Estimate(
+                now,
+                self.state,
+                np.diag(self.deviation**2),
+                self.validity,
+                message=self.message,
+            )
             self.supervisor.receive_estimate(now, estimate)
         if "mpc" not in self.silent:
             self.supervisor.receive_mpc(

@@ -17,8 +17,9 @@ from supervisor_bench import (
 
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.safety.conditions import Conditions
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.states import Action, Request, State
+from slot_core.safety.states import Action, Condition, Request, State
 from slot_core.safety.supervisor import SteadyClock
 
 SETTINGS = read_supervisor()
@@ -39,7 +40,12 @@ REJECTED, AT_ONCE = (3 * CYCLE, 4 * CYCLE), (0.0, CYCLE)  # s
 # Differences of the bench, the state that they end in, bounds of the time until then (s), reason.
 FAULTS = [
     ({"validity": Validity.ODOMETRY_REJECTED}, "HOLD", REJECTED, UNUSABLE),
-    ({"validity": Validity.INITIALISING}, "HOLD", REJECTED, UNUSABLE),
+    (
+        {"validity": Validity.INITIALISING, "message": "imu: in g?"},
+        "HOLD",
+        REJECTED,
+        f"{UNUSABLE}: imu: in g?",
+    ),
     ({"state": np.full(12, NAN)}, "HOLD", REJECTED, UNUSABLE),
     (
         {"silent": {"estimate"}},
@@ -126,6 +132,11 @@ def test_a_hold_of_a_stand_or_with_stand_requested_ends_in_standing(
     bench.silent.clear()
     assert bench.time_until(State.STANDING, 1.0) < 1.0
     assert bench.reports[-1].resumed == resumed
+
+
+def test_before_the_first_estimate_its_topics_are_named():
+    reason = Conditions(SETTINGS).conditions(0)[Condition.ESTIMATE_LOST]
+    assert "waits for /odom and /imu" in reason
 
 
 def hold_once(bench):
@@ -220,9 +231,9 @@ def test_what_is_not_known_is_not_watched_and_that_is_said(
     ("moved", "said"),
     [
         ((0.0, 0.046), ""),
-        ((0.0, 0.034), "walks 34 of 50 mm/s, least 35: floor, slope, load"),
+        ((0.0, 0.044), "walks 44 of 50 mm/s, least 45: floor, slope, load"),
         ((0.036, 0.05), "slides 36 mm/s right, limit 15: floor"),
-        ((0.0, -0.005), "walks -5 of 50 mm/s, least 35: floor, slope, load"),
+        ((0.0, -0.005), "walks -5 of 50 mm/s, least 45: floor, slope, load"),
     ],
 )
 def test_a_walk_that_slides_or_gets_on_too_slowly_is_said_while_it_goes_on(
@@ -232,11 +243,12 @@ def test_a_walk_that_slides_or_gets_on_too_slowly_is_said_while_it_goes_on(
     walking.velocity = np.array([0.05, 0.0, 0.0])
     turned = partial(state, yaw=math.pi / 2)
     walking.state = turned(velocity=moved)
-    report = walking.run(SETTINGS.motion.slip_window + 1.0)
+    limits = SETTINGS.motion
+    report = walking.run(limits.slip_window + limits.slow_time + 2.0)
     assert report.state is State.WALKING
     assert [w[: len(said)] for w in report.warnings] == [said] * bool(said)
     walking.state = turned(velocity=(0.0, 0.05))
-    assert walking.run(SETTINGS.motion.slip_window + 1.0).warnings == ()
+    assert walking.run(limits.slip_window + 1.0).warnings == ()
 
 
 def test_a_walk_that_slides_faster_than_it_walks_ends_in_hold(walking):

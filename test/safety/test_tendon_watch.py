@@ -23,12 +23,13 @@ STRIDE = read_gaits().strides["walk"].period
 HEIGHTS = np.full(4, HEIGHT)
 
 
-def feed(watch, seconds, slack=(0.0, 0.0, 0.0, 0.0), *, start=0):
+def feed(watch, seconds, slack=(0.0, 0.0, 0.0, 0.0), *, start=0, stiffness=1):
     """Feed a stride's readings, each leg with its slack (m); returns the last time and state."""
     for stamp in range(start + TICK, start + round(seconds * 1e9) + 1, TICK):
         phase = stamp * 1e-9 / STRIDE * math.tau
         angle = 1.2 + 0.4 * np.sin(phase + np.arange(4))
         torque, _ = LOAD(angle - np.array(slack) / RADIUS, HEIGHTS)
+        torque *= stiffness
         state = watch.observe(stamp, angle, torque, HEIGHTS, STRIDE)
     return stamp, state
 
@@ -84,15 +85,15 @@ def test_slack_is_unknown_before_a_whole_stride_without_a_late_reading_or_a_gap(
 
 
 def test_two_damaged_tendons_are_both_named_but_not_neighbours_that_carry_less_because_of_one():
-    _, state = feed(watch(), 2.0, [0.003, 0.0, 0.0025, 0.0])
+    _, state = feed(watch(), 2.0, [0.006, 0.0, 0.005, 0.0])
     assert state.damaged.tolist() == [True, False, True, False]
-    _, state = feed(watch(), 2.0, [0.006, 0.002, 0.002, 0.0])
-    assert (state.slack[:3] > LIMITS.slack_max).all()
+    _, state = feed(watch(), 2.0, [0.006, 0.0028, 0.0, 0.0])
+    assert (state.slack[:2] > LIMITS.slack_max).all()
     assert state.damaged.tolist() == [True, False, False, False]
 
 
 def test_slack_behind_with_as_much_less_in_front_is_a_shifted_load_up_to_the_limit():
-    for behind, damaged in ((0.0015, False), (0.0035, True)):
+    for behind, damaged in ((0.0015, False), (0.0045, True)):
         _, state = feed(watch(), 2.0, [-0.0015, -0.0015, behind, behind])
         assert state.damaged.tolist() == [False, False, damaged, damaged]
 
@@ -102,12 +103,30 @@ def test_a_moment_of_slack_raises_no_alarm_and_the_same_slack_for_longer_does():
     watched, stamp, highest = watch(), 0, []
     for _ in range(2):
         stamp, _ = feed(watched, 2.0, start=stamp)
-        stamp, state = feed(watched, 0.4, [0.003] * 4, start=stamp)
+        stamp, state = feed(watched, 0.4, [0.003, 0, 0, 0], start=stamp)
         highest.append(state.slack.max())
-        stamp, state = feed(watched, 0.2, [-0.012] * 4, start=stamp)
+        stamp, state = feed(watched, 0.2, [-0.012, 0, 0, 0], start=stamp)
     assert min(highest) > LIMITS.slack_max
     assert not state.damaged.any()
-    _, state = feed(watched, 2.0, [0.003] * 4, start=stamp)
+    _, state = feed(watched, 2.0, [0.003, 0, 0, 0], start=stamp)
+    assert state.damaged[0]
+
+
+@pytest.mark.parametrize("stiffness", [0.65, 1.0, 1.5])
+def test_legs_that_are_all_softer_or_stiffer_are_no_torn_tendons_but_a_torn_one_is_named(
+    stiffness,
+):
+    """Less than half the table's stiffness is beyond `shared`: no print explains it."""
+    watched = watch()
+    stamp, state = feed(watched, 3.0, stiffness=stiffness)
+    assert not state.damaged.any()
+    assert state.slack == pytest.approx(0.0, abs=1e-9)
+    assert state.stiffness == pytest.approx(stiffness)
+    _, state = feed(
+        watched, 2.0, [0.0, 0.1, 0.0, 0.0], start=stamp, stiffness=stiffness
+    )
+    assert state.damaged.tolist() == [False, True, False, False]
+    _, state = feed(watch(), 2.0, stiffness=0.4)
     assert state.damaged.all()
 
 

@@ -100,7 +100,7 @@ ROWS = {
         FaultyLoop.spoil_odometry_again_and_again,
         "torque off",
         {
-            "HOLD": after((SETTINGS.estimate.coast_cycles + 1) * ODOMETRY),
+            "HOLD": after(NO_ODOMETRY),
             "RELAX": within(TIMING.holds_max + 0.5),
         },
         ("sim",),

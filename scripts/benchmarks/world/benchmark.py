@@ -46,7 +46,7 @@ QUICK = (
     "friction 0.8",
 )
 LIMITS = {
-    "speed": (0.1, 1e-3),
+    "speed": (0.1, 2e-4),
     "aside": (0.1, 5.0),
     "heading": (0.1, 2.0),
     "tilt": (0.1, 2.0),

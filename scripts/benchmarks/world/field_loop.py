@@ -113,14 +113,14 @@ def run_set(
 def measured(whole: WalkMotion, stands: bool) -> dict[str, float]:
     """Motion: speed m/s, place aside mm, heading deg, largest tilt deg, height mm.
 
-    Aside of the line that is walked, or of the place where it stands.
+    Aside of the line that is walked, or of the place where it stands, in means over a stride.
     """
     late, settled = whole.after(WARM_UP), whole.after(SETTLED)
-    off = whole.position[:, not stands : 2] - whole.position[0, not stands : 2]
-    aside = whole.moving_mean(np.hypot(*off.T) if stands else off[:, 0])
+    x, y = (settled.moving_mean(column) for column in settled.position.T[:2])
+    aside = np.hypot((x - x[0]) * stands, y - y[0])
     return {
         "speed": float(late.velocity[0]),
-        "aside": MM * float(np.abs(aside).max()),
+        "aside": MM * float(aside.max()),
         "heading": DEG * whole.heading,
         "tilt": DEG * float(settled.tilt.max()),
         "height": MM * float(late.position[:, 2].mean()),

@@ -76,7 +76,9 @@ class GaitSchedulerNode(Node):
     def _on_state(self, message: MpcState) -> None:
         estimate = decode.estimate(message)
         inputs.require_finite("state", estimate.state)
-        preview = self._scheduler.step(estimate.time, estimate.state)
+        preview = self._scheduler.step(
+            estimate.time, estimate.state, estimate.leg_stiffness
+        )
         remark = preview.remark or self._wrong_type
         preview = replace(preview, stamp=estimate.stamp, remark=remark)
         self._preview.publish(messages.preview_to_msg(preview))

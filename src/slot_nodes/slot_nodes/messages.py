@@ -312,6 +312,7 @@ def preview_to_msg(preview: gait.GaitPreview) -> GaitPreview:
         followed=preview.command.followed,
         velocity=preview.command.velocity,
         pose=preview.command.pose,
+        leg_stiffness=preview.leg_stiffness,
         remark=preview.remark,
     )
 

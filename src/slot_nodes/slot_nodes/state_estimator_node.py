@@ -31,7 +31,6 @@ class StateEstimatorNode(Node):
         super().__init__("state_estimator")
         settings = runtime.declare_settings(self, read_estimator())
         self._estimator = make_estimator(settings, read_robot(), read_springs())
-        self._in_base_axes = not any(settings.mounts.imu.rpy)
         self._record = stage_record.Recorder(self, self._estimator)
         self._state = runtime.publisher(
             self, MpcState, "mpc_state", qos.CONTROL
@@ -68,14 +67,6 @@ class StateEstimatorNode(Node):
         """Take a sample, after the readings that arrived before it: it may lead to a tick."""
         self._joints.take()
         inputs.process_received(self._odometry)
-        if self._in_base_axes and message.header.frame_id.endswith(
-            "optical_frame"
-        ):
-            self.get_logger().warning(
-                f"imu in {message.header.frame_id}, z forward: mounts.imu.rpy of estimator.yaml"
-                " has zeros, which is z up",
-                once=True,
-            )
         reading = decode.imu(message)
         self._record.take(StageRecord.IMU, reading[0])
         self._estimator.add_imu(*reading)

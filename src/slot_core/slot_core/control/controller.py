@@ -63,7 +63,9 @@ class Controller:
         estimate = self.estimator.poll()
         if estimate is None:
             return None
-        preview = self.scheduler.step(estimate.time, estimate.state)
+        preview = self.scheduler.step(
+            estimate.time, estimate.state, estimate.leg_stiffness
+        )
         preview = replace(preview, stamp=estimate.stamp)  # of the tick
         plan = self.policy.step(estimate, preview)
         command = self.force_map.step(plan, preview, estimate.state)

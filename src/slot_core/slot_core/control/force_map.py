@@ -102,7 +102,8 @@ class ForceMap:
         """Angle, slope and rate for normal forces (4,) N."""
         nominal = preview.tendon_angle[0]
         height = self._robot.clamp_heights(state[5], *state[:2])
-        slope = self._springs.at(nominal, height).slope
+        ratio = preview.leg_stiffness
+        slope = self._springs.at(nominal, height, ratio).slope
         limit = np.radians(self._settings.correction_max_deg)
         correction = np.clip(
             (normal - preview.normal_force[0]) / slope, -limit, limit

@@ -136,7 +136,10 @@ def coverage(sums, before, after):
     0: not yet; -1: no more.
     """
     first, count = sums.ring[0], sums.ring[1]
-    if count < 2 or sums.stamps[(first + count - 1) % KEPT] < after + SHIFTS[-1]:
+    if (
+        count < 2
+        or sums.stamps[(first + count - 1) % KEPT] < after + SHIFTS[-1]
+    ):
         return 0
     return -1 if sums.stamps[first] > before + SHIFTS[0] else 1
 
@@ -232,9 +235,10 @@ def align(b, prior, work):
             k[i, j] = b[3 * i + j] + b[3 * j + i]
             bound += abs(k[i, j])
         k[i, i] += 2.0 * prior - trace
-        k[i, 3] = k[3, i] = b[3 * ((i + 2) % 3) + (i + 1) % 3] - b[
-            3 * ((i + 1) % 3) + (i + 2) % 3
-        ]
+        k[i, 3] = k[3, i] = (
+            b[3 * ((i + 2) % 3) + (i + 1) % 3]
+            - b[3 * ((i + 1) % 3) + (i + 2) % 3]
+        )
     k[3, 3] = trace
     for i in range(4):
         k[i, i] += bound  # no eigenvalue is negative
@@ -255,6 +259,26 @@ def align(b, prior, work):
 def set_turn(work, p, q):
     """Set work.turn to the turn from attitude p to attitude q (4,)."""
     work.turn[0], work.turn[1], work.turn[2] = turn_between(p, q)
+
+
+@helper
+def add_force(sums, rotation, before, after, dt, keep):
+    """Add the mean specific force over dt (s) between two readings (13,), turned into odom.
+
+    rotation: work space (3, 3).
+    """
+    up, force = sums.up, sums.force
+    for i in range(4):
+        up[i] *= keep
+    if force[3] > 0.0:
+        for reading in (before, after):
+            rotation_matrix(rotation, reading[:4])
+            for i in range(3):
+                for j in range(3):
+                    up[i] += dt / 2 * rotation[i, j] * force[j] / force[3]
+        up[3] += dt
+    for i in range(4):
+        force[i] = 0.0
 
 
 @kernel
@@ -294,15 +318,4 @@ def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
         sums.twist[kind] += min(
             square(moved) / variance[0], LARGEST_RESIDUAL
         ) + min(square(turned) / variance[1], LARGEST_RESIDUAL)
-    up, force = sums.up, sums.force
-    for i in range(4):
-        up[i] *= keep_force
-    if force[3] > 0.0:
-        for reading in (before, after):
-            rotation_matrix(rotation, reading[:4])
-            for i in range(3):
-                for j in range(3):
-                    up[i] += dt / 2 * rotation[i, j] * force[j] / force[3]
-        up[3] += dt
-    for i in range(4):
-        force[i] = 0.0
+    add_force(sums, rotation, before, after, dt, keep_force)

@@ -53,7 +53,7 @@ DEGREE = np.pi / 180.0
 INTERVAL, LONGEST_INTERVAL = 25 * MILLISECOND, SECOND // 2
 MEMORY, FORCE_MEMORY = 2.0, 0.5  # s, time constants of the sums
 LINGER = to_ns(0.15)  # ns, motion lasts after a sample that shows it
-FORCE_TIME = 0.2  # s, from which the mean specific force counts
+FORCE_TIME = 0.15  # s, from which the mean specific force counts
 FORCE_RANGE = 2.5  # m/s^2, of its length about gravity's
 UNEXPLAINED = 0.4  # largest share of the squared turns of odometry that is left
 WELL = 0.2  # the same for an IMU that is turned, noise subtracted
@@ -69,7 +69,7 @@ LONG = 0.8  # s of turns from which axes count
 SQUARE_ANGLE = 0.15  # deviation of elements of a turn by multiples of 90 deg
 APART = 50.0  # between sums of twist of which one is right
 # squared distance, in six standard deviations, of a twist like the pose's
-NEAR = 9.0
+NEAR = 14.0
 STRAYS = 5  # stamps ahead in a row, which are no stray ones
 # m/s^2, rad/s^2 between readings
 ACCELERATION, ANGULAR_ACCELERATION = 2.0, 15.0
@@ -92,6 +92,7 @@ class SensorAgreement:
         "withheld",
         "_moving",
         "_imu",
+        "_seen",
         "_ahead",
         "_rotation",
         "units",
@@ -120,7 +121,8 @@ class SensorAgreement:
         self._weighed = off  # whether the specific force is gravity's
         self.withheld = 0  # ns, last sample of which motion will tell more
         self._moving = 0  # ns, IMU stamp until which the torso moves
-        self._imu = 0  # ns, newest IMU stamp at the last reading
+        self._imu = 0  # ns, newest IMU stamp when the last reading is compared
+        self._seen = 0  # ns, that when a stamp of odometry was judged last
         self._ahead = 0  # readings in a row with stamps far ahead
         self._rotation = np.eye(3)  # to base_link, after the mount
         # whether samples before are to be forgotten
@@ -164,9 +166,9 @@ class SensorAgreement:
 
         From STRAYS of them in a row it is a clock's fault. A silent IMU shows nothing.
         """
-        if newest is None or newest == self._imu:
+        if newest is None or newest == self._seen:
             return False
-        self._imu = newest
+        self._seen = newest
         ahead = to_seconds(stamp + self.shift - newest)
         limit = self._settings.stamp_ahead
         self._ahead = self._ahead + 1 if ahead > limit else 0
@@ -181,12 +183,13 @@ class SensorAgreement:
         return 0 < self._ahead < STRAYS
 
     def compared(
-        self, motion: OdometryMotion, is_given: bool
+        self, motion: OdometryMotion, is_given: bool, newest: int
     ) -> OdometryMotion:
         """The reading at its time on the IMU's clock, with the twist in base_link.
 
-        is_given: whether the message states a twist; zeros are none.
+        is_given: whether the message states a twist; zeros are none. newest: IMU stamp, ns.
         """
+        self._imu = newest
         last, stamp = self._last, motion.stamp
         is_given &= bool(motion.velocity.any() or motion.rate.any())
         if not is_given:
@@ -198,27 +201,26 @@ class SensorAgreement:
             turn = self._work.turn.copy()
         if apart >= INTERVAL:
             self._last = motion
-        if last is not None and INTERVAL <= apart <= LONGEST_INTERVAL:
+        comparable = INTERVAL <= apart <= LONGEST_INTERVAL
+        if last is not None and comparable and self._settings.enabled:
             self._compare(last, motion, turn, is_given)
         if not is_given or self._frame in {"", "pose"}:
             velocity, rate, variance = self._twist_of_pose(motion, last, turn)
-            if is_given and not self._frame:
-                difference = np.concatenate(
-                    [motion.velocity - velocity, motion.rate - rate]
-                )
-                is_near = (difference**2 / variance[6:]).sum() < NEAR
-                is_given = bool(is_near)
-            if not is_given or self._frame == "pose":
+            difference = np.concatenate(
+                [motion.velocity - velocity, motion.rate - rate]
+            )
+            is_near = np.square(difference / np.sqrt(variance[6:])).sum() < NEAR
+            if not is_given or self._frame == "pose" or not is_near:
                 motion = replace(
                     motion, velocity=velocity, rate=rate, variance=variance
                 )
         elif self._frame == "odom":
             back = matrix_of_quaternion(motion.attitude).T
-            velocity, rate = (
-                product(back, motion.velocity),
-                product(back, motion.rate),
+            motion = replace(
+                motion,
+                velocity=product(back, motion.velocity),
+                rate=product(back, motion.rate),
             )
-            motion = replace(motion, velocity=velocity, rate=rate)
         if self.shift:
             motion = replace(motion, stamp=stamp + self.shift)
         return motion
@@ -234,7 +236,7 @@ class SensorAgreement:
             return np.zeros(3), np.zeros(3), variance
         step = (motion.position - last.position) / dt
         velocity = product(matrix_of_quaternion(motion.attitude).T, step)
-        noise = self._variance / dt**2
+        noise = self._variance / (dt * dt)
         change = np.square(
             [0.5 * dt * ACCELERATION, 0.5 * dt * ANGULAR_ACCELERATION]
         )
@@ -270,12 +272,8 @@ class SensorAgreement:
         )
         if is_given:
             self._judge_twist()
-        if not self._settings.enabled:
-            return
         self._judge_force(motion)
-        self._intervals.append(
-            (last.stamp, motion.stamp, turn)
-        )
+        self._intervals.append((last.stamp, motion.stamp, turn))
         added = False
         while self._intervals:
             start, end, turn = self._intervals[0]
@@ -286,9 +284,7 @@ class SensorAgreement:
             if covered > 0:
                 self._work.turn[:] = turn
                 keep = 1.0 - (end - start) / SECOND / MEMORY
-                added |= compare_turns(
-                    self._sums, self._work, start, end, keep
-                )
+                added |= compare_turns(self._sums, self._work, start, end, keep)
         if added:
             self._judge_turns()
 
@@ -374,24 +370,24 @@ class SensorAgreement:
             bend > 0.0
             and moved > LEAST_MOTION
             and here < UNEXPLAINED * turned[best]
-            and 2.0 * each * STEP**2 < SHARP**2 * bend
+            and 2.0 * each * (STEP * STEP) < (SHARP * SHARP) * bend
         ):
             align(work.table[best, 3:], np.sqrt(each * gyro[best]), work)
-            noise = TURN_ERROR**2 * each / gyro[best]
+            noise = TURN_ERROR * TURN_ERROR * each / gyro[best]
             # angle^2 of a small turn
-            if 3.0 - work.rotation.trace() < max(TURNED**2, noise):
+            if 3.0 - work.rotation.trace() < max((TURNED * TURNED), noise):
                 half = 0.5 * STEP * (before - after) / bend
                 error = STEP * float(np.sqrt(2.0 * each / bend))
                 self._take_shift(int(SHIFTS[best]) + round(half), error)
                 return
         square = float(self._sums.pairs[best, SQUARE])
         rate = float(np.sqrt(square / count)) / self._interval
-        if not self._proven and square > 3.0 * total[3]:
-            if rate > self._settings.rate_still:
-                self._notes["rest"] = (
-                    f"imu: turns at {rate:.2g} rad/s where odometry is at rest:"
-                    " not used until motion tells more; is it in deg/s?"
-                )
+        more = square > 3.0 * total[3] and rate > self._settings.rate_still
+        if more and not self._proven:
+            self._notes["rest"] = (
+                f"imu: turns at {rate:.2g} rad/s where odometry is at rest:"
+                " not used until motion tells more; is it in deg/s?"
+            )
         loud = gyro[best] > 100.0 * turned[best]
         is_long = moved > MOTION and count * self._interval > LONG
         if is_long or loud:
@@ -430,7 +426,7 @@ class SensorAgreement:
         align(b, np.sqrt(variance * gyro), work)
         shared = float((work.rotation.ravel() * b).sum())
         unit = shared / max(gyro, variance)
-        clear = unit * unit * gyro > DISTINCT**2 * variance
+        clear = unit * unit * gyro > (DISTINCT * DISTINCT) * variance
         noise = turned - moved
         explained = turned - unit * shared - noise < WELL * moved
         upright = work.rotation[2, 2] > 1.0 - 2.0 * self._settings.lean

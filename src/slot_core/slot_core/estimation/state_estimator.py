@@ -23,6 +23,7 @@ A restart keeps the biases, unless readings were rejected before it: they may be
 from collections import deque
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -90,6 +91,7 @@ class StateEstimator:
         "_begun",
         "_behind",
         "_imu",
+        "_received",
         "_waiting",
         "_rejected",
         "_stamp",
@@ -136,6 +138,8 @@ class StateEstimator:
         # by stream: stamps in a row that are far behind the newest
         self._behind: dict[str, int] = {}
         self._imu = ImuSamples.none()
+        # readings that wait for the tick, as they came
+        self._received: deque[tuple[Any, ...]] = deque()
         self._waiting: deque[tuple[int, OdometryMotion | None]] = deque()
         self._rejected: deque[OdometryMotion | None] = deque(
             maxlen=self._settings.gate.max_rejections
@@ -189,6 +193,8 @@ class StateEstimator:
             self._imu = self._imu.followed(
                 stamp, sample, self._settings.buffers.imu
             )
+        if self._stamp is None or stamp >= self._tick:
+            self._take_received()
         self._process_due()
         self._propagate_to_newest()
         self._publish_due(stamp, stamp)
@@ -206,36 +212,64 @@ class StateEstimator:
 
         variance: (12,) of angle, position, velocity and rate, from the message; where it is not
         positive, or without it, the settings' noise counts.
+
+        Readings wait for the tick, so that estimates depend on what has arrived by then, but not
+        on the order in which IMU and odometry came.
         """
-        agreement = self._agreement
-        if agreement.is_stray(stamp, self._newest.get("imu")):
+        if self._agreement.is_stray(stamp, self._newest.get("imu")):
             return
+        motion = position, quaternion_xyzw, velocity, angular_velocity, variance
+        self._received.append((stamp, *motion))
+        newest = self._newest.get("imu", BEFORE_ALL_TIMES)
+        starts = self._stamp is None and newest > BEFORE_ALL_TIMES
+        is_lost = self._imu_is_lost(stamp)
+        if (
+            starts
+            or is_lost
+            or len(self._received) > self._settings.buffers.odometry
+        ):
+            self._take_received()
+            self._process_due()
+            self._propagate_to_newest()
+        if is_lost:
+            period = self._settings.timing.period
+            early = earliness(period, self._interval)
+            self._publish_due(stamp, stamp + early)
+        elif starts:
+            self._publish_due(newest, newest)
+
+    def _take_received(self) -> None:
+        """Take the readings that have arrived, in their order."""
+        received, self._received = self._received, deque()
+        for reading in received:
+            self._take_odometry(*reading)
+
+    def _take_odometry(  # noqa: PLR0917
+        self,
+        stamp: int,
+        position: Array,
+        quaternion: Array,
+        velocity: Array,
+        rate: Array,
+        variance: Array | None,
+    ) -> None:
+        agreement = self._agreement
         shift = agreement.shift
         if not self._advances("odometry", stamp + shift):
             return
-        motion = self._decode(
-            stamp, position, quaternion_xyzw, velocity, angular_velocity
-        )
+        motion = self._decode(stamp, position, quaternion, velocity, rate)
         if motion is not None:
             is_given = True
             if variance is not None:
                 is_given = not np.any(np.asarray(variance)[6:] < 0.0)
                 known = _known(variance, self._variance)
                 motion = replace(motion, variance=known)
-            motion = agreement.compared(motion, is_given)
+            newest = self._newest.get("imu", 0)
+            motion = agreement.compared(motion, is_given, newest)
             self._shift_odometry(agreement.shift - shift)
             if agreement.recalibrated:
                 self._forget_biases()
         self._waiting.append((stamp + agreement.shift, motion))
-        self._process_due()
-        self._propagate_to_newest()
-        if self._imu_is_lost(stamp):
-            period = self._settings.timing.period
-            early = earliness(period, self._interval)
-            self._publish_due(stamp, stamp + early)
-        else:  # the first tick, where the IMU came first
-            newest = self._newest.get("imu", BEFORE_ALL_TIMES)
-            self._publish_due(newest, newest)
 
     def add_joints(self, stamp: int, angle: Array, torque: Array) -> None:
         """Add tendon angles (4,) rad and torques (4,) N m at `stamp` (ns).
@@ -252,7 +286,10 @@ class StateEstimator:
             return
         self._newest["odometry"] += step
         self._waiting = deque(
-            (stamp + step, motion and replace(motion, stamp=motion.stamp + step))
+            (
+                stamp + step,
+                motion and replace(motion, stamp=motion.stamp + step),
+            )
             for stamp, motion in self._waiting
         )
         self._filter.restore(self._corrected)
@@ -487,8 +524,6 @@ class StateEstimator:
     def _judged(self, stamp: int) -> tuple[Validity, str]:
         """Validity of an estimate at `stamp` (ns), and its message."""
         timing, agreement = self._settings.timing, self._agreement
-        if agreement.forbids_motion:
-            return Validity.INITIALISING, agreement.message
         withheld = to_seconds(stamp - agreement.withheld)
         is_open = withheld < WITHHELD * self._interval
         incomplete = not (self._imu_complete or is_open)
@@ -503,8 +538,8 @@ class StateEstimator:
                 return Validity.ODOMETRY_REJECTED, line
             line = f"no usable odom for {age:.2g} s, {limit}"
             return Validity.ODOMETRY_LOST, line
-        if self._is_initialising(stamp):
-            return Validity.INITIALISING, ""
+        if self._is_initialising(stamp) or agreement.forbids_motion:
+            return Validity.INITIALISING, agreement.message
         if self._floor is not None and not self._floor.is_known:
             line = "the floor is not known before the torso rests on it"
             return Validity.INITIALISING, line

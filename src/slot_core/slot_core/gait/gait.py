@@ -175,6 +175,13 @@ class Stride:
         "speed above which steering replaces the turn", "m/s", 1e-3, 1
     )
 
+    yields: float = quantity(
+        "share of the height that legs of another stiffness give in, or rise; the rest is held",
+        "",
+        0.0,
+        1.0,
+    )
+
     @property
     def speeds(self) -> Vector3:
         """Largest v_x, v_y (m/s) and yaw rate (rad/s) that can be requested, one at a time."""
@@ -358,6 +365,12 @@ class GaitSettings:
     velocity_timeout: float = quantity(
         "age at which a velocity command expires", "s", 0.05, 10
     )
+    soft: tuple[float, float] = quantity(
+        "leg stiffness ratios between which a stride's speed grows from zero to its own",
+        "",
+        0.1,
+        1.0,
+    )
     stages: int = quantity(
         "stages of the preview, at least the MPC's horizon", "", 1, 100
     )
@@ -397,6 +410,19 @@ class GaitSettings:
             share * wanted,
             f"velocity clipped to the reach of gait {name}: {changes}",
         )
+
+    def share_reached(
+        self, name: str, velocity: Array, stiffness: float
+    ) -> float:
+        """Share, at most 1, of a velocity (3,) that a gait reaches on legs of a stiffness ratio.
+
+        On legs softer than `soft[1]` a stride is slower; at `soft[0]` it only stands.
+        """
+        gait, (least, full) = self.find(name), self.soft
+        share = min(1.0, max(0.0, (stiffness - least) / (full - least)))
+        if share == 1.0 or isinstance(gait, Posture):
+            return 1.0
+        return share and gait.share_reached(velocity / share)
 
     def require_velocity(self, name: str, velocity: Array) -> None:
         """Raise ConfigError for an unknown gait or a velocity (3,) that it does not reach."""
@@ -476,6 +502,7 @@ class GaitPreview:
     command: GaitCommand  # that was in force
     # one line on a command that is followed in part only, or not at all
     remark: str = ""
+    leg_stiffness: float = 1.0  # ratio kappa of the legs (`leg_springs.py`)
 
     @property
     def phases(self) -> Array:

@@ -25,6 +25,8 @@ from slot_core.legs.leg_springs import LegSprings
 from slot_core.matrices import norm
 from slot_core.robot import RobotParameters
 
+# 1/s, of the legs' stiffness ratio: a change must not jerk the legs
+STIFFNESS_RATE = 0.4
 LEAST_VELOCITY = 1e-4  # m/s, rad/s: below it a stride stands
 # s between states; after a longer one the commands do not move
 LONGEST_GAP = 0.5
@@ -71,6 +73,7 @@ class GaitScheduler:
         "_pose",
         "_place",
         "_path",
+        "_stiffness",
     )
 
     def __init__(  # noqa: PLR0917
@@ -105,6 +108,7 @@ class GaitScheduler:
         self._pose = self._home(self._current.gait)
         # (3,) x, y (m), yaw (rad) of the reference
         self._place: Array | None = None
+        self._stiffness = 1.0  # ratio kappa of the legs, at a limited rate
 
     def request(self, gait: str, velocity: Array) -> None:
         """Request a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.
@@ -156,8 +160,13 @@ class GaitScheduler:
         self._wanted_pose = np.array(command.pose, dtype=float)
         self.set_followed(command.followed)
 
-    def step(self, stamp: int, state: Array) -> GaitPreview:
-        """Preview from `stamp` (ns) on, at `state` (12,)."""
+    def step(
+        self, stamp: int, state: Array, leg_stiffness: float = 1.0
+    ) -> GaitPreview:
+        """Preview from `stamp` (ns) on, at `state` (12,).
+
+        leg_stiffness: ratio kappa of the legs (`leg_springs.py`), followed at a limited rate.
+        """
         if self._is_expired(stamp):
             self._stop()
         elapsed = (
@@ -170,6 +179,10 @@ class GaitScheduler:
             self._place = None
         self._seen = state[[3, 4, 2]].copy()
         self._followed_for += elapsed
+        step = elapsed * STIFFNESS_RATE
+        self._stiffness += min(
+            max(leg_stiffness - self._stiffness, -step), step
+        )
         self._change_gait(elapsed)
         self._approach_commands(elapsed, state)
         self._stride(elapsed, state)
@@ -240,7 +253,7 @@ class GaitScheduler:
     def _approach_commands(self, elapsed: float, state: Array) -> None:
         """Let velocity and body pose follow their commands at limited rates."""
         s = self._settings
-        wanted = self._wanted
+        wanted = self._reachable
         gait = self._current.gait
         if self._path is not None and isinstance(gait, Stride):
             wanted = gait.reached(self._path.velocity(state, self._speed))
@@ -251,7 +264,18 @@ class GaitScheduler:
     @property
     def _speed(self) -> float:
         """Commanded speed along a path, m/s."""
-        return norm(self._wanted[:2])
+        return norm(self._reachable[:2])
+
+    @property
+    def _reachable(self) -> Array:
+        """Commanded velocity (3,), as fast as these legs follow it."""
+        return self._share() * self._wanted
+
+    def _share(self) -> float:
+        """Share of the commanded velocity that legs of this stiffness follow."""
+        return self._settings.share_reached(
+            self._requested, self._wanted, self._stiffness
+        )
 
     def _pose_after(self, time: float) -> Array:
         """Height, roll and pitch (3,) after a time (s)."""
@@ -325,7 +349,18 @@ class GaitScheduler:
                 self._wanted_pose.copy(),
                 self._followed,
             ),
-            remark=self._remark,
+            remark=self._remark or self._soft_remark(),
+            leg_stiffness=self._stiffness,
+        )
+
+    def _soft_remark(self) -> str:
+        """One line on a velocity that the legs are too soft for, or ""."""
+        share = self._share()
+        if share == 1.0:
+            return ""
+        return (
+            f"velocity clipped to {share:.0%}: legs carry {self._stiffness:.2f} of the table's load,"
+            f" gait {self._requested} needs {self._settings.soft[1]:g} for all of it"
         )
 
     def _ahead(self, times: Array, state: Array) -> tuple[Array, Array]:
@@ -344,7 +379,7 @@ class GaitScheduler:
             s.acceleration,
             s.turn_acceleration,
         ]
-        velocity = _toward(self._velocity, self._wanted, steps)
+        velocity = _toward(self._velocity, self._reachable, steps)
         begin = state[[3, 4, 2]] if place is None else place
         return velocity, places_ahead(begin, velocity, s.dt)
 
@@ -389,22 +424,46 @@ class GaitScheduler:
     ) -> Array:
         """Table (n, 20) of a stride that moves, stands on its centre, or changes between both."""
         moving = self._moving_after(active, times)[:, None]
+        offset, shift = self._at_rest(gait)
         if moving.max() == 0.0:
-            return self._posture_table_ahead(times)
+            return self._posture_table_ahead(times, shift)
         # as in `_stride`
         advances = active is self._current and not self._is_still()
         ahead = times if advances else np.zeros_like(times)
         phase = np.mod(active.phase + ahead / gait.period, 1.0)
-        table = gait.stride_table(phase, velocity)
-        table[:, [13, 8, 9]] += self._pose - [gait.height, 0.0, 0.0]
+        table = gait.stride_table(phase, velocity, offset)
+        lifted = np.array([shift - gait.height, 0.0, 0.0])
+        table[:, [13, 8, 9]] += self._pose + lifted
         if moving.min() == 1.0:
             return table
-        return (1 - moving) * self._posture_table_ahead(times) + moving * table
+        still = self._posture_table_ahead(times, shift)
+        return (1 - moving) * still + moving * table
 
-    def _posture_table_ahead(self, times: Array) -> Array:
-        """Angles, normal forces and torso states (n, 20) of a posture; linear in the time ahead."""
+    def _at_rest(self, gait: Stride) -> tuple[float, float]:
+        """Offsets of the angles (rad) and the height (m) of a stride on legs of this stiffness.
+
+        A fully pulled soft leg folds, and the robot tips over: the walk gives in instead.
+        """
+        angle, share = np.radians(gait.centre_deg[0]), self._robot.weight / 4
+        springs, ratio = self._springs, self._stiffness
+        shift = springs.height(share, angle, ratio)
+        shift = gait.yields * (shift - springs.height(share, angle))
+        loads, height = np.full(2, share), gait.height + np.array([0.0, shift])
+        nominal, _ = springs.angle(loads, height)
+        _, found = springs.angle(loads, height, ratio)
+        return float(found - nominal), shift
+
+    def _posture_table_ahead(self, times: Array, shift: float = 0.0) -> Array:
+        """Angles, normal forces and torso states (n, 20) of a posture; linear in the time ahead.
+
+        shift: m, of the height.
+        """
+        lifted = np.array([shift, 0.0, 0.0])
         ends = np.stack(
-            [self._posture_row(self._pose_after(t)) for t in (0.0, times[-1])]
+            [
+                self._posture_row(self._pose_after(t) + lifted)
+                for t in (0.0, times[-1])
+            ]
         )
         share = (times / max(times[-1], 1e-9))[:, None]
         return (1 - share) * ends[0] + share * ends[1]
@@ -412,9 +471,10 @@ class GaitScheduler:
     def _posture_row(self, pose: Array) -> Array:
         """Angles at which legs at rest carry equal shares of the weight at a pose (3,)."""
         height = self._robot.clamp_heights(*pose)
-        angle = self._springs.angle(np.full(4, self._robot.weight / 4), height)
+        share, ratio = np.full(4, self._robot.weight / 4), self._stiffness
+        angle = self._springs.angle(share, height, ratio)
         row = np.zeros(20)
-        row[:4], row[4:8] = angle, self._springs.at(angle, height).force
+        row[:4], row[4:8] = angle, self._springs.at(angle, height, ratio).force
         row[[13, 8, 9]] = pose
         return row
 

@@ -21,6 +21,7 @@ from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.matrices import interpolated, inverse, product
 from slot_core.robot import RobotParameters
 
+SHOWN = 0.1  # of kappa from 1: twice the error by friction of the feet
 STEPS = 60  # of Newton's method to the pose at rest, each at most STEP_MAX
 STEP_MAX = 5e-3  # m
 ROUNDING = 1e-9  # m, rad: it has converged
@@ -49,20 +50,24 @@ class LegSprings:
         self._table, self._slope_min = table, slope_min
         self.at(np.zeros(1), np.zeros(1))  # compiles the kernel
 
-    def at(self, angle: Array, height: Array) -> Springs:
-        """Statics at tendon angles (rad) and clamp heights (m) of one shape; raises ValueError."""
+    def at(self, angle: Array, height: Array, ratio: float = 1.0) -> Springs:
+        """Statics at tendon angles (rad) and clamp heights (m) of one shape; raises ValueError.
+
+        ratio: kappa, so that forces are those over m / m_0.
+        """
         if np.shape(angle) != np.shape(height):
             raise ValueError(
                 f"angles {np.shape(angle)}, heights {np.shape(height)}: not equal"
             )
         flat = self._table.at(np.ravel(angle), np.ravel(height))
+        flat[:, :3] *= ratio
         flat[:, 1] = np.maximum(flat[:, 1], self._slope_min)
         flat[:, 2] = np.minimum(flat[:, 2], 0.0)
         return Springs(
             *(column.reshape(np.shape(angle)) for column in flat.T.copy())
         )
 
-    def angle(self, force: Array, height: Array) -> Array:
+    def angle(self, force: Array, height: Array, ratio: float = 1.0) -> Array:
         """Tendon angles (n,) rad at which legs at heights (n,) m carry the forces (n,) N.
 
         The least such angle; beyond the table's largest force, its largest angle. Raises ValueError
@@ -71,10 +76,17 @@ class LegSprings:
         angles, force = self._table.angle, checked("forces", force, (-1,))
         height = checked("heights", height, force.shape)
         grid = np.broadcast_arrays(angles, height[:, None])
-        rising = np.maximum.accumulate(self.at(*grid).force, axis=1)
+        rising = np.maximum.accumulate(self.at(*grid, ratio).force, axis=1)
         return np.array(
             [interpolated(f, row, angles) for f, row in zip(force, rising)]
         )
+
+    def height(self, force: float, angle: float, ratio: float = 1.0) -> float:
+        """Clamp height (m) at which a leg with a tendon angle (rad) carries a force (N)."""
+        heights = self._table.height
+        found = self.at(np.full(len(heights), angle), heights, ratio).force
+        falling = np.minimum.accumulate(found)
+        return float(interpolated(-force, -falling, heights))
 
 
 def drops(
@@ -134,6 +146,23 @@ def rest_pose(
         if size < ROUNDING:
             break
     return pose if pose[0] > lowest else np.array([lowest, 0.0, 0.0])
+
+
+def legs_message(ratio: float, stiffness: float, mass: float) -> str:
+    """One line on legs whose ratio kappa is off by more than `SHOWN`, or "".
+
+    stiffness: E / E_0 by the servos' torque, NaN if they report none: then modulus and load cannot
+    be distinguished. mass: m_0, kg.
+    """
+    if abs(ratio - 1.0) <= SHOWN:
+        return ""
+    known = not np.isnan(stiffness)
+    modulus = (stiffness if known else ratio) - 1.0
+    load = mass * ((stiffness if known else 1.0) / ratio - 1.0)
+    return (
+        f"legs {abs(modulus):.0%} {'softer' if modulus < 0 else 'stiffer'} than the table,"
+        f" {'' if known else 'or '}{abs(load):.1f} kg {'more' if load > 0 else 'less'} load"
+    )
 
 
 def read_leg_springs(slope_min: float) -> LegSprings:

@@ -187,6 +187,7 @@ def preview(message: Any) -> GaitPreview:
             getattr(message, "followed", True),  # not in older bags
         ),
         remark=getattr(message, "remark", ""),
+        leg_stiffness=getattr(message, "leg_stiffness", 1.0),
     )
 
 

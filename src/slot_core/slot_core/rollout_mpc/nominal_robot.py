@@ -28,12 +28,14 @@ from slot_core.elementary import atan2, cos, sin
 from slot_core.geometry import roll_pitch_yaw, rotate
 from slot_core.key_frame import StateParts
 from slot_core.legs.tabulated_kernels import divergence_of, one_step
-from slot_core.legs.tabulated_robot import TabulatedRobot
+from slot_core.legs.tabulated_robot import COLUMNS, TabulatedRobot
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.rollout_mpc.settings import NominalSettings
 
 # stages in which legs and servos come to rest at a constant command
 SETTLING = 10
+# columns of the leg table that are proportional to the legs' stiffness
+SCALED = ("force_N", "tension_N", "sideways_N_per_m")
 
 
 class NominalState(NamedTuple):
@@ -54,7 +56,7 @@ class Rollouts(NamedTuple):
 class NominalRobot:
     """Rollouts of plans of tendon angles; it knows no payload, slope or damage but the wrench."""
 
-    STATE = StateParts("push")
+    STATE = StateParts("push", "stiffness")
 
     def __init__(
         self, robot: RobotParameters, settings: NominalSettings, dt: float
@@ -63,6 +65,8 @@ class NominalRobot:
         self._cycles, self._steps = settings.cycles, settings.steps
         scene = nominal_scene(settings, dt / (settings.cycles * settings.steps))
         self.robot = TabulatedRobot(robot, scene, read_servo())
+        self._table = self.robot.legs.table.copy()
+        self._stiffness = 1.0
         self._angle_max = robot.tendon.angle_max
         self._initial = NominalState(
             self.robot.state.buffer.copy(), np.zeros(len(LEGS))
@@ -79,6 +83,18 @@ class NominalRobot:
     @push.setter
     def push(self, push: Array) -> None:
         self.robot.model.push[:] = push
+
+    @property
+    def stiffness(self) -> float:
+        """Ratio kappa of the legs (`legs/leg_springs.py`)."""
+        return self._stiffness
+
+    @stiffness.setter
+    def stiffness(self, ratio: float) -> None:
+        self._stiffness = ratio
+        for column in map(COLUMNS.index, SCALED):
+            scaled = ratio * self._table[..., column]
+            self.robot.legs.table[..., column] = scaled
 
     def set_wrench(self, wrench: Array, yaw: float) -> None:
         """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""

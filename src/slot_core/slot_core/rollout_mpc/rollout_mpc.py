@@ -146,6 +146,7 @@ class RolloutMpc(Policy):
             return self._fall_back(Status.REJECTED, fault)
         present = self._plan
         state = np.asarray(estimate.state, dtype=float)
+        self._take_stiffness(preview.leg_stiffness)
         ready = self._ready(estimate.time, state, preview)
         plan, rollout, fault = self._improved(ready, state, preview)
         cause = Status.NOT_SOLVED if fault else Status.LATE
@@ -167,6 +168,20 @@ class RolloutMpc(Policy):
         self._next, self._state = None, state
         self._note_disturbances()
         return self._published(self._plan, preview=preview)
+
+    def _take_stiffness(self, ratio: float) -> None:
+        """Let the model have legs of another stiffness, which explain a part of F_z, or all.
+
+        Before and after, legs and wrench carry the weight at the present angles:
+        w - F_z = kappa F, so F_z' = w - (w - F_z) kappa' / kappa.
+        """
+        if ratio != self._model.stiffness:
+            weight, wrench = self._robot.weight, self.observer.wrench.copy()
+            left = weight - wrench[0]
+            left *= ratio / self._model.stiffness
+            wrench[0] = sorted((0.0, wrench[0], weight - left))[1]
+            self.observer.wrench = wrench
+            self._model.stiffness = ratio
 
     def _gait_plan(self, preview: GaitPreview) -> TendonPlan:
         """The gait's angles and forces over as many stages as a plan."""
@@ -254,7 +269,8 @@ class RolloutMpc(Policy):
     def _stiffness_of(self, angle: Array, pose: Array) -> Array:
         """Mean stiffness (4,) of the legs, N/rad, at tendon angles (n, 4) and poses (n, >= 6)."""
         height = self._robot.clamp_heights(*pose[:, [5, 0, 1]].T)
-        return np.asarray(self._springs.at(angle, height).slope.mean(axis=0))
+        found = self._springs.at(angle, height, self._model.stiffness)
+        return np.asarray(found.slope.mean(axis=0))
 
     def _angles(self, plan: _Plan) -> Array:
         """Tendon angles (K + 1, 4) of a plan."""

@@ -15,9 +15,9 @@ commanded one, c, both in its heading frame,
     s = v - min(max(v . e, 0), |c|) e,   e = c / |c|:   what is no progress along the command.
 
 Faster than `slip_max` the robot slides, faster than `slip_hold` than it could walk back, and legs
-that hold stop it. Its progress v . e is slow below `progress_min` |c|, for |c| above `slip_max`;
-after changes between turns and straights it lacks 0.006 m/s. Estimated velocities do not
-jump with the origin of the odometry.
+that hold stop it. Its progress v . e is slow below `progress_min` |c|, if |c| is above `slip_max`;
+so it is for some time at corners and at the foot of a slope. Estimated velocities do not jump with
+the origin of the odometry.
 """
 
 from collections import deque
@@ -85,6 +85,7 @@ class MotionWatch:
         self._velocities.clear()
         # one line on a walk that is not as commanded, of once a second
         self._remark, self._compared = "", 0
+        self._slow = 0  # s, for which the walk has been slow
 
     @property
     def findings(self) -> dict[Condition, str]:
@@ -131,13 +132,13 @@ class MotionWatch:
     def _compare(self, moved: Array, asked: Array) -> None:
         """Compare mean velocities (3,): remark on slip and on slow walks, alarm on much slip."""
         self._remark, limits, speed = "", self._limits, norm(asked[:2])
-        if speed == 0.0 and asked[2] == 0.0:
-            return
         way = asked[:2] / max(speed, 1e-9)
         along = float(np.sum(moved[:2] * way))
         slip = moved[:2] - min(max(along, 0.0), speed) * way
         fast, least = norm(slip), limits.progress_min * speed
-        if fast > limits.slip_max:
+        is_slow = speed > limits.slip_max and along < least
+        self._slow = self._slow + 1 if is_slow else 0
+        if fast > limits.slip_max and asked.any():
             axis = int(abs(slip[1]) > abs(slip[0]))
             most = fast > limits.slip_hold
             limit = limits.slip_hold if most else limits.slip_max
@@ -147,7 +148,7 @@ class MotionWatch:
             )
             if most:
                 self._alarms.setdefault(Condition.SLIDING, self._remark)
-        elif speed > limits.slip_max and along < least:
+        elif self._slow > limits.slow_time:
             self._remark = (
                 f"walks {1e3 * along:z.0f} of {1e3 * speed:.0f} mm/s, least {1e3 * least:.0f}:"
                 " floor, slope, load or legs allow no more"

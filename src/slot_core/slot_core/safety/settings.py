@@ -154,6 +154,12 @@ class TendonLimits:
     stiffness_min: float = quantity(
         "least d torque / d angle to divide by", "N m/rad", 1e-3, 10
     )
+    shared: tuple[float, float] = quantity(
+        "stiffness of all four legs over the table's that counts for none",
+        "",
+        0.1,
+        10.0,
+    )
     share: float = quantity(
         "share of the largest slack for another leg to be named", "", 0, 1
     )
@@ -188,7 +194,10 @@ class MotionLimits:
         "velocity off the commanded one that ends in HOLD", "m/s", 1e-3, 1
     )
     progress_min: float = quantity(
-        "share of a speed above slip_max below which is warned", "", 0, 1
+        "share of a speed above slip_max below which it is slow", "", 0, 1
+    )
+    slow_time: float = quantity(
+        "time of a slow walk that is not warned of", "s", 0, 60
     )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.estimation.estimate import Estimate
+from slot_core.legs.leg_springs import SHOWN, legs_message
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.safety.conditions import Conditions, OptionalNodes
 from slot_core.safety.motion_watch import MotionWatch
@@ -128,6 +129,8 @@ class Supervisor:
         self._tendon_angle = np.full(len(LEGS), np.nan)
         self._height = np.full(len(LEGS), np.nan)  # m, of the clamps
         self._stride = settings.tendon.window_min  # s
+        self._leg_stiffness = 1.0  # of the newest estimate
+        self._modulus = np.nan  # of the legs over the table's, as shown
         self._tendons: TendonReport = watch.state
 
     @property
@@ -190,7 +193,7 @@ class Supervisor:
             )
         else:
             self._motion.pause()
-        state = estimate.state
+        state, self._leg_stiffness = estimate.state, estimate.leg_stiffness
         self._height = np.full(len(LEGS), np.nan)
         if known and np.isfinite(state).all():
             self._height = self._robot.clamp_heights(state[5], *state[:2])
@@ -287,7 +290,13 @@ class Supervisor:
             if c in REASONS_TO_HOLD | REASONS_TO_RELAX | REMARKS
         ]
         warnings += [*self._wrong_clock.values(), *self._companions.warnings]
-        warnings += filter(None, [self._inputs.imu_warning(time)])
+        found = self._tendons.stiffness
+        if not abs(found - self._modulus) <= SHOWN:
+            self._modulus = found
+        legs = legs_message(
+            self._leg_stiffness, self._modulus, self._robot.mass
+        )
+        warnings += filter(None, [self._inputs.imu_warning(time), legs])
         warnings += self._inputs.unwatched()
         for (
             source

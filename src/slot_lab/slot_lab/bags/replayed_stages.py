@@ -431,7 +431,9 @@ def previews(recorded: RecordedStages) -> Replayed:
     def step(scheduler: GaitScheduler, stamp: int) -> Fields:
         estimate = recorded.estimates[stamp]
         scheduler.set_command(recorded.previews[stamp].command)
-        preview = scheduler.step(estimate.time, estimate.state)
+        preview = scheduler.step(
+            estimate.time, estimate.state, estimate.leg_stiffness
+        )
         return {name: getattr(preview, name) for name in PREVIEW}
 
     return _stepped(recorded, "/gait_preview", make, step)
