@@ -20,6 +20,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.arrays import Array
+from slot_core.estimation.estimate import USABLE, Validity
 from slot_core.estimation.filter_kernels import FilterState
 from slot_core.estimation.floor_observer import FloorObserver
 from slot_core.estimation.imu_samples import ImuSamples
@@ -43,10 +44,16 @@ from slot_core.geometry import (
 )
 from slot_core.key_frame import StateParts
 from slot_core.legs.leg_springs import LegSprings, rest_pose
-from slot_core.robot import LEGS, RobotParameters
+from slot_core.matrices import norm
+from slot_core.robot import GRAVITY, LEGS, RobotParameters
 
-# rad/s, m/s^2, standard deviations: more of the biases counts as turn and tilt
-BIASES = {"imu.gyro_bias": 0.005, "imu.acceleration_bias": 0.1}
+CHANGES = {
+    # rad/s, m/s^2, standard deviations: more of the biases counts as turn and tilt
+    "imu.gyro_bias": 0.005,
+    "imu.acceleration_bias": 0.1,
+    "agreement.enabled": False,  # there is nothing to compare the IMU with
+}
+FORCE_ERROR = 3.0  # m/s^2, of the specific force from gravity, beyond which it is named
 # (12,) standard deviations of angle, position, velocity and rate at the start; unknown: VARIANCE_MAX
 START = np.repeat([0.1, 0.02, 0.1, 0.1], 3)
 HEIGHT_ERROR, SPEED, TILT = 0.02, 0.1, 1.0  # m, m/s, rad
@@ -69,7 +76,7 @@ class UnaidedEstimator(StateEstimator):
         springs: LegSprings,
     ) -> None:
         self._robot, self._springs = robot, springs
-        super().__init__(config.replace(settings, BIASES))
+        super().__init__(config.replace(settings, CHANGES))
 
     def _reset(self) -> None:
         super()._reset()
@@ -117,6 +124,17 @@ class UnaidedEstimator(StateEstimator):
             attitude, variance[:2] = level, TILT**2
             variance[RATE] = SPEED**2
         return replace(reading, attitude=attitude, variance=variance)
+
+    def _judged(self, stamp: int) -> tuple[Validity, str]:
+        validity, message = super()._judged(stamp)
+        samples = self._imu.values
+        force = norm(samples[-1, 3:]) if len(samples) else GRAVITY
+        if validity not in USABLE and abs(force - GRAVITY) > FORCE_ERROR:
+            message = (
+                f"imu: specific force {force:.1f} m/s2 of a robot in its place:"
+                " in g, or gravity removed?"
+            )
+        return validity, message
 
 
 def make_estimator(
