@@ -211,7 +211,7 @@ class SensorAgreement:
                 difference = np.concatenate(
                     [motion.velocity - velocity, motion.rate - rate]
                 )
-                is_near = (difference**2 / variance[6:]).sum() < NEAR
+                is_near = (difference * difference / variance[6:]).sum() < NEAR
                 is_given = bool(is_near)
             if not is_given or self._frame == "pose":
                 motion = replace(

@@ -103,6 +103,7 @@ class StateEstimator:
         "_initial",
         "_interval",
         "_imu_complete",
+        "_restarted",
         "_floor",
         values=(FilterState, OdometryMotion, ImuSamples),
     )
@@ -156,6 +157,7 @@ class StateEstimator:
         self._interval = 0.0  # s, mean of the last accepted readings
         # whether the IMU had samples up to the last reading
         self._imu_complete = True
+        self._restarted = False  # whether odometry has started anew
 
     @property
     def gyro_bias(self) -> Array:
@@ -222,7 +224,7 @@ class StateEstimator:
         self._received.append((stamp, *motion))
         newest = self._newest.get("imu", BEFORE_ALL_TIMES)
         starts = self._stamp is None and newest > BEFORE_ALL_TIMES
-        is_lost = self._imu_is_lost(stamp)
+        is_lost = self._imu_is_lost(stamp + self._agreement.shift)
         if (
             starts
             or is_lost
@@ -454,6 +456,7 @@ class StateEstimator:
             old = self._filter.state
             before = self._floor.floor.above(old.attitude, old.position)
             self._floor.start_anew(before, motion.attitude, motion.position)
+        self._restarted = self._stamp is not None
         self._filter.restart(motion)
         self._stamp = self._initial = self._accepted_stamp = motion.stamp
         self._accepted = 0
@@ -544,7 +547,8 @@ class StateEstimator:
             line = f"no usable odom for {age:.2g} s, {limit}"
             return Validity.ODOMETRY_LOST, line
         if self._is_initialising(stamp):
-            return Validity.INITIALISING, ""
+            line = "odom has started anew" if self._restarted else ""
+            return Validity.INITIALISING, line
         if self._floor is not None and not self._floor.is_known:
             line = "the floor is not known before the torso rests on it"
             return Validity.INITIALISING, line
