@@ -101,7 +101,7 @@ ROWS = {
         "torque off",
         {
             "HOLD": after(NO_ODOMETRY),
-            "RELAX": within(TIMING.holds_max + 0.5),
+            "RELAX": after(1.5 * TIMING.holds_max + NO_ODOMETRY),
         },
         ("sim",),
     ),
