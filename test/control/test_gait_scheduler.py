@@ -11,6 +11,7 @@ from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import GaitCommand, read_gaits
 from slot_core.gait.gait_scheduler import SETTLING, GaitScheduler
 from slot_core.gait.route import Route
+from slot_core.legs.leg_springs import stiffness_ratio
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 
@@ -26,18 +27,28 @@ CENTRE = np.radians(WALK.centre_deg)[0]
 class Ideal:
     """A robot that moves exactly as its reference says, after `seconds` of ticks."""
 
-    def __init__(self, gait="stand", velocity=NOTHING, path=None, seconds=0.0):
+    def __init__(
+        self,
+        gait="stand",
+        velocity=NOTHING,
+        path=None,
+        seconds=0.0,
+        leg_stiffness=1.0,
+    ):
         self.scheduler = GaitScheduler(
             GAITS, ROBOT, SPRINGS, gait, velocity, path
         )
         self.now, self.state, self.previews = SECOND, 0.06 * np.eye(12)[5], []
+        self.leg_stiffness = leg_stiffness
         self.run(seconds)
 
     def run(self, seconds):
         """Previews of the ticks of that time."""
         ran = []
         for _ in range(round(seconds * SECOND / TICK)):
-            ran.append(self.scheduler.step(self.now, self.state))
+            ran.append(
+                self.scheduler.step(self.now, self.state, self.leg_stiffness)
+            )
             reference = ran[-1].reference[0]
             v = (
                 reference[[9, 10, 8]]
@@ -409,3 +420,25 @@ def test_the_reference_stays_near_the_robot_and_begins_anew_after_a_jump(place):
     gap = robot.run(0.033)[0].reference[0, [3, 4, 2]] - robot.state[[3, 4, 2]]
     assert np.hypot(*gap[:2]) < GAITS.lead + 0.01  # of the sway
     assert abs(gap[2]) <= GAITS.heading_lead
+
+
+@pytest.mark.parametrize("ratio", [0.65, 0.8, 1.0, 1.5])
+def test_a_posture_on_legs_of_another_stiffness_carries_the_robot_without_a_jerk(
+    ratio,
+):
+    robot = Ideal(leg_stiffness=ratio)
+    last = robot.run(3.0)[-1]
+    assert robot.steps.max() < 0.03  # rad a tick: 1 rad/s
+    pose = last.reference[0][[5, 0, 1]]
+    found = stiffness_ratio(ROBOT, SPRINGS, last.tendon_angle[0], pose)
+    assert found == pytest.approx(ratio, rel=1e-6)
+    assert last.normal_force[0].sum() == pytest.approx(ROBOT.weight)
+
+
+def test_a_walk_on_soft_legs_is_lower_and_slower_and_says_so():
+    last = Ideal("walk", AHEAD, leg_stiffness=0.7).run(5.0)[-1]
+    share = (0.7 - GAITS.soft[0]) / (GAITS.soft[1] - GAITS.soft[0])
+    fastest = share * WALK.forward.speed
+    assert last.velocity_ahead[-1][0] == pytest.approx(fastest, rel=1e-3)
+    assert last.remark.startswith("velocity clipped to 55%: legs carry 0.70")
+    assert last.reference[:, 5].mean() < WALK.height - 0.01

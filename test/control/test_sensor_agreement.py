@@ -177,11 +177,12 @@ def test_a_twist_that_is_not_that_of_base_link_is_mended_or_left(case):
         assert set(validities(estimates[-60:])) == {Validity.VALID}
 
 
+@pytest.mark.parametrize("kind", ["odometry", "imu"])
 @pytest.mark.parametrize("shift", [0.4, -0.4, -0.6])
-def test_a_stray_stamp_is_dropped(shift):
+def test_a_stray_stamp_is_dropped(kind, shift):
     messages = noisy(WALK, 3.0, 5)
-    at = [i for i, m in enumerate(messages) if m[0] == "odometry"][60]
-    stray = stamped("odometry", messages[at : at + 1], shift)
+    at = [i for i, m in enumerate(messages) if m[0] == kind][60]
+    stray = stamped(kind, messages[at : at + 1], shift)
     without = messages[:at] + messages[at + 1 :]
     with_it = messages[:at] + stray + messages[at + 1 :]
     last = [run(each, COMPARED)[0][-10:] for each in (without, with_it)]

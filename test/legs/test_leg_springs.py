@@ -10,6 +10,7 @@ from slot_core.dynamics.scene import level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.leg_springs import (
     COLUMNS,
+    legs_message,
     read_leg_springs,
     rest_pose,
     stiffness_ratio,
@@ -121,3 +122,22 @@ def test_height_and_angles_at_rest_tell_the_stiffness_ratio(
     expected = rest_pose(ROBOT, springs, rods.tendon_angle, ratio)
     assert pose[0] == pytest.approx(expected[0], abs=2.5e-3)
     assert pose[1:] == pytest.approx(expected[1:], abs=np.radians(0.3))
+
+
+@pytest.mark.parametrize(
+    ("ratio", "stiffness", "line"),
+    [
+        (0.95, np.nan, ""),
+        (
+            0.84,
+            np.nan,
+            "legs 16% softer than the table, or 0.4 kg more load",
+        ),
+        (0.84, 1.0, "legs 0% stiffer than the table, 0.4 kg more load"),
+        (1.09 * 1.2, 1.5, "legs 50% stiffer than the table, 0.3 kg more load"),
+    ],
+)
+def test_the_line_on_the_legs_tells_modulus_and_load_apart_where_torque_is_known(
+    ratio, stiffness, line
+):
+    assert legs_message(ratio, stiffness, ROBOT.mass) == line

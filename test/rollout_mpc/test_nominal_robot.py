@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from nominal_walk import ROBOT, SETTINGS, torso_of
 
+from slot_core.control.force_map import read_springs
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.rollout_mpc.nominal_robot import NominalRobot, nominal_scene
@@ -66,3 +67,19 @@ def test_a_rollout_that_diverges_is_nan_and_spoils_no_other(model):
     found = model.roll_out(over, plan)
     assert np.isnan([*found.pose.flat, *found.force.flat]).all()
     np.testing.assert_array_equal(model.roll_out(start, plan).pose, good)
+
+
+@pytest.mark.parametrize("ratio", [0.65, 1.5])
+def test_legs_of_another_stiffness_hold_the_torso_where_the_gait_says(
+    model, ratio
+):
+    """Within 3 mm: the servos sag, and the feet stick."""
+    model.stiffness = ratio
+    height, springs = np.full(4, 0.045), read_springs()
+    angle = springs.angle(np.full(4, ROBOT.weight / 4), height, ratio)
+    start = model.at_rest(0.045 * np.eye(12)[5], angle)
+    pose = model.roll_out(start, np.tile(angle, (1, 61, 1))).pose[0, -1]
+    assert pose[5] == pytest.approx(0.045, abs=3e-3)
+    model.stiffness = 1.0
+    pose = model.roll_out(start, np.tile(angle, (1, 61, 1))).pose[0, -1]
+    assert abs(pose[5] - 0.045) > 8e-3

@@ -64,7 +64,8 @@ LEAST_MOTION, MOTION = 0.002, 0.02
 MOVES = 16.0  # squared turn of odometry over its variance that shows motion
 DISTINCT = 6.0  # standard deviations of a unit that is no noise
 TURNED = 0.087  # rad, least angle of an IMU that counts as turned
-TURN_ERROR = 3.5  # standard deviations of an angle that is no noise
+# standard deviations of an angle that is no noise; rad, so many of them at most
+TURN_ERROR, DOUBT = 5.0, 0.2
 LONG = 0.8  # s of turns from which axes count
 SQUARE_ANGLE = 0.15  # deviation of elements of a turn by multiples of 90 deg
 APART = 50.0  # between sums of twist of which one is right
@@ -140,7 +141,7 @@ class SensorAgreement:
 
     @property
     def forbids_motion(self) -> bool:
-        """Whether the robot must not move; it may where only the IMU does not serve."""
+        """Whether the robot must not move; it may where the IMU alone does not serve."""
         return bool(self._faults.keys() - {"turns"})
 
     @property
@@ -180,7 +181,7 @@ class SensorAgreement:
             )
         elif not self._ahead:
             self._faults.pop("stamps", None)
-        return 0 < self._ahead < STRAYS
+        return 0 < self._ahead < STRAYS or bool(self._ahead and self._last)
 
     def compared(
         self, motion: OdometryMotion, is_given: bool, newest: int
@@ -206,11 +207,13 @@ class SensorAgreement:
             self._compare(last, motion, turn, is_given)
         if not is_given or self._frame in {"", "pose"}:
             velocity, rate, variance = self._twist_of_pose(motion, last, turn)
-            difference = np.concatenate(
-                [motion.velocity - velocity, motion.rate - rate]
-            )
-            is_near = np.square(difference / np.sqrt(variance[6:])).sum() < NEAR
-            if not is_given or self._frame == "pose" or not is_near:
+            if is_given and not self._frame:
+                difference = np.concatenate(
+                    [motion.velocity - velocity, motion.rate - rate]
+                )
+                is_near = (difference**2 / variance[6:]).sum() < NEAR
+                is_given = bool(is_near)
+            if not is_given or self._frame == "pose":
                 motion = replace(
                     motion, velocity=velocity, rate=rate, variance=variance
                 )
@@ -374,16 +377,20 @@ class SensorAgreement:
         ):
             align(work.table[best, 3:], np.sqrt(each * gyro[best]), work)
             noise = TURN_ERROR * TURN_ERROR * each / gyro[best]
-            # angle^2 of a small turn
-            if 3.0 - work.rotation.trace() < max((TURNED * TURNED), noise):
+            angle = 3.0 - work.rotation.trace()  # squared, of a small turn
+            straight = noise < DOUBT * DOUBT and angle < max(
+                TURNED * TURNED, noise
+            )
+            limit = self._settings.shift_max * SECOND
+            if straight or abs(SHIFTS[best]) > limit:
                 half = 0.5 * STEP * (before - after) / bend
                 error = STEP * float(np.sqrt(2.0 * each / bend))
                 self._take_shift(int(SHIFTS[best]) + round(half), error)
                 return
         square = float(self._sums.pairs[best, SQUARE])
         rate = float(np.sqrt(square / count)) / self._interval
-        more = square > 3.0 * total[3] and rate > self._settings.rate_still
-        if more and not self._proven:
+        turns = square > 3.0 * total[3] and rate > self._settings.rate_still
+        if turns and not self._proven:
             self._notes["rest"] = (
                 f"imu: turns at {rate:.2g} rad/s where odometry is at rest:"
                 " not used until motion tells more; is it in deg/s?"
@@ -396,6 +403,9 @@ class SensorAgreement:
     def _take_shift(self, shift: int, error: float) -> None:
         """Follow a shift of the stamps, as certain as `error`, ns, or find it beyond the limit."""
         found, limit = to_seconds(shift), self._settings.shift_max
+        follows = abs(shift - self.shift) > FOLLOWED + 1.5 * error
+        self.shift = shift if follows else self.shift
+        self._notes.pop("rest", None)
         if abs(found) > limit:
             self._faults["turns"] = (
                 f"imu: stamps {5 * round(200 * found):+d} ms against odometry's, limit"
@@ -403,10 +413,9 @@ class SensorAgreement:
             )
             return
         self._faults.pop("turns", None)
+        self._faults.pop("clock", None)
         self._proven = True
-        self._notes.pop("rest", None)
-        if abs(shift - self.shift) > FOLLOWED + 1.5 * error:
-            self.shift = shift
+        if follows:
             self._notes["shift"] = (
                 f"imu: stamps {1e3 * found:+.0f} ms against odometry's:"
                 " compensated"
@@ -446,7 +455,10 @@ class SensorAgreement:
         elif is_long:
             self._proven = False
             ratio = np.sqrt(max(gyro, 0.0) / turned)
-            self._faults["turns"] = _mismatch(ratio)
+            alike = 0.8 < ratio < 1.25
+            kinds = ("clock", "turns") if alike else ("turns", "clock")
+            self._faults[kinds[0]] = _mismatch(ratio)
+            self._faults.pop(kinds[1], None)
             return
         else:
             return
@@ -470,7 +482,7 @@ def _mismatch(ratio: float) -> str:
         return (
             "imu: turns as much as odometry, but at no shift of its stamps from"
             f" {SHIFTS[0] // MILLISECOND} to {SHIFTS[-1] // MILLISECOND} ms with"
-            " it: it is not used; do their clocks differ?"
+            " it: do their clocks differ?"
         )
     return (
         f"imu: turns {ratio:.1g} times as much as odometry, not with it: it is"
@@ -502,7 +514,7 @@ def _squared(rotation: Array) -> Array:
     """A rotation (3, 3), by multiples of 90 deg if it is close to one."""
     near = np.round(rotation) + 0.0
     is_close = np.abs(rotation - near).max() < SQUARE_ANGLE
-    return near if is_close else rotation
+    return near if is_close and near.trace() < 3.0 else rotation
 
 
 def _shortest_turn(a: Array, b: Array) -> Array:

@@ -135,7 +135,7 @@ class StateEstimator:
         self._agreement = SensorAgreement(self._settings, mount)
         self._newest: dict[str, int] = {}
         self._begun = 0  # ns, stamp of the first message
-        # by stream: stamps in a row that are far behind the newest
+        # by stream: stamps in a row that are far from the newest
         self._behind: dict[str, int] = {}
         self._imu = ImuSamples.none()
         # readings that wait for the tick, as they came
@@ -345,17 +345,22 @@ class StateEstimator:
     def _advances(self, stream: str, stamp: int) -> bool:
         """Whether `stamp` is the newest of its stream; a clock set back resets the estimator.
 
-        A single stamp far behind is a stray one.
+        A single stamp far behind, or of the IMU far ahead, is a stray one: the ticks follow it.
         """
-        newest = self._newest.get(stream, BEFORE_ALL_TIMES)
-        if newest - stamp > self._settings.timing.clock_jump * SECOND:
+        newest, timing = (
+            self._newest.get(stream, stamp - 1),
+            self._settings.timing,
+        )
+        behind = newest - stamp > timing.clock_jump * SECOND
+        lost = stamp - newest > timing.imu_lost * SECOND
+        if behind or (lost and stream == "imu"):
             self._behind[stream] = self._behind.get(stream, 0) + 1
-            if self._behind[stream] < STRAYS:
+            if self._behind[stream] < (STRAYS if behind else 2):
                 return False
-            self._reset()
-            newest = BEFORE_ALL_TIMES
         self._behind[stream] = 0
-        if stamp <= newest:
+        if behind:
+            self._reset()
+        elif stamp <= newest:
             return False
         if not self._newest:
             self._begun = stamp
@@ -538,8 +543,8 @@ class StateEstimator:
                 return Validity.ODOMETRY_REJECTED, line
             line = f"no usable odom for {age:.2g} s, {limit}"
             return Validity.ODOMETRY_LOST, line
-        if self._is_initialising(stamp) or agreement.forbids_motion:
-            return Validity.INITIALISING, agreement.message
+        if self._is_initialising(stamp):
+            return Validity.INITIALISING, ""
         if self._floor is not None and not self._floor.is_known:
             line = "the floor is not known before the torso rests on it"
             return Validity.INITIALISING, line
@@ -572,6 +577,8 @@ class StateEstimator:
         self._filter.rate = rate
         lead = self._reached + to_ns(delay) - stamp
         validity, message = self._judged(stamp)
+        if self._agreement.forbids_motion:
+            validity, message = Validity.INITIALISING, self._agreement.message
         ratio, known = 1.0, True
         if self._floor is not None:
             ratio, known = self._floor.ratio, self._floor.legs_are_known

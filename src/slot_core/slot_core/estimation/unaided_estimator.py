@@ -53,7 +53,9 @@ CHANGES = {
     "imu.acceleration_bias": 0.1,
     "agreement.enabled": False,  # there is nothing to compare the IMU with
 }
-FORCE_ERROR = 3.0  # m/s^2, of the specific force from gravity, beyond which it is named
+FORCE_ERROR = (
+    3.0  # m/s^2, of the specific force from gravity, beyond which it is named
+)
 # (12,) standard deviations of angle, position, velocity and rate at the start; unknown: VARIANCE_MAX
 START = np.repeat([0.1, 0.02, 0.1, 0.1], 3)
 HEIGHT_ERROR, SPEED, TILT = 0.02, 0.1, 1.0  # m, m/s, rad

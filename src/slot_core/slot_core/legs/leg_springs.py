@@ -75,8 +75,9 @@ class LegSprings:
         """
         angles, force = self._table.angle, checked("forces", force, (-1,))
         height = checked("heights", height, force.shape)
-        grid = np.broadcast_arrays(angles, height[:, None])
-        rising = np.maximum.accumulate(self.at(*grid, ratio).force, axis=1)
+        turned, high = np.broadcast_arrays(angles, height[:, None])
+        found = self.at(turned, high, ratio).force
+        rising = np.maximum.accumulate(found, axis=1)
         return np.array(
             [interpolated(f, row, angles) for f, row in zip(force, rising)]
         )

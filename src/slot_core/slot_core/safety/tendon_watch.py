@@ -66,9 +66,7 @@ class TendonReport:
     slack: Array  # (4,) m, NaN before the first stride
     damaged: NDArray[np.bool_]  # (4,) since the last reset
     message: str  # one line that names the damaged legs, or ""
-    stiffness: (
-        float  # e of all legs over the table's, NaN before the first stride
-    )
+    stiffness: float  # e of all four legs, NaN before the first stride
 
 
 class TendonWatch:
@@ -144,9 +142,8 @@ class TendonWatch:
         """Compute the slack from the means; sum its excess over `elapsed` (s), set the alarms."""
         expected, torque, slope = self._window.rows().mean(axis=0)
         shares = torque / np.maximum(expected, TORQUE_MIN)
-        self._stiffness = float(
-            np.clip(np.median(shares), *self._limits.shared)
-        )
+        common = np.clip(np.median(shares), *self._limits.shared)
+        self._stiffness = float(common)
         slope = np.maximum(self._stiffness * slope, self._limits.stiffness_min)
         self._slack = (
             self._radius * (self._stiffness * expected - torque) / slope
