@@ -97,10 +97,11 @@ class FaultyLoop(SupervisedLoop):
         )
 
     def spoil_odometry_again_and_again(self):
-        """For half a second in every second."""
+        """For a second, with half a second in between."""
+        begin = self.plant.now
 
         def spoilt(odometry):
-            bad = odometry.stamp % SECOND < SECOND // 2
+            bad = (odometry.stamp - begin) % (1.5 * SECOND) < SECOND
             change = {"position": np.full(3, np.nan)} if bad else {}
             return dataclasses.replace(odometry, **change)
 
@@ -118,13 +119,26 @@ class FaultyLoop(SupervisedLoop):
         self.plant.command = lambda *_: None
 
     def tilt(self, axis):
-        turn = Rotation.from_euler(axis, 0.75)
+        """Let both sensors turn by 0.75 rad at 3 rad/s, as a robot that tips over."""
+        unit = np.eye(3)["xyz".index(axis)]
+        begin = self.plant.now
 
-        def tilted(odometry):
-            after = Rotation.from_quat(odometry.quaternion) * turn
-            return dataclasses.replace(odometry, quaternion=after.as_quat())
+        def tilted(reading):
+            angle = 3.0 * (reading.stamp - begin) / SECOND
+            turn = Rotation.from_rotvec(np.clip(angle, 0.0, 0.75) * unit)
+            vectors = {
+                name: turn.inv().apply(getattr(reading, name))
+                for name in ("velocity", "angular_velocity", "specific_force")
+                if hasattr(reading, name)
+            }
+            if 0.0 < angle < 0.75:
+                vectors["angular_velocity"] += 3.0 * unit
+            if hasattr(reading, "quaternion"):
+                after = Rotation.from_quat(reading.quaternion) * turn
+                vectors["quaternion"] = after.as_quat()
+            return dataclasses.replace(reading, **vectors)
 
-        self.change_odometry = tilted
+        self.change_odometry = self.change_imu = tilted
 
     def spoil_problem(self):
         step = self.loop.controller.scheduler.step

@@ -113,8 +113,14 @@ class OdometrySensor:
         return self._drift + np.sum(jumps, axis=0) if jumps else self._drift
 
 
+GYRO_RANGE, FORCE_RANGE = 34.9, 156.9  # rad/s, 2000 deg/s; m/s^2, 16 g
+
+
 class ImuSensor:
-    """Gyroscope and accelerometer at the torso's centre; the gyroscope's bias is drawn once."""
+    """Gyroscope and accelerometer at the torso's centre; the gyroscope's bias is drawn once.
+
+    Both saturate: a sample comes at every period, also of a robot that falls.
+    """
 
     def __init__(self, settings: ImuSettings, rng: np.random.Generator):
         self._settings, self._rng = settings, rng
@@ -123,13 +129,18 @@ class ImuSensor:
     def sample(self, sim: SimulatedRobot, stamp: int) -> ImuReading:
         """Reading at `stamp` (ns)."""
         rate_noise, force_noise = normal(self._rng, (2, 3))
-        return ImuReading(
-            stamp,
+        rate = (
             sim.angular_velocity
             + self.bias
-            + self._settings.rate_noise * rate_noise,
-            sim.specific_force
-            + self._settings.acceleration_noise * force_noise,
+            + self._settings.rate_noise * rate_noise
+        )
+        force = (
+            sim.specific_force + self._settings.acceleration_noise * force_noise
+        )
+        return ImuReading(
+            stamp,
+            np.clip(rate, -GYRO_RANGE, GYRO_RANGE),
+            np.clip(force, -FORCE_RANGE, FORCE_RANGE),
         )
 
 
