@@ -114,17 +114,20 @@ class UnaidedEstimator(StateEstimator):
         yaw = rpy_of(matrix_of_quaternion(state.attitude))[2]
         level = quaternion_of(matrix_of_rpy([roll, pitch, yaw]))
         place = np.array([*state.position[:2], height])
-        variance = START**2
+        variance = np.square(START)
         variance[PLACE] = VARIANCE_MAX
         reading = OdometryMotion(stamp, level, place, zero, zero, variance)
         if self._stamp is None:
             return reading
         variance = np.full(12, VARIANCE_MAX)
-        variance[HEIGHT], variance[VELOCITY] = HEIGHT_ERROR**2, SPEED**2
+        variance[HEIGHT], variance[VELOCITY] = (
+            np.square(HEIGHT_ERROR),
+            np.square(SPEED),
+        )
         attitude = state.attitude
         if not with_imu:
-            attitude, variance[:2] = level, TILT**2
-            variance[RATE] = SPEED**2
+            attitude, variance[:2] = level, np.square(TILT)
+            variance[RATE] = np.square(SPEED)
         return replace(reading, attitude=attitude, variance=variance)
 
     def _judged(self, stamp: int) -> tuple[Validity, str]:
