@@ -73,7 +73,7 @@ CASES = {
     "turn": Case(  # with a stride that is whole, after the blend
         2.5,
         velocity=(0.0, 0.11),
-        lacks=("/ground_truth/odom", "/joint_states", "/servo_health"),
+        lacks=("/ground_truth/odom", "/servo_health"),
     ),
     "path": Case(1.82, ("--path", str(BAGS / "path.csv"))),
     "fault": Case(2.08, scene=BROKEN),
