@@ -37,7 +37,6 @@ from slot_core.matrices import inverse, norm, product
 from slot_core.robot import GRAVITY, LEGS, RobotParameters
 from slot_core.rollout_mpc.disturbance_observer import (
     PLACE,
-    TILTS,
     DisturbanceObserver,
 )
 from slot_core.rollout_mpc.nominal_robot import (
@@ -50,9 +49,6 @@ from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
 
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
-# of the torso's miss in height (m), roll and pitch (rad) that a posture makes up for, per tick, and
-# misses that stay: feet that stick and creep make a faster correction hunt
-POSTURE_GAIN, POSTURE_MISS = 0.01, np.array([7e-4, 4e-3, 4e-3])
 # m, rad beyond the nominal robot's motion: the odometry has jumped
 JUMP, TURN = 0.05, 0.2
 
@@ -313,11 +309,6 @@ class RolloutMpc(Policy):
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
         wanted = problem.reference(rows, place, observer.drift, plan.sag)
-        if not preview.velocity_ahead.any():
-            held = self._held(plan, (wanted[0] - state[:6])[TILTS])
-            motion = self._model.roll_out(held.start, self._angles(held)[None])
-            finite = np.isfinite(motion.pose).all()
-            return held, motion, "" if finite else "the rollout diverges"
         if observer.model_mismatch:
             plan = replace(
                 plan, deviation=self._settings.limits.decay * plan.deviation
@@ -342,19 +333,6 @@ class RolloutMpc(Policy):
             if problem.cost(error, tried.deviation) < least:
                 return tried, after, ""
         return plan, before, ""
-
-    def _held(self, plan: _Plan, miss: Array) -> _Plan:
-        """The plan of a posture, whose constant deviation makes up for the miss (3,).
-
-        miss: of height (m), roll and pitch (rad). Where feet stick the slopes of a rollout lead
-        astray, and a plan sinks by 10 mm.
-        """
-        beyond = miss - np.clip(miss, -POSTURE_MISS, POSTURE_MISS)
-        wrench = np.array(self._settings.observer.stiffness) * beyond
-        change = POSTURE_GAIN * product(self._shares, wrench) / self._stiffness
-        most = self._settings.limits.deviation
-        flat = np.clip(plan.deviation[0] + change, -most, most)
-        return replace(plan, deviation=np.tile(flat, (len(plan.deviation), 1)))
 
     def _fall_back(self, cause: Status, fault: str) -> TendonPlan:
         """The last plan a stage later, with smaller deviations; nothing without one or too late."""
