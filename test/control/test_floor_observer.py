@@ -95,7 +95,7 @@ ORIGINS = [
 
 
 @pytest.mark.parametrize(("height", "tilt"), ORIGINS)
-@pytest.mark.parametrize("ratio", [0.5, 1.0, 1.6])
+@pytest.mark.parametrize("ratio", [0.65, 1.0, 1.6])
 def test_a_robot_that_stands_up_from_lying_knows_the_floor_and_its_legs(
     height, tilt, ratio
 ):

@@ -52,6 +52,7 @@ from slot_core.robot import LEGS, RobotParameters
 
 UP = np.array([0.0, 0.0, 1.0])
 FOLLOWED = 3  # ticks between two corrections of the floor
+SOFT = 0.9  # of the table's torque: legs softer than that error
 JOINTS_LATE = 0.1  # s, age of tendon angles that are not used
 
 
@@ -314,7 +315,8 @@ class FloorObserver:
                 self._locate(rest)
             return
         seen = self._lain.above(rest.attitude, rest.position)
-        self._note(stiffness_ratio(self._robot, self._springs, angle, seen))
+        ratio = stiffness_ratio(self._robot, self._springs, angle, seen)
+        self._note(ratio, seen, rest)
         # of a torso that still lies it is an upper bound
         if seen[0] > self._lowest + self._settings.clearance:
             self._lain = None
@@ -326,7 +328,7 @@ class FloorObserver:
         seen = self.floor.above(rest.attitude, rest.position)
         ratio = stiffness_ratio(self._robot, self._springs, angle, seen)
         if self._is_at_zero(ratio, seen, rest):
-            self._note(ratio)
+            self._note(ratio, seen, rest)
             return
         nominal = rest_pose(self._robot, self._springs, angle)
         self.floor = self._near(
@@ -342,15 +344,16 @@ class FloorObserver:
         compared, with `origin_cost` for an origin elsewhere.
         """
         s, angle = self._settings, rest.joints[0]
-        in_range = s.ratio_min <= ratio <= s.ratio_max
-        if not in_range or seen[0] < self._lowest - s.offset_min:
+        if not np.isfinite(ratio) or seen[0] < self._lowest - s.offset_min:
             return False
         held = rest_pose(self._robot, self._springs, angle, ratio)
         if np.abs(seen - held)[1:].max() > s.tilt_error:
             return False
+        if seen[0] < self._lowest + s.clearance:  # it lies
+            return True
         modulus = self._torque_ratio(seen, rest)
         if modulus <= 0.0:  # not known
-            return True
+            return s.ratio_min <= ratio <= s.ratio_max
         nominal = rest_pose(self._robot, self._springs, angle)
         cost = _cost(modulus, s.modulus_error)
         cost += _cost(modulus / ratio, s.load_error)
@@ -365,8 +368,15 @@ class FloorObserver:
         expected = tension * self._robot.tendon.spool_radius
         return float(torque.sum() / max(expected, 1e-6))
 
-    def _note(self, ratio: float) -> None:
-        """Note a ratio; one near 1 is 1."""
+    def _note(self, ratio: float, seen: Array, rest: _Rest) -> None:
+        """Note a ratio at a pose (3,) above the floor; one near 1 is 1.
+
+        Of a torso that still lies it is an upper bound, which helps legs that the torques say are
+        soft; servos that hold nominal legs higher under a heavy load would overload.
+        """
+        lies = seen[0] < self._lowest + self._settings.clearance
+        if lies and not 0.0 < self._torque_ratio(seen, rest) < SOFT:
+            return
         found = self._bounded(ratio)
         is_one = abs(found - 1.0) < self._settings.ratio_change
         self.ratio = 1.0 if is_one else found
