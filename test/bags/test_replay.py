@@ -144,6 +144,15 @@ def test_readings_that_the_node_refuses_are_left_out(tmp_path):
     assert states.first is None
 
 
+@pytest.mark.parametrize("topic", SENSORS)
+def test_the_estimator_is_left_out_if_the_bag_lacks_a_sensor_that_it_has_taken(
+    tmp_path, topic
+):
+    held = [name for name in (*STATES, "/gait_preview") if name != topic]
+    (states, *_) = replay.check_bag(Bag(part(tmp_path / "bag", *held)), 0.0)
+    assert states.why == f"the bag holds no {topic}"
+
+
 @pytest.mark.parametrize("delay", [-12_000_000, 12_000_000])
 @pytest.mark.parametrize("topic", ["/odom", "/joint_states"])
 def test_the_order_in_which_readings_were_recorded_changes_nothing(

@@ -10,13 +10,16 @@ from std_msgs.msg import String
 from synthetic_walk import TYPES
 from test_replay import WALK
 
+from slot_core import config
 from slot_core.clock import to_seconds
 from slot_core.control.force_map import read_springs
+from slot_core.estimation.inertial_filter import NO_ODOMETRY
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.estimation.unaided_estimator import make_estimator
 from slot_core.key_frame import capture
 from slot_core.messages import decode
 from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import read_robot
 from slot_lab.bags import check_bag as replay
@@ -34,16 +37,20 @@ EVERY = 12  # records from a key frame to the next
 class Recording:
     """A state estimator that takes readings in an order of its own, and what is recorded of it."""
 
-    def __init__(self, seed, state=False):
-        """Take the walk's readings, each after a latency; state: whether there are key frames."""
+    def __init__(self, seed, state=False, topics=SENSORS, source="topic"):
+        """Take the walk's readings, each after a latency; state: whether there are key frames.
+
+        source: of the odometry.
+        """
         rng = np.random.default_rng(seed)
-        estimator = make_estimator(
-            read_estimator(), read_robot(), read_springs()
-        )
+        settings = read_estimator()
+        settings = config.replace(settings, {"odometry.source": source})
+        estimator = make_estimator(settings, read_robot(), read_springs())
+        self.origin = Origin({"odometry": source})
         self.entries, self.number, self.taken, self.stamp = [], 0, [], 0
         self._record(0, "")
         source = Bag(WALK)
-        readings = list(source.merged(*SENSORS))
+        readings = list(source.merged(*topics))
         stamps = [decode.stamp(message) for *_, message in readings]
         late = stamps + rng.integers(0, LATENCY, len(stamps))
         for k in np.argsort(late):
@@ -79,7 +86,7 @@ class Recording:
 
     def bag(self, path, keep=lambda k, entry: True):
         """The bag of the entries to keep, in the order of their times."""
-        with BagWriter(path, read_record_settings()) as bag:
+        with BagWriter(path, read_record_settings(), self.origin) as bag:
             ordered = sorted(self.entries, key=lambda entry: entry[0])
             for k, (time, topic, kind, data) in enumerate(ordered):
                 if keep(k, (time, topic)):
@@ -106,6 +113,13 @@ def test_the_order_in_which_the_estimator_took_its_readings_is_replayed(
     )
     with pytest.raises(replay.BagError, match="no record of state_estimator"):
         states(without)
+
+
+def test_the_estimator_without_odometry_is_replayed_without_it(tmp_path):
+    recording = Recording(0, topics=SENSORS[1:], source=NO_ODOMETRY)
+    found = states(recording.bag(tmp_path / "bag"))
+    assert found.compared > 40
+    assert found.largest == 0.0
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.6])
