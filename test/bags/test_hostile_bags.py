@@ -211,6 +211,10 @@ BAGS = {
         "topic": "/joint_states",
         "changes": [("name", [ESCAPE] * 4)],
     },
+    "records of no sensor": {
+        "topic": "/stage_record",
+        "changes": [("taken", np.full(1, 9, np.uint8))],
+    },
     "equal stamps": {"topic": "/odom", "changes": [("header.stamp.sec", 1)]},
 }
 """Arguments of `write_part` that make a bag of each kind."""

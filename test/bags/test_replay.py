@@ -16,12 +16,13 @@ from slot_lab.bags import check_bag as replay
 from slot_lab.bags import replay_command
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.replayed_stages import RECORDS
+from slot_lab.bags.topics import SENSORS
 
 HERE = Path(__file__).parent
 BAGS = ["walk", "turn", "path", "fault", "lost_odometry"]
 WALK = HERE / "walk"
 SIZE_MAX = 700_000  # bytes of a bag in the repository
-STATES = ["/odom", "/imu", "/mpc_state", RECORDS]  # what the first stage needs
+STATES = [*SENSORS, "/mpc_state", RECORDS]  # what the first stage needs
 TOPICS = [
     "/mpc_state",
     "/gait_preview",
@@ -89,14 +90,14 @@ def test_the_first_difference_is_reported(own_config, capsys):
     set_values(own_config, {"rollout_mpc": {"cost.height": 3e-3}})
     assert replay_command.main([str(WALK)]) == 1
     line = capsys.readouterr().out.strip().splitlines()[-1]
-    assert line.startswith("first difference: /tendon_plan at 1.0")
+    assert line.startswith("first difference: /tendon_plan at 1.")
     assert " s: angle[" in line
 
 
-def part(path, *topics, name="walk", share=0.0, delay=0, origin=None):
+def part(path, *topics, name="walk", share=0.0, delays=(), origin=None):
     """Copy of topics of a bag; of one after a share of its states, without records of the stages.
 
-    delay: of the odometry, ns; origin: default the bag's.
+    delays: ns, by topic; origin: default the bag's.
     """
     source = Bag(HERE / name)
     times = [time for time, _ in source.messages("/mpc_state")]
@@ -105,7 +106,7 @@ def part(path, *topics, name="walk", share=0.0, delay=0, origin=None):
     with BagWriter(path, read_record_settings(), origin) as bag:
         for topic, time, data in source.raw(*topics):
             if time >= begin and not (share and topic == RECORDS):
-                late = delay if topic == "/odom" else 0
+                late = dict(delays).get(topic, 0)
                 bag.write(topic, source.topics[topic], time + late, data)
     return path
 
@@ -123,30 +124,42 @@ def test_stages_that_a_bag_does_not_hold_are_left_out_by_name(tmp_path, capsys):
 
 
 def test_readings_that_the_node_refuses_are_left_out(tmp_path):
-    """An IMU that says it has no rate (REP 145), odometry of another frame."""
+    """An IMU without a rate (REP 145), odometry of another frame, joints without names."""
     source, path = Bag(WALK), tmp_path / "bag"
     with BagWriter(path, read_record_settings()) as bag:
         for topic, time, data in source.raw(*STATES):
             kind = source.topics[topic]
-            bag.write(topic, kind, time, data)
             message = TYPES.deserialize_cdr(data, kind)
             if topic == "/imu":
                 message.angular_velocity_covariance = np.full(9, -1.0)
             if topic == "/odom":
                 message.child_frame_id = "camera_link"
-            if topic in ("/odom", "/imu"):
+            if topic == "/joint_states":
+                message.name = []
+            if topic in SENSORS:
                 bag.write(topic, kind, time, TYPES.serialize_cdr(message, kind))
+            bag.write(topic, kind, time, data)
     (states, *_) = replay.check_bag(Bag(path), replay_command.TOLERANCE)
     assert states.compared > 40
     assert states.first is None
 
 
-@pytest.mark.parametrize("delay", [-12_000_000, 12_000_000])
-def test_the_order_in_which_odometry_and_imu_were_recorded_changes_nothing(
-    tmp_path, delay
+@pytest.mark.parametrize("topic", SENSORS)
+def test_the_estimator_is_left_out_if_the_bag_lacks_a_sensor_that_it_has_taken(
+    tmp_path, topic
 ):
-    """The recorder receives odometry 12 ms before or after the estimator did."""
-    path = part(tmp_path / "bag", *STATES, delay=delay)
+    held = [name for name in (*STATES, "/gait_preview") if name != topic]
+    (states, *_) = replay.check_bag(Bag(part(tmp_path / "bag", *held)), 0.0)
+    assert states.why == f"the bag holds no {topic}"
+
+
+@pytest.mark.parametrize("delay", [-12_000_000, 12_000_000])
+@pytest.mark.parametrize("topic", ["/odom", "/joint_states"])
+def test_the_order_in_which_readings_were_recorded_changes_nothing(
+    tmp_path, topic, delay
+):
+    """The recorder receives a sensor 12 ms before or after the estimator did: its records count."""
+    path = part(tmp_path / "bag", *STATES, delays={topic: delay})
     (states, *_) = replay.check_bag(Bag(path), replay_command.TOLERANCE)
     assert states.compared == Bag(WALK).counts["/mpc_state"]
     assert states.first is None

@@ -10,15 +10,23 @@ from std_msgs.msg import String
 from synthetic_walk import TYPES
 from test_replay import WALK
 
+from slot_core import config
 from slot_core.clock import to_seconds
-from slot_core.estimation.state_estimator import StateEstimator, read_estimator
+from slot_core.control.force_map import read_springs
+from slot_core.estimation.inertial_filter import NO_ODOMETRY
+from slot_core.estimation.state_estimator import read_estimator
+from slot_core.estimation.unaided_estimator import make_estimator
 from slot_core.key_frame import capture
 from slot_core.messages import decode
 from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings
+from slot_core.robot import read_robot
 from slot_lab.bags import check_bag as replay
 from slot_lab.bags import replay_command
 from slot_lab.bags.bag import Bag
+from slot_lab.bags.replayed_stages import READERS, TAKERS
+from slot_lab.bags.topics import SENSORS
 from slot_msgs.msg import StageRecord
 from slot_nodes import messages
 
@@ -29,30 +37,30 @@ EVERY = 12  # records from a key frame to the next
 class Recording:
     """A state estimator that takes readings in an order of its own, and what is recorded of it."""
 
-    def __init__(self, seed, state=False):
-        """Take the walk's readings, each after a latency; state: whether there are key frames."""
-        rng, estimator = (
-            np.random.default_rng(seed),
-            StateEstimator(read_estimator()),
-        )
+    def __init__(self, seed, state=False, topics=SENSORS, source="topic"):
+        """Take the walk's readings, each after a latency; state: whether there are key frames.
+
+        source: of the odometry.
+        """
+        rng = np.random.default_rng(seed)
+        settings = read_estimator()
+        settings = config.replace(settings, {"odometry.source": source})
+        estimator = make_estimator(settings, read_robot(), read_springs())
+        self.origin = Origin({"odometry": source})
         self.entries, self.number, self.taken, self.stamp = [], 0, [], 0
         self._record(0, "")
         source = Bag(WALK)
-        readings = list(source.merged("/odom", "/imu"))
-        late = [time + int(rng.integers(0, LATENCY)) for _, time, _ in readings]
+        readings = list(source.merged(*topics))
+        stamps = [decode.stamp(message) for *_, message in readings]
+        late = stamps + rng.integers(0, LATENCY, len(stamps))
         for k in np.argsort(late):
-            topic, time, message = readings[k]
-            kind, now = source.topics[topic], late[k]
+            topic, _, message = readings[k]
+            kind, now = source.topics[topic], int(late[k])
             self.entries.append(
-                (time, topic, kind, TYPES.serialize_cdr(message, kind))
+                (stamps[k], topic, kind, TYPES.serialize_cdr(message, kind))
             )
-            self.taken.append(
-                (("/odom", "/imu").index(topic), decode.stamp(message))
-            )
-            if topic == "/odom":
-                estimator.add_odometry(*decode.torso_odometry(message))
-            else:
-                estimator.add_imu(*decode.imu(message))
+            self.taken.append((SENSORS.index(topic), stamps[k]))
+            getattr(estimator, TAKERS[topic])(*READERS[topic](message))
             while (estimate := estimator.poll()) is not None:
                 self.stamp = estimate.stamp
                 self.write(now, "/mpc_state", messages.state_to_msg(estimate))
@@ -78,7 +86,7 @@ class Recording:
 
     def bag(self, path, keep=lambda k, entry: True):
         """The bag of the entries to keep, in the order of their times."""
-        with BagWriter(path, read_record_settings()) as bag:
+        with BagWriter(path, read_record_settings(), self.origin) as bag:
             ordered = sorted(self.entries, key=lambda entry: entry[0])
             for k, (time, topic, kind, data) in enumerate(ordered):
                 if keep(k, (time, topic)):
@@ -98,13 +106,20 @@ def test_the_order_in_which_the_estimator_took_its_readings_is_replayed(
     recording = Recording(seed)
     path = recording.bag(tmp_path / "bag")
     found = states(path)
-    assert found.compared == Bag(path).counts["/mpc_state"] > 30
+    assert found.compared == Bag(path).counts["/mpc_state"] > 40
     assert found.largest == 0.0
     without = recording.bag(
         tmp_path / "old", lambda _, e: e[1] != "/stage_record"
     )
     with pytest.raises(replay.BagError, match="no record of state_estimator"):
         states(without)
+
+
+def test_the_estimator_without_odometry_is_replayed_without_it(tmp_path):
+    recording = Recording(0, topics=SENSORS[1:], source=NO_ODOMETRY)
+    found = states(recording.bag(tmp_path / "bag"))
+    assert found.compared > 40
+    assert found.largest == 0.0
 
 
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.6])
@@ -125,7 +140,7 @@ def test_a_bag_begun_in_mid_run_is_compared_from_its_first_key_frame_on(
         states(bare.bag(tmp_path / "bare", lambda _, entry: entry[0] >= begin))
 
 
-@pytest.mark.parametrize("topic", ["/imu", "/stage_record"])
+@pytest.mark.parametrize("topic", [*SENSORS, "/stage_record"])
 def test_after_a_lost_message_the_replay_goes_on_at_the_next_key_frame(
     tmp_path, topic
 ):
@@ -138,9 +153,10 @@ def test_after_a_lost_message_the_replay_goes_on_at_the_next_key_frame(
     assert found.largest == 0.0
     assert 0 < found.gaps <= 2 * EVERY
     assert found.compared + found.gaps == Bag(path).counts["/mpc_state"]
-    if topic == "/imu":
+    if topic in SENSORS:
         assert re.search(
-            r"; \d+ are not: /imu at \d+\.\d+ s is not in the bag", str(found)
+            rf"; \d+ are not: {topic} at \d+\.\d+ s is not in the bag",
+            str(found),
         )
 
 
@@ -154,7 +170,7 @@ def test_the_output_of_a_node_of_a_users_own_is_left_out_and_its_node_named(
     with pytest.raises(replay.BagError, match="no stage can be compared"):
         replay.check_bag(Bag(path), 0.0)
     (found, *_) = replay.check_bag(Bag(path), 0.0, only=["state_estimator"])
-    assert found.compared > 30
+    assert found.compared > 40
     assert str(found).endswith("; published by /fred/my_filter")
 
 

@@ -17,7 +17,7 @@ from slot_lab.bags.replayed_stages import (
     RecordedStages,
     Replayed,
 )
-from slot_lab.bags.topics import ESTIMATE, OUTPUTS
+from slot_lab.bags.topics import ESTIMATE, OUTPUTS, SENSORS
 
 LACKING = "the bag holds no"
 MID_RUN = "the bag begins mid-run, after what the state depends on"
@@ -110,7 +110,9 @@ def _reason(
     skip: Collection[str],
 ) -> str:
     """Reason why a stage is not compared; else empty."""
-    inputs = (topic, *STAGES[topic].inputs)
+    inputs = [topic, *STAGES[topic].inputs]
+    if topic == ESTIMATE:
+        inputs += [name for name in SENSORS if name in recorded.taken]
     lacking = [name for name in inputs if not recorded.bag.counts.get(name)]
     if topic == "/gait_preview" and recorded.lost_path:
         lacking.append(recorded.lost_path)

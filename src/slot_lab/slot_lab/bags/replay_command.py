@@ -1,14 +1,15 @@
 """Replays a bag: runs the controller on the recorded sensor data and compares its outputs.
 
 No ROS is needed. Each replayed stage gets the recorded input of its node, so the first difference
-names the stage that has changed: `/odom` and `/imu` go to the state estimator, recorded states to
-the gait scheduler, with the commands that its previews name, recorded states and previews to the
-policy, and recorded plans, previews and states to the force map. A stage whose input or output the
-bag does not hold is left out. A bag that begins mid-run, such as a later file of a split one, is
-compared from its first key frame on: the nodes record their complete state every few seconds, and
-the state estimator the order in which it has taken odometry and IMU (slot_msgs/msg/StageRecord). Of
-a bag without these the state estimator is left out and, if it begins mid-run, all but the force
-map. The policy and the path that was followed are those that the bag names.
+names the stage that has changed: `/odom`, `/imu` and `/joint_states` go to the state estimator,
+recorded states to the gait scheduler, with the commands that its previews name, recorded states and
+previews to the policy, and recorded plans, previews and states to the force map. A stage whose
+input or output the bag does not hold is left out. A bag that begins mid-run, such as a later file
+of a split one, is compared from its first key frame on: the nodes record their complete state every
+few seconds, and the state estimator the order in which it has taken its readings
+(slot_msgs/msg/StageRecord). Of a bag without these the state estimator is left out and, if it
+begins mid-run, all but the force map. The policy and the path that was followed are those that the
+bag names.
 """
 
 import argparse

@@ -40,7 +40,7 @@ from slot_core.recording.record_settings import root_of
 from slot_core.robot import read_robot
 from slot_core.ros_parameters import of_node, parse_parameters
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.topics import ODOMETRY, OUTPUTS, PLANS, SENSORS
+from slot_lab.bags.topics import OUTPUTS, PLANS, SENSORS
 
 RECORDS, NODES = "/stage_record", "/recorded_nodes"
 PATH, PARAMETERS = FILES["path"], FILES["params_file"]
@@ -78,6 +78,7 @@ class RecordedStages:
         self.records: dict[str, list[Any]] = {
             node: [] for node in OUTPUTS.values()
         }
+        self.taken: set[str] = set()  # sensors, by the records
         self.nodes: dict[
             str, list[str]
         ] = {}  # that published a topic, as far as it is known
@@ -100,6 +101,7 @@ class RecordedStages:
         elif topic == RECORDS:
             if message.node in self.records:
                 self.records[message.node].append(message)
+                self.taken.update(SENSORS[kind] for kind in message.taken)
                 self._entries.append((message.node, message))
         elif topic in OUTPUTS:
             self.messages[topic].append(message)
@@ -231,7 +233,7 @@ class Replayed:
 
 
 def estimates(recorded: RecordedStages) -> Replayed:
-    """State estimates, as fields of MpcState, from the recorded odometry and IMU.
+    """State estimates, as fields of MpcState, from the recorded sensors.
 
     The readings are taken in the order of the node's records, those that it refuses left out. The
     estimator starts as its node does, or at a key frame. Where a record or a reading is missing,
@@ -323,6 +325,7 @@ def _polled(estimator: StateEstimator) -> dict[int, Fields]:
             "covariance": estimate.covariance,
             "validity": int(estimate.validity),
             "leg_stiffness": estimate.leg_stiffness,
+            "legs_are_known": estimate.legs_are_known,
             "message": list(estimate.message.encode()),
         }
     return fields
@@ -514,11 +517,11 @@ class ReplayedStage(NamedTuple):
     """A stage of the controller in a replay."""
 
     replay: Callable[[RecordedStages], Replayed]
-    inputs: tuple[str, ...]
+    inputs: tuple[str, ...]  # besides those that its records name
 
 
 STAGES = {
-    "/mpc_state": ReplayedStage(estimates, (ODOMETRY,)),
+    "/mpc_state": ReplayedStage(estimates, ()),
     "/gait_preview": ReplayedStage(previews, ("/mpc_state",)),
     PLANS: ReplayedStage(plans, ("/mpc_state", "/gait_preview")),
     "/desired_joint_angles": ReplayedStage(
