@@ -220,7 +220,7 @@ REFUSED = {
         [
             ([WALK, "{}/nowhere"], "nowhere: does not exist"),
             ([WALK], "the following arguments are required: BAG"),
-            ([WALK, WALK], "holds 1.4 s, the warm-up leaves out 2.0 s"),
+            ([WALK, WALK], "holds 1.5 s, the warm-up leaves out 2.0 s"),
             ([WALK, WALK, "--warm-up", "nan"], "outside ["),
             (
                 [WALK, WALK, "--plot", "{}/c.gif"],
