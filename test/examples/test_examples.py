@@ -55,7 +55,7 @@ def test_walk(output):
 
 def test_own_controller(output):
     own, alone = numbers(r"([\d.]+) mm high", output("own_controller.py"))
-    assert alone < 34.0  # mm, of 40
+    assert alone < 37.0  # mm, of 40
     assert own > alone + 2.0
 
 
