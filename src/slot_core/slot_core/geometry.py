@@ -100,6 +100,17 @@ def quaternion_of_vector(vector: Array) -> Array:
     return np.append(share * vector, cos(0.5 * angle))
 
 
+def inverse_quaternion(quaternion: Array) -> Array:
+    """(4,) unit quaternion x y z w of the rotation back."""
+    return np.asarray(quaternion * np.array([-1.0, -1.0, -1.0, 1.0]))
+
+
+def upward(roll: Any, pitch: Any) -> Array:
+    """(3, ...) unit vector z of the world in the axes of a body with rolls and pitches (...), rad."""
+    level = cos(pitch)
+    return np.array([-sin(pitch), level * sin(roll), level * cos(roll)])
+
+
 def quaternion_product(a: Array, b: Array) -> Array:
     """(4,) quaternion of the rotation b (4,), then a (4,)."""
     vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])

@@ -19,6 +19,7 @@ from slot_core import config
 from slot_core.arrays import Array
 from slot_core.config import ConfigError, quantity
 from slot_core.elementary import cos, exp, hypot, sin
+from slot_core.geometry import upward
 from slot_core.matrices import product
 from slot_core.names import LEGS as LEGS  # noqa: PLC0414 - for users of the robot
 from slot_core.refusal import quoted
@@ -225,11 +226,9 @@ class RobotParameters:
         self, height: float | Array, roll: float | Array, pitch: float | Array
     ) -> Array:
         """Clamps above the floor (..., 4) m, at heights (m), rolls and pitches (rad) (...)."""
-        level = cos(pitch)
-        up = -sin(pitch), level * sin(roll), level * cos(roll)
         x, y, z = (
             np.multiply.outer(part, axis)
-            for part, axis in zip(up, self.clamps.T)
+            for part, axis in zip(upward(roll, pitch), self.clamps.T)
         )
         return np.asarray(np.asarray(height)[..., None] + x + y + z)
 

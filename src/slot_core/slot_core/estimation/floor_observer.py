@@ -31,13 +31,15 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import to_seconds
 from slot_core.config import quantity
-from slot_core.elementary import atan2, cos, log, sin
+from slot_core.elementary import atan2, log
 from slot_core.estimation.filter_kernels import FilterState
 from slot_core.geometry import (
     Transform,
+    inverse_quaternion,
     matrix_of_quaternion,
     quaternion_product,
     rpy_of,
+    upward,
 )
 from slot_core.key_frame import StateParts
 from slot_core.legs.leg_springs import (
@@ -156,13 +158,13 @@ class FloorPlane(NamedTuple):
 
     def above(self, attitude: Array, position: Array) -> Array:
         """Pose (3,) height m, roll, pitch rad of a torso at a pose in odom."""
-        turn = quaternion_product(self.quaternion * BACK, attitude)
+        back = inverse_quaternion(self.quaternion)
+        turn = quaternion_product(back, attitude)
         roll, pitch, _ = rpy_of(matrix_of_quaternion(turn))
         height = product(self.normal, position) - self.height * self.normal[2]
         return np.array([height, roll, pitch])
 
 
-BACK = np.array([-1.0, -1.0, -1.0, 1.0])  # of a quaternion to its inverse
 LEVEL = FloorPlane(0.0, UP)
 
 
@@ -427,7 +429,7 @@ def _cost(ratio: float, error: float) -> float:
 def _floor_below(pose: Array, attitude: Array, position: Array) -> FloorPlane:
     """Floor that a torso is above at a pose (3,) height, roll, pitch, from its pose in odom."""
     height, roll, pitch = pose
-    up = np.array([-sin(pitch), cos(pitch) * sin(roll), cos(pitch) * cos(roll)])
+    up = upward(roll, pitch)
     normal = product(matrix_of_quaternion(attitude), up)
     return FloorPlane(
         float((product(normal, position) - height) / normal[2]), normal

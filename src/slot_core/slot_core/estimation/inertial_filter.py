@@ -32,13 +32,16 @@ from slot_core.estimation.filter_kernels import (
     work_space,
 )
 from slot_core.estimation.floor_observer import (
-    BACK,
     LEVEL,
     FloorObserverSettings,
     FloorPlane,
 )
 from slot_core.estimation.imu_samples import ImuSamples
-from slot_core.geometry import matrix_of_quaternion, quaternion_product
+from slot_core.geometry import (
+    inverse_quaternion,
+    matrix_of_quaternion,
+    quaternion_product,
+)
 from slot_core.key_frame import StateParts
 from slot_core.matrices import norm, product
 from slot_core.robot import GRAVITY
@@ -490,7 +493,7 @@ class InertialFilter:
 
     def _refer_to(self, floor: FloorPlane) -> None:
         """Turn and move attitude, position and velocity from odom into the frame of a floor."""
-        state, back = self._state, floor.quaternion * BACK
+        state, back = self._state, inverse_quaternion(floor.quaternion)
         turn = matrix_of_quaternion(back)
         state.attitude[:] = quaternion_product(back, state.attitude)
         state.position[2] -= floor.height

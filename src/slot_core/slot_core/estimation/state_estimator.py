@@ -45,6 +45,7 @@ from slot_core.estimation.inertial_filter import (
 )
 from slot_core.estimation.sensor_agreement import STRAYS, SensorAgreement
 from slot_core.geometry import (
+    inverse_quaternion,
     matrix_of_quaternion,
     matrix_of_rpy,
     quaternion_of_vector,
@@ -514,7 +515,7 @@ class StateEstimator:
             a.attitude, quaternion_of_vector(half * (a.rate + b.rate))
         )
         distance = norm(b.position - a.position - travel)
-        apart = quaternion_product(turned * [-1.0, -1.0, -1.0, 1.0], b.attitude)
+        apart = quaternion_product(inverse_quaternion(turned), b.attitude)
         angle = 2.0 * atan2(norm(apart[:3]), abs(apart[3]))
         gate = self._settings.gate
         return distance <= gate.agreement_distance and bool(

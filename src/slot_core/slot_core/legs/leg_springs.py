@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core.arrays import Array, checked
-from slot_core.elementary import cos, sin
+from slot_core.geometry import upward
 from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.matrices import interpolated, inverse, product
 from slot_core.robot import RobotParameters
@@ -97,13 +97,11 @@ def drops(
 
     A foot at x outward is lower by x times the leg's slope than its clamp.
     """
-    _, roll, pitch = pose
-    level = cos(pitch) * cos(roll)
-    up = np.array([-sin(pitch), cos(pitch) * sin(roll), level])
+    up = upward(*pose[1:])
     clamp, slope = robot.clamp_heights(*pose), product(robot.outward, up)
-    drop = clamp / level
+    drop = clamp / up[2]
     for _ in range(3):  # within 1 um
-        drop = (clamp + springs.at(angle, drop).contact * slope) / level
+        drop = (clamp + springs.at(angle, drop).contact * slope) / up[2]
     return np.asarray(drop)
 
 
