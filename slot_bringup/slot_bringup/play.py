@@ -115,13 +115,20 @@ class Player:
     def wait_for_nodes(self) -> None:
         """Return once a node uses the odometry; raises PlayError after SEARCH_TIME.
 
-        A recorder does not count: it starts before the nodes that use it. Also raises if a robot
-        publishes the odometry already.
+        A recorder does not count: it starts before the nodes that use it. Subscribers to the other
+        topics are waited for, too, as they would miss the first messages; one of another quality
+        of service is never matched, so no longer than SEARCH_TIME. Also raises if a robot publishes
+        the odometry already.
         """
         end = time.monotonic() + SEARCH_TIME
         needed = self._publishers[NEEDED]
-        while not self._is_used(needed):
+        while not (
+            (used := self._is_used(needed))
+            and all(map(self._is_matched, self._publishers.values()))
+        ):
             if time.monotonic() > end:
+                if used:
+                    break
                 raise PlayError(
                     f"no node subscribes to {needed.topic_name} within {SEARCH_TIME:g} s:"
                     " start the graph with --hardware none"
@@ -138,10 +145,14 @@ class Player:
         readers = self._node.get_subscriptions_info_by_topic(
             publisher.topic_name
         )
-        known = publisher.get_subscription_count() >= len(readers)
-        return known and any(
+        return self._is_matched(publisher) and any(
             reader.node_name not in RECORDERS for reader in readers
         )
+
+    def _is_matched(self, publisher: Publisher) -> bool:
+        """Whether every discovered subscriber would receive the next message."""
+        discovered = self._node.count_subscribers(publisher.topic_name)
+        return bool(publisher.get_subscription_count() >= discovered)
 
     def play(self, played: Iterator[Entry], rate: float) -> tuple[int, float]:
         """Publish the messages; return their number, and the graph time that they span, s."""

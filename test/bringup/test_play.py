@@ -42,6 +42,7 @@ def test_every_sensor_message_arrives_as_it_was_recorded_with_the_clock_of_its_g
         node.create_subscription(Clock, "/clock", clock.append, qos.CLOCK)
         with listener("player") as (other, _):
             player = play.Player(other, bag)
+            wait(executor, lambda: all(map(other.count_subscribers, arrived)))
             player.wait_for_nodes()
             count, span = player.play(play.entries(bag, 0.0), rate=100.0)
             wait(executor, lambda: sum(map(len, arrived.values())) >= count)
