@@ -442,8 +442,11 @@ class GaitScheduler:
     def _at_rest(self, gait: Stride) -> tuple[float, float]:
         """Offsets of the angles (rad) and the height (m) of a stride on legs of this stiffness.
 
-        A fully pulled soft leg folds, and the robot tips over: the walk gives in instead.
+        Legs as the table's need none. A fully pulled soft leg folds, and the robot tips over: the
+        walk gives in instead.
         """
+        if self._stiffness == 1.0:
+            return 0.0, 0.0
         angle, share = np.radians(gait.centre_deg[0]), self._robot.weight / 4
         springs, ratio = self._springs, self._stiffness
         shift = springs.height(share, angle, ratio)

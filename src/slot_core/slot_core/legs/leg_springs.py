@@ -121,22 +121,19 @@ def rest_pose(
     springs: LegSprings,
     angle: Array,
     ratio: float = 1.0,
-    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
 ) -> Array:
-    """Pose (3,) height m, roll, pitch rad above the floor at tendon angles (4,) rad, at rest.
+    """Pose (3,) height m, roll, pitch rad above a level floor at tendon angles (4,) rad, at rest.
 
     Forces and moments about the torso's centre are in balance: with the places p of the feet,
-    sum F_i = u_z w, sum F_i p_y,i = -u_y h w, sum F_i p_x,i = -u_x h w for w = m_0 g / kappa.
-    up: u, unit vector against gravity in the floor's axes at the torso's heading. The torso is at
-    least half its own height above the floor; there it lies flat.
+    sum F_i = m_0 g / kappa, sum F_i p_y,i = 0, sum F_i p_x,i = 0. The torso is at least half its
+    own height above the floor; there it lies flat.
     """
     pose, lowest = np.array([0.06, 0.0, 0.0]), robot.torso.size[2] / 2
-    weight = robot.weight / ratio
+    wanted = np.array([robot.weight / ratio, 0.0, 0.0])
     for _ in range(STEPS):
         legs = springs.at(angle, drops(robot, springs, angle, pose))
         x, y = (robot.clamps + legs.contact[:, None] * robot.outward).T[:2]
         lever = np.array([np.ones_like(x), y, -x])  # force, M_x, M_y
-        wanted = weight * np.array([up[2], -up[1] * pose[0], up[0] * pose[0]])
         missing = wanted - product(lever, legs.force)
         stiffness = np.maximum(-legs.stiffness, STIFFNESS_MIN)
         step = -product(inverse(product(lever * stiffness, lever.T)), missing)
