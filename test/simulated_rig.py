@@ -194,6 +194,7 @@ class SimulatedRig(Rig):
         return next(p for p in found if p.topic_name == topic)
 
     def _end(self, name, code):
+        runtime.close([self._nodes[name]])
         self._nodes[name].destroy_node()
         self._remove(name)
         self.exit_codes[name] = code
@@ -203,8 +204,7 @@ class SimulatedRig(Rig):
 
     def kill(self, name):
         """End a node at once, as SIGKILL does; returns the time."""
-        node = self._nodes[name]
-        super(type(node), node).destroy_node()
+        self._nodes[name].destroy_node()
         self._remove(name)
         return self._time
 

@@ -308,8 +308,8 @@ BUDGET = {
     "src/slot_core": 16_040,
     "src/slot_lab": 6_580,
     "src/slot_paper": 700,
-    "src/slot_nodes": 2_180,
-    "slot_bringup": 2_960,
+    "src/slot_nodes": 2_215,
+    "slot_bringup": 2_965,
     "scripts": 4_770,
     "test": 16_860,
 }

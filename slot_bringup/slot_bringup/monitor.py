@@ -26,6 +26,7 @@ from slot_core.refusal import printable
 from slot_core.safety.states import RELEASED, Action, State
 from slot_msgs.msg import MpcState, RobotState, TendonPlan
 from slot_nodes import qos
+from slot_nodes.process import departure
 from slot_nodes.process.executor import DirectExecutor
 
 # s until the first /mpc_state; the first start compiles kernels
@@ -40,6 +41,8 @@ PACE_WINDOW = 1.0  # s
 PACE_LIMIT = 0.9  # least share of real time; an odometry more or less in the window is 3 %
 SKIPPED_LIMIT = 3.0  # states a second, of 30
 PACE_REPORT = 5.0  # s between two lines on the pace
+# s, in which DDS forgets a node that has ended, see departure.py
+DEPARTURE_TIME = 0.1
 REFRESH_TERMINAL, REFRESH_LOG = 0.2, 5.0  # s between progress lines
 
 
@@ -270,10 +273,13 @@ def listener(
     )
     try:
         node = rclpy.create_node(name, context=context, namespace=namespace)
-        executor = ListenerExecutor(context=context)
-        executor.add_node(node)
-        yield node, executor
-        node.destroy_node()
+        try:
+            executor = ListenerExecutor(context=context)
+            executor.add_node(node)
+            yield node, executor
+        finally:
+            with departure.limited(1):
+                node.destroy_node()
     finally:
         context.try_shutdown()
 
@@ -281,6 +287,7 @@ def listener(
 def _check(progress: Progress, processes: Processes, attended: bool) -> None:
     failure = processes.failed()
     if failure is not None:
+        time.sleep(DEPARTURE_TIME)
         name, code = failure
         raise RunError(
             f"{name} ended with exit code {code}: {processes.last_line(name)}"

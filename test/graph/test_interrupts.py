@@ -45,9 +45,8 @@ class Interrupted(Node):
     def work(self):
         self.raise_signal("callback")
 
-    def destroy_node(self):
-        print("destroyed", flush=True)
-        super().destroy_node()
+    def close(self):
+        print("closed", flush=True)
 
 runtime.run(Interrupted)
 """
@@ -62,8 +61,32 @@ def test_a_preparation_is_interrupted_at_once_and_a_callback_is_not(
     command = [sys.executable, "-c", NODE, str(int(number)), place]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (0, "")
-    printed = ["end of callback", "destroyed"] if place == "callback" else []
+    printed = ["end of callback", "closed"] if place == "callback" else []
     assert ended.stdout.splitlines() == printed
+
+
+# Fast DDS waits for ever: a call into C that keeps Python's lock, as rclpy's does.
+STUCK = """
+import ctypes, sys
+from slot_nodes.process import departure
+
+print("finished")
+with departure.limited(int(sys.argv[1]), limit=0.3):
+    pass
+with departure.limited(int(sys.argv[1]), limit=0.3):
+    ctypes.PyDLL(None).sleep(100)
+print("never")
+"""
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_a_process_whose_departure_from_dds_does_not_end_ends_with_its_exit_code(
+    code,
+):
+    command = [sys.executable, "-c", STUCK, str(code)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (code, "")
+    assert ended.stdout == "finished\n"
 
 
 def test_a_program_that_listens_is_interrupted_between_two_callbacks():

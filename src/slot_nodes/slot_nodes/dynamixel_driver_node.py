@@ -198,12 +198,11 @@ class DynamixelDriverNode(LifecycleNode):
             self._autostart_timer.reset()
         return SUCCESS
 
-    def destroy_node(self) -> None:
-        """Switch torque off, then destroy the node."""
+    def close(self) -> None:
+        """Slacken the tendons, torque off, close the port."""
         if self._open:
             self._stop()
         self._close()
-        super().destroy_node()
 
     def _configure_when_port_exists(self) -> None:
         """Configure when the port exists, or after `wait_for_port`.

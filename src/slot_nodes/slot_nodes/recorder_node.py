@@ -152,14 +152,13 @@ class RecorderNode(Node):
             name = f"{root_of(self.get_namespace())}/{NODES}"
             self._bag.write(name, "std_msgs/msg/String", time.time_ns(), data)
 
-    def destroy_node(self) -> None:
-        """Write the received messages, close the bag, which writes its index, and destroy the node."""
+    def close(self) -> None:
+        """Write the received messages and close the bag, which writes its index."""
         try:
             self._take()
             self._bag.close()
         except BagError as error:
             runtime.last_logger(self).error(str(error))
-        super().destroy_node()
 
     def _listen(self, name: str, topic: RecordedTopic) -> Subscription:
         kind = messages.message_class(topic.type)

@@ -8,7 +8,7 @@ import math
 import os
 import signal
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from typing import Any, TypeVar, cast
@@ -36,7 +36,7 @@ from rclpy.timer import Timer
 from slot_core import config
 from slot_core.refusal import one_line
 from slot_nodes import messages
-from slot_nodes.process import intra_process
+from slot_nodes.process import departure, intra_process
 from slot_nodes.process.executor import DirectExecutor
 
 T = TypeVar("T")
@@ -113,6 +113,7 @@ def run(
 ) -> None:
     """Serve a node or several until SIGINT, SIGTERM or `SystemExit`; exit code 0 unless it failed.
 
+    At the end `close()` of the node is called, if it has one, then it is destroyed.
     An unusable configuration ends the process with one line and exit code 2.
     """
     node = None
@@ -145,8 +146,20 @@ def run(
             raise
     finally:
         if node is not None:
-            node.destroy_node()
-        rclpy.utilities.try_shutdown()
+            close(getattr(node, "nodes", [node]))
+        failure = sys.exc_info()[1]  # on its way through this block
+        code = 0 if failure is None else getattr(failure, "code", 1) or 0
+        with departure.limited(code):
+            if node is not None:
+                node.destroy_node()
+            rclpy.utilities.try_shutdown()
+
+
+def close(nodes: Sequence[Any]) -> None:
+    """Call `close()` of each node that has one, of the last made first."""
+    for node in reversed(nodes):
+        if hasattr(node, "close"):
+            node.close()
 
 
 def take_priority(wanted: str) -> None:

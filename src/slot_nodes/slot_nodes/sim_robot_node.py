@@ -391,14 +391,13 @@ class SimRobotNode(Node):
         response.success = True
         return response
 
-    def destroy_node(self) -> None:
-        """Switch emulated servos off, or wait for the driver to do so, then destroy the node."""
+    def close(self) -> None:
+        """Switch emulated servos off, or wait for the driver to do so."""
         left = self._servos.close(running=not self._frozen)
         if self._plant.emulated is not None:
             runtime.last_logger(self).info(
                 f"servos left under torque: {left or 'none'}"
             )
-        super().destroy_node()
 
     def _publish(self, reading: Reading) -> None:
         if self._lockstep and self._published_clock != self._plant.now:

@@ -55,6 +55,7 @@ class ComposedNodes:
                     self.nodes.append(node)
                     self._executor.add_node(node)
         except BaseException:
+            runtime.close(self.nodes)
             self.destroy_node()
             raise
 
@@ -64,7 +65,7 @@ class ComposedNodes:
             self._executor.spin_once()
 
     def destroy_node(self) -> None:
-        """End the nodes, those that command the servos first."""
+        """Destroy the nodes."""
         for node in reversed(self.nodes):
             node.destroy_node()
 
