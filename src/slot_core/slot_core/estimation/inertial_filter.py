@@ -415,8 +415,14 @@ class InertialFilter:
         propagate_through(self._state, self._work, *steps, *blind)
 
     def propagate_blind(self, dt: float) -> None:
-        """Propagate by dt (s) at constant velocities, without IMU data."""
-        noise = self._blind_noise, False, self._bias_max
+        """Propagate by dt (s) at constant velocities, without IMU data.
+
+        The angular velocity changes meanwhile: an angular acceleration a turns by a dt^2 / 2.
+        """
+        blind, steps = self._blind_noise.copy(), self._settings.imu
+        turn = 0.5 * dt * dt * steps.angular_acceleration_step
+        blind[THETA] += np.square(turn) / dt
+        noise = blind, False, self._bias_max
         propagate(self._state, self._work, self.rate.value, UP, dt, *noise)
         self.rate = Rate(
             self.rate.value,
