@@ -8,8 +8,11 @@ from estimator_streams import (
     GYRO_BIAS,
     SETTINGS,
     Walk,
+    arrivals,
     changed,
+    imu_messages,
     noisy,
+    odometry_messages,
     run,
     same,
     validities,
@@ -123,6 +126,10 @@ def test_units_and_axes_that_motion_shows_are_compensated(case):
 
 REFUSED = {
     "gravity": (lambda w, f: (w, f - [0, 0, GRAVITY]), "removed gravity?"),
+    "gravity, aslant": (
+        lambda w, f: (w, f - [0, 0, GRAVITY] + [0.9, 0, 0]),
+        "removed gravity?",
+    ),
     "gyro alone": (lambda w, f: (w, 0.0 * f), "accelerometer off?"),
     "optical": (turned(OPTICAL), "optical axes? mounts.imu.rpy: [-1.571, 0, -"),
     "over": (turned(rotation("X", 180)), "turned? mounts.imu.rpy: [3.142, 0, "),
@@ -200,6 +207,38 @@ def test_stamps_that_stay_ahead_are_named():
 def test_good_sensors_need_no_line(seed):
     estimates, _ = run(noisy(Walk(yaw=seed), 6.0, seed, GYRO_BIAS), COMPARED)
     assert {e.message for e in estimates} == {""}
+
+
+@pytest.mark.parametrize("tilt", [0.02, 0.05, 0.1, 0.22])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_odometry_of_three_times_the_noise_contradicts_no_imu(seed, tilt):
+    """Its noise is learned while the IMU says that the torso rests, for a second."""
+    swaying, rng = Walk(tilt=tilt), np.random.default_rng(seed)
+    swaying.omega[:3] = WALK.omega[:3]
+    phases = [(noisy_part(REST, rng), 1.0), (noisy_part(swaying, rng), 7.0)]
+    messages, begin = [], 0.0
+    for part, duration in phases:
+        end = begin + duration
+        messages += [m for m in part if begin <= m[1] / SECOND < end]
+        begin = end
+    estimates, _ = run(messages, COMPARED)
+    lines = {e.message for e in estimates[60:]}
+    assert all(not x or re.match("imu: stamps [-+][0-5] ms", x) for x in lines)
+    assert set(validities(estimates[60:])) == {Validity.VALID}
+
+
+def noisy_part(motion, rng):
+    """Eight seconds of readings, of the odometry with three times its noise."""
+    names = ("angle", "position", "velocity", "rate")
+    noise = {
+        f"odometry.{n}_noise": 3.0 * getattr(SETTINGS.odometry, f"{n}_noise")
+        for n in names
+    }
+    loud = config.replace(SETTINGS, noise).odometry
+    return arrivals(
+        imu_messages(motion, 8.0, rng=rng),
+        odometry_messages(motion, 8.0, rng=rng, noise=loud),
+    )
 
 
 def test_an_estimator_that_compares_goes_on_from_a_key_frame():

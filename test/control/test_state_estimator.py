@@ -387,41 +387,68 @@ def test_a_reading_has_its_own_variance_unless_it_is_unknown():
 def test_a_rejection_while_initialising_restarts_the_count():
     messages = with_jump(clean(Walk(), 1.0), slice(6, 7), 0.1)
     estimates, _ = run(messages)
-    since = 0.2 + SETTINGS.gate.initial_time
+    since = 7 / 30 + SETTINGS.gate.initial_time
     early = [e for e in estimates if e.stamp < since * SECOND]
     assert set(validities(early)) == {Validity.INITIALISING}
     after = estimates[len(early) :]
     assert set(validities(after)) == {Validity.VALID}
 
 
-def test_relocalised_odometry_is_accepted_after_the_configured_number_of_rejections():
-    """The filter restarts without the bias: it may be what was wrong."""
-    motion, shift, rejected = (
-        Walk(),
-        [0.3, -0.2, 0.1],
-        SETTINGS.gate.max_rejections - 1,
-    )
+def test_odometry_that_has_jumped_is_accepted_after_some_rejections_and_the_estimates_go_on():
+    """A SLAM that starts anew: the torso moves on as the IMU says, in another frame."""
+    motion, shift = Walk(), [0.3, -0.2, 0.1]
+    begun = 1.0 + (SETTINGS.gate.max_rejections - 1) / 30
     messages = with_jump(clean(motion, 2.0), slice(30, None), shift)
     estimates, _ = run(messages)
-    begun = 1.0 + rejected / 30
     offsets = np.array([error(e, motion)[3:6] for e in estimates])
+    times = np.array([e.stamp for e in estimates]) / SECOND
+    assert set(np.array(validities(estimates))[times > 0.4]) == {Validity.VALID}
+    assert np.abs(offsets[(times > 0.1) & (times < begun)]).max() < 2e-4
+    assert np.abs(offsets[times > begun + 0.05] - shift).max() < 2e-4
+    messages = with_jump(
+        noisy(motion, 12.0, 7, GYRO_BIAS), slice(300, None), shift
+    )
+    until = [m for m in messages if m[1] < 10.5 * SECOND]
+    found = run(until, MATCHED)[1].gyro_bias
+    np.testing.assert_allclose(found, GYRO_BIAS, atol=1.2e-3)
+
+
+def test_odometry_of_another_motion_restarts_the_filter_without_its_biases():
+    """They may be what was wrong."""
+    motion, rejected = Walk(), SETTINGS.gate.max_rejections - 1
+    other = lambda p, q, v, w: (p + 0.3, q, v + 0.2, w)  # noqa: E731
+    messages = changed(
+        noisy(motion, 12.0, 7, GYRO_BIAS), slice(300, None), other
+    )
+    estimates, _ = run(messages, MATCHED)
+    begun = 10.0 + rejected / 30 - 0.001
     times = np.array([e.stamp for e in estimates]) / SECOND
     found = np.array(validities(estimates))
     assert set(found[(times > 0.4) & (times < begun)]) == {Validity.VALID}
     initial = (times > begun + 0.005) & (times < begun + 0.3)
     assert set(found[initial]) == {Validity.INITIALISING}
-    assert set(found[times > begun + 0.31]) == {Validity.VALID}
-    # as without a jump
-    assert np.abs(offsets[(times > 0.1) & (times < begun)]).max() < 2e-4
-    assert np.abs(offsets[times > begun + 0.1] - shift).max() < 2e-4
-    messages = with_jump(
-        noisy(motion, 12.0, 7, GYRO_BIAS), slice(300, None), shift
-    )
     for reading, bias in ((300, GYRO_BIAS), (300 + rejected, 0.0)):
         until = [m for m in messages if m[1] < (reading + 0.5) / 30 * SECOND]
         np.testing.assert_allclose(
             run(until, MATCHED)[1].gyro_bias, bias, atol=1.2e-3
         )
+
+
+@pytest.mark.parametrize(
+    ("rate", "serves"), [(200, True), (50, True), (25, False)]
+)
+def test_an_imu_below_the_least_rate_is_as_none_and_a_line_says_so(
+    rate, serves
+):
+    messages = [
+        m
+        for m in noisy(Walk(), 2.0, 4)
+        if m[0] != "imu" or round(m[1] / SECOND * 200) % (200 // rate) == 0
+    ]
+    late = [e for e in run(messages)[0] if e.stamp > SECOND]
+    assert {e.validity is Validity.IMU_MISSING for e in late} == {not serves}
+    line = "imu at 25 Hz, limit 40 Hz: it is not used"
+    assert {e.message == line for e in late} == {not serves}
 
 
 def test_readings_that_alternate_between_two_positions_are_not_accepted():
@@ -576,5 +603,6 @@ def test_unpolled_and_unmatched_data_stay_within_the_buffers():
     assert max(sizes[100:]) < 1.1 * max(sizes[:100])
     ticks = [1000 + k * round(PERIOD * SECOND) for k in range(100)]
     for stamp in ticks:
-        estimator.add_imu(stamp + 1000, [0, 0, 0], [0, 0, GRAVITY])
+        for later in (1000, round(PERIOD / 2 * SECOND)):
+            estimator.add_imu(stamp + later, [0, 0, 0], [0, 0, GRAVITY])
     assert [e.stamp for e in iter(estimator.poll, None)] == ticks[-5:]

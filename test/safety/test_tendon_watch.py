@@ -194,7 +194,7 @@ def test_a_walk_that_goes_on_after_a_short_hold_raises_no_alarm(begin):
 
 @pytest.mark.parametrize("modulus", [0.65, 1.5])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_a_torn_tendon_is_named_within_half_a_second_on_legs_of_another_print(
+def test_a_torn_tendon_is_named_within_a_second_on_legs_of_another_print(
     modulus, seed
 ):
     """Standing; before it the softer legs themselves were four torn tendons."""
@@ -203,5 +203,5 @@ def test_a_torn_tendon_is_named_within_half_a_second_on_legs_of_another_print(
     states = {report.state for report in loop.run(4.0)}
     assert State.HOLD not in states
     loop.plant.robot.damage_tendon(1, broken=True)
-    *_, report = loop.run(0.6)
+    *_, report = loop.run(1.0)
     assert report.reason.startswith("slack or broken tendon FR (")

@@ -351,8 +351,6 @@ class FloorObserver:
         held = rest_pose(self._robot, self._springs, angle, ratio)
         if np.abs(seen - held)[1:].max() > s.tilt_error:
             return False
-        if seen[0] < self._lowest + s.clearance:  # it lies
-            return True
         modulus = self._torque_ratio(seen, rest)
         if modulus <= 0.0:  # not known
             return s.ratio_min <= ratio <= s.ratio_max

@@ -11,8 +11,8 @@
                                             all far ahead                    no usable estimate
 
 Until motion has shown the shift the IMU serves at rest alone, where a shift makes no difference;
-the filter goes on with the odometry. So it does where no finding explains the difference, with a
-line. Turns and twists need motion, the specific force does not.
+the filter goes on with the odometry, unless that is so rare or late that a shift is the smaller
+error. So it does where no finding explains the difference, with a line. Turns and twists need motion, the specific force does not.
 """
 
 from collections import deque
@@ -61,6 +61,7 @@ SHARP = 4 * MILLISECOND  # ns, standard deviation of a shift that counts
 FOLLOWED = 2 * MILLISECOND  # ns, least change of the shift, if it is certain
 # rad^2, sums of squared turns from which a shift counts, and all must be explained
 LEAST_MOTION, MOTION = 0.002, 0.02
+NOISIEST = 16.0  # largest variance at rest over that of the settings
 MOVES = 16.0  # squared turn of odometry over its variance that shows motion
 DISTINCT = 6.0  # standard deviations of a unit that is no noise
 TURNED = 0.087  # rad, least angle of an IMU that counts as turned
@@ -87,6 +88,8 @@ class SensorAgreement:
         "_last",
         "_intervals",
         "_interval",
+        "_span",
+        "_variance",
         "shift",
         "_proven",
         "_weighed",
@@ -108,14 +111,16 @@ class SensorAgreement:
         self._settings, self._mount = settings.agreement, mount
         noise = settings.odometry
         # of displacement and turn between two readings; m^2, rad^2
-        self._variance = 2.0 * np.square(
+        self._least_variance = 2.0 * np.square(
             [noise.position_noise, noise.angle_noise]
         )
+        self._variance = self._least_variance.copy()
         self._work, self._sums = turn_work(), turn_sums()
         self._last: OdometryMotion | None = None  # last reading compared
         # that wait for the IMU: two stamps, ns, and a turn (3,), rad
         self._intervals: deque[tuple[int, int, Array]] = deque(maxlen=32)
         self._interval = 0.0  # s, mean between readings
+        self._span = 0.0  # s, mean age of a reading when the next one comes
         self.shift = 0  # ns, from the odometry's stamps to the IMU's
         off = not self._settings.enabled
         self._proven = off  # whether turns agree
@@ -157,7 +162,8 @@ class SensorAgreement:
         size = integrate(self._sums, self._rotation, stamp, sample)
         if size > self._settings.rate_still or size == 0.0:
             self._moving = stamp + LINGER
-        serves = self._weighed and (self._proven or stamp > self._moving)
+        known = self._proven or self._span > self._settings.shift_max
+        serves = self._weighed and (known or stamp > self._moving)
         if not self._faults and not serves:
             self.withheld = stamp
         return sample if serves and not self._faults else None
@@ -255,9 +261,19 @@ class SensorAgreement:
     ) -> None:
         """Add the step between two readings to the sums, and judge what they show."""
         dt = to_seconds(motion.stamp - last.stamp)
-        if (turn * turn).sum() > MOVES * 3.0 * self._variance[1]:
+        moved = motion.position - last.position
+        steps = np.array([(moved * moved).sum(), (turn * turn).sum()])
+        if steps[1] > MOVES * 3.0 * self._variance[1]:
             self._moving = max(self._moving, self._imu + LINGER)
+        if self._imu > self._moving:  # at rest a step is noise
+            least = self._least_variance
+            learned = (steps / 3.0 - self._variance) * dt / FORCE_MEMORY
+            self._variance = np.clip(
+                self._variance + learned, least, NOISIEST * least
+            )
         self._interval += 0.1 * (dt - self._interval)
+        age = to_seconds(self._imu - last.stamp)
+        self._span += 0.1 * (age - self._span)
         keep = 1.0 - dt / MEMORY
         before, after = (
             np.concatenate([m.attitude, m.position, m.velocity, m.rate])
@@ -321,7 +337,8 @@ class SensorAgreement:
         size = norm(up)
         found = f"imu: specific force {size:.1f} m/s2"
         fault = ""
-        if abs(size - 1.0) < 0.15 and not self._weighed:
+        upright = size - up[2] <= self._settings.lean * size
+        if abs(size - 1.0) < 0.15 and upright and not self._weighed:
             self.units = (self.units[0], STANDARD_GRAVITY)
             self._sums.up[:] = 0.0
             self._notes["force"] = f"{found} at rest, expected 9.8: taken as g"
@@ -332,7 +349,7 @@ class SensorAgreement:
             fault = f"{found}, expected 9.8: has its driver removed gravity?"
         elif abs(size - GRAVITY) > FORCE_RANGE:
             fault = f"{found}, expected 9.8: is it calibrated?"
-        elif size - up[2] > self._settings.lean * size:
+        elif not upright:
             fault = self._describe_axes(motion, up / size)
         self._weighed = True
         if fault:
@@ -437,6 +454,10 @@ class SensorAgreement:
         unit = shared / max(gyro, variance)
         clear = unit * unit * gyro > (DISTINCT * DISTINCT) * variance
         noise = turned - moved
+        straight = max(
+            TURNED * TURNED,
+            TURN_ERROR * TURN_ERROR * variance / max(gyro, variance),
+        )
         explained = turned - unit * shared - noise < WELL * moved
         upright = work.rotation[2, 2] > 1.0 - 2.0 * self._settings.lean
         if clear and abs(unit / DEGREE - 1.0) < 0.3 and self.units[0] == 1.0:
@@ -445,6 +466,10 @@ class SensorAgreement:
                 f"imu: turns {1 / unit:.0f} times as fast as odometry: taken"
                 " as deg/s"
             )
+        elif explained and 3.0 - work.rotation.trace() < straight:
+            self._faults.pop("turns", None)
+            self._faults.pop("clock", None)
+            return
         elif explained and upright and 0.7 < unit < 1.4 and is_long:
             self._rotation = product(_squared(work.rotation), self._rotation)
             mount = product(self._rotation, self._mount)

@@ -13,11 +13,13 @@ the drift of the IMU over it. The filter itself is in `inertial_filter.py`.
     not newer:                     dropped: repeated, or out of order
     none accepted for `odometry_wait`: estimates are ODOMETRY_LOST or ODOMETRY_REJECTED
     none accepted for `odometry_gap`:  the state stands still; the next reading restarts the filter
-    rejected, but in agreement:    after `max_rejections` of them the filter restarts
+    rejected, but in agreement:    after `max_rejections` of them the filter restarts, and the
+                                   estimates go on if the velocities agree too: odom has jumped
 
 Without an IMU sample for `imu_lost` the odometry is the clock, and the estimates rest on it alone.
 
-A restart keeps the biases, unless readings were rejected before it: they may be what was wrong.
+A restart keeps the biases, unless readings were rejected before it with other velocities too: the
+biases may be what was wrong. An IMU slower than 1.25 `imu_gap` does not serve, as if there were none.
 """
 
 from collections import deque
@@ -63,6 +65,12 @@ VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6
 ANGLE_MAX = 100.0  # rad, of a tendon angle that is used
 EARLY = 0.25  # of a period, see `earliness`
 INTERVAL_GAIN = 0.2  # of the mean time between readings
+IMU_GAIN, IMU_INTERVAL = (
+    0.05,
+    0.1,
+)  # the same of the IMU; s, longest that counts
+SLOW_IMU = 1.25  # times `imu_gap`, mean time between samples of an IMU that serves no more
+SAME_SPEED, SAME_RATE = 0.1, 0.5  # m/s, rad/s, of one motion in two frames
 
 
 def earliness(period: float, interval: float) -> int:
@@ -103,6 +111,8 @@ class StateEstimator:
         "_accepted",
         "_initial",
         "_interval",
+        "_sampled",
+        "_imu_interval",
         "_imu_complete",
         "_restarted",
         "_floor",
@@ -156,6 +166,8 @@ class StateEstimator:
         # accepted readings since `_initial`, ns; in a row until valid
         self._accepted, self._initial = 0, 0
         self._interval = 0.0  # s, mean of the last accepted readings
+        # ns, stamp of the last IMU sample; s, mean time between them
+        self._sampled, self._imu_interval = 0, 0.0
         # whether the IMU had samples up to the last reading
         self._imu_complete = True
         self._restarted = False  # whether odometry has started anew
@@ -181,7 +193,9 @@ class StateEstimator:
         reach = limits.gyro_max * self._agreement.reach
         rate = vector(angular_velocity, 3, reach / turn_unit)
         force = vector(specific_force, 3, limits.acceleration_max / force_unit)
-        if rate is None or force is None or not self._advances("imu", stamp):
+        if rate is None or force is None or self._is_slow(stamp):
+            return
+        if not self._advances("imu", stamp):
             return
         rate, force = turn_unit * rate, force_unit * force
         if self._mount is not None:
@@ -370,6 +384,16 @@ class StateEstimator:
         self._newest[stream] = stamp
         return True
 
+    def _is_slow(self, stamp: int) -> bool:
+        """Whether the mean time between IMU samples, the one at `stamp` (ns) too, is too long."""
+        if stamp > self._sampled:
+            elapsed = to_seconds(stamp - (self._sampled or stamp))
+            elapsed = min(elapsed, IMU_INTERVAL)
+            known = self._imu_interval or elapsed
+            self._imu_interval = known + IMU_GAIN * (elapsed - known)
+            self._sampled = stamp
+        return self._imu_interval > SLOW_IMU * self._settings.timing.imu_gap
+
     def _process_due(self) -> None:
         """Process the waiting readings that are due."""
         while self._waiting and self._is_due(self._waiting[0][0]):
@@ -442,25 +466,33 @@ class StateEstimator:
         else:
             self._rejected.append(motion)
             if self._is_initialising(stamp):
+                if motion is not None:
+                    self._start(motion)
+                    return
                 # not valid yet: the readings are counted anew
                 self._accepted, self._initial = 0, stamp
         if motion is not None and self._has_relocalised():
-            self._start(motion)
+            self._start(motion, self._moves_alike(motion))
             return
         self._corrected, self._reached = self._filter.state, stamp
 
-    def _start(self, motion: OdometryMotion) -> None:
-        """Start the filter from a reading; after rejections without the biases it has learned."""
-        if any(rejected is not None for rejected in self._rejected):
+    def _start(self, motion: OdometryMotion, alike: bool = False) -> None:
+        """Start the filter from a reading; after rejections without the biases it has learned.
+
+        alike: odom has jumped, but the torso moves as the filter knows: the estimates go on.
+        """
+        rejected = any(reading is not None for reading in self._rejected)
+        if rejected and not alike:
             self._filter.forget_biases()
         if self._stamp is not None and self._floor is not None:
             old = self._filter.state
             before = self._floor.floor.above(old.attitude, old.position)
             self._floor.start_anew(before, motion.attitude, motion.position)
-        self._restarted = self._stamp is not None
+        if not alike:
+            self._restarted = self._stamp is not None
+            self._initial, self._accepted = motion.stamp, 0
         self._filter.restart(motion)
-        self._stamp = self._initial = self._accepted_stamp = motion.stamp
-        self._accepted = 0
+        self._stamp = self._accepted_stamp = motion.stamp
         self._corrected, self._reached = self._filter.state, motion.stamp
         self._tick = max(self._tick, motion.stamp)
         self._accept(motion.stamp)
@@ -503,6 +535,14 @@ class StateEstimator:
         if len(readings) < self._settings.gate.max_rejections:
             return False
         return all(self._agree(a, b) for a, b in pairwise(readings))
+
+    def _moves_alike(self, motion: OdometryMotion) -> bool:
+        """Whether the velocities of a reading are those of the filter at its stamp."""
+        state = self._filter.state
+        back = matrix_of_quaternion(state.attitude).T
+        off = product(back, state.velocity) - motion.velocity
+        turning = self._filter.rate.value - motion.rate
+        return norm(off) < SAME_SPEED and norm(turning) < SAME_RATE
 
     def _agree(self, a: OdometryMotion, b: OdometryMotion) -> bool:
         """Whether a, moved at the mean velocity of a and b, gives b within the gate."""
@@ -559,6 +599,11 @@ class StateEstimator:
                 Validity.ODOMETRY_SLOW,
                 f"odom at {rate:.1f} Hz, limit {least:g} Hz {with_it}",
             )
+        longest = SLOW_IMU * timing.imu_gap
+        if without_imu and self._imu_interval > longest:
+            slow = f"imu at {1.0 / self._imu_interval:.0f} Hz, limit"
+            line = f"{slow} {1.0 / longest:.0f} Hz: it is not used"
+            return Validity.IMU_MISSING, line
         found = Validity.IMU_MISSING if without_imu else Validity.VALID
         return found, agreement.message
 

@@ -238,8 +238,9 @@ class Conditions:
             if self._imu_missing is None
             else to_seconds(time - self._imu_missing)
         )
+        why = f": {self._message}" if self._message else ""
         return (
-            f"no usable IMU for {age:.3g} s, limit {limit:g} s"
+            f"no usable IMU for {age:.3g} s, limit {limit:g} s{why}"
             if age > limit
             else ""
         )
