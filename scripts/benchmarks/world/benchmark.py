@@ -51,7 +51,7 @@ LIMITS = {
     "heading": (0.1, 3.0),
     "tilt": (0.1, 2.0),
     "height": (0.0, 5.0),
-    "stand": (0.0, 2.0),
+    "stand": (0.0, 3.0),
 }
 """Share of the reference's value, and more in m/s, mm, deg, deg, mm, that a row may be worse by."""
 Job = tuple[str, str, int, float, str]  # set, gait, seed, duration, solver

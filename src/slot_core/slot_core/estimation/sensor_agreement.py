@@ -62,6 +62,7 @@ FOLLOWED = 2 * MILLISECOND  # ns, least change of the shift, if it is certain
 # rad^2, sums of squared turns from which a shift counts, and all must be explained
 LEAST_MOTION, MOTION = 0.002, 0.02
 NOISIEST = 16.0  # largest variance at rest over that of the settings
+LATE = 2.5  # times the largest shift, age of odometry that is worse than an IMU so shifted
 MOVES = 16.0  # squared turn of odometry over its variance that shows motion
 DISTINCT = 6.0  # standard deviations of a unit that is no noise
 TURNED = 0.087  # rad, least angle of an IMU that counts as turned
@@ -162,7 +163,7 @@ class SensorAgreement:
         size = integrate(self._sums, self._rotation, stamp, sample)
         if size > self._settings.rate_still or size == 0.0:
             self._moving = stamp + LINGER
-        known = self._proven or self._span > self._settings.shift_max
+        known = self._proven or self._span > LATE * self._settings.shift_max
         serves = self._weighed and (known or stamp > self._moving)
         if not self._faults and not serves:
             self.withheld = stamp

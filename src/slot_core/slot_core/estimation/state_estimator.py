@@ -70,6 +70,8 @@ IMU_GAIN, IMU_INTERVAL = (
     0.1,
 )  # the same of the IMU; s, longest that counts
 SLOW_IMU = 1.25  # times `imu_gap`, mean time between samples of an IMU that serves no more
+JUMPED = "odom has started anew: place and heading count from here"
+JUMP_SAID = 3 * SECOND  # ns, for which it is said
 SAME_SPEED, SAME_RATE = 0.1, 0.5  # m/s, rad/s, of one motion in two frames
 
 
@@ -115,6 +117,7 @@ class StateEstimator:
         "_imu_interval",
         "_imu_complete",
         "_restarted",
+        "_jumped",
         "_floor",
         values=(FilterState, OdometryMotion, ImuSamples),
     )
@@ -171,6 +174,7 @@ class StateEstimator:
         # whether the IMU had samples up to the last reading
         self._imu_complete = True
         self._restarted = False  # whether odometry has started anew
+        self._jumped = BEFORE_ALL_TIMES  # ns, when odom jumped in motion
 
     @property
     def gyro_bias(self) -> Array:
@@ -488,7 +492,9 @@ class StateEstimator:
             old = self._filter.state
             before = self._floor.floor.above(old.attitude, old.position)
             self._floor.start_anew(before, motion.attitude, motion.position)
-        if not alike:
+        if alike:
+            self._jumped = motion.stamp
+        else:
             self._restarted = self._stamp is not None
             self._initial, self._accepted = motion.stamp, 0
         self._filter.restart(motion)
@@ -605,7 +611,8 @@ class StateEstimator:
             line = f"{slow} {1.0 / longest:.0f} Hz: it is not used"
             return Validity.IMU_MISSING, line
         found = Validity.IMU_MISSING if without_imu else Validity.VALID
-        return found, agreement.message
+        has_jumped = 0 < stamp - self._jumped < JUMP_SAID
+        return found, agreement.message or (JUMPED if has_jumped else "")
 
     def _predicted(
         self, stamp: int, delay: float, floor: FloorPlane

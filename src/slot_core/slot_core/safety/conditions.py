@@ -230,20 +230,15 @@ class Conditions:
         elif self._settings.bench:
             yield "no watch of the tilt: the robot hangs on a bench"
 
-    def imu_warning(self, time: int) -> str:
-        """One line while the estimates rest on the odometry alone, or ""."""
+    def sensor_warning(self, time: int) -> str:
+        """One line on what the estimator compensates or misses, or ""."""
+        if self._imu_missing is None:
+            return self._message if self._missed == 0 else ""
         limit = self._settings.estimate.imu_silence
-        age = (
-            0.0
-            if self._imu_missing is None
-            else to_seconds(time - self._imu_missing)
-        )
+        age = to_seconds(time - self._imu_missing)
         why = f": {self._message}" if self._message else ""
-        return (
-            f"no usable IMU for {age:.3g} s, limit {limit:g} s{why}"
-            if age > limit
-            else ""
-        )
+        line = f"no usable IMU for {age:.3g} s, limit {limit:g} s{why}"
+        return line if age > limit else ""
 
     @property
     def slewed(self) -> bool:

@@ -296,7 +296,7 @@ class Supervisor:
         legs = legs_message(
             self._leg_stiffness, self._modulus, self._robot.mass
         )
-        warnings += filter(None, [self._inputs.imu_warning(time), legs])
+        warnings += filter(None, [self._inputs.sensor_warning(time), legs])
         warnings += self._inputs.unwatched()
         for (
             source
