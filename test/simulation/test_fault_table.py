@@ -114,7 +114,7 @@ ROWS = {
     "tendon 5 mm longer": (
         lambda loop: loop.inject("tendon_slack", 5e-3),
         "HOLD",
-        {"HOLD": within(STRIDE)},
+        {"HOLD": within(2 * STRIDE)},
         ("sim",),
     ),
     "tendon broken": (

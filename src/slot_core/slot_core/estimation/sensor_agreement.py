@@ -12,7 +12,8 @@
 
 Until motion has shown the shift the IMU serves at rest alone, where a shift makes no difference;
 the filter goes on with the odometry, unless that is so rare or late that a shift is the smaller
-error. So it does where no finding explains the difference, with a line. Turns and twists need motion, the specific force does not.
+error. So it does where no finding explains the difference, with a line. Turns and twists need
+motion, the specific force does not.
 """
 
 from collections import deque

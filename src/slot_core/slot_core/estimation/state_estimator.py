@@ -578,8 +578,8 @@ class StateEstimator:
 
     def _judged(self, stamp: int) -> tuple[Validity, str]:
         """Validity of an estimate at `stamp` (ns), and its message."""
-        timing, agreement = self._settings.timing, self._agreement
-        withheld = to_seconds(stamp - agreement.withheld)
+        timing = self._settings.timing
+        withheld = to_seconds(stamp - self._agreement.withheld)
         is_open = withheld < WITHHELD * self._interval
         incomplete = not (self._imu_complete or is_open)
         without_imu = self._imu_is_lost(stamp) or incomplete
@@ -605,14 +605,17 @@ class StateEstimator:
                 Validity.ODOMETRY_SLOW,
                 f"odom at {rate:.1f} Hz, limit {least:g} Hz {with_it}",
             )
-        longest = SLOW_IMU * timing.imu_gap
-        if without_imu and self._imu_interval > longest:
-            slow = f"imu at {1.0 / self._imu_interval:.0f} Hz, limit"
-            line = f"{slow} {1.0 / longest:.0f} Hz: it is not used"
-            return Validity.IMU_MISSING, line
         found = Validity.IMU_MISSING if without_imu else Validity.VALID
+        return found, self._remark(stamp)
+
+    def _remark(self, stamp: int) -> str:
+        """One line on a usable estimate at `stamp` (ns), or ""."""
+        longest = SLOW_IMU * self._settings.timing.imu_gap
+        if self._imu_interval > longest:
+            slow = f"imu at {1.0 / self._imu_interval:.0f} Hz, limit"
+            return f"{slow} {1.0 / longest:.0f} Hz: it is not used"
         has_jumped = 0 < stamp - self._jumped < JUMP_SAID
-        return found, agreement.message or (JUMPED if has_jumped else "")
+        return self._agreement.message or (JUMPED if has_jumped else "")
 
     def _predicted(
         self, stamp: int, delay: float, floor: FloorPlane
