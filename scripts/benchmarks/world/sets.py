@@ -208,9 +208,8 @@ def _legs() -> list[WorldSet]:
         *cases.stiffness(0.8),
         *cases.payload(0.5, above),
     )
-    robot["tendons +-.35 mm"] = cases.tendon_errors(
-        0.35e-3
-    )  # of zeros 3 deg off
+    # zeros of the servos 3 deg off
+    robot["tendons +-.35 mm"] = cases.tendon_errors(0.35e-3)
     robot |= {
         f"friction of the guides {mu:g}": cases.guides(mu) for mu in (0.15, 0.3)
     }

@@ -274,7 +274,7 @@ class SensorAgreement:
                 self._variance + learned, least, NOISIEST * least
             )
         self._interval += 0.1 * (dt - self._interval)
-        age = to_seconds(self._imu - last.stamp)
+        age = max(to_seconds(self._imu - last.stamp), 0.0)
         self._span += 0.1 * (age - self._span)
         keep = 1.0 - dt / MEMORY
         before, after = (

@@ -65,10 +65,8 @@ VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6
 ANGLE_MAX = 100.0  # rad, of a tendon angle that is used
 EARLY = 0.25  # of a period, see `earliness`
 INTERVAL_GAIN = 0.2  # of the mean time between readings
-IMU_GAIN, IMU_INTERVAL = (
-    0.05,
-    0.1,
-)  # the same of the IMU; s, longest that counts
+IMU_GAIN = 0.05  # the same of the IMU
+IMU_INTERVAL = 0.1  # s, longest time between its samples that counts
 SLOW_IMU = 1.25  # times `imu_gap`, mean time between samples of an IMU that serves no more
 JUMPED = "odom has started anew: place and heading count from here"
 JUMP_SAID = 3 * SECOND  # ns, for which it is said
