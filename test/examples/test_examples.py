@@ -26,10 +26,16 @@ def output(tmp_path, monkeypatch, capsys):
         monkeypatch.setattr(sys, "argv", [name, *arguments])
         runpy.run_path(str(EXAMPLES / name), run_name="__main__")
         printed = capsys.readouterr()
-        assert printed.err == ""
+        assert uncompiled(printed.err) == []
         return printed.out
 
     return run
+
+
+def uncompiled(errors):
+    """Lines on stderr but those of the first start, which compiles kernels."""
+    lines = errors.splitlines()
+    return [x for x in lines if not x.startswith("slot_core: compil")]
 
 
 def numbers(pattern, text):
@@ -44,7 +50,7 @@ def test_the_five_lines_of_the_readme(tmp_path):
     run = subprocess.run(
         command, capture_output=True, text=True, cwd=tmp_path, check=True
     )
-    assert run.stderr == ""
+    assert uncompiled(run.stderr) == []
     assert len(run.stdout.splitlines()) == 300
 
 
