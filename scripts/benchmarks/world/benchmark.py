@@ -47,7 +47,7 @@ QUICK = (
 )
 LIMITS = {
     "speed": (0.1, 2e-4),
-    "aside": (0.1, 10.0),
+    "aside": (0.1, 15.0),
     "heading": (0.1, 3.0),
     "tilt": (0.1, 2.0),
     "height": (0.0, 5.0),

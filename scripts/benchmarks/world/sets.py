@@ -119,7 +119,12 @@ def _rates() -> list[WorldSet]:
     either = (WALKS, WARNED, REFUSED)
     return [
         *(WorldSet(*one) for one in rates.items()),
-        WorldSet("noise of all sensors x 3", noise),
+        WorldSet(
+            "noise of all sensors x 3",
+            noise,
+            allowed=(WALKS, WARNED),
+            cause="noise",
+        ),
         *(
             WorldSet(name, slow, allowed=either, cause=f"{name[:3]}.* Hz")
             for name, slow in rare.items()

@@ -63,6 +63,7 @@ FOLLOWED = 2 * MILLISECOND  # ns, least change of the shift, if it is certain
 # rad^2, sums of squared turns from which a shift counts, and all must be explained
 LEAST_MOTION, MOTION = 0.002, 0.02
 NOISIEST = 16.0  # largest variance at rest over that of the settings
+NOISY = 2.5  # noise over that of the settings, from which a line says so
 LATE = 2.5  # times the largest shift, age of odometry that is worse than an IMU so shifted
 MOVES = 16.0  # squared turn of odometry over its variance that shows motion
 DISTINCT = 6.0  # standard deviations of a unit that is no noise
@@ -273,6 +274,12 @@ class SensorAgreement:
             self._variance = np.clip(
                 self._variance + learned, least, NOISIEST * least
             )
+            noise = float(np.sqrt((self._variance / least).max()))
+            self._notes.pop("noise", None)
+            if noise > NOISY:
+                self._notes["noise"] = (
+                    f"odom: noise {noise:.0f} times that of estimator.yaml"
+                )
         self._interval += 0.1 * (dt - self._interval)
         age = max(to_seconds(self._imu - last.stamp), 0.0)
         self._span += 0.1 * (age - self._span)
