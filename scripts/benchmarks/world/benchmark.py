@@ -46,10 +46,10 @@ QUICK = (
     "friction 0.8",
 )
 LIMITS = {
-    "speed": (0.1, 2e-4),
+    "speed": (0.1, 2.5e-3),
     "aside": (0.1, 15.0),
     "heading": (0.1, 3.0),
-    "tilt": (0.1, 2.0),
+    "tilt": (0.1, 2.5),
     "height": (0.0, 5.0),
     "stand": (0.0, 3.0),
 }
