@@ -46,7 +46,7 @@ QUICK = (
     "friction 0.8",
 )
 LIMITS = {
-    "speed": (0.1, 2.5e-3),
+    "speed": (0.1, 2e-4),
     "aside": (0.1, 15.0),
     "heading": (0.1, 3.0),
     "tilt": (0.1, 2.5),

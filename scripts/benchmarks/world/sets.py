@@ -222,14 +222,14 @@ def _legs() -> list[WorldSet]:
         f"stall torque {percent:+d} %": cases.weak_servos(1 + percent / 100)
         for percent in (-10, -20)
     }
-    slow, cause = [WALKS, WARNED], "legs|load|walks .* of"
+    slow, cause = (WALKS, WARNED), "legs|load|walks .* of"
     lying = {"scene.start.tendon_angle_deg": 0.0}  # as after power-on
     return [
         WorldSet(
             name,
             {**lying, **dict(changes)},
             # soft legs with a load as well hardly carry a walk
-            allowed=(*slow, STOPS) if "," in name else tuple(slow),
+            allowed=(*slow, STOPS) if "," in name else slow,
             cause=cause,
         )
         for name, changes in robot.items()
