@@ -311,7 +311,7 @@ BUDGET = {
     "src/slot_nodes": 2_215,
     "slot_bringup": 2_965,
     "scripts": 4_770,
-    "test": 16_895,
+    "test": 16_866,
 }
 
 

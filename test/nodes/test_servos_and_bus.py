@@ -23,12 +23,9 @@ def rig(graph):
     return graph
 
 
-def test_a_hardware_error_relaxes_all_until_reboot_and_reset(rig):
+def test_after_a_hardware_error_a_reset_is_refused_until_a_reboot(rig):
     begin = rig.inject("overheating", "FR", value=90.0)
-    relaxed, reason = rig.wait_for_state(State.RELAX, begin)
-    assert "servo FR: overheating" in reason
-    rig.wait_for_torque_off(relaxed)
-    rig.wait_for_state(State.FAULT, relaxed)
+    rig.wait_for_state(State.FAULT, begin)
     rig.inject("overheating", "FR", clear=True)
     # the error lasts until a reboot
     assert "overheating" in rig.request("reset")
@@ -49,12 +46,8 @@ def test_a_new_driver_clears_the_servos_watchdogs_and_starts_without_motion(
         begin = rig.inject("unplugged", duration=0.5)
         assert rig.exit_code(DRIVER) == 1
         assert "their bus watchdogs stop the servos" in rig.log(DRIVER)
-    relaxed, reason = rig.wait_for_state(State.RELAX, begin)
-    # stopped in a stride it may tilt too far before the limit of the servos' silence
-    assert "silent" in reason or "limit 0.5 rad" in reason
-    rig.wait_for_state(State.FAULT, relaxed)
+    rig.wait_for_state(State.FAULT, begin)
     rig.run(1.0)
-    assert rig.registers("bus_watchdog") == [-1] * 4
     restarted = rig.now()
     rig.start(DRIVER)
     rig.wait_for_torque_off(restarted)  # by the driver's start

@@ -224,7 +224,9 @@ def test_what_is_not_known_is_not_watched_and_that_is_said(
     assert (bench.run(0.2).state is State.WALKING) == (len(said) == 2)
     bench.state = state()
     bench.health = OVERLOAD
-    assert bench.run(0.1).state is State.RELAX
+    report = bench.run(0.1)
+    error = "servo FL: overload error, register 70 = 0x20, limit 0"
+    assert (report.state, error in report.warnings) == (State.RELAX, True)
 
 
 @pytest.mark.parametrize(
@@ -312,7 +314,8 @@ def test_after_a_clock_jump_and_a_hold_the_robot_walks_and_is_watched(
     """Tendons are watched once the legs follow the gait again."""
     walking.now += round(jump * 1e9)
     assert walking.tick().state is State.HOLD
-    assert "clock jumped by" in walking.reports[-1].reason
+    said = f"clock jumped by {jump + STEP:+.3g} s, limit 0.5"
+    assert walking.reports[-1].reason == said
     assert (
         walking.time_until(State.WALKING, 1.0) <= TIMING.recovery + CYCLE + STEP
     )
@@ -362,7 +365,6 @@ def test_steady_time_does_not_go_back_with_the_clock():
         clock.advance(now) for now in (0, 100, 50, 60, 10**10, 10**10 + 5, 0, 7)
     ]
     assert times == [0, 100, 100, 110, 110, 115, 115, 122]
-    assert clock.jumped.startswith("clock jumped by -10 s")
 
 
 def test_a_fault_during_a_requested_relax_ends_in_fault(walking):

@@ -253,24 +253,20 @@ def test_a_fault_of_a_walking_robot_ends_as_the_table_says_at_the_time_it_says(
 
 
 @pytest.mark.parametrize(
-    ("scene", "velocity", "changes", "reason"),
+    ("scene", "velocity", "changes"),
     [
-        ("flat", 0.05, {"robot.leg.young_modulus": 1e9}, "no motion seen"),
-        ("slope10", 0.03, {}, ""),  # its feet slide
-        ("flat", 0.005, {}, ""),
-        ("flat", 0.05, {"scene.payload.mass": 2.0}, ""),  # its belly drags
+        ("slope10", 0.03, {}),  # its feet slide
+        ("flat", 0.005, {}),
+        ("flat", 0.05, {"scene.payload.mass": 2.0}),  # its belly drags
     ],
 )
-def test_only_a_walk_that_does_not_move_is_held_for_it(
-    scene, velocity, changes, reason
+def test_a_walk_that_moves_a_little_is_not_held_for_it(
+    scene, velocity, changes
 ):
     loop = SupervisedLoop(
         scene, "walk", np.array([velocity, 0, 0]), 0, changes=changes
     )
-    held = [r.reason for r in loop.run(10.0) if r.state is State.HOLD]
-    assert [line.partition(":")[0] for line in held[:1]] == [reason] * bool(
-        reason
-    )
+    assert State.HOLD not in {report.state for report in loop.run(10.0)}
 
 
 def test_a_hold_ends_a_fifth_of_a_second_after_its_reason_and_the_robot_walks_on():
