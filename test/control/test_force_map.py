@@ -6,7 +6,11 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.mpc.cases import standing, state
 from slot_core import config
-from slot_core.control.force_map import ForceMap, read_force_map
+from slot_core.control.force_map import (
+    ForceMap,
+    make_force_map,
+    read_force_map,
+)
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.legs.leg_springs import LegSprings
 from slot_core.legs.leg_table import LegTable
@@ -87,3 +91,17 @@ def test_a_plan_that_has_stopped_holds_the_last_angles():
 def test_an_unknown_map_is_refused():
     with pytest.raises(ValueError, match="map 'cubic': expected incremental"):
         make().step(of_forces("cubic", *[5.3] * 4), preview(), LEVEL)
+
+
+def test_an_angle_is_moved_on_at_its_rate_from_the_tick_to_the_sample_that_led_to_it():
+    """The state is predicted by the delay beyond it; the angle is within its range as before."""
+    late = make_force_map(ROBOT, read_force_map(), delay=0.0025)
+    rate = np.array([1.0, -2.0, 0.0, 4.0])
+    angle = np.array([0.5, 0.6, 0.7, ROBOT.tendon.angle_max])
+    plan = TendonPlan(angle[None], rate, np.ones((1, 4, 3)))
+    at_tick = late.step(plan, preview(), LEVEL, 2_500_000)
+    np.testing.assert_array_equal(at_tick.angle, angle)
+    later = late.step(plan, preview(), LEVEL, 6_500_000)
+    moved = [0.504, 0.592, 0.7, ROBOT.tendon.angle_max]
+    np.testing.assert_allclose(later.angle, moved, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(later.rate, rate)

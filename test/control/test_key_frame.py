@@ -73,7 +73,9 @@ def test_scheduler_policy_and_map_go_on_from_key_frames_in_a_walk(policy):
         controller.policy.prepare()
         preview = controller.scheduler.step(estimate.time, estimate.state)
         plan = controller.policy.step(estimate, preview)
-        command = controller.force_map.step(plan, preview, estimate.state)
+        command = controller.force_map.step(
+            plan, preview, estimate.state, estimate.lead
+        )
         return preview, plan, command
 
     for tick in ticks[:32]:

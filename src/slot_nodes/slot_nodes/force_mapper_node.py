@@ -46,7 +46,7 @@ class ForceMapperNode(Node):
         inputs.require_finite("state", estimate.state)
         self._command(
             estimate.stamp,
-            self._inputs.add("state", estimate.stamp, estimate.state),
+            self._inputs.add("state", estimate.stamp, estimate),
         )
 
     def _on_preview(self, message: GaitPreview) -> None:
@@ -67,7 +67,8 @@ class ForceMapperNode(Node):
         self._polled.wake_on_message(matched is None)
         if matched is None:
             return
-        command = self._map.step(*matched)
+        plan, preview, estimate = matched
+        command = self._map.step(plan, preview, estimate.state, estimate.lead)
         self._angles.publish(
             messages.command_to_msg(stamp, command.angle, command.rate)
         )

@@ -48,15 +48,14 @@ class Controller:
         velocity: (3,) m/s, m/s, rad/s, or None for the gait's `cruise`. path: followed by a stride
         instead. gaits, estimator: in place of the configured ones.
         """
-        springs = read_springs()
-        self.estimator = make_estimator(
-            estimator or read_estimator(), robot, springs
-        )
+        springs, estimator = read_springs(), estimator or read_estimator()
+        self.estimator = make_estimator(estimator, robot, springs)
         self.scheduler = GaitScheduler(
             gaits or read_gaits(), robot, springs, gait, velocity, path
         )
         self.policy = policy
-        self.force_map = make_force_map(robot, read_force_map())
+        delay = estimator.timing.command_delay
+        self.force_map = make_force_map(robot, read_force_map(), delay)
 
     def poll(self) -> Tick | None:
         """Process the estimator's next estimate; None if none is ready."""
@@ -68,6 +67,8 @@ class Controller:
         )
         preview = replace(preview, stamp=estimate.stamp)  # of the tick
         plan = self.policy.step(estimate, preview)
-        command = self.force_map.step(plan, preview, estimate.state)
+        command = self.force_map.step(
+            plan, preview, estimate.state, estimate.lead
+        )
         self.policy.prepare()
         return Tick(estimate, preview, plan, command)

@@ -495,7 +495,8 @@ def commands(recorded: RecordedStages) -> Replayed:
 
     def step(force_map: ForceMap, stamp: int) -> Fields:
         plan, preview = recorded.plans[stamp], recorded.previews[stamp]
-        command = force_map.step(plan, preview, recorded.estimates[stamp].state)
+        seen = recorded.estimates[stamp]
+        command = force_map.step(plan, preview, seen.state, seen.lead)
         return {"position": command.angle, "velocity": command.rate}
 
     def is_planned(stamp: int) -> bool:

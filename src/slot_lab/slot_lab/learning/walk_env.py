@@ -91,7 +91,10 @@ class WalkEnv(gymnasium.Env[Any, Any]):
             task.actions, taken, task.stride, preview.phases, ahead
         )
         command = self._loop.controller.force_map.step(
-            gait_plan(preview, change), preview, self._estimate.state
+            gait_plan(preview, change),
+            preview,
+            self._estimate.state,
+            self._estimate.lead,
         )
         plant.command(command.angle, command.rate)
         self._commanded = command.angle
