@@ -1,4 +1,4 @@
-"""Packets of Protocol 2.0: CRC, byte stuffing, packet builder, stream parser.
+"""Packets of Protocol 2.0: byte stuffing, packet builder, stream parser; the CRC is the SDK's.
 
     FF FF FD 00 | id | length (2) | instruction | parameters | CRC (2)
 
@@ -12,6 +12,8 @@ import enum
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from dynamixel_sdk import PacketHandler
+
 HEADER = b"\xff\xff\xfd\x00"
 BROADCAST = 0xFE
 PACKET_MAX = 1024  # bytes of the longest packet accepted, as in dynamixel-sdk
@@ -20,7 +22,6 @@ OVERHEAD = 7  # bytes from the header to the length, both included
 # bytes of each servo in a fast answer beside its data: error, id, CRC
 FAST_OVERHEAD = 4
 ALERT = 0x80  # bit of the error byte: Hardware Error Status is not 0
-_POLYNOMIAL = 0x8005
 _PATTERN = b"\xff\xff\xfd"
 
 
@@ -59,26 +60,15 @@ class Packet:
     id: int
     instruction: int
     parameters: bytes
-    size: int  # bytes on the wire
     intact: bool = True
 
 
-def _crc_row(index: int) -> int:
-    value = index << 8
-    for _ in range(8):
-        value = (value << 1) ^ (_POLYNOMIAL if value & 0x8000 else 0)
-    return value & 0xFFFF
-
-
-_CRC_TABLE = tuple(_crc_row(index) for index in range(256))
+_SDK = PacketHandler(2.0)
 
 
 def crc(data: bytes) -> int:
     """CRC of `data`."""
-    value = 0
-    for byte in data:
-        value = ((value << 8) & 0xFFFF) ^ _CRC_TABLE[(value >> 8) ^ byte]
-    return value
+    return int(_SDK.updateCRC(0, data, len(data)))
 
 
 def stuff(body: bytes) -> bytes:
@@ -170,4 +160,4 @@ class Parser:
         data = bytes(self._buffer[:size])
         intact = crc(data[:-2]) == int.from_bytes(data[-2:], "little")
         del self._buffer[: size if intact else 1]
-        return Packet(data[4], data[7], unstuff(data[8:-2]), size, intact)
+        return Packet(data[4], data[7], unstuff(data[8:-2]), intact)
