@@ -33,7 +33,7 @@ def compile_robot():
         config.replace(read_scene("flat"), {"start.settle": 0.0}),
         read_servo(),
     )
-    _ = rods.momentum(), rods.energy(), rods.snapshot()
+    rods.snapshot()
     integrator.advance_one_by_one(rods.handle, NO_STEP)
 
 

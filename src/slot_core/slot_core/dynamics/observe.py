@@ -1,12 +1,4 @@
-"""Quantities computed from a state: node positions, ground forces, momentum, energy.
-
-The masses of a segment move linearly between its nodes (`rod.py`). With its coupling mu, spin
-inertia I, chord e, difference of its nodes' velocities u and swirl S it adds to the lumped masses
-
-    angular momentum I S - mu e x u,      kinetic energy (I S.S - mu u.u) / 2.
-
-`points` writes position and velocity of the nodes, which the other kernels take.
-"""
+"""Positions and velocities of the nodes, and ground forces, computed from a state."""
 
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
@@ -27,8 +19,6 @@ from slot_core.dynamics.algebra import (
     times_transposed,
 )
 from slot_core.dynamics.contact import coefficient, friction_force, normal_force
-from slot_core.dynamics.spatial.strain import elastic_energy
-from slot_core.dynamics.tendon import cable_energy
 from slot_core.dynamics.terrain import ground, is_uneven
 
 
@@ -121,121 +111,3 @@ def _gap(terrain, r):
     a, b = below.slope_x, below.slope_y
     tall = 1.0 / math.sqrt(1.0 + a * a + b * b)
     return (r[2] - below.height) * tall, (-a * tall, -b * tall, tall)
-
-
-@kernel
-def momenta(model, state, position, velocity, out):
-    """Write out (2, 3): momentum (kg m/s) and angular momentum about odom's origin (kg m^2/s).
-
-    Of torso, payload and legs; bristles and cables have no mass.
-    """
-    out[:] = 0.0
-    _add_momentum(out, model.torso.mass, state.position, state.velocity)
-    _add_momentum(out, model.payload[0], *_payload(model, state))
-    spinning = times(state.rotation, times(model.torso.inertia, state.rate))
-    put(out, 1, add(row(out, 1), spinning))
-    for leg in range(4):
-        r, v = position[leg], velocity[leg]
-        for i in range(r.shape[0]):
-            _add_momentum(out, model.rod.mass[i], row(r, i), row(v, i))
-        for k in range(r.shape[0] - 1):
-            # The masses between two nodes move linearly; the segment spins about itself.
-            e = minus(row(r, k + 1), row(r, k))
-            arm = cross(e, minus(row(v, k + 1), row(v, k)))
-            spin = scaled(model.rod.spin[k], state.swirl[leg, k])
-            spin = _to_odom(model, state, leg, spin)
-            own = minus(spin, scaled(model.rod.coupling[k], arm))
-            put(out, 1, add(row(out, 1), own))
-
-
-@helper
-def _add_momentum(out, mass, r, v):
-    """Add m v and m r x v."""
-    put(out, 0, plus(row(out, 0), mass, v))
-    put(out, 1, plus(row(out, 1), mass, cross(r, v)))
-
-
-@kernel
-def energy(model, state, segments, position, velocity):
-    """J: kinetic, gravity (zero at odom's origin), rods, cables, floor and bristles.
-
-    segments: scratch arrays of one rod.
-    """
-    floor = model.floor
-    total = 0.5 * dot(state.rate, times(model.torso.inertia, state.rate))
-    total += _point_energy(
-        model, model.torso.mass, state.position, state.velocity
-    )
-    total += _point_energy(model, model.payload[0], *_payload(model, state))
-    total += _corner_energy(model, state)
-    for leg in range(4):
-        total += _leg_energy(
-            model, state, segments, position[leg], velocity[leg], leg
-        )
-        for p in range(floor.stiffness.size):
-            i, place, _ = _contact_point(
-                model, state, position, velocity, leg, p
-            )
-            if i >= floor.first:
-                stiffness, bristle = floor.stiffness[p], state.bristle[leg]
-                total = _add_contact(total, floor, stiffness, place, bristle, p)
-    return total
-
-
-@helper
-def _leg_energy(model, state, segments, position, velocity, leg):
-    """J, of the rod and its cable, and of the motion and weight of its masses."""
-    rod, angle = model.rod, state.tendon_angle[leg]
-    total = elastic_energy(segments, rod, state.node[leg], state.director[leg])
-    fault = (model.fault[0, leg], model.fault[1, leg])
-    total += cable_energy(segments, model.tendon, angle, fault)
-    for i in range(position.shape[0]):
-        total += _point_energy(
-            model, rod.mass[i], row(position, i), row(velocity, i)
-        )
-    for k in range(position.shape[0] - 1):
-        u = minus(row(velocity, k + 1), row(velocity, k))
-        s = row(state.swirl[leg], k)
-        total += 0.5 * (rod.spin[k] * dot(s, s) - rod.coupling[k] * dot(u, u))
-    return total
-
-
-@helper
-def _payload(model, state):
-    """Position and velocity of the payload in odom."""
-    p = (model.payload[1], model.payload[2], model.payload[3])
-    turning = times(state.rotation, cross(state.rate, p))
-    place = add(state.position, times(state.rotation, p))
-    return place, add(state.velocity, turning)
-
-
-@helper
-def _corner_energy(model, state):
-    """J, floor springs and bristles of the torso's corners."""
-    total, floor = 0.0, model.floor
-    for k in range(model.torso.corners.shape[0]):
-        r = add(
-            state.position, times(state.rotation, row(model.torso.corners, k))
-        )
-        stiffness, bristle = floor.corner_stiffness, state.corner_bristle
-        total = _add_contact(total, floor, stiffness, r, bristle, k)
-    return total
-
-
-@helper
-def _add_contact(total, floor, stiffness, r, bristle, p):
-    """J, `total` and the energy of spring and bristle of a contact point at r, odom, m."""
-    gap, _ = _gap(floor.terrain, r)
-    total += 0.5 * stiffness * min(0.0, gap) ** 2
-    if floor.bristle > 0.0:
-        held = row(bristle, p)
-        total += 0.5 * floor.bristle * stiffness * dot(held, held)
-    return total
-
-
-@helper
-def _point_energy(model, mass, r, v):
-    """J, of motion and weight of a point mass."""
-    g = model.gravity
-    kinetic = 0.5 * dot(v, v)
-    return mass * (kinetic - g[0] * r[0] - g[1] * r[1] - g[2] * r[2])

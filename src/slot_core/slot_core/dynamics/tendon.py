@@ -63,32 +63,18 @@ def route(rod: Rod, settings: Tendon) -> TendonModel:
 
 
 @helper
-def _stretch(s, tendon, angle, fault):
-    """l - l_cmd, m, at tendon angle (rad), after `measure`."""
-    stretch = tendon.spool_radius * angle - tendon.relaxed - fault[0]
-    for i in range(s.length.size):
-        stretch += (
-            tendon.along[i] * s.extension[i] + tendon.around[i] * s.turn[i]
-        )
-    return stretch
-
-
-@helper
 def pull(s, tendon, angle, rate, fault):
     """Tension (N, zero when slack) at tendon angle (rad) and rate (rad/s), after `measure`.
 
     fault (2,): additional slack (m), and 1, or 0 for a broken tendon.
     """
-    force = tendon.stiffness * _stretch(s, tendon, angle, fault)
+    stretch = tendon.spool_radius * angle - tendon.relaxed - fault[0]
+    for i in range(s.length.size):
+        along = tendon.along[i] * s.extension[i]
+        stretch += along + tendon.around[i] * s.turn[i]
+    force = tendon.stiffness * stretch
     speed = tendon.spool_radius * rate
     for i in range(s.length.size):
         along = tendon.along[i] * s.extension_rate[i]
         speed += along + tendon.around[i] * s.turn_rate[i]
     return fault[1] * max(0.0, force + tendon.damping * speed)
-
-
-@helper
-def cable_energy(s, tendon, angle, fault):
-    """Elastic energy of the taut cable, J, after `measure`; fault as for `pull`."""
-    stretch = max(0.0, _stretch(s, tendon, angle, fault))
-    return fault[1] * 0.5 * tendon.stiffness * stretch**2

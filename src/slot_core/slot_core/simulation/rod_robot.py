@@ -20,7 +20,6 @@ from slot_core.dynamics.model import (
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import KernelRobot, require_steps
-from slot_core.dynamics.spatial.strain import segments
 from slot_core.geometry import Transform
 from slot_core.matrices import product
 from slot_core.refusal import DivergenceError
@@ -50,7 +49,6 @@ class RodRobot(KernelRobot):
 
     def _connect(self) -> None:
         """Give model and state to the kernels."""
-        self._segments = segments(len(self.model.rod.node))
         self._legs = leg_lanes(self.model, self.state)
         scheme = build_scheme(self.scene.solver, self.model.floor)
         parts = (self.model, self.state, self._work, self._start, self._legs)
@@ -154,20 +152,6 @@ class RodRobot(KernelRobot):
         force = np.zeros((4, 3))
         observe.ground_forces(self.model, self.state, *self._observe(), force)
         return force
-
-    def momentum(self) -> tuple[Array, Array]:
-        """Linear (3,), kg m/s, and angular momentum (3,), kg m^2/s, in odom, about its origin."""
-        out = np.zeros((2, 3))
-        observe.momenta(self.model, self.state, *self._observe(), out)
-        return out[0], out[1]
-
-    def energy(self) -> float:
-        """J: kinetic, gravity (zero at odom's origin), rods, cables, floor and bristles."""
-        return float(
-            observe.energy(
-                self.model, self.state, self._segments, *self._observe()
-            )
-        )
 
     def _observe(self) -> tuple[Array, Array]:
         observe.points(self.model, self.state, self._points[0], self._points[1])

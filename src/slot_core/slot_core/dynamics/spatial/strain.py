@@ -221,33 +221,6 @@ def rotation_vector(a, b):
 
 
 @helper
-def elastic_energy(s, rod, node, director):
-    """Elastic energy of a rod at nodes (N, 3) from its clamp, m, with directors (N-1, 3), in J.
-
-    Writes s but for its rates.
-    """
-    energy, before = 0.0, ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
-    point_along(s, node)
-    for k in range(s.length.size):
-        t, d = row(s.direction, k), row(director, k)
-        own = (t, d, cross(t, d))
-        psi, _ = rotation_vector(before, own)
-        s.turn[k] = psi[1]
-        bend = psi[1] - rod.rest_angle[k]
-        bulge = rod.shortening[k] * (bend * bend + psi[2] * psi[2])
-        s.extension[k] = s.length[k] - rod.rest_length[k] - bulge
-        energy += (
-            rod.axial[k] * s.extension[k] ** 2
-            + rod.torsion[k] * psi[0] * psi[0]
-        )
-        energy += (
-            rod.bending[k] * bend * bend + rod.lateral[k] * psi[2] * psi[2]
-        )
-        before = own
-    return 0.5 * energy
-
-
-@helper
 def remember(s, relaxation, memory, tau):
     """Write A and the lag (N-1, 4) of a step with the stage at tau (s) into the segments s.
 
