@@ -39,7 +39,7 @@ from slot_core.dynamics.algebra import (
 )
 from slot_core.dynamics.contact import advance_bristle
 from slot_core.dynamics.handle import contents
-from slot_core.dynamics.lanes import all_lanes, in_lanes, one_lane
+from slot_core.dynamics.lanes import all_lanes, in_lanes
 from slot_core.dynamics.spatial.elimination import (
     add_to_torso,
     couple,
@@ -78,25 +78,9 @@ def advance(machine, steps):
     )
 
 
-@kernel
-def advance_one_by_one(machine, steps):
-    """`advance` with one leg after the other: the same equations in scalars, slower.
-
-    The reference that the tests compare the lanes with.
-    """
-    model, state, work, start, legs, scheme = contents(machine)
-    singly = (
-        one_lane(legs, 0),
-        one_lane(legs, 1),
-        one_lane(legs, 2),
-        one_lane(legs, 3),
-    )
-    return advance_contents(model, state, work, start, singly, scheme, steps)
-
-
 @helper
 def advance_contents(model, state, work, start, legs, scheme, steps):
-    """`advance` on the arrays of its handle; legs in lanes."""
+    """`advance` on the arrays of its handle; legs: a tuple of one in lanes, or of legs."""
     for k in range(steps):
         copy(start.buffer, state.buffer)
         for halving in range(scheme.halvings + 1):

@@ -9,7 +9,6 @@ Outside the kernels Lanes are the last axis (4,) of an array; `in_lanes` gives t
 """
 
 # mypy: disable-error-code="no-untyped-def,misc,no-untyped-call"
-# ruff: noqa: PLR0917 - a lowering takes its arguments by position
 
 import math
 import operator
@@ -315,28 +314,27 @@ def _atan2(y, x):
     return each
 
 
-def _part(kind, leaf):
-    """Type of a (nested) named tuple of arrays (..., 4) with `leaf(ndim)` in place of each."""
+def _part(kind):
+    """Type of the view `in_lanes` of a (nested) named tuple of arrays (..., 4)."""
     if isinstance(kind, types.Array):
         if kind.layout != "C" or kind.dtype != types.float64:
             raise TypingError(
                 f"{kind} has no lanes: they are the last axis of a contiguous array"
             )
-        return leaf(kind.ndim - 1)
-    parts = [_part(part, leaf) for part in kind.types]
+        # not aligned: NumPy aligns to 16 bytes, a vector needs 32
+        return types.Array(LANES, kind.ndim - 1, "C", aligned=False)
+    parts = [_part(part) for part in kind.types]
     if all(part == parts[0] for part in parts):
         return types.NamedUniTuple(parts[0], len(parts), kind.instance_class)
     return types.NamedTuple(parts, kind.instance_class)
 
 
-def _convert(context, builder, kind, out, value, first):
-    """Views of the arrays without their last axis, starting at lane `first`."""
+def _convert(context, builder, kind, out, value):
+    """Views of the arrays without their last axis."""
     if not isinstance(kind, types.Array):
         parts = cgutils.unpack_tuple(builder, value, len(kind.types))
         triples = zip(kind.types, out.types, parts)
-        parts = [
-            _convert(context, builder, *triple, first) for triple in triples
-        ]
+        parts = [_convert(context, builder, *triple) for triple in triples]
         return context.make_tuple(builder, out, parts)
     source, view = (
         make_array(kind)(context, builder, value),
@@ -346,7 +344,7 @@ def _convert(context, builder, kind, out, value, first):
         cgutils.unpack_tuple(builder, x)[:-1]
         for x in (source.shape, source.strides)
     )
-    data = builder.bitcast(builder.gep(source.data, [first]), view.data.type)
+    data = builder.bitcast(source.data, view.data.type)
     itemsize = context.get_abi_sizeof(context.get_data_type(out.dtype))
     populate_array(view, data, shape, strides, itemsize, None)
     return view._getvalue()
@@ -358,30 +356,9 @@ def in_lanes(typingctx, arrays):
 
     The view does not keep the memory alive: the caller of the kernel must.
     """
-    # not aligned: NumPy aligns to 16 bytes, a vector needs 32
-    out = _part(
-        arrays, lambda ndim: types.Array(LANES, ndim, "C", aligned=False)
-    )
+    out = _part(arrays)
 
     def build(context, builder, sig, args):
-        return _convert(
-            context,
-            builder,
-            arrays,
-            out,
-            args[0],
-            context.get_constant(types.intp, 0),
-        )
+        return _convert(context, builder, arrays, out, args[0])
 
     return out(arrays), build
-
-
-@intrinsic
-def one_lane(typingctx, arrays, lane):
-    """View as `in_lanes`, of one lane: strided arrays (...) of float64."""
-    out = _part(arrays, lambda ndim: types.Array(types.float64, ndim, "A"))
-
-    def build(context, builder, sig, args):
-        return _convert(context, builder, arrays, out, *args)
-
-    return out(arrays, types.intp), build
