@@ -3,7 +3,7 @@
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-import math
+import numpy as np
 
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import (
@@ -19,7 +19,9 @@ from slot_core.dynamics.algebra import (
     times_transposed,
 )
 from slot_core.dynamics.contact import coefficient, friction_force, normal_force
-from slot_core.dynamics.terrain import ground, is_uneven
+from slot_core.dynamics.terrain import clearance
+
+ORIGIN, AXES = np.zeros(3), np.eye(3)  # of odom
 
 
 @kernel
@@ -77,7 +79,7 @@ def ground_forces(model, state, position, velocity, force):
             i, place, u = _contact_point(
                 model, state, position, velocity, leg, p
             )
-            gap, up = _gap(floor.terrain, place)
+            gap, up, _ = clearance(floor.terrain, ORIGIN, AXES, place)
             if i < floor.first or gap >= 0.0:
                 continue
             vn = dot(up, u)
@@ -100,14 +102,3 @@ def ground_forces(model, state, position, velocity, force):
                 minus(scaled(normal, up), scaled(hold.drag, v)), hold.held
             )
             put(force, leg, add(row(force, leg), f))
-
-
-@helper
-def _gap(terrain, r):
-    """Gap (m) of a point in odom and the floor's normal there."""
-    if not is_uneven(terrain):
-        return r[2], (0.0, 0.0, 1.0)
-    below = ground(terrain, r[0], r[1])
-    a, b = below.slope_x, below.slope_y
-    tall = 1.0 / math.sqrt(1.0 + a * a + b * b)
-    return (r[2] - below.height) * tall, (-a * tall, -b * tall, tall)

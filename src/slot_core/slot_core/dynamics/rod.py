@@ -49,21 +49,6 @@ class Rod(NamedTuple):
     relaxation: Array  # (2, 2) shares and times (s) of the Maxwell branches, see spatial/strain
 
 
-class Links(NamedTuple):
-    """Masses and stiffness of any chain of nodes; units as in `Rod`. A leg's tip has no hinge."""
-
-    mass: Array  # (N,)
-    coupling: Array  # (N-1,)
-    spin: Array  # (N-1,)
-    rest_length: Array  # (N-1,)
-    rest_angle: Array  # (N-1,)
-    shortening: Array  # (N-1,)
-    axial: Array  # (N-1,)
-    bending: Array  # (N,) hinges at all nodes
-    lateral: Array  # (N,)
-    torsion: Array  # (N,)
-
-
 class Sections(NamedTuple):
     """Stiffness and mass of sections at any places."""
 
@@ -102,14 +87,12 @@ def build(leg: Leg, node: Array, arc: Array, anchor: int) -> Rod:
     extent[anchor:] += behind
     middle = sections(leg, (fraction[1:] + fraction[:-1]) / 2)
     chain = links(node, arc, extent, sections(leg, fraction), middle)
+    # a leg's tip has no hinge
+    hinges = {n: chain[n][:-1] for n in ("bending", "lateral", "torsion")}
     return Rod(
         node=node,
         arc=arc,
-        **chain._replace(
-            bending=chain.bending[:-1],
-            lateral=chain.lateral[:-1],
-            torsion=chain.torsion[:-1],
-        )._asdict(),
+        **chain | hinges,
         anchor=anchor,
         anchor_share=float(before[-1] / (before[-1] + behind[0])),
         damping_time=leg.damping_time,
@@ -119,14 +102,15 @@ def build(leg: Leg, node: Array, arc: Array, anchor: int) -> Rod:
 
 def links(
     node: Array, arc: Array, extent: Array, hinge: Sections, middle: Sections
-) -> Links:
-    """Links of a chain: natural nodes (N, 2), arc lengths (N,) and hinges' weights (N,), m.
+) -> dict[str, Array]:
+    """Masses and stiffness of a chain of nodes by their names in `Rod`, with hinges at all nodes.
 
-    hinge, middle: sections at the nodes and at the middles of the segments.
+    node: (N, 2), natural; arc: (N,) arc lengths; extent: (N,) hinges' weights, m. hinge, middle:
+    sections at the nodes and at the middles of the segments.
     """
     chord, step = np.diff(node, axis=0), np.diff(arc)
     rest_length = hypot(chord[:, 0], chord[:, 1])
-    return Links(
+    return dict(
         mass=lumped(hinge.mass, step),
         coupling=middle.mass * step / 6,
         spin=middle.spin * step,

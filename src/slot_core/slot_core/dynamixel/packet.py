@@ -22,7 +22,7 @@ OVERHEAD = 7  # bytes from the header to the length, both included
 # bytes of each servo in a fast answer beside its data: error, id, CRC
 FAST_OVERHEAD = 4
 ALERT = 0x80  # bit of the error byte: Hardware Error Status is not 0
-_PATTERN = b"\xff\xff\xfd"
+PLAIN, STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
 
 
 class Instruction(enum.IntEnum):
@@ -71,19 +71,9 @@ def crc(data: bytes) -> int:
     return int(_SDK.updateCRC(0, data, len(data)))
 
 
-def stuff(body: bytes) -> bytes:
-    """Instruction and parameters with an FD inserted after every FF FF FD."""
-    return body.replace(_PATTERN, _PATTERN + b"\xfd")
-
-
-def unstuff(body: bytes) -> bytes:
-    """The inverse of `stuff`."""
-    return body.replace(_PATTERN + b"\xfd", _PATTERN)
-
-
 def build(identity: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Bytes on the wire of a packet."""
-    body = stuff(bytes([instruction]) + parameters)
+    body = (bytes([instruction]) + parameters).replace(PLAIN, STUFFED)
     head = HEADER + bytes([identity]) + (len(body) + 2).to_bytes(2, "little")
     return _with_crc(head + body)
 
@@ -160,4 +150,5 @@ class Parser:
         data = bytes(self._buffer[:size])
         intact = crc(data[:-2]) == int.from_bytes(data[-2:], "little")
         del self._buffer[: size if intact else 1]
-        return Packet(data[4], data[7], unstuff(data[8:-2]), intact)
+        parameters = data[8:-2].replace(STUFFED, PLAIN)
+        return Packet(data[4], data[7], parameters, intact)

@@ -70,22 +70,24 @@ def build_mesh(  # noqa: PLR0917
     hinge = sections(material, geometry, arc)
     middle = sections(material, geometry, (arc[1:] + arc[:-1]) / 2)
     chain = links(shape[:, :2], arc, weights(np.diff(arc)), hinge, middle)
-    last = shape[-1, 2] - np.sum(chain.rest_angle)
-    turning = chain.mass * length**2 / 12
-    of_nodes = np.column_stack([chain.mass, chain.mass, chain.mass, turning])
+    last = shape[-1, 2] - np.sum(chain["rest_angle"])
+    turning = chain["mass"] * length**2 / 12
+    of_nodes = np.column_stack(
+        [chain["mass"], chain["mass"], chain["mass"], turning]
+    )
     return Mesh(
         natural=np.column_stack([shape[:, 0], np.zeros(nodes), shape[:, 1]]),
         turn=float(shape[-1, 2]),
-        mass=chain.mass,
-        coupling=np.append(chain.coupling, 0.0),
-        spin=np.append(chain.spin, 0.0),
-        rest_length=np.append(chain.rest_length, 1.0),
-        rest_angle=np.append(chain.rest_angle, last),
-        shortening=np.append(chain.shortening, 0.0),
-        axial=np.append(chain.axial, 0.0),
-        bending=chain.bending,
-        lateral=chain.lateral,
-        torsion=chain.torsion,
+        mass=chain["mass"],
+        coupling=np.append(chain["coupling"], 0.0),
+        spin=np.append(chain["spin"], 0.0),
+        rest_length=np.append(chain["rest_length"], 1.0),
+        rest_angle=np.append(chain["rest_angle"], last),
+        shortening=np.append(chain["shortening"], 0.0),
+        axial=np.append(chain["axial"], 0.0),
+        bending=chain["bending"],
+        lateral=chain["lateral"],
+        torsion=chain["torsion"],
         # norm of the unknowns in the order of `assembly.py`
         metric=np.concatenate(
             [np.full(4, turning[0]), of_nodes.ravel(), np.full(3, turning[-1])]

@@ -4,12 +4,12 @@ A driver in the same process reaches them without a device. Transmission then ta
 simulated clock may stand still during an exchange, and equal runs are equal to the last bit.
 """
 
-import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
+from slot_core import config
 from slot_core.arrays import Array
 from slot_core.clock import Clock
 from slot_core.dynamixel.checks import expected
@@ -155,7 +155,5 @@ def read_emulated_legs(
     angles: Sequence[float] | Array, voltage: float
 ) -> EmulatedDynamixels:
     """The servos of `config/` at tendon angles (4,), rad, and a supply voltage (V)."""
-    emulator = read_emulator()
-    supplied = dataclasses.replace(emulator.servo, voltage=voltage)
-    emulator = dataclasses.replace(emulator, servo=supplied)
+    emulator = config.replace(read_emulator(), {"servo.voltage": voltage})
     return EmulatedDynamixels(read_settings(), emulator, angles)
