@@ -308,7 +308,7 @@ BUDGET = {
     "src/slot_core": 15_960,
     "src/slot_lab": 6_580,
     "src/slot_paper": 700,
-    "src/slot_nodes": 2_215,
+    "src/slot_nodes": 2_220,
     "slot_bringup": 2_965,
     "scripts": 4_770,
     "test": 16_970,

