@@ -166,7 +166,7 @@ def _policies():
     springs, gaits = read_leg_springs(4.0), read_gaits()
     scheduler = GaitScheduler(gaits, robot, springs, "walk", None)
     preview = scheduler.step(0, np.eye(12)[5] * 0.06)
-    force_map = make_force_map(robot, read_force_map())
+    force_map = make_force_map(robot, read_force_map(), 0.0)
 
     def mapped(force, planned, rate, state):
         force_map.step(TendonPlan(planned, rate, force), preview, state)

@@ -4,6 +4,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from slot_core.control.force_map import make_force_map, read_force_map
+from slot_core.estimation.state_estimator import read_estimator
 from slot_core.estimation.time_synchronizer import TimeSynchronizer
 from slot_core.messages import decode
 from slot_core.robot import LEGS, read_robot
@@ -20,7 +21,8 @@ class ForceMapperNode(Node):
     def __init__(self) -> None:
         super().__init__("force_mapper")
         settings = runtime.declare_settings(self, read_force_map())
-        self._map = make_force_map(read_robot(), settings)
+        delay = read_estimator().timing.command_delay
+        self._map = make_force_map(read_robot(), settings, delay)
         self._record = stage_record.Recorder(self, self._map)
         self._inputs = TimeSynchronizer("plan", "preview", "state")
         self._angles = runtime.publisher(

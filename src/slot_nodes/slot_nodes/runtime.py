@@ -116,7 +116,7 @@ def run(
     At the end `close()` of the node is called, if it has one, then it is destroyed.
     An unusable configuration ends the process with one line and exit code 2.
     """
-    node = None
+    node, nodes = None, list[Any]()
     interrupt = Interrupt()
     try:
         with interrupt:
@@ -127,7 +127,8 @@ def run(
             ) as error:  # arguments that are not YAML, a wrong domain
                 raise config.ConfigError(error) from None
             node = make_node()
-            for one in getattr(node, "nodes", [node]):
+            nodes = getattr(node, "nodes", [node])
+            for one in nodes:
                 fix_clock(one)
             take_priority(os.environ.get("SLOT_PRIORITY", "0"))
             gc.freeze()  # exclude what is loaded by now from garbage collections
@@ -145,8 +146,7 @@ def run(
         if not (interrupt.received and interrupt.prepares):
             raise
     finally:
-        if node is not None:
-            close(getattr(node, "nodes", [node]))
+        close(nodes)
         failure = sys.exc_info()[1]  # on its way through this block
         code = 0 if failure is None else getattr(failure, "code", 1) or 0
         with departure.limited(code):

@@ -8,8 +8,9 @@ neglected. Until the next command the angle goes on at the rate of theta_gait. A
 passed on.
 
 An angle is that of its tick. The IMU sample that leads to the tick comes up to a period of the IMU
-later, now more, now less; so the angle is moved on at its rate by that time. Without it a circle of
-1 m is missed by 12 mm instead of 7. All angles are clipped to [0, angle_max].
+later, now more, now less; so the angle is moved on at its rate by that time. Without it .3 kg that
+are put on off the centre cost the walk 7.7 mm of its place instead of 4.4. All angles are clipped to
+[0, angle_max].
 """
 
 from dataclasses import dataclass
@@ -22,7 +23,6 @@ from slot_core.arrays import Array, checked
 from slot_core.clock import to_seconds
 from slot_core.config import quantity
 from slot_core.control.policy import Status, TendonPlan
-from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import GaitPreview
 from slot_core.key_frame import StateParts
 from slot_core.legs.leg_springs import LegSprings, read_leg_springs
@@ -154,15 +154,12 @@ def read_springs() -> LegSprings:
 
 
 def make_force_map(
-    robot: RobotParameters,
-    settings: ForceMapSettings,
-    delay: float | None = None,
+    robot: RobotParameters, settings: ForceMapSettings, delay: float
 ) -> ForceMap:
     """The map with the table of `config/leg_map.csv`; raises ConfigError.
 
-    delay: `command_delay` of the state estimator, s; None: that of its configuration.
+    delay: `command_delay` of the state estimator, s.
     """
-    if delay is None:
-        delay = read_estimator().timing.command_delay
-    springs = read_leg_springs(settings.slope_min)
-    return ForceMap(robot, settings, springs, delay)
+    return ForceMap(
+        robot, settings, read_leg_springs(settings.slope_min), delay
+    )

@@ -391,10 +391,14 @@ class StateEstimator:
         if stamp > self._sampled:
             elapsed = to_seconds(stamp - (self._sampled or stamp))
             elapsed = min(elapsed, IMU_INTERVAL)
-            known = self._imu_interval or elapsed
-            self._imu_interval = known + IMU_GAIN * (elapsed - known)
+            self._imu_interval = _mean(self._imu_interval, elapsed, IMU_GAIN)
             self._sampled = stamp
-        return self._imu_interval > SLOW_IMU * self._settings.timing.imu_gap
+        return self._imu_interval > self._longest_imu_interval
+
+    @property
+    def _longest_imu_interval(self) -> float:
+        """Mean time between the samples of an IMU that serves, at most, s."""
+        return SLOW_IMU * self._settings.timing.imu_gap
 
     def _process_due(self) -> None:
         """Process the waiting readings that are due."""
@@ -483,8 +487,7 @@ class StateEstimator:
 
         alike: odom has jumped, but the torso moves as the filter knows: the estimates go on.
         """
-        rejected = any(reading is not None for reading in self._rejected)
-        if rejected and not alike:
+        if self._contradicted and not alike:
             self._filter.forget_biases()
         if self._stamp is not None and self._floor is not None:
             old = self._filter.state
@@ -527,11 +530,15 @@ class StateEstimator:
     def _accept(self, stamp: int) -> None:
         elapsed = to_seconds(stamp - self._accepted_stamp)
         if elapsed > 0.0:  # else the filter has started
-            known = self._interval or elapsed
-            self._interval = known + INTERVAL_GAIN * (elapsed - known)
+            self._interval = _mean(self._interval, elapsed, INTERVAL_GAIN)
         self._accepted_stamp = stamp
         self._accepted += 1
         self._rejected.clear()
+
+    @property
+    def _contradicted(self) -> bool:
+        """Whether a usable reading was rejected since the last accepted one."""
+        return any(motion is not None for motion in self._rejected)
 
     def _has_relocalised(self) -> bool:
         """Whether `max_rejections` readings in a row were rejected and agree with each other."""
@@ -586,7 +593,7 @@ class StateEstimator:
         if stamp - self._accepted_stamp > timing.odometry_wait * SECOND:
             age = to_seconds(stamp - self._accepted_stamp)
             limit = f"limit {timing.odometry_wait:g} s"
-            if any(motion is not None for motion in self._rejected):
+            if self._contradicted:
                 line = f"odom contradicts the IMU for {age:.2g} s, {limit}"
                 return Validity.ODOMETRY_REJECTED, line
             line = f"no usable odom for {age:.2g} s, {limit}"
@@ -608,10 +615,12 @@ class StateEstimator:
 
     def _remark(self, stamp: int) -> str:
         """One line on a usable estimate at `stamp` (ns), or ""."""
-        longest = SLOW_IMU * self._settings.timing.imu_gap
+        longest = self._longest_imu_interval
         if self._imu_interval > longest:
-            slow = f"imu at {1.0 / self._imu_interval:.0f} Hz, limit"
-            return f"{slow} {1.0 / longest:.0f} Hz: it is not used"
+            return (
+                f"imu at {1.0 / self._imu_interval:.0f} Hz, limit"
+                f" {1.0 / longest:.0f} Hz: it is not used"
+            )
         has_jumped = 0 < stamp - self._jumped < JUMP_SAID
         return self._agreement.message or (JUMPED if has_jumped else "")
 
@@ -651,6 +660,12 @@ class StateEstimator:
             message,
             floor,
         )
+
+
+def _mean(known: float, value: float, gain: float) -> float:
+    """Running mean that has `known`, or nothing yet, and takes a value with the share `gain`."""
+    known = known or value
+    return known + gain * (value - known)
 
 
 def vector(values: Array, size: int, limit: float) -> Array | None:

@@ -236,9 +236,13 @@ class Conditions:
             return self._message if self._missed == 0 else ""
         limit = self._settings.estimate.imu_silence
         age = to_seconds(time - self._imu_missing)
-        why = f": {self._message}" if self._message else ""
-        line = f"no usable IMU for {age:.3g} s, limit {limit:g} s{why}"
+        line = f"no usable IMU for {age:.3g} s, limit {limit:g} s{self._why}"
         return line if age > limit else ""
+
+    @property
+    def _why(self) -> str:
+        """Message of the newest estimate behind a colon, or ""."""
+        return f": {self._message}" if self._message else ""
 
     @property
     def slewed(self) -> bool:
@@ -294,18 +298,17 @@ class Conditions:
                     f"{name} {angle:+.3f} rad, limit {limits.tilt_max:g} rad",
                 )
         age, limit = self._age(time, "estimate"), limits.silence
-        why = f": {self._message}" if self._message else ""
         if math.isinf(age):
             yield (
                 Condition.ESTIMATE_LOST,
                 "no estimate yet: state_estimator waits for /odom and /imu",
             )
         if not self._usable:
-            yield Condition.ESTIMATE_LOST, f"no usable estimate yet{why}"
+            yield Condition.ESTIMATE_LOST, f"no usable estimate yet{self._why}"
         if self._missed > limits.coast_cycles:
             yield (
                 Condition.ESTIMATE_LOST,
-                f"{self._missed} estimates in a row unusable, limit {limits.coast_cycles}{why}",
+                f"{self._missed} estimates in a row unusable, limit {limits.coast_cycles}{self._why}",
             )
         if age > limit:
             yield (

@@ -492,6 +492,8 @@ def commands(recorded: RecordedStages) -> Replayed:
     Angles that are held from before the bag begins are unknown.
     """
     settings = recorded.settings("force_mapper", read_force_map())
+    estimator = recorded.settings("state_estimator", read_estimator())
+    delay = estimator.timing.command_delay
 
     def step(force_map: ForceMap, stamp: int) -> Fields:
         plan, preview = recorded.plans[stamp], recorded.previews[stamp]
@@ -508,7 +510,7 @@ def commands(recorded: RecordedStages) -> Replayed:
     return _stepped(
         recorded,
         "/desired_joint_angles",
-        lambda _: make_force_map(recorded.robot, settings),
+        lambda _: make_force_map(recorded.robot, settings, delay),
         step,
         is_planned,
     )

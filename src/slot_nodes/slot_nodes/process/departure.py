@@ -31,17 +31,6 @@ class _Event(ctypes.Structure):
     )
 
 
-class _Setting(ctypes.Structure):
-    """`struct itimerspec`."""
-
-    _fields_ = (
-        ("interval_s", ctypes.c_long),
-        ("interval_ns", ctypes.c_long),
-        ("s", ctypes.c_long),
-        ("ns", ctypes.c_long),
-    )
-
-
 @contextmanager
 def limited(code: int, limit: float = LIMIT) -> Iterator[None]:
     """End the process with an exit code if the block takes longer than `limit`, s.
@@ -54,7 +43,8 @@ def limited(code: int, limit: float = LIMIT) -> Iterator[None]:
     end = ctypes.cast(C_LIBRARY._exit, ctypes.c_void_p).value
     event = _Event(code, 0, SIGEV_THREAD, end)
     timer = ctypes.c_void_p()
-    setting = _Setting(0, 0, int(limit), int(limit % 1.0 * 1e9))
+    # struct itimerspec: no interval, then the time in s and ns
+    setting = (ctypes.c_long * 4)(0, 0, int(limit), int(limit % 1.0 * 1e9))
     if C_LIBRARY.timer_create(
         CLOCK_MONOTONIC, ctypes.byref(event), ctypes.byref(timer)
     ) or C_LIBRARY.timer_settime(timer, 0, ctypes.byref(setting), None):
