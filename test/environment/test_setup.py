@@ -343,6 +343,8 @@ def test_no_process_goes_on_after_a_signal_on_a_terminal(copy, cut):
     process, text = copy.start(stderr=other), ""
     os.close(other)
     until_build(copy)
+    while "building" not in text:  # the bar, which ends the job, is there
+        text += os.read(terminal, 4096).decode()
     process.send_signal(cut)
     assert process.wait() == (130 if cut != signal.SIGKILL else -cut)
     subprocess.run(
