@@ -266,22 +266,24 @@ class ListenerExecutor(DirectExecutor):
 def listener(
     name: str, namespace: str = ""
 ) -> Iterator[tuple[Node, ListenerExecutor]]:
-    """Node `name` in a context of its own, with an executor; installs no signal handlers."""
-    context = Context()
-    rclpy.init(
-        args=[], context=context, signal_handler_options=SignalHandlerOptions.NO
-    )
+    """Node `name` in a context of its own, with an executor; installs no signal handlers.
+
+    An interrupt does not leave it half made: rclpy would print a traceback.
+    """
+    context, node = Context(), None
+    options = SignalHandlerOptions.NO
     try:
-        node = rclpy.create_node(name, context=context, namespace=namespace)
-        try:
+        with deferred():
+            rclpy.init(args=[], context=context, signal_handler_options=options)
+            node = rclpy.create_node(name, context=context, namespace=namespace)
             executor = ListenerExecutor(context=context)
             executor.add_node(node)
-            yield node, executor
-        finally:
-            with departure.limited(1):
-                node.destroy_node()
+        yield node, executor
     finally:
-        context.try_shutdown()
+        with departure.limited(1):
+            if node is not None:
+                node.destroy_node()
+            context.try_shutdown()
 
 
 def _check(progress: Progress, processes: Processes, attended: bool) -> None:
