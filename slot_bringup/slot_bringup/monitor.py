@@ -271,10 +271,13 @@ def listener(
     An interrupt does not leave it half made: rclpy would print a traceback.
     """
     context, node = Context(), None
-    options = SignalHandlerOptions.NO
     try:
         with deferred():
-            rclpy.init(args=[], context=context, signal_handler_options=options)
+            rclpy.init(
+                args=[],
+                context=context,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
             node = rclpy.create_node(name, context=context, namespace=namespace)
             executor = ListenerExecutor(context=context)
             executor.add_node(node)
