@@ -10,7 +10,7 @@ from test_leg_map import pulled
 from slot_core import config
 from slot_core.dynamics.rod import sections
 from slot_core.robot import read_robot
-from slot_lab.leg_tests.leg_map import StickingLeg
+from slot_lab.leg_tests.leg_map import StickingLeg, foot_stiffness
 
 ROBOT = read_robot()
 # Natural shapes: that of the robot, and parabolas that turn by 21 and 49 deg.
@@ -163,3 +163,23 @@ def test_without_the_longitudinal_force_it_is_the_stiffness_on_a_floor_without_f
         -here.stiffness, rel=3e-5
     )
     assert held[0, 2] / held[0, 0] == pytest.approx(here.foot_rise, rel=3e-5)
+
+
+def test_stiffness_over_a_foots_displacements_is_that_of_the_clamp_moved_about_it():
+    """Energy of finite motions: the clamp shifts back, and turns back about the foot."""
+    angle, height = np.radians(90.0), 0.064
+    here = pulled(31, angle, height)[1]
+    held = StickingLeg(ROBOT, 31).stiffness(here.node, angle, height)
+    found = foot_stiffness(held, here.contact_x)
+    foot, small = np.array([here.contact_x, 0.0, -height]), 1e-6
+    for way in np.vstack(
+        [np.eye(3), np.random.default_rng(1).normal(size=(3, 3))]
+    ):
+        xi, y, phi = small * way
+        back = Rotation.from_rotvec([0.0, 0.0, -phi])
+        shift = foot - back.apply(foot) - [xi, y, 0.0]
+        move = np.concatenate([shift, back.as_rotvec()]) / small
+        assert way @ found @ way == pytest.approx(move @ held @ move, rel=1e-5)
+    # a foot that may turn leaves a fifth of the stiffness sideways
+    free = found[1, 1] - found[1, 2] ** 2 / found[2, 2]
+    assert 0.1 < free / found[1, 1] < 0.3

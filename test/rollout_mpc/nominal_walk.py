@@ -13,6 +13,6 @@ WALK = np.array([0.05, 0.0, 0.0])
 def torso_of(model, start):
     """State (12,) of the torso of a nominal robot, as of an estimate."""
     torso = model.robot.state
-    torso.buffer[:] = start.buffer
+    torso.buffer[:] = start
     rpy, omega = rpy_of(torso.rotation), torso.rotation @ torso.rate
     return np.concatenate([rpy, torso.position, omega, torso.velocity])

@@ -33,7 +33,7 @@ def test_a_rollout_is_the_motion_of_the_simulated_robot(model):
     step = DT / (NOMINAL.cycles * NOMINAL.steps)
     robot = TabulatedRobot(ROBOT, nominal_scene(NOMINAL, step), read_servo())
     for plan, pose, force in zip(several, found.pose, found.force):
-        robot.state.buffer[:], robot.feet.side_rate[:] = start
+        robot.state.buffer[:] = start
         for k in range(STAGES):
             for share in np.arange(NOMINAL.cycles) / NOMINAL.cycles:
                 angle = plan[k] + share * (plan[k + 1] - plan[k])

@@ -3,29 +3,28 @@
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
+import math
 from typing import NamedTuple
 
 from slot_core.arrays import Array
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import (
-    add,
+    combined,
     cross,
     dot,
-    minus,
     plus,
     plus_dot,
     put,
     row,
     scaled,
     solve,
-    store,
     times,
+    times_transposed,
 )
 from slot_core.dynamics.contact import (
     advance_bristle,
     coefficient,
     friction_force,
-    tangential,
 )
 from slot_core.dynamics.handle import contents
 from slot_core.dynamics.integrator import (
@@ -36,23 +35,24 @@ from slot_core.dynamics.integrator import (
     start_torso,
 )
 from slot_core.dynamics.servo import spool_rate
-from slot_core.dynamics.torso import add_row, at, subtract_force
+from slot_core.dynamics.torso import at, subtract_force
 
 TOO_FAST, TOO_TILTED = range(2)  # kinds of divergence
 TILT_MAX_DEG, COS_TILT_MAX = 60.0, 0.5  # largest tilt of the torso
 # least D, so that a foot that moves ahead of the torso cannot lock it
 NORMAL_PER_DROP_MIN = 0.25
-# Of friction, normal force and side rate of a foot, each of which needs the others. They begin
-# where the step before ended: 3 leave 2 um in stand and step, 20 iterations as the reference.
+# Of rates, friction and normal force of a foot, each of which needs the others. They begin where
+# the step before ended: 3 leave 2 um in stand and step, 20 iterations as the reference.
 ITERATIONS = 3
+PLACE, YIELD = range(2)  # rows of a leg in the state's `node`
 
 
 class MapLegs(NamedTuple):
     """Parameters of the four legs."""
 
-    # (m, n, 6) over angle and height: force (N), x of the contact (m), tension (N), the outward
+    # (m, n, 9) over angle and height: force (N), x of the contact (m), tension (N), the outward
     # shift of the material on the floor per angle and per height (m/rad, m/m), and the stiffness
-    # sideways (N/m)
+    # over the foot's displacements, S_xx, S_yy (N/m), S_yp (N) and S_pp (N m/rad)
     table: Array
     angle_step: float  # rad; the first angle is zero
     height_low: float  # m
@@ -60,6 +60,7 @@ class MapLegs(NamedTuple):
     clamps: Array  # (4, 3) m, base_link
     outward: Array  # (4, 3) x axes of the legs, base_link
     left: Array  # (4, 3) y axes
+    half_width: float  # m, of a foot
     damping_time: float  # s
 
 
@@ -68,8 +69,8 @@ class Feet(NamedTuple):
 
     command: Array  # (4,) rad
     force: Array  # (4, 3) N, of the floor on the feet, odom, at the stage of the last step
-    limit: Array  # (4,) N, mu times the normal force
-    side_rate: Array  # (4,) m/s, of the feet out of the planes of their legs, at that stage
+    limit: Array  # (4,) N, mu times the normal force of an edge
+    slip: Array  # (4, 2, 3) m/s, of the left and the right edge, odom; of bristle friction alone
     flat: Array  # (2,) slopes of the floor, zero
 
 
@@ -85,11 +86,11 @@ class LegResponse(NamedTuple):
     tension: float
     tension_h: float
     tension_a: float
-    sideways: float
+    spring: tuple[float, float, float, float]  # S_xx, S_yy, S_yp, S_pp
 
 
 class Foot(NamedTuple):
-    """Contact point of a leg with the floor, in step axes."""
+    """Contact of a leg with the floor, in step axes."""
 
     place: tuple[float, float, float]  # m, r from the torso's centre
     up: tuple[float, float, float]  # n
@@ -97,9 +98,29 @@ class Foot(NamedTuple):
     normal_per_drop: float  # D
     # m = x_eta a - k: shift of the foot in the torso per drop
     path: tuple[float, float, float]
-    lean: float  # n.b / D: drop per shift sideways
-    # w = b + n.b / D m: shift of the foot per shift sideways
-    across: tuple[float, float, float]
+    along: tuple[float, float, float]  # e_1, unit vectors in the floor
+    aside: tuple[float, float, float]  # e_2
+    lever: float  # m, l: of the edges about r
+    # drop per displacement along the leg and sideways, n.a / D and n.b / D
+    lean: tuple[float, float]
+    # shift on the floor, over e_1 and e_2, per displacement along the leg and sideways
+    drive: tuple[float, float, float, float]
+
+
+class Grip(NamedTuple):
+    """Friction of a foot over its slip z: the force -(M z + held), and what its leg yields.
+
+    M is D_+ on the diagonal, and D_- between the first and the third number.
+    """
+
+    rate: tuple[float, float, float]  # of the displacements
+    force: tuple[float, float, float]  # N, f.e_1, f.e_2, moment about n over l
+    slip: tuple[float, float, float]  # m/s
+    normal: float  # N
+    drag: float  # D_+, N s/m
+    uneven: float  # D_-
+    # A^-1, m/(N s), by rows of the upper triangle
+    yielding: tuple[float, float, float, float, float, float]
 
 
 @kernel
@@ -152,16 +173,18 @@ def one_step(model, legs, state, feet, work, scheme):
     if floor.bristle > 0.0:
         bend_corners(model, state, work, h)
         for k in range(4):
-            bristle, limit = state.bristle[k, 0], feet.limit[k]
-            slip, stiffness = state.node_velocity[k, 0], floor.stiffness[-1]
-            advance_bristle(
-                floor, bristle, limit, stiffness, feet.flat, h, slip
-            )
+            limit, stiffness = feet.limit[k], floor.stiffness[-1]
+            for side in range(2):
+                bristle, slip = state.bristle[k, side], feet.slip[k, side]
+                advance_bristle(
+                    floor, bristle, limit, stiffness, feet.flat, h, slip
+                )
     finish_torso(state, work, h, theta)
     finish_rate(state, work, theta)
     for k in range(4):
         state.tendon_angle[k] += h * state.tendon_rate[k]
-        state.node[k, 0, 1] += h * feet.side_rate[k]
+        for i in range(3):
+            state.node[k, YIELD, i] += h * state.node_velocity[k, YIELD, i]
     work.counter[1] += 0.0 if definite else 1.0
 
 
@@ -184,33 +207,49 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     force_rate = force_slope * drop_rate + here.force_a * rate
     leg_force = max(0.0, here.force + beta * force_rate)
     leg_force *= here.force > 0.0
-    spring = here.sideways * (tau + beta)
-    load = leg_force * foot.lean - here.sideways * state.node[k, 0, 1]
     own, other = model.friction[0, k], model.friction[1, k]
     outward, released = dot(slip, a), state.tendon_rate[k]
     mu = coefficient(
         model.floor, own, other, released, outward, dot(slip, slip)
     )
-    held = (leg_force, spring, load, slip)
-    friction, normal, side, slip = _friction(
-        model, state, feet, axes, k, mu, tau, held, foot
+    stage = (tau, tau + beta)
+    turn_rate = dot(foot.up, row(work.motion, 1))
+    grip = _grip(
+        model,
+        state,
+        axes,
+        k,
+        mu,
+        stage,
+        leg_force,
+        here.spring,
+        slip,
+        turn_rate,
+        foot,
     )
-    drop_rate += foot.lean * side
-    f = minus(scaled(-friction.drag, slip), friction.held)
+    normal, rate_of = grip.normal, grip.rate
+    drop_rate += foot.lean[0] * rate_of[0] + foot.lean[1] * rate_of[1]
+    f = combined(
+        grip.force[0], foot.along, grip.force[1], foot.aside, normal, foot.up
+    )
     stiffness = -force_slope * (1.0 + beta * inv) / foot.normal_per_drop**2
     stiffness *= leg_force > 0.0
-    subtract_force(work.vector, foot.place, plus(f, normal, foot.up))
-    _add_stiffness(
-        work.matrix, foot, stiffness, friction.drag * inv, spring * inv
-    )
-    along = dot(f, a) + normal * foot.slope
-    tension = here.tension - here.x_a * along / radius
+    subtract_force(work.vector, foot.place, f)
+    turning = foot.lever * grip.force[2]
+    for i in range(3):
+        work.vector[3 + i] -= turning * foot.up[i]
+    _add_stiffness(work.matrix, foot, stiffness, grip, inv)
+    tension = here.tension - here.x_a * dot(f, a) / radius
     tension += beta * (here.tension_h * drop_rate + here.tension_a * rate)
     state.tension[k] = max(0.0, tension) * (here.tension > 0.0)
-    feet.limit[k] = mu * normal
-    feet.side_rate[k] = side
-    store(state.node_velocity[k, 0], times(axes, slip))
-    put(feet.force, k, times(axes, add(scaled(normal, foot.up), f)))
+    put(state.node_velocity[k], YIELD, rate_of)
+    put(feet.force, k, times(axes, f))
+    if model.floor.bristle > 0.0:
+        feet.limit[k] = 0.5 * mu * normal
+        for side in range(2):
+            along = grip.slip[0] + (2 * side - 1) * grip.slip[2]
+            slip = plus(scaled(along, foot.along), grip.slip[1], foot.aside)
+            put(feet.slip[k], side, times(axes, slip))
 
 
 @helper
@@ -220,19 +259,24 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
     The drop of the foot below the clamp follows from its place along the leg at the last iterate.
     """
     a, b, clamp = legs.outward[k], legs.left[k], legs.clamps[k]
-    x, y = state.node[k, 0, 0], state.node[k, 0, 1] + tau * feet.side_rate[k]
+    node, moved = state.node[k], state.node_velocity[k, YIELD]
+    y = node[YIELD, 1] + tau * moved[1]
     root = (clamp[0] + y * b[0], clamp[1] + y * b[1], clamp[2])
     up = row(work.rotation, 2)
-    p = plus(root, x, a)
+    p = plus(root, node[PLACE, 0], a)
     drop = plus_dot(place[2], up, at(p, work.motion[2], p)) / up[2]
     here = _interpolate(legs, angle, drop)
-    x = here.x
-    state.node[k, 0, 0] = x
-    state.node[k, 0, 2] = -drop
-    slope = dot(up, a)
+    x = here.x + node[YIELD, 0] + tau * moved[0]
+    put(node, PLACE, (x, y, -drop))
+    slope, tilt = dot(up, a), up[0] * b[0] + up[1] * b[1]
     per_drop = max(NORMAL_PER_DROP_MIN, up[2] - slope * here.x_h)
     path = (here.x_h * a[0], here.x_h * a[1], here.x_h * a[2] - 1.0)
-    lean = (up[0] * b[0] + up[1] * b[1]) / per_drop
+    lean = (slope / per_drop, tilt / per_drop)
+    along = cross(b, up)
+    width = math.sqrt(dot(along, along))
+    along = scaled(1.0 / width, along)
+    aside = cross(up, along)
+    outward, left = plus(a, lean[0], path), plus(b, lean[1], path)
     foot = Foot(
         place=(
             root[0] + x * a[0],
@@ -243,8 +287,16 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
         slope=slope,
         normal_per_drop=per_drop,
         path=path,
+        along=along,
+        aside=aside,
+        lever=legs.half_width * width,
         lean=lean,
-        across=(b[0] + lean * path[0], b[1] + lean * path[1], lean * path[2]),
+        drive=(
+            dot(outward, along),
+            dot(outward, aside),
+            dot(left, along),
+            dot(left, aside),
+        ),
     )
     return here, foot
 
@@ -253,7 +305,7 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
 def _slip_and_drop_rate(work, a, here, foot, rate):
     """Rate of the foot's drop below the clamp, m/s, and slip of the foot, step axes, m/s.
 
-    Of a foot that does not move sideways in its leg.
+    Of a foot without displacements against its leg's equilibrium.
     """
     up, shift_rate = foot.up, here.x_a * rate
     rigid = at(work.motion[0], work.motion[1], foot.place)
@@ -290,7 +342,12 @@ def _interpolate(legs, angle, height):
         tension=max(0.0, tension),
         tension_h=tension_h,
         tension_a=tension_a,
-        sideways=_cell(table, i, j, 5, u, inside, dh, da)[0],
+        spring=(
+            _cell(table, i, j, 5, u, inside, dh, da)[0],
+            _cell(table, i, j, 6, u, inside, dh, da)[0],
+            _cell(table, i, j, 7, u, inside, dh, da)[0],
+            _cell(table, i, j, 8, u, inside, dh, da)[0],
+        ),
     )
 
 
@@ -313,53 +370,156 @@ def _cell(table, i, j, c, u, t, dh, da):
 
 
 @helper
-def _friction(model, state, feet, axes, k, mu, tau, held, foot):
-    """Friction of foot k, its normal force (N), side rate and slip (m/s), by iteration.
+def _grip(
+    model, state, axes, k, mu, stage, leg_force, spring, slip, turn_rate, foot
+):
+    """Friction of foot k, its normal force, and the rates of its displacements, by iteration.
 
-    held: force of the leg (N), resistance of its foot to the side rate (N s/m), force on it
-    sideways without friction (N), and slip without side rate (m/s).
+    stage: theta h, and that plus beta (s); leg_force: F + beta dF/dt (N); slip: s (m/s); turn_rate:
+    of the torso about the normal (rad/s).
     """
-    floor, m, w = model.floor, foot.path, foot.across
-    leg_force, spring, load, start = held
+    floor, half = model.floor, 0.5 * mu
     stiffness, damping = floor.stiffness[-1], floor.damping[-1]
-    bristle = start
+    bent_left = bent_right = (0.0, 0.0, 0.0)
     if floor.bristle > 0.0:
-        bristle = tangential(axes, state.bristle[k, 0], foot.up)
-    side, normal = feet.side_rate[k], leg_force / foot.normal_per_drop
-    slip = plus(start, side, w)
-    f = friction_force(
-        floor, mu * normal, tau, stiffness, damping, bristle, slip
+        bent_left = _in_floor(axes, state.bristle[k, 0], foot)
+        bent_right = _in_floor(axes, state.bristle[k, 1], foot)
+    (sxx, syy, syp, spp), (x, y, turn) = spring, row(state.node[k], YIELD)
+    a1, a2, b1, b2 = foot.drive
+    m1, m2 = dot(foot.path, foot.along), dot(foot.path, foot.aside)
+    lever, per, (tau, held) = foot.lever, 1.0 / foot.normal_per_drop, stage
+    start = (
+        dot(slip, foot.along),
+        dot(slip, foot.aside),
+        lever * turn_rate,
     )
+    rate, normal = row(state.node_velocity[k], YIELD), per * leg_force
+    z = _slip(start, foot.drive, lever, rate)
+    force, drag, uneven = (0.0, 0.0, 0.0), 0.0, 0.0
+    inverse = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for _ in range(ITERATIONS):
-        resistance = spring + f.drag * dot(w, w)
-        side = (load - f.drag * dot(start, w) - dot(f.held, w)) / resistance
-        slip = plus(start, side, w)
-        pressed = max(0.0, leg_force - f.drag * dot(slip, m) - dot(f.held, m))
-        normal = pressed / foot.normal_per_drop
-        f = friction_force(
-            floor, mu * normal, tau, stiffness, damping, bristle, slip
+        limit = half * normal
+        v = (z[0] - z[2], z[1], 0.0)
+        left = friction_force(
+            floor, limit, tau, stiffness, damping, bent_left, v
         )
-    return f, normal, side, slip
+        v = (z[0] + z[2], z[1], 0.0)
+        right = friction_force(
+            floor, limit, tau, stiffness, damping, bent_right, v
+        )
+        drag, uneven = left.drag + right.drag, right.drag - left.drag
+        held_1 = left.held[0] + right.held[0]
+        held_2 = left.held[1] + right.held[1]
+        held_3 = right.held[0] - left.held[0]
+        # M s + held
+        g1 = drag * start[0] + uneven * start[2] + held_1
+        g2 = drag * start[1] + held_2
+        g3 = uneven * start[0] + drag * start[2] + held_3
+        inverse = _inverse(
+            sxx * held + drag * (a1 * a1 + a2 * a2),
+            drag * (a1 * b1 + a2 * b2),
+            uneven * a1 * lever,
+            syy * held + drag * (b1 * b1 + b2 * b2),
+            syp * held + uneven * b1 * lever,
+            spp * held + drag * lever * lever,
+        )
+        load = (
+            leg_force * foot.lean[0] - sxx * x - a1 * g1 - a2 * g2,
+            leg_force * foot.lean[1] - syy * y - syp * turn - b1 * g1 - b2 * g2,
+            -syp * y - spp * turn - lever * g3,
+        )
+        rate = _image(inverse, load)
+        z = _slip(start, foot.drive, lever, rate)
+        force = (
+            -drag * z[0] - uneven * z[2] - held_1,
+            -drag * z[1] - held_2,
+            -uneven * z[0] - drag * z[2] - held_3,
+        )
+        normal = per * max(0.0, leg_force + force[0] * m1 + force[1] * m2)
+    return Grip(rate, force, z, normal, drag, uneven, inverse)
 
 
 @helper
-def _add_stiffness(H, foot, stiffness, drag, spring):
-    """H += stiffness n n^T + sum_ij s_i C_ij s_j^T with s_i = e_i + m_i n / D.
+def _in_floor(axes, bristle, foot):
+    """A bristle (3,), odom, over the unit vectors e_1 and e_2 in the floor, and zero."""
+    v = times_transposed(axes, bristle)
+    return dot(v, foot.along), dot(v, foot.aside), 0.0
 
-    n, e_i: rows (6,) of the motion of the foot along the normal and along axis i. The foot, with
-    the resistance `spring` sideways, yields to the drag:
-    C = drag (1 - drag w w^T / (spring + drag w.w)).
+
+@helper
+def _slip(start, drive, lever, rate):
+    """Slip z = s + W u of a foot over e_1 and e_2, and of its edges by the turn, m/s."""
+    a1, a2, b1, b2 = drive
+    return (
+        start[0] + a1 * rate[0] + b1 * rate[1],
+        start[1] + a2 * rate[0] + b2 * rate[1],
+        start[2] + lever * rate[2],
+    )
+
+
+@helper
+def _inverse(xx, xy, xz, yy, yz, zz):
+    """Upper triangle, by rows, of the inverse of a symmetric matrix (3, 3) given so."""
+    cxx, cxy, cxz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    per = 1.0 / (xx * cxx + xy * cxy + xz * cxz)
+    cyy, cyz, czz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    return per * cxx, per * cxy, per * cxz, per * cyy, per * cyz, per * czz
+
+
+@helper
+def _image(m, v):
+    """m v of a symmetric matrix (3, 3), given by the rows of its upper triangle."""
+    return (
+        m[0] * v[0] + m[1] * v[1] + m[2] * v[2],
+        m[1] * v[0] + m[3] * v[1] + m[4] * v[2],
+        m[2] * v[0] + m[4] * v[1] + m[5] * v[2],
+    )
+
+
+@helper
+def _add_stiffness(H, foot, stiffness, grip, inv):
+    """H += stiffness n n^T + sum_ij R_i C_ij R_j^T / (theta h), C = M - M W A^-1 W^T M.
+
+    n: row (6,) of the torso's motion that moves the foot's place along the normal; R_i: rows of
+    the slip, with the shift along e_i and that by the drop, and of the turn about the normal.
     """
-    x, y, z = foot.place
-    m, w, per = foot.path, foot.across, 1.0 / foot.normal_per_drop
-    n = (*foot.up, *cross(foot.place, foot.up))
-    s = (*w, *cross(foot.place, w))
-    add_row(H, stiffness, n)
-    add_row(H, drag, _add_rows((1.0, 0.0, 0.0, 0.0, z, -y), m[0] * per, n))
-    add_row(H, drag, _add_rows((0.0, 1.0, 0.0, -z, 0.0, x), m[1] * per, n))
-    add_row(H, drag, _add_rows((0.0, 0.0, 1.0, y, -x, 0.0), m[2] * per, n))
-    yielding = -drag * drag / (spring + drag * dot(w, w))
-    add_row(H, yielding, _add_rows(s, dot(w, m) * per, n))
+    m, per, up, lever = (
+        foot.path,
+        1.0 / foot.normal_per_drop,
+        foot.up,
+        foot.lever,
+    )
+    n = (*up, *cross(foot.place, up))
+    e_1 = (*foot.along, *cross(foot.place, foot.along))
+    e_2 = (*foot.aside, *cross(foot.place, foot.aside))
+    r_1 = _add_rows(e_1, dot(m, foot.along) * per, n)
+    r_2 = _add_rows(e_2, dot(m, foot.aside) * per, n)
+    r_3 = (0.0, 0.0, 0.0, lever * up[0], lever * up[1], lever * up[2])
+    # rows of M W
+    (a1, a2, b1, b2), drag, uneven = (
+        foot.drive,
+        inv * grip.drag,
+        inv * grip.uneven,
+    )
+    v_1 = (grip.drag * a1, grip.drag * b1, grip.uneven * lever)
+    v_2 = (grip.drag * a2, grip.drag * b2, 0.0)
+    v_3 = (grip.uneven * a1, grip.uneven * b1, grip.drag * lever)
+    back = scaled(inv, _image(grip.yielding, v_1))
+    c_11, c_12, c_13 = (
+        drag - dot(back, v_1),
+        -dot(back, v_2),
+        uneven - dot(back, v_3),
+    )
+    back = scaled(inv, _image(grip.yielding, v_2))
+    c_22, c_23 = drag - dot(back, v_2), -dot(back, v_3)
+    c_33 = drag - inv * dot(_image(grip.yielding, v_3), v_3)
+    for i in range(6):
+        f_1 = c_11 * r_1[i] + c_12 * r_2[i] + c_13 * r_3[i]
+        f_2 = c_12 * r_1[i] + c_22 * r_2[i] + c_23 * r_3[i]
+        f_3 = c_13 * r_1[i] + c_23 * r_2[i] + c_33 * r_3[i]
+        f_n = stiffness * n[i]
+        for j in range(6):
+            H[i, j] += f_n * n[j] + f_1 * r_1[j] + f_2 * r_2[j] + f_3 * r_3[j]
 
 
 @helper

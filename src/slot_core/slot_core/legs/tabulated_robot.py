@@ -3,38 +3,48 @@
 At tendon angle theta and drop eta (foot below clamp) a leg carries the force F(theta, eta) at
 x(theta, eta) outward from the clamp, and its tendon the tension T(theta, eta). The table
 `config/leg_map.csv` holds them for a leg on a frictionless floor. The foot is at
-r = c + x a + y b - eta k in base_link, with the clamp c, the axes a outward and b to the left of
-the leg, the vertical k of the torso, and the foot's displacement y out of the leg's plane; eta is
-such that r is on the floor, whose normal is n. The material in contact shifts outward by x_theta
-per angle and x_eta per drop; where the leg rolls they differ from the derivatives of x.
+r = c + (x + xi) a + y b - eta k in base_link, with the clamp c, the axes a outward and b to the
+left of the leg, and the vertical k of the torso; eta is such that r is on the floor, whose normal is
+n. The displacements q = (xi, y, phi) of the foot, along the leg, sideways and its turn about n, are
+those from the frictionless leg of the table. The material in contact shifts outward by x_theta per
+angle and x_eta per drop; where the leg rolls they differ from the derivatives of x.
 When the torso moves, n.dr = 0 gives
-d eta = (n.(dp + dphi x r) + n.a x_theta dtheta + n.b dy) / D with D = n.k - n.a x_eta, and the
-principle of virtual work, with friction f at r and m = x_eta a - k,
+d eta = (n.(dp + dphi x r) + n.a (x_theta dtheta + dxi) + n.b dy) / D with D = n.k - n.a x_eta, and
+the principle of virtual work, with friction f and its moment M n at r and m = x_eta a - k,
 
     N = (F + beta dF/dt + f.m) / D          normal force at r,
-    k_y (y + beta dy/dt) = f.w + (F + beta dF/dt) n.b / D,      w = b + (n.b / D) m,
-    T' = T + beta dT/dt - x_theta (f.a + (F + beta dF/dt + f.m) n.a / D) / r_spool.
+    S (q + beta dq/dt) = W^T (f.e_1, f.e_2, M / l) + (F + beta dF/dt) (n.a / D, n.b / D, 0),
+    T' = T + beta dT/dt - x_theta (f + N n).a / r_spool.
 
-k_y(theta, eta) is the stiffness sideways of a leg whose foot sticks, from the table too; the leg
-has no inertia, so y is a state of first order. With y + theta h dy/dt at the stage, and friction
-f = -drag (s + w dy/dt) - f_0 at the slip s without dy/dt, its equation is linear in dy/dt,
+S(theta, eta), 3 x 3, is the stiffness of a leg whose foot sticks (`slot_lab.leg_tests.leg_map`): a
+foot that may turn leaves 17 of 96 N/m sideways at 90 deg and 64 mm. The foot touches the floor with
+the two edges of its width, at r +- w b, each with half of N and Coulomb's law. With e_1, e_2 along
+b x n and n x e_1 and the lever l = w |b x n| the slip of the foot is z = (v.e_1, v.e_2, l Omega), of
+its shift v and its turn Omega on the floor; of the left and the right edge z_1 -+ z_3 and z_2. Over
+the rates u = dq/dt
 
-    (k_y (theta h + beta) + drag w.w) dy/dt = (F + beta dF/dt) n.b / D - f_0.w - drag s.w - k_y y,
+    z = s + W u,    W = ((w_a.e_1, w_b.e_1, 0), (w_a.e_2, w_b.e_2, 0), (0, 0, l)),
+    w_a = a + (n.a / D) m,    w_b = b + (n.b / D) m.
 
-and stable for every k_y. The drag depends on the slip and on N: they are iterated. dF/dt omits
-the part of dy/dt in d eta, some mN.
+The leg has no inertia, so q is a state of first order. With q + theta h u at the stage and edges of
+drags d, whose friction over z is -(M z + g) with M = ((D_+, 0, D_-), (0, D_+, 0), (D_-, 0, D_+)),
+D_+- = d_right +- d_left, the equation of q is linear in u,
+
+    A u = (F + beta dF/dt) (n.a / D, n.b / D, 0) - S q - W^T (M s + g),
+    A = S (theta h + beta) + W^T M W,
+
+and stable for every S that is positive definite; g is held by bristles (`contact.py`). For the
+torso the foot has the drag M - M W A^-1 W^T M over z. The drags depend on the slip and on N: they
+are iterated. dF/dt omits the part of u in d eta, some mN.
 
 beta is the Kelvin-Voigt time of the material: with stress E (e + beta de/dt) the force is
 F + beta dF/dt wherever F is linear in the deformation. Where dF/deta is positive, at the fold of a
 fully pulled leg that is high up, dF/dt omits the height, since it would feed energy to the motion.
 
-Neglected: vibration of the legs (first frequency: 10 Hz hanging, 25 Hz standing); the effect of
-friction on the shape of a leg beyond the path of its foot, along the leg (where it carries load
-below 80 mm its stiffness there is 1 to 20 N/mm); slip and lifting of an edge of the foot, which
-turns it in its place after 1 to 4 mm, so that at 10 mm a leg has some 0.4 of the force k_y y; the
-force y^2/2 dk_y/deta, some 0.1 N at 10 mm; the tilt of gravity in a leg. The contact law is set as in the
-scene `flat`. Mass and inertia of the undeformed legs are added to the torso, with the centre of
-mass at the torso's.
+Neglected: vibration of the legs (first frequency: 10 Hz hanging, 25 Hz standing); lifting of an edge
+of the foot, and its roll; the forces q^2/2 dS/deta and q^2/2 dS/dtheta; the tilt of gravity in a
+leg. The contact law is set as in the scene `flat`. Mass and inertia of the undeformed legs are added
+to the torso, with the centre of mass at the torso's.
 
 The table is interpolated bilinearly. Below the lowest and above the highest height, force and
 tension are extrapolated linearly from the cell at the edge, down to zero; the other columns are
@@ -61,6 +71,7 @@ from slot_core.dynamics.simulated_robot import KernelRobot, require_steps
 from slot_core.geometry import Transform
 from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.legs.tabulated_kernels import (
+    PLACE,
     TILT_MAX_DEG,
     TOO_TILTED,
     Feet,
@@ -77,8 +88,17 @@ COLUMNS = (
     "tension_N",
     "foot_m_per_rad",
     "foot_m_per_m",
+    "longitudinal_N_per_m",
     "sideways_N_per_m",
+    "sideways_N_per_rad",
+    "turn_N_m_per_rad",
 )
+# N/m, least stiffness along the leg: of a leg that hangs it is some N/m
+ALONG_MIN = 300.0
+# The stiffness of a turn is more than S_yp^2 / S_yy by a factor and a least part (N m/rad): a leg
+# that is pressed down by 11 N or more is unstable sideways where its foot may turn.
+TURN_MARGIN, TURN_MIN = 1.02, 0.02
+SPRINGS = slice(5, 9)  # columns of the stiffness over the foot's displacements
 
 
 class TabulatedRobot(KernelRobot):
@@ -96,19 +116,20 @@ class TabulatedRobot(KernelRobot):
         self.parameters, self.scene = robot, scene
         table = read_leg_table(COLUMNS)
         model = build_model(robot, scene, servo)
-        # The torso carries the mass of the legs. Their feet are the tips' both edges in one point.
-        rigid_body, floor = model.torso, model.floor
-        rigid_body = rigid_body._replace(mass=robot.mass, inertia=robot.inertia)
-        foot = 2 * floor.stiffness[-1:], 2 * floor.damping[-1:]
-        floor = floor._replace(stiffness=foot[0], damping=foot[1])
-        self.model = model._replace(torso=rigid_body, floor=floor)
-        self.legs = map_legs(robot, table)
+        # the torso carries the mass of the legs
+        rigid_body = model.torso._replace(
+            mass=robot.mass, inertia=robot.inertia
+        )
+        self.model = model._replace(torso=rigid_body)
+        self.legs = map_legs(robot, table, model.floor.half_width)
         self._contact_drop = _contact_drop(table)
-        self.state = state_space(1, 1)
+        self.state = state_space(2, 2)
         self.state.position[2] = scene.start.height
         self.state.rotation[:] = np.eye(3)
-        self.state.node[:, 0] = table.table[0, -1, 1], 0.0, -scene.start.height
-        self.feet = Feet(*(np.zeros(shape) for shape in (4, (4, 3), 4, 4, 2)))
+        place = table.table[0, -1, 1], 0.0, -scene.start.height
+        self.state.node[:, PLACE] = place
+        shapes = 4, (4, 3), 4, (4, 2, 3), 2
+        self.feet = Feet(*(np.zeros(shape) for shape in shapes))
         self._work = work_space()
         parts = (self.model, self.legs, self.state, self.feet, self._work)
         self.handle = Handle(
@@ -139,7 +160,7 @@ class TabulatedRobot(KernelRobot):
     @property
     def nodes(self) -> Array:
         """(4, 2, 3) m in odom: clamp and foot, in contact or the lowest point of the leg."""
-        node = self.state.node[:, 0]
+        node = self.state.node[:, PLACE]
         angle = (
             self.state.tendon_angle
             - self.model.fault[0] / self.parameters.tendon.spool_radius
@@ -178,7 +199,9 @@ def _require_tabulated(scene: Scene) -> None:
             )
 
 
-def map_legs(robot: RobotParameters, table: LegTable) -> MapLegs:
+def map_legs(
+    robot: RobotParameters, table: LegTable, half_width: float
+) -> MapLegs:
     """Parameters of the legs; raises ConfigError for an uneven grid or one not from zero."""
     angle, height = table.angle, table.height
     for values in (angle, height):
@@ -193,14 +216,20 @@ def map_legs(robot: RobotParameters, table: LegTable) -> MapLegs:
         raise ConfigError(
             f"leg_map.csv: the first angle is {angle[0]} rad, not zero"
         )
+    columns = table.table.copy()
+    along, sideways, coupled, turn = np.moveaxis(columns[..., SPRINGS], -1, 0)
+    along[:] = np.maximum(along, ALONG_MIN)
+    held = coupled**2 / sideways
+    turn[:] = np.maximum(turn, TURN_MARGIN * held + TURN_MIN)
     return MapLegs(
-        table=np.ascontiguousarray(table.table),
+        table=columns,
         angle_step=angle[-1] / (len(angle) - 1),
         height_low=height[0],
         height_step=(height[-1] - height[0]) / (len(height) - 1),
         clamps=robot.clamps,
         outward=robot.outward,
         left=-robot.rightward,
+        half_width=half_width,
         damping_time=robot.leg.damping_time,
     )
 

@@ -26,7 +26,7 @@ from slot_core.arrays import Array, checked
 from slot_core.geometry import rotate, wrapped
 from slot_core.key_frame import StateParts
 from slot_core.robot import LEGS
-from slot_core.rollout_mpc.nominal_robot import NominalRobot, NominalState
+from slot_core.rollout_mpc.nominal_robot import NominalRobot
 from slot_core.rollout_mpc.settings import ObserverSettings
 
 PLACE = [3, 4, 2]  # x, y and yaw in a state or a pose
@@ -36,7 +36,7 @@ TILTS = [5, 0, 1]  # height, roll and pitch
 class _Seen(NamedTuple):
     """The robot at the time of an estimate: predicted start, estimated state, commanded angles."""
 
-    start: NominalState
+    start: Array  # state of the nominal robot
     state: Array  # (12,) of the estimate
     angle: Array  # (4,) rad, commanded
 
@@ -50,7 +50,7 @@ class DisturbanceObserver:
         "model_mismatch",
         "_misfit",
         "_past",
-        values=(_Seen, NominalState),
+        values=(_Seen,),
     )
 
     def __init__(
@@ -76,7 +76,7 @@ class DisturbanceObserver:
         """Forget the motion so far: a gap or a jump. The estimates stay."""
         self._past.clear()
 
-    def observe(self, start: NominalState, state: Array, angle: Array) -> None:
+    def observe(self, start: Array, state: Array, angle: Array) -> None:
         """Take the estimate of a tick, its state (12,) and the angles (4,) commanded then.
 
         start: of the nominal robot, with the torso as measured. Once the ticks reach back over the

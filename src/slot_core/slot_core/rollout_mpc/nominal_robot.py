@@ -2,7 +2,8 @@
 
 It is the robot of `legs/tabulated_robot.py` on a flat floor at long steps. Its legs have no
 mass. Its state is the torso's, which the state estimator gives, and the state of legs and servos,
-which follows from the commands: tendon angles, servo loops, and the feet's displacements.
+which follows from the commands: tendon angles, servo loops, and the feet's displacements. A state
+is the buffer (m,) of `dynamics/model.py`.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -27,7 +28,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.elementary import atan2, cos, sin
 from slot_core.geometry import roll_pitch_yaw, rotate
 from slot_core.key_frame import StateParts
-from slot_core.legs.tabulated_kernels import divergence_of, one_step
+from slot_core.legs.tabulated_kernels import PLACE, divergence_of, one_step
 from slot_core.legs.tabulated_robot import COLUMNS, TabulatedRobot
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.rollout_mpc.settings import NominalSettings
@@ -35,14 +36,7 @@ from slot_core.rollout_mpc.settings import NominalSettings
 # stages in which legs and servos come to rest at a constant command
 SETTLING = 10
 # columns of the leg table that are proportional to the legs' stiffness
-SCALED = ("force_N", "tension_N", "sideways_N_per_m")
-
-
-class NominalState(NamedTuple):
-    """State of the nominal robot: torso, legs and servos."""
-
-    buffer: Array  # of dynamics/model.py
-    side_rate: Array  # (4,) m/s, of the feet out of the planes of their legs
+SCALED = [column for column, name in enumerate(COLUMNS) if "N" in name]
 
 
 class Rollouts(NamedTuple):
@@ -68,9 +62,7 @@ class NominalRobot:
         self._table = self.robot.legs.table.copy()
         self._stiffness = 1.0
         self._angle_max = robot.tendon.angle_max
-        self._initial = NominalState(
-            self.robot.state.buffer.copy(), np.zeros(len(LEGS))
-        )
+        self._initial = self.robot.state.buffer.copy()
         # compile the kernels
         self.measured(self._initial, np.zeros(12))
         self.after(self._initial, np.zeros((2, len(LEGS))))
@@ -92,9 +84,8 @@ class NominalRobot:
     @stiffness.setter
     def stiffness(self, ratio: float) -> None:
         self._stiffness = ratio
-        for column in map(COLUMNS.index, SCALED):
-            scaled = ratio * self._table[..., column]
-            self.robot.legs.table[..., column] = scaled
+        scaled = ratio * self._table[..., SCALED]
+        self.robot.legs.table[..., SCALED] = scaled
 
     def set_wrench(self, wrench: Array, yaw: float) -> None:
         """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""
@@ -105,34 +96,32 @@ class NominalRobot:
         self.robot.model.push[2] = wrench[0]
         self.robot.model.push[3:5] = rotate(wrench[1:], yaw)
 
-    def at_rest(self, state: Array, angle: Array) -> NominalState:
+    def at_rest(self, state: Array, angle: Array) -> Array:
         """State with the torso of `state` (12,) and legs and servos that have reached `angle`."""
         state = checked("state", state, (12,))
         angle = checked("angle", angle, (len(LEGS),))
-        self.robot.state.buffer[:] = self._initial.buffer
+        self.robot.state.buffer[:] = self._initial
         self.robot.state.tendon_angle[:] = angle
-        start = NominalState(
-            self.robot.state.buffer.copy(), self._initial.side_rate
-        )
+        start = self.robot.state.buffer.copy()
         still = np.concatenate([state[:6], np.zeros(6)])
         plan = np.tile(angle, (SETTLING + 1, 1))
         settled = self.after(self.measured(start, still), plan)
         return self.measured(settled, state)
 
-    def measured(self, known: NominalState, state: Array) -> NominalState:
+    def measured(self, known: Array, state: Array) -> Array:
         """The state with the torso of an estimate (12,) and the legs and servos of `known`."""
-        buffer, _ = self._checked(known)
-        set_torso(self.robot.handle, buffer, checked("state", state, (12,)))
-        return NominalState(self.robot.state.buffer.copy(), known.side_rate)
+        known, state = self._checked(known), checked("state", state, (12,))
+        set_torso(self.robot.handle, known, state)
+        return self.robot.state.buffer.copy()
 
-    def place(self, start: NominalState) -> Array:
+    def place(self, start: Array) -> Array:
         """Place (3,) of the torso in odom: x, y (m), yaw (rad)."""
         torso = self.robot.state
-        torso.buffer[:], _ = self._checked(start)
+        torso.buffer[:] = self._checked(start)
         (x, y, _), turned = torso.position, torso.rotation
         return np.array([x, y, atan2(turned[1, 0], turned[0, 0])])
 
-    def roll_out(self, start: NominalState, plans: Array) -> Rollouts:
+    def roll_out(self, start: Array, plans: Array) -> Rollouts:
         """Simulate plans (P, n + 1, 4), rad at the stages 0 .. n, from one state.
 
         A plan that is not finite diverges. All methods raise ValueError for other shapes.
@@ -142,14 +131,13 @@ class NominalRobot:
             raise ValueError(
                 f"plans: {plans.shape[1]} stages, expected two or more"
             )
-        buffer, side_rate = self._checked(start)
+        start = self._checked(start)
         count, stages = plans.shape[0], plans.shape[1] - 1
         of_feet = np.empty((2, count, stages, len(LEGS), 3))
         found = Rollouts(np.empty((count, stages, 6)), *of_feet)
         roll_out(
             self.robot.handle,
-            buffer,
-            side_rate,
+            start,
             plans,
             self._angle_max,
             self._cycles,
@@ -158,20 +146,15 @@ class NominalRobot:
         )
         return found
 
-    def after(self, start: NominalState, plan: Array) -> NominalState:
+    def after(self, start: Array, plan: Array) -> Array:
         """State after a plan (n + 1, 4)."""
         self.roll_out(start, np.asarray(plan)[None])
-        return NominalState(
-            self.robot.state.buffer.copy(), self.robot.feet.side_rate.copy()
-        )
+        return self.robot.state.buffer.copy()
 
-    def _checked(self, state: NominalState) -> NominalState:
+    def _checked(self, state: Array) -> Array:
         """The state, if it is one of this robot; it may have diverged. Raises ValueError."""
-        buffer = checked(
-            "buffer", state.buffer, self.robot.state.buffer.shape, finite=False
-        )
-        return NominalState(
-            buffer, checked("side_rate", state.side_rate, (len(LEGS),), False)
+        return checked(
+            "start", state, self.robot.state.buffer.shape, finite=False
         )
 
 
@@ -194,7 +177,6 @@ def nominal_scene(settings: NominalSettings, step: float) -> Scene:
 def roll_out(
     machine,
     start,
-    side_rate,
     plans,
     angle_max,
     cycles,
@@ -203,7 +185,7 @@ def roll_out(
     force,
     foot,
 ):
-    """Simulate every plan from the state `start` (m,) and the feet's `side_rate` (4,), m/s.
+    """Simulate every plan from the state `start` (m,).
 
     plans: (P, n + 1, 4) rad, tendon angles at the stages 0 .. n, linear between them; the servos
     get them `cycles` times a stage, each time for `steps` steps. Writes pose (P, n, 6), roll,
@@ -215,8 +197,6 @@ def roll_out(
     for p in range(plans.shape[0]):
         for i in range(start.size):
             state.buffer[i] = start[i]
-        for leg in range(4):
-            feet.side_rate[leg] = side_rate[leg]
         diverged = False
         for k in range(plans.shape[1] - 1):
             for c in range(cycles):
@@ -283,7 +263,7 @@ def _record(pose, force, foot, legs, state, feet, diverged):
             legs.clamps[leg],
             legs.outward[leg],
             legs.left[leg],
-            state.node[leg, 0],
+            state.node[leg, PLACE],
         )
         x, y, z = (
             c[0] + node[0] * a[0] + node[1] * b[0],

@@ -39,11 +39,7 @@ from slot_core.rollout_mpc.disturbance_observer import (
     PLACE,
     DisturbanceObserver,
 )
-from slot_core.rollout_mpc.nominal_robot import (
-    NominalRobot,
-    NominalState,
-    Rollouts,
-)
+from slot_core.rollout_mpc.nominal_robot import NominalRobot, Rollouts
 from slot_core.rollout_mpc.problem import Linearisation, PlanProblem
 from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
 
@@ -58,7 +54,7 @@ class _Plan:
     """Plan whose stage 0 is at `time`; K stages follow."""
 
     time: int  # ns
-    start: NominalState
+    start: Array  # state of the nominal robot
     nominal: Array  # (K + 2, 4) rad, of the gait, with the payload
     sag: float  # m, by which the torso sinks since the legs cannot carry more
     deviation: Array  # (K + 1, 4) rad
@@ -81,7 +77,7 @@ class RolloutMpc(Policy):
         "_missed",
         "_disturbances",
         "_model_mismatch",
-        values=(_Plan, NominalState, Linearisation, Rollouts, PlanReport),
+        values=(_Plan, Linearisation, Rollouts, PlanReport),
     )
 
     def __init__(

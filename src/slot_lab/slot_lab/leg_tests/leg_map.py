@@ -2,8 +2,8 @@
 
 The floor has no friction, so that the force depends on angle and height alone and not on the motion
 before. Of several equilibria the map holds the branch that starts at tendon angle zero and follows
-the increasing angle. Two columns hold the stiffness at the clamp of a leg whose foot sticks, along
-the leg and sideways (`StickingLeg`).
+the increasing angle. The last columns hold the stiffness of a leg whose foot sticks, over the
+displacements of the foot along the leg, sideways, and its turn (`foot_stiffness`).
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -21,6 +21,7 @@ from slot_core.arrays import Array, checked
 from slot_core.compiled import kernel
 from slot_core.config import quantity
 from slot_core.dynamics.spatial.elimination import follow
+from slot_core.matrices import product
 from slot_core.progress import Tell, untold
 from slot_core.robot import RobotParameters
 from slot_lab.leg_tests.level_leg import (
@@ -43,6 +44,8 @@ COLUMNS = (
     "foot_m_per_m",
     "longitudinal_N_per_m",
     "sideways_N_per_m",
+    "sideways_N_per_rad",
+    "turn_N_m_per_rad",
 )
 TOLERANCE = 1e-11  # m, last Newton correction of a node
 ITERATIONS = 2000
@@ -193,7 +196,7 @@ def respond(model, leg, springs, height, rise, turn):
 def tabulate(
     robot: RobotParameters, grid: LegMapSettings, tell: Tell = untold
 ) -> Array:
-    """Leg map, (angles x heights, 11), columns and units of `COLUMNS`; the height varies fastest.
+    """Leg map, (angles x heights, 13), columns and units of `COLUMNS`; the height varies fastest.
 
     Raises NoEquilibriumError.
     """
@@ -218,7 +221,7 @@ def _rows_at_height(
     height: float,
     angles: Array,
 ) -> Array:
-    """(angles, 11) rows of the map at one height (m), from the shape (N, 2) at angle zero."""
+    """(angles, 13) rows of the map at one height (m), from the shape (N, 2) at angle zero."""
     leg, stuck = StaticLeg(robot, grid.nodes), StickingLeg(robot, grid.nodes)
     leg.node = node
     rows = []
@@ -233,17 +236,10 @@ def _rows_at_height(
             here.tension,
         )
         feet = (here.foot_slope, here.foot_rise)
-        held = stuck.stiffness(here.node, angle, height)
-        rows.append(
-            (
-                math.degrees(angle),
-                height,
-                *numbers,
-                *feet,
-                held[0, 0],
-                held[1, 1],
-            )
-        )
+        clamp = stuck.stiffness(here.node, angle, height)
+        held = foot_stiffness(clamp, here.contact_x)
+        springs = held[0, 0], held[1, 1], held[1, 2], held[2, 2]
+        rows.append((math.degrees(angle), height, *numbers, *feet, *springs))
     return np.array(rows)
 
 
@@ -294,6 +290,21 @@ class StickingLeg:
         self._leg.angle[0] = angle
         tangent(self.model, self._leg, min(height, -node[:, 1].min() - TOUCH))
         return self._leg.reduced[:, :6].copy()
+
+
+def foot_stiffness(stiffness: Array, x: float) -> Array:
+    """Stiffness (3, 3) of a leg over its foot's displacements; N/m, N, N m/rad.
+
+    stiffness: K (6, 6) of `StickingLeg.stiffness`; x: m, of the contact from the clamp. A foot that
+    moves by xi along the leg and y sideways, and turns by phi about the vertical through it, is for
+    the leg as a clamp that moves by X = (-xi, x phi - y, 0) and turns by Phi = (0, 0, -phi). With
+    these as columns J (6, 3) it is J^T K J. Raises ValueError for other shapes.
+    """
+    K = checked("stiffness", stiffness, (6, 6))
+    J = np.zeros((6, 3))
+    J[0, 0] = J[1, 1] = J[5, 2] = -1.0
+    J[1, 2] = checked("x", x, ())
+    return product(J.T, product(K, J))
 
 
 @kernel
