@@ -94,12 +94,14 @@ def test_state_and_its_transform():
         False,
         "a line",
         floor,
+        np.array([0.5, -0.2, -9.7]),
     )
     message = through_dds(messages.state_to_msg(estimate))
     got = decode.estimate(message)
     assert (got.stamp, got.validity, got.lead) == (STAMP, 3, LEAD)
     assert (got.leg_stiffness, got.legs_are_known) == (0.8, False)
     assert got.message == "a line"
+    assert (got.gravity == estimate.gravity).all()
     assert (got.state == state).all()
     assert (got.covariance == estimate.covariance).all()
     transforms = through_dds(messages.state_to_tf(estimate)).transforms

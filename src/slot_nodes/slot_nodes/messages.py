@@ -230,6 +230,7 @@ def state_to_msg(estimate: Estimate) -> MpcState:
         leg_stiffness=estimate.leg_stiffness,
         legs_are_known=estimate.legs_are_known,
         message=estimate.message,
+        gravity=_vector(estimate.gravity),
     )
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.estimation.floor_observer import LEVEL, FloorPlane
+from slot_core.estimation.gravity_filter import DOWN
 
 
 class Validity(enum.IntEnum):
@@ -45,6 +46,8 @@ class Estimate:
     legs_are_known: bool = True  # whether that is measured, or cannot be
     message: str = ""  # one line: why it is unusable, or what was compensated
     floor: FloorPlane = LEVEL  # in odom
+    # (3,) m/s^2, in the floor's frame: a slope tilts it
+    gravity: Array = field(default_factory=DOWN.copy)
 
     @classmethod
     def exact(cls, state: Array, stamp: int = 0) -> Estimate:

@@ -37,6 +37,7 @@ from slot_core.estimation import sensor_agreement
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.filter_kernels import FilterState
 from slot_core.estimation.floor_observer import LEVEL, FloorObserver, FloorPlane
+from slot_core.estimation.gravity_filter import DOWN, GravityFilter
 from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.estimation.inertial_filter import (
     EstimatorSettings,
@@ -117,6 +118,8 @@ class StateEstimator:
         "_restarted",
         "_jumped",
         "_floor",
+        "_gravity",
+        "_weighed",
         values=(FilterState, OdometryMotion, ImuSamples),
     )
 
@@ -173,6 +176,8 @@ class StateEstimator:
         self._imu_complete = True
         self._restarted = False  # whether odometry has started anew
         self._jumped = BEFORE_ALL_TIMES  # ns, when odom jumped in motion
+        self._gravity = GravityFilter()
+        self._weighed = BEFORE_ALL_TIMES  # ns, of its last sample
 
     @property
     def gyro_bias(self) -> Array:
@@ -442,6 +447,7 @@ class StateEstimator:
             return
         if self._floor is not None:
             self._observe_floor(self._floor, now)
+        self._weigh()
         missed = (now - self._tick) // period
         tick = now if latest > now else self._tick + missed * period
         floor = LEVEL if self._floor is None else self._floor.floor
@@ -458,6 +464,28 @@ class StateEstimator:
         samples = self._imu.values
         force = samples[-1, 3:] if len(samples) else np.zeros(3)
         floor.observe(now, self._filter.state, self._filter.rate.value, force)
+
+    def _weigh(self) -> None:
+        """Let the gravity filter take the samples since the last tick."""
+        stamps, state = self._imu.stamps, self._filter.state
+        new = stamps > self._weighed
+        if not new.any():
+            return
+        force = self._imu.values[new, 3:].sum(axis=0) / np.count_nonzero(new)
+        dt = to_seconds(int(stamps[-1]) - self._weighed)
+        self._gravity.add(
+            product(matrix_of_quaternion(state.attitude), force),
+            state.velocity,
+            min(dt, self._settings.timing.period),
+        )
+        self._weighed = int(stamps[-1])
+
+    def _gravity_on(self, floor: FloorPlane, stamp: int) -> Array:
+        """Gravity (3,) in the floor's frame at `stamp` (ns); straight down without an IMU."""
+        if self._imu_is_lost(stamp):
+            return DOWN
+        found = self._gravity.value(self._filter.state.velocity)
+        return product(matrix_of_quaternion(floor.quaternion).T, found)
 
     def _process(self, stamp: int, motion: OdometryMotion | None) -> None:
         """Predict to a reading (None: unusable), and correct with it."""
@@ -630,6 +658,7 @@ class StateEstimator:
         """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
         assert self._stamp is not None
         saved, rate, samples = self._filter.state, self._filter.rate, self._imu
+        gravity = self._gravity_on(floor, stamp)
         newest = (
             int(samples.stamps[-1]) if len(samples.stamps) else BEFORE_ALL_TIMES
         )
@@ -659,6 +688,7 @@ class StateEstimator:
             known,
             message,
             floor,
+            gravity,
         )
 
 

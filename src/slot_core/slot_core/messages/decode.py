@@ -14,6 +14,7 @@ from slot_core import config
 from slot_core.arrays import Array
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.estimation.estimate import Estimate, Validity
+from slot_core.estimation.gravity_filter import DOWN
 from slot_core.faults import Fault
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import matrix_of_quaternion, rpy_of
@@ -156,6 +157,9 @@ def estimate(message: Any) -> Estimate:
         getattr(message, "leg_stiffness", 1.0),  # older bags have none
         getattr(message, "legs_are_known", True),
         getattr(message, "message", ""),
+        gravity=vector(message.gravity)
+        if hasattr(message, "gravity")
+        else DOWN,
     )
 
 

@@ -37,6 +37,7 @@ from slot_core.rollout_mpc.settings import NominalSettings
 SETTLING = 10
 # columns of the leg table that are proportional to the legs' stiffness
 SCALED = [column for column, name in enumerate(COLUMNS) if "N" in name]
+TURN = COLUMNS.index("turn_N_m_per_rad")
 
 
 class Rollouts(NamedTuple):
@@ -50,7 +51,7 @@ class Rollouts(NamedTuple):
 class NominalRobot:
     """Rollouts of plans of tendon angles; it knows no payload, slope or damage but the wrench."""
 
-    STATE = StateParts("push", "stiffness")
+    STATE = StateParts("push", "stiffness", "gravity")
 
     def __init__(
         self, robot: RobotParameters, settings: NominalSettings, dt: float
@@ -59,6 +60,7 @@ class NominalRobot:
         self._cycles, self._steps = settings.cycles, settings.steps
         scene = nominal_scene(settings, dt / (settings.cycles * settings.steps))
         self.robot = TabulatedRobot(robot, scene, read_servo())
+        self.robot.legs.table[..., TURN] *= settings.turn
         self._table = self.robot.legs.table.copy()
         self._stiffness = 1.0
         self._angle_max = robot.tendon.angle_max
@@ -75,6 +77,15 @@ class NominalRobot:
     @push.setter
     def push(self, push: Array) -> None:
         self.robot.model.push[:] = push
+
+    @property
+    def gravity(self) -> Array:
+        """Gravity (3,), m/s^2, in the frame of the states; raises ValueError for other shapes."""
+        return self.robot.model.gravity
+
+    @gravity.setter
+    def gravity(self, gravity: Array) -> None:
+        self.robot.model.gravity[:] = checked("gravity", gravity, (3,))
 
     @property
     def stiffness(self) -> float:

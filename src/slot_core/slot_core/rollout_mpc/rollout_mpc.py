@@ -21,7 +21,12 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.control.force_map import read_springs
 from slot_core.control.gait_alone import gait_plan
-from slot_core.control.input_check import preview_fault, state_fault, time_fault
+from slot_core.control.input_check import (
+    gravity_fault,
+    preview_fault,
+    state_fault,
+    time_fault,
+)
 from slot_core.control.policy import (
     PlanReport,
     Policy,
@@ -138,11 +143,13 @@ class RolloutMpc(Policy):
             self._plan = self._next = None
             if self._missed == 0:
                 return self._gait_plan(preview)
-        if fault := fault or state_fault(estimate.state, limits.input_max):
+        fault = fault or state_fault(estimate.state, limits.input_max)
+        if fault := fault or gravity_fault(estimate.gravity):
             return self._fall_back(Status.REJECTED, fault)
         present = self._plan
         state = np.asarray(estimate.state, dtype=float)
         self._take_stiffness(preview.leg_stiffness)
+        self._model.gravity = estimate.gravity
         ready = self._ready(estimate.time, state, preview)
         plan, rollout, fault = self._improved(ready, state, preview)
         cause = Status.NOT_SOLVED if fault else Status.LATE

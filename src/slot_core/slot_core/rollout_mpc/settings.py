@@ -16,6 +16,9 @@ class NominalSettings:
     broken: tuple[bool, bool, bool, bool] = flag(
         "whether a tendon FL FR RL RR carries nothing"
     )
+    turn: float = quantity(
+        "stiffness of the feet's turn over that of the leg table", "", 1, 10
+    )
     cycles: int = quantity("cycles of the servo bus in a stage", "", 1, 20)
     steps: int = quantity(
         "steps of the integration in a cycle of the servo bus", "", 1, 100

@@ -327,6 +327,7 @@ def _polled(estimator: StateEstimator) -> dict[int, Fields]:
             "leg_stiffness": estimate.leg_stiffness,
             "legs_are_known": estimate.legs_are_known,
             "message": list(estimate.message.encode()),
+            "gravity": estimate.gravity,
         }
     return fields
 
