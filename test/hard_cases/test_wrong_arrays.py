@@ -175,22 +175,12 @@ def _policies():
         "NominalRobot.set_wrench": Case(model.set_wrench, (np.zeros(3), 0.0)),
         "NominalRobot.at_rest": Case(model.at_rest, (state, np.full(4, 1.0))),
         "NominalRobot.measured": Case(
-            lambda buffer, side, state: model.measured(
-                type(start)(buffer, side), state
-            ),
-            (*start, state),
-            finite=False,
+            model.measured, (start, state), finite=False
         ),
-        "NominalRobot.place": Case(
-            lambda buffer: model.place(start._replace(buffer=buffer)),
-            (start.buffer,),
-            finite=False,
-        ),
+        "NominalRobot.place": Case(model.place, (start,), finite=False),
         "NominalRobot.roll_out": Case(
-            lambda buffer, side, plans: model.roll_out(
-                type(start)(buffer, side), plans
-            ),
-            (*start, angle[None]),
+            model.roll_out,
+            (start, angle[None]),
             finite=False,
             fine=ANY_NUMBER,
         ),

@@ -4,7 +4,7 @@ The test is to stand up and step: natural legs on the floor, tendons pulled to 6
 second to 90, 30, 50 and 75 deg, 1.5 s in all. The error is the root mean square of the distance of
 the torso's centre from a fine solution (121 nodes, 10 us, converged). The robot is also
 compared with the same robot in MuJoCo (other_engine.py), and the nominal robot of the controller
-with it (prediction.py).
+with it (nominal_prediction.py).
 """
 
 import dataclasses
@@ -29,7 +29,7 @@ from benchmarks.harness import (
     mark_front,
 )
 from benchmarks.plots import CostCurve, draw_error_over_cost
-from benchmarks.robot import other_engine, prediction
+from benchmarks.robot import nominal_prediction, other_engine
 from benchmarks.rod.release import DAMPED
 from slot_core import config
 from slot_core.arrays import Array
@@ -85,9 +85,12 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     draw(moved, out / "robot.png")
     rows += moved
     compared = other_engine.rows(quick, out, progress)
-    found = prediction.rows(quick, progress)
+    found = nominal_prediction.rows(quick, progress)
     kept = [*checks(rows), *other_engine.checks(compared)]
-    return [*rows, *compared, *found], [*kept, *prediction.checks(found)]
+    return [*rows, *compared, *found], [
+        *kept,
+        *nominal_prediction.checks(found),
+    ]
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:

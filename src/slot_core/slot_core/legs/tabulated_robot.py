@@ -219,7 +219,7 @@ def map_legs(
     columns = table.table.copy()
     along, sideways, coupled, turn = np.moveaxis(columns[..., SPRINGS], -1, 0)
     along[:] = np.maximum(along, ALONG_MIN)
-    held = coupled**2 / sideways
+    held = coupled * coupled / sideways
     turn[:] = np.maximum(turn, TURN_MARGIN * held + TURN_MIN)
     return MapLegs(
         table=columns,
