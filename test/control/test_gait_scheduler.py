@@ -422,6 +422,20 @@ def test_the_reference_stays_near_the_robot_and_begins_anew_after_a_jump(place):
     assert abs(gap[2]) <= GAITS.heading_lead
 
 
+def test_the_reference_place_stays_while_a_stride_comes_to_rest():
+    """The legs unwind meanwhile, which moves the robot."""
+    robot = Ideal("walk", AHEAD, seconds=5.0)
+    robot.scheduler.request("walk", NOTHING)
+    robot.run(AHEAD[0] / GAITS.acceleration + 0.1)
+    place = robot.state[3]
+    for moved in np.linspace(0.002, 0.01, 5):
+        robot.state[3] = place + moved
+        reference = robot.run(0.033)[0].reference[0]
+        assert reference[3] == pytest.approx(place, abs=0.001)
+    robot.run(GAITS.transition)
+    assert robot.previews[-1].reference[0, 3] == robot.state[3]
+
+
 @pytest.mark.parametrize("ratio", [0.65, 0.8, 1.0, 1.5])
 def test_a_posture_on_legs_of_another_stiffness_carries_the_robot_without_a_jerk(
     ratio,

@@ -93,7 +93,6 @@ def test_a_lost_estimate_and_a_fault_are_reported_at_once(walking):
             ERROR,
             "STOPPED used up",
         ),
-        ({"status": TendonPlan.MODEL_MISMATCH}, (0, 0), WARN, "MODEL_MISMATCH"),
         ({"status": 9}, (0, 0), WARN, "status 9"),
     ],
 )

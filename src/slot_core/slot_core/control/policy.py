@@ -39,7 +39,6 @@ class Status(enum.IntEnum):
     LATE = 2  # solved after its time budget: fallback in use
     REJECTED = 3  # input rejected before the solve: fallback in use
     STOPPED = 4  # no feasible input yet, or fallback used up: not to be applied
-    MODEL_MISMATCH = 5  # the policy commands the gait's angles
 
 
 def _unknown() -> Array:

@@ -54,7 +54,7 @@ class GaitScheduler:
     it gets there, and back, by a blend as well. While the servos do not follow the commands a stride
     stands on its centre, its phase waits, and no policy corrects anything; then it blends from there.
     The reference place moves with the velocity, or along the path, at most `lead` ahead of the
-    robot; without a velocity it is the robot's.
+    robot; once a stride stands it is the robot's.
     """
 
     STATE = StateParts(
@@ -291,12 +291,15 @@ class GaitScheduler:
             if isinstance(active.gait, Stride):
                 moving = self._moving_after(active, np.array([elapsed]))
                 active.moving = float(moving[0])
-        current = self._current
-        waits = self._is_still() or not self._followed
-        if isinstance(current.gait, Posture) or waits:
+        current, still = self._current, self._is_still()
+        # coming to rest, it stays where it was: the legs unwind and would move the robot
+        stands = still and (current.moving == 0.0 or self._place is None)
+        if isinstance(current.gait, Posture) or stands or not self._followed:
             self._place = None
             return
-        current.phase = (current.phase + elapsed / current.gait.period) % 1.0
+        if not still:
+            period = current.gait.period
+            current.phase = (current.phase + elapsed / period) % 1.0
         if self._path is not None:
             self._place = self._path.place(state, elapsed, self._speed)
         elif self._place is None:

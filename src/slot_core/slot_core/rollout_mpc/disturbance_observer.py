@@ -11,10 +11,9 @@ The wrench acts in the rollouts; the drift moves their poses on. Hence a payload
 F_z = -m g, and a foot that slips more than expected is a drift.
 
 The misfit is the residual after drift and wrench: the root mean square, over some 20 ticks, of the
-errors less T d, in units of the cost's scales. It is 1 to 2 in a walk, up to 3 after a push, and
-4 to 10 where the model does not hold: on legs softer by a fifth that stall, and on a floor whose
-friction is 1 instead of 0.4. Beyond `misfit_max` the model is not to be used until the misfit is
-half of that; meanwhile drift and wrench decay.
+errors less T d, in units of the cost's scales. It is .6 to 2 in a walk, up to 3.6 in a turn, and
+more where the model does not hold: on a floor whose friction is 1 instead of 0.4, and on soft legs
+that stall. Once it exceeds `misfit_max`, the model has the friction of a floor that grips.
 """
 
 from collections import deque
@@ -47,7 +46,6 @@ class DisturbanceObserver:
     STATE = StateParts(
         "drift",
         "wrench",
-        "model_mismatch",
         "_misfit",
         "_past",
         values=(_Seen,),
@@ -67,8 +65,6 @@ class DisturbanceObserver:
         self._stiffness, self._drift_max, self._wrench_max = np.array(limits)
         self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame
         self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
-        # whether the robot moves otherwise than the model
-        self.model_mismatch = False
         self._misfit = np.zeros(6)  # mean squares, in units of the scales
         self._past: deque[_Seen] = deque()
 
@@ -102,8 +98,6 @@ class DisturbanceObserver:
         drift = np.append(way, wrapped(state[2] - pose[2])) / span
         error = state[TILTS] - pose[TILTS]
         self._judge(np.concatenate([span * (drift - self.drift), error]))
-        if self.model_mismatch:
-            drift, error = np.zeros(3), -self.wrench / self._stiffness
         drift = self.drift + s.drift_gain * (drift - self.drift)
         self.drift = _bounded(drift, self._drift_max)
         wrench = self.wrench + s.wrench_gain * self._stiffness * error
@@ -114,9 +108,8 @@ class DisturbanceObserver:
         s = self._settings
         square = np.square(residual / self._scale)
         self._misfit += s.misfit_gain * (square - self._misfit)
-        self.model_mismatch = self.misfit > s.misfit_max * (
-            0.5 if self.model_mismatch else 1.0
-        )
+        if self.misfit > s.misfit_max:
+            self._model.friction = s.friction
 
     @property
     def misfit(self) -> float:

@@ -51,7 +51,7 @@ class Rollouts(NamedTuple):
 class NominalRobot:
     """Rollouts of plans of tendon angles; it knows no payload, slope or damage but the wrench."""
 
-    STATE = StateParts("push", "stiffness", "gravity")
+    STATE = StateParts("push", "stiffness", "gravity", "friction")
 
     def __init__(
         self, robot: RobotParameters, settings: NominalSettings, dt: float
@@ -86,6 +86,15 @@ class NominalRobot:
     @gravity.setter
     def gravity(self, gravity: Array) -> None:
         self.robot.model.gravity[:] = checked("gravity", gravity, (3,))
+
+    @property
+    def friction(self) -> float:
+        """Coefficient of the floor."""
+        return float(self.robot.model.friction[0, 0])
+
+    @friction.setter
+    def friction(self, coefficient: float) -> None:
+        self.robot.model.friction[:] = coefficient
 
     @property
     def stiffness(self) -> float:

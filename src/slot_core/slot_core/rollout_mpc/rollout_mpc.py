@@ -9,8 +9,7 @@ the same.
 While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
 is tried first whether the next one could be solved. A cycle without a new plan moves the last one on and
 lets its deviations from the gait decay; after `limits.cycles` such cycles in a row the status is
-STOPPED. While the robot moves otherwise than its model the plan is the gait's too, to which the
-deviations decay, and the status is MODEL_MISMATCH.
+STOPPED.
 """
 
 import math
@@ -81,7 +80,6 @@ class RolloutMpc(Policy):
         "_stiffness",
         "_missed",
         "_disturbances",
-        "_model_mismatch",
         values=(_Plan, Linearisation, Rollouts, PlanReport),
     )
 
@@ -312,16 +310,10 @@ class RolloutMpc(Policy):
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
         wanted = problem.reference(rows, place, observer.drift, plan.sag)
-        if observer.model_mismatch:
-            plan = replace(
-                plan, deviation=self._settings.limits.decay * plan.deviation
-            )
         before = self._model.roll_out(plan.start, self._angles(plan)[None])
         error = problem.errors(before.pose, wanted, yaw)[0]
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
-        if observer.model_mismatch:
-            return plan, before, ""
         assert plan.linear is not None
         change = problem.change(
             error, plan.linear, plan.deviation, plan.nominal[:-1]
@@ -367,16 +359,17 @@ class RolloutMpc(Policy):
         """The present plan; its preview, if it is new."""
         angle, motion = self._angles(plan), plan.motion
         rate = first_rate(angle, self._dt)
+        friction = self._model.friction
+        floor = f"the floor grips: friction {friction:g} in the model"
+        grips = friction != self._settings.nominal.friction
         return TendonPlan(
             angle[:-1],
             rate,
             motion.force,
             pose=motion.pose,
             foot=motion.foot,
-            status=Status.MODEL_MISMATCH
-            if self._model_mismatch
-            else Status.SOLVED,
-            message=self._model_mismatch,
+            status=Status.SOLVED,
+            message=floor if grips else "",
             report=self._report(plan, angle[0], rate, preview),
         )
 
@@ -385,16 +378,12 @@ class RolloutMpc(Policy):
 
         The observer goes on in `prepare`, at a time that does not depend on the messages.
         """
-        observer, limit = self.observer, self._settings.observer.misfit_max
+        observer = self.observer
         self._disturbances = PlanReport(
             mass=self._robot.mass - observer.wrench[0] / GRAVITY,
             drift=observer.drift.copy(),
             wrench=observer.wrench.copy(),
         )
-        misfit = (
-            f"model mismatch: misfit {observer.misfit:.1f}, limit {limit:g}"
-        )
-        self._model_mismatch = misfit if observer.model_mismatch else ""
 
     def _report(
         self,

@@ -75,7 +75,13 @@ class ObserverSettings:
         "gain of the misfit, the error that they leave over", "", 0, 1
     )
     misfit_max: float = quantity(
-        "largest misfit of a model that is used, in scales", "", 0.1, 1e3
+        "misfit beyond which the floor is taken to grip, in scales",
+        "",
+        0.1,
+        1e3,
+    )
+    friction: float = quantity(
+        "friction coefficient of a floor that grips", "", 0.01, 2
     )
 
 
