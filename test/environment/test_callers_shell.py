@@ -98,8 +98,10 @@ def test_a_graph_walks_in_a_folder_with_modules_of_the_callers_own(own, python):
     """Its processes are the runner and the nodes; the bag's name has quotes and spaces."""
     name = 'it\'s a "bag" of ü: 1'
     program = os.path.relpath(ROOT / "scripts/run", own)
+    # with the kernels of the caller's home
+    kept = {"PATH", "HOME", "XDG_CACHE_HOME"} & set(os.environ)
     given = python | {
-        "PATH": os.environ["PATH"],
+        **{name: os.environ[name] for name in kept},
         "ROS_DOMAIN_ID": process_domain(),
         "ROS_SECURITY_ENABLE": "true",
         "CDPATH": "/",

@@ -17,7 +17,7 @@ from slot_lab.bags.bag import Bag
 pytestmark = pytest.mark.real_time
 
 RUN = [sys.executable, "-m", "slot_bringup"]
-JOINS = 20
+JOINS = 10
 HEARD = {"/odom", "/desired_joint_angles"}  # of two nodes
 SEGMENT = "/dev/shm/fast"  # beginning of the name of every segment of Fast DDS
 
