@@ -14,14 +14,14 @@ from slot_core.simulation.supervised_loop import SupervisedLoop
     ("across_deg", "line", "ends"),
     [
         (0.0, "", State.WALKING),
-        (5.5, "slides", State.WALKING),
-        (9.0, "slides", State.HOLD),
+        (9.0, "slides", State.WALKING),
+        (14.0, "slides", State.HOLD),
     ],
 )
 def test_a_walk_across_a_slope_says_that_it_slides(
     across_deg, line, ends, seed
 ):
-    """Limits 15 and 50 mm/s; slides 2, 20 to 30, and more than 70 mm/s aside over 5 s."""
+    """Limits 15 and 50 mm/s; slides 2, 28, and more than 70 mm/s aside over 5 s."""
     slope = math.radians(across_deg)
     down = (0.0, -GRAVITY * math.sin(slope), -GRAVITY * math.cos(slope))
     changes = {"scene.gravity": down}

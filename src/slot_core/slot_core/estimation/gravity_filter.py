@@ -44,7 +44,7 @@ class GravityFilter:
     def value(self, velocity: Array) -> Array:
         """Gravity (3,) m/s^2 in odom, of the length of gravity; straight down while unknown."""
         if np.isnan(self._velocity[0]):
-            return DOWN
+            return DOWN.copy()
         g = (velocity - self._velocity) / TIME - self._force
         length = norm(g)
-        return g * (GRAVITY / length) if length > LEAST else DOWN
+        return g * (GRAVITY / length) if length > LEAST else DOWN.copy()
