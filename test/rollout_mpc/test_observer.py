@@ -26,13 +26,13 @@ class Watch:
         self.real = self.plant.at_rest(self.state, self.command[0])
         self.drift = np.array(drift)
 
-    def go_on(self, ticks, yaw=0.0):
+    def go_on(self, ticks, yaw=0.0, walks=True):
         """The observer after so many ticks, with an error of their yaw (rad)."""
         for _ in range(ticks):
             self.model.set_wrench(self.observer.wrench, 0.0)
             seen = self.state + np.eye(12)[2] * yaw
             start = self.model.measured(self.real, self.state)
-            self.observer.observe(start, seen, self.command[0])
+            self.observer.observe(start, seen, self.command[0], walks)
             self.real = self.plant.after(
                 self.plant.measured(self.real, self.state), self.command
             )
@@ -68,6 +68,13 @@ def test_a_steady_drift_is_no_misfit_but_for_a_robot_that_moves_otherwise_the_fl
     ]
     assert frictions.index(SETTINGS.observer.friction) in range(3, 20)
     assert frictions[-1] == SETTINGS.observer.friction
+
+
+def test_a_turn_in_place_is_no_sign_of_a_floor_that_grips():
+    watch = Watch()
+    for k in range(60):
+        watch.go_on(1, 0.1 * (-1) ** k, walks=False)
+    assert watch.model.friction == SETTINGS.nominal.friction
 
 
 def test_a_forgotten_motion_leaves_the_estimates():

@@ -165,7 +165,7 @@ def test_a_torso_that_the_legs_cannot_carry_sinks(walking):
 def rough_walk(seed, misfit_max):
     """Way (m) in 15 s on rubber, with a limit of the misfit; also its last tick."""
     changes = {
-        "scene.floor.friction": [1.0] * 4,
+        "scene.floor.friction": [1.1] * 4,
         "policy.observer.misfit_max": misfit_max,
     }
     loop = ClosedLoop(
@@ -176,7 +176,7 @@ def rough_walk(seed, misfit_max):
 
 
 def test_on_a_floor_that_grips_it_walks_and_the_model_learns_of_it():
-    """Mean of three seeds; of the ways without that the least is 0.43 m."""
+    """Mean of three seeds; of six, it walks 0.50 to 0.65 m, and 0.21 to 0.56 m without."""
     ways = {misfit_max: [] for misfit_max in (1000.0, OBSERVER.misfit_max)}
     for misfit_max, found in ways.items():
         for seed in range(1, 4):
@@ -187,4 +187,4 @@ def test_on_a_floor_that_grips_it_walks_and_the_model_learns_of_it():
             said = "the floor grips: friction 0.8 in the model"
             assert last.plan.message == (said if learned else "")
     without, with_it = (np.mean(found) for found in ways.values())
-    assert with_it > 1.1 * without
+    assert with_it > 1.3 * without

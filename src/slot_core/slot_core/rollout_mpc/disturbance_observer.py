@@ -11,9 +11,10 @@ The wrench acts in the rollouts; the drift moves their poses on. Hence a payload
 F_z = -m g, and a foot that slips more than expected is a drift.
 
 The misfit is the residual after drift and wrench: the root mean square, over some 20 ticks, of the
-errors less T d, in units of the cost's scales. It is .6 to 2 in a walk, up to 3.6 in a turn, and
-more where the model does not hold: on a floor whose friction is 1 instead of 0.4, and on soft legs
-that stall. Once it exceeds `misfit_max`, the model has the friction of a floor that grips.
+errors less T d, in units of the cost's scales. It is 0.6 to 2 in a walk, and more where the model
+does not hold: on a floor whose friction is 1 instead of 0.4, and on soft legs that stall. Once it
+exceeds `misfit_max`, the model has the friction of a floor that grips. A turn in place is no part
+of it: the torso touches the floor.
 """
 
 from collections import deque
@@ -38,6 +39,7 @@ class _Seen(NamedTuple):
     start: Array  # state of the nominal robot
     state: Array  # (12,) of the estimate
     angle: Array  # (4,) rad, commanded
+    walks: bool  # whether a velocity is commanded
 
 
 class DisturbanceObserver:
@@ -72,16 +74,19 @@ class DisturbanceObserver:
         """Forget the motion so far: a gap or a jump. The estimates stay."""
         self._past.clear()
 
-    def observe(self, start: Array, state: Array, angle: Array) -> None:
+    def observe(
+        self, start: Array, state: Array, angle: Array, walks: bool = True
+    ) -> None:
         """Take the estimate of a tick, its state (12,) and the angles (4,) commanded then.
 
-        start: of the nominal robot, with the torso as measured. Once the ticks reach back over the
-        window, correct drift and wrench. Raises ValueError for other shapes.
+        start: of the nominal robot, with the torso as measured; walks: whether a velocity is
+        commanded. Once the ticks reach back over the window, correct drift and wrench. Raises
+        ValueError for other shapes.
         """
         state = checked("state", state, (12,))
         angle = checked("angle", angle, (len(LEGS),))
         past, window = self._past, self._settings.window
-        past.append(_Seen(start, state.copy(), angle.copy()))
+        past.append(_Seen(start, state.copy(), angle.copy(), walks))
         if len(past) <= window:
             return
         while len(past) > window + 1:
@@ -97,7 +102,8 @@ class DisturbanceObserver:
         way = rotate(state[3:5] - pose[3:5], -self._past[0].state[2])
         drift = np.append(way, wrapped(state[2] - pose[2])) / span
         error = state[TILTS] - pose[TILTS]
-        self._judge(np.concatenate([span * (drift - self.drift), error]))
+        if all(seen.walks for seen in self._past):
+            self._judge(np.concatenate([span * (drift - self.drift), error]))
         drift = self.drift + s.drift_gain * (drift - self.drift)
         self.drift = _bounded(drift, self._drift_max)
         wrench = self.wrench + s.wrench_gain * self._stiffness * error

@@ -49,6 +49,7 @@ from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
 
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
+LEAST_SPEED = 0.01  # m/s, of a walk
 # m, rad beyond the nominal robot's motion: the odometry has jumped
 JUMP, TURN = 0.05, 0.2
 
@@ -77,6 +78,7 @@ class RolloutMpc(Policy):
         "_plan",
         "_next",
         "_state",
+        "_walks",
         "_stiffness",
         "_missed",
         "_disturbances",
@@ -125,6 +127,7 @@ class RolloutMpc(Policy):
         self._next: _Plan | None = None  # a stage later, prepared
         # (12,) that the plan is for; None after a fallback
         self._state: Array | None = None
+        self._walks = False  # whether that is with a velocity
         self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
         self._missed = 0  # consecutive cycles without a new plan
         self._note_disturbances()
@@ -167,6 +170,8 @@ class RolloutMpc(Policy):
         motion = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
         self._plan = replace(plan, motion=motion, linear=None)
         self._next, self._state = None, state
+        speed = norm(np.asarray(preview.velocity_ahead)[0, :2])
+        self._walks = speed > LEAST_SPEED
         self._note_disturbances()
         return self._published(self._plan, preview=preview)
 
@@ -202,7 +207,7 @@ class RolloutMpc(Policy):
         )
         if self._state is not None:
             angle = self._angles(plan)[0]
-            self.observer.observe(plan.start, self._state, angle)
+            self.observer.observe(plan.start, self._state, angle, self._walks)
 
     def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
         """The plan for the state (12,) at `time` (ns), linearised near it."""
