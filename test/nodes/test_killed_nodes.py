@@ -149,7 +149,8 @@ def test_a_controller_slower_than_its_period_skips_states_without_a_queue(
     walking.solve_time = 1.5 * TICK
     walking.run(3 * TICK)
     walking.solve_time = SOLVE_TIME
-    assert 2 <= walking.last("/tendon_plan").overruns - after.overruns <= 3
+    # two or three ticks, and one whose state has waited
+    assert 2 <= walking.last("/tendon_plan").overruns - after.overruns <= 4
 
 
 @pytest.mark.parametrize(
