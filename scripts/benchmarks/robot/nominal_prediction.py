@@ -20,7 +20,6 @@ from benchmarks.harness import Check, Progress, at_least, at_most
 from benchmarks.locomotion.cases import DT, friction, reachable
 from slot_core.arrays import Array
 from slot_core.control.policies import DEFAULT_POLICY
-from slot_core.dynamics.scene import read_scene
 from slot_core.geometry import rotate, rpy_of, wrapped
 from slot_core.robot import read_robot
 from slot_core.rollout_mpc.nominal_robot import NominalRobot
@@ -38,8 +37,6 @@ LOOPS = (
     (TURN, 0.4),
 )
 FIRST, EVERY, LAST = 90, 25, 200  # ticks; a stride has 21.2
-CYCLES = 3  # of the servo bus in a tick
-CHANGE = 0.08  # rad
 COMPONENTS = ("roll", "pitch", "yaw", "x", "y", "z")
 SCALES = np.array([180 / np.pi] * 3 + [1e3] * 3)
 UNITS = ("deg", "deg", "deg", "mm", "mm", "mm")
@@ -101,15 +98,17 @@ def compared(
     model = NominalRobot(robot, nominal, DT)
     loop, seen = watched(velocity, mu)
     for tick in seen:
-        beyond = tick.plan + CHANGE * problem.basis > robot.tendon.angle_max
-        sign = np.where(beyond.any(axis=(1, 2)), -1.0, 1.0)[:, None, None]
-        changed = tick.plan + CHANGE * sign * problem.basis
-        plans = np.concatenate([tick.plan[None], changed])
+        plans, _ = problem.varied(tick.plan)
         plans = np.clip(plans, 0.0, robot.tendon.angle_max)
         model.set_wrench(tick.wrench, tick.state[2])
         start = model.measured(tick.start, tick.state)
         poses = (
-            np.array([executed(loop, tick.buffer, plan) for plan in plans]),
+            np.array(
+                [
+                    executed(loop, tick.buffer, plan, nominal.cycles)
+                    for plan in plans
+                ]
+            ),
             model.roll_out(start, plans).pose,
         )
         yield tuple(in_heading(pose, tick.state) for pose in poses)
@@ -147,13 +146,13 @@ def watched(
     return sim, seen
 
 
-def executed(sim: RodRobot, buffer: Array, plan: Array) -> Array:
-    """Poses (K, 6) of the rods over a plan (K + 1, 4) from a state."""
+def executed(sim: RodRobot, buffer: Array, plan: Array, cycles: int) -> Array:
+    """Poses (K, 6) of the rods over a plan (K + 1, 4) from a state, in cycles of the servo bus."""
     sim.state.buffer[:], poses = buffer, []
-    steps = round(DT / CYCLES / read_scene("flat").solver.step)
+    steps = round(DT / cycles / sim.scene.solver.step)
     for here, there in pairwise(plan):
-        for cycle in range(CYCLES):
-            sim.advance(steps, here + cycle / CYCLES * (there - here))
+        for cycle in range(cycles):
+            sim.advance(steps, here + cycle / cycles * (there - here))
         poses.append(np.concatenate([sim.rpy, sim.position]))
     return np.array(poses)
 
@@ -162,9 +161,7 @@ def in_heading(pose: Array, state: Array) -> Array:
     """Poses (P, K, 6) less the place and heading of a state, in its heading frame."""
     moved = pose.copy()
     moved[..., 2] = wrapped(pose[..., 2] - state[2])
-    way = (pose[..., 3:5] - state[3:5]).reshape(-1, 2)
-    turned = [rotate(step, -state[2]) for step in way]
-    moved[..., 3:5] = np.reshape(turned, pose[..., 3:5].shape)
+    moved[..., 3:5] = rotate(pose[..., 3:5] - state[3:5], -state[2])
     return moved
 
 

@@ -81,7 +81,7 @@ class NominalRobot:
     @property
     def gravity(self) -> Array:
         """Gravity (3,), m/s^2, in the frame of the states; raises ValueError for other shapes."""
-        return self.robot.model.gravity
+        return np.array(self.robot.model.gravity)
 
     @gravity.setter
     def gravity(self, gravity: Array) -> None:

@@ -124,6 +124,19 @@ class PlanProblem:
         time = self._dt * np.arange(1, self._settings.stages + 1)[:, None]
         return np.hstack([time * rotate(drift[:2], yaw), time * drift[2]])
 
+    def varied(self, angle: Array) -> tuple[Array, Array]:
+        """Plans (n + 1, K + 1, 4) for finite differences, and their steps (n,), rad.
+
+        The first one has the angles (K + 1, 4); each other one is a step from it along a direction
+        of the basis, downward where it would pass the largest angle.
+        """
+        step = self._settings.step
+        beyond = (angle + step * self.basis > self._angle_max).any(axis=(1, 2))
+        steps = np.where(beyond, -step, step)
+        return np.vstack(
+            [angle[None], angle + steps[:, None, None] * self.basis]
+        ), steps
+
     def errors(self, pose: Array, reference: Array, yaw: float) -> Array:
         """Weighted errors (P, 6 K) of poses (P, K, 6), x and y along and across the heading."""
         reference = checked("reference", reference, (-1, 6), finite=False)

@@ -144,8 +144,11 @@ class RolloutMpc(Policy):
             self._plan = self._next = None
             if self._missed == 0:
                 return self._gait_plan(preview)
-        fault = fault or state_fault(estimate.state, limits.input_max)
-        if fault := fault or gravity_fault(estimate.gravity):
+        if fault := (
+            fault
+            or state_fault(estimate.state, limits.input_max)
+            or gravity_fault(estimate.gravity)
+        ):
             return self._fall_back(Status.REJECTED, fault)
         present = self._plan
         state = np.asarray(estimate.state, dtype=float)
@@ -170,8 +173,7 @@ class RolloutMpc(Policy):
         motion = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
         self._plan = replace(plan, motion=motion, linear=None)
         self._next, self._state = None, state
-        speed = norm(np.asarray(preview.velocity_ahead)[0, :2])
-        self._walks = speed > LEAST_SPEED
+        self._walks = norm(preview.velocity_ahead[0, :2]) > LEAST_SPEED
         self._note_disturbances()
         return self._published(self._plan, preview=preview)
 
@@ -296,14 +298,10 @@ class RolloutMpc(Policy):
 
     def _linearised(self, plan: _Plan) -> _Plan:
         """The plan with the slopes of its motion, by finite differences."""
-        angle, step = self._angles(plan), self._settings.step
-        basis, most = self._problem.basis, self._robot.tendon.angle_max
-        beyond = (angle + step * basis > most).any(axis=(1, 2))
-        steps = np.where(beyond, -step, step)[:, None, None]
-        plans = np.vstack([angle[None], angle + steps * basis])
+        plans, steps = self._problem.varied(self._angles(plan))
         pose = self._model.roll_out(plan.start, plans).pose
         yaw = self._model.place(plan.start)[2]
-        slopes = self._problem.errors(pose[1:], pose[0], yaw) / steps[:, 0]
+        slopes = self._problem.errors(pose[1:], pose[0], yaw) / steps[:, None]
         diverged = ~np.isfinite(slopes).all(axis=1)
         slopes[diverged] = 0.0  # no change along them
         return replace(plan, linear=self._problem.linearised(slopes))
@@ -364,9 +362,9 @@ class RolloutMpc(Policy):
         """The present plan; its preview, if it is new."""
         angle, motion = self._angles(plan), plan.motion
         rate = first_rate(angle, self._dt)
-        friction = self._model.friction
-        floor = f"the floor grips: friction {friction:g} in the model"
-        grips = friction != self._settings.nominal.friction
+        message, friction = "", self._model.friction
+        if friction != self._settings.nominal.friction:
+            message = f"the floor grips: friction {friction:g} in the model"
         return TendonPlan(
             angle[:-1],
             rate,
@@ -374,7 +372,7 @@ class RolloutMpc(Policy):
             pose=motion.pose,
             foot=motion.foot,
             status=Status.SOLVED,
-            message=floor if grips else "",
+            message=message,
             report=self._report(plan, angle[0], rate, preview),
         )
 
