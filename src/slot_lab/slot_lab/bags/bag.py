@@ -34,7 +34,6 @@ from slot_core.recording.origin import ORIGIN, Origin
 from slot_core.recording.record_settings import (
     BagError,
     NoFieldError,
-    RecordedTopic,
     read_record_settings,
     root_of,
 )
@@ -84,7 +83,8 @@ class Bag:
         self.path = Path(path)
         self._root = root_of(namespace)
         self._remap = {
-            _slashed(old): _slashed(new) for old, new in (remap or {}).items()
+            f"/{old.lstrip('/')}": f"/{new.lstrip('/')}"
+            for old, new in (remap or {}).items()
         }
         self._cache: dict[str, list[tuple[int, Any]]] = {}
         self._scratch: TemporaryDirectory[str] | None = None  # of mended files
@@ -185,15 +185,11 @@ class Bag:
         for topic, time, data in self.raw(*topics):
             yield topic, time, self.decode(topic, data)
 
-    @functools.cached_property
-    def _known_topics(self) -> Mapping[str, RecordedTopic]:
-        """The topics of the graph."""
-        return read_record_settings().topics
-
     def require_types(self, *topics: str) -> None:
         """Raise BagError for a topic of the graph whose messages have another type in the bag."""
+        known_topics = read_record_settings().topics
         for topic in topics:
-            known, kind = self._known_topics.get(topic), self.topics.get(topic)
+            known, kind = known_topics.get(topic), self.topics.get(topic)
             if known is not None and kind not in (None, known.type):
                 raise BagError(
                     f"{self.path}: {topic} holds {kind}, not {known.type}"
@@ -294,10 +290,9 @@ class Bag:
                 raise BagError(
                     f"{self.path}: holds no metadata.yaml, .mcap or .db3 file: not a bag"
                 )
-            files = [self._intact(file) for file in found]
             # it did not end, even if whole
-            self._scratch = self._scratch or TemporaryDirectory()
-            return files, {}
+            self._scratch = TemporaryDirectory()
+            return [self._intact(file) for file in found], {}
         content = config.parse(read_text(metadata, METADATA_MAX))
         information = content["rosbag2_bagfile_information"]
         custom = {
@@ -376,11 +371,6 @@ def _require_time(time: int) -> None:
     """Raise ValueError for a time that no 64 bits hold."""
     if not 0 <= time < 2**63:
         raise ValueError(f"a message at {time} ns, beyond 2^63 - 1")
-
-
-def _slashed(topic: str) -> str:
-    """Full name of a topic that may lack its slash."""
-    return f"/{topic.lstrip('/')}"
 
 
 def _stamp(message: Any, time: int) -> int:

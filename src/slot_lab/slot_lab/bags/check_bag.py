@@ -11,13 +11,8 @@ from slot_core.clock import to_seconds
 from slot_core.messages import decode
 from slot_core.progress import untold
 from slot_lab.bags.bag import Bag, BagError
-from slot_lab.bags.replayed_stages import (
-    REMEMBERING,
-    STAGES,
-    RecordedStages,
-    Replayed,
-)
-from slot_lab.bags.topics import ESTIMATE, OUTPUTS, SENSORS
+from slot_lab.bags.replayed_stages import STAGES, RecordedStages, Replayed
+from slot_lab.bags.topics import COMMANDED, ESTIMATE, OUTPUTS, SENSORS
 
 LACKING = "the bag holds no"
 MID_RUN = "the bag begins mid-run, after what the state depends on"
@@ -123,7 +118,8 @@ def _reason(
         return f"--{'only' if only else 'skip'} {' '.join(only or skip)}"
     if not only and (others := recorded.own_nodes(topic)):
         return f"published by {', '.join(others)}, not by our {node}"
-    if topic in REMEMBERING and recorded.begins_mid_run:
+    # all but the force map depend on everything that came before
+    if topic != COMMANDED and recorded.begins_mid_run:
         return MID_RUN
     # node may have published it
     another = not only and any(recorded.records.values())

@@ -183,10 +183,13 @@ def read_motion(bag: Bag, *topics: str) -> TorsoTrack:
         raise BagError(
             f"{where}: the quaternion of sample {k} has the length {length[k]:.4g}"
         )
-    velocity = Rotation.from_quat(quaternion).apply(twist)
-    lost = int(np.sum(~known))
     return TorsoTrack(
-        topic, seconds(stamps), position, quaternion, velocity, lost
+        topic,
+        seconds(stamps),
+        position,
+        quaternion,
+        velocity=Rotation.from_quat(quaternion).apply(twist),
+        left_out=int(np.sum(~known)),
     )
 
 
@@ -222,8 +225,9 @@ def tendon_angles(bag: Bag, *topics: str) -> TendonAngles:
         values = np.hstack([values, joint_columns(bag, topic, "velocity")[1]])
     stamps, values = _sound(f"{bag.path}: {topic}", series.stamp, values)
     angle, rate = np.split(values, [len(TENDON_JOINTS)], axis=1)
-    rates = rate if rate.size else None
-    return TendonAngles(topic, seconds(stamps), angle, rates, measured)
+    return TendonAngles(
+        topic, seconds(stamps), angle, rate if rate.size else None, measured
+    )
 
 
 def read_legs(bag: Bag) -> tuple[Array, Array]:
@@ -284,9 +288,11 @@ def read_ticks(bag: Bag) -> Ticks:
     period = float(np.median(np.diff(stamps)))
     times = [_sensor_times(bag, stamps, origin, period)]
     times += [_first_times(bag, topic, stamps, origin) for topic in OUTPUTS]
-    end = to_seconds(bag.end_ns - origin)
     return Ticks(
-        seconds(stamps), np.column_stack(times), to_seconds(period), end
+        seconds(stamps),
+        np.column_stack(times),
+        to_seconds(period),
+        end=to_seconds(bag.end_ns - origin),
     )
 
 
@@ -342,6 +348,6 @@ def joint_columns(bag: Bag, topic: str, quantity: str) -> tuple[Array, Array]:
         raise BagError(
             f"{bag.path}: {topic} holds no {quantity} of every joint"
         )
-    order = np.argsort(TENDON_JOINTS)
-    place = np.argsort(names, axis=1)[:, np.argsort(order)]
+    rank = np.argsort(np.argsort(TENDON_JOINTS))
+    place = np.argsort(names, axis=1)[:, rank]
     return t, np.take_along_axis(values, place, axis=1)

@@ -1,11 +1,11 @@
 """The controller's stages in a bag, and the same stages on the recorded inputs, without ROS."""
 
 import json
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -73,7 +73,10 @@ class RecordedStages:
         """own_policy: file of the policy, needed if the bag's policy is a file."""
         self.own_policy = own_policy
         self.bag, self.origin, self.robot = bag, bag.origin, read_robot()
-        self.sensors: list[tuple[str, Any]] = []  # topic and message
+        # messages in their order, by topic and stamp (ns)
+        self.sensors: defaultdict[tuple[str, int], deque[Any]] = defaultdict(
+            deque
+        )
         self.messages: dict[str, list[Any]] = {topic: [] for topic in OUTPUTS}
         self.records: dict[str, list[Any]] = {
             node: [] for node in OUTPUTS.values()
@@ -107,8 +110,7 @@ class RecordedStages:
             self.messages[topic].append(message)
             self._entries.append((topic, decode.stamp(message)))
         else:
-            decode.stamp(message)
-            self.sensors.append((topic, message))
+            self.sensors[topic, decode.stamp(message)].append(message)
 
     def outputs(self, topic: str) -> Iterator[Any]:
         """Records of a stage, and stamps (ns) of its outputs, in their order."""
@@ -118,10 +120,8 @@ class RecordedStages:
     def own_nodes(self, topic: str) -> list[str]:
         """Nodes that published a stage's output in place of ours."""
         nodes = self.nodes.get(topic, [])
-        ours = OUTPUTS[topic]
-        return (
-            [] if ours in [name.rpartition("/")[2] for name in nodes] else nodes
-        )
+        names = [name.rpartition("/")[2] for name in nodes]
+        return [] if OUTPUTS[topic] in names else nodes
 
     @cached_property
     def estimates(self) -> dict[int, Estimate]:
@@ -242,11 +242,8 @@ def estimates(recorded: RecordedStages) -> Replayed:
     settings = recorded.settings("state_estimator", read_estimator())
     if source := recorded.origin.about.get("odometry"):
         settings = config.replace(settings, {"odometry.source": source})
-    found, readings = Replayed(), _by_topic_and_stamp(recorded.sensors)
-
-    def make() -> StateEstimator:
-        return make_estimator(settings, recorded.robot, read_springs())
-
+    found = Replayed()
+    make = partial(make_estimator, settings, recorded.robot, read_springs())
     estimator: StateEstimator | None = None
     known: list[tuple[int, int]] = []  # stamps of the outputs: after, up to
     expected, before = -1, BEFORE_ALL_TIMES
@@ -258,7 +255,7 @@ def estimates(recorded: RecordedStages) -> Replayed:
             estimator = None
         expected = record.number + 1
         for kind, stamp in zip(record.taken, record.stamp):
-            waiting = readings.get((SENSORS[kind], int(stamp)), deque())
+            waiting = recorded.sensors[SENSORS[kind], int(stamp)]
             if (
                 not _take_next(estimator, SENSORS[kind], waiting)
                 and estimator is not None
@@ -282,34 +279,17 @@ def estimates(recorded: RecordedStages) -> Replayed:
     return found
 
 
-def _by_topic_and_stamp(
-    messages: list[tuple[str, Any]],
-) -> dict[tuple[str, int], deque[Any]]:
-    """Messages by topic and stamp (ns), in their order."""
-    found: dict[tuple[str, int], deque[Any]] = {}
-    for topic, message in messages:
-        found.setdefault((topic, decode.stamp(message)), deque()).append(
-            message
-        )
-    return found
-
-
 def _take_next(
     estimator: StateEstimator | None, topic: str, waiting: deque[Any]
 ) -> bool:
     """Let the estimator take the first of the messages that its node does not refuse, if any."""
     while waiting:
         with suppress(ValueError):
-            _take(estimator, topic, waiting.popleft())
+            reading = READERS[topic](waiting.popleft())
+            if estimator is not None:
+                getattr(estimator, TAKERS[topic])(*reading)
             return True
     return False
-
-
-def _take(estimator: StateEstimator | None, topic: str, message: Any) -> None:
-    """Let the estimator take a message; raises ValueError if its node refuses it."""
-    reading = READERS[topic](message)
-    if estimator is not None:
-        getattr(estimator, TAKERS[topic])(*reading)
 
 
 def _polled(estimator: StateEstimator) -> dict[int, Fields]:
@@ -533,5 +513,3 @@ STAGES = {
     ),
 }
 """By their output, in the order of the graph."""
-REMEMBERING = ("/mpc_state", "/gait_preview", PLANS)
-"""Outputs of stages that depend on all that came before."""

@@ -10,7 +10,6 @@ With another first word, each with a --help:
   --leg-map   writes config/leg_map.csv: force and stiffness of one leg at rest
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -32,16 +31,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns its exit code, 2 for invalid data, settings or arguments.
     """
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    if options.plot and options.plot.suffix != ".png":
-        parser.error(f"--plot {options.plot}: the name of a plot ends in .png")
-    from slot_lab.calibration.calibrate import run  # noqa: PLC0415 - heavy
-
-    return run_command(parser, options, run)
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = command_parser("calibrate", f"{__doc__}\n{EXIT_CODES}")
     add = parser.add_argument
     add("data", type=Path, metavar="FILE", help="measurements")
@@ -80,7 +69,12 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--note", default="", metavar="TEXT", help="text for the parameter file"
     )
-    return parser
+    options = parser.parse_args(arguments)
+    if options.plot and options.plot.suffix != ".png":
+        parser.error(f"--plot {options.plot}: the name of a plot ends in .png")
+    from slot_lab.calibration.calibrate import run  # noqa: PLC0415 - heavy
+
+    return run_command(parser, options, run)
 
 
 if __name__ == "__main__":

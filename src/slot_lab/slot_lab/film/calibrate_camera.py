@@ -6,7 +6,6 @@ side, 20 to 40 views. RECORDING is a folder of images, a video, or a bag. The fi
 camera_info and, beside it, the covariance of the calibration, which enters every pose's.
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,14 +17,6 @@ from slot_lab.desk_command import run_command
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/calibrate --camera`; exit code 2 for unusable views."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    from slot_lab.film.calibration import run  # noqa: PLC0415 - heavy
-
-    return run_command(parser, options, run)
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = command_parser("calibrate --camera", __doc__)
     add = parser.add_argument
     add(
@@ -59,7 +50,10 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help=f"topic of the bag (default: {IMAGES})",
     )
-    return parser
+    options = parser.parse_args(arguments)
+    from slot_lab.film.calibration import run  # noqa: PLC0415 - heavy
+
+    return run_command(parser, options, run)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ printed at 100 %, without fitting to the page; measure the line that is printed 
 its resolution in the file.
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,18 +18,6 @@ FORMATS = (".png", ".pdf")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/calibrate --print`; exit code 2 for a wrong argument."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    if options.out.suffix.lower() not in FORMATS:
-        parser.error(
-            f"--out {options.out}: the name of a print ends in {' or '.join(FORMATS)}"
-        )
-    from slot_lab.film.print_markers import run  # noqa: PLC0415 - heavy
-
-    return run_command(parser, options, run)
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = command_parser("calibrate --print", __doc__)
     add = parser.add_argument
     add("what", metavar="NAME", help="name of a board, points, or chessboard")
@@ -48,7 +35,14 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help="dots per inch (default: 300)",
     )
-    return parser
+    options = parser.parse_args(arguments)
+    if options.out.suffix.lower() not in FORMATS:
+        parser.error(
+            f"--out {options.out}: the name of a print ends in {' or '.join(FORMATS)}"
+        )
+    from slot_lab.film.print_markers import run  # noqa: PLC0415 - heavy
+
+    return run_command(parser, options, run)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ two_thirds, tip. The camera has to stand still. Where it sees a board that confi
 places in odom, the tracks are in odom, else in the camera's own axes: x forward, y left, z up.
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,15 +19,6 @@ from slot_lab.desk_command import run_command
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/validate --track`; exit code 2 for what cannot be tracked."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    require_directory(parser, options.out)
-    from slot_lab.film.tracker import run  # noqa: PLC0415 - heavy
-
-    return run_command(parser, options, run)
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = command_parser("validate --track", __doc__)
     add = parser.add_argument
     add(
@@ -64,7 +54,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="HZ",
         help="images per second (default: the video's own; 30 for a folder)",
     )
-    return parser
+    options = parser.parse_args(arguments)
+    require_directory(parser, options.out)
+    from slot_lab.film.tracker import run  # noqa: PLC0415 - heavy
+
+    return run_command(parser, options, run)
 
 
 if __name__ == "__main__":

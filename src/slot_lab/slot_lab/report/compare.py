@@ -23,31 +23,6 @@ SUFFIXES = (".png", ".pdf", ".svg")  # of a plot
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/compare`; ends with exit code 2 and one line on a bad input."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    if options.plot and options.plot.suffix not in SUFFIXES:
-        parser.error(
-            f"{options.plot}: the name of a plot ends in {', '.join(SUFFIXES)}"
-        )
-    from slot_lab.report.run_comparison import run  # noqa: PLC0415 - heavy
-
-    return run_command(parser, options, run)
-
-
-def _tolerance(text: str) -> tuple[str, float]:
-    pattern, separator, number = text.rpartition("=")
-    try:
-        largest = float(number)
-    except ValueError:
-        largest = math.nan
-    if not (separator and pattern and 0.0 <= largest < math.inf):
-        raise argparse.ArgumentTypeError(
-            f"{quoted(text)}: expected FIGURE=N, N in [0, inf)"
-        )
-    return pattern, largest
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = command_parser("compare", f"{__doc__}\n{EXIT_CODES}")
     add = parser.add_argument
     add(
@@ -82,7 +57,27 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "--namespace", default="", metavar="NAME", help="of the recorded graphs"
     )
-    return parser
+    options = parser.parse_args(arguments)
+    if options.plot and options.plot.suffix not in SUFFIXES:
+        parser.error(
+            f"{options.plot}: the name of a plot ends in {', '.join(SUFFIXES)}"
+        )
+    from slot_lab.report.run_comparison import run  # noqa: PLC0415 - heavy
+
+    return run_command(parser, options, run)
+
+
+def _tolerance(text: str) -> tuple[str, float]:
+    pattern, separator, number = text.rpartition("=")
+    try:
+        largest = float(number)
+    except ValueError:
+        largest = math.nan
+    if not (separator and pattern and 0.0 <= largest < math.inf):
+        raise argparse.ArgumentTypeError(
+            f"{quoted(text)}: expected FIGURE=N, N in [0, inf)"
+        )
+    return pattern, largest
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@ from slot_lab.bags.recorded_walk import (
     read_ticks,
     seconds,
 )
+from slot_lab.bags.topics import MEASURED
 
 NOT_KNOWN = (math.nan,) * len(LEGS)
 NAME_WIDTH = 20
@@ -218,14 +219,14 @@ def _control(bag: Bag, start: float) -> dict[str, Any]:
     violation = solves["violation"] if solves else np.zeros(0)
     # without the cycles that were rejected
     solved = violation[~np.isnan(violation)]
-    unusable = states and int(np.sum(~np.isin(states["validity"], USABLE)))
     return {
         "fallback_cycles": solves
         and int(np.sum(solves["status"] != Status.SOLVED)),
         "longest_fallback": solves and int(solves["fallback_cycles"].max()),
         "violation_max": float(solved.max()) if solved.size else math.nan,
         "saturated": _mean(maps["saturated"]) if maps else NOT_KNOWN,
-        "unusable_states": unusable,
+        "unusable_states": states
+        and int(np.sum(~np.isin(states["validity"], USABLE))),
     }
 
 
@@ -242,13 +243,12 @@ def _servos(bag: Bag, start: float, servo: ServoSettings) -> dict[str, Any]:
 
 def _torques(bag: Bag, start: float) -> Array:
     """(n, 4) magnitudes of the servos' torques, N m; n = 0 where they are not recorded."""
-    topic = "/joint_states"
     if (
-        not bag.counts.get(topic)
-        or not bag.series(topic, "effort")["effort"].size
+        not bag.counts.get(MEASURED)
+        or not bag.series(MEASURED, "effort")["effort"].size
     ):
         return np.empty((0, len(LEGS)))  # a JointState may have no efforts
-    t, torque = joint_columns(bag, topic, "effort")
+    t, torque = joint_columns(bag, MEASURED, "effort")
     return np.abs(torque[t >= start])
 
 
@@ -321,13 +321,10 @@ def _parts(name: str, value: Any) -> Iterator[tuple[str, float]]:
 def summary_lines(metrics: WalkMetrics) -> list[str]:
     """Aligned lines `name  values`, with units; a dash where the bag lacks the data."""
     m = metrics
-    misses = f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms"
-    unanswered = f"{m.unanswered} ticks, {m.missed_ticks} left out"
-    most = f"at most {m.longest_fallback} in a row"
     fallback = (
         "-"
         if m.fallback_cycles is None
-        else f"{m.fallback_cycles} cycles, {most}"
+        else f"{m.fallback_cycles} cycles, at most {m.longest_fallback} in a row"
     )
     rows = [
         ("motion from", m.source),
@@ -346,8 +343,14 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
         ("yaw drift", _deg(m.yaw_drift, "+")),
         *((name, _latency(stage)) for name, stage in m.stages.items()),
         ("end to end", _latency(m.end_to_end)),
-        ("deadline misses", misses),
-        ("  never answered", unanswered),
+        (
+            "deadline misses",
+            f"{m.deadline_misses} of {m.ticks} ticks later than {1e3 * m.period:.1f} ms",
+        ),
+        (
+            "  never answered",
+            f"{m.unanswered} ticks, {m.missed_ticks} left out",
+        ),
         ("real-time factor", _number(m.real_time_factor, "{:.2f}")),
         ("MPC fallback", fallback),
         ("largest violation", _number(m.violation_max, "{:.1e} N")),
@@ -378,10 +381,10 @@ def _number(value: float, form: str) -> str:
 def _latency(stage: Latency) -> str:
     if not stage.count:
         return "-"
-    p50, p99, largest = (
-        1e3 * value for value in (stage.p50, stage.p99, stage.max)
+    return (
+        f"p50 {1e3 * stage.p50:6.2f}   p99 {1e3 * stage.p99:6.2f}"
+        f"   max {1e3 * stage.max:6.2f} ms"
     )
-    return f"p50 {p50:6.2f}   p99 {p99:6.2f}   max {largest:6.2f} ms"
 
 
 def _load(metrics: WalkMetrics) -> str:
@@ -394,8 +397,10 @@ def _load(metrics: WalkMetrics) -> str:
         if math.isfinite(voltage)
         else "nominal stall"
     )
-    advised = f"{100 * metrics.continuous_load:.0f} %"
-    return f"{100 * load:.1f} % of {stall}; the maker advises {advised}"
+    return (
+        f"{100 * load:.1f} % of {stall};"
+        f" the maker advises {100 * metrics.continuous_load:.0f} %"
+    )
 
 
 def _per_leg(fractions: Iterable[float]) -> str:

@@ -28,18 +28,6 @@ STAGES = ("forward", "turn", "steering", "identify")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/tune`; returns the exit code."""
     words = sys.argv[1:] if arguments is None else arguments
-    parser = _parser()
-    options = parser.parse_args(words)
-    options.stages = [
-        stage for stage in STAGES if stage in (options.stages or STAGES)
-    ]
-    options.command = f"scripts/tune {shlex.join(words)}"
-    from slot_lab.tuning.tune import run  # noqa: PLC0415 - heavy
-
-    return run_command(parser, options, run, resumable=True)
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = command_parser("tune", __doc__)
     add = parser.add_argument
     add("gait", metavar="NAME", help="name of the stride that is written")
@@ -115,7 +103,14 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="one floor, 32 candidates: a demonstration",
     )
-    return parser
+    options = parser.parse_args(words)
+    options.stages = [
+        stage for stage in STAGES if stage in (options.stages or STAGES)
+    ]
+    options.command = f"scripts/tune {shlex.join(words)}"
+    from slot_lab.tuning.tune import run  # noqa: PLC0415 - heavy
+
+    return run_command(parser, options, run, resumable=True)
 
 
 def _stage(text: str) -> str:

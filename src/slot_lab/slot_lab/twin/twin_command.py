@@ -7,7 +7,6 @@ parameters of the model are fitted to the first strides and judged on the others
 continues when the same command is given again.
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,14 +20,6 @@ from slot_lab.workers import add_worker_options
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/twin`; returns the exit code."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    from slot_lab.twin.twin import run  # noqa: PLC0415 - heavy
-
-    return run_command(parser, options, run, resumable=True)
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = command_parser("twin", f"{__doc__}\n{EXIT_CODES}")
     add = parser.add_argument
     add("recording", type=Path, metavar="RECORDING", help="bag, or CSV file")
@@ -85,7 +76,10 @@ def _parser() -> argparse.ArgumentParser:
         help="default: results/twin/RECORDING",
     )
     add_worker_options(parser)
-    return parser
+    options = parser.parse_args(arguments)
+    from slot_lab.twin.twin import run  # noqa: PLC0415 - heavy
+
+    return run_command(parser, options, run, resumable=True)
 
 
 if __name__ == "__main__":

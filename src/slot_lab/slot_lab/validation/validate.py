@@ -26,62 +26,6 @@ OUT = Path("results", "validate")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/validate`; ends with exit code 2 and one line on a bad input."""
-    parser = _parser()
-    return run_command(parser, parser.parse_args(arguments), run)
-
-
-def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
-    """Compare and write the files; returns the tables and the verdict's exit code."""
-    from slot_lab.validation import tables  # noqa: PLC0415 - heavy
-    from slot_lab.validation.comparison import compare, judge  # noqa: PLC0415
-    from slot_lab.validation.recording import RecordingError, read_recording  # noqa: PLC0415
-
-    tell = partial(progress, f"reading {options.run}")
-    tell(0.0)
-    run = read_recording(
-        options.run, options.namespace, options.camera, options.motion, tell
-    )
-    tell = partial(progress, f"reading {options.measurement}")
-    tell(0.0)
-    measured = read_recording(
-        options.measurement, camera=options.camera, tell=tell
-    )
-    for recording in (run, measured):
-        if recording.tilted and options.frame != "rigid":
-            raise RecordingError(
-                f"{recording.name}: no board places the camera in odom, so the tracks are"
-                " in its axes; align them with --frame rigid"
-            )
-    progress("aligning")
-    found = compare(
-        run,
-        measured,
-        frame=options.frame,
-        frame_time=options.frame_time,
-        zero=options.zero,
-        offset=options.offset,
-        leg=options.leg,
-        block=options.block,
-        tell=partial(progress, "errors of the points"),
-    )
-    lines = [f"run {run.name}, measurement {measured.name}"]
-    lines += [f"{r.name}: {note}" for r in (run, measured) for note in r.notes]
-    lines += tables.report(found, options.frame)
-    verdict = judge(found, options.sigma, options.frame, options.zero)
-    out = options.out
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "summary.txt").write_text(
-        "\n".join([*lines, "", verdict.line]) + "\n"
-    )
-    tables.write_csv(found, out / "errors.csv")
-    progress("drawing")
-    plots = tables.draw(found, f"{run.name} and {measured.name}", out)
-    names = ["summary.txt", "errors.csv", *(path.name for path in plots)]
-    written = f"{', '.join(names)} are in {out}"
-    return [*lines, "", written, verdict.line], verdict.code
-
-
-def _parser() -> argparse.ArgumentParser:
     parser = command_parser("validate", f"{__doc__}\n{EXIT_CODES}")
     add = parser.add_argument
     add("run", type=Path, metavar="RECORDING", help="bag, CSV or video")
@@ -149,7 +93,58 @@ def _parser() -> argparse.ArgumentParser:
         choices=MOTION_TOPICS,
         help="motion of the run's bag (default: the first of these that is recorded)",
     )
-    return parser
+    return run_command(parser, parser.parse_args(arguments), run)
+
+
+def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
+    """Compare and write the files; returns the tables and the verdict's exit code."""
+    from slot_lab.validation import tables  # noqa: PLC0415 - heavy
+    from slot_lab.validation.comparison import compare, judge  # noqa: PLC0415
+    from slot_lab.validation.recording import RecordingError, read_recording  # noqa: PLC0415
+
+    tell = partial(progress, f"reading {options.run}")
+    tell(0.0)
+    run = read_recording(
+        options.run, options.namespace, options.camera, options.motion, tell
+    )
+    tell = partial(progress, f"reading {options.measurement}")
+    tell(0.0)
+    measured = read_recording(
+        options.measurement, camera=options.camera, tell=tell
+    )
+    for recording in (run, measured):
+        if recording.tilted and options.frame != "rigid":
+            raise RecordingError(
+                f"{recording.name}: no board places the camera in odom, so the tracks are"
+                " in its axes; align them with --frame rigid"
+            )
+    progress("aligning")
+    found = compare(
+        run,
+        measured,
+        frame=options.frame,
+        frame_time=options.frame_time,
+        zero=options.zero,
+        offset=options.offset,
+        leg=options.leg,
+        block=options.block,
+        tell=partial(progress, "errors of the points"),
+    )
+    lines = [f"run {run.name}, measurement {measured.name}"]
+    lines += [f"{r.name}: {note}" for r in (run, measured) for note in r.notes]
+    lines += tables.report(found, options.frame)
+    verdict = judge(found, options.sigma, options.frame, options.zero)
+    out = options.out
+    out.mkdir(parents=True, exist_ok=True)
+    (out / "summary.txt").write_text(
+        "\n".join([*lines, "", verdict.line]) + "\n"
+    )
+    tables.write_csv(found, out / "errors.csv")
+    progress("drawing")
+    plots = tables.draw(found, f"{run.name} and {measured.name}", out)
+    names = ["summary.txt", "errors.csv", *(path.name for path in plots)]
+    written = f"{', '.join(names)} are in {out}"
+    return [*lines, "", written, verdict.line], verdict.code
 
 
 if __name__ == "__main__":
