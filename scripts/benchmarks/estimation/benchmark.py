@@ -89,11 +89,12 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         figure.subplots(1, len(ERRORS)), ERRORS.items()
     ):
         for way, (_, colour) in WAYS.items():
-            mine = [
-                r for r in rows if r["kind"] == "delay" and r["method"] == way
+            points = [
+                (r["delay_ms"], r[name])
+                for r in rows
+                if r["kind"] == "delay" and r["method"] == way
             ]
-            x, y = [r["delay_ms"] for r in mine], [r[name] for r in mine]
-            ax.plot(x, y, "o-", color=colour, label=way)
+            ax.plot(*zip(*points), "o-", color=colour, label=way)
         ax.set(
             xlabel="delay of the odometry, ms", ylabel=f"RMS error of {label}"
         )
@@ -115,8 +116,14 @@ def method_row(
         key: 1e3 * float(np.sqrt(np.mean(errors[:, part] ** 2)))
         for key, (part, _) in ERRORS.items()
     }
-    row = {"kind": "delay", "method": name, "delay_ms": 1e3 * slam.delay}
-    return row | {"jitter_ms": 1e3 * slam.jitter, "ticks": len(errors), **rms}
+    return {
+        "kind": "delay",
+        "method": name,
+        "delay_ms": 1e3 * slam.delay,
+        "jitter_ms": 1e3 * slam.jitter,
+        "ticks": len(errors),
+        **rms,
+    }
 
 
 def errors_at_use(
@@ -125,12 +132,11 @@ def errors_at_use(
     """Errors (n, 12) of the states when they are used, after the warm-up."""
     arrivals = slam.arrivals(walk, np.random.default_rng(0))
     start = walk.stamps[0] + WARM_UP * SECOND
-    used = way(arrivals, settings)
     return np.array(
         [
             difference(state, walk.true_state(at))
-            for at, state in used
-            if start < at <= walk.end
+            for at, state in way(arrivals, settings)
+            if start < at <= walk.stamps[-1]
         ]
     )
 
@@ -168,14 +174,19 @@ def cpu_row(walk: Streams, settings: EstimatorSettings) -> Row:
         figures[2] = cpu_time(methods.plain_step, 1, PLAIN_STEPS)
     imu, odometry, plain = 1e6 * np.median(passes, axis=0)
     ratios = np.median(passes[:, :2] / passes[:, 2:], axis=0)
-    row = {"kind": "cpu", "imu_us": imu, "odometry_us": odometry}
-    row |= {"plain_step_us": plain}
-    return row | {"imu_ratio": ratios[0], "odometry_ratio": ratios[1]}
+    return {
+        "kind": "cpu",
+        "imu_us": imu,
+        "odometry_us": odometry,
+        "plain_step_us": plain,
+        "imu_ratio": ratios[0],
+        "odometry_ratio": ratios[1],
+    }
 
 
 def cpu_times(
     arrivals: Sequence[Arrival], settings: EstimatorSettings
-) -> tuple[float, float]:
+) -> tuple[float, ...]:
     """Median CPU time, s, of taking an IMU sample and an odometry reading."""
     times: dict[type, list[float]] = {ImuReading: [], OdometryReading: []}
     estimator = StateEstimator(settings)
@@ -185,8 +196,7 @@ def cpu_times(
         while estimator.poll() is not None:
             pass
         times[type(r)].append(time.process_time() - start)
-    imu, odometry = (float(np.median(each)) for each in times.values())
-    return imu, odometry
+    return tuple(float(np.median(each)) for each in times.values())
 
 
 def closed_loop_rows(seeds: Sequence[int], progress: Progress) -> list[Row]:
@@ -202,15 +212,14 @@ def closed_loop_rows(seeds: Sequence[int], progress: Progress) -> list[Row]:
             states, figures = walked(seed, 10.0, late).motion()
             tilt = 1e3 * np.sqrt(np.mean(states[:, 0:2] ** 2))
             found.append(figures | {"tilt_mrad": tilt})
-        means = {
-            key: np.mean([each[key] for each in found]) for key in found[0]
-        }
-        row = {
-            "kind": "closed loop",
-            "delay_ms": 1e3 * delay,
-            "seeds": len(seeds),
-        }
-        rows.append(row | means)
+        rows.append(
+            {
+                "kind": "closed loop",
+                "delay_ms": 1e3 * delay,
+                "seeds": len(seeds),
+            }
+            | {key: np.mean([each[key] for each in found]) for key in found[0]}
+        )
     return rows
 
 
@@ -229,10 +238,6 @@ def checks(rows: list[Row], place: float, speed: float) -> list[Check]:
     cpu = row(kind="cpu")
     faster = authors["velocity_mm_s"] / ours["velocity_mm_s"]
     change = abs(far["v_x_mm_s"] / near["v_x_mm_s"] - 1.0)
-    aside, tilted = (
-        far[key] / near[key] - 1 for key in ("lateral_mm", "tilt_mrad")
-    )
-    imu, odometry = cpu["imu_ratio"], cpu["odometry_ratio"]
     lost = "after 1 s without odometry"
     return [
         at_most("position, 50 ms late", ours["position_mm"], 2.0, "mm"),
@@ -244,11 +249,17 @@ def checks(rows: list[Row], place: float, speed: float) -> list[Check]:
         at_most(f"position {lost}", 1e3 * place, 50.0, "mm"),
         at_most(f"velocity {lost}", 1e3 * speed, 50.0, "mm/s"),
         at_most("v_x, 80 ms late", change, 0.05),
-        at_most("lateral_mm added by 80 ms", aside, 0.05),
-        at_most("tilt_mrad added by 80 ms", tilted, 0.05),
-        at_most("CPU of an IMU step over one in NumPy", imu, IMU_RATIO),
+        *(
+            at_most(f"{key} added by 80 ms", far[key] / near[key] - 1, 0.05)
+            for key in ("lateral_mm", "tilt_mrad")
+        ),
         at_most(
-            "CPU of an odometry update over that step", odometry, ODOMETRY_RATIO
+            "CPU of an IMU step over one in NumPy", cpu["imu_ratio"], IMU_RATIO
+        ),
+        at_most(
+            "CPU of an odometry update over that step",
+            cpu["odometry_ratio"],
+            ODOMETRY_RATIO,
         ),
         *vision_rows.checks(rows),
     ]

@@ -32,14 +32,9 @@ class RecordingPlant(RobotSimulator):
 
     def _read_imu(self) -> list[Reading]:
         sim, readings = self.robot, super()._read_imu()
-        angles = rpy_of(sim.rotation)
         rate = sim.rotation @ sim.angular_velocity
-        self.truth.append(
-            (
-                self.now,
-                np.concatenate([angles, sim.position, rate, sim.velocity]),
-            )
-        )
+        state = [rpy_of(sim.rotation), sim.position, rate, sim.velocity]
+        self.truth.append((self.now, np.concatenate(state)))
         self.readings += [r for r in readings if isinstance(r, ImuReading)]
         return readings
 
@@ -77,11 +72,6 @@ class Streams:
         t0, t1 = self.stamps[after - 1 : after + 1]
         share = (time - t0) / (t1 - t0)
         return (1 - share) * self.states[after - 1] + share * self.states[after]
-
-    @property
-    def end(self) -> int:
-        """Time of the last true state, ns."""
-        return int(self.stamps[-1])
 
 
 def walked(

@@ -30,8 +30,7 @@ def finite_differences(
     """The authors' way: pose of the odometry, velocity by its differences, angular rate zero."""
     last: OdometryReading | None = None
     for arrival, r in arrivals:
-        late = isinstance(r, ImuReading) or (last and r.stamp <= last.stamp)
-        if late:
+        if isinstance(r, ImuReading) or (last and r.stamp <= last.stamp):
             continue
         if last is not None:
             velocity = (r.position - last.position) / to_seconds(

@@ -94,7 +94,6 @@ def measure_walk(
     span = np.clip(span, at[0], at[-1])
     used = [np.diff(np.interp(span, at, column))[0] for column in columns]
     *cpu, waited = 100 * np.array(used) / np.diff(span)
-    differences = sum(stage.first is not None for stage in replayed)
     return Walk(
         metrics,
         ticks,
@@ -103,7 +102,7 @@ def measure_walk(
         np.array(pss),
         waited,
         replay_cpu,
-        differences,
+        sum(stage.first is not None for stage in replayed),
     )
 
 
@@ -144,12 +143,11 @@ def long_walk(
         except RunError as error:
             raise BenchmarkError(f"the graph failed: {error}") from error
     counted = {"kind": "endurance", "duration_s": duration}
-    rows = [
-        counted | {"node": name} | dict(zip(GROWING, growth.tolist()))
-        for name, growth in zip(nodes, grown(np.array(samples)))
-    ]
     return [
-        *rows,
+        *(
+            counted | {"node": name} | dict(zip(GROWING, growth.tolist()))
+            for name, growth in zip(nodes, grown(np.array(samples)))
+        ),
         counted | {"kind": "shared", "memory": grown(np.array(shared))},
     ]
 

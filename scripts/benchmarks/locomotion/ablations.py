@@ -47,8 +47,8 @@ def chosen(rows: Sequence[LocomotionRow]) -> list[LocomotionRow]:
 def job(row: LocomotionRow, changes: Changes, seed: int) -> Job:
     """The case of a chosen row with changes of the policy."""
     [case] = row.cases
-    case = dataclasses.replace(case, changes=(*case.changes, *changes))
-    return case, DEFAULT, seed
+    changed = dataclasses.replace(case, changes=(*case.changes, *changes))
+    return changed, DEFAULT, seed
 
 
 def jobs(rows: Sequence[LocomotionRow]) -> list[Job]:

@@ -38,8 +38,10 @@ from benchmarks.locomotion.cases import (
 from benchmarks.locomotion.rows import LocomotionRow, ratio, rows
 
 REQUIRES = ("onnxruntime",)
-SEEDS = {column: (1,) if column in PAPERS else (1, 2) for column in COLUMNS}
-SEEDS[DEFAULT] = (1, 2, 3, 4, 5)
+SEEDS = {
+    **{column: (1,) if column in PAPERS else (1, 2) for column in COLUMNS},
+    DEFAULT: (1, 2, 3, 4, 5),
+}
 QUICK = {ALONE: (1,), DEFAULT: (1,)}
 """Seeds of the columns that are run."""
 Seeds = Mapping[str, Sequence[int]]
@@ -56,7 +58,12 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         for case in in_column(row, column).cases
         for seed in seeds[column]
     ]
-    motions = run_all([*jobs, *walks, *parts], progress)
+    # every job once, the longest first
+    every = sorted(
+        dict.fromkeys([*jobs, *walks, *parts]),
+        key=lambda job: -job[0].duration,
+    )
+    motions = dict(in_processes(cases.run_job, every, progress))
     table = measured(wanted, motions, seeds)
     found = [
         margins.row(case, motions[case, column, seed])
@@ -69,18 +76,11 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     plots.draw_top(shown, out / "top.png")
     margins.draw(found, out / "margins.png")
     parted = ablations.measured(wanted, motions) if parts else []
-    goals = [
+    return [*table, *found, *parted], [
         *checks(wanted, table),
         *margins.checks(found),
         *ablations.checks(parted),
     ]
-    return [*table, *found, *parted], goals
-
-
-def run_all(wanted: Sequence[Job], progress: Progress) -> dict[Job, WalkMotion]:
-    """Run every job once, on all cores, the longest first."""
-    jobs = sorted(dict.fromkeys(wanted), key=lambda job: -job[0].duration)
-    return dict(in_processes(cases.run_job, jobs, progress))
 
 
 def in_column(row: LocomotionRow, column: str) -> LocomotionRow:
@@ -102,8 +102,8 @@ def measured(
             "row": row.name,
             "unit": row.unit,
             "goal": row.goal,
+            "better": "larger" if row.larger else "smaller",
         }
-        result["better"] = "larger" if row.larger else "smaller"
         for column, some in seeds.items():
             part = in_column(row, column)
             of_seeds = [

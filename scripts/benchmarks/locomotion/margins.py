@@ -41,8 +41,8 @@ SHOWN = {
     "aside": "mm per m walked",
     "heading": "deg",
     "tilt": "deg RMS",
+    "load": "% of stall",
 }
-SHOWN |= {"load": "% of stall"}
 
 
 def jobs(quick: bool) -> list[Job]:
@@ -73,7 +73,7 @@ def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
     mu, volt = set_to["scene.floor.friction"][0], set_to["scene.supply_voltage"]
     y = motion.moving_mean(motion.position[:, 1] - motion.position[0, 1])
     stall = float(read_servo().tendon_stall(volt))
-    row = {
+    return {
         "kind": "margin",
         "friction": mu,
         "voltage": volt,
@@ -81,8 +81,6 @@ def row(case: Case, whole: WalkMotion) -> dict[str, Any]:
             case.changes[2:]
         ],
         "fallen": motion.fallen,
-    }
-    return row | {
         "speed": motion.forward_speed,
         "aside": MM
         * float(np.abs(y).max())
@@ -115,9 +113,13 @@ def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
                 for values in found
                 if values["voltage"] == volt and not values["with"]
             ]
-            place = [values["friction"] for values in line]
-            course = [values[name] for values in line]
-            ax.plot(place, course, "o-", color=colour, label=f"{volt:g} V")
+            ax.plot(
+                [values["friction"] for values in line],
+                [values[name] for values in line],
+                "o-",
+                color=colour,
+                label=f"{volt:g} V",
+            )
         for values in found:
             if label := values["with"]:
                 ax.plot(values["friction"], values[name], "x", label=label)

@@ -86,20 +86,17 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         for row in rows
         if row["kind"] == "solver" and worst(row) < math.inf
     ]
-    series = [
-        CostCurve("Clarabel; numbers: tolerance", "o", palette.TRUE, (), runs)
-    ]
     [peer] = (row for row in rows if row["kind"] == "cvxpy")
-    place = [(peer["median_ms"], peer["error_max"], "")]
-    series.append(
+    series = [
+        CostCurve("Clarabel; numbers: tolerance", "o", palette.TRUE, (), runs),
         CostCurve(
             f"{peer['solver']}; on the walk alone",
             "s",
             palette.SECONDARY,
             (),
-            place,
-        )
-    )
+            [(peer["median_ms"], peer["error_max"], "")],
+        ),
+    ]
     draw_error_over_cost(
         series,
         path,
@@ -199,9 +196,13 @@ def horizon_rows(
         results, times = plans(
             mpc, [(x, stretched(ahead, stages + 1)) for x, ahead in walk]
         )
-        row = {"kind": "horizon", "solver": SOLVER, "stages": stages}
-        refused = sum(not accepted(result) for result in results)
-        yield row | {"median_ms": np.median(times), "refused": refused}
+        yield {
+            "kind": "horizon",
+            "solver": SOLVER,
+            "stages": stages,
+            "median_ms": np.median(times),
+            "refused": sum(not accepted(result) for result in results),
+        }
 
 
 def cvxpy_row(
@@ -215,9 +216,13 @@ def cvxpy_row(
         )
         off.append(np.abs(forces[0] - optimal).max())
         times.append(1e3 * seconds)
-    row = {"kind": "cvxpy", "solver": "CVXPY, as published, SCS"}
-    row |= {"median_ms": np.median(times)}
-    return row | {"error_median": np.median(off), "error_max": np.max(off)}
+    return {
+        "kind": "cvxpy",
+        "solver": "CVXPY, as published, SCS",
+        "median_ms": np.median(times),
+        "error_median": np.median(off),
+        "error_max": np.max(off),
+    }
 
 
 def checks(

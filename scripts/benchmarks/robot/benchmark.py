@@ -86,9 +86,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     rows += moved
     compared = other_engine.rows(quick, out, progress)
     found = nominal_prediction.rows(quick, progress)
-    kept = [*checks(rows), *other_engine.checks(compared)]
     return [*rows, *compared, *found], [
-        *kept,
+        *checks(rows),
+        *other_engine.checks(compared),
         *nominal_prediction.checks(found),
     ]
 
@@ -98,10 +98,8 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     moved = [row for row in rows if row["kind"] in ("stand and step", "level")]
     places = [(row["us_per_ms"], row["error_mm"], "") for row in moved]
     front = [place for place, row in zip(places, moved) if row["front"]]
-    schemes = CostCurve(
-        "best of all schemes, nodes, steps", "o", palette.TORSO, places, front
-    )
-    series = [schemes]
+    name = "best of all schemes, nodes, steps"
+    series = [CostCurve(name, "o", palette.TORSO, places, front)]
     for row in moved:
         if row["kind"] == "level" and row["error_mm"] < math.inf:
             name = f"level {row['level']}: {1e3 * row['step']:g} ms"
@@ -166,8 +164,13 @@ def cost_row(
         sim.advance(calls, sim.tendon_angle)
 
     time = cpu_time(advance, repeats) / calls
-    step, row = sim.scene.solver.step, {"kind": "cost", "nodes": nodes}
-    row |= {"us_per_step": 1e6 * time, "real_time": step / time}
+    step = sim.scene.solver.step
+    row = {
+        "kind": "cost",
+        "nodes": nodes,
+        "us_per_step": 1e6 * time,
+        "real_time": step / time,
+    }
     if nodes in COMPARED:
         rod, _ = DAMPED.leg(nodes, Scheme(0.5, 2))
         row["over_rod"] = cpu_ratio(
@@ -228,16 +231,15 @@ def level_row(
     solver = config.read(SolverSettings, f"solver/{name}")
     scene = config.replace(read_scene("flat"), {"start.settle": 0.0})
     scene = dataclasses.replace(scene, solver=solver)
-    found = measured(
-        lambda: make_robot(robot, scene, read_servo()), exact, repeats
-    )
-    row = {
+    return {
         "kind": "level",
         "level": name,
         "nodes": solver.nodes,
         "step": solver.step,
+        **measured(
+            lambda: make_robot(robot, scene, read_servo()), exact, repeats
+        ),
     }
-    return row | found
 
 
 def checks(rows: list[dict[str, Any]]) -> list[Check]:

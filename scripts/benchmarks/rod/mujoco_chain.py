@@ -48,13 +48,15 @@ def rows(quick: bool, repeats: int) -> Iterator[dict[str, Any]]:
         error = percent(motion, exact, start)
         if not error < MEANINGFUL:
             error = cost = math.nan
-        figures = {
-            "h": h,
-            "percent": error,
-            "cpu_s": cost,
-            "version": mujoco.__version__,
-        }
-        yield release_row("MuJoCo hinge chain", DAMPED, links + 1, **figures)
+        yield release_row(
+            "MuJoCo hinge chain",
+            DAMPED,
+            links + 1,
+            h=h,
+            percent=error,
+            cpu_s=cost,
+            version=mujoco.__version__,
+        )
 
 
 def converged() -> Array:

@@ -75,9 +75,14 @@ def rows(quick: bool, elements: tuple[int, ...]) -> Iterator[dict[str, Any]]:
     for count, moved in itertools.product(elements, (False, True)):
         tip, start, h, cost = release(Cells(count, moved))
         name = f"PyElastica, clamp {'moved' if moved else 'as documented'}"
-        figures = {"h": h, "percent": percent(tip, exact, start), "cpu_s": cost}
         yield release_row(
-            name, UNDAMPED, count + 1, **figures, version=version("pyelastica")
+            name,
+            UNDAMPED,
+            count + 1,
+            h=h,
+            percent=percent(tip, exact, start),
+            cpu_s=cost,
+            version=version("pyelastica"),
         )
 
 

@@ -131,17 +131,29 @@ def own_rows(
             cost = cpu_time(release, repeats) / DURATION
         except DivergenceError:
             pass
-        figures = {"h": h, "theta": theta, "iterations": iterations}
-        figures |= {"percent": error, "cpu_s": cost}
-        yield release_row(OURS, physics, nodes, **figures)
+        yield release_row(
+            OURS,
+            physics,
+            nodes,
+            h=h,
+            theta=theta,
+            iterations=iterations,
+            percent=error,
+            cpu_s=cost,
+        )
 
 
 def release_row(
     simulator: str, physics: Physics, nodes: int, **figures: Any
 ) -> dict[str, Any]:
     """A row of the release test."""
-    row = {"kind": "release", "simulator": simulator, "physics": physics.name}
-    return row | {"nodes": nodes} | figures
+    return {
+        "kind": "release",
+        "simulator": simulator,
+        "physics": physics.name,
+        "nodes": nodes,
+        **figures,
+    }
 
 
 def percent(tip: Array, exact: Array, start: Array) -> float:

@@ -151,8 +151,13 @@ def draw(ages: Mapping[str, Array], path: Path) -> None:
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes = figure.subplots()
     draw_longer(axes, {nodes: 1e3 * found for nodes, found in ages.items()})
-    goals = GOALS.values(), GOALS.keys()
-    axes.plot(*goals, "x", color=palette.SECONDARY, label="goals, composed")
+    axes.plot(
+        GOALS.values(),
+        GOALS.keys(),
+        "x",
+        color=palette.SECONDARY,
+        label="goals, composed",
+    )
     axes.set(xlabel="from odometry published to goals written, ms")
     axes.legend(frameon=False, fontsize=8)
     figure.savefig(path, dpi=130)

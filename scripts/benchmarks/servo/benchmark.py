@@ -94,8 +94,12 @@ def step_rows(path: Path) -> Iterator[Row]:
         STYLES.items(), LOADS
     ):
         trace = step_response(control, load)
-        row = {"kind": "step", "control": control, "load": load}
-        yield row | measures(trace)
+        yield {
+            "kind": "step",
+            "control": control,
+            "load": load,
+            **measures(trace),
+        }
         times, style = (
             1e3 * CYCLE * np.arange(len(trace)),
             "--" if load else "-",
@@ -142,12 +146,10 @@ def emulated(changes: dict[str, Any], latency: float) -> Iterator[Driver]:
     """A configured driver on servos that are emulated in a separate process."""
     settings = config.replace(read_settings(), changes)
     with tempfile.TemporaryDirectory() as directory:
-        command = [sys.executable, "-m", "slot_bringup.servos", "emulate"]
-        command += [
-            "--link",
-            f"{directory}/servos",
-            "--usb-latency",
-            str(latency),
+        command = [
+            *(sys.executable, "-m", "slot_bringup.servos", "emulate"),
+            *("--link", f"{directory}/servos"),
+            *("--usb-latency", str(latency)),
         ]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:

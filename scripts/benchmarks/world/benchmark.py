@@ -115,14 +115,16 @@ def judged(rows: Sequence[Row]) -> list[dict[str, Any]]:
         causes = [x for x in row["lines"] if re.search(one.cause, x, re.I)]
         worse = worse_in(row, reference)
         verdict = verdict_of(row, bool(worse), bool(causes))
-        judgement = {
-            "ratio": row["speed"] / reference["speed"],
-            "worse": " ".join(worse),
-            "verdict": verdict,
-            "allowed": verdict in one.allowed,
-            "line": [*causes, *row["lines"], ""][0],
-        }
-        found.append({**row, **judgement})
+        found.append(
+            {
+                **row,
+                "ratio": row["speed"] / reference["speed"],
+                "worse": " ".join(worse),
+                "verdict": verdict,
+                "allowed": verdict in one.allowed,
+                "line": [*causes, *row["lines"], ""][0],
+            }
+        )
     return found
 
 

@@ -36,16 +36,15 @@ def draw(rows: Rows, path: Path) -> None:
     high = -(-len(names) // PANELS)
     figure = Figure(figsize=(15.0, 1.3 + 0.26 * high), layout="constrained")
     for k, ax in enumerate(figure.subplots(1, PANELS, squeeze=False).flat):
-        part = names[k * high : (k + 1) * high]
-        _draw_part(ax, part, gaits, rows)
+        _draw_part(ax, names[k * high : (k + 1) * high], gaits, rows)
         ax.set_ylim(high, 0)
     handles = [
-        Patch(color=COLOURS[verdict], label=f"{verdict}: {text}")
-        for verdict, text in VERDICTS.items()
+        *(
+            Patch(color=COLOURS[verdict], label=f"{verdict}: {text}")
+            for verdict, text in VERDICTS.items()
+        ),
+        Patch(fill=False, edgecolor=palette.INK, lw=1.6, label="not allowed"),
     ]
-    handles.append(
-        Patch(fill=False, edgecolor=palette.INK, lw=1.6, label="not allowed")
-    )
     figure.legend(
         handles=handles,
         loc="outside lower center",
