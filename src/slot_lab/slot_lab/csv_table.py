@@ -65,8 +65,9 @@ def increasing_numbers(
     values = np.reshape(cells, (len(rows), len(names)))
     for before, row, step in zip(rows, rows[1:], np.diff(values[:, 0])):
         if step <= 0.0:
-            after = f"does not increase after line {before.line}"
-            raise TableError(f"{row.where}, {names[0]}: {after}")
+            raise TableError(
+                f"{row.where}, {names[0]}: does not increase after line {before.line}"
+            )
     return values
 
 

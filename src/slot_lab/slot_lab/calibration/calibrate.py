@@ -2,7 +2,6 @@
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -68,7 +67,8 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
         progress.say(f"wrote {options.out}")
     if options.plot:
         title = f"{data.name}: {content['from']}"
-        write_figure(data, options.free, result, title, options.plot)
+        drawn = figure(data, options.free, result, title)
+        write_plot(drawn, options.plot, DPI)
         progress.say(f"wrote {options.plot}")
     verdict = Verdict(
         result.chi_square, result.freedom, result.at_bound(options.free)
@@ -94,17 +94,6 @@ def build_problem(
         np.array([row.value for row in data.rows]),
         np.array([row.sigma for row in data.rows]),
     )
-
-
-def write_figure(
-    data: Data,
-    names: Sequence[str],
-    estimate: ParameterEstimate,
-    title: str,
-    path: Path,
-) -> None:
-    """Write the figure as PNG and create its directory if necessary; raises OSError."""
-    write_plot(figure(data, names, estimate, title), path, DPI)
 
 
 def figure(

@@ -81,9 +81,9 @@ def read_data(path: Path) -> Data:
     if missing := [name for name in COLUMNS if name not in columns]:
         raise TableError(f"{table.head}: column {missing[0]} is missing")
     if unknown := [name for name in columns if name not in COLUMNS]:
-        known = ", ".join(COLUMNS)
         raise TableError(
-            f"{table.head}: column {quoted(unknown[0])} is unknown (known: {known})"
+            f"{table.head}: column {quoted(unknown[0])} is unknown"
+            f" (known: {', '.join(COLUMNS)})"
         )
     if len(columns) > len(COLUMNS):
         raise TableError(f"{table.head}: a column is repeated")
@@ -96,9 +96,9 @@ def read_data(path: Path) -> Data:
 def _datum(row: CsvRow) -> Datum:
     kind = row.cells["kind"]
     if kind not in CONDITIONS:
-        known = ", ".join(CONDITIONS)
         raise TableError(
-            f"{row.where}, kind: {quoted(kind)} is unknown (known: {known})"
+            f"{row.where}, kind: {quoted(kind)} is unknown"
+            f" (known: {', '.join(CONDITIONS)})"
         )
     needed = {*CONDITIONS[kind], "value", "sigma"}
     numbers = {name: _number(row, name, name in needed) for name in BOUNDS}
@@ -115,7 +115,8 @@ def _number(row: CsvRow, name: str, needed: bool) -> float:
             )
         return value
     if text:
-        kind = row.cells["kind"]
-        given = f"{row.where}, {name}: {quoted(text)}"
-        raise TableError(f"{given}, but {kind} has none; leave it empty")
+        raise TableError(
+            f"{row.where}, {name}: {quoted(text)}, but {row.cells['kind']} has none;"
+            " leave it empty"
+        )
     return math.nan

@@ -116,10 +116,10 @@ def marker_ranges(
             steps, np.full(len(LEGS), math.radians(part * first.theta_deg))
         )
         heights.append(sim.nodes[0, :, 2])
-    arc = sim.model.rod.arc
+    share = sim.model.rod.arc / sim.model.rod.arc[-1]
     return np.array(
         [
-            np.ptp([_at(row.place, arc, height) for height in heights])
+            np.ptp([np.interp(row.place, share, height) for height in heights])
             for row in rows
         ]
     )
@@ -143,6 +143,7 @@ def deflections(
     """(n,) downward displacements of points of a hanging leg under weights at its tip, m."""
     leg = StaticLeg(robot, settings.nodes)
     angle, unloaded = math.radians(rows[0].theta_deg), leg.model
+    share = unloaded.rod.arc / unloaded.rod.arc[-1]
     for part in np.linspace(0.0, angle, 1 + math.ceil(angle / PULL_STEP)):
         start = leg.solve(part, FREE_HEIGHT).node[:, 1]
     out = np.zeros(len(rows))
@@ -151,13 +152,8 @@ def deflections(
         mass[-1] += rows[i].load_N / GRAVITY
         leg.model = unloaded._replace(rod=unloaded.rod._replace(mass=mass))
         drop = start - leg.solve(angle, FREE_HEIGHT).node[:, 1]
-        out[i] = _at(rows[i].place, unloaded.rod.arc, drop)
+        out[i] = np.interp(rows[i].place, share, drop)
     return out
-
-
-def _at(place: float, arc: Array, along: Array) -> float:
-    """Interpolated value at a place, from values (N,) at the nodes of arc lengths `arc` (N,)."""
-    return float(np.interp(place, arc / arc[-1], along))
 
 
 TESTS: dict[str, tuple[Any, ...]] = {

@@ -20,7 +20,6 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,9 +87,11 @@ class Parameter:
 
     def value(self, coordinate: float) -> float:
         """Inverse of `coordinate`."""
-        if self.low > 0.0:
-            return float(np.exp(coordinate))
-        return coordinate * (self.high - self.low)
+        return (
+            float(np.exp(coordinate))
+            if self.low > 0.0
+            else coordinate * (self.high - self.low)
+        )
 
 
 @dataclass(frozen=True)
@@ -183,7 +184,7 @@ def parameters_of(
     Raises ConfigError for a name that is no number of the robot or is given twice.
     """
     known = {
-        name: (v, meta)
+        name: Parameter(name, v, meta["low"], meta["high"])
         for name, v, meta in leaves(robot)
         if isinstance(v, float)
     }
@@ -194,11 +195,7 @@ def parameters_of(
             )
     if len(set(names)) < len(names):
         raise ConfigError(f"a parameter is named twice: {', '.join(names)}")
-    chosen = [(name, *known[name]) for name in names]
-    return tuple(
-        Parameter(name, v, meta["low"], meta["high"])
-        for name, v, meta in chosen
-    )
+    return tuple(known[name] for name in names)
 
 
 def fit(
@@ -221,7 +218,7 @@ def fit(
         shift = SCATTER * rng.uniform(-1.0, 1.0, len(first)) if k else 0.0
         start = np.clip(first + shift, *problem.bounds())
         try:
-            found = _fit_from(problem, start, partial(_tell_trial, tell, name))
+            found = _fit_from(problem, start, name, tell)
         except FitError as error:
             reason = str(error)
             say(f"{name}: {error}")
@@ -240,16 +237,12 @@ def fit(
     return best
 
 
-def _tell_trial(tell: Callable[[str], object], start: str, number: int) -> None:
-    tell(f"{start}, trial {number} of at most {TRIALS}")
-
-
 def _fit_from(
-    problem: FitProblem, start: Array, tell: Callable[[int], object]
+    problem: FitProblem, start: Array, name: str, tell: Callable[[str], object]
 ) -> FitResult:
     """Fit from coordinates `start`; raises FitError where prediction or derivative fails.
 
-    tell: takes the number of each trial.
+    name: of the start, for `tell`, which takes a line on each trial.
     """
     numbers = itertools.count(1)
     try:
@@ -258,7 +251,7 @@ def _fit_from(
         raise FitError(f"no prediction at the start: {error}") from None
 
     def residuals(u: Array) -> Array:
-        tell(next(numbers))
+        tell(f"{name}, trial {next(numbers)} of at most {TRIALS}")
         try:
             return problem.residuals(u)
         except PredictionError:
@@ -320,25 +313,19 @@ def estimate(
     width = deviation * (
         student.ppf((1 + LEVEL) / 2, freedom) if freedom else np.nan
     )
+    # NaN where an interval contains both bounds: the data say nothing there
+    width[(u - width <= low) & (u + width >= high)] = np.nan
+    with np.errstate(over="ignore"):  # overflow gives infinity
+        ends = [problem.values(u - width), problem.values(u + width)]
     return ParameterEstimate(
         values=problem.allowed(u),
         predicted=problem.measured + residual * problem.sigma,
         chi_square=chi_square,
         freedom=freedom,
-        interval=_intervals(problem, u, width),
+        interval=np.column_stack(ends),
         correlation=covariance / np.outer(deviation, deviation),
         condition=float(singular[0] / singular[-1])
         if significant.all()
         else math.inf,
         at_limit=(u - low < STEP) | (high - u < STEP),
     )
-
-
-def _intervals(problem: FitProblem, u: Array, width: Array) -> Array:
-    """(p, 2) intervals; NaN where one contains both bounds: the data say nothing there."""
-    low, high = problem.bounds()
-    width = np.where((u - width <= low) & (u + width >= high), np.nan, width)
-    with np.errstate(over="ignore"):  # overflow gives infinity
-        return np.column_stack(
-            [problem.values(u - width), problem.values(u + width)]
-        )

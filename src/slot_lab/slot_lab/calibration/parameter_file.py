@@ -84,12 +84,12 @@ def residuals(data: Data, estimate: ParameterEstimate) -> list[dict[str, Any]]:
 def write(path: Path, content: Mapping[str, Any], head: str = HEAD) -> None:
     """Write the file and create its directory if necessary; raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    values = {"values": content["values"]}
-    rest = {key: value for key, value in content.items() if key != "values"}
+    rest = dict(content)
+    values = yaml.safe_dump({"values": rest.pop("values")}, sort_keys=False)
     body = yaml.safe_dump(
         rest, sort_keys=False, default_flow_style=None, width=WIDTH
     )
-    path.write_text(head + yaml.safe_dump(values, sort_keys=False) + body)
+    path.write_text(head + values + body)
 
 
 def table(content: Mapping[str, Any]) -> list[str]:
@@ -103,9 +103,14 @@ def table(content: Mapping[str, Any]) -> list[str]:
         f"{'parameter':<28}{'value':>12}   95 % interval",
     ]
     for name, interval in content["confidence"].items():
-        value = content["values"][name]
+        bounds = (
+            interval
+            if interval == UNDETERMINED
+            else f"{interval[0]:.4g} to {interval[1]:.4g}"
+        )
         limit = "   at its bound" if name in fit["at_limit"] else ""
-        out.append(f"{name:<28}{value:>12.6g}   {_bounds(interval)}{limit}")
+        value = content["values"][name]
+        out.append(f"{name:<28}{value:>12.6g}   {bounds}{limit}")
     out += ["", "correlation"]
     for name, row in zip(content["confidence"], content["correlation"]):
         cells = ("     -" if v is None else f"{v:6.2f}" for v in row)
@@ -114,11 +119,11 @@ def table(content: Mapping[str, Any]) -> list[str]:
 
 
 def _residual_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    conditions = [
-        [f"{k} {row[k]:g}" for k in row if k not in RESULTS] for row in rows
-    ]
     labels = [
-        " ".join([row["kind"], *texts]) for row, texts in zip(rows, conditions)
+        " ".join(
+            [row["kind"], *(f"{k} {row[k]:g}" for k in row if k not in RESULTS)]
+        )
+        for row in rows
     ]
     width = max(map(len, labels)) + 1
     head = f"{'measured':>11}{'predicted':>11}{'sigma':>9}{'off by':>8}"
@@ -131,12 +136,6 @@ def _residual_table(rows: Sequence[Mapping[str, Any]]) -> list[str]:
     return out
 
 
-def _bounds(interval: Sequence[float] | str) -> str:
-    if isinstance(interval, str):
-        return interval
-    return f"{interval[0]:.4g} to {interval[1]:.4g}"
-
-
 def rounded(value: float, digits: int = DIGITS) -> float:
     """A value with its significant digits of the file."""
     return float(f"{value:.{digits}g}")
@@ -144,9 +143,9 @@ def rounded(value: float, digits: int = DIGITS) -> float:
 
 def correlation_of(correlation: Array) -> list[list[float | None]]:
     """Rows of a correlation in the file; null for NaN."""
-    rows = correlation.tolist()
     return [
-        [rounded(v, 3) if math.isfinite(v) else None for v in r] for r in rows
+        [rounded(v, 3) if math.isfinite(v) else None for v in row]
+        for row in correlation.tolist()
     ]
 
 

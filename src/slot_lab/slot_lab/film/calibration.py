@@ -78,27 +78,31 @@ def report(found: Calibration) -> list[str]:
     camera = found.camera
     values = [*camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *camera.distortion]
     worst = max(found.errors, key=lambda name: found.errors[name])
-    lines = [
+    left_out = f"left out for gross errors: {', '.join(found.left_out)}"
+    assert camera.covariance is not None
+    variances = camera.covariance.diagonal()
+    return [
         f"{len(found.errors)} views, reprojection error {found.error:.3f} px"
         f" (largest {found.errors[worst]:.3f} px, {worst})",
         f"corners span {100 * found.covered[0]:.0f} % of the width,"
         f" {100 * found.covered[1]:.0f} % of the height",
+        *([left_out] if found.left_out else []),
+        *(
+            f"{name:<4} {value:10.4f} +- {math.sqrt(variance):.4f}"
+            for name, value, variance in zip(NAMES, values, variances)
+        ),
     ]
-    if found.left_out:
-        lines.append(f"left out for gross errors: {', '.join(found.left_out)}")
-    assert camera.covariance is not None
-    variances = camera.covariance.diagonal()
-    for name, value, variance in zip(NAMES, values, variances):
-        lines.append(f"{name:<4} {value:10.4f} +- {math.sqrt(variance):.4f}")
-    return lines
 
 
 def chessboard(settings: VisionSettings) -> cv2.aruco.CharucoBoard:
     """The ChArUco board of the settings."""
     board = settings.chessboard
-    dictionary = cv2.aruco.getPredefinedDictionary(settings.dictionary_number)
-    size = (board.columns, board.rows)
-    return cv2.aruco.CharucoBoard(size, board.square, board.marker, dictionary)
+    return cv2.aruco.CharucoBoard(
+        (board.columns, board.rows),
+        board.square,
+        board.marker,
+        cv2.aruco.getPredefinedDictionary(settings.dictionary_number),
+    )
 
 
 def find_view(
@@ -108,11 +112,11 @@ def find_view(
     corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(image)
     if ids is None or len(ids) < CORNERS_MIN:
         return None
-    points = np.asarray(board.getChessboardCorners(), np.float64)[
-        np.asarray(ids).ravel()
-    ]
+    places = np.asarray(board.getChessboardCorners(), np.float64)
     return BoardView(
-        name, points, np.asarray(corners, np.float64).reshape(-1, 2)
+        name,
+        places[np.asarray(ids).ravel()],
+        np.asarray(corners, np.float64).reshape(-1, 2),
     )
 
 
@@ -133,8 +137,7 @@ def calibrate(views: list[BoardView], size: tuple[int, int]) -> Calibration:
             f" of the height in all images together, at least {100 * COVERED_MIN:.0f} % are"
             " needed"
         )
-    _, *first = _solve(views, size)
-    errors = first[-1]
+    *_, errors = _solve(views, size)
     kept = [v for v, e in zip(views, errors) if e <= GROSS * np.median(errors)]
     if len(kept) < VIEWS_MIN:
         kept = views
@@ -160,21 +163,21 @@ def _solve(
     """RMS error, K, distortion (5,), their covariance (9, 9) and the errors of the views."""
     points = [view.points.astype(np.float32) for view in views]
     pixels = [view.pixels.astype(np.float32) for view in views]
-    start = np.eye(3), np.zeros(5)
     try:
-        found = cv2.calibrateCameraExtended(points, pixels, size, *start)
+        found = cv2.calibrateCameraExtended(
+            points, pixels, size, np.eye(3), np.zeros(5)
+        )
     except cv2.error as problem:
         raise CameraError(f"OpenCV finds no camera: {problem.err}") from None
     error, matrix, distortion, turns, places, *_, errors = found
     k = np.asarray(matrix, np.float64)
     d = np.asarray(distortion, np.float64).ravel()[:5]
     poses = [*zip(*(np.asarray(part, np.float64) for part in (turns, places)))]
-    covariance = _covariance(views, poses, k, d, float(error))
     return (
         float(error),
         k,
         d,
-        covariance,
+        _covariance(views, poses, k, d, float(error)),
         np.asarray(errors, np.float64).ravel(),
     )
 

@@ -180,8 +180,7 @@ def _files(path: Path) -> list[Path]:
 
 
 def _read(file: Path, mode: int) -> NDArray[Any]:
-    image = cv2.imread(str(file), mode)
-    if image is None:
+    if (image := cv2.imread(str(file), mode)) is None:
         raise FilmError(f"{file}: no image that OpenCV can read")
     return np.asarray(image)
 

@@ -38,8 +38,9 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     sheet = with_scale(sheet_of(what, read_vision(), dots), what, dots)
     Image.fromarray(sheet).save(options.out, dpi=(dpi,) * 2, resolution=dpi)
     height, width = (1e3 * edge / dots for edge in sheet.shape)
-    size = f"{width:.0f} x {height:.0f} mm at {dpi} dots per inch"
-    return [f"{options.out}: {size}"], 0
+    return [
+        f"{options.out}: {width:.0f} x {height:.0f} mm at {dpi} dots per inch"
+    ], 0
 
 
 def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
@@ -47,25 +48,28 @@ def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
     number = settings.dictionary_number
     if what == "chessboard":
         board = settings.chessboard
-        size = [
+        pixels = [
             round(dots * board.square * n) for n in (board.columns, board.rows)
         ]
-        return np.asarray(chessboard(settings).generateImage(size), np.uint8)
+        return np.asarray(chessboard(settings).generateImage(pixels), np.uint8)
     if what == "points":
-        markers = []
-        for i, name in settings.points.names.items():
-            marker = image_of(
-                single_marker(i, settings.points.size), number, dots
-            )
-            markers.append(_named(marker, name, dots))
-        markers += [np.full_like(markers[0], WHITE)] * (-len(markers) % COLUMNS)
-        rows = [
-            markers[k : k + COLUMNS] for k in range(0, len(markers), COLUMNS)
+        size = settings.points.size
+        markers = [
+            _named(image_of(single_marker(i, size), number, dots), name, dots)
+            for i, name in settings.points.names.items()
         ]
-        return np.vstack([np.hstack(row) for row in rows])
+        markers += [np.full_like(markers[0], WHITE)] * (-len(markers) % COLUMNS)
+        return np.vstack(
+            [
+                np.hstack(markers[k : k + COLUMNS])
+                for k in range(0, len(markers), COLUMNS)
+            ]
+        )
     if what not in settings.boards:
-        known = ", ".join([*settings.boards, "points", "chessboard"])
-        raise ConfigError(f"NAME = {quoted(what)}: expected one of {known}")
+        raise ConfigError(
+            f"NAME = {quoted(what)}: expected one of"
+            f" {', '.join([*settings.boards, 'points', 'chessboard'])}"
+        )
     return image_of(make_board(settings.boards[what]), number, dots)
 
 

@@ -77,8 +77,11 @@ class Tracks:
         """Limits to the use of the tracks, one line each."""
         if self.camera_motion <= MOVED:
             return self.notes
-        moved = f"the board by {self.camera_motion:.1f} px, limit {MOVED:g} px"
-        return [f"the camera moved: {moved}", *self.notes]
+        return [
+            f"the camera moved: the board by {self.camera_motion:.1f} px,"
+            f" limit {MOVED:g} px",
+            *self.notes,
+        ]
 
 
 class Tracker:
@@ -117,10 +120,10 @@ class Tracker:
         for index, number in enumerate(found.ids):
             if any(number in board.corners for board in self._boards):
                 self._rays.setdefault(number, []).append(found.rays[index])
-            if number in self._names:
-                place = self._locate(found, index, depth)
-                if place is not None:
-                    new.append(MarkerSample(time, self._names[number], place))
+            if number not in self._names:
+                continue
+            if (place := self._locate(found, index, depth)) is not None:
+                new.append(MarkerSample(time, self._names[number], place))
         self._seen += new
         return new
 
@@ -129,10 +132,9 @@ class Tracker:
         frame, to_frame = ODOM_FRAME, self._camera_in_odom()
         if to_frame is None:
             frame, to_frame = CAMERA, Transform(OPTICAL, np.zeros(3))
-        stacks = [np.array(seen) for seen in self._rays.values()]
         off = [
             np.abs(seen - np.median(seen, axis=0)).mean(axis=(1, 2))
-            for seen in stacks
+            for seen in map(np.array, self._rays.values())
         ]
         motion = self._camera.focal * max(
             (float(o.max()) for o in off), default=0.0
@@ -143,9 +145,9 @@ class Tracker:
         ]
         notes = [f"board: {self._unusual}"] if self._unusual else []
         if self._duplicates:
-            ids = ", ".join(map(str, sorted(self._duplicates)))
             notes.append(
-                f"ids {ids} were seen more than once in an image and left out there"
+                f"ids {', '.join(map(str, sorted(self._duplicates)))} were seen more than"
+                " once in an image and left out there"
             )
         return Tracks(frame, samples, self._images, motion, notes)
 
@@ -246,24 +248,25 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     if not samples:
         raise FilmError(f"{options.film}: no marker of leg {options.leg}")
     write_points(options.out, samples, [f"{POINT_FRAME}{tracks.frame}"])
-    lines = [
-        f"{tracks.images} images, tracks in {tracks.frame}",
-        *tracks.warnings,
-    ]
     counts = Counter(s.point for s in samples)
     width = max(map(len, counts))
-    for point, count in counts.items():
-        share = 100 * count / tracks.images
-        lines.append(f"{point:<{width}}  in {share:5.1f} % of the images")
-    return lines, 0
+    return [
+        f"{tracks.images} images, tracks in {tracks.frame}",
+        *tracks.warnings,
+        *(
+            f"{point:<{width}}  in {100 * count / tracks.images:5.1f} % of the images"
+            for point, count in counts.items()
+        ),
+    ], 0
 
 
 def of_leg(samples: list[MarkerSample], leg: str) -> list[MarkerSample]:
     """The samples of the torso and of one leg, its points without its name."""
-    mine = [
-        s for s in samples if s.point == TORSO or s.point.startswith(f"{leg}_")
+    return [
+        s._replace(point=s.point.removeprefix(f"{leg}_"))
+        for s in samples
+        if s.point == TORSO or s.point.startswith(f"{leg}_")
     ]
-    return [s._replace(point=s.point.removeprefix(f"{leg}_")) for s in mine]
 
 
 def track_film(

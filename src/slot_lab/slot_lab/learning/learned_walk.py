@@ -100,8 +100,7 @@ def straight_walk(
     The reference that a policy follows begins with the error of one estimate: the first's is
     1.9 mrad and 0.8 mm (RMS), which leads 3 mm aside in 1 m; after STANDING 0.5 mrad and 0.3 mm.
     """
-    changes = {"scene.floor.friction": [friction] * 4}
-    changes |= {
+    changes = {"scene.floor.friction": [friction] * 4} | {
         f"scene.{name}": value for name, value in level_changes(level).items()
     }
     loop = ClosedLoop("flat", STAND, np.zeros(3), seed, policy, changes=changes)
@@ -115,8 +114,8 @@ def straight_walk(
             )
     pose = np.array(track[begin:], dtype=float) - track[begin]
     time: Array = dt * np.arange(len(pose), dtype=float)
-    speed = mean_velocity(time[first:], pose[first:])[0]
-    yaw = np.unwrap(pose[:, 2])[first:].mean()
     return StraightWalk(
-        float(speed) - SPEED, float(np.abs(pose[:, 1]).max()), float(yaw)
+        float(mean_velocity(time[first:], pose[first:])[0]) - SPEED,
+        float(np.abs(pose[:, 1]).max()),
+        float(np.unwrap(pose[:, 2])[first:].mean()),
     )

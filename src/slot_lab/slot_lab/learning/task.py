@@ -36,7 +36,7 @@ HALF_STRIDE = -np.ones(2)
 VELOCITY = "velocity"
 LONGEST = 3600.0  # s, of an episode
 SEEN = ("estimated", "true")  # kinds of observations
-DRAWN = ("scene", "servo")
+DRAWN = ("scene", "servo")  # in the order of `Task._base`
 Vector3 = tuple[float, float, float]
 Range = tuple[Any, Any]  # both ends, numbers or lists
 
@@ -67,8 +67,10 @@ class Task:
                     f"drawn {name}: expected {VELOCITY} or a name below scene, servo"
                 )
         if not self.gaits.dt <= self.duration <= LONGEST:
-            limits = f"[{self.gaits.dt:g}, {LONGEST:g}] s"
-            raise ConfigError(f"duration = {self.duration:g}: outside {limits}")
+            raise ConfigError(
+                f"duration = {self.duration:g}: outside"
+                f" [{self.gaits.dt:g}, {LONGEST:g}] s"
+            )
         _require("gait", self.gait, self.gaits.strides)
         self.gaits.require_velocity(self.gait, np.array(self.velocity))
         self.world(self.draw(np.random.default_rng(0)))
@@ -113,12 +115,11 @@ class Task:
 
     def changes(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Drawn values of scene and servos, numbers repeated for settings of several values."""
-        found, (scene, servo) = {}, self._base
+        found = {}
         known = {
-            f"scene.{name}": value for name, value, _ in config.leaves(scene)
-        }
-        known |= {
-            f"servo.{name}": value for name, value, _ in config.leaves(servo)
+            f"{part}.{name}": value
+            for part, settings in zip(DRAWN, self._base)
+            for name, value, _ in config.leaves(settings)
         }
         for name, value in values.items():
             if name != VELOCITY:
@@ -139,13 +140,13 @@ def make_task(
     drawn: Mapping[str, Range] | None = None, **arguments: Any
 ) -> Task:
     """Task of keyword arguments, as `gymnasium.make` takes them."""
-    lists = {
-        name: (_plain(low), _plain(high))
-        for name, (low, high) in (drawn or {}).items()
-    }
     if VELOCITY in arguments:
-        arguments[VELOCITY] = tuple(map(float, arguments[VELOCITY]))
-    return Task(drawn=tuple(lists.items()), **arguments)
+        arguments[VELOCITY] = _plain(arguments[VELOCITY])
+    ends = tuple(
+        (name, (_plain(low), _plain(high)))
+        for name, (low, high) in (drawn or {}).items()
+    )
+    return Task(drawn=ends, **arguments)
 
 
 def _drawn(rng: np.random.Generator, low: Any, high: Any) -> Any:

@@ -79,8 +79,7 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
                 " only the environment of one robot has"
             )
         goal = self.task.gaits.dt / CYCLES
-        longest = step or scene.solver.step
-        self._steps = math.ceil(goal / longest - 1e-9)
+        self._steps = math.ceil(goal / (step or scene.solver.step) - 1e-9)
         self._clock, self._threads = GaitClock(self.task, num_envs), threads
         self._course = Course(self.task, num_envs)
         self._limit = round(self.task.duration / self.task.gaits.dt)
@@ -111,13 +110,8 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         self, actions: Array
     ) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
         """Step all robots by the time between two stages of the gait."""
-        task, clock, course, robots = (
-            self.task,
-            self._clock,
-            self._course,
-            self._robots,
-        )
-        if robots is None:
+        task, clock, course = self.task, self._clock, self._course
+        if (robots := self._robots) is None:
             raise gymnasium.error.ResetNeeded("step before reset")
         again = np.flatnonzero(self._ended)
         action = np.clip(np.asarray(actions, dtype=float), -1.0, 1.0)
@@ -138,8 +132,17 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         state = motion[:, STATE]
         torque = motion[:, TENSION] * task.robot.tendon.spool_radius
         tilt, change = clock.reference[:, :2], action - self._action
-        strayed = course.faster, course.aside, course.turn
-        terms = reward_terms(Transition(state, *strayed, tilt, torque, change))
+        terms = reward_terms(
+            Transition(
+                state,
+                course.faster,
+                course.aside,
+                course.turn,
+                tilt,
+                torque,
+                change,
+            )
+        )
         self._action = action
         self._ticks += 1
         terminated, truncated = fallen(state), self._ticks >= self._limit

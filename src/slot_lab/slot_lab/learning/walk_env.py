@@ -86,9 +86,12 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         """Walk to the next estimate of the state, some 33 ms."""
         plant, task, preview = self._loop.plant, self.task, self._preview
         taken = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)[None]
-        ahead = preview.velocity_ahead
         change = deviation(
-            task.actions, taken, task.stride, preview.phases, ahead
+            task.actions,
+            taken,
+            task.stride,
+            preview.phases,
+            preview.velocity_ahead,
         )
         command = self._loop.controller.force_map.step(
             gait_plan(preview, change),
@@ -166,10 +169,9 @@ class WalkEnv(gymnasium.Env[Any, Any]):
 
     def _observed(self) -> Array:
         task, preview = self.task, self._preview
-        true = task.observations == "true"
         state = (
             self._true_state()
-            if true
+            if task.observations == "true"
             else np.asarray(self._estimate.state)[None]
         )
         seen = observation(

@@ -228,18 +228,22 @@ def _rows_at_height(
     for before, angle in zip([0.0, *angles], angles):
         for between in np.linspace(before, angle, grid.substeps + 1)[1:]:
             here = leg.solve(between, height)
-        numbers = (
-            here.force,
-            here.slope,
-            here.stiffness,
-            here.contact_x,
-            here.tension,
-        )
-        feet = (here.foot_slope, here.foot_rise)
         clamp = stuck.stiffness(here.node, angle, height)
         held = foot_stiffness(clamp, here.contact_x)
-        springs = held[0, 0], held[1, 1], held[1, 2], held[2, 2]
-        rows.append((math.degrees(angle), height, *numbers, *feet, *springs))
+        rows.append(
+            (
+                math.degrees(angle),
+                height,
+                here.force,
+                here.slope,
+                here.stiffness,
+                here.contact_x,
+                here.tension,
+                here.foot_slope,
+                here.foot_rise,
+                *held[[0, 1, 1, 2], [0, 1, 2, 2]],
+            )
+        )
     return np.array(rows)
 
 
