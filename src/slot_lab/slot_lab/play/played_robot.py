@@ -229,15 +229,8 @@ class PlayedRobot:
     def set_slope(self, degrees: float) -> None:
         """Incline the floor, uphill along +x; raises ConfigError."""
         angle = np.radians(degrees)
-        self.change(
-            {
-                "scene.gravity": [
-                    -GRAVITY * np.sin(angle),
-                    0.0,
-                    -GRAVITY * np.cos(angle),
-                ]
-            }
-        )
+        forward, down = -GRAVITY * np.sin(angle), -GRAVITY * np.cos(angle)
+        self.change({"scene.gravity": [forward, 0.0, down]})
 
     def set_policy(self, policy: str) -> None:
         """Go on with another policy; raises ConfigError."""
@@ -247,8 +240,8 @@ class PlayedRobot:
     def push(self, force: Sequence[float], duration: float) -> None:
         """Push the torso's centre with a force (3,), N, in the heading frame, for a time (s)."""
         x, y = rotate(np.array(force[:2]), float(self.loop.plant.robot.rpy[2]))
-        z = force[2]
-        self.loop.plant.push(Push(0.0, duration, (x, y, z), (0.0, 0.0, 0.0)))
+        push = Push(0.0, duration, (x, y, force[2]), (0.0, 0.0, 0.0))
+        self.loop.plant.push(push)
 
     def pull(self, force: Array) -> None:
         """Pull at the torso's centre with a force (3,), N, in odom, until the next call."""

@@ -148,18 +148,14 @@ def unit(constraint: str) -> str:
 
 def summary_lines(found: ConstraintMap) -> list[str]:
     """Cycles by status, and for each constraint its least slack, when, and how often violated."""
-    lines = [
-        f"{found.name}: {len(found.time)} cycles over {found.time[-1]:.2f} s"
-    ]
     counts = {
         status.name: int((found.status == status).sum()) for status in Status
     }
-    lines.append(
-        "  ".join(f"{name} {count}" for name, count in counts.items() if count)
-    )
-    lines.append(
-        f"{'constraint':<18}{'least slack':>12}{'at':>14}{'violated':>10}"
-    )
+    lines = [
+        f"{found.name}: {len(found.time)} cycles over {found.time[-1]:.2f} s",
+        "  ".join(f"{name} {count}" for name, count in counts.items() if count),
+        f"{'constraint':<18}{'least slack':>12}{'at':>14}{'violated':>10}",
+    ]
     for name, slack, violated in zip(
         found.constraints, found.slack, found.violated
     ):
@@ -171,10 +167,9 @@ def summary_lines(found: ConstraintMap) -> list[str]:
             f"{name:<18}{slack[at]:10.4f} {unit(name):<5}{found.time[at]:8.2f} s"
             f"{int(violated.sum()):10d}"
         )
-    lines += [
+    return lines + [
         f"{field}: not in the messages of this bag" for field in found.missing
     ]
-    return lines
 
 
 def map_figure(found: ConstraintMap) -> Figure:
@@ -197,12 +192,13 @@ def map_figure(found: ConstraintMap) -> Figure:
         loc="left",
         fontsize=10,
     )
-    hatched = Patch(label="not solved", **HATCHED)
-    grey = Patch(
-        facecolor=palette.SHADE, edgecolor=palette.INK, label="inactive"
-    )
     ax.legend(
-        handles=[hatched, grey],
+        handles=[
+            Patch(label="not solved", **HATCHED),
+            Patch(
+                facecolor=palette.SHADE, edgecolor=palette.INK, label="inactive"
+            ),
+        ],
         ncols=2,
         loc="lower right",
         bbox_to_anchor=(1.0, 1.0),
@@ -239,8 +235,13 @@ def draw_slack(ax: Axes, found: ConstraintMap) -> Colorbar:
         norm=TwoSlopeNorm(0.0, -1.0, 1.0),
         rasterized=True,
     )
-    label = "slack over the largest\nof its kind, red: violated"
-    bar = ax.figure.colorbar(mesh, ax=ax, label=label, pad=0.01, extend="both")
+    bar = ax.figure.colorbar(
+        mesh,
+        ax=ax,
+        label="slack over the largest\nof its kind, red: violated",
+        pad=0.01,
+        extend="both",
+    )
     ax.set_yticks(np.arange(len(rows)) + 0.5, found.constraints)
     ax.invert_yaxis()
     for row in range(len(LEGS), len(rows), len(LEGS)):

@@ -59,7 +59,6 @@ STATE_COLOURS = {
     State.ESTOP: "#f5cdb8",
     State.FAULT: "#f5cdb8",
 }
-LATENCY_COLOURS = (*palette.STAGE_COLOURS, palette.INK)
 
 
 def dashboard(bag: Bag, metrics: WalkMetrics, path: Path) -> None:
@@ -75,9 +74,10 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
         Any, figure.subfigures(1, 3, wspace=0.03, width_ratios=WIDTHS)
     )
     motion = read_motion(bag)
-    names = ["path", "state", "height", "speed", "tilt"]
     path, state, height, speed, tilt = _stack(
-        left, names, (1.3, 0.12, 1.0, 1.0, 1.0)
+        left,
+        ["path", "state", "height", "speed", "tilt"],
+        (1.3, 0.12, 1.0, 1.0, 1.0),
     )
     draw_path(path, motion, motion.between(motion.t[0] + metrics.warm_up))
     draw_states(state, bag, motion.t[0], motion.t[-1])
@@ -185,11 +185,13 @@ def draw_speed(
     t = motion.t - motion.t[0]
     ax.plot(t, v_x, color=palette.PALE, lw=0.8, label="momentary")
     if period is not None:
-        mean, label = (
+        ax.plot(
+            t,
             stride_mean(t, v_x, period),
-            f"mean over a stride, {period:.2f} s",
+            color=palette.SECONDARY,
+            lw=1.8,
+            label=f"mean over a stride, {period:.2f} s",
         )
-        ax.plot(t, mean, color=palette.SECONDARY, lw=1.8, label=label)
     ax.axhline(0.0, color=palette.INK, lw=0.6)
     _over_time(ax, motion, warm_up, "forward velocity", "v_x (m/s)")
     ax.legend(**LEGEND)
@@ -197,10 +199,10 @@ def draw_speed(
 
 def draw_tilt(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
     """Roll and pitch."""
-    for i, (name, colour) in enumerate(
-        (("roll", palette.TRUE), ("pitch", palette.SECONDARY))
+    for name, colour, angle in zip(
+        ("roll", "pitch"), (palette.TRUE, palette.SECONDARY), motion.rpy.T
     ):
-        degrees = np.degrees(motion.rpy[:, i])
+        degrees = np.degrees(angle)
         ax.plot(motion.t - motion.t[0], degrees, color=colour, lw=1, label=name)
     _over_time(ax, motion, warm_up, "roll and pitch", "angle (deg)")
     ax.set_xlabel("time (s)")
@@ -228,9 +230,8 @@ def draw_forces(
 
     The planned ones are of the plan's first stage; only a simulator publishes true ones.
     """
-    planned = ("/tendon_plan", "force", "planned")
     for topic, field, label in (
-        planned,
+        ("/tendon_plan", "force", "planned"),
         ("/ground_truth/legs", "ground_force", "true"),
     ):
         if bag.counts.get(topic):
@@ -252,14 +253,13 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
         1e3 * column[np.isfinite(column) & (column > 0)] for column in columns
     ]
     if measured := [values for values in ms if len(values)]:
-        low, high = (
-            min(v.min() for v in measured),
-            max(v.max() for v in measured),
-        )
-        high = max(high, 1e3 * ticks.period)
+        low = min(v.min() for v in measured)
+        high = max(1e3 * ticks.period, *(v.max() for v in measured))
         bins = np.geomspace(low / 1.2, high * 1.2, LATENCY_BINS).tolist()
         for values, name, colour in zip(
-            ms, (*STAGES, "end to end"), LATENCY_COLOURS
+            ms,
+            (*STAGES, "end to end"),
+            (*palette.STAGE_COLOURS, palette.INK),
         ):
             ax.hist(
                 values,
@@ -269,8 +269,7 @@ def draw_latency(ax: Axes, ticks: Ticks) -> None:
                 alpha=0.75,
                 label=name,
             )
-        ax.set_xscale("log")
-        ax.set_yscale("log")  # a single late tick stays visible
+        ax.set(xscale="log", yscale="log")  # a single late tick stays visible
     ax.axvline(
         1e3 * ticks.period,
         color=palette.INK,
@@ -317,18 +316,15 @@ def draw_constraints(ax: Axes, bag: Bag, start: float) -> None:
 
 
 def _per_leg(axes: Sequence[Axes], t: Array, values: Array, label: str) -> None:
+    style: dict[str, Any] = {"color": palette.INK, "ls": "--", "lw": 1}
     for ax, leg, column in zip(axes, LEGS, values.T):
         if label in ("true", "measured"):
-            ax.plot(
-                t,
-                column,
-                color=palette.LEG_COLOURS[leg],
-                lw=1.8,
-                alpha=0.75,
-                label=label,
-            )
-        else:
-            ax.plot(t, column, color=palette.INK, ls="--", lw=1, label=label)
+            style = {
+                "color": palette.LEG_COLOURS[leg],
+                "lw": 1.8,
+                "alpha": 0.75,
+            }
+        ax.plot(t, column, label=label, **style)
 
 
 def _finish_legs(axes: Sequence[Axes], title: str, end: float) -> None:

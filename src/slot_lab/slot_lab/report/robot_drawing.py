@@ -148,10 +148,9 @@ def torso_solid(pose: Snapshot, robot: RobotParameters) -> Solid:
 
 def leg_solids(pose: Snapshot, robot: RobotParameters) -> list[Solid]:
     """The legs, with their width and their taper."""
-    bars = leg_bars(pose.legs, robot)
     return [
         Solid(faces, palette.LEG_COLOURS[leg])
-        for leg, faces in zip(LEGS, bars.faces)
+        for leg, faces in zip(LEGS, leg_bars(pose.legs, robot).faces)
     ]
 
 
@@ -167,10 +166,13 @@ def _draw_solids(
     light = AMBIENT + (1 - AMBIENT) * (normal @ SUN).clip(min=0.0)
     depth = np.where(seen, faces.mean(axis=1) @ camera.toward, np.inf)
     order = np.argsort(depth)[: int(seen.sum())]
-    shaded = (colours * light[:, None])[order]
-    polygons = camera.project(faces[order] - centre)
     ax.add_collection(
-        PolyCollection(list(polygons), color=shaded, linewidths=0.4, zorder=3)
+        PolyCollection(
+            list(camera.project(faces[order] - centre)),
+            color=(colours * light[:, None])[order],
+            linewidths=0.4,
+            zorder=3,
+        )
     )
 
 
@@ -183,17 +185,15 @@ def _draw_ground(ax: Axes, centre: Array, camera: Viewpoint) -> None:
     )
     ends = np.array([centre[0] - half[0], centre[0] + half[0]]) / GROUND_LINE
     marks = GROUND_LINE * np.arange(math.ceil(ends[0]), math.floor(ends[1]) + 1)
-    lines = [
-        np.array([[x, -half[1], 0.0], [x, half[1], 0.0]])
+    shown = [
+        camera.project(np.array([[x, -half[1], 0.0], [x, half[1], 0.0]]))
         for x in marks - centre[0]
     ]
-    shown = [camera.project(line) for line in lines]
     ax.add_collection(LineCollection(shown, colors="white", zorder=1))
     for x, line in zip(marks, shown):
         ax.annotate(f"{x:.1f} m", line[0].tolist(), (0, -3), **MARK)
     (left, low), (right, high) = outline.min(axis=0), outline.max(axis=0)
-    ax.set_xlim(left, right)
-    ax.set_ylim(low - 0.03, high + 0.02)
+    ax.set(xlim=(left, right), ylim=(low - 0.03, high + 0.02))
 
 
 def _draw_forces(

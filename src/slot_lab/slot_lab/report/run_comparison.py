@@ -31,7 +31,6 @@ from slot_lab.report.metrics import UNITS, Figure, figures, walk_metrics
 
 NAME_WIDTH, VALUE_WIDTH = 29, 14
 DPI = 100
-GRID: dict[str, Any] = {"color": palette.PALE, "lw": 0.5}
 WIDTH = 24  # of the names
 Files = Mapping[str, bytes]  # by name
 
@@ -99,10 +98,9 @@ class FigurePair:
         return math.inf if math.isnan(difference) else difference
 
     def __str__(self) -> str:
-        values = "".join(
-            f"{_number(f.value):>{VALUE_WIDTH}}"
-            for f in (self.first, self.second)
-        )
+        numbers = (self.first.value, self.second.value)
+        cells = (f"{n:.6g}" if math.isfinite(n) else "-" for n in numbers)
+        values = "".join(f"{cell:>{VALUE_WIDTH}}" for cell in cells)
         off = self.difference
         known = f"{off:+.4g}" if off else "="
         change = known if math.isfinite(off) and not self.unknown else ""
@@ -114,12 +112,13 @@ def compare_figures(
 ) -> list[FigurePair]:
     """The figures of two walks in pairs; a figure that one lacks, such as a stage, is a NaN."""
     a, b = ({figure.name: figure for figure in run} for run in (first, second))
-    units = {name: figure.unit for name, figure in {**a, **b}.items()}
     missing = {
-        name: Figure(name, math.nan, unit) for name, unit in units.items()
+        name: Figure(name, math.nan, figure.unit)
+        for name, figure in {**a, **b}.items()
     }
     return [
-        FigurePair(a.get(n, missing[n]), b.get(n, missing[n])) for n in units
+        FigurePair(a.get(name, unknown), b.get(name, unknown))
+        for name, unknown in missing.items()
     ]
 
 
@@ -145,15 +144,17 @@ def exceeded(
             n for pattern, n in tolerances if fnmatch.fnmatchcase(name, pattern)
         ]
         if limits and abs(off) > limits[-1]:
-            most = f"{limits[-1]:g} {unit}".rstrip()
-            change = f"{off:+.4g} {unit}".rstrip() + f", more than {most}"
-            reason = change if math.isfinite(off) else "is in one bag only"
+            change, most = (
+                f"{text} {unit}".rstrip()
+                for text in (f"{off:+.4g}", f"{limits[-1]:g}")
+            )
+            reason = (
+                f"{change}, more than {most}"
+                if math.isfinite(off)
+                else "is in one bag only"
+            )
             lines.append(f"beyond the tolerance: {name} {reason}")
     return lines
-
-
-def _number(value: float) -> str:
-    return f"{value:.6g}" if math.isfinite(value) else "-"
 
 
 def plot(first: Bag, second: Bag) -> Canvas:
@@ -181,7 +182,7 @@ def plot(first: Bag, second: Bag) -> Canvas:
         difference.plot(shared, change, color=palette.INK, lw=1.0)
         both.set_ylabel(title)
         for ax in (both, difference):
-            ax.grid(**GRID)
+            ax.grid(color=palette.PALE, lw=0.5)
     axes[0, 0].set_title("both runs")
     axes[0, 1].set_title("second - first")
     axes[0, 0].legend(frameon=False)
@@ -211,8 +212,11 @@ def origin_lines(first: Bag, second: Bag) -> list[str]:
     """Lines on revision, policy and other differences of the origins; raises BagError."""
     a, b = _about(first), _about(second)
     names = dict.fromkeys(["revision", "policy", *a, *b])
-    changed = [name for name in names if a.get(name) != b.get(name)]
-    shown = dict.fromkeys(["revision", "policy", *changed])
+    shown = [
+        name
+        for name in names
+        if name in ("revision", "policy") or a.get(name) != b.get(name)
+    ]
     lines = [_line(name, a.get(name, "-"), b.get(name, "-")) for name in shown]
     if same := ", ".join(
         f"{name} {a[name]}" for name in names if name not in shown
@@ -255,15 +259,20 @@ def _tuned(bag: Bag) -> str:
             getattr(message, "settings", "")
             for _, message in bag.messages(PLANS)
         )
-        sets = [json.loads(text) for text in texts if text]
-        changes = (change for changed in sets for change in changed.items())
-        return "; ".join(f"{name} {quoted(value)}" for name, value in changes)
+        return "; ".join(
+            f"{name} {quoted(value)}"
+            for text in filter(None, texts)
+            for name, value in json.loads(text).items()
+        )
 
 
 def _differing(then: Files, now: Files) -> list[str]:
     """Names of the files that only one bag has, or that differ."""
-    names = sorted(then.keys() | now.keys())
-    return [name for name in names if then.get(name) != now.get(name)]
+    return [
+        name
+        for name in sorted(then.keys() | now.keys())
+        if then.get(name) != now.get(name)
+    ]
 
 
 def _file_line(name: str, then: Files, now: Files) -> str:

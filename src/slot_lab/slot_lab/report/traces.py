@@ -5,7 +5,7 @@ The messages may be rclpy's or those that the `rosbags` library reads from a bag
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -35,11 +35,7 @@ class Plot:
     """Curves that share their axes, by the second part of the names of `values`."""
 
     title: str
-    curves: dict[str, Curve] = field(default_factory=dict)
-
-
-def _one(name: str, colour: str) -> Curve:
-    return Curve((name,), (colour,))
+    curves: dict[str, Curve]
 
 
 def _of_legs(suffix: str, *, pale: bool = False) -> Curve:
@@ -49,20 +45,17 @@ def _of_legs(suffix: str, *, pale: bool = False) -> Curve:
     return Curve(tuple(f"{leg} {suffix}" for leg in LEGS), colours)
 
 
-def _sources(quantity: str = "") -> dict[str, Curve]:
-    """The three curves of a quantity of the torso."""
-    return {
-        "true": _one(f"{quantity}true", palette.TRUE),
-        "estimated": _one(f"{quantity}estimated", palette.INK),
-        "reference": _one(f"{quantity}reference", palette.SECONDARY),
-    }
-
-
+SOURCES = {
+    "true": Curve(("true",), (palette.TRUE,)),
+    "estimated": Curve(("estimated",), (palette.INK,)),
+    "reference": Curve(("reference",), (palette.SECONDARY,)),
+}
+"""Curves of a quantity of the torso."""
 PLOTS = {
-    "velocity": Plot("v_x (m/s)", _sources()),
-    "height": Plot("height (mm)", _sources()),
-    "roll": Plot("roll (deg)", _sources()),
-    "pitch": Plot("pitch (deg)", _sources()),
+    "velocity": Plot("v_x (m/s)", SOURCES),
+    "height": Plot("height (mm)", SOURCES),
+    "roll": Plot("roll (deg)", SOURCES),
+    "pitch": Plot("pitch (deg)", SOURCES),
     "angle": Plot(
         "tendon angle (deg)",
         {
@@ -93,7 +86,8 @@ PLOTS = {
         },
     ),
     "solve_time": Plot(
-        "solve time of the MPC (ms)", {"mpc": _one("solve time", palette.INK)}
+        "solve time of the MPC (ms)",
+        {"mpc": Curve(("solve time",), (palette.INK,))},
     ),
 }
 STATES = {"supervisor": "supervisor", "mpc": "MPC", "gait": "gait"}

@@ -69,11 +69,11 @@ def find_steering(
             probe, probe, symmetry.rows(symmetry.steering(step * column))
         )
         changed = replace(stride, forward_steering=tried)
-        for sign in (1.0, -1.0):
-            jobs += [
-                Job(changed, mu, (speed, 0.0, sign * probe))
-                for mu in settings.friction
-            ]
+        jobs += [
+            Job(changed, mu, (speed, 0.0, turn))
+            for turn in (probe, -probe)
+            for mu in settings.friction
+        ]
     means = np.array(
         [motion.means[STEERED] for motion in run_jobs(run_all, jobs)]
     )
@@ -85,9 +85,12 @@ def find_steering(
     target = np.concatenate([scale[:, 0] * wanted, np.zeros(10)])
     x = np.linalg.lstsq(matrix, target, rcond=None)[0]
     change = effect @ x
-    rate = float(change[1])
-    rate_max = stride.forward_steering.rate_max
-    return Steering(rate, rate_max, symmetry.rows(symmetry.steering(x))), change
+    found = Steering(
+        float(change[1]),
+        stride.forward_steering.rate_max,
+        symmetry.rows(symmetry.steering(x)),
+    )
+    return found, change
 
 
 def tabulate(
@@ -100,18 +103,16 @@ def tabulate(
     jobs = []
     for axis, name in zip(np.eye(3), PATTERNS):
         velocity = tuple(axis * getattr(stride, name).speed)
-        held = name in HELD
         jobs += [
-            Job(stride, mu, velocity, hold_height=held)
+            Job(stride, mu, velocity, hold_height=name in HELD)
             for mu in settings.friction
         ]
     motions, size = run_jobs(run_all, jobs), len(settings.friction)
     found = {}
     for n, name in enumerate(PATTERNS):
         part = motions[n * size : (n + 1) * size]
-        tables = np.mean([_table(motion, stride) for motion in part], axis=0)
-        tables = symmetry.symmetrised(name, tables)
-        speed = float(np.mean([motion.means[n] for motion in part]))
+        mean = np.mean([_table(motion, stride) for motion in part], axis=0)
+        tables = symmetry.symmetrised(name, mean)
         angle = np.array(getattr(stride, name).angle_deg)
         angle[:, 0] += np.degrees(np.mean([motion.offset for motion in part]))
         motion: dict[str, Any] = {
@@ -120,7 +121,7 @@ def tabulate(
         }
         found[name] = replace(
             getattr(stride, name),
-            speed=speed,
+            speed=float(np.mean([motion.means[n] for motion in part])),
             angle_deg=symmetry.rows(angle),
             normal_force=symmetry.rows(tables[:4]),
             **motion,
@@ -130,9 +131,8 @@ def tabulate(
 
 def _table(motion: StrideMotion, stride: Stride) -> Array:
     """Coefficients (9, 5): normal forces (N) and sway, as differences to the stride at rest."""
-    yaw = motion.track[:, YAW]
-    velocity = rotate(motion.velocity, -yaw)
     posture = motion.track[:, [ROLL, PITCH, HEIGHT]]
+    velocity = rotate(motion.velocity, -motion.track[:, YAW])
     samples = np.hstack([motion.force, posture, velocity])
     basis = HarmonicBasis.at(motion.phase).value
     table = np.linalg.lstsq(basis, samples, rcond=None)[0].T

@@ -66,16 +66,15 @@ class Found:
 def trial(stride: Stride, kind: str, x: Array) -> Stride:
     """The stride with the pattern of the numbers x, at a speed of one scale."""
     angle = symmetry.forward(x) if kind == "forward" else symmetry.turn(x)
-    found = replace(bare_pattern(angle), speed=getattr(stride, kind).speed)
+    # without tables
+    found = Pattern(
+        getattr(stride, kind).speed,
+        symmetry.rows(angle),
+        (ZERO,) * 4,
+        *(ZERO,) * 5,
+    )
     changed: dict[str, Any] = {kind: found}
     return replace(stride, **changed)
-
-
-def bare_pattern(angle: Array) -> Pattern:
-    """Pattern of coefficients (4, 5), deg, without tables."""
-    return Pattern(
-        1.0, symmetry.rows(angle), (ZERO,) * 4, ZERO, ZERO, ZERO, ZERO, ZERO
-    )
 
 
 def jobs(
@@ -84,15 +83,12 @@ def jobs(
     """Runs of a candidate: at amplitude one on every floor, then at half on the middle one."""
     speed = getattr(stride, goal.kind).speed * np.eye(3)[AXIS[goal.kind]]
     changed, floors = trial(stride, goal.kind, x), settings.friction
-    hold = goal.kind in HELD
-    whole = [
-        Job(changed, friction, tuple(speed), hold_height=hold)
-        for friction in floors
+    runs = [(friction, speed) for friction in floors]
+    runs.append((floors[len(floors) // 2], speed / 2))
+    return [
+        Job(changed, friction, tuple(v), hold_height=goal.kind in HELD)
+        for friction, v in runs
     ]
-    half = Job(
-        changed, floors[len(floors) // 2], tuple(speed / 2), hold_height=hold
-    )
-    return [*whole, half]
 
 
 def cost(
@@ -246,8 +242,8 @@ class PatternSearch:
         ]
         outcomes = list(run_all([job for each in todo for job in each]))
         rows = []
-        for n in range(len(candidates)):
-            part = outcomes[n * runs : (n + 1) * runs]
+        for n in range(0, len(outcomes), runs):
+            part = outcomes[n : n + runs]
             value, speed = cost(part, self._stride, self._goal, self._settings)
             rows.append([value, speed.tolist()])
         return rows

@@ -57,8 +57,7 @@ class StrideMotion(NamedTuple):
     @property
     def tilt(self) -> Array:
         """Angle of the torso from level (n,), rad, to the second order of roll and pitch."""
-        tilt: Array = np.hypot(self.track[:, ROLL], self.track[:, PITCH])
-        return tilt
+        return np.asarray(np.hypot(self.track[:, ROLL], self.track[:, PITCH]))
 
 
 Outcome = StrideMotion | None  # None: the simulation diverged
@@ -153,16 +152,15 @@ class _Run:
         later = (
             phase + self._settings.command_period / self._job.stride.period
         ) % 1.0
-        force = robot.ground_force[:, 2]
-        motion = [
+        return [
             robot.time,
             *position,
             *robot.rpy,
             later,
-            *force,
+            *robot.ground_force[:, 2],
             *velocity[:2],
+            float(robot.servo_torque.mean()),
         ]
-        return [*motion, float(robot.servo_torque.mean())]
 
     def _correct(self, height: float) -> None:
         """Correct the offset by a stride's mean height (m)."""

@@ -52,13 +52,7 @@ def steering(x: Array) -> Array:
 
 def lateral(pattern: Array) -> Array:
     """Lateral pattern (4, 5), to the left, of a forward pattern (4, 5)."""
-    reflected: Array = pattern[DIAGONAL]
-    return reflected
-
-
-def lateral_steering(change: Array) -> Array:
-    """Steering (4, 5) of the lateral pattern; a reflected left turn is a right turn."""
-    return -lateral(change)
+    return np.asarray(pattern[DIAGONAL])
 
 
 def turn(x: Array) -> Array:

@@ -24,8 +24,8 @@ from slot_lab.tuning.identification import IdentificationError
 from slot_lab.tuning.pattern_search import (
     Goal,
     PatternSearch,
-    bare_pattern,
     start_of,
+    trial,
 )
 from slot_lab.tuning.settings import TuningSettings, read_tuning
 from slot_lab.tuning.stride_run import RunAll, simulate
@@ -43,8 +43,9 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
 
     Raises ConfigError, IdentificationError, ModuleNotFoundError, OSError.
     """
-    place = config.config_dir() / "gait" / f"{options.gait}.yaml"
-    options.out = options.out or place
+    options.out = (
+        options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
+    )
     tuning = _Tuning(options, progress)
     call = functools.partial(simulate, settings=tuning.settings)
     with mapper(options.scheduler, options.workers) as run_all:
@@ -64,19 +65,18 @@ class _Tuning:
         self._options = options
         self.settings = _settings(options)
         self.stride = _start(options)
-        self._stages = options.stages
         seed = options.seed if options.scratch else None
         self._starts = {  # before the first search: a later one may be refused
             kind: start_of(self.stride, kind, self.settings, seed)
             for kind in symmetry.NUMBERS
-            if kind in self._stages
+            if kind in options.stages
         }
         self._progress = progress
 
     def run(self, run_all: RunAll) -> list[str]:
         """Run the stages and return their figures, lines of text."""
         notes: list[str] = []
-        for stage in self._stages:
+        for stage in self._options.stages:
             notes += getattr(self, f"_{stage}")(run_all)
         return notes
 
@@ -101,22 +101,20 @@ class _Tuning:
         return [note]
 
     def _search(self, kind: str, run_all: RunAll) -> tuple[Pattern, str]:
-        goal = Goal(kind, self._options.top)
-        start, seed = self._starts[kind], self._options.seed
-        search = PatternSearch(self.stride, goal, start, self.settings, seed)
-        found = search.run(run_all, self._record(kind), self._progress)
-        angle = (
-            symmetry.forward(found.x)
-            if kind == "forward"
-            else symmetry.turn(found.x)
+        search = PatternSearch(
+            self.stride,
+            Goal(kind, self._options.top),
+            self._starts[kind],
+            self.settings,
+            self._options.seed,
         )
+        found = search.run(run_all, self._record(kind), self._progress)
         if not np.mean(found.speed) >= LEAST_SPEED:
             raise IdentificationError(
                 f"{kind}: no candidate moves; more evaluations are needed"
             )
-        pattern = replace(
-            bare_pattern(angle), speed=float(np.mean(found.speed))
-        )
+        tried: Pattern = getattr(trial(self.stride, kind, found.x), kind)
+        pattern = replace(tried, speed=float(np.mean(found.speed)))
         speeds = ", ".join(f"{v:.4f}" for v in found.speed)
         friction = ", ".join(f"{value:g}" for value in self.settings.friction)
         return pattern, f"{kind}: {speeds} at friction {friction}, open loop"
@@ -129,7 +127,8 @@ class _Tuning:
             raise IdentificationError(
                 f"steering: only {steering.rate:.4f} rad/s was found"
             )
-        across = symmetry.lateral_steering(np.array(steering.angle_deg))
+        # a reflected left turn is a right turn
+        across = -symmetry.lateral(np.array(steering.angle_deg))
         self.stride = replace(
             self.stride,
             forward_steering=steering,
@@ -137,10 +136,10 @@ class _Tuning:
                 steering.rate, steering.rate_max, symmetry.rows(across)
             ),
         )
-        stray = (
-            f"v_y {change[0]:+.4f} m/s, roll {np.degrees(change[2]):+.2f} deg"
-        )
-        return [f"steering: {steering.rate:.4f} rad/s with {stray}"]
+        return [
+            f"steering: {steering.rate:.4f} rad/s with v_y {change[0]:+.4f} m/s,"
+            f" roll {np.degrees(change[2]):+.2f} deg"
+        ]
 
     def _identify(self, run_all: RunAll) -> list[str]:
         self._progress("identify: patterns")
@@ -177,15 +176,19 @@ def _start(options: argparse.Namespace) -> Stride:
     stride = read_gaits().find(name)
     if not isinstance(stride, Stride):
         raise ConfigError(f"gait {quoted(name)} is a posture, not a stride")
-    names = ("height_range", "period", "cruise")
-    changes = {name: getattr(options, name) for name in names}
+    changes = {
+        name: getattr(options, name)
+        for name in ("height_range", "period", "cruise")
+    }
     if options.height is not None:
-        # N, of a leg at rest
-        height, share = (options.height, read_robot().weight / 4)
+        height = options.height
+        share = read_robot().weight / 4  # N, of a leg at rest
         angle = read_springs().angle(np.array([share]), np.array([height]))[0]
-        centre = [round(float(np.degrees(angle)), 1)] * 4
-        changes |= {"height": height, "centre_deg": centre}
-        changes["height_range"] = options.height_range or [options.height] * 2
+        changes |= {
+            "height": height,
+            "centre_deg": [round(float(np.degrees(angle)), 1)] * 4,
+            "height_range": options.height_range or [height] * 2,
+        }
     given = {
         name: value for name, value in changes.items() if value is not None
     }
@@ -204,17 +207,14 @@ def write_gait(path: Path, stride: Stride, head: Sequence[str]) -> None:
 
 def _lines(settings: Any, indent: str) -> Iterator[str]:
     """Lines of a settings object: values first, then nested objects, rows of matrices in a line."""
-    values = {
-        f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)
-    }
-    nested = [
-        name
-        for name, value in values.items()
-        if dataclasses.is_dataclass(value)
+    values = [
+        (f.name, getattr(settings, f.name))
+        for f in dataclasses.fields(settings)
     ]
-    for name in [*(name for name in values if name not in nested), *nested]:
-        value = values[name]
-        if name in nested:
+    for name, value in sorted(
+        values, key=lambda item: dataclasses.is_dataclass(item[1])
+    ):
+        if dataclasses.is_dataclass(value):
             yield f"{indent}{name}:"
             yield from _lines(value, indent + "  ")
         elif isinstance(value, tuple) and isinstance(value[0], tuple):

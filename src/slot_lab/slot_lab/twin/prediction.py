@@ -66,11 +66,10 @@ def read_parts(scene: str, parameters: str = "") -> ModelParts:
     floor = read_scene(scene)
     named = parameters or floor.parameters
     if parameters:
-        values = read_parameters(parameters, "scene") | {
-            "parameters": parameters
-        }
         floor = config.replace(
-            floor, values, f"parameters/{parameters}.yaml: scene"
+            floor,
+            {**read_parameters(parameters, "scene"), "parameters": parameters},
+            f"parameters/{parameters}.yaml: scene",
         )
     return ModelParts(read_robot(named), floor, read_servo(named))
 
@@ -145,11 +144,12 @@ def write_predicted_points(
             continue
         due = t + POINT_PERIOD - settings.hold / 2
         rows.append((t, TORSO, sim.position))
-        if sim.nodes.shape[1] < LEAST_NODES:
-            continue
-        for leg, nodes in zip(LEGS, sim.nodes):
-            places = zip(LEG_POINTS, at_shares(nodes))
-            rows += [(t, f"{leg}_{name}", place) for name, place in places]
+        if sim.nodes.shape[1] >= LEAST_NODES:
+            rows += [
+                (t, f"{leg}_{name}", place)
+                for leg, nodes in zip(LEGS, sim.nodes)
+                for name, place in zip(LEG_POINTS, at_shares(nodes))
+            ]
     write_points(path, rows, ["Predicted by scripts/twin"])
 
 
@@ -163,16 +163,15 @@ def _commands(
     """(last step, angles (4,)) of each hold, ordered by time; the first is for settling."""
     step, limit = parts.scene.solver.step, parts.robot.tendon.angle_max
     hold, angles = max(1, round(settings.hold / step)), recorded.angles
-    if ((angles.angle < -BEYOND) | (angles.angle > limit + BEYOND)).any():
-        least, largest = angles.angle.min(), angles.angle.max()
+    least, largest = angles.angle.min(), angles.angle.max()
+    if least < -BEYOND or largest > limit + BEYOND:
         raise ConfigError(
             f"{recorded.name}: {angles.source} holds angles of {least:.4g} to {largest:.4g} rad,"
             f" outside [0, {limit:.4g}]"
         )
     edges = np.arange(0, int((end - begin) / step) + 1, hold)
     if angles.measured:
-        at = begin + edges * step
-        rows = _spline(angles)(at)
+        rows = _spline(angles)(begin + edges * step)
     else:
         effect = np.rint(
             (angles.t + settings.command_delay - begin) / step

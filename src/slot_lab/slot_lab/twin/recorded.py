@@ -62,9 +62,12 @@ def read_recorded(
     """
     if path.is_dir() or path.suffix in STORAGES:
         bag = Bag(path, namespace)
-        turned = tendon_angles(bag, *filter(None, [angles]))
-        moved = read_motion(bag, *([motion] if motion else MOTION_TOPICS))
-        found = BagRecording(path.name, turned, moved, stride_period(bag))
+        found = BagRecording(
+            path.name,
+            tendon_angles(bag, *filter(None, [angles])),
+            read_motion(bag, *([motion] if motion else MOTION_TOPICS)),
+            stride_period(bag),
+        )
     elif namespace or motion:
         raise ConfigError(f"{path}: --namespace and --motion are of bags")
     else:
@@ -80,20 +83,21 @@ def read_recorded(
 def _from_table(path: Path, measured: bool) -> BagRecording:
     table = read_table(path)
     if table.columns != COLUMNS:
-        given = ",".join(table.columns)[:80]
         raise TableError(
-            f"{table.head}: columns {given}: expected {','.join(COLUMNS)}"
+            f"{table.head}: columns {','.join(table.columns)[:80]}: expected"
+            f" {','.join(COLUMNS)}"
         )
     t, angle = _columns(path, table, LEGS)
     at, pose = _columns(path, table, POSE)
-    quaternion = Rotation.from_euler("xyz", pose[:, 3:]).as_quat()
-    velocity = np.gradient(pose[:, :3], at, axis=0)
-    return BagRecording(
-        path.name,
-        TendonAngles("FL, FR, RL, RR", t, angle, measured=measured),
-        TorsoTrack("x .. yaw", at, pose[:, :3], quaternion, velocity),
-        period=None,
+    motion = TorsoTrack(
+        "x .. yaw",
+        at,
+        position=pose[:, :3],
+        quaternion=Rotation.from_euler("xyz", pose[:, 3:]).as_quat(),
+        velocity=np.gradient(pose[:, :3], at, axis=0),
     )
+    angles = TendonAngles("FL, FR, RL, RR", t, angle, measured=measured)
+    return BagRecording(path.name, angles, motion, period=None)
 
 
 def _columns(

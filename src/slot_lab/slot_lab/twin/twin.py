@@ -143,19 +143,30 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
         lines += error_lines({"model": errors})
         verdict = judge(tracks["model"], measured, strides, settings)
     progress("drawing")
-    title = f"{recorded.name}: predicted and measured motion"
-    split = seen.count if seen else None
-    place = out / "twin.png"
-    draw(place, title, measured, tracks, strides=strides, seen=split)
-    told = partial(progress, "predicting the points of the legs")
+    draw(
+        out / "twin.png",
+        f"{recorded.name}: predicted and measured motion",
+        measured,
+        tracks,
+        strides=strides,
+        seen=seen.count if seen else None,
+    )
     write_predicted_points(
-        recorded, parts, settings, out / "predicted.csv", told
+        recorded,
+        parts,
+        settings,
+        out / "predicted.csv",
+        partial(progress, "predicting the points of the legs"),
     )
     (out / "summary.txt").write_text(
         "\n".join([*lines, "", verdict.line]) + "\n"
     )
-    place = f"twin.png, predicted.csv and summary.txt are in {out}"
-    return [*lines, "", place, verdict.line], verdict.code
+    return [
+        *lines,
+        "",
+        f"twin.png, predicted.csv and summary.txt are in {out}",
+        verdict.line,
+    ], verdict.code
 
 
 def judge(
@@ -170,10 +181,8 @@ def judge(
     chi_square = sum(float((block**2).sum()) for block in blocks)
     freedom = sum(block.size - ALIGNED for block in blocks)
     rms = np.sqrt(np.mean(np.vstack(blocks) ** 2, axis=0))
-    worst = int(rms.argmax())
-    largest = (
-        f"largest: {COORDINATES[worst]}, {rms[worst]:.3g} times the uncertainty"
-    )
+    most, worst = max(zip(rms, COORDINATES))
+    largest = f"largest: {worst}, {most:.3g} times the uncertainty"
     return Verdict(chi_square, freedom, at_bound, largest)
 
 
@@ -259,8 +268,12 @@ def _path(
     for (name, (_, pose)), colour in zip(aligned.items(), COLOURS):
         x, y = 1e3 * pose[:, :2].T
         ax.plot(x, y, color=colour, lw=1, label=name)
-    title = "path, aligned with the first stride (scales differ)"
-    _finish(ax, title, "x (mm)", "y (mm)")
+    _finish(
+        ax,
+        "path, aligned with the first stride (scales differ)",
+        "x (mm)",
+        "y (mm)",
+    )
     ax.legend(fontsize=8, frameon=False)
 
 
@@ -272,7 +285,11 @@ def _of_strides(
     strides: Strides,
 ) -> None:
     """Displacement forward (column 0) or turn (column 2) of each stride."""
-    factor = 1e3 if column == 0 else 180.0 / np.pi
+    kind, unit, factor = (
+        ("forward displacement", "mm", 1e3)
+        if column == 0
+        else ("turn", "deg", 180.0 / np.pi)
+    )
     for (name, track), colour in zip(predictions.items(), COLOURS):
         found = stride_errors(track, measured, strides)
         number = np.arange(1, len(found.measured) + 1)
@@ -286,10 +303,7 @@ def _of_strides(
     ax.plot(
         number, factor * found.measured[:, column], "o", color=palette.INK, ms=4
     )
-    kind = "forward displacement" if column == 0 else "turn"
-    _finish(
-        ax, f"{kind} of each stride", "stride", "mm" if column == 0 else "deg"
-    )
+    _finish(ax, f"{kind} of each stride", "stride", unit)
 
 
 def _growth(
@@ -321,8 +335,13 @@ def _over_time(
     label: str,
 ) -> None:
     scale, begin = (1e3 if column < 3 else 180.0 / np.pi), measured.t[0]
-    place = scale * measured.pose[:, column]
-    ax.plot(measured.t - begin, place, ".", ms=2, color=palette.INK)
+    ax.plot(
+        measured.t - begin,
+        scale * measured.pose[:, column],
+        ".",
+        ms=2,
+        color=palette.INK,
+    )
     for (t, pose), colour in zip(aligned.values(), COLOURS):
         ax.plot(t - begin, scale * pose[:, column], color=colour, lw=1)
     _finish(ax, label, "time (s)", "")

@@ -149,13 +149,14 @@ def changes(
     for place, value in zip(names, values):
         part, name, index = _split(place)
         old = out[part].get(name) or attrgetter(f"{part}.{name}")(parts)
-        number = float(value)
-        if not isinstance(old, (tuple, list)):
-            out[part][name] = number
-        else:
-            out[part][name] = [
-                number if index in (None, k) else v for k, v in enumerate(old)
+        out[part][name] = (
+            [
+                float(value) if index in (None, k) else v
+                for k, v in enumerate(old)
             ]
+            if isinstance(old, (tuple, list))
+            else float(value)
+        )
     if "lag" in out["servo"]:
         out["servo"]["model"] = "torque_speed"  # the pid has none
     return out
@@ -321,31 +322,29 @@ def place_of(name: str) -> Path:
 
 def error_lines(columns: dict[str, StrideErrors]) -> list[str]:
     """Table of RMS errors by kind, a column for each prediction."""
-    lines = [
-        "RMS of predicted minus measured".ljust(34)
-        + "".join(f"{n:>16}" for n in columns)
-    ]
+    rows = {"RMS of predicted minus measured": list(columns)}
     for key, (label, scale, unit) in UNITS.items():
-        cells = [
+        rows[label] = [
             f"{scale * errors.summary()[key]:.3f} {unit}"
             for errors in columns.values()
         ]
-        lines.append(label.ljust(34) + "".join(f"{cell:>16}" for cell in cells))
-    return lines
+    return [
+        label.ljust(34) + "".join(f"{cell:>16}" for cell in cells)
+        for label, cells in rows.items()
+    ]
 
 
 def fit_lines(found: TwinFit) -> list[str]:
     """Fitted values with intervals, and what the data do not determine."""
     result = found.estimate
     lines = [f"{'parameter':<28}{'start':>12}{'value':>12}   95 % interval"]
-    rows = zip(
+    for name, start, value, (low, high), limit in zip(
         found.names,
         found.start,
         result.values,
         result.interval,
         result.at_limit,
-    )
-    for name, start, value, (low, high), limit in rows:
+    ):
         interval = (
             "undetermined" if math.isnan(low) else f"{low:.4g} to {high:.4g}"
         )
@@ -361,18 +360,17 @@ def undetermined(
 ) -> list[str]:
     """Parameters that the data do not determine, and pairs of which they give only a combination."""
     out = [n for n, low in zip(names, result.interval[:, 0]) if math.isnan(low)]
-    for i, row in enumerate(result.correlation):
-        for j in range(i):
-            if abs(row[j]) > CORRELATED:
-                out.append(
-                    f"{names[j]} apart from {names[i]} (correlation {row[j]:.3f})"
-                )
-    return out
+    return out + [
+        f"{names[j]} apart from {names[i]} (correlation {row[j]:.3f})"
+        for i, row in enumerate(result.correlation)
+        for j in range(i)
+        if abs(row[j]) > CORRELATED
+    ]
 
 
 def _errors(errors: StrideErrors) -> dict[str, float]:
-    found, units = errors.summary(), UNITS.items()
+    found = errors.summary()
     return {
         f"{key}_{unit}": round(scale * found[key], 4)
-        for key, (_, scale, unit) in units
+        for key, (_, scale, unit) in UNITS.items()
     }

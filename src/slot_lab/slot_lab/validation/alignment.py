@@ -88,8 +88,8 @@ def best_rotation(covariance: Array, frame: str) -> Array:
     if frame == "none":
         return np.eye(3)
     if frame == "level":
-        h = covariance
-        angle = np.arctan2(h[0, 1] - h[1, 0], h[0, 0] + h[1, 1])
+        (a, b, _), (c, d, _), _ = covariance
+        angle = np.arctan2(b - c, a + d)
         return np.asarray(Rotation.from_euler("z", angle).as_matrix())
     left, _, right = np.linalg.svd(covariance)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
@@ -135,12 +135,13 @@ def align_times(
     if not found:
         raise refusals[0]
     found.sort(key=lambda each: each.rest)
-    others = [f for f in found if abs(f.offset - found[0].offset) > APART]
-    if not others:
-        return found[0]
-    return replace(
-        found[0], rival_rest=others[0].rest, rival_offset=others[0].offset
-    )
+    best, *others = found
+    for rival in others:
+        if abs(rival.offset - best.offset) > APART:
+            return replace(
+                best, rival_rest=rival.rest, rival_offset=rival.offset
+            )
+    return best
 
 
 def candidates(shifts: Array, score: Array) -> list[float]:
@@ -242,11 +243,12 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
         ]
         run = np.vstack([place - place.mean(axis=0) for place in places])
         off = measured @ best_rotation(measured.T @ run, frame).T - run
-        fast = [
-            _fast(t, part)
-            for (t, _, _), part in zip(parts, np.split(off, ends))
-        ]
-        return np.concatenate([part.ravel() for part in fast])
+        return np.concatenate(
+            [
+                _fast(t, part).ravel()
+                for (t, _, _), part in zip(parts, np.split(off, ends))
+            ]
+        )
 
     limit = np.array([APART, DRIFT_MAX * duration])[:size]
     found = least_squares(
@@ -276,10 +278,13 @@ def _refine(pairs: Sequence[Pair], frame: str, start: float) -> TimeAlignment:
     offset, drift = to_result @ found.x
     factor = student.ppf((1 + LEVEL) / 2, freedom) if freedom > 0 else np.nan
     widths = factor * np.sqrt(np.diag(to_result @ covariance @ to_result.T))
-    rest = float(np.sqrt(np.mean(found.fun**2)))
     offset_width, drift_width = widths.tolist()
     return TimeAlignment(
-        start + float(offset), float(drift), offset_width, drift_width, rest
+        start + float(offset),
+        float(drift),
+        offset_width,
+        drift_width,
+        rest=float(np.sqrt(np.mean(found.fun**2))),
     )
 
 

@@ -122,18 +122,13 @@ def compare(
         )
     until = min(float(t[0]) for t, _, _ in joined.values()) + frame_time
     joined = {n: part for n, part in joined.items() if part[0][0] <= until}
-    parts = []
+    parts: tuple[list[Array], list[Array]] = [], []  # measured, run
     for t, mine, theirs in joined.values():
-        early = t <= until
-        place, target = theirs.position[early], mine.position[early]
-        if zero:  # the turn from the motion alone
-            place, target = (
-                place - place.mean(axis=0),
-                target - target.mean(axis=0),
-            )
-        parts.append((place, target))
-    places, targets = (np.vstack(part) for part in zip(*parts))
-    aligned = align_frames(places, targets, frame)
+        for part, track in zip(parts, (theirs, mine)):
+            place = track.position[t <= until]
+            # with `zero` the turn from the motion alone
+            part.append(place - place.mean(axis=0) if zero else place)
+    aligned = align_frames(np.vstack(parts[0]), np.vstack(parts[1]), frame)
     series = {}
     for k, (name, (t, mine, theirs)) in enumerate(joined.items()):
         tell(k / len(joined))
@@ -142,9 +137,13 @@ def compare(
             shift = np.mean((r - m)[t <= until]) if zero else 0.0
             found = errors(r, m + shift, size)
             series[name, axis] = PointSeries(t, r, m + shift, found)
-    only = tuple(sorted(set(run.points) ^ set(measured.points)))
-    brief = tuple(sorted(set(names) - joined.keys()))
-    return Comparison(clock, aligned, series, only, brief)
+    return Comparison(
+        clock,
+        aligned,
+        series,
+        only=tuple(sorted(set(run.points) ^ set(measured.points))),
+        brief=tuple(sorted(set(names) - joined.keys())),
+    )
 
 
 def _coordinates(
@@ -181,22 +180,24 @@ def _joined(
     at = t[keep]
     rpy = None if run.rpy is None else CubicSpline(run.t, run.rpy)(at)
     theirs = None if measured.rpy is None else measured.rpy[keep]
-    place = CubicSpline(run.t, run.position)(at)
     return (
         at,
-        PointTrack(at, place, rpy),
+        PointTrack(at, CubicSpline(run.t, run.position)(at), rpy),
         PointTrack(at, measured.position[keep], theirs),
     )
 
 
 def paper_points(comparison: Comparison) -> dict[str, dict[str, str]]:
     """Leg points by leg ("" for a leg without name) and LEG_POINTS, if all are compared."""
-    found = {}
-    for leg in ("", *LEGS):
-        points = {name: f"{leg}_{name}".lstrip("_") for name in LEG_POINTS}
-        if set(points.values()) <= set(comparison.points):
-            found[leg] = points
-    return found
+    every = {
+        leg: {name: f"{leg}_{name}".lstrip("_") for name in LEG_POINTS}
+        for leg in ("", *LEGS)
+    }
+    return {
+        leg: points
+        for leg, points in every.items()
+        if set(points.values()) <= set(comparison.points)
+    }
 
 
 def judge(

@@ -160,9 +160,9 @@ def _from_csv(path: Path) -> PointRecording:
     for row in table.rows:
         name = row.cells.get("point", TORSO)
         if name not in POINTS:
-            known = f"{TORSO}, {', '.join(LEG_POINTS)}, FL_tip ..."
             raise TableError(
-                f"{row.where}, point: {quoted(name)} is unknown (known: {known})"
+                f"{row.where}, point: {quoted(name)} is unknown"
+                f" (known: {TORSO}, {', '.join(LEG_POINTS)}, FL_tip ...)"
             )
         parts.setdefault(name, []).append(row)
     if not parts:
@@ -178,12 +178,8 @@ def _from_csv(path: Path) -> PointRecording:
         t, position, rpy = np.split(values, [1, 4], axis=1)
         attitude = np.unwrap(rpy, axis=0) if rpy.size else None
         tracks[name] = PointTrack(t[:, 0], position, attitude)
-    frames = [
-        c.removeprefix(POINT_FRAME)
-        for c in table.comments
-        if c.startswith(POINT_FRAME)
-    ]
-    tilted = frames[:1] not in ([], [ODOM_FRAME])
+    frames = [c for c in table.comments if c.startswith(POINT_FRAME)]
+    tilted = frames[:1] not in ([], [f"{POINT_FRAME}{ODOM_FRAME}"])
     return _since_first(path.name, tracks, tilted=tilted)
 
 

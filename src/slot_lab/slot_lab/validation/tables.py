@@ -52,16 +52,17 @@ def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
     """Alignment in time and space, and its ambiguities."""
     time, placed = comparison.time, comparison.frame
     turned = np.degrees(Rotation.from_matrix(placed.rotation).as_rotvec())
-    lines = [
+    clock = (
         f"clock    first sample of the measurement at {time.offset:.4f} s of the run"
-        f" (+- {_width(1e3 * time.offset_width, 1)} ms), drift {1e6 * time.drift:.0f} ppm"
-        f" (+- {_width(1e6 * time.drift_width, 0)})"
-    ]
+        f" (+- {1e3 * time.offset_width:.1f} ms), drift {1e6 * time.drift:.0f} ppm"
+        f" (+- {1e6 * time.drift_width:.0f})"
+    )
+    lines = [clock.replace("+- nan", "+- ?")]
     if time.rival_rest < RIVAL * time.rest:
-        rests = f"{1e3 * time.rival_rest:.2f} mm of rest, here {1e3 * time.rest:.2f}"
         lines.append(
-            f"         {time.rival_offset:.3f} s is nearly as good ({rests}): periodic"
-            " motion; if that is right, give --offset"
+            f"         {time.rival_offset:.3f} s is nearly as good"
+            f" ({1e3 * time.rival_rest:.2f} mm of rest, here {1e3 * time.rest:.2f}):"
+            " periodic motion; if that is right, give --offset"
         )
     lines.append(
         f"frame    {frame}: turn about x y z {_numbers(turned, 2)} deg, shift"
@@ -72,13 +73,10 @@ def alignment_lines(comparison: Comparison, frame: str) -> list[str]:
             f"points   only in one recording: {', '.join(comparison.only)}"
         )
     if comparison.brief:
-        names = ", ".join(comparison.brief)
-        lines.append(f"points   seen too briefly or too late: {names}")
+        lines.append(
+            f"points   seen too briefly or too late: {', '.join(comparison.brief)}"
+        )
     return lines
-
-
-def _width(value: float, digits: int) -> str:
-    return "?" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def coordinate_table(comparison: Comparison) -> list[str]:
@@ -172,21 +170,21 @@ def _numbers(values: Array | Sequence[float], digits: int) -> str:
 
 def draw(comparison: Comparison, title: str, out: Path) -> list[Path]:
     """Write `torso.png`, and `leg.png` or `FL_leg.png` for each leg; raises OSError."""
-    written = []
-    torso = [key for key in comparison.series if key[0] == TORSO]
-    if torso:
-        written.append(
-            _figure(comparison, torso, f"{title}: torso", out / "torso.png")
-        )
+    figures = {"torso": [key for key in comparison.series if key[0] == TORSO]}
     for leg, points in paper_points(comparison).items():
-        keys = [(points[name], "z") for name in LEG_POINTS]
-        name = "_".join(filter(None, (leg, "leg.png")))
-        written.append(
-            _figure(
-                comparison, keys, f"{title}: leg {leg}".rstrip(), out / name
-            )
+        figures[f"leg {leg}".rstrip()] = [
+            (points[name], "z") for name in LEG_POINTS
+        ]
+    return [
+        _figure(
+            comparison,
+            keys,
+            f"{title}: {what}",
+            out / f"{'_'.join(reversed(what.split()))}.png",
         )
-    return written
+        for what, keys in figures.items()
+        if keys
+    ]
 
 
 def _figure(

@@ -102,15 +102,19 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     from slot_lab.validation.comparison import compare, judge  # noqa: PLC0415
     from slot_lab.validation.recording import RecordingError, read_recording  # noqa: PLC0415
 
-    tell = partial(progress, f"reading {options.run}")
-    tell(0.0)
+    progress(f"reading {options.run}", 0.0)
     run = read_recording(
-        options.run, options.namespace, options.camera, options.motion, tell
+        options.run,
+        options.namespace,
+        options.camera,
+        options.motion,
+        partial(progress, f"reading {options.run}"),
     )
-    tell = partial(progress, f"reading {options.measurement}")
-    tell(0.0)
+    progress(f"reading {options.measurement}", 0.0)
     measured = read_recording(
-        options.measurement, camera=options.camera, tell=tell
+        options.measurement,
+        camera=options.camera,
+        tell=partial(progress, f"reading {options.measurement}"),
     )
     for recording in (run, measured):
         if recording.tilted and options.frame != "rigid":

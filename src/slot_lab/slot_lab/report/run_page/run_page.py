@@ -160,11 +160,10 @@ def _read_traces(
         tell((k + 1) / (len(topics) + 1))
         try:
             with bag.using(topic):
-                messages = (message for _, message in bag.messages(topic))
-                stamped = (
-                    (decode.stamp(message), message) for message in messages
+                found = sorted(
+                    ((decode.stamp(m), m) for _, m in bag.messages(topic)),
+                    key=operator.itemgetter(0),
                 )
-                found = sorted(stamped, key=operator.itemgetter(0))
                 curves |= _curves(topic, found, stamps)
                 states |= _states(topic, found, stamps)
         except BagError as error:
@@ -236,7 +235,7 @@ def _packed(table: Integers) -> str:
         .reshape(-1, 4)
         .T
     )
-    return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode()
+    return _deflated(planes.tobytes())
 
 
 class PageError(InputError):
@@ -263,16 +262,14 @@ def write_page(
     text = page(content(runs, robot))
     path.write_text(text, encoding="utf-8")
     counts = ", ".join(
-        f"{run.name} {run.count} frames{_thinned(run)}" for run in runs
+        f"{run.name} {run.count} frames"
+        + (f" (one of {run.every})" if run.every > 1 else "")
+        for run in runs
     )
-    left_out = [
-        f"left out: {reason}" for run in runs for reason in run.left_out
+    return [
+        f"{path}: {counts}, {len(text) / 1e3:.0f} kB",
+        *(f"left out: {reason}" for run in runs for reason in run.left_out),
     ]
-    return [f"{path}: {counts}, {len(text) / 1e3:.0f} kB", *left_out]
-
-
-def _thinned(run: RunFrames) -> str:
-    return f" (one of {run.every})" if run.every > 1 else ""
 
 
 def content(
@@ -319,8 +316,8 @@ def page(shown: dict[str, Any]) -> str:
         "title": html.escape(f"SLOT: {names}"),
         "style": _read("page.css"),
         "licence": _read("three/LICENSE").replace("--", "- -"),
-        "core": _deflated("three/three.core.min.js"),
-        "module": _deflated("three/three.module.min.js"),
+        "core": _deflated((HERE / "three/three.core.min.js").read_bytes()),
+        "module": _deflated((HERE / "three/three.module.min.js").read_bytes()),
         "content": json.dumps(shown, separators=(",", ":")).replace(
             "<", "\\u003c"
         ),
@@ -335,7 +332,5 @@ def _read(name: str) -> str:
     return (HERE / name).read_text(encoding="utf-8")
 
 
-def _deflated(name: str) -> str:
-    return base64.b64encode(
-        zlib.compress((HERE / name).read_bytes(), 9)
-    ).decode()
+def _deflated(content: bytes) -> str:
+    return base64.b64encode(zlib.compress(content, 9)).decode()
