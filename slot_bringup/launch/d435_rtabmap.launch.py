@@ -84,8 +84,12 @@ def _include(
     source: Any, arguments: dict[str, str], *before: Any
 ) -> GroupAction:
     """Include a launch file in a new scope, as several have arguments such as namespace."""
-    launch_file = PythonLaunchDescriptionSource(source)
-    given = list(arguments.items())
     return GroupAction(
-        [*before, IncludeLaunchDescription(launch_file, launch_arguments=given)]
+        [
+            *before,
+            IncludeLaunchDescription(
+                PythonLaunchDescriptionSource(source),
+                launch_arguments=list(arguments.items()),
+            ),
+        ]
     )

@@ -174,24 +174,25 @@ def _robot_model(values: dict[str, Any]) -> list[Action]:
     urdf = Path(
         get_package_share_directory("slot_bringup"), "urdf", "slot.urdf"
     ).read_text()
-    node = Node(
-        package=MODEL,
-        executable=MODEL,
-        name=MODEL,
-        exec_name=MODEL,
-        namespace=values["namespace"],
-        parameters=[
-            {
-                "robot_description": _typed(urdf),
-                "frame_prefix": _typed(values["frame_prefix"]),
-            }
-        ],
-        prefix=" ".join(TIED),
-        output="screen",
-        respawn=True,
-        respawn_max_retries=RESTARTS,
-    )
-    return [node]
+    return [
+        Node(
+            package=MODEL,
+            executable=MODEL,
+            name=MODEL,
+            exec_name=MODEL,
+            namespace=values["namespace"],
+            parameters=[
+                {
+                    "robot_description": _typed(urdf),
+                    "frame_prefix": _typed(values["frame_prefix"]),
+                }
+            ],
+            prefix=" ".join(TIED),
+            output="screen",
+            respawn=True,
+            respawn_max_retries=RESTARTS,
+        )
+    ]
 
 
 def _typed(value: Any) -> Any:

@@ -54,9 +54,9 @@ class Argument:
         except ValueError:
             value = None
         if type(value) is not self.kind:
-            expected = config.KIND_NAMES[self.kind]
             raise ValueError(
-                f"{self.name} = {quoted(text)}: expected {expected}"
+                f"{self.name} = {quoted(text)}: expected"
+                f" {config.KIND_NAMES[self.kind]}"
             )
         return str(Path(text).expanduser()) if self.is_path and text else value
 
@@ -81,7 +81,10 @@ def graph_arguments() -> tuple[Argument, ...]:
             unit="DEVICE",
         ),
         Argument(
-            "gait", str, "walk", f"a gait of config/gait: {_names('gait')}"
+            "gait",
+            str,
+            "walk",
+            f"a gait of config/gait: {', '.join(config.names('gait'))}",
         ),
         Argument(
             "vx",
@@ -126,7 +129,10 @@ def graph_arguments() -> tuple[Argument, ...]:
             "network",
         ),
         Argument(
-            "scene", str, "flat", f"a scene of config/scene: {_names('scene')}"
+            "scene",
+            str,
+            "flat",
+            f"a scene of config/scene: {', '.join(config.names('scene'))}",
         ),
         Argument(
             "markers",
@@ -239,10 +245,6 @@ def graph_arguments() -> tuple[Argument, ...]:
     )
 
 
-def _names(folder: str) -> str:
-    return ", ".join(config.names(folder))
-
-
 def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     """Parse the command line of scripts/run; a wrong type exits with code 2 and one line."""
     parser = CommandParser(prog=PROGRAM, description=ABOUT)
@@ -254,29 +256,45 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         if argument.name == "composed":
             flag |= {"action": "store_true", "default": None}
         elif argument.kind is bool:
-            both = argparse.BooleanOptionalAction
             flag |= (
-                {"action": both, "default": True}
+                {"action": argparse.BooleanOptionalAction, "default": True}
                 if argument.default
                 else {"action": "store_true"}
             )
         else:
             flag |= {
-                name: getattr(argument, name)
-                for name in ("default", "choices", "metavar")
+                "type": argument.kind,
+                "default": argument.default,
+                "choices": argument.choices,
+                "metavar": argument.metavar,
             }
-            flag["type"] = argument.kind
         parser.add_argument(f"--{argument.name.replace('_', '-')}", **flag)
     add, time = parser.add_argument, within(0.5, 86400.0, "s")
-    each = "each of the controller's nodes in a process of its own"
-    add("--separate", dest="composed", action="store_false", help=each)
-    length = "length of the run on the robot's clock, s (default: 20)"
-    add("--duration", type=time, default=20.0, metavar="S", help=length)
-    show = "serve the live page of scripts/play --graph while it runs"
-    add("--view", action="store_true", help=show)
+    add(
+        "--separate",
+        dest="composed",
+        action="store_false",
+        help="each of the controller's nodes in a process of its own",
+    )
+    add(
+        "--duration",
+        type=time,
+        default=20.0,
+        metavar="S",
+        help="length of the run on the robot's clock, s (default: 20)",
+    )
+    add(
+        "--view",
+        action="store_true",
+        help="serve the live page of scripts/play --graph while it runs",
+    )
     keep = parser.add_mutually_exclusive_group()
-    place = "directory for bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)"
-    keep.add_argument("--bag", type=Path, metavar="DIR", help=place)
+    keep.add_argument(
+        "--bag",
+        type=Path,
+        metavar="DIR",
+        help="directory for bag, logs, summary and plots (default: bags/GAIT_DATE_TIME)",
+    )
     keep.add_argument(
         "--no-bag",
         action="store_true",

@@ -62,7 +62,6 @@ def check(values: Mapping[str, Any]) -> None:
             )
     scene = read_scene(values["scene"])
     policy_class(values["policy"]).read_settings(values["policy"])
-    hardware = values["hardware"]
     if values["lockstep"]:
         _check_lockstep(values)
     _check_odometry(values)
@@ -76,13 +75,13 @@ def check(values: Mapping[str, Any]) -> None:
         _check_calibration(Path(values["calibration"]))
     for name in ("odometry_topic", "imu_topic"):
         _check_name(name, values[name], validate_topic_name)
-    if hardware == "sim":
+    if values["hardware"] == "sim":
         for fault in scene.faults.values():
             require_simulated_legs(fault)
     _check_ranges(values)
     port = values["port"]
     if (
-        hardware == "fake_bus"
+        values["hardware"] == "fake_bus"
         and port is not None
         and not Path(port).parent.is_dir()
     ):
@@ -108,9 +107,9 @@ def _check_parameters(values: Mapping[str, Any]) -> None:
     for given in read_parameters(file):
         matched = [nodes[full] for full in nodes if given.match(full)]
         if not matched:
-            all_nodes = ", ".join(nodes)
             raise ConfigError(
-                f"params_file {file}: {given.pattern} has no settings (known: {all_nodes})"
+                f"params_file {file}: {given.pattern} has no settings (known:"
+                f" {', '.join(nodes)})"
             )
         known = set(OF_EVERY_NODE)
         for name in matched:
@@ -118,9 +117,10 @@ def _check_parameters(values: Mapping[str, Any]) -> None:
             own = {
                 leaf for leaf, _, _ in config.leaves(settings)
             } & given.values.keys()
-            where = f"params_file {file}: {name}"
             config.replace(
-                settings, {leaf: given.values[leaf] for leaf in own}, where
+                settings,
+                {leaf: given.values[leaf] for leaf in own},
+                f"params_file {file}: {name}",
             )
             known |= own
         for name in given.values:
@@ -150,14 +150,13 @@ def _check_lockstep(values: Mapping[str, Any]) -> None:
 
 def _check_odometry(values: Mapping[str, Any]) -> None:
     """Raise ConfigError for arguments that need odometry, or that there is none."""
-    policy = values["policy"]
     if not is_blind(values):
         if values["bench"]:
             raise ConfigError("bench: needs odometry none")
         return
-    if policy not in (DEFAULT_POLICY, GAIT_ALONE):
+    if values["policy"] not in (DEFAULT_POLICY, GAIT_ALONE):
         raise ConfigError(
-            f"policy = {quoted(policy)}: odometry none leaves {GAIT_ALONE} alone"
+            f"policy = {quoted(values['policy'])}: odometry none leaves {GAIT_ALONE} alone"
         )
     for name in ("path", "markers"):
         if values[name]:

@@ -51,10 +51,11 @@ def choose(values: Mapping[str, Any]) -> tuple[bool, str]:
     except Exception as error:  # of a user's policy, which ends its node too
         found = f"its policy fails, {type(error).__name__}: {error}"
         return False, f"controller in four processes: {found}"
-    found = f"its load is {load:.2f} of a core, limit {LOAD_MAX:g}"
-    if load <= LOAD_MAX:
-        return True, f"controller in one process: {found}"
-    return False, f"controller in four processes: {found}"
+    processes = "one process" if load <= LOAD_MAX else "four processes"
+    return load <= LOAD_MAX, (
+        f"controller in {processes}: its load is {load:.2f} of a core,"
+        f" limit {LOAD_MAX:g}"
+    )
 
 
 def available_cores(groups: Path = CONTROL_GROUPS) -> float:

@@ -66,8 +66,7 @@ class Graph:
         """
         values = {**values, **_computed(values)}
         values["about"] = self.about(values)
-        remappings = self.remappings(values)
-        first = _priority(values)
+        remappings, first = self.remappings(values), _priority(values)
         specs = [
             NodeSpec(
                 name=name,
@@ -94,23 +93,25 @@ class Graph:
 
     def remappings(self, values: Mapping[str, Any]) -> dict[str, str]:
         """Names of topics that are replaced, as the nodes have them, by other ones."""
-        given = {
-            name: _value(target, values)
-            for name, target in self._remappings.items()
-        }
         return {
-            name: target for name, target in given.items() if name != target
+            name: target
+            for name, given in self._remappings.items()
+            if (target := _value(given, values)) != name
         }
 
     def about(self, values: Mapping[str, Any]) -> str:
         """The arguments that say how a bag came about, as JSON: the main ones and those changed."""
-        arguments = {
-            a.name: values[a.name]
-            for a in self.arguments
-            if a.name in ("hardware", "gait", "scene")
-            or (a.name not in ("bag", "port") and values[a.name] != a.default)
-        }
-        return json.dumps(arguments)
+        return json.dumps(
+            {
+                a.name: values[a.name]
+                for a in self.arguments
+                if a.name in ("hardware", "gait", "scene")
+                or (
+                    a.name not in ("bag", "port")
+                    and values[a.name] != a.default
+                )
+            }
+        )
 
     def _composed(
         self, specs: list[NodeSpec], when: Sequence[str]
@@ -129,9 +130,11 @@ class Graph:
             for spec in inside
             for name, value in spec.parameters.items()
         }
-        names = tuple(spec.name for spec in inside)
         process = replace(
-            inside[0], name=CONTROLLER, parameters=parameters, nodes=names
+            inside[0],
+            name=CONTROLLER,
+            parameters=parameters,
+            nodes=tuple(spec.name for spec in inside),
         )
         return [*(spec for spec in specs if spec not in inside), process]
 
@@ -141,13 +144,10 @@ class Graph:
         parameters = {**self._common, **entry.get("parameters", {})}
         for argument, extra in entry.get("parameters_with", {}).items():
             parameters |= extra if values[argument] else {}
-        parameters = {
-            name: _value(value, values) for name, value in parameters.items()
-        }
         return {
             name: value
-            for name, value in parameters.items()
-            if value is not None
+            for name, given in parameters.items()
+            if (value := _value(given, values)) is not None
         }
 
 

@@ -87,14 +87,13 @@ class Progress:
     def update_torso(self, message: MpcState) -> None:
         """Take the newest /mpc_state."""
         estimate = decode.estimate(message)
-        stamp, state = estimate.stamp, estimate.state
-        step = to_seconds(stamp) - self.stamp
-        self.stamp, self._updated = to_seconds(stamp), time.monotonic()
+        stamp = to_seconds(estimate.stamp)
         if self.state is None or not self._begun:
-            self._start = state
-        elif 0.0 <= step <= SILENCE_TIMEOUT:
-            self.elapsed += step
-        self.state = state
+            self._start = estimate.state
+        elif 0.0 <= stamp - self.stamp <= SILENCE_TIMEOUT:
+            self.elapsed += stamp - self.stamp
+        self.stamp, self._updated = stamp, time.monotonic()
+        self.state = estimate.state
 
     def update_truth(self, message: Odometry) -> None:
         """Take the newest /ground_truth/odom, which only a simulation publishes."""
@@ -237,9 +236,9 @@ def require_no_other_graph(namespace: str = "") -> None:
             RobotState, "robot_state", received.append, qos.STATE
         )
         if executor.spin_until(lambda: bool(received), DISCOVERY_TIME):
-            domain = node.context.get_domain_id()
             raise RunError(
-                f"another graph runs in ROS domain {domain}, namespace {absolute(namespace)}:"
+                f"another graph runs in ROS domain {node.context.get_domain_id()},"
+                f" namespace {absolute(namespace)}:"
                 " set another --namespace or ROS_DOMAIN_ID"
             )
 
@@ -290,8 +289,7 @@ def listener(
 
 
 def _check(progress: Progress, processes: Processes, attended: bool) -> None:
-    failure = processes.failed()
-    if failure is not None:
+    if failure := processes.failed():
         time.sleep(DEPARTURE_TIME)
         name, code = failure
         raise RunError(

@@ -79,9 +79,12 @@ def service(options: argparse.Namespace) -> Service:
         source = ForgetSource.Request(source=options.source)
         return Service("supervisor", "supervisor/forget", ForgetSource, source)
     if options.action == "inject":
-        names = ("kind", "leg", "value", "duration", "clear")
         fault = InjectFault.Request(
-            **{name: getattr(options, name) for name in names}
+            kind=options.kind,
+            leg=options.leg,
+            value=options.value,
+            duration=options.duration,
+            clear=options.clear,
         )
         return Service(
             "simulated robot", "sim_robot/inject", InjectFault, fault
@@ -134,9 +137,9 @@ class Operator:
         self._estop_topic = node.create_publisher(
             EmergencyStop, "estop", qos.SENSOR
         )
-        named = {name: f"supervisor/{name}" for name in KEYS.values()}
         self._clients = {
-            name: node.create_client(Trigger, n) for name, n in named.items()
+            name: node.create_client(Trigger, f"supervisor/{name}")
+            for name in KEYS.values()
         }
         node.create_subscription(
             RobotState, "robot_state", self._on_state, qos.STATE
@@ -158,7 +161,13 @@ class Operator:
     def press(self, key: str) -> bool:
         """Handle a key; return False to quit."""
         if key == QUIT:
-            return not (self._may_quit() and self._leave())
+            if not self._may_quit():
+                return True
+            # the supervisor need not miss this source of the e-stop
+            self._estop.leaving = True
+            self._publish_estop()
+            self._estop_topic.wait_for_all_acked(Duration(seconds=LEAVE_TIME))
+            return False
         request = KEYS.get(key)
         if request == "estop":
             self._estop.pressed = True
@@ -172,21 +181,16 @@ class Operator:
     def _may_quit(self) -> bool:
         """False under torque: without its e-stop source the robot would drop."""
         state = self.view.state
-        if state is None or self.view.silent(time.monotonic()):
-            return True
-        if ACTION_NUMBERS[state.action] is Action.OFF:
+        if (
+            state is None
+            or self.view.silent(time.monotonic())
+            or ACTION_NUMBERS[state.action] is Action.OFF
+        ):
             return True
         self.view.answer = (
             f"{State(state.state).name}: relax first (x), or stop with Ctrl-C"
         )
         return False
-
-    def _leave(self) -> bool:
-        """Tell the supervisor that it need not miss this source of the e-stop; true."""
-        self._estop.leaving = True
-        self._publish_estop()
-        self._estop_topic.wait_for_all_acked(Duration(seconds=LEAVE_TIME))
-        return True
 
     def _call(self, request: str) -> None:
         client = self._clients[request]
@@ -196,7 +200,8 @@ class Operator:
         self.view.answer = f"{request} ..."
 
         def show(answer: Future) -> None:
-            self.view.answer = answer_text(request, answer.result().message)
+            said = answer.result().message
+            self.view.answer = said or f"{request}: granted"
 
         client.call_async(Trigger.Request()).add_done_callback(show)
 
@@ -246,11 +251,6 @@ class Operator:
         self._estop_topic.publish(self._estop)
 
 
-def answer_text(action: str, message: str) -> str:
-    """Text shown for the answer to an action."""
-    return message or f"{action}: granted"
-
-
 @contextmanager
 def _terminal() -> Iterator[int]:
     """Set the terminal to unbuffered keys and the alternate screen; restored on exit."""
@@ -298,9 +298,11 @@ def _draw(view: operator_screen.OperatorView) -> None:
     width, height = shutil.get_terminal_size()
     first, *others = map(printable, operator_screen.lines(view, now))
     colour = "\x1b[1;31m" if view.alarming(now) else "\x1b[1m"
-    # the end of a reason may be its cause
-    state = [f"{colour}{row}\x1b[0m" for row in textwrap.wrap(first, width)]
-    rows = [*state, *(line[:width] for line in others)]
+    rows = [
+        # wrapped: the end of a reason may be its cause
+        *(f"{colour}{row}\x1b[0m" for row in textwrap.wrap(first, width)),
+        *(line[:width] for line in others),
+    ]
     screen = "\x1b[K\n".join(rows[:height])
     print(f"\x1b[H{screen}\x1b[K\x1b[J", end="", flush=True)
 
@@ -320,5 +322,7 @@ def act(options: argparse.Namespace, program: str) -> int:
         success, message = call(service(options), options.namespace)
         if not success:
             raise OperateError(message)
-        return 0 if show(program, [answer_text(options.action, message)]) else 2
+        return (
+            0 if show(program, [message or f"{options.action}: granted"]) else 2
+        )
     return 0

@@ -70,9 +70,9 @@ class Motion:
             velocity[2] = wrapped(last[2] - first[2]) / (end - begin)
         roll, pitch, yaw = np.degrees(last[:3])
         x, y, z = last[3:6]
-        factor = _number(self._pace.until(now), 4, 2)
         return [
-            f"reached  {_velocity(velocity)}   real-time factor {factor}",
+            f"reached  {_velocity(velocity)}   real-time factor"
+            f" {_number(self._pace.until(now), 4, 2)}",
             f"x {x:+.3f}   y {y:+.3f} m   z {1e3 * z:.0f} mm"
             f"   roll {roll:+.1f}   pitch {pitch:+.1f}   yaw {yaw:+.1f} deg",
         ]
@@ -120,18 +120,18 @@ def state_lines(message: RobotState) -> list[str]:
 
 def lines(view: OperatorView, now: float) -> list[str]:
     """All lines of the screen at `now` (s)."""
-    legs = [_leg(view, k) for k in range(len(LEGS))]
-    end = [f"> {view.answer}", *HELP]
-    motion = [_gait(view), *view.motion.lines(now), ""]
     return [
         *_robot(view, now),
         "",
-        *motion,
+        _gait(view),
+        *view.motion.lines(now),
+        "",
         HEADER,
-        *legs,
+        *(_leg(view, k) for k in range(len(LEGS))),
         "",
         *_driver(view),
-        *end,
+        f"> {view.answer}",
+        *HELP,
     ]
 
 
@@ -211,5 +211,8 @@ def _driver(view: OperatorView) -> list[str]:
         for s in status
         if s.level != DiagnosticStatus.OK
     ]
-    first = f"servos: {action} {view.health.reason}".rstrip()
-    return [first, *(["  " + ", ".join(bus)] if bus else []), *problems]
+    return [
+        f"servos: {action} {view.health.reason}".rstrip(),
+        *(["  " + ", ".join(bus)] if bus else []),
+        *problems,
+    ]

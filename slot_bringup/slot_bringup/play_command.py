@@ -5,7 +5,6 @@ The graph has to run without a robot: `scripts/run --hardware none`, or the laun
 may run or not: each answers what it gets.
 """
 
-import argparse
 import sys
 from collections.abc import Sequence
 
@@ -16,31 +15,26 @@ from slot_lab.bags.replay_command import add_bag_arguments
 PROGRAM = "scripts/replay"
 
 
-def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line of `scripts/replay --live`; exit code 0: played, 1: interrupted, 2: refused."""
     parser = CommandParser(prog=PROGRAM, description=__doc__)
     add = parser.add_argument
     add("--live", action="store_true", help="play into running nodes")
     add_bag_arguments(parser)
-    rate, time = within(0.01, 100.0), within(0.0, 1e6, "s")
     add(
         "--rate",
-        type=rate,
+        type=within(0.01, 100.0),
         default=1.0,
         help="of the clock (default: %(default)g)",
     )
     add(
         "--start",
-        type=time,
+        type=within(0.0, 1e6, "s"),
         default=0.0,
         metavar="S",
         help="leave out S seconds",
     )
-    return parser.parse_args(arguments)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Command line of `scripts/replay --live`; exit code 0: played, 1: interrupted, 2: refused."""
-    options = _parse(arguments)
+    options = parser.parse_args(arguments)
     try:
         from slot_bringup.play import play_bag  # noqa: PLC0415 - heavy
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from contextlib import suppress
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from ament_index_python.packages import get_package_prefix
 
@@ -48,10 +48,11 @@ class Processes:
             self._start(spec)
 
     def _start(self, spec: NodeSpec) -> None:
-        environment = {**(self._environment or os.environ), **spec.environment}
-        log = self.log_path(spec.name)
         self._children[spec.name] = fork(
-            spec, command_line(spec), log, environment
+            spec,
+            command_line(spec),
+            self.log_path(spec.name),
+            {**(self._environment or os.environ), **spec.environment},
         )
 
     def __contains__(self, name: str) -> bool:
@@ -103,9 +104,10 @@ class Processes:
 
     def _ended(self) -> list[tuple[str, int]]:
         """Name and exit code of the processes that are no longer running."""
-        children = self._children.items()
         return [
-            (name, c.exitcode) for name, c in children if c.exitcode is not None
+            (name, child.exitcode)
+            for name, child in self._children.items()
+            if child.exitcode is not None
         ]
 
     def stop(self, last: str = "") -> dict[str, int]:
@@ -169,7 +171,8 @@ def command_line(spec: NodeSpec) -> list[str]:
     if spec.params_file:
         command += ["--params-file", spec.params_file]
     for name, value in spec.parameters.items():
-        command += ["-p", f"{name}:={_yaml(value)}"]
+        # JSON is YAML
+        command += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
     return command
 
 
@@ -177,15 +180,3 @@ def print_error(line: str) -> None:
     """Print one line of `scripts/run` on stderr."""
     with suppress(OSError):  # the terminal may have been closed
         refuse(PROGRAM, line)
-
-
-def _yaml(value: Any) -> str:
-    if isinstance(value, list):
-        return "[" + ", ".join(map(_yaml, value)) + "]"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return (
-        json.dumps(value, ensure_ascii=False)
-        if isinstance(value, str)
-        else str(value)
-    )

@@ -70,13 +70,15 @@ def run(
     )
     # the robot stops first
     with shown, started(graph, values, directory / "log") as processes:
-        played, attended = options.hardware == "none", is_attended(values)
-        watched, remedy = (
-            (options.duration, attended, options.namespace),
-            _remedy(values),
-        )
         try:
-            watch(processes, *watched, played=played, remedy=remedy)
+            watch(
+                processes,
+                options.duration,
+                is_attended(values),
+                options.namespace,
+                played=options.hardware == "none",
+                remedy=_remedy(values),
+            )
         finally:
             remarks += processes.remarks
         return not processes.missing

@@ -31,14 +31,27 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
     parser = command_parser("view", __doc__)
     add = parser.add_argument
-    which = "directory of a bag (default: the newest in bags/); two of them with --html"
-    add("bags", nargs="*", type=Path, metavar="BAG", help=which)
+    add(
+        "bags",
+        nargs="*",
+        type=Path,
+        metavar="BAG",
+        help="directory of a bag (default: the newest in bags/); two of them with --html",
+    )
     add("--namespace", metavar="NAME", default="", help="of the recorded graph")
     out = parser.add_mutually_exclusive_group()
-    page = f"only write a page, offline and on a phone too (default: open BAG/{PAGE})"
-    out.add_argument("--html", type=Path, metavar="FILE", help=page)
-    moving = "only write two strides as a GIF, PNG or WebP that moves"
-    out.add_argument("--animate", type=Path, metavar="FILE", help=moving)
+    out.add_argument(
+        "--html",
+        type=Path,
+        metavar="FILE",
+        help=f"only write a page, offline and on a phone too (default: open BAG/{PAGE})",
+    )
+    out.add_argument(
+        "--animate",
+        type=Path,
+        metavar="FILE",
+        help="only write two strides as a GIF, PNG or WebP that moves",
+    )
     out.add_argument(
         "--no-browser", action="store_true", help="write the page, open nothing"
     )

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import partial
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import viser
@@ -24,6 +24,7 @@ from slot_core.safety.states import Request
 from slot_lab.play.played_robot import PlayedRobot
 
 Robot = TypeVar("Robot")
+DrivableRobot: TypeAlias = PlayedRobot | GraphRobot  # of the panel Drive
 Act = Callable[[Robot], object]
 Do = Callable[[Act[Robot]], None]
 PUSH_TIME = 0.2  # s
@@ -32,25 +33,6 @@ STEEPEST = 15.0  # deg
 LARGEST_PAYLOAD = 1.0  # kg
 PAYLOAD_RADIUS = 0.012  # m
 KEY_SHARE = 0.25  # of a slider's half range, per key
-
-
-class DrivableRobot(Protocol):
-    """Robot of the panel Drive."""
-
-    def set_gait(self, gait: str) -> None:
-        """Stand or walk in a gait."""
-
-    def set_velocity(self, velocity: Array) -> None:
-        """Go at v_x, v_y m/s, yaw rate rad/s, (3,)."""
-
-    def set_pose(self, pose: Array | None) -> None:
-        """Take a height m, roll, pitch rad, (3,), or the gait's own."""
-
-    def stand_up(self) -> None:
-        """Rise from the floor and stand."""
-
-    def request(self, request: Request) -> None:
-        """Make a request to the supervisor."""
 
 
 def add_drive(
@@ -224,7 +206,7 @@ def add_world(
         _bind(do, slider, rub)
     # Pa, of a percent
     modulus = read_robot(scene.parameters).leg.young_modulus / 100
-    slope, mass = _slope(scene.gravity), scene.payload.mass
+    slope = math.degrees(math.atan2(-scene.gravity[0], -scene.gravity[2]))
     for label, limits, step, start, act in (
         (
             "slope (deg)",
@@ -233,7 +215,13 @@ def add_world(
             slope,
             PlayedRobot.set_slope,
         ),
-        ("payload (kg)", (0.0, LARGEST_PAYLOAD), 0.02, mass, _load),
+        (
+            "payload (kg)",
+            (0.0, LARGEST_PAYLOAD),
+            0.02,
+            scene.payload.mass,
+            _load,
+        ),
         (
             "stiffness of the legs (%)",
             (50.0, 150.0),
@@ -254,7 +242,13 @@ def add_world(
         _bind(do, _slider(gui, label, limits, step, start), act)
     for leg in LEGS:
         box = gui.add_checkbox(f"tendon {leg} broken", initial_value=False)
-        _bind(do, box, partial(_break, leg))
+
+        def set_broken(
+            robot: PlayedRobot, broken: bool, leg: str = leg
+        ) -> None:
+            robot.set_tendon(leg, broken=broken)
+
+        _bind(do, box, set_broken)
 
 
 def add_push(gui: viser.GuiApi, do: Do[PlayedRobot]) -> None:
@@ -295,14 +289,10 @@ def add_faults(gui: viser.GuiApi, do: Do[GraphRobot]) -> None:
         do(lambda r: r.inject(*wanted))
 
     act.on_click(inject)
-    value_of = {field.name: field.metadata["doc"] for field in fields(Fault)}[
-        "value"
-    ]
-    gui.add_markdown(f"Value of {value_of}. Duration 0: until it is cleared.")
-
-
-def _break(leg: str, robot: PlayedRobot, broken: bool) -> None:
-    robot.set_tendon(leg, broken=broken)
+    docs = {field.name: field.metadata["doc"] for field in fields(Fault)}
+    gui.add_markdown(
+        f"Value of {docs['value']}. Duration 0: until it is cleared."
+    )
 
 
 def _load(robot: PlayedRobot, mass: float) -> None:
@@ -317,10 +307,6 @@ def _load(robot: PlayedRobot, mass: float) -> None:
 def on_top(robot: PlayedRobot) -> float:
     """Height of a payload's centre above the centre of the torso on which it lies, m."""
     return robot.loop.plant.robot.parameters.torso.size[2] / 2 + PAYLOAD_RADIUS
-
-
-def _slope(gravity: Sequence[float]) -> float:
-    return math.degrees(math.atan2(-gravity[0], -gravity[2]))
 
 
 def _values(sliders: Sequence[Any]) -> Array:

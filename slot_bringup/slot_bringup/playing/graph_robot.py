@@ -53,20 +53,21 @@ class GraphRobot:
         self._asked: State | None = None  # in which the last of them was made
         # tries that are left, and states until the next
         self._tries = self._wait = 0
-        kinds = {_name(request): Trigger for request in Request}
-        kinds |= {"set_gait": SetGait, "sim_robot/inject": InjectFault}
+        kinds = {
+            **{_name(request): Trigger for request in Request},
+            "set_gait": SetGait,
+            "sim_robot/inject": InjectFault,
+        }
         self._clients = {
             name: node.create_client(kind, name) for name, kind in kinds.items()
         }
         for name, topic in read_record_settings().topics.items():
             if name in TOPICS:
-                kind, profile = (
-                    messages.message_class(topic.type),
-                    qos.recorded(topic, 1),
-                )
-                take = partial(self._take, name)
                 node.create_subscription(
-                    kind, name.removeprefix("/"), take, qos.best_effort(profile)
+                    messages.message_class(topic.type),
+                    name.removeprefix("/"),
+                    partial(self._new_message, name),
+                    qos.best_effort(qos.recorded(topic, 1)),
                 )
 
     def found(self) -> bool:
@@ -141,7 +142,7 @@ class GraphRobot:
             raise ConfigError("no gait_scheduler answers")
         return self._preview
 
-    def _take(self, name: str, message: Any) -> None:
+    def _new_message(self, name: str, message: Any) -> None:
         self._new[name] = message
 
     def _next_request(self, state: State) -> None:

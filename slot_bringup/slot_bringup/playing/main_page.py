@@ -42,13 +42,12 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--policy", metavar="NAME", help=f"policy (default: {DEFAULT_POLICY})")
     add("--graph", action="store_true", help="drive a running graph")
     add("--namespace", metavar="NAME", default="", help="of the graph")
-    wait = "for the graph to answer (default: %(default)g s)"
     add(
         "--wait",
         default=5.0,
         type=within(0.0, 3600.0, "s"),
         metavar="S",
-        help=wait,
+        help="for the graph to answer (default: %(default)g s)",
     )
     add(
         "--open",
@@ -76,17 +75,6 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     return options
 
 
-def play(options: argparse.Namespace) -> None:
-    """Play until an interrupt; raises ConfigError and OSError."""
-    from slot_bringup.check import check_place  # noqa: PLC0415 - heavy
-
-    check_place(options.namespace)
-    if options.graph:
-        _play_graph(options)
-    else:
-        _play_robot(options)
-
-
 def _play_robot(options: argparse.Namespace) -> None:
     from slot_bringup.playing.play_page import PlayPage  # noqa: PLC0415 - needs viser
     from slot_lab.play.played_robot import PlayedRobot  # noqa: PLC0415 - heavy
@@ -99,11 +87,13 @@ def _play_robot(options: argparse.Namespace) -> None:
 
 
 def _play_graph(options: argparse.Namespace) -> None:
+    from slot_bringup.check import check_place  # noqa: PLC0415 - heavy
     from slot_bringup.monitor import listener  # noqa: PLC0415 - heavy
     from slot_bringup.operate import no_answer  # noqa: PLC0415
     from slot_bringup.playing.graph_page import GraphPage  # noqa: PLC0415 - needs viser
     from slot_bringup.playing.graph_robot import GraphRobot  # noqa: PLC0415
 
+    check_place(options.namespace)
     with listener("play", options.namespace) as (node, executor):
         robot = GraphRobot(node)
         if not executor.spin_until(robot.found, options.wait):
@@ -140,8 +130,6 @@ def live_page(namespace: str, wait: float) -> Iterator[None]:
         "-P",
         "-m",
         "slot_bringup.playing.main_page",
-    ]
-    command += [
         "--graph",
         "--namespace",
         namespace,
@@ -181,7 +169,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         require_viser()
         with on_interrupt(signal.default_int_handler):
-            play(options)
+            if options.graph:
+                _play_graph(options)
+            else:
+                _play_robot(options)
     except ConfigError as error:
         refuse(PROGRAM, error)
         return 2

@@ -137,11 +137,9 @@ class PlayPage(Page[PlayedRobot]):
     def _save(self, robot: PlayedRobot) -> None:
         path = self._bags / f"play_{datetime.now():%Y%m%d_%H%M%S}"
         try:
-            count = save(robot, path)
+            self.said = f"{save(robot, path)} messages are in {path}"
         except BagError as error:
             self.said = str(error)
-            return
-        self.said = f"{count} messages are in {path}"
 
     def _set_speed(self, speed: float) -> None:
         self._speed = speed
@@ -184,9 +182,8 @@ class PlayPage(Page[PlayedRobot]):
     def _add_payload(self) -> Any:
         """Add the payload, and let the mouse move it and pull at the torso."""
         colour = tuple(round(255 * c) for c in rgb(palette.SECONDARY))
-        radius = controls.PAYLOAD_RADIUS
         payload = self.server.scene.add_icosphere(
-            PAYLOAD, radius=radius, color=colour
+            PAYLOAD, radius=controls.PAYLOAD_RADIUS, color=colour
         )
         payload.on_drag(self._on_payload)
         self.display.view.handle("torso").on_drag(self._on_torso)
@@ -227,11 +224,10 @@ class PlayPage(Page[PlayedRobot]):
     def _of_speed(self, now: float) -> str:
         if self.robot.ended:
             return strong(f"{self.robot.ended}: reset")
-        factor = self._pace.until(now)
         speed = (
             "paused"
             if self._paused
-            else of_speed(factor, self._speed, self._costs)
+            else of_speed(self._pace.until(now), self._speed, self._costs)
         )
         return f"t {self.robot.time:.1f} s; {speed}"
 
@@ -249,12 +245,7 @@ def of_frame(happened: Iterable[Happened]) -> Iterator[Named]:
     newest = {type(value): (time, value) for time, value in happened}
     for kind in DRAWN:
         if kind in newest:
-            yield from encoded(*newest[kind])
-
-
-def encoded(stamp: int, value: Any) -> Iterator[Named]:
-    """Messages of a reading, tick or report at `stamp` (ns) on the robot's clock."""
-    yield from _ENCODE[type(value)](stamp, value)
+            yield from _ENCODE[kind](*newest[kind])
 
 
 def _of_truth(_: int, truth: TrueState) -> Iterator[Named]:
@@ -282,6 +273,7 @@ def _of_health(stamp: int, report: StampedHealth) -> Iterator[Named]:
         yield "/servo_health", messages.health_to_msg(stamp, report.health)
 
 
+# messages of a reading, tick or report at a stamp (ns) on the robot's clock
 _ENCODE: dict[type, Callable[[int, Any], Iterable[Named]]] = {
     TrueState: _of_truth,
     Tick: _of_tick,
@@ -310,10 +302,10 @@ def save(robot: PlayedRobot, path: Path) -> int:
         read_record_settings(),
     )
     types = message_types()
+    count = 0
     with BagWriter(path, settings, origin_here(about)) as bag:
-        count = 0
         for stamp, value in robot.history:
-            for topic, message in encoded(stamp, value):
+            for topic, message in _ENCODE[type(value)](stamp, value):
                 kind = settings.topics[topic].type
                 # rclpy adds some bytes to a message with an empty sequence of doubles
                 size = 4 + types.get_msgdef(kind).getsize_cdr(0, message, types)

@@ -52,20 +52,18 @@ class RobotDisplay:
         with self._server.atomic():
             for topic, message in messages:
                 shapes |= self._drawing.receive(topic, message)
-                self._add_values(topic, message)
+                if self._plots is not None:
+                    self._plots.receive(topic, message)
+                    if (
+                        topic == "/mpc_state"
+                    ):  # at its stamps the plots get points
+                        self._plots.advance(decode.stamp(message))
                 self.newest[topic] = message
             self.view.update(shapes)
             if (position := self.position) is not None:
                 self.view.centre(position)
             if plots and self._plots is not None:
                 self._plots.show()
-
-    def _add_values(self, topic: str, message: Any) -> None:
-        if self._plots is None:
-            return
-        self._plots.receive(topic, message)
-        if topic == "/mpc_state":  # at its stamps the plots get points
-            self._plots.advance(decode.stamp(message))
 
     @property
     def position(self) -> Array | None:
@@ -138,9 +136,10 @@ class Page(Generic[Robot]):
     def write(self, speed: str, *remarks: str) -> None:
         """Write the page's text on the robot, in every third frame."""
         if self.count % WRITTEN == 0:
-            shown = self.display
             lines = self._status.of(
-                shown.newest, shown.position, [*remarks, self.said]
+                self.display.newest,
+                self.display.position,
+                [*remarks, self.said],
             )
             self._text.content = block([*lines, speed])
         self.count += 1

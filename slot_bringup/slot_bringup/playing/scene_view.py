@@ -75,13 +75,13 @@ class SceneView:
 
     def _show_box(self, name: str, box: Box, shown: list[Any] | None) -> None:
         if shown is None:
-            colour = _bytes(box.colour)
-            shown = [
+            shown = self._shown[name] = [
                 self._scene.add_box(
-                    _path(name), dimensions=tuple(box.size), color=colour
+                    f"{ROOT}/{name}",
+                    dimensions=tuple(box.size),
+                    color=_bytes(box.colour),
                 )
             ]
-            self._shown[name] = shown
         x, y, z, w = box.quaternion
         shown[0].position, shown[0].wxyz = box.centre, (w, x, y, z)
 
@@ -96,7 +96,7 @@ class SceneView:
             faces = halves(bars.quads)
             self._shown[name] = [
                 self._scene.add_mesh_simple(
-                    f"{_path(name)}/{k}",
+                    f"{ROOT}/{name}/{k}",
                     points,
                     faces,
                     color=_bytes(colour),
@@ -112,15 +112,14 @@ class SceneView:
         self, name: str, strips: Strips, shown: list[Any] | None
     ) -> None:
         points = np.stack([strips.points[:, :-1], strips.points[:, 1:]], axis=2)
-        count = points.shape[1]
-        points = points.reshape(-1, 2, 3).astype(np.float32)
-        colours = np.repeat(_bytes(strips.colours), count, axis=0)[
+        colours = np.repeat(_bytes(strips.colours), points.shape[1], axis=0)[
             :, None
         ].repeat(2, axis=1)
+        points = points.reshape(-1, 2, 3).astype(np.float32)
         if shown is None:
             self._shown[name] = [
                 self._scene.add_line_segments(
-                    _path(name),
+                    f"{ROOT}/{name}",
                     points,
                     colours,
                     thickness=strips.width,
@@ -139,14 +138,13 @@ class SceneView:
         if shown is None:
             if not len(points):
                 return
-            radius = arrows.width / 2
-            head = HEAD[0] * radius
+            head = HEAD[0] * arrows.width / 2
             self._shown[name] = [
                 self._scene.add_arrows(
-                    _path(name),
+                    f"{ROOT}/{name}",
                     points,
                     _bytes(arrows.colours),
-                    shaft_radius=radius,
+                    shaft_radius=arrows.width / 2,
                     head_radius=head,
                     head_length=HEAD[1] * head / 2,
                 )
@@ -155,10 +153,6 @@ class SceneView:
         shown[0].visible = len(points) > 0
         if len(points):
             shown[0].points, shown[0].colors = points, _bytes(arrows.colours)
-
-
-def _path(name: str) -> str:
-    return f"{ROOT}/{name}"
 
 
 def _bytes(colours: Array) -> NDArray[np.uint8]:

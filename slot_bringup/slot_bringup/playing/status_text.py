@@ -63,10 +63,10 @@ class StatusText:
             x, y, z = position
             lines.append(f"x {x:.3f} m, y {y:.3f} m, height {1e3 * z:.1f} mm")
         if (plan := newest.get("/tendon_plan")) is not None:
-            lines.append(escape(f"{Status(plan.status).name} {plan.message}"))
-            lines.append(
-                self.of_disturbances(plan.mass, plan.wrench, plan.drift)
-            )
+            lines += [
+                escape(f"{Status(plan.status).name} {plan.message}"),
+                self.of_disturbances(plan.mass, plan.wrench, plan.drift),
+            ]
             remarks = [plan.remark, *remarks]
         return lines + [
             f"<i>{escape(text)}</i>" for text in dict.fromkeys(remarks) if text
