@@ -87,11 +87,14 @@ def panel(window: Any, name: str) -> Pixels:
 def beside(left: Pixels, right: Pixels) -> Pixels:
     """Two images beside each other, white below the shorter."""
     height = max(len(left), len(right))
-    rows = [
-        np.pad(i, ((0, height - len(i)), (0, 0), (0, 0)), constant_values=255)
-        for i in (left, right)
-    ]
-    return np.hstack(rows)
+    return np.hstack(
+        [
+            np.pad(
+                i, ((0, height - len(i)), (0, 0), (0, 0)), constant_values=255
+            )
+            for i in (left, right)
+        ]
+    )
 
 
 def captured(window: Any, clip: Any) -> Pixels:

@@ -153,8 +153,9 @@ def page(results: Path, before: str) -> str:
     )
     for name, subject in known().items():
         result = read_benchmark(results, name)
-        missing = f"Not measured yet: `scripts/bench {name}`."
-        text = kept.get(name, missing).rstrip()
+        text = kept.get(
+            name, f"Not measured yet: `scripts/bench {name}`."
+        ).rstrip()
         if result is not None:
             text = section(name, subject, result)
         parts.append(f"## {name}\n\n{text}")
@@ -182,8 +183,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     try:
-        before = options.out.read_text() if options.out.is_file() else ""
-        options.out.write_text(page(options.results, before))
+        options.out.write_text(
+            page(
+                options.results,
+                options.out.read_text() if options.out.is_file() else "",
+            )
+        )
     except (ReportError, OSError) as error:
         refuse(parser.prog, error)
         return CANNOT_WRITE

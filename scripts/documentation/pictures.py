@@ -70,8 +70,14 @@ class Picture:
             with np.load(results / self.benchmark / COURSES) as courses:
                 draw(dict(courses), path)
         elif self.benchmark:
-            rows = read_rows(results, self.benchmark)
-            draw([r for r in rows if self.kind in ("", r.get("kind"))], path)
+            draw(
+                [
+                    r
+                    for r in read_rows(results, self.benchmark)
+                    if self.kind in ("", r.get("kind"))
+                ],
+                path,
+            )
         elif self.commands:
             with tempfile.TemporaryDirectory() as place:
                 for command in self.commands:

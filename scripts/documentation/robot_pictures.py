@@ -94,8 +94,10 @@ def draw_gaits(path: Path) -> None:
     for row, still in zip(grid, STRIDES):
         row[0].set_axis_off()
         row[0].text(0.0, 0.45, still.name, va="center", fontsize=10)
-        period = read_gaits().strides[still.gait].period
-        for ax, pose in zip(row[1:], _poses(still, SHARES * period)):
+        for ax, pose in zip(
+            row[1:],
+            _poses(still, SHARES * read_gaits().strides[still.gait].period),
+        ):
             _draw_still(ax, pose, CAMERA)
     for ax, share in zip(grid[0, 1:], SHARES):
         ax.set_title(f"{100 * share:.0f} %", fontsize=10)
@@ -134,9 +136,12 @@ def _poses(still: Still, times: Sequence[float]) -> list[Snapshot]:
 
 
 def _snapshot(sim: Any, tick: int) -> Snapshot:
-    legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, read_robot())
     return Snapshot(
-        tick * DT, sim.position, sim.quaternion, legs, sim.ground_force
+        tick * DT,
+        sim.position,
+        sim.quaternion,
+        bent_legs(sim.nodes, sim.directors, sim.quaternion, read_robot()),
+        sim.ground_force,
     )
 
 
@@ -158,8 +163,11 @@ def draw_prediction(path: Path) -> None:
     ways += zip(np.moveaxis(plan.foot, 1, 0), palette.LEG_COLOURS.values())
     for way, colour in ways:
         ax.plot(*CAMERA.project(way - centre).T, color=colour, lw=2.0, zorder=6)
-    title = "the next stride, as predicted: ways of torso and feet"
-    ax.set_title(title, fontsize=10, loc="left")
+    ax.set_title(
+        "the next stride, as predicted: ways of torso and feet",
+        fontsize=10,
+        loc="left",
+    )
     motion, axes = np.array(true), below.subplots(2, 1, sharex=True)
     for ax, column, name in zip(axes, (3, 5), ("x, mm", "height, mm")):
         _draw_beside(ax, MM * motion[:, column], plans, column)

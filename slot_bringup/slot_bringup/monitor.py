@@ -204,8 +204,10 @@ def watch(
                 executor.spin_once(0.0)
                 pace.print(progress.robot in RELEASED)
                 _check(progress, processes, attended or played)
-                ended = processes.restart_ended(progress.elapsed)
-                for line in (*ended, *progress.news):
+                for line in (
+                    *processes.restart_ended(progress.elapsed),
+                    *progress.news,
+                ):
                     print_error(line)
                 progress.news.clear()
                 if time.monotonic() - shown > refresh:

@@ -76,21 +76,31 @@ def service(options: argparse.Namespace) -> Service:
             Trigger.Request(),
         )
     if options.action == "forget":
-        source = ForgetSource.Request(source=options.source)
-        return Service("supervisor", "supervisor/forget", ForgetSource, source)
-    if options.action == "inject":
-        fault = InjectFault.Request(
-            kind=options.kind,
-            leg=options.leg,
-            value=options.value,
-            duration=options.duration,
-            clear=options.clear,
-        )
         return Service(
-            "simulated robot", "sim_robot/inject", InjectFault, fault
+            "supervisor",
+            "supervisor/forget",
+            ForgetSource,
+            ForgetSource.Request(source=options.source),
         )
-    name = f"dynamixel_driver/{options.action}_{options.leg.lower()}"
-    return Service("driver of servos", name, Trigger, Trigger.Request())
+    if options.action == "inject":
+        return Service(
+            "simulated robot",
+            "sim_robot/inject",
+            InjectFault,
+            InjectFault.Request(
+                kind=options.kind,
+                leg=options.leg,
+                value=options.value,
+                duration=options.duration,
+                clear=options.clear,
+            ),
+        )
+    return Service(
+        "driver of servos",
+        f"dynamixel_driver/{options.action}_{options.leg.lower()}",
+        Trigger,
+        Trigger.Request(),
+    )
 
 
 def call(wanted: Service, namespace: str) -> tuple[bool, str]:
@@ -200,8 +210,7 @@ class Operator:
         self.view.answer = f"{request} ..."
 
         def show(answer: Future) -> None:
-            said = answer.result().message
-            self.view.answer = said or f"{request}: granted"
+            self.view.answer = answer.result().message or f"{request}: granted"
 
         client.call_async(Trigger.Request()).add_done_callback(show)
 
@@ -316,8 +325,14 @@ def act(options: argparse.Namespace, program: str) -> int:
             )
         live(options.namespace)
     elif options.action == "state":
-        lines = operator_screen.state_lines(receive_state(options.namespace))
-        return 0 if show(program, lines) else 2
+        return (
+            0
+            if show(
+                program,
+                operator_screen.state_lines(receive_state(options.namespace)),
+            )
+            else 2
+        )
     else:
         success, message = call(service(options), options.namespace)
         if not success:

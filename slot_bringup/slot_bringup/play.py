@@ -142,11 +142,11 @@ class Player:
 
     def _is_used(self, publisher: Publisher) -> bool:
         """Whether every discovered subscriber is matched, and one of them is no recorder."""
-        readers = self._node.get_subscriptions_info_by_topic(
-            publisher.topic_name
-        )
         return self._is_matched(publisher) and any(
-            reader.node_name not in RECORDERS for reader in readers
+            reader.node_name not in RECORDERS
+            for reader in self._node.get_subscriptions_info_by_topic(
+                publisher.topic_name
+            )
         )
 
     def _is_matched(self, publisher: Publisher) -> bool:

@@ -137,8 +137,10 @@ def report(
     if keep:
         (directory / "summary.txt").write_text("\n".join(lines) + "\n")
         plots.dashboard(bag, figures, directory / "walk.png")
-        written = f"bag, summary.txt, walk.png and log/ are in {directory}"
-        shown = shown and show(PROGRAM, ["", written])
+        shown = shown and show(
+            PROGRAM,
+            ["", f"bag, summary.txt, walk.png and log/ are in {directory}"],
+        )
     return shown
 
 

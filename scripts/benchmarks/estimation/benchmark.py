@@ -210,8 +210,10 @@ def closed_loop_rows(seeds: Sequence[int], progress: Progress) -> list[Row]:
         late, found = {"scene.sensors.odometry.delay": delay}, []
         for seed in seeds:
             states, figures = walked(seed, 10.0, late).motion()
-            tilt = 1e3 * np.sqrt(np.mean(states[:, 0:2] ** 2))
-            found.append(figures | {"tilt_mrad": tilt})
+            found.append(
+                figures
+                | {"tilt_mrad": 1e3 * np.sqrt(np.mean(states[:, 0:2] ** 2))}
+            )
         rows.append(
             {
                 "kind": "closed loop",

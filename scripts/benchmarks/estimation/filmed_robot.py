@@ -141,8 +141,10 @@ class Stage:
         around = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         for axis in range(3):
             for sign in (-1, 1):
-                corners = np.insert(around, axis, sign, axis=1) * half
-                yield from _turned(at.base.apply(corners), self._to_camera)
+                yield from _turned(
+                    at.base.apply(np.insert(around, axis, sign, axis=1) * half),
+                    self._to_camera,
+                )
         leg = self._robot.leg
         for line, side in zip(at.nodes, at.sides):
             thick = (

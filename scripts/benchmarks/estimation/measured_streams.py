@@ -44,8 +44,10 @@ class RecordingPlant(RobotSimulator):
             [state for _, state in self.truth][round(WARM_UP / IMU_PERIOD) :]
         )
         speed = (states[-1, 3] - states[0, 3]) / (len(states) * IMU_PERIOD)
-        drift = np.abs(states[:, 4] - states[0, 4]).max()
-        return states, {"v_x_mm_s": 1e3 * speed, "lateral_mm": 1e3 * drift}
+        return states, {
+            "v_x_mm_s": 1e3 * speed,
+            "lateral_mm": 1e3 * np.abs(states[:, 4] - states[0, 4]).max(),
+        }
 
     def _odometry_or_image(
         self, truth: OdometryReading, since: float

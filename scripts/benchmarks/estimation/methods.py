@@ -36,10 +36,16 @@ def finite_differences(
             velocity = (r.position - last.position) / to_seconds(
                 r.stamp - last.stamp
             )
-            angles = rpy_of(Rotation.from_quat(r.quaternion).as_matrix())
             yield (
                 arrival,
-                np.concatenate([angles, r.position, np.zeros(3), velocity]),
+                np.concatenate(
+                    [
+                        rpy_of(Rotation.from_quat(r.quaternion).as_matrix()),
+                        r.position,
+                        np.zeros(3),
+                        velocity,
+                    ]
+                ),
             )
         last = r
 

@@ -82,8 +82,13 @@ def tracker_rows(
         camera, Imperfections(), np.random.default_rng(0)
     )
     trackers = {depth: Tracker(settings, camera) for depth in (False, True)}
-    dictionary = cv2.aruco.getPredefinedDictionary(settings.dictionary_number)
-    plain, truth, times = cv2.aruco.ArucoDetector(dictionary), [], []
+    plain, truth, times = (
+        cv2.aruco.ArucoDetector(
+            cv2.aruco.getPredefinedDictionary(settings.dictionary_number)
+        ),
+        [],
+        [],
+    )
     for number, (now, soon) in enumerate(pairwise(walk)):
         surfaces = stage.surfaces(now, (soon, PERIOD))
         image, depth = (

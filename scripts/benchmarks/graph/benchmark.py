@@ -122,9 +122,12 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     attempts = Attempts()
     for mode, chosen in modes.items():
         progress(name := f"lockstep, {mode}")
-        lockstep = chosen | {"lockstep": True}
         if one := attempts.run(
-            name, measure_walk, graph, lockstep, plan.lockstep
+            name,
+            measure_walk,
+            graph,
+            chosen | {"lockstep": True},
+            plan.lockstep,
         ):
             rows.append(
                 {
@@ -156,18 +159,21 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     rows += [*of_walks, *medians(of_walks)]
     if plan.endurance:
         progress(f"long walk in lockstep, {plan.endurance:g} s")
-        long = attempts.run(
-            "long walk", long_walk, graph, modes[COMPOSED], plan.endurance
+        rows += (
+            attempts.run(
+                "long walk", long_walk, graph, modes[COMPOSED], plan.endurance
+            )
+            or []
         )
-        rows += long or []
     found = [*checks(rows, plan), *endurance_checks(rows)]
     return [*rows, *attempts.rows], [*found, *attempts.checks]
 
 
 def draw(walks: Sequence[Walk], composed: Sequence[Walk], path: Path) -> None:
     """Write the plot: share of ticks whose latency exceeds a time, by stage and from end to end."""
-    stages = np.concatenate([walk.ticks.latency for walk in walks])
-    curves = dict(zip(STAGES, stages.T))
+    curves = dict(
+        zip(STAGES, np.concatenate([walk.ticks.latency for walk in walks]).T)
+    )
     curves |= {END_TO_END: due(walks), f"{END_TO_END}, composed": due(composed)}
     figure = Figure(figsize=(8.5, 5.0), layout="constrained")
     ax = figure.subplots()
@@ -229,8 +235,9 @@ def cycle_row(ticks: int) -> dict[str, Any]:
 
 def closed_loop_row(values: Mapping[str, Any], blocks: int) -> Row:
     """CPU time of controller and simulated robot in one process, per second of graph time."""
-    loop = ClosedLoop(values["scene"], values["gait"], None, values["seed"])
-    ticks = loop.run((blocks + 1) * BLOCK)  # the first one warms up
+    ticks = ClosedLoop(
+        values["scene"], values["gait"], None, values["seed"]
+    ).run((blocks + 1) * BLOCK)  # the first one warms up
     used = cpu_time(lambda: deque(islice(ticks, BLOCK), maxlen=0), blocks)
     duration = BLOCK * read_gaits().dt
     return {

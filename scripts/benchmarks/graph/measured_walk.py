@@ -178,8 +178,15 @@ def endurance_checks(rows: Sequence[Row]) -> list[Check]:
         )
         for what, unit in GROWING.items()
     ]
-    name = "growth of shared memory in a long walk"
-    return [*checks, at_most(name, shared["memory"], 0.0, "MB")]
+    return [
+        *checks,
+        at_most(
+            "growth of shared memory in a long walk",
+            shared["memory"],
+            0.0,
+            "MB",
+        ),
+    ]
 
 
 @contextmanager

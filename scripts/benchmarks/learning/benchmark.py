@@ -59,12 +59,15 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     rows += level_rows(quick)
     progress(f"gym-softrobot, {PEER}")
     peer = peer_row()
-    published = {
-        "kind": "peer",
-        "name": "SoftQ, as published",
-        "speed": 1.0 / SOFTQ,
-    }
-    return [*rows, peer, published], [
+    return [
+        *rows,
+        peer,
+        {
+            "kind": "peer",
+            "name": "SoftQ, as published",
+            "speed": 1.0 / SOFTQ,
+        },
+    ], [
         at_least(
             f"steps of 33 ms on one core, {level} at {1e3 * step:g} ms",
             learned["steps_per_s"],
@@ -146,8 +149,10 @@ def walk_speeds(
         for _ in range(first + round(strides * task.stride.period / dt)):
             env.step(np.zeros(env.action_space.shape))
             place.append(env.places[0])
-        way = np.linalg.norm(place[-1] - place[first - 1])
-        speeds.append(float(way) / (dt * (len(place) - first)))
+        speeds.append(
+            float(np.linalg.norm(place[-1] - place[first - 1]))
+            / (dt * (len(place) - first))
+        )
     return speeds
 
 

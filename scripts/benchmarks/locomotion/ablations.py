@@ -47,14 +47,21 @@ def chosen(rows: Sequence[LocomotionRow]) -> list[LocomotionRow]:
 def job(row: LocomotionRow, changes: Changes, seed: int) -> Job:
     """The case of a chosen row with changes of the policy."""
     [case] = row.cases
-    changed = dataclasses.replace(case, changes=(*case.changes, *changes))
-    return changed, DEFAULT, seed
+    return (
+        dataclasses.replace(case, changes=(*case.changes, *changes)),
+        DEFAULT,
+        seed,
+    )
 
 
 def jobs(rows: Sequence[LocomotionRow]) -> list[Job]:
     """Every case of the chosen rows without every part."""
-    every = itertools.product(chosen(rows), ABLATIONS.values(), SEEDS)
-    return [job(row, changes, seed) for row, changes, seed in every]
+    return [
+        job(row, changes, seed)
+        for row, changes, seed in itertools.product(
+            chosen(rows), ABLATIONS.values(), SEEDS
+        )
+    ]
 
 
 def measured(

@@ -126,6 +126,11 @@ def checks(
         found.append(compare(row.name, reached, row.goal, row.unit))
         enough = compare(row.name, alone, row.goal).holds
         if row.share is not None and not enough:
-            name = f"{row.name}: over the gait alone"
-            found.append(compare(name, ratio(reached, alone), row.share))
+            found.append(
+                compare(
+                    f"{row.name}: over the gait alone",
+                    ratio(reached, alone),
+                    row.share,
+                )
+            )
     return found

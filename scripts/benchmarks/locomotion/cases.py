@@ -187,8 +187,9 @@ def run_case(case: Case, column: str, seed: int) -> WalkMotion:
                 getattr(sim.model, name)[...] = value
     except DivergenceError:
         fallen = True
-    stride = STRIDES.get(case.gait, STRIDES["walk"])
-    return motion_of(np.array(rows), fallen, stride.period)
+    return motion_of(
+        np.array(rows), fallen, STRIDES.get(case.gait, STRIDES["walk"]).period
+    )
 
 
 def reachable(gait: str, velocity: Vector3) -> Array:
@@ -266,8 +267,12 @@ def slow_servos(factor: float) -> Changes:
 
 def weak_servos(factor: float) -> Changes:
     """Servos of another stall torque."""
-    stall = tuple(factor * torque for torque in read_servo().stall_torque)
-    return (("servo.stall_torque", stall),)
+    return (
+        (
+            "servo.stall_torque",
+            tuple(factor * torque for torque in read_servo().stall_torque),
+        ),
+    )
 
 
 def guides(mu: float) -> Changes:

@@ -98,8 +98,14 @@ def checks(found: Sequence[dict[str, Any]]) -> list[Check]:
         for values in found
         if values["voltage"] == VOLTAGE[0] and not values["with"]
     ]
-    name = f"load of the servos, walk at {SPEED:g}, mu .2 to .6"
-    return [at_most(name, max(loads), LARGEST_LOAD, "% of stall")]
+    return [
+        at_most(
+            f"load of the servos, walk at {SPEED:g}, mu .2 to .6",
+            max(loads),
+            LARGEST_LOAD,
+            "% of stall",
+        )
+    ]
 
 
 def draw(found: Sequence[dict[str, Any]], path: Path) -> None:

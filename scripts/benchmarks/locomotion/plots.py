@@ -83,8 +83,9 @@ def courses(motions: Motions) -> dict[str, Array]:
             found[f"{VELOCITY}/{column}"] = np.array(pairs)
         for name, case in ((SQUARE, square()), (SLANTED, slanted())):
             if (motion := motions.get((case, column, SEED))) is not None:
-                place = [motion.time, *motion.position.T[:2], motion.rpy[:, 2]]
-                found[f"{name}/{column}"] = np.column_stack(place)
+                found[f"{name}/{column}"] = np.column_stack(
+                    [motion.time, *motion.position.T[:2], motion.rpy[:, 2]]
+                )
     return found
 
 

@@ -88,10 +88,10 @@ class LocomotionRow:
         ):
             return math.inf
         if self.larger:
-            held = [
-                c.velocity[0] for c, m in pairs if self.measure(c, m) <= HELD
-            ]
-            return max(held, default=0.0)
+            return max(
+                [c.velocity[0] for c, m in pairs if self.measure(c, m) <= HELD],
+                default=0.0,
+            )
         return max(self.measure(case, motion) for case, motion in pairs)
 
 
@@ -122,9 +122,11 @@ def rows(quick: bool) -> list[LocomotionRow]:
 
 def fast(v_x: float, v_y: float = 0.0, changes: Changes = ()) -> Case:
     """The fast walk; measured over 14 strides."""
-    duration = CAUGHT_UP + 14 * STRIDES["fast_walk"].period
     return Case(
-        duration, gait="fast_walk", velocity=(v_x, v_y, 0.0), changes=changes
+        CAUGHT_UP + 14 * STRIDES["fast_walk"].period,
+        gait="fast_walk",
+        velocity=(v_x, v_y, 0.0),
+        changes=changes,
     )
 
 
@@ -157,10 +159,10 @@ def slanted() -> Case:
 
 def straight(changes: Changes = (), **others: Any) -> Case:
     """Straight walk of .8 m."""
-    case = Case(
-        LENGTH / SPEED + 0.5, velocity=(SPEED, 0.0, 0.0), changes=changes
+    return replace(
+        Case(LENGTH / SPEED + 0.5, velocity=(SPEED, 0.0, 0.0), changes=changes),
+        **others,
     )
-    return replace(case, **others)
 
 
 def _walking() -> list[LocomotionRow]:
@@ -388,10 +390,17 @@ def _standing() -> list[LocomotionRow]:
     )
     still = Case(10.0, gait="stand")
     speed = "standing: speed of the goals"
-    lag = "standing, ramp of 30 mm: lag"
     return [
         *found,
-        LocomotionRow(lag, "mm", 2.0, [ramp], _ramp_lag, (0,), None),
+        LocomotionRow(
+            "standing, ramp of 30 mm: lag",
+            "mm",
+            2.0,
+            [ramp],
+            _ramp_lag,
+            (0,),
+            None,
+        ),
         LocomotionRow(speed, "deg/s", 5.0, [still], _goal_speed, (0,), None),
     ]
 
@@ -441,8 +450,10 @@ def _at_once() -> list[LocomotionRow]:
     steps |= {".05 to 0": (0.05, 0.0, 1.2)}
     found = []
     for name, (before, after, goal) in steps.items():
-        schedule = ((0.0, (before, 0.0, 0.0)), (AT, (after, 0.0, 0.0)))
-        case = Case(AT + 4.0, schedule=schedule)
+        case = Case(
+            AT + 4.0,
+            schedule=((0.0, (before, 0.0, 0.0)), (AT, (after, 0.0, 0.0))),
+        )
         quick = () if found else (0,)
         title = f"velocity {name}: to a tenth"
         found.append(LocomotionRow(title, "s", goal, [case], _settled, quick))
@@ -489,10 +500,17 @@ def _at_once() -> list[LocomotionRow]:
     told = (("scene.tendons.broken", broken), ("policy.nominal.broken", broken))
     lame = Case(16.0, velocity=(0.04, 0.0, 0.0), changes=told)
     turned = "tendon FL broken, told: turned"
-    stress = "random stress of 90 s: tilt"
     return [
         *found,
-        LocomotionRow(stress, "deg", 15.0, [_stress()], _tilt_ever, (), None),
+        LocomotionRow(
+            "random stress of 90 s: tilt",
+            "deg",
+            15.0,
+            [_stress()],
+            _tilt_ever,
+            (),
+            None,
+        ),
         LocomotionRow(turned, "deg", 5.0, [lame], _turned_late),
     ]
 

@@ -55,8 +55,10 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         {"acceptance.time_budget": np.inf, "acceptance.violation_max": 1.0},
     )
     progress("walk")
-    loop = ClosedLoop("flat", "walk", None, SEED)
-    walk = [(tick.estimate, tick.preview) for tick in loop.run(STATES)]
+    walk = [
+        (tick.estimate, tick.preview)
+        for tick in ClosedLoop("flat", "walk", None, SEED).run(STATES)
+    ]
     rng, stages = np.random.default_rng(SEED), settings.horizon + 1
     hard = [*hard_cases(stages).values()]
     hard += [random_case(rng, stages) for _ in range(RANDOM)]
@@ -168,8 +170,10 @@ def plans(
 
 def accepted(result: TendonPlan) -> bool:
     """Whether the controller accepts the result with its configured limit of the violation."""
-    limit = read_mpc().acceptance.violation_max
-    return result.status == Status.SOLVED and result.report.violation <= limit
+    return (
+        result.status == Status.SOLVED
+        and result.report.violation <= read_mpc().acceptance.violation_max
+    )
 
 
 def errors(results: Sequence[TendonPlan], exact: Array) -> Array:

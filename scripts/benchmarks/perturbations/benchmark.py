@@ -155,8 +155,11 @@ def run_robot(
                 sim.set_motion(np.array([case.speed, 0.0, 0.0]), nothing)
         elif k == PULSE_TICKS:
             sim.push(nothing, -moment)
-        state = [sim.rpy, sim.position, sim.angular_velocity, sim.velocity]
-        rows.append(np.concatenate(state))
+        rows.append(
+            np.concatenate(
+                [sim.rpy, sim.position, sim.angular_velocity, sim.velocity]
+            )
+        )
         costs.append(tick.plan.report.cost)
         infeasible += tick.plan.status != Status.SOLVED
     states = np.array(rows)
@@ -169,8 +172,9 @@ def run_robot(
         "final_height": height[-1],
         "height_error": height[-1] - HEIGHT,
     }
-    times = DT * np.arange(len(states))
-    return PerturbedRun.of(times, np.array(costs), states, infeasible), reached
+    return PerturbedRun.of(
+        DT * np.arange(len(states)), np.array(costs), states, infeasible
+    ), reached
 
 
 COLOURS = dict(

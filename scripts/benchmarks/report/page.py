@@ -86,8 +86,10 @@ def _overview(results: Mapping[str, Result], known: int) -> Iterator[str]:
         f"benchmarks {len(checks) - len(missed)} hold and {len(missed)} are missed."
     )
     if missed:
-        rows = [[_link(name), *_cells(check)] for name, check in missed]
-        yield table(["missed in", "check", "value", "goal"], rows)
+        yield table(
+            ["missed in", "check", "value", "goal"],
+            [[_link(name), *_cells(check)] for name, check in missed],
+        )
 
 
 def _comparison(compared: PaperTable, results: Mapping[str, Result]) -> str:
@@ -174,11 +176,13 @@ def _sections(
         )
         yield f"```bash\n{result.command}\n```\n\n{plain(result.origin)}.{quick}"
         if result.checks:
-            rows = [
-                ["holds" if check.holds else "**missed**", *_cells(check)]
-                for check in result.checks
-            ]
-            yield table(["", "check", "value", "goal"], rows)
+            yield table(
+                ["", "check", "value", "goal"],
+                [
+                    ["holds" if check.holds else "**missed**", *_cells(check)]
+                    for check in result.checks
+                ],
+            )
         if name == "locomotion":
             yield f"{ROWS}\n\n{_locomotion(result)}"
         if result.text:

@@ -157,8 +157,13 @@ def read_run(folder: Path, command: str) -> Result | None:
         return None
     summary = folder / "summary.txt"
     text = _read_text(summary) if summary.is_file() else ""
-    rows = _read_errors(folder / "errors.csv")
-    return Result(command, _bag_origin(folder), rows, images, text=text)
+    return Result(
+        command,
+        _bag_origin(folder),
+        _read_errors(folder / "errors.csv"),
+        images,
+        text=text,
+    )
 
 
 def number(value: Any) -> float | None:

@@ -123,10 +123,13 @@ def simulator(
 ) -> RodRobot:
     """RodRobot in the scene `flat` without settling, with changes of the solver and the scene."""
     values = {f"solver.{name}": value for name, value in solver.items()}
-    scene = config.replace(
-        read_scene("flat"), {"start.settle": 0.0} | values | changes
+    return RodRobot(
+        robot,
+        config.replace(
+            read_scene("flat"), {"start.settle": 0.0} | values | changes
+        ),
+        read_servo(),
     )
-    return RodRobot(robot, scene, read_servo())
 
 
 def motion(sim: SimulatedRobot) -> Array:
@@ -197,11 +200,12 @@ def sweep(
                 "theta": theta,
                 "iterations": iterations,
             }
-            make = functools.partial(simulator, robot, solver)
             yield (
                 {"kind": "stand and step"}
                 | solver
-                | measured(make, exact, repeats)
+                | measured(
+                    functools.partial(simulator, robot, solver), exact, repeats
+                )
             )
 
 
@@ -220,8 +224,11 @@ def measured(
             "us_per_ms": math.nan,
             "lost": str(reason),
         }
-    cost = 1e6 * time / DURATION * 1e-3
-    return {"error_mm": error, "us_per_ms": cost, "halvings": sim.halvings}
+    return {
+        "error_mm": error,
+        "us_per_ms": 1e6 * time / DURATION * 1e-3,
+        "halvings": sim.halvings,
+    }
 
 
 def level_row(

@@ -90,8 +90,12 @@ def links(robot: RobotParameters, model: Model) -> MujocoLinks:
         rod.spin * wide / (wide + thick),
     )
     inertia = np.column_stack([rod.spin, across + flat, across + upright])
-    torsion = sections(leg, (fraction[:-1] + fraction[1:]) / 2).torsion / step
-    return MujocoLinks(mass, end / mass * rod.rest_length, inertia, torsion)
+    return MujocoLinks(
+        mass,
+        end / mass * rod.rest_length,
+        inertia,
+        sections(leg, (fraction[:-1] + fraction[1:]) / 2).torsion / step,
+    )
 
 
 def build(robot: RobotParameters, model: Model, step: float) -> mujoco.MjModel:
@@ -151,8 +155,11 @@ def add_leg(
         )
         add_joints(body, k, model, shape.torsion[k])
         for side in (-0.5, 0.5):
-            edge = [length[k], side * robot.leg.contact_width, 0]
-            add_point(body, edge, model.friction[0, leg])
+            add_point(
+                body,
+                [length[k], side * robot.leg.contact_width, 0],
+                model.friction[0, leg],
+            )
         place, turn = [length[k], 0, 0], Rotation.identity()
 
 
@@ -316,10 +323,9 @@ class MujocoRobot(SimulatedRobot):
     def state(self) -> MujocoMotion:  # type: ignore[override]
         """Motion of the torso; the specific force is not measured, NaN."""
         place, velocity = self._data.qpos[:7], self._data.qvel[:6]
-        rotation = Rotation.from_quat(place[3:], scalar_first=True).as_matrix()
         return MujocoMotion(
             place[:3],
-            rotation,
+            Rotation.from_quat(place[3:], scalar_first=True).as_matrix(),
             velocity[:3],
             velocity[3:],
             np.full(3, math.nan),

@@ -101,7 +101,6 @@ def compared(
         plans, _ = problem.varied(tick.plan)
         plans = np.clip(plans, 0.0, robot.tendon.angle_max)
         model.set_wrench(tick.wrench, tick.state[2])
-        start = model.measured(tick.start, tick.state)
         poses = (
             np.array(
                 [
@@ -109,7 +108,7 @@ def compared(
                     for plan in plans
                 ]
             ),
-            model.roll_out(start, plans).pose,
+            model.roll_out(model.measured(tick.start, tick.state), plans).pose,
         )
         yield tuple(in_heading(pose, tick.state) for pose in poses)
 
@@ -133,14 +132,13 @@ def watched(
             continue
         turned = sim.rotation @ sim.angular_velocity
         torso = [rpy_of(sim.rotation), sim.position, turned, sim.velocity]
-        angle = np.vstack([tick.plan.angle, tick.plan.angle[-1:]])
         seen.append(
             Seen(
                 sim.state.buffer.copy(),
                 np.concatenate(torso),
                 plan.start,
                 policy.observer.wrench.copy(),
-                angle,
+                np.vstack([tick.plan.angle, tick.plan.angle[-1:]]),
             )
         )
     return sim, seen

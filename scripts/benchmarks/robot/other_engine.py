@@ -71,8 +71,10 @@ def rows(quick: bool, out: Path, progress: Progress) -> list[dict[str, Any]]:
 def hold(sim: SimulatedRobot, degrees: float) -> None:
     """Hold commanded tendon angles (deg) for `SETTLED`, in pieces of 10 ms."""
     for _ in range(round(SETTLED / 0.01)):
-        steps = round(0.01 / sim.scene.solver.step)
-        sim.advance(steps, np.full(4, math.radians(degrees)))
+        sim.advance(
+            round(0.01 / sim.scene.solver.step),
+            np.full(4, math.radians(degrees)),
+        )
 
 
 def sideways_row(
@@ -158,8 +160,11 @@ def held(kind: Any, robot: RobotParameters, scene: Scene, field: Array) -> Any:
     No leg moves the torso, which a push holds against its weight.
     """
     torso = dataclasses.replace(robot.torso, mass=HELD)
-    leg = dataclasses.replace(robot.leg, damping_time=RESTING_DAMPING)
-    still = dataclasses.replace(robot, torso=torso, leg=leg)
+    still = dataclasses.replace(
+        robot,
+        torso=torso,
+        leg=dataclasses.replace(robot.leg, damping_time=RESTING_DAMPING),
+    )
     changes = {
         "gravity": field.tolist(),
         "start.height": 5.0,
@@ -207,8 +212,10 @@ def replay_rows(
             "other": partial(MujocoRobot, robot, place, read_servo(), step),
         }
         for name, make in makers.items():
-            found = replay(make, strides[gait], tuning)
-            row |= {f"{name}_{key}": value for key, value in found.items()}
+            row |= {
+                f"{name}_{key}": value
+                for key, value in replay(make, strides[gait], tuning).items()
+            }
         row["difference"] = abs(row["own_v_x"] - row["other_v_x"])
         row["goal"] = max(SHARE * abs(row["own_v_x"]), SPEED)
         yield row
@@ -300,8 +307,13 @@ def draw_engines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
             )
         for name, (label, colour, mark, beside) in ENGINES.items():
             places = [k + beside for k in range(len(floors))]
-            speeds = [row[f"{name}_v_x"] for row in floors]
-            ax.plot(places, speeds, mark, color=colour, label=label)
+            ax.plot(
+                places,
+                [row[f"{name}_v_x"] for row in floors],
+                mark,
+                color=colour,
+                label=label,
+            )
         ax.set_xticks(
             range(len(floors)), [f"{row['friction']:g}" for row in floors]
         )

@@ -59,8 +59,14 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         runs = [
             (row["cpu_s"], row["percent"], str(row["nodes"])) for row in shown
         ]
-        best = [run for run, row in zip(runs, shown) if row["front"]]
-        series.append(CostCurve(", ".join(curve), *look, runs, best))
+        series.append(
+            CostCurve(
+                ", ".join(curve),
+                *look,
+                runs,
+                [run for run, row in zip(runs, shown) if row["front"]],
+            )
+        )
     draw_error_over_cost(
         series,
         path,

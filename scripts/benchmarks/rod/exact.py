@@ -127,9 +127,13 @@ def slope(
             q[0] * kappa + np.cross(q[1:], kappa, axis=0),
         ]
     )
-    weight = -np.outer(gravity, material.density * area)
     return np.vstack(
-        [tangent, turned / 2, weight, -np.cross(tangent, force, axis=0)]
+        [
+            tangent,
+            turned / 2,
+            -np.outer(gravity, material.density * area),
+            -np.cross(tangent, force, axis=0),
+        ]
     )
 
 
@@ -165,9 +169,13 @@ def collocation(material: Material, geometry: Geometry, loads: Loads) -> Array:
         def rate(s: Array, y: Array, gravity: Array = gravity) -> Array:
             return slope(material, geometry, gravity, s, y)
 
-        tolerance = 1e-10 if factor == RAMP[-1] else 1e-4
         found: Any = solve_bvp(
-            rate, ends, s, y, tol=tolerance, max_nodes=100_000
+            rate,
+            ends,
+            s,
+            y,
+            tol=1e-10 if factor == RAMP[-1] else 1e-4,
+            max_nodes=100_000,
         )
         if not found.success:
             raise ArithmeticError(f"no reference for the rod: {found.message}")
@@ -229,9 +237,10 @@ def _ritz(stiffness: Field, mass: Field, order: int) -> Array:
     ]
     bent = np.array([shape.deriv(order)(x) for shape in shapes])
     moved = np.array([shape(x) for shape in shapes])
-    square = eigh(
-        (bent * weight * stiffness(x)) @ bent.T,
-        (moved * weight * mass(x)) @ moved.T,
-        eigvals_only=True,
+    return np.sqrt(
+        eigh(
+            (bent * weight * stiffness(x)) @ bent.T,
+            (moved * weight * mass(x)) @ moved.T,
+            eigvals_only=True,
+        )
     )
-    return np.sqrt(square)

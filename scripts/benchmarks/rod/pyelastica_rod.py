@@ -74,9 +74,8 @@ def rows(quick: bool, elements: tuple[int, ...]) -> Iterator[dict[str, Any]]:
     exact = (4 * many - few) / 3  # second order
     for count, moved in itertools.product(elements, (False, True)):
         tip, start, h, cost = release(Cells(count, moved))
-        name = f"PyElastica, clamp {'moved' if moved else 'as documented'}"
         yield release_row(
-            name,
+            f"PyElastica, clamp {'moved' if moved else 'as documented'}",
             UNDAMPED,
             count + 1,
             h=h,

@@ -57,8 +57,11 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
             ages[nodes] = found
     age.draw(ages, out / "servo_age.png")
     aged = [age.row(found, nodes) for nodes, found in ages.items()]
-    rows = [*cycles, *steps, *aged, *attempts.rows]
-    return rows, [rate, *age.checks(aged), *attempts.checks]
+    return [*cycles, *steps, *aged, *attempts.rows], [
+        rate,
+        *age.checks(aged),
+        *attempts.checks,
+    ]
 
 
 def cycle_rows(count: int) -> Iterator[Row]:
@@ -133,9 +136,9 @@ def step_response(control: str, load: float) -> list[float]:
 def measures(trace: list[float]) -> dict[str, float]:
     """Rise time (10 to 90 %), overshoot and steady-state error of a response to STEP."""
     share = (np.array(trace) - trace[0]) / (STEP[1] - trace[0])
-    rise = CYCLE * (int(np.argmax(share > 0.9)) - int(np.argmax(share > 0.1)))
     return {
-        "rise_ms": 1e3 * rise,
+        "rise_ms": 1e3
+        * (CYCLE * (int(np.argmax(share > 0.9)) - int(np.argmax(share > 0.1)))),
         "overshoot_deg": math.degrees(max(max(trace) - STEP[1], 0.0)),
         "error_deg": math.degrees(STEP[1] - float(np.mean(trace[-20:]))),
     }

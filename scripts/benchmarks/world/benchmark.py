@@ -98,8 +98,9 @@ def run_all(
 def run_job(job: Job) -> tuple[Job, dict[str, Any]]:
     """The job and its row."""
     name, gait, seed, duration, solver = job
-    row = run_set(sets()[name], gait, seed, duration=duration, solver=solver)
-    return job, row
+    return job, run_set(
+        sets()[name], gait, seed, duration=duration, solver=solver
+    )
 
 
 def judged(rows: Sequence[Row]) -> list[dict[str, Any]]:

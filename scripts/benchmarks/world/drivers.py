@@ -42,8 +42,11 @@ def in_frame(
     """Odometry in a frame with another origin, m, turned by a rotation vector, rad."""
     back = quaternion_of_vector(-np.array(turn))
     place = matrix_of_quaternion(back) @ (r.position - np.array(origin))
-    turned = quaternion_product(back, r.quaternion)
-    return [replace(r, position=place, quaternion=turned)]
+    return [
+        replace(
+            r, position=place, quaternion=quaternion_product(back, r.quaternion)
+        )
+    ]
 
 
 def started_slam(

@@ -95,8 +95,9 @@ def run_set(
         lines["error"] = f"{type(error).__name__}: {error}"
     gait = GAITS[column][1]
     moving = State.STANDING if gait == STAND else State.WALKING
-    stride = STRIDES.get(gait, STRIDES["walk"])
-    whole = motion_of(np.array(motion), False, stride.period)
+    whole = motion_of(
+        np.array(motion), False, STRIDES.get(gait, STRIDES["walk"]).period
+    )
     return {
         "set": one.name,
         "gait": column,

@@ -38,15 +38,16 @@ def draw(rows: Rows, path: Path) -> None:
     for k, ax in enumerate(figure.subplots(1, PANELS, squeeze=False).flat):
         _draw_part(ax, names[k * high : (k + 1) * high], gaits, rows)
         ax.set_ylim(high, 0)
-    handles = [
-        *(
-            Patch(color=COLOURS[verdict], label=f"{verdict}: {text}")
-            for verdict, text in VERDICTS.items()
-        ),
-        Patch(fill=False, edgecolor=palette.INK, lw=1.6, label="not allowed"),
-    ]
     figure.legend(
-        handles=handles,
+        handles=[
+            *(
+                Patch(color=COLOURS[verdict], label=f"{verdict}: {text}")
+                for verdict, text in VERDICTS.items()
+            ),
+            Patch(
+                fill=False, edgecolor=palette.INK, lw=1.6, label="not allowed"
+            ),
+        ],
         loc="outside lower center",
         ncols=3,
         frameon=False,
@@ -66,8 +67,12 @@ def _draw_part(
     """A cell for each set and gait."""
     for y, name in enumerate(names):
         for x, gait in enumerate(gaits):
-            runs = [r for r in rows if (r["set"], r["gait"]) == (name, gait)]
-            _draw_cell(ax, x, y, runs)
+            _draw_cell(
+                ax,
+                x,
+                y,
+                [r for r in rows if (r["set"], r["gait"]) == (name, gait)],
+            )
     ax.set_yticks([y + 0.5 for y in range(len(names))], names, fontsize=8.5)
     ax.set_xticks([x + 0.5 for x in range(len(gaits))], gaits, fontsize=9)
     ax.tick_params(length=0, labeltop=True, labelbottom=False)
@@ -82,13 +87,14 @@ def _draw_cell(ax: Axes, x: int, y: int, runs: Rows) -> None:
     if worst["verdict"] == REFUSED:
         text = REFUSED
     framed = not all(r["allowed"] for r in runs)
-    cell = Rectangle(
-        (x + 0.03, y + 0.06),
-        0.94,
-        0.88,
-        facecolor=COLOURS[worst["verdict"]],
-        edgecolor=palette.INK if framed else "none",
-        lw=1.6,
+    ax.add_patch(
+        Rectangle(
+            (x + 0.03, y + 0.06),
+            0.94,
+            0.88,
+            facecolor=COLOURS[worst["verdict"]],
+            edgecolor=palette.INK if framed else "none",
+            lw=1.6,
+        )
     )
-    ax.add_patch(cell)
     ax.text(x + 0.5, y + 0.5, text, ha="center", va="center", fontsize=8.5)

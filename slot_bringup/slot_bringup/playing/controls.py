@@ -45,10 +45,12 @@ def add_drive(
     )
     _bind(do, gait, lambda r, name: r.set_gait(name))
     most = np.max([each.speeds for each in gaits.gaits.values()], axis=0)
-    labels = "v_x (m/s)", "v_y (m/s)", "yaw rate (rad/s)"
     speeds = [
         _slider(gui, label, (-top, top), 0.005, 0.0)
-        for label, top in zip(labels, np.ceil(200 * most) / 200)
+        for label, top in zip(
+            ("v_x (m/s)", "v_y (m/s)", "yaw rate (rad/s)"),
+            np.ceil(200 * most) / 200,
+        )
     ]
 
     def drive(_: object) -> None:

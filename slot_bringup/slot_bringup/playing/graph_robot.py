@@ -129,10 +129,12 @@ class GraphRobot:
         self, kind: str, leg: str, value: float, duration: float, clear: bool
     ) -> None:
         """Inject a fault into the simulated robot, or clear it."""
-        fault = InjectFault.Request(
-            kind=kind, leg=leg, value=value, duration=duration, clear=clear
+        self._call(
+            "sim_robot/inject",
+            InjectFault.Request(
+                kind=kind, leg=leg, value=value, duration=duration, clear=clear
+            ),
         )
-        self._call("sim_robot/inject", fault)
 
     def _pursue(self, requests: dict[State, Request]) -> None:
         self._to, self._asked = requests, None

@@ -89,8 +89,9 @@ def start_server(host: str, port: int, token: str) -> viser.ViserServer:
         show_share_button=False, show_logo=False, control_width="large"
     )
     for script in (GIVE_KEYS_BACK, GAMEPAD, WIDE_ON_A_PHONE):
-        message = _messages.RunJavascriptMessage(source=script)
-        server._websock_server.queue_message(message)
+        server._websock_server.queue_message(
+            _messages.RunJavascriptMessage(source=script)
+        )
     return server
 
 

@@ -169,10 +169,16 @@ class PlayPage(Page[PlayedRobot]):
         )
         push = np.array([model.push[:3]])
         if push.any():
-            arrow = Arrows(
-                position[None], FORCE_SCALE * push, PUSHED[None], PUSH_WIDTH
+            view.update(
+                {
+                    "push": Arrows(
+                        position[None],
+                        FORCE_SCALE * push,
+                        PUSHED[None],
+                        PUSH_WIDTH,
+                    )
+                }
             )
-            view.update({"push": arrow})
         view.show("push", visible=bool(push.any()))
         if self._payload is None:
             self._payload = self._add_payload()

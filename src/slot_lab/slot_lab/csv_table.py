@@ -61,8 +61,10 @@ def increasing_numbers(
 
     Raises TableError for another order, and for a cell without a finite number.
     """
-    cells = [[row.number(name, hint) for name in names] for row in rows]
-    values = np.reshape(cells, (len(rows), len(names)))
+    values = np.reshape(
+        [[row.number(name, hint) for name in names] for row in rows],
+        (len(rows), len(names)),
+    )
     for before, row, step in zip(rows, rows[1:], np.diff(values[:, 0])):
         if step <= 0.0:
             raise TableError(

@@ -40,8 +40,10 @@ def run_command(
     except KeyboardInterrupt:
         if not resumable:
             raise
-        line = f"\n{parser.prog}: interrupted; the same command continues"
-        print(line, file=sys.stderr)
+        print(
+            f"\n{parser.prog}: interrupted; the same command continues",
+            file=sys.stderr,
+        )
         return INTERRUPTED
     else:
         return code if show(parser.prog, lines) else UNUSABLE

@@ -422,9 +422,11 @@ def repaired(file: Path, directory: Path) -> Path:
                 schemas[record.id] = record
             elif isinstance(record, Channel) and record.id not in topics:
                 schema = schemas[record.schema_id]
-                digest = record.metadata.get("topic_type_hash", "")
                 kind = MessageType(
-                    schema.name, schema.data.decode(), schema.encoding, digest
+                    schema.name,
+                    schema.data.decode(),
+                    schema.encoding,
+                    record.metadata.get("topic_type_hash", ""),
                 )
                 topics[record.id] = record.topic, kind.name
                 bag.add_topic(record.topic, kind)

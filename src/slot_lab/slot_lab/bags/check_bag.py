@@ -88,8 +88,9 @@ def check_bag(
         if why := _reason(recorded, topic, only, skip):
             comparisons.append(StageComparison(topic, why))
         else:
-            replayed = stage.replay(recorded)
-            comparisons.append(compare(recorded, topic, replayed, tolerance))
+            comparisons.append(
+                compare(recorded, topic, stage.replay(recorded), tolerance)
+            )
     if all(c.why.startswith(LACKING) for c in comparisons):
         raise BagError(f"{bag.path}: holds no stage together with its input")
     if all(c.why for c in comparisons):

@@ -207,8 +207,13 @@ def _estimated_motion(bag: Bag, where: str) -> TorsoTrack:
     values = np.hstack([series[field][newest] for field in fields])
     time, values = _sound(where, time[newest], values)
     position, rpy, velocity = np.split(values, 3, axis=1)
-    quaternion = Rotation.from_euler("xyz", rpy).as_quat()
-    return TorsoTrack(ESTIMATE, seconds(time), position, quaternion, velocity)
+    return TorsoTrack(
+        ESTIMATE,
+        seconds(time),
+        position,
+        Rotation.from_euler("xyz", rpy).as_quat(),
+        velocity,
+    )
 
 
 def tendon_angles(bag: Bag, *topics: str) -> TendonAngles:
@@ -233,8 +238,11 @@ def tendon_angles(bag: Bag, *topics: str) -> TendonAngles:
 def read_legs(bag: Bag) -> tuple[Array, Array]:
     """Times (n,), s, and recorded shapes (n, 4, m, 3), m, of the legs; raises BagError."""
     series = bag.series(LEG_STATES, "position")
-    where = f"{bag.path}: {LEG_STATES}"
-    stamps, flat = _sound(where, series.stamp, series["position"].astype(float))
+    stamps, flat = _sound(
+        f"{bag.path}: {LEG_STATES}",
+        series.stamp,
+        series["position"].astype(float),
+    )
     return seconds(stamps), flat.reshape(len(flat), len(LEGS), -1, 3)
 
 

@@ -255,9 +255,12 @@ def estimates(recorded: RecordedStages) -> Replayed:
             estimator = None
         expected = record.number + 1
         for kind, stamp in zip(record.taken, record.stamp):
-            waiting = recorded.sensors[SENSORS[kind], int(stamp)]
             if (
-                not _take_next(estimator, SENSORS[kind], waiting)
+                not _take_next(
+                    estimator,
+                    SENSORS[kind],
+                    recorded.sensors[SENSORS[kind], int(stamp)],
+                )
                 and estimator is not None
             ):
                 estimator = None
@@ -473,8 +476,9 @@ def commands(recorded: RecordedStages) -> Replayed:
     Angles that are held from before the bag begins are unknown.
     """
     settings = recorded.settings("force_mapper", read_force_map())
-    estimator = recorded.settings("state_estimator", read_estimator())
-    delay = estimator.timing.command_delay
+    delay = recorded.settings(
+        "state_estimator", read_estimator()
+    ).timing.command_delay
 
     def step(force_map: ForceMap, stamp: int) -> Fields:
         plan, preview = recorded.plans[stamp], recorded.previews[stamp]

@@ -66,9 +66,13 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
         parameter_file.write(options.out, content)
         progress.say(f"wrote {options.out}")
     if options.plot:
-        title = f"{data.name}: {content['from']}"
-        drawn = figure(data, options.free, result, title)
-        write_plot(drawn, options.plot, DPI)
+        write_plot(
+            figure(
+                data, options.free, result, f"{data.name}: {content['from']}"
+            ),
+            options.plot,
+            DPI,
+        )
         progress.say(f"wrote {options.plot}")
     verdict = Verdict(
         result.chi_square, result.freedom, result.at_bound(options.free)
@@ -85,8 +89,11 @@ def build_problem(
     """Fit problem of a robot's parameters `names` to measurements; raises ConfigError."""
 
     def predicted(values: Array) -> Array:
-        changed = config.replace(robot, dict(zip(names, values.tolist())))
-        return predict(changed, data.rows, settings)
+        return predict(
+            config.replace(robot, dict(zip(names, values.tolist()))),
+            data.rows,
+            settings,
+        )
 
     return FitProblem(
         parameters_of(robot, names),

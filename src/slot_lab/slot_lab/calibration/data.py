@@ -89,8 +89,11 @@ def read_data(path: Path) -> Data:
         raise TableError(f"{table.head}: a column is repeated")
     if not table.rows:
         raise TableError(f"{path}: no measurements")
-    digest = hashlib.sha256(read_bytes(path, SIZE_MAX)).hexdigest()
-    return Data(path.name, digest, tuple(_datum(row) for row in table.rows))
+    return Data(
+        path.name,
+        hashlib.sha256(read_bytes(path, SIZE_MAX)).hexdigest(),
+        tuple(_datum(row) for row in table.rows),
+    )
 
 
 def _datum(row: CsvRow) -> Datum:

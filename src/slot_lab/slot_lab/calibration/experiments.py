@@ -151,8 +151,11 @@ def deflections(
         mass = unloaded.rod.mass.copy()
         mass[-1] += rows[i].load_N / GRAVITY
         leg.model = unloaded._replace(rod=unloaded.rod._replace(mass=mass))
-        drop = start - leg.solve(angle, FREE_HEIGHT).node[:, 1]
-        out[i] = np.interp(rows[i].place, share, drop)
+        out[i] = np.interp(
+            rows[i].place,
+            share,
+            start - leg.solve(angle, FREE_HEIGHT).node[:, 1],
+        )
     return out
 
 

@@ -126,8 +126,9 @@ class FitProblem:
 
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,) of the coordinates."""
-        low = self.coordinates([p.low for p in self.parameters])
-        return low, self.coordinates([p.high for p in self.parameters])
+        return self.coordinates(
+            [p.low for p in self.parameters]
+        ), self.coordinates([p.high for p in self.parameters])
 
     def jacobian(self, u: Array) -> Array:
         """(n, p) dr/du by central differences, one-sided at a bound; raises FitError."""
@@ -136,8 +137,9 @@ class FitProblem:
         np.fill_diagonal(up, np.minimum(u + STEP, high))
         np.fill_diagonal(down, np.maximum(u - STEP, low))
         try:
-            points = [self.allowed(point) for point in (*up, *down)]
-            found = self.run_all(self.predict, points)
+            found = self.run_all(
+                self.predict, [self.allowed(point) for point in (*up, *down)]
+            )
         except PredictionError as error:
             raise FitError(f"no derivative: {error}") from None
         change = np.array(found[: len(u)]) - np.array(found[len(u) :])
@@ -172,8 +174,11 @@ class ParameterEstimate:
 
     def at_bound(self, names: Sequence[str]) -> list[str]:
         """Names of the determined parameters at a bound."""
-        found = zip(names, self.at_limit, self.interval[:, 0])
-        return [name for name, at, low in found if at and not math.isnan(low)]
+        return [
+            name
+            for name, at, low in zip(names, self.at_limit, self.interval[:, 0])
+            if at and not math.isnan(low)
+        ]
 
 
 def parameters_of(

@@ -113,8 +113,10 @@ def table(content: Mapping[str, Any]) -> list[str]:
         out.append(f"{name:<28}{value:>12.6g}   {bounds}{limit}")
     out += ["", "correlation"]
     for name, row in zip(content["confidence"], content["correlation"]):
-        cells = ("     -" if v is None else f"{v:6.2f}" for v in row)
-        out.append(f"{name:<28}" + "".join(cells))
+        out.append(
+            f"{name:<28}"
+            + "".join("     -" if v is None else f"{v:6.2f}" for v in row)
+        )
     return out
 
 

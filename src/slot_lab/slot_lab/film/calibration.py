@@ -221,6 +221,5 @@ def _covered(
 ) -> tuple[float, float]:
     if not views:
         return 0.0, 0.0
-    pixels = np.vstack([view.pixels for view in views])
-    span = np.ptp(pixels, axis=0) / size
+    span = np.ptp(np.vstack([view.pixels for view in views]), axis=0) / size
     return float(span[0]), float(span[1])

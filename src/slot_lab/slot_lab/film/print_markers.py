@@ -48,10 +48,15 @@ def sheet_of(what: str, settings: VisionSettings, dots: float) -> GreyImage:
     number = settings.dictionary_number
     if what == "chessboard":
         board = settings.chessboard
-        pixels = [
-            round(dots * board.square * n) for n in (board.columns, board.rows)
-        ]
-        return np.asarray(chessboard(settings).generateImage(pixels), np.uint8)
+        return np.asarray(
+            chessboard(settings).generateImage(
+                [
+                    round(dots * board.square * n)
+                    for n in (board.columns, board.rows)
+                ]
+            ),
+            np.uint8,
+        )
     if what == "points":
         size = settings.points.size
         markers = [
@@ -84,8 +89,12 @@ def with_scale(sheet: GreyImage, name: str, dots: float) -> GreyImage:
     page = np.full((y + foot, max(width, length) + 2 * edge), WHITE, np.uint8)
     page[edge : edge + height, edge : edge + width] = sheet
     page[y : y + max(1, edge // 10), edge : edge + length] = 0
-    text = f"{name}: this line is {1e3 * SCALE:.0f} mm long"
-    _write(page, text, (edge, y + round(0.008 * dots)), 0.003 * dots)
+    _write(
+        page,
+        f"{name}: this line is {1e3 * SCALE:.0f} mm long",
+        (edge, y + round(0.008 * dots)),
+        0.003 * dots,
+    )
     return page
 
 

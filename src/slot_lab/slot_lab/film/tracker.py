@@ -91,8 +91,10 @@ class Tracker:
         self._settings, self._camera = settings.detection, camera
         self._names = settings.points.names
         self._marker = single_marker(0, settings.points.size).corners[0]
-        boards = settings.boards_in(ODOM_FRAME)
-        self._boards = [make_board(board) for board in boards.values()]
+        self._boards = [
+            make_board(board)
+            for board in settings.boards_in(ODOM_FRAME).values()
+        ]
         self._detector = MarkerDetector(settings.dictionary_number, camera)
         self._noise = settings.detection.corner_noise / camera.focal
         self._seen: list[MarkerSample] = []  # in the optical frame
@@ -191,9 +193,10 @@ class Tracker:
         ids = sorted(rays.keys() & board.corners.keys())
         if len(ids) < FEWEST:
             return None
-        points = np.concatenate([board.corners[number] for number in ids])
         pose = board_poses(
-            points, np.concatenate([rays[n] for n in ids]), self._noise
+            np.concatenate([board.corners[number] for number in ids]),
+            np.concatenate([rays[n] for n in ids]),
+            self._noise,
         )
         if pose is None or pose.ratio < self._settings.ambiguity:
             return None

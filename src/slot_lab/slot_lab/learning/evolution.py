@@ -102,8 +102,16 @@ def learn(
     steps = round(task.duration / task.gaits.dt) * 2 * e.pairs
     for generation in range(e.generations + 1):
         if generation % e.test_every == 0 or generation == e.generations:
-            tested = np.tile(centre, (len(TEST_SEEDS), 1))
-            test = float(evaluate(Walks(task, e, tested, TEST_SEEDS)).mean())
+            test = float(
+                evaluate(
+                    Walks(
+                        task,
+                        e,
+                        np.tile(centre, (len(TEST_SEEDS), 1)),
+                        TEST_SEEDS,
+                    )
+                ).mean()
+            )
             if test > most:
                 best, most = centre.copy(), test
             yield Generation(
@@ -117,8 +125,14 @@ def learn(
         )
         directions = rng.standard_normal((e.pairs, size))
         tried = centre + sigma * np.concatenate([directions, -directions])
-        seeds = rng.integers(TEST_SEEDS[0], size=e.pairs)
-        found = evaluate(Walks(task, e, tried, np.tile(seeds, 2)))
+        found = evaluate(
+            Walks(
+                task,
+                e,
+                tried,
+                np.tile(rng.integers(TEST_SEEDS[0], size=e.pairs), 2),
+            )
+        )
         mean = float(found.mean())
         better = found - np.tile(found.reshape(2, -1).mean(axis=0), 2)
         rank = better.argsort().argsort() / (len(found) - 1) - 0.5

@@ -43,15 +43,17 @@ class GaitClock:
         longest = max(s.transition, abs(rise) / s.lift_speed)
         time = s.dt * np.arange(3 + round(longest / s.dt))
         self._weight = np.clip(time / max(s.transition, 1e-9), 0.0, 1.0)
-        lift = np.clip(rise, -s.lift_speed * time, s.lift_speed * time)
-        self._height = stand.height + lift
+        self._height = stand.height + np.clip(
+            rise, -s.lift_speed * time, s.lift_speed * time
+        )
         springs, robot = read_springs(), task.robot
         share = np.full(COUNT, robot.weight / COUNT)
-        rows = [
-            springs.angle(share, robot.clamp_heights(h, 0.0, 0.0))
-            for h in self._height
-        ]
-        self._standing = np.array(rows)  # (ticks, 4) rad
+        self._standing = np.array(
+            [
+                springs.angle(share, robot.clamp_heights(h, 0.0, 0.0))
+                for h in self._height
+            ]
+        )  # (ticks, 4) rad
         self._rates = s.dt * np.array(
             [s.acceleration, s.acceleration, s.turn_acceleration]
         )

@@ -81,10 +81,9 @@ def compare(*policies: str, level: str = "standard") -> str:
     ]
     for friction in FRICTION:
         for policy in policies:
-            walks = [
-                straight_walk(policy, friction, level, seed) for seed in SEEDS
-            ]
-            speed, aside, yaw = np.abs(walks).max(axis=0)
+            speed, aside, yaw = np.abs(
+                [straight_walk(policy, friction, level, seed) for seed in SEEDS]
+            ).max(axis=0)
             lines.append(
                 f"{friction:8.1f}  {policy:16s}  {1e3 * speed:20.1f}"
                 f"  {1e3 * aside:15.1f}  {np.degrees(yaw):13.2f}"

@@ -42,8 +42,11 @@ class NetworkShape(NamedTuple):
 
     def layer(self, parameters: Array) -> tuple[Array, Array]:
         """Weights (m, n, k) and biases (m, k) of parameters (m, p)."""
-        p = checked("parameters", parameters, (-1, self.size), finite=False)
-        weights, bias = np.split(p, [self.inputs * self.outputs], axis=1)
+        weights, bias = np.split(
+            checked("parameters", parameters, (-1, self.size), finite=False),
+            [self.inputs * self.outputs],
+            axis=1,
+        )
         weights = weights.reshape(-1, self.inputs, self.outputs)
         if self.mirror is None:
             return weights, bias

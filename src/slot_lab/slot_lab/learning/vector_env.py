@@ -191,8 +191,11 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
     def _made(self, values: dict[str, Any]) -> KernelRobot:
         """A robot with drawn values, settled at its start."""
         scene, servo = self.task.world(values)
-        step = self.task.gaits.dt / CYCLES / self._steps
-        scene = config.replace(scene, NO_SENSORS | {"solver.step": step})
+        scene = config.replace(
+            scene,
+            NO_SENSORS
+            | {"solver.step": self.task.gaits.dt / CYCLES / self._steps},
+        )
         robot = make_robot(self.task.robot, scene, servo)
         if not isinstance(robot, KernelRobot):
             raise ConfigError(

@@ -123,13 +123,12 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         self._action, self._ticks = taken, self._ticks + 1
         down = diverged or bool(fallen(state)[0])
         reward = 0.0 if diverged else float(total(found)[0])
-        terms = {name: float(value[0]) for name, value in found.items()}
         return (
             self._observed(),
             reward,
             down,
             self._ticks >= self._limit and not down,
-            terms,
+            {name: float(value[0]) for name, value in found.items()},
         )
 
     @property

@@ -67,9 +67,13 @@ class HeldLeg:
             raise ValueError(f"rate {rate} rad/s must be above 0")
         start = float(self._leg.angle[0])
         steps = max(1, math.ceil(abs(angle - start) / (rate * STEP)))
-        turn = (angle - start) / steps
         change = turn_spool(
-            self.model, self._leg, self._start, self.height, turn, steps
+            self.model,
+            self._leg,
+            self._start,
+            self.height,
+            (angle - start) / steps,
+            steps,
         )
         if not change <= LIMIT:
             raise NoEquilibriumError(

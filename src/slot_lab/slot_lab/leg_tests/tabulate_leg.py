@@ -19,12 +19,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = CommandParser(
         prog="scripts/calibrate --leg-map", description=__doc__
     )
-    default = config.config_dir() / "leg_map.csv"
     parser.add_argument(
         "--out",
         metavar="FILE",
         type=Path,
-        default=default,
+        default=config.config_dir() / "leg_map.csv",
         help="CSV file (default: %(default)s)",
     )
     out = parser.parse_args(arguments).out

@@ -240,8 +240,9 @@ class PlayedRobot:
     def push(self, force: Sequence[float], duration: float) -> None:
         """Push the torso's centre with a force (3,), N, in the heading frame, for a time (s)."""
         x, y = rotate(np.array(force[:2]), float(self.loop.plant.robot.rpy[2]))
-        push = Push(0.0, duration, (x, y, force[2]), (0.0, 0.0, 0.0))
-        self.loop.plant.push(push)
+        self.loop.plant.push(
+            Push(0.0, duration, (x, y, force[2]), (0.0, 0.0, 0.0))
+        )
 
     def pull(self, force: Array) -> None:
         """Pull at the torso's centre with a force (3,), N, in odom, until the next call."""

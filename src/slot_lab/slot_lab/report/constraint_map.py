@@ -87,8 +87,11 @@ class ConstraintMap:
     def active(self) -> ConstraintMap:
         """The map without the constraints that the policy does not have."""
         rows = np.flatnonzero(np.isfinite(self.slack).any(axis=1))
-        names = tuple(self.constraints[row] for row in rows)
-        return replace(self, constraints=names, slack=self.slack[rows])
+        return replace(
+            self,
+            constraints=tuple(self.constraints[row] for row in rows),
+            slack=self.slack[rows],
+        )
 
 
 def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:

@@ -159,8 +159,12 @@ def latency(values: Array) -> Latency:
 def _progress(motion: TorsoTrack) -> dict[str, Any]:
     duration = float(motion.t[-1] - motion.t[0])
     steps = np.diff(motion.position[:, :2], axis=0)
-    middle = (motion.rpy[1:, 2] + motion.rpy[:-1, 2]) / 2
-    forward, left = rotate(steps, -middle).sum(axis=0) / duration
+    forward, left = (
+        rotate(steps, -((motion.rpy[1:, 2] + motion.rpy[:-1, 2]) / 2)).sum(
+            axis=0
+        )
+        / duration
+    )
     height = motion.position[:, 2]
     return {
         "duration": duration,
@@ -321,11 +325,6 @@ def _parts(name: str, value: Any) -> Iterator[tuple[str, float]]:
 def summary_lines(metrics: WalkMetrics) -> list[str]:
     """Aligned lines `name  values`, with units; a dash where the bag lacks the data."""
     m = metrics
-    fallback = (
-        "-"
-        if m.fallback_cycles is None
-        else f"{m.fallback_cycles} cycles, at most {m.longest_fallback} in a row"
-    )
     rows = [
         ("motion from", m.source),
         ("duration", f"{m.duration:.2f} s after {m.warm_up:.1f} s of warm-up"),
@@ -352,7 +351,14 @@ def summary_lines(metrics: WalkMetrics) -> list[str]:
             f"{m.unanswered} ticks, {m.missed_ticks} left out",
         ),
         ("real-time factor", _number(m.real_time_factor, "{:.2f}")),
-        ("MPC fallback", fallback),
+        (
+            "MPC fallback",
+            (
+                "-"
+                if m.fallback_cycles is None
+                else f"{m.fallback_cycles} cycles, at most {m.longest_fallback} in a row"
+            ),
+        ),
         ("largest violation", _number(m.violation_max, "{:.1e} N")),
         ("map saturated", _per_leg(m.saturated)),
         ("servo at stall", _per_leg(m.servo_saturated)),

@@ -202,8 +202,13 @@ def draw_tilt(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
     for name, colour, angle in zip(
         ("roll", "pitch"), (palette.TRUE, palette.SECONDARY), motion.rpy.T
     ):
-        degrees = np.degrees(angle)
-        ax.plot(motion.t - motion.t[0], degrees, color=colour, lw=1, label=name)
+        ax.plot(
+            motion.t - motion.t[0],
+            np.degrees(angle),
+            color=colour,
+            lw=1,
+            label=name,
+        )
     _over_time(ax, motion, warm_up, "roll and pitch", "angle (deg)")
     ax.set_xlabel("time (s)")
     ax.legend(**LEGEND)

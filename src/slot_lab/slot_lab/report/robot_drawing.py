@@ -127,8 +127,11 @@ def draw_robot(
     solids = [torso_solid(pose, robot), *leg_solids(pose, robot)]
     _draw_ground(ax, centre, camera)
     shadow = np.concatenate([solid.faces for solid in solids]) * [1.0, 1.0, 0.0]
-    polygons = list(camera.project(shadow - centre))
-    ax.add_collection(PolyCollection(polygons, color=SHADOW, zorder=2))
+    ax.add_collection(
+        PolyCollection(
+            list(camera.project(shadow - centre)), color=SHADOW, zorder=2
+        )
+    )
     _draw_solids(ax, solids, centre, camera)
     _draw_forces(ax, pose, centre, camera)
     ax.set_aspect("equal")
@@ -210,8 +213,9 @@ def _draw_forces(
         pose.legs.nodes[:, -1] * [1.0, 1.0, 0.0], pose.force
     ):
         if np.linalg.norm(force) > LEAST_FORCE:
-            ends = np.array([foot, foot + FORCE_SCALE * force]) - centre
-            tail, head = camera.project(ends).tolist()
+            tail, head = camera.project(
+                np.array([foot, foot + FORCE_SCALE * force]) - centre
+            ).tolist()
             ax.annotate("", head, tail, zorder=4, arrowprops=arrow)
 
 

@@ -178,8 +178,12 @@ def plot(first: Bag, second: Bag) -> Canvas:
             lw=1.0,
             label=second.path.name,
         )
-        change = np.interp(shared, times[1], now) - then[: len(shared)]
-        difference.plot(shared, change, color=palette.INK, lw=1.0)
+        difference.plot(
+            shared,
+            np.interp(shared, times[1], now) - then[: len(shared)],
+            color=palette.INK,
+            lw=1.0,
+        )
         both.set_ylabel(title)
         for ax in (both, difference):
             ax.grid(color=palette.PALE, lw=0.5)
@@ -233,8 +237,13 @@ def origin_lines(first: Bag, second: Bag) -> list[str]:
     ]
     lines += [_file_line(name, then, now) for name in _differing(then, now)]
     if not all(recorded):
-        states = ("recorded" if has else "not recorded" for has in recorded)
-        return [*lines, _line("configuration", *states)]
+        return [
+            *lines,
+            _line(
+                "configuration",
+                *("recorded" if has else "not recorded" for has in recorded),
+            ),
+        ]
     values = [*_value_lines(_configuration(first), _configuration(second))]
     return lines + (values or [_line("configuration", "the same", "the same")])
 

@@ -39,10 +39,12 @@ class Plot:
 
 
 def _of_legs(suffix: str, *, pale: bool = False) -> Curve:
-    colours = tuple(
-        palette.LEG_COLOURS[leg] + ("70" if pale else "") for leg in LEGS
+    return Curve(
+        tuple(f"{leg} {suffix}" for leg in LEGS),
+        tuple(
+            palette.LEG_COLOURS[leg] + ("70" if pale else "") for leg in LEGS
+        ),
     )
-    return Curve(tuple(f"{leg} {suffix}" for leg in LEGS), colours)
 
 
 SOURCES = {
@@ -122,8 +124,13 @@ def _of_truth(message: Any) -> Values:
     _, position, quaternion, velocity, *_ = decode.odometry(message)
     rotation = Rotation.from_quat(quaternion)
     roll, pitch, yaw = rpy_of(rotation.as_matrix())
-    forward = rotate(rotation.apply(velocity)[:2], -yaw)[0]
-    return _torso("true", forward, position[2], roll, pitch)
+    return _torso(
+        "true",
+        rotate(rotation.apply(velocity)[:2], -yaw)[0],
+        position[2],
+        roll,
+        pitch,
+    )
 
 
 def _of_state(source: str, x: Array) -> Values:

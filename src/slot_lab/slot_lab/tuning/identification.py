@@ -65,10 +65,12 @@ def find_steering(
     speed = STEERED_AMPLITUDE * stride.forward.speed
     jobs = []
     for column in np.eye(10):
-        tried = Steering(
-            probe, probe, symmetry.rows(symmetry.steering(step * column))
+        changed = replace(
+            stride,
+            forward_steering=Steering(
+                probe, probe, symmetry.rows(symmetry.steering(step * column))
+            ),
         )
-        changed = replace(stride, forward_steering=tried)
         jobs += [
             Job(changed, mu, (speed, 0.0, turn))
             for turn in (probe, -probe)
@@ -82,15 +84,15 @@ def find_steering(
     scale = 1.0 / np.array(settings.steering_scale)[:, None]
     wanted = np.array([0.0, settings.steering_rate, 0.0])
     matrix = np.vstack([scale * effect, settings.steering_damping * np.eye(10)])
-    target = np.concatenate([scale[:, 0] * wanted, np.zeros(10)])
-    x = np.linalg.lstsq(matrix, target, rcond=None)[0]
+    x = np.linalg.lstsq(
+        matrix, np.concatenate([scale[:, 0] * wanted, np.zeros(10)]), rcond=None
+    )[0]
     change = effect @ x
-    found = Steering(
+    return Steering(
         float(change[1]),
         stride.forward_steering.rate_max,
         symmetry.rows(symmetry.steering(x)),
-    )
-    return found, change
+    ), change
 
 
 def tabulate(
@@ -111,8 +113,9 @@ def tabulate(
     found = {}
     for n, name in enumerate(PATTERNS):
         part = motions[n * size : (n + 1) * size]
-        mean = np.mean([_table(motion, stride) for motion in part], axis=0)
-        tables = symmetry.symmetrised(name, mean)
+        tables = symmetry.symmetrised(
+            name, np.mean([_table(motion, stride) for motion in part], axis=0)
+        )
         angle = np.array(getattr(stride, name).angle_deg)
         angle[:, 0] += np.degrees(np.mean([motion.offset for motion in part]))
         motion: dict[str, Any] = {
@@ -132,10 +135,12 @@ def tabulate(
 def _table(motion: StrideMotion, stride: Stride) -> Array:
     """Coefficients (9, 5): normal forces (N) and sway, as differences to the stride at rest."""
     posture = motion.track[:, [ROLL, PITCH, HEIGHT]]
-    velocity = rotate(motion.velocity, -motion.track[:, YAW])
-    samples = np.hstack([motion.force, posture, velocity])
-    basis = HarmonicBasis.at(motion.phase).value
-    table = np.linalg.lstsq(basis, samples, rcond=None)[0].T
+    samples = np.hstack(
+        [motion.force, posture, rotate(motion.velocity, -motion.track[:, YAW])]
+    )
+    table = np.linalg.lstsq(
+        HarmonicBasis.at(motion.phase).value, samples, rcond=None
+    )[0].T
     table[:4, 0] -= stride.centre_force
     table[6, 0] -= stride.height
     table[7:9, 0] = 0.0

@@ -132,10 +132,13 @@ def start_of(
     """
     limit = settings.coefficient_max_deg
     if seed is not None:
-        drawn = np.random.default_rng(seed).normal(
-            scale=settings.scatter_deg, size=NUMBERS[kind]
+        return np.clip(
+            np.random.default_rng(seed).normal(
+                scale=settings.scatter_deg, size=NUMBERS[kind]
+            ),
+            -limit,
+            limit,
         )
-        return np.clip(drawn, -limit, limit)
     x = numbers(kind, np.array(getattr(stride, kind).angle_deg))
     n = int(np.abs(x).argmax())
     if abs(x[n]) > limit:
@@ -202,8 +205,10 @@ class PatternSearch:
             self.done < self._settings.evaluations and not self._strategy.stop()
         ):
             candidates = self._strategy.ask()
-            costs = self._generation(candidates, recorded, run_all, record)
-            self._strategy.tell(candidates, costs)
+            self._strategy.tell(
+                candidates,
+                self._generation(candidates, recorded, run_all, record),
+            )
             self.done += len(candidates)
             speeds = " ".join(f"{v:.4f}" for v in self.best.speed)
             progress(
@@ -243,8 +248,9 @@ class PatternSearch:
         outcomes = list(run_all([job for each in todo for job in each]))
         rows = []
         for n in range(0, len(outcomes), runs):
-            part = outcomes[n : n + runs]
-            value, speed = cost(part, self._stride, self._goal, self._settings)
+            value, speed = cost(
+                outcomes[n : n + runs], self._stride, self._goal, self._settings
+            )
             rows.append([value, speed.tolist()])
         return rows
 

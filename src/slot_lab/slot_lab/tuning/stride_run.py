@@ -66,8 +66,9 @@ RunAll = Callable[[Sequence[Job]], Iterable[Outcome]]
 
 def simulate(job: Job, settings: TuningSettings) -> Outcome:
     """Run a job; None if the simulation diverges. Raises ConfigError."""
-    scene = read_scene(settings.scene)
-    floor = config.replace(scene, {"floor.friction": [job.friction] * 4})
+    floor = config.replace(
+        read_scene(settings.scene), {"floor.friction": [job.friction] * 4}
+    )
     try:
         return _Run(job, settings, read_robot(), floor).motion()
     except DivergenceError:
@@ -136,10 +137,9 @@ class _Run:
         phases = np.clip(
             np.arange(first, last) * dt / period - number, 0.0, 1.0 - 1e-12
         )
-        velocity = np.array(self._job.velocity)
-        angles = self._job.stride.stride_table(phases, velocity, self._offset)[
-            :, :4
-        ]
+        angles = self._job.stride.stride_table(
+            phases, np.array(self._job.velocity), self._offset
+        )[:, :4]
         return list(zip(phases.tolist(), np.clip(angles, 0.0, self._angle_max)))
 
     def _sample(self, phase: float) -> list[float]:

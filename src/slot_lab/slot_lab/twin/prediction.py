@@ -96,8 +96,9 @@ def simulate(
     sim = make_robot(
         parts.robot, config.replace(scene, {"start.settle": 0.0}), servo
     )
-    settling = max(scene.start.settle, LEAST_SETTLING)
-    sim.advance(round(settling / step), commands[0][1])
+    sim.advance(
+        round(max(scene.start.settle, LEAST_SETTLING) / step), commands[0][1]
+    )
     _place(sim, recorded.motion, begin)
     yield begin, sim
     now = 0
@@ -121,8 +122,13 @@ def predict(
         for t, sim in simulate(recorded, parts, settings, tell)
     ]
     t, position, velocity, rpy = np.split(np.array(rows), [1, 4, 7], axis=1)
-    quaternion = Rotation.from_euler("xyz", rpy).as_quat()
-    return TorsoTrack("prediction", t[:, 0], position, quaternion, velocity)
+    return TorsoTrack(
+        "prediction",
+        t[:, 0],
+        position,
+        Rotation.from_euler("xyz", rpy).as_quat(),
+        velocity,
+    )
 
 
 def write_predicted_points(
@@ -196,8 +202,12 @@ def _spline(angles: TendonAngles) -> CubicSpline:
         for k in gaps
     ]
     t = np.union1d(angles.t, np.concatenate([angles.t[:0], *added]))
-    straight = [np.interp(t, angles.t, column) for column in angles.angle.T]
-    return CubicSpline(t, np.column_stack(straight))
+    return CubicSpline(
+        t,
+        np.column_stack(
+            [np.interp(t, angles.t, column) for column in angles.angle.T]
+        ),
+    )
 
 
 def _place(sim: SimulatedRobot, motion: TorsoTrack, begin: float) -> None:

@@ -96,8 +96,12 @@ def _from_table(path: Path, measured: bool) -> BagRecording:
         quaternion=Rotation.from_euler("xyz", pose[:, 3:]).as_quat(),
         velocity=np.gradient(pose[:, :3], at, axis=0),
     )
-    angles = TendonAngles("FL, FR, RL, RR", t, angle, measured=measured)
-    return BagRecording(path.name, angles, motion, period=None)
+    return BagRecording(
+        path.name,
+        TendonAngles("FL, FR, RL, RR", t, angle, measured=measured),
+        motion,
+        period=None,
+    )
 
 
 def _columns(

@@ -197,8 +197,12 @@ def residuals(
         begin, end = strides.edges[[first, last]]
         inside = (measured.t >= begin) & (measured.t < end)
         if inside.sum() >= 3:
-            moved = predicted.pose_at(measured.t[inside])
-            out.append(_aligned(moved, measured.pose[inside]) / scale)
+            out.append(
+                _aligned(
+                    predicted.pose_at(measured.t[inside]), measured.pose[inside]
+                )
+                / scale
+            )
     return out
 
 
@@ -227,8 +231,9 @@ def _means(track: TorsoTrack, strides: Strides) -> Array:
 def _displacements(means: Array, ahead: int) -> Array:
     """(k - ahead, 3) of means (k, 6): displacement in the frame of the heading, and turn."""
     off = means[ahead:] - means[:-ahead]
-    place = rotate(off[:, :2], -means[:-ahead, YAW])
-    return np.column_stack([place, off[:, YAW]])
+    return np.column_stack(
+        [rotate(off[:, :2], -means[:-ahead, YAW]), off[:, YAW]]
+    )
 
 
 def _rms(values: Array) -> float:

@@ -135,12 +135,18 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
         parts = found.parts
         tracks["fitted"] = predict(recorded, parts, settings, predicting)
         kept.forget()
-        at_bound = found.estimate.at_bound(found.names)
-        verdict = judge(tracks["fitted"], measured, judged, settings, at_bound)
+        verdict = judge(
+            tracks["fitted"],
+            measured,
+            judged,
+            settings,
+            found.estimate.at_bound(found.names),
+        )
     else:
         seen = None
-        errors = stride_errors(tracks["model"], measured, strides)
-        lines += error_lines({"model": errors})
+        lines += error_lines(
+            {"model": stride_errors(tracks["model"], measured, strides)}
+        )
         verdict = judge(tracks["model"], measured, strides, settings)
     progress("drawing")
     draw(

@@ -163,11 +163,13 @@ def _coordinates(
 
 def _with_leg(recording: PointRecording, leg: str) -> PointRecording:
     """The recording with the leg in the names of leg points."""
-    points = {
-        f"{leg}_{k}" if k in LEG_POINTS else k: v
-        for k, v in recording.points.items()
-    }
-    return dataclasses.replace(recording, points=points)
+    return dataclasses.replace(
+        recording,
+        points={
+            f"{leg}_{k}" if k in LEG_POINTS else k: v
+            for k, v in recording.points.items()
+        },
+    )
 
 
 def _joined(
@@ -269,8 +271,13 @@ def metrics(parts: Sequence[float], span: float) -> dict[str, float]:
 
 def _parts(off: Array) -> Array:
     """(3, m) RMSE, MAE and mean error (with sign) of rows of errors (m, n)."""
-    rmse = np.sqrt(np.mean(off**2, axis=1))
-    return np.array([rmse, np.mean(np.abs(off), axis=1), off.mean(axis=1)])
+    return np.array(
+        [
+            np.sqrt(np.mean(off**2, axis=1)),
+            np.mean(np.abs(off), axis=1),
+            off.mean(axis=1),
+        ]
+    )
 
 
 def _drawn(off: Array, block: int, rng: np.random.Generator) -> Array:

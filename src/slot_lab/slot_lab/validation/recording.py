@@ -123,8 +123,12 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
 
     settings = read_vision()
     try:
-        lens = read_camera(camera) if camera else nominal(settings.camera)
-        found = track_film(path, lens, settings, tell=tell)
+        found = track_film(
+            path,
+            read_camera(camera) if camera else nominal(settings.camera),
+            settings,
+            tell=tell,
+        )
     except (FilmError, CameraError) as error:
         raise RecordingError(str(error)) from None
     rows: dict[str, list[tuple[float, ...]]] = {}
@@ -192,7 +196,12 @@ def _since_first(
 ) -> PointRecording:
     """The recording with times since its first sample."""
     first = min(float(track.t[0]) for track in tracks.values())
-    moved = {
-        k: PointTrack(v.t - first, v.position, v.rpy) for k, v in tracks.items()
-    }
-    return PointRecording(name, moved, notes, tilted)
+    return PointRecording(
+        name,
+        {
+            k: PointTrack(v.t - first, v.position, v.rpy)
+            for k, v in tracks.items()
+        },
+        notes,
+        tilted,
+    )

@@ -147,8 +147,12 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     progress("drawing")
     plots = tables.draw(found, f"{run.name} and {measured.name}", out)
     names = ["summary.txt", "errors.csv", *(path.name for path in plots)]
-    written = f"{', '.join(names)} are in {out}"
-    return [*lines, "", written, verdict.line], verdict.code
+    return [
+        *lines,
+        "",
+        f"{', '.join(names)} are in {out}",
+        verdict.line,
+    ], verdict.code
 
 
 if __name__ == "__main__":

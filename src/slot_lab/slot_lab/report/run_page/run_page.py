@@ -127,14 +127,14 @@ def read_frames(
 def _columns(stamps: Stamps, poses: list[Snapshot]) -> dict[str, Array]:
     """Columns of the robot; raises ValueError for legs whose number of nodes changes."""
     position = np.array([pose.position for pose in poses])
-    nodes = np.array([pose.legs.nodes for pose in poses])
     return {
         "t": seconds(stamps - stamps[0]),
         "position": position,
         "quaternion": _continuous(
             np.array([pose.quaternion for pose in poses])
         ),
-        "nodes": nodes - position[:, None, None],
+        "nodes": np.array([pose.legs.nodes for pose in poses])
+        - position[:, None, None],
         "across": np.array([pose.legs.axes[0] for pose in poses]),
         "force": np.array([pose.force for pose in poses]),
     }
@@ -201,8 +201,7 @@ def _curves(topic: str, found: Messages, stamps: Stamps) -> dict[str, Array]:
 
 def _step(values: Array) -> float:
     """Step of a curve: four digits of its largest value."""
-    finite = np.abs(values[np.isfinite(values)])
-    largest = float(finite.max(initial=0.0))
+    largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
     return (
         10.0 ** (math.floor(math.log10(largest)) - 3) if largest > 0.0 else 1.0
     )
@@ -228,14 +227,13 @@ def _packed(table: Integers) -> str:
     """Text of integers (n, c)."""
     change = np.diff(table, axis=0, prepend=0).astype(np.int32)  # modulo 2^32
     signed = (change << 1) ^ (change >> 31)  # 0, -1, 1, -2 become 0, 1, 2, 3
-    planes = (
+    return _deflated(
         np.ascontiguousarray(signed.T)
         .astype("<i4")
         .view(np.uint8)
         .reshape(-1, 4)
-        .T
+        .T.tobytes()
     )
-    return _deflated(planes.tobytes())
 
 
 class PageError(InputError):
