@@ -25,6 +25,7 @@ import math
 import multiprocessing
 import os
 import platform
+import re
 import statistics
 import subprocess
 import time
@@ -217,14 +218,10 @@ def revision(root: Path) -> dict[str, Any]:
 def machine() -> dict[str, Any]:
     """Processor, system and versions on which the benchmark ran."""
     info = Path("/proc/cpuinfo")  # names the processor, but on some ARM kernels
-    lines = info.read_text().splitlines() if info.exists() else []
-    models = (
-        line.partition(": ")[2]
-        for line in lines
-        if line.startswith("model name")
-    )
+    text = info.read_text() if info.exists() else ""
+    models = re.findall(r"^model name\s*: (.*)", text, re.M)
     return {
-        "cpu": next(models, platform.processor()),
+        "cpu": next(iter(models), platform.processor()),
         "architecture": platform.machine(),
         "cores": len(os.sched_getaffinity(0)),
         "system": platform.system(),

@@ -106,7 +106,6 @@ def section(name: str, subject: str, result: Result) -> str:
         if result.quick
         else "A full run"
     )
-    parts = [f"{plain(subject)}", f"{run}, {plain(result.origin)}."]
     checks = [
         [
             plain(check.name),
@@ -116,17 +115,21 @@ def section(name: str, subject: str, result: Result) -> str:
         ]
         for check in result.checks
     ]
-    parts.append(table(["check", "value", "goal", ""], checks).rstrip())
+    parts = [
+        plain(subject),
+        f"{run}, {plain(result.origin)}.",
+        table(["check", "value", "goal", ""], checks).rstrip(),
+    ]
     for kind, columns in SHOWN.get(name, {}).items():
-        rows = [row for row in result.rows if row.get("kind", "") == kind]
-        rows = [row for row in rows if row.get("repeat", "median") == "median"]
-        if rows:
-            cells = [
-                [_cell(row.get(column)) for column in columns] for row in rows
-            ]
+        cells = [
+            [_cell(row.get(column)) for column in columns]
+            for row in result.rows
+            if row.get("kind", "") == kind
+            and row.get("repeat", "median") == "median"
+        ]
+        if cells:
             heads = [plain(column.replace("_", " ")) for column in columns]
-            parts.append(f"Rows {kind or name}:")
-            parts.append(table(heads, cells).rstrip())
+            parts += [f"Rows {kind or name}:", table(heads, cells).rstrip()]
     parts += [
         f"![{name}: {Path(file).stem.replace('_', ' ')}]({file})"
         for file, picture in PICTURES.items()
@@ -165,19 +168,18 @@ def page(results: Path, before: str) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/docs --figures`; one line and exit code 2 for a bad result."""
     parser = command_parser("docs --figures", __doc__)
-    results, out = ROOT / "results", DOC / "figures.md"
     add = parser.add_argument
     add(
         "--results",
         type=Path,
-        default=results,
+        default=ROOT / "results",
         metavar="DIR",
         help="default: results",
     )
     add(
         "--out",
         type=Path,
-        default=out,
+        default=DOC / "figures.md",
         metavar="FILE",
         help="default: the page",
     )

@@ -103,10 +103,8 @@ class GraphTables:
             self._add_end(end, 2, name)
         for service in node.services:
             if _package(service.srv_type) not in STANDARD_SERVICES:
-                row = _kind(service.srv_type), name
-                self._services[node.resolve_service_name(service.srv_name)] = (
-                    row
-                )
+                full = node.resolve_service_name(service.srv_name)
+                self._services[full] = _kind(service.srv_type), name
         rows = self._parameters.setdefault(name, {})
         for parameter, declared in sorted(
             node.get_parameters_by_prefix("").items()
@@ -162,14 +160,12 @@ def arguments() -> str:
             if argument.choices
             else ""
         )
-        option = f"`--{argument.name.replace('_', '-')}`"
-        kind, default = argument.kind.__name__, code(argument.default)
         rows.append(
             (
-                option,
+                f"`--{argument.name.replace('_', '-')}`",
                 f"`{argument.name}`",
-                kind,
-                default,
+                argument.kind.__name__,
+                code(argument.default),
                 plain(argument.help + choices),
             )
         )

@@ -50,9 +50,9 @@ class Picture:
         """Where the picture comes from."""
         if self.benchmark:
             return f"results of scripts/bench {self.benchmark}"
-        browser = "scripts/play in Chromium"
-        simulated = browser if "browser" in self.draw else "simulated"
-        return "; ".join(self.commands).replace(f"{ROOT}/", "") or simulated
+        if "browser" in self.draw and not self.commands:
+            return "scripts/play in Chromium"
+        return "; ".join(self.commands).replace(f"{ROOT}/", "") or "simulated"
 
     def needs(self, results: Path) -> Path | None:
         """The result without which there is no picture."""
@@ -171,7 +171,7 @@ def read_rows(results: Path, benchmark: str) -> Rows:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/docs --pictures`; exit code 2 for what cannot be drawn."""
     parser = command_parser("docs --pictures", __doc__)
-    add, results = parser.add_argument, ROOT / "results"
+    add = parser.add_argument
     add("names", nargs="*", metavar="NAME", help="of pictures (default: all)")
     add(
         "--list",
@@ -181,7 +181,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add(
         "--results",
         type=Path,
-        default=results,
+        default=ROOT / "results",
         metavar="DIR",
         help="default: results",
     )
@@ -212,13 +212,12 @@ def draw(names: Sequence[str], results: Path, out: Path) -> None:
     if not out.is_dir():
         raise PictureError(f"--out {out}: not a directory")
     for name in names:
-        benchmark, needed = (
-            PICTURES[name].benchmark,
-            PICTURES[name].needs(results),
-        )
+        needed = PICTURES[name].needs(results)
         if needed and not needed.is_file():
-            writes = f"scripts/bench {benchmark} writes it"
-            raise PictureError(f"{name}: {needed}: missing; {writes}")
+            raise PictureError(
+                f"{name}: {needed}: missing; scripts/bench"
+                f" {PICTURES[name].benchmark} writes it"
+            )
     for name in names:
         PICTURES[name].make(results, out / name)
         if name.endswith(".png"):

@@ -107,9 +107,10 @@ def draw_gaits(path: Path) -> None:
         )
         for leg, name in zip(LEGS, FOOT_NAMES)
     ]
-    style = {"color": palette.INK, "marker": "^", "ls": "none"}
     force = f"force of the floor, {MM * FORCE_SCALE:.0f} mm of arrow for 1 N; none: foot in the air"
-    handles.append(Line2D([], [], label=force, **style))
+    handles.append(
+        Line2D([], [], color=palette.INK, marker="^", ls="none", label=force)
+    )
     figure.legend(
         handles=handles, loc="outside lower center", ncols=5, frameon=False
     )
@@ -185,8 +186,13 @@ def _draw_beside(
     ax.plot(time[shown], true[shown], color=palette.TRUE, lw=2.5, label="true")
     for k in range(FIRST, LAST, EVERY):
         ahead = [true[k], *(MM * plans[k].pose[:, column])]
-        label = "predicted from the dot on" if k == FIRST else None
-        style = {"color": palette.INK, "lw": 1.1, "label": label}
-        ax.plot(time[k] + DT * np.arange(len(ahead)), ahead, "--", **style)
+        ax.plot(
+            time[k] + DT * np.arange(len(ahead)),
+            ahead,
+            "--",
+            color=palette.INK,
+            lw=1.1,
+            label="predicted from the dot on" if k == FIRST else None,
+        )
         ax.plot(time[k], true[k], "o", color=palette.INK, ms=3.5)
     ax.grid(color=palette.PALE, lw=0.4)

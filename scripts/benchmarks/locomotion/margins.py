@@ -134,8 +134,10 @@ def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
         ax.set_ylim(bottom=0.0)
         ax.grid(color=palette.PALE, lw=0.4)
     rest.set_axis_off()
-    handles, labels = plots[0].get_legend_handles_labels()
     rest.legend(
-        handles, labels, loc="center", title="voltage, or with", frameon=False
+        *plots[0].get_legend_handles_labels(),
+        loc="center",
+        title="voltage, or with",
+        frameon=False,
     )
     figure.savefig(path, dpi=150)

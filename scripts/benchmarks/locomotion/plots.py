@@ -124,10 +124,9 @@ def _draw_row(ax: Axes, row: Mapping[str, Any], columns: Sequence[str]) -> None:
     ax.axvspan(0.0, row["goal"], color="#dcefe4", zorder=0)
     ax.axvline(row["goal"], color=palette.INK, lw=1.2, zorder=3)
     for place, (name, value) in enumerate(zip(columns, values)):
-        if math.isfinite(value):
-            ax.barh(place, value, 0.65, color=COLOURS[name], zorder=2)
         text, at = "falls or does not walk", 0.0
         if math.isfinite(value):
+            ax.barh(place, value, 0.65, color=COLOURS[name], zorder=2)
             text = f"{value:.0f}" if value >= 100 else f"{value:.3g}"
             at = max(value, row["goal"])  # not across the line
         ax.text(at + 0.01 * end, place, text, va="center", fontsize=8, zorder=4)
@@ -145,8 +144,14 @@ def draw_velocity(found: Courses, path: Path) -> None:
     figure = Figure(figsize=(6.5, 7.0), layout="constrained")
     ax = figure.subplots()
     wanted = found[f"{VELOCITY}/{DEFAULT}"][:, :2]
-    style = {"color": palette.INK, "fillstyle": "none", "ms": 16}
-    ax.plot(*wanted.T, "o", label="commanded", **style)
+    ax.plot(
+        *wanted.T,
+        "o",
+        label="commanded",
+        color=palette.INK,
+        fillstyle="none",
+        ms=16,
+    )
     for column, colour in COLOURS.items():
         if (pairs := found.get(f"{VELOCITY}/{column}")) is not None:
             ax.plot(pairs[:, ::2].T, pairs[:, 1::2].T, color=colour, lw=0.8)
@@ -175,14 +180,11 @@ def draw_top(found: Courses, path: Path) -> None:
                 every = slice(
                     None, None, round(HEADING_EVERY / (time[1] - time[0]))
                 )
-                heading = (
+                ax.quiver(
                     x[every],
                     y[every],
                     np.cos(yaw[every]),
                     np.sin(yaw[every]),
-                )
-                ax.quiver(
-                    *heading,
                     color=colour,
                     width=0.004,
                     scale=25.0,
@@ -203,9 +205,11 @@ def draw_top(found: Courses, path: Path) -> None:
 
 def _finish(figure: Figure, ax: Axes, path: Path) -> None:
     ax.grid(color=palette.PALE, lw=0.4)
-    handles, labels = ax.get_legend_handles_labels()
-    place: Any = "outside lower center"
     figure.legend(
-        handles, labels, loc=place, ncols=3, frameon=False, fontsize=9
+        *ax.get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=3,
+        frameon=False,
+        fontsize=9,
     )
     figure.savefig(path, dpi=130)

@@ -373,13 +373,19 @@ def _standing() -> list[LocomotionRow]:
     for name, cases in groups.items():
         # a level torso on equal legs stays level without a controller
         share = None if name.startswith("heights") else 0.5
-        height, angles = (
-            f"standing, {name}: height",
-            f"standing, {name}: angles",
-        )
         found += [
-            LocomotionRow(height, "mm", 1.0, cases, _height_off, (0,)),
-            LocomotionRow(angles, "deg", 0.3, cases, _angle_off, (0,), share),
+            LocomotionRow(
+                f"standing, {name}: height", "mm", 1.0, cases, _height_off, (0,)
+            ),
+            LocomotionRow(
+                f"standing, {name}: angles",
+                "deg",
+                0.3,
+                cases,
+                _angle_off,
+                (0,),
+                share,
+            ),
         ]
     begin, end, _ = RAMP
     ramp = Case(
@@ -388,8 +394,6 @@ def _standing() -> list[LocomotionRow]:
         pose=(begin, 0.0, 0.0),
         poses=((4.0, (end, 0.0, 0.0)),),
     )
-    still = Case(10.0, gait="stand")
-    speed = "standing: speed of the goals"
     return [
         *found,
         LocomotionRow(
@@ -401,7 +405,15 @@ def _standing() -> list[LocomotionRow]:
             (0,),
             None,
         ),
-        LocomotionRow(speed, "deg/s", 5.0, [still], _goal_speed, (0,), None),
+        LocomotionRow(
+            "standing: speed of the goals",
+            "deg/s",
+            5.0,
+            [Case(10.0, gait="stand")],
+            _goal_speed,
+            (0,),
+            None,
+        ),
     ]
 
 
@@ -446,34 +458,46 @@ def _disturbed() -> list[LocomotionRow]:
 
 def _at_once() -> list[LocomotionRow]:
     """Sudden changes: steps of the velocity, pushes, loads, slopes, frictions; stress."""
-    steps = {".02 to .06": (0.02, 0.06, 1.2), ".06 to -.04": (0.06, -0.04, 1.5)}
-    steps |= {".05 to 0": (0.05, 0.0, 1.2)}
+    steps = {
+        ".02 to .06": (0.02, 0.06, 1.2),
+        ".06 to -.04": (0.06, -0.04, 1.5),
+        ".05 to 0": (0.05, 0.0, 1.2),
+    }
     found = []
     for name, (before, after, goal) in steps.items():
         case = Case(
             AT + 4.0,
             schedule=((0.0, (before, 0.0, 0.0)), (AT, (after, 0.0, 0.0))),
         )
-        quick = () if found else (0,)
         title = f"velocity {name}: to a tenth"
+        quick = () if found else (0,)
         found.append(LocomotionRow(title, "s", goal, [case], _settled, quick))
     force = 0.83 / 0.2  # N for .2 s
     ways = {"aside": ((0.0, force, 0.0), 1), "back": ((-force, 0.0, 0.0), 0)}
     for name, (way, axis) in ways.items():
-        begins = [AT + k * PERIOD / 4 for k in range(4)]
         cases = [
             straight(push(begin, way), scene="push", duration=begin + 4.0)
-            for begin in begins
+            for begin in (AT + k * PERIOD / 4 for k in range(4))
         ]
-        title = f"push of .83 N s {name}"
         quick = (0,) if name == "aside" else ()
-        peak, recovery = partial(_peak, axis), partial(_recovery, axis)
         found += [
             LocomotionRow(
-                f"{title}: peak", "mm", 20.0, cases, peak, quick, 1.1
+                f"push of .83 N s {name}: peak",
+                "mm",
+                20.0,
+                cases,
+                partial(_peak, axis),
+                quick,
+                1.1,
             ),
             LocomotionRow(
-                f"{title}: recovery", "s", 2.0, cases, recovery, quick, 0.9
+                f"push of .83 N s {name}: recovery",
+                "s",
+                2.0,
+                cases,
+                partial(_recovery, axis),
+                quick,
+                0.9,
             ),
         ]
     load, none = (0.3, 0.03, 0.02, 0.03), (0.0, 0.0, 0.0, 0.0)
@@ -499,7 +523,6 @@ def _at_once() -> list[LocomotionRow]:
     broken = (True, False, False, False)
     told = (("scene.tendons.broken", broken), ("policy.nominal.broken", broken))
     lame = Case(16.0, velocity=(0.04, 0.0, 0.0), changes=told)
-    turned = "tendon FL broken, told: turned"
     return [
         *found,
         LocomotionRow(
@@ -507,11 +530,17 @@ def _at_once() -> list[LocomotionRow]:
             "deg",
             15.0,
             [_stress()],
-            _tilt_ever,
+            partial(_tilt_largest, begin=0.0),
             (),
             None,
         ),
-        LocomotionRow(turned, "deg", 5.0, [lame], _turned_late),
+        LocomotionRow(
+            "tendon FL broken, told: turned",
+            "deg",
+            5.0,
+            [lame],
+            partial(_turn_missed, turn=0.0, begin=5.0),
+        ),
     ]
 
 
@@ -574,13 +603,13 @@ def _gap(case: Case, motion: WalkMotion) -> float:
 
 
 def _turn_missed(
-    case: Case, motion: WalkMotion, turn: float = 2 * math.pi
+    case: Case,
+    motion: WalkMotion,
+    turn: float = 2 * math.pi,
+    begin: float = 0.0,
 ) -> float:
-    return DEG * float(abs(motion.rpy[-1, 2] - motion.rpy[0, 2] - turn))
-
-
-def _turned_late(case: Case, motion: WalkMotion) -> float:
-    return _turn_missed(case, motion.after(5.0), 0.0)
+    yaw = motion.after(begin).rpy[:, 2]
+    return DEG * float(abs(yaw[-1] - yaw[0] - turn))
 
 
 def _turn_rate_missed(case: Case, motion: WalkMotion) -> float:
@@ -630,12 +659,10 @@ def _tilt_rms(case: Case, motion: WalkMotion) -> float:
     return DEG * float(np.sqrt(np.mean(motion.after(WARM_UP).tilt ** 2)))
 
 
-def _tilt_largest(case: Case, motion: WalkMotion) -> float:
-    return DEG * float(motion.after(WARM_UP).tilt.max())
-
-
-def _tilt_ever(case: Case, motion: WalkMotion) -> float:
-    return DEG * float(motion.tilt.max())
+def _tilt_largest(
+    case: Case, motion: WalkMotion, begin: float = WARM_UP
+) -> float:
+    return DEG * float(motion.after(begin).tilt.max())
 
 
 def _top(case: Case, motion: WalkMotion) -> float:

@@ -75,21 +75,19 @@ def render(directory: Path, revision: str, folder: Path) -> str:
 
 def _overview(results: Mapping[str, Result], known: int) -> Iterator[str]:
     """How many results are there, and which checks are missed."""
-    checks = [
-        (name, check)
+    count = sum(len(result.checks) for result in results.values())
+    missed = [
+        [_link(name), *_cells(check)]
         for name, result in results.items()
         for check in result.checks
+        if not check.holds
     ]
-    missed = [(name, check) for name, check in checks if not check.holds]
     yield (
-        f"{len(results)} of {known} results are here. Of {len(checks)} checks of "
-        f"benchmarks {len(checks) - len(missed)} hold and {len(missed)} are missed."
+        f"{len(results)} of {known} results are here. Of {count} checks of "
+        f"benchmarks {count - len(missed)} hold and {len(missed)} are missed."
     )
     if missed:
-        yield table(
-            ["missed in", "check", "value", "goal"],
-            [[_link(name), *_cells(check)] for name, check in missed],
-        )
+        yield table(["missed in", "check", "value", "goal"], missed)
 
 
 def _comparison(compared: PaperTable, results: Mapping[str, Result]) -> str:
@@ -104,14 +102,10 @@ def _comparison(compared: PaperTable, results: Mapping[str, Result]) -> str:
         given = [f"{v:g}" if isinstance(v, float) else v for v in line.paper]
         found = _figures(line, compared, results) if here else []
         rows.append([name, *given, *found])
-    names = ", ".join(
-        _link(name) for name in compared.results if name in results
-    )
-    missing = ", ".join(
-        name for name in compared.results if name not in results
-    )
-    ends = [f"From {names}."] if names else []
-    ends += [f"Not run: {missing}."] if missing else []
+    names = [_link(name) for name in compared.results if name in results]
+    missing = [name for name in compared.results if name not in results]
+    ends = [f"From {', '.join(names)}."] if names else []
+    ends += [f"Not run: {', '.join(missing)}."] if missing else []
     about = f"### {compared.title}\n\n{plain(compared.place)}. {plain(compared.about)}"
     return f"{about}\n\n{table(['', *columns], rows)}\n{' '.join(ends)}"
 
@@ -199,11 +193,9 @@ def _locomotion(result: Result) -> str:
         if "row" in row:
             sign = ">=" if row.get("better") == "larger" else "<="
             goal = f"{sign} {_number(number(row.get('goal')))}"
-            words = [
-                plain(str(word)) for word in (row["row"], row.get("unit"), goal)
-            ]
+            words = (row["row"], row.get("unit"), goal)
             values = [_number(number(row.get(column))) for column in COLUMNS]
-            rows.append([*words, *values])
+            rows.append([*(plain(str(word)) for word in words), *values])
     return table(["row", "unit", "goal", *COLUMNS], rows)
 
 

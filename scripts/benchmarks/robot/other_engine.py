@@ -60,8 +60,10 @@ def rows(quick: bool, out: Path, progress: Progress) -> list[dict[str, Any]]:
     progress("other engine: stiffness and stand")
     found = []
     for degrees in ANGLES_DEG[1:2] if quick else ANGLES_DEG:
-        found.append(sideways_row(robot, still, degrees))
-        found.append(loaded_row(robot, still, degrees))
+        found += [
+            sideways_row(robot, still, degrees),
+            loaded_row(robot, still, degrees),
+        ]
     found.append(stand_row(robot, still))
     replays = list(replay_rows(robot, scene, quick, progress))
     draw_engines(replays, out / "other_engine.png")
@@ -159,10 +161,9 @@ def held(kind: Any, robot: RobotParameters, scene: Scene, field: Array) -> Any:
 
     No leg moves the torso, which a push holds against its weight.
     """
-    torso = dataclasses.replace(robot.torso, mass=HELD)
     still = dataclasses.replace(
         robot,
-        torso=torso,
+        torso=dataclasses.replace(robot.torso, mass=HELD),
         leg=dataclasses.replace(robot.leg, damping_time=RESTING_DAMPING),
     )
     changes = {
@@ -177,8 +178,12 @@ def held(kind: Any, robot: RobotParameters, scene: Scene, field: Array) -> Any:
 
 def stand_row(robot: RobotParameters, scene: Scene) -> dict[str, Any]:
     """Height of the torso that stands under the scene's tendon angle, mm."""
-    row = {"kind": "other stand", "nodes": scene.solver.nodes}
-    row["tendon_deg"] = degrees = scene.start.tendon_angle_deg
+    degrees = scene.start.tendon_angle_deg
+    row = {
+        "kind": "other stand",
+        "nodes": scene.solver.nodes,
+        "tendon_deg": degrees,
+    }
     for name, kind in (("own", RodRobot), ("other", MujocoRobot)):
         sim = kind(robot, scene, read_servo())
         hold(sim, degrees)
@@ -270,17 +275,22 @@ def checks(found: list[dict[str, Any]]) -> list[Check]:
         )
         name = f"MuJoCo: sideways compliance of {leg} leg"
         out.append(at_most(name, worst, STIFFNESS_PERCENT, "%"))
-    for row in found:
-        if row["kind"] == "other stand":
-            apart = abs(row["own_mm"] - row["other_mm"])
-            name = "MuJoCo: height of the standing robot"
-            out.append(at_most(name, apart, STAND_MM, "mm"))
-        if row["kind"] == "replay":
-            name = (
-                f"MuJoCo: speed of {row['gait']} at friction {row['friction']}"
+    [stand] = (row for row in found if row["kind"] == "other stand")
+    apart = abs(stand["own_mm"] - stand["other_mm"])
+    return [
+        *out,
+        at_most("MuJoCo: height of the standing robot", apart, STAND_MM, "mm"),
+        *(
+            at_most(
+                f"MuJoCo: speed of {row['gait']} at friction {row['friction']}",
+                row["difference"],
+                row["goal"],
+                "mm/s",
             )
-            out.append(at_most(name, row["difference"], row["goal"], "mm/s"))
-    return out
+            for row in found
+            if row["kind"] == "replay"
+        ),
+    ]
 
 
 def draw_engines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -294,16 +304,14 @@ def draw_engines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     for ax, gait in zip(panels, gaits):
         floors = [row for row in rows if row["gait"] == gait]
         for k, row in enumerate(floors):
-            low, size = row["own_v_x"] - row["goal"], 2 * row["goal"]
-            label = "goal: within 10 % or 3 mm/s" if k == 0 else None
             ax.bar(
                 k,
-                size,
+                2 * row["goal"],
                 0.5,
-                low,
+                row["own_v_x"] - row["goal"],
                 color=palette.SHADE,
                 ec=palette.PALE,
-                label=label,
+                label="goal: within 10 % or 3 mm/s" if k == 0 else None,
             )
         for name, (label, colour, mark, beside) in ENGINES.items():
             places = [k + beside for k in range(len(floors))]
@@ -325,6 +333,9 @@ def draw_engines(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
         ax.grid(axis="y", color=palette.PALE, lw=0.5)
     panels[0].set_ylim(bottom=min(0.0, panels[0].get_ylim()[0]))
     panels[0].set_ylabel("mean speed, mm/s")
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(),
+        loc="outside lower center",
+        ncols=3,
+    )
     figure.savefig(path, dpi=150)

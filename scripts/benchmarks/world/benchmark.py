@@ -155,9 +155,12 @@ def verdict_of(row: Row, worse: bool, named: bool) -> str:
 
 def checks(rows: Sequence[Row]) -> list[Check]:
     """A check for each set: the share of its runs whose verdict is allowed."""
-    found = []
-    for name in dict.fromkeys(row["set"] for row in rows):
-        runs = [row["allowed"] for row in rows if row["set"] == name]
-        share = 100.0 * sum(runs) / len(runs)
-        found.append(at_least(f"{name}: allowed runs", share, 100.0, "%"))
-    return found
+    allowed: dict[str, list[bool]] = {}
+    for row in rows:
+        allowed.setdefault(row["set"], []).append(row["allowed"])
+    return [
+        at_least(
+            f"{name}: allowed runs", 100.0 * sum(runs) / len(runs), 100.0, "%"
+        )
+        for name, runs in allowed.items()
+    ]
