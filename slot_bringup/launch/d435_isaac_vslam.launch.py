@@ -89,7 +89,14 @@ def generate_launch_description() -> LaunchDescription:
                 for name, value in SLOT.items()
             ),
             _include(
-                _launch_file("realsense2_camera", "rs_launch.py"),
+                # looked up when the launch starts
+                PathJoinSubstitution(
+                    [
+                        FindPackageShare("realsense2_camera"),
+                        "launch",
+                        "rs_launch.py",
+                    ]
+                ),
                 CAMERA,
                 EMITTER,
             ),
@@ -104,11 +111,6 @@ def generate_launch_description() -> LaunchDescription:
             _include(str(Path(__file__).with_name("slot.launch.py")), {}),
         ]
     )
-
-
-def _launch_file(package: str, name: str) -> PathJoinSubstitution:
-    """Launch file of a package, which is looked up when the launch starts."""
-    return PathJoinSubstitution([FindPackageShare(package), "launch", name])
 
 
 def _include(
