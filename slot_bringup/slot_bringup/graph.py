@@ -223,8 +223,11 @@ def is_attended(values: Mapping[str, Any]) -> bool:
 
     Always with real servos, and without odometry, but in lockstep, which has no operator.
     """
-    blind = is_blind(values) and not values["lockstep"]
-    return bool(values["attended"] or values["hardware"] == "real" or blind)
+    return bool(
+        values["attended"]
+        or values["hardware"] == "real"
+        or (is_blind(values) and not values["lockstep"])
+    )
 
 
 def is_blind(values: Mapping[str, Any]) -> bool:

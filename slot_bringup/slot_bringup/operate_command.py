@@ -11,6 +11,7 @@ forget    take a silent source of the e-stop for gone, by its name
 inject    inject a fault into the simulated robot
 """
 
+import argparse
 import signal
 import sys
 from collections.abc import Sequence
@@ -26,6 +27,27 @@ REQUESTS = ("ready", "stand", "walk", "relax", "estop", "reset")
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point of `scripts/operate`; returns the exit code."""
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    from slot_bringup.check import check_place  # noqa: PLC0415 - heavy
+    from slot_bringup.operate import act  # noqa: PLC0415
+
+    try:
+        check_place(options.namespace)
+    except ConfigError as error:
+        parser.error(str(error))
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)
+    try:
+        return act(options, parser.prog)
+    except InputError as error:
+        refuse(parser.prog, error)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = command_parser("operate", __doc__)
     parser.add_argument(
         "--namespace",
@@ -56,23 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     inject.add_argument(
         "--clear", action="store_true", help="clear this kind at this leg"
     )
-    options = parser.parse_args(arguments)
-    from slot_bringup.check import check_place  # noqa: PLC0415 - heavy
-    from slot_bringup.operate import act  # noqa: PLC0415
-
-    try:
-        check_place(options.namespace)
-    except ConfigError as error:
-        parser.error(str(error))
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.default_int_handler)
-    try:
-        return act(options, parser.prog)
-    except InputError as error:
-        refuse(parser.prog, error)
-        return 1
-    except KeyboardInterrupt:
-        return 130
+    return parser
 
 
 if __name__ == "__main__":
