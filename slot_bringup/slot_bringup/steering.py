@@ -83,8 +83,12 @@ class SteeringPublisher:
         if self._velocity is None:
             return
         if self._topic is None:
-            found = self._node.get_subscriptions_info_by_topic("cmd_vel")
-            plain = any(info.topic_type.endswith("/Twist") for info in found)
+            plain = any(
+                info.topic_type.endswith("/Twist")
+                for info in self._node.get_subscriptions_info_by_topic(
+                    "cmd_vel"
+                )
+            )
             self._kind = Twist if plain else TwistStamped
             self._topic = self._node.create_publisher(
                 self._kind, "cmd_vel", qos.SENSOR
