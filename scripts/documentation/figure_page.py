@@ -68,6 +68,7 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
             "tilt",
             "load",
         ),
+        "ablation": ("part", "row", "unit", "with", "without"),
     },
     "mpc": {
         "solver": (

@@ -334,6 +334,7 @@ def _walking() -> list[LocomotionRow]:
             None,
         ),
         row("crawl, torso's top", "mm", 70.0, low, _top, share=None, **walk),
+        row("friction 1: speed missed", "mm/s", 3.0, rough, _speed_error),
         row(
             "friction 1: swing of the mean height",
             "mm",

@@ -10,6 +10,7 @@ is the buffer (m,) of `dynamics/model.py`.
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +30,7 @@ from slot_core.elementary import atan2, cos, sin
 from slot_core.geometry import roll_pitch_yaw, rotate
 from slot_core.key_frame import StateParts
 from slot_core.legs.tabulated_kernels import PLACE, divergence_of, one_step
-from slot_core.legs.tabulated_robot import COLUMNS, TabulatedRobot
+from slot_core.legs.tabulated_robot import COLUMNS, SPRINGS, TabulatedRobot
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.rollout_mpc.settings import NominalSettings
 
@@ -37,7 +38,6 @@ from slot_core.rollout_mpc.settings import NominalSettings
 SETTLING = 10
 # columns of the leg table that are proportional to the legs' stiffness
 SCALED = [column for column, name in enumerate(COLUMNS) if "N" in name]
-TURN = COLUMNS.index("turn_N_m_per_rad")
 
 
 class Rollouts(NamedTuple):
@@ -59,8 +59,11 @@ class NominalRobot:
         """Build the model; dt: s between stages. Raises ConfigError as the simulated robot does."""
         self._cycles, self._steps = settings.cycles, settings.steps
         scene = nominal_scene(settings, dt / (settings.cycles * settings.steps))
-        self.robot = TabulatedRobot(robot, scene, read_servo())
-        self.robot.legs.table[..., TURN] *= settings.turn
+        width = settings.width * robot.leg.contact_width
+        feet = replace(robot, leg=replace(robot.leg, contact_width=width))
+        self.robot = TabulatedRobot(feet, scene, read_servo())
+        along, aside, turn = settings.springs
+        self.robot.legs.table[..., SPRINGS] *= (along, aside, 1.0, turn)
         self._table = self.robot.legs.table.copy()
         self._stiffness = 1.0
         self._angle_max = robot.tendon.angle_max

@@ -153,7 +153,8 @@ class RolloutMpc(Policy):
         present = self._plan
         state = np.asarray(estimate.state, dtype=float)
         self._take_stiffness(preview.leg_stiffness)
-        self._model.gravity = estimate.gravity
+        if self._settings.nominal.slope:
+            self._model.gravity = estimate.gravity
         ready = self._ready(estimate.time, state, preview)
         plan, rollout, fault = self._improved(ready, state, preview)
         cause = Status.NOT_SOLVED if fault else Status.LATE

@@ -16,9 +16,16 @@ class NominalSettings:
     broken: tuple[bool, bool, bool, bool] = flag(
         "whether a tendon FL FR RL RR carries nothing"
     )
-    turn: float = quantity(
-        "stiffness of the feet's turn over that of the leg table", "", 1, 10
+    springs: Vector3 = quantity(
+        "stiffness of the feet along, aside and in turn over that of the leg table",
+        "",
+        1,
+        1e4,
     )
+    width: float = quantity(
+        "width of the feet over that of the legs", "", 0.01, 2
+    )
+    slope: bool = flag("whether gravity follows the tilt of the floor")
     cycles: int = quantity("cycles of the servo bus in a stage", "", 1, 20)
     steps: int = quantity(
         "steps of the integration in a cycle of the servo bus", "", 1, 100
