@@ -130,7 +130,8 @@ def write_zero(leg: str, zero_deg: float) -> Path:
     values = [value.strip() for value in line[2].split(",")]
     values[LEGS.index(leg)] = f"{zero_deg:.{ZERO_DIGITS}f}"
     changed = text[: line.start(2)] + ", ".join(values) + text[line.end(2) :]
-    settings = config.build(DynamixelSettings, config.parse(changed), path.name)
-    joints(settings.joints)
+    joints(
+        config.build(DynamixelSettings, config.parse(changed), path.name).joints
+    )
     path.write_text(changed)
     return path

@@ -74,8 +74,8 @@ def crc(data: bytes) -> int:
 def build(identity: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Bytes on the wire of a packet."""
     body = (bytes([instruction]) + parameters).replace(PLAIN, STUFFED)
-    head = HEADER + bytes([identity]) + (len(body) + 2).to_bytes(2, "little")
-    return _with_crc(head + body)
+    length = (len(body) + 2).to_bytes(2, "little")
+    return _with_crc(HEADER + bytes([identity]) + length + body)
 
 
 def status(identity: int, error: int, parameters: bytes = b"") -> bytes:
@@ -150,5 +150,6 @@ class Parser:
         data = bytes(self._buffer[:size])
         intact = crc(data[:-2]) == int.from_bytes(data[-2:], "little")
         del self._buffer[: size if intact else 1]
-        parameters = data[8:-2].replace(STUFFED, PLAIN)
-        return Packet(data[4], data[7], parameters, intact)
+        return Packet(
+            data[4], data[7], data[8:-2].replace(STUFFED, PLAIN), intact
+        )

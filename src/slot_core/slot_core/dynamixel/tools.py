@@ -37,12 +37,14 @@ def use(options: argparse.Namespace) -> int:
     """Run the tool that the command line names; returns the exit code."""
     try:
         settings = read_settings()
-        changed = {
-            k: v
-            for k, v in (("port", options.port), ("baud", options.baud))
-            if v
-        }
-        bus = dataclasses.replace(settings.bus, **changed)
+        bus = dataclasses.replace(
+            settings.bus,
+            **{
+                k: v
+                for k, v in (("port", options.port), ("baud", options.baud))
+                if v
+            },
+        )
         return TOOLS[options.action](
             dataclasses.replace(settings, bus=bus), options
         )
@@ -168,15 +170,16 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
 
 
 def _state(bus: Bus, joint: Joint) -> str:
-    values = bus.read(joint.id, "torque_enable") | bus.read(
-        joint.id, "hardware_error_status"
+    values = (
+        bus.read(joint.id, "torque_enable")
+        | bus.read(joint.id, "hardware_error_status")
+        | bus.read(joint.id, "present_position", "present_temperature")
     )
-    values |= bus.read(joint.id, "present_position", "present_temperature")
-    torque = "on" if values["torque_enable"] else "off"
     return (
         f"tendon {math.degrees(joint.tendon(values['present_position'])):.1f} deg, "
         f"{values['present_input_voltage'] * VOLTAGE_UNIT:.1f} V, "
-        f"{values['present_temperature']} degC, torque {torque}, "
+        f"{values['present_temperature']} degC, "
+        f"torque {'on' if values['torque_enable'] else 'off'}, "
         f"hardware errors: {hardware_errors(values['hardware_error_status'])}"
     )
 

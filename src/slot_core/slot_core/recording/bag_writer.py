@@ -111,11 +111,12 @@ class BagWriter:
             return
         try:
             self._finish(self._file)
-            information = {
-                "rosbag2_bagfile_information": self._information(self._files)
-            }
+            information = self._information(self._files)
             (self._path / "metadata.yaml").write_text(
-                yaml.safe_dump(information, sort_keys=False)
+                yaml.safe_dump(
+                    {"rosbag2_bagfile_information": information},
+                    sort_keys=False,
+                )
             )
         except OSError as error:
             raise self._failure(error) from None
@@ -242,9 +243,8 @@ class _File:
             "offered_qos_profiles": yaml.safe_dump(qos, sort_keys=False),
             "topic_type_hash": kind.digest,
         }
-        schema = self._schemas[kind.name]
         self._channels[topic] = self._writer.register_channel(
-            topic, "cdr", schema, about
+            topic, "cdr", self._schemas[kind.name], about
         )
         self.counts[topic] = 0
 

@@ -44,8 +44,7 @@ class Origin:
         """
         if CONFIGURATION not in self.files:
             return []
-        then = self.configuration()
-        now = configuration()
+        then, now = self.configuration(), configuration()
         return sorted(
             name
             for name in then.keys() | now.keys()
@@ -134,19 +133,14 @@ def revision() -> str:
 
     An image without .git names its commit by that variable.
     """
-    sources = Path(__file__).resolve().parent
-    command = [
-        "git",
-        "-C",
-        str(sources),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=10",
-    ]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=10, check=False
+            ["git", "describe", "--always", "--dirty", "--abbrev=10"],
+            cwd=Path(__file__).resolve().parent,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
         )
         if done.returncode == 0:
             return done.stdout.strip()

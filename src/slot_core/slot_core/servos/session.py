@@ -160,10 +160,11 @@ class ServoSession:
 
     def may_start(self, permission: Permission) -> bool:
         """Whether a permission switches torque on; not after a RELAX or a refusal, until OFF."""
-        permits = (
-            permission.action in STARTS and self.watchdog.limits is not None
+        return (
+            permission.action in STARTS
+            and self.watchdog.limits is not None
+            and not (self.bus.active or self._locked)
         )
-        return permits and not (self.bus.active or self._locked)
 
     def step(self, now: int) -> Cycle:
         """One bus cycle; raises PortError if the port has disappeared."""
@@ -234,8 +235,9 @@ class ServoSession:
     @property
     def urgent(self) -> tuple[Any, ...]:
         """Values of the health report whose change is published at once."""
-        servos = self.bus.health
-        states = tuple((servo.torque, servo.hardware_error) for servo in servos)
+        states = tuple(
+            (servo.torque, servo.hardware_error) for servo in self.bus.health
+        )
         return self.action, self.commanded, states, self._slewed.tobytes()
 
     def health(self, stamp: int) -> ServoHealth:
@@ -308,5 +310,4 @@ class ServoSession:
 
 def _known(servos: tuple[ServoStatus, ...], name: str) -> Array:
     """(4,) values of a field; NaN where it has not been read yet."""
-    values = [getattr(servo, name) for servo in servos]
-    return np.array([math.nan if value is None else value for value in values])
+    return np.array([getattr(servo, name) for servo in servos], dtype=float)

@@ -48,8 +48,10 @@ class FaultInjection:
         for present in self._faults.values():
             self._schedule_end(present)
         for fault in self._planned.values():
-            begin = self._timeline.now + to_ns(fault.time)
-            self._timeline.act(begin, partial(self.inject, fault))
+            self._timeline.act(
+                self._timeline.now + to_ns(fault.time),
+                partial(self.inject, fault),
+            )
 
     def inject(self, fault: Fault) -> None:
         """Start a fault now, whatever its `time`; it replaces one of its kind at that leg.
@@ -87,8 +89,10 @@ class FaultInjection:
 
     def _schedule_end(self, fault: Fault) -> None:
         if fault.duration:
-            end = self._timeline.now + to_ns(fault.duration)
-            self._timeline.act(end, partial(self._expire, fault))
+            self._timeline.act(
+                self._timeline.now + to_ns(fault.duration),
+                partial(self._expire, fault),
+            )
 
     def _expire(self, fault: Fault) -> None:
         """End a fault unless it has been cleared or replaced."""

@@ -139,12 +139,11 @@ class SupervisedLoop:
     def receive_joints(self, reading: JointReading) -> None:
         """Give the joints to the supervisor."""
         self.receive(reading)
-        r, supervisor = reading, self.supervisor
         self.ticked.add(
             "joints",
-            r.stamp,
-            lambda now: supervisor.receive_joints(
-                now, r.stamp, r.angle, r.torque
+            reading.stamp,
+            lambda now: self.supervisor.receive_joints(
+                now, reading.stamp, reading.angle, reading.torque
             ),
         )
 

@@ -87,10 +87,12 @@ class Camera:
 
         With (u, v) = P(x', y', parameters) at given pixels: d ray = -(dP/d ray)^-1 dP/d parameters.
         """
-        zero = np.zeros(3)
-        points = np.column_stack([rays, np.ones(len(rays))])[:, None]
         _, slopes = cv2.projectPoints(
-            points, zero, zero, self.matrix, self.distortion
+            np.column_stack([rays, np.ones(len(rays))])[:, None],
+            np.zeros(3),
+            np.zeros(3),
+            self.matrix,
+            self.distortion,
         )
         # of a shift along x and y at distance one
         by_ray = slopes[:, 3:5].reshape(-1, 2, 2)
@@ -105,10 +107,12 @@ class Camera:
         Raises ValueError for another shape.
         """
         _require_last("points", points, 3)
-        zero = np.zeros(3)
-        flat = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 3)
         pixels, _ = cv2.projectPoints(
-            flat, zero, zero, self.matrix, self.distortion
+            np.ascontiguousarray(points, np.float64).reshape(-1, 1, 3),
+            np.zeros(3),
+            np.zeros(3),
+            self.matrix,
+            self.distortion,
         )
         return np.asarray(pixels, np.float64).reshape(*points.shape[:-1], 2)
 
@@ -203,9 +207,8 @@ def _checked(covariance: Any, size: int) -> Array:
             f"intrinsics_covariance has {values.size} values, expected {size**2}"
         )
     square = values.reshape(size, size)
-    symmetric = np.allclose(square, square.T)
     if (
-        not symmetric
+        not np.allclose(square, square.T)
         or np.linalg.eigvalsh(square).min() < -1e-9 * np.abs(square).max()
     ):
         raise CameraError(

@@ -57,8 +57,9 @@ class SyntheticCamera:
         self.camera, self._made = camera, imperfections
         self._rng = rng
         self._rays = _rays(camera)
-        shape = (camera.height + 64, camera.width + 64)
-        noise = imperfections.noise * rng.standard_normal(shape, np.float32)
+        noise = imperfections.noise * rng.standard_normal(
+            (camera.height + 64, camera.width + 64), np.float32
+        )
         self._noise = noise.round().astype(np.int16)
 
     def image(self, surfaces: list[Surface]) -> GreyImage:
@@ -132,9 +133,9 @@ class SyntheticCamera:
         rays = (surface.corners[:, :2] / surface.corners[:, 2:]).astype(
             np.float32
         )
-        to_sheet = cv2.getPerspectiveTransform(rays, sheet.astype(np.float32))
         places = cv2.perspectiveTransform(
-            np.ascontiguousarray(self._rays[place]), to_sheet
+            np.ascontiguousarray(self._rays[place]),
+            cv2.getPerspectiveTransform(rays, sheet.astype(np.float32)),
         )
         ink = BLACK + (WHITE - BLACK) / 255 * surface.print
         part = np.ascontiguousarray(canvas[place])

@@ -204,10 +204,13 @@ class EmulatedBus:
             error, data = execute(servo, packet)
             ping = packet.instruction == Instruction.PING
             reads = packet.instruction == Instruction.READ
-            unanswered = not (
-                ping or level == ANSWER_ALL or (reads and level >= ANSWER_READS)
-            )
-            if unanswered or not (own or (ping and packet.id == BROADCAST)):
+            if (
+                not (
+                    ping
+                    or level == ANSWER_ALL
+                    or (reads and level >= ANSWER_READS)
+                )
+            ) or not (own or (ping and packet.id == BROADCAST)):
                 continue
             yield from self._answer(index, status(identity, error, data))
 
@@ -257,8 +260,9 @@ class EmulatedBus:
         for index, _ in parts:
             if self._rng.random() < self._line[index].corrupt:
                 data = damaged(data, self._rng)
-        late = max(self._line[index].late for index, _ in parts)
-        yield Reply(data, delay + late)
+        yield Reply(
+            data, delay + max(self._line[index].late for index, _ in parts)
+        )
 
     def _answer(self, index: int, data: bytes) -> Iterator[Reply]:
         line = self._line[index]

@@ -277,8 +277,9 @@ class EmulatedServo:
         memory["present_load"] = self._sign * round(
             min(max(load, -1.0), 1.0) * LOAD_FULL
         )
-        moving = abs(self._velocity()) > memory["moving_threshold"]
-        memory["moving"] = int(moving)
+        memory["moving"] = int(
+            abs(self._velocity()) > memory["moving_threshold"]
+        )
         memory["position_trajectory"] = round(self._trajectory)
         memory["present_input_voltage"] = round(self.voltage / VOLTAGE_UNIT)
         memory["present_temperature"] = round(

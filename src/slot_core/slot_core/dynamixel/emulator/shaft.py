@@ -70,8 +70,9 @@ class Shaft:
         A positive load lowers the angle.
         """
         supply = voltage / self.motor.voltage
-        target = self._target(duty, load, supply)
-        self.speed += (target - self.speed) * (h / (self.motor.time + h))
+        self.speed += (self._target(duty, load, supply) - self.speed) * (
+            h / (self.motor.time + h)
+        )
         self.angle += h * self.speed
         self._heat(duty, supply, h)
 
@@ -89,7 +90,7 @@ class Shaft:
         )
         self.torque = share * motor.stall
         power = (motor.voltage * share) ** 2 / settings.resistance
-        steady = settings.room + settings.thermal_resistance * power
-        self.temperature += (steady - self.temperature) * (
-            h / settings.thermal_time
-        )
+        self.temperature += (
+            (settings.room + settings.thermal_resistance * power)
+            - self.temperature
+        ) * (h / settings.thermal_time)
