@@ -132,13 +132,8 @@ class KernelCache(NullCache):
 
 def folder() -> Path:
     """Folder of the kernels: NUMBA_CACHE_DIR, or slot/kernels in the user's cache."""
-    if CONFIG.CACHE_DIR:
-        return Path(CONFIG.CACHE_DIR)
-    return (
-        Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-        / "slot"
-        / "kernels"
-    )
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(CONFIG.CACHE_DIR or Path(home, "slot", "kernels"))
 
 
 def prune(kernels: Path, limit: float = LIMIT) -> None:

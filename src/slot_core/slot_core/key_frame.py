@@ -142,11 +142,8 @@ def _value(plain: Any, values: dict[str, type]) -> Any:
     ((kind, content),) = plain.items()
     if kind == ARRAY:
         return _array(*content)
-    if kind == MAP:
-        return {name: _value(item, values) for name, item in content.items()}
-    return values[kind](
-        **{name: _value(item, values) for name, item in content.items()}
-    )
+    named = {name: _value(item, values) for name, item in content.items()}
+    return named if kind == MAP else values[kind](**named)
 
 
 def _array(kind: str, shape: list[int], text: str) -> np.ndarray:

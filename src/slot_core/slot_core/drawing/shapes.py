@@ -182,10 +182,9 @@ def natural_legs(
     """Stress-free legs of a torso, at `nodes` nodes: where the bent ones are not known."""
     x = np.linspace(0.0, robot.leg.reach, nodes)
     rise = robot.leg.shape(x) - robot.leg.shape(0.0)
-    along = x[None, :, None] * robot.outward[:, None]
     body = (
         robot.clamps[:, None]
-        + along
+        + x[None, :, None] * robot.outward[:, None]
         + rise[None, :, None] * np.array([0.0, 0.0, 1.0])
     )
     points = np.asarray(

@@ -64,11 +64,13 @@ def examine(
 
     None and the error if it does not answer.
     """
-    values: dict[str, int] = {}
     try:
         model, firmware = bus.ping(joint.id)
-        for first, last in EEPROM:
-            values |= bus.read(joint.id, first, last)
+        values = {
+            name: value
+            for first, last in EEPROM
+            for name, value in bus.read(joint.id, first, last).items()
+        }
     except (CommunicationError, InstructionError) as error:
         return None, [str(error)]
     setup, reasons = settings.servo, []

@@ -6,7 +6,7 @@ Raises also CommunicationError and InstructionError of `bus.py`, which are Servo
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from slot_core import config
 from slot_core.arrays import Array
 from slot_core.clock import Clock
-from slot_core.dynamixel.bus import Bus, RegisterValues
+from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.checks import (
     ServoInfo,
     examine,
@@ -312,14 +312,13 @@ class Driver:
             identity for identity, answer in answers.items() if answer.alert
         }
         return tuple(
-            self._reading(joint, answers[joint.id])
+            self._reading(joint, answers[joint.id].values)
             if joint.id in answers
             else None
             for joint in self.joints
         )
 
-    def _reading(self, joint: Joint, answer: RegisterValues) -> ServoReading:
-        values = answer.values
+    def _reading(self, joint: Joint, values: Mapping[str, int]) -> ServoReading:
         return ServoReading(
             time=self.clock(),
             angle=joint.tendon(values["present_position"]),

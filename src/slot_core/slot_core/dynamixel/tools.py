@@ -136,8 +136,10 @@ def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     """Measure the zero of a leg at its present position; optionally write it."""
     joint = joints(settings.joints)[LEGS.index(options.leg)]
     angle = measure_zero(_open(settings), joint, time.sleep)
-    was = math.degrees(joint.zero)
-    print(f"{joint.name}: zero at {angle:.2f} deg, {was:.2f} deg before")
+    print(
+        f"{joint.name}: zero at {angle:.2f} deg,"
+        f" {math.degrees(joint.zero):.2f} deg before"
+    )
     if options.write:
         print(
             f"written to {write_zero(options.leg, angle)}; now run scripts/servos prepare"
@@ -147,12 +149,11 @@ def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
 
 def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     """Emulate four configured servos with relaxed tendons on a pseudo-terminal."""
-    emulator = read_emulator()
-    if options.usb_latency is not None:
-        emulator = config.replace(
-            emulator, {"usb_latency": options.usb_latency}
-        )
-    servos = EmulatedDynamixels(settings, emulator)
+    latency = options.usb_latency
+    changes = {} if latency is None else {"usb_latency": latency}
+    servos = EmulatedDynamixels(
+        settings, config.replace(read_emulator(), changes)
+    )
     # a shell's `&` makes SIGINT ignored
     for end in (signal.SIGINT, signal.SIGTERM):
         signal.signal(end, signal.default_int_handler)

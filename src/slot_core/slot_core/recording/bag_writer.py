@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import yaml
@@ -124,12 +123,7 @@ class BagWriter:
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _failure(self, error: OSError) -> BagError:
@@ -239,12 +233,14 @@ class _File:
             self._schemas[kind.name] = self._writer.register_schema(
                 kind.name, kind.encoding, kind.definition.encode()
             )
-        about = {
-            "offered_qos_profiles": yaml.safe_dump(qos, sort_keys=False),
-            "topic_type_hash": kind.digest,
-        }
         self._channels[topic] = self._writer.register_channel(
-            topic, "cdr", self._schemas[kind.name], about
+            topic,
+            "cdr",
+            self._schemas[kind.name],
+            {
+                "offered_qos_profiles": yaml.safe_dump(qos, sort_keys=False),
+                "topic_type_hash": kind.digest,
+            },
         )
         self.counts[topic] = 0
 

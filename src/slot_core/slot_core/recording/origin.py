@@ -120,11 +120,10 @@ def origin_here(arguments: Mapping[str, Any]) -> Origin:
 def configuration() -> dict[str, bytes]:
     """Content of the configuration's files by their path in its directory."""
     root = config.config_dir().resolve()
-    files = sorted(
-        path for path in root.rglob("*") if path.suffix in (".yaml", ".csv")
-    )
     return {
-        path.relative_to(root).as_posix(): path.read_bytes() for path in files
+        path.relative_to(root).as_posix(): path.read_bytes()
+        for path in sorted(root.rglob("*"))
+        if path.suffix in (".yaml", ".csv")
     }
 
 

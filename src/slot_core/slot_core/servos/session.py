@@ -168,7 +168,15 @@ class ServoSession:
 
     def step(self, now: int) -> Cycle:
         """One bus cycle; raises PortError if the port has disappeared."""
-        self._count_overrun(now)
+        pause = (
+            0.0
+            if self._last_step is None
+            else to_seconds(now - self._last_step)
+        )
+        self.overruns += pause > LATE * self.period
+        if pause > self.bus.facts.watchdog:
+            self._pause = pause
+        self._last_step = now
         if self.bus.active:
             self._command(now)
         cycle = self.bus.cycle()
@@ -243,7 +251,6 @@ class ServoSession:
     def health(self, stamp: int) -> ServoHealth:
         """Health report of the servos at `stamp` (ns of the messages' clock)."""
         servos, now = self.bus.health, self.bus.clock()
-        age = to_ns(now - self.written)
         return ServoHealth(
             action=self.action,
             reason=self.reason,
@@ -258,7 +265,9 @@ class ServoSession:
             voltage=self.voltage,
             error_rate=np.array([servo.error_rate for servo in servos]),
             commanded=self.commanded,
-            written=stamp - age if self.commanded else 0,
+            written=(
+                stamp - to_ns(now - self.written) if self.commanded else 0
+            ),
             supervised=self.watchdog.supervised,
         )
 
@@ -294,18 +303,6 @@ class ServoSession:
             else "torque NOT off: " + "; ".join(off.reasons)
         )
         self.action, self.reason = Action.OFF, f"{result}, after: {reason}"
-
-    def _count_overrun(self, now: int) -> None:
-        """Count an overrun."""
-        pause = (
-            0.0
-            if self._last_step is None
-            else to_seconds(now - self._last_step)
-        )
-        self.overruns += pause > LATE * self.period
-        if pause > self.bus.facts.watchdog:
-            self._pause = pause
-        self._last_step = now
 
 
 def _known(servos: tuple[ServoStatus, ...], name: str) -> Array:

@@ -78,9 +78,11 @@ class CameraSensor:
 
     def _seen(self, board: Transform, base: Transform) -> Transform:
         """A board in the optical frame."""
-        if self._on_torso:
-            return (base @ self._mount).inverse @ board
-        return self._placed.inverse @ base @ board
+        return (
+            (base @ self._mount).inverse @ board
+            if self._on_torso
+            else self._placed.inverse @ base @ board
+        )
 
 
 def marker_localizer(settings: CameraSettings) -> MarkerLocalizer:

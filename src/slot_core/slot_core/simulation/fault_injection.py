@@ -109,9 +109,9 @@ class FaultInjection:
             return
         require_simulated_legs(fault)
         if not isinstance(self._robot, ROBOT_WITH_FAULT[fault.kind]):
-            model = self._robot.scene.solver.legs
             raise ConfigError(
-                f"fault {fault.kind!r}: legs of the model {model!r} cannot have it"
+                f"fault {fault.kind!r}: legs of the model"
+                f" {self._robot.scene.solver.legs!r} cannot have it"
             )
 
     def _set(self, fault: Fault, leg: str, on: bool) -> None:

@@ -120,11 +120,9 @@ class RobotSimulator:
         """Readings of the frozen robot at `stamp` (ns), without delay; equal for equal stamps."""
         if not self._at_rest or stamp != self.now:
             self.timeline.now = stamp
-            imu = self._read_imu() if self._scene.sensors.imu.enabled else []
-            joints = self._read_joints() if self._reads_joints else []
             self._at_rest = [
-                *imu,
-                *joints,
+                *(self._read_imu() if self._scene.sensors.imu.enabled else ()),
+                *(self._read_joints() if self._reads_joints else ()),
                 self._odometry_or_image(true_odometry(self.robot, stamp), 0.0),
             ]
         return self._at_rest

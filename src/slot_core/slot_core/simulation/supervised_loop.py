@@ -192,8 +192,9 @@ class SupervisedLoop:
 
     def request_gait(self, state: State) -> None:
         """Request the gait of a new state: the loop's in WALKING, else to stand."""
-        wanted = self._gait if state is State.WALKING else (STAND, np.zeros(3))
-        self.loop.controller.scheduler.request(*wanted)
+        self.loop.controller.scheduler.request(
+            *(self._gait if state is State.WALKING else (STAND, np.zeros(3)))
+        )
 
 
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {

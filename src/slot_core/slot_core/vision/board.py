@@ -86,11 +86,10 @@ def print_of(board: Board, dictionary: int) -> GreyImage:
     # with the black border
     cells = cv2.aruco.getPredefinedDictionary(dictionary).markerSize + 2
     scale = PRINT_CELL * cells / float(corners[1, 0] - corners[0, 0])
-    size = [round(scale * edge) for edge in board.size]
     return np.asarray(
         cv2.resize(
             image_of(board, dictionary, FINER * scale),
-            size,
+            [round(scale * edge) for edge in board.size],
             interpolation=cv2.INTER_AREA,
         ),
         np.uint8,

@@ -135,9 +135,11 @@ def _require_last(name: str, values: Array, size: int) -> None:
 def nominal(settings: Intrinsics) -> Camera:
     """The camera of `config/vision.yaml`."""
     (f_x, f_y), (c_x, c_y) = settings.focal, settings.centre
-    matrix = np.array([[f_x, 0.0, c_x], [0.0, f_y, c_y], [0.0, 0.0, 1.0]])
     return Camera(
-        settings.width, settings.height, matrix, np.array(settings.distortion)
+        settings.width,
+        settings.height,
+        np.array([[f_x, 0.0, c_x], [0.0, f_y, c_y], [0.0, 0.0, 1.0]]),
+        np.array(settings.distortion),
     )
 
 
@@ -176,12 +178,15 @@ def from_camera_info(  # noqa: PLR0917
         raise CameraError(
             f"f = {matrix[0, 0]:g}, {matrix[1, 1]:g} px: expected > 0"
         )
-    known = (
+    return Camera(
+        width,
+        height,
+        matrix,
+        distortion,
         None
         if covariance is None
-        else _checked(covariance, 4 + distortion.size)
+        else _checked(covariance, 4 + distortion.size),
     )
-    return Camera(width, height, matrix, distortion, known)
 
 
 def _numbers(name: str, values: Any) -> Array:

@@ -109,8 +109,11 @@ class MarkerDetector:
         rays, noise = refined_rays(
             image, corners, self._camera, self._dictionary.markerSize + 2
         )
-        counts = Counter(ids.tolist())
-        doubled = {i for i, n in counts.items() if n > 1 or i in self._doubled}
+        doubled = {
+            i
+            for i, n in Counter(ids.tolist()).items()
+            if n > 1 or i in self._doubled
+        }
         keep = np.isfinite(noise) & np.array(
             [i not in doubled for i in ids.tolist()]
         )

@@ -185,9 +185,11 @@ class MarkerLocalizer:
 
     def _base(self, board: Transform, seen: Transform) -> Transform:
         """base_link in odom from the board's pose in its frame and in the optical frame."""
-        if self._on_torso:
-            return board @ seen.inverse @ self._fixed.inverse
-        return self._fixed @ seen @ board.inverse
+        return (
+            board @ seen.inverse @ self._fixed.inverse
+            if self._on_torso
+            else self._fixed @ seen @ board.inverse
+        )
 
     def _expected(self, stamp: int, board: Transform) -> Transform | None:
         """Pose of the board in the optical frame as it was last; None if that is unknown."""

@@ -147,5 +147,7 @@ def _angle(a: Transform, b: Transform) -> float:
 
 def nearest(pose: BoardPose, expected: Transform) -> BoardPose:
     """Of the two poses the one whose attitude is nearer to an expected one."""
-    both = (pose, pose.other) if pose.other else (pose,)
-    return min(both, key=lambda each: _angle(each.transform, expected))
+    return min(
+        (pose, pose.other) if pose.other else (pose,),
+        key=lambda each: _angle(each.transform, expected),
+    )

@@ -185,8 +185,10 @@ class EmulatedBus:
     def _dispatch(
         self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]
     ) -> Iterator[Reply]:
-        chained = Instruction.SYNC_READ, Instruction.FAST_SYNC_READ
-        if packet.instruction in chained and packet.id == BROADCAST:
+        if packet.id == BROADCAST and packet.instruction in (
+            Instruction.SYNC_READ,
+            Instruction.FAST_SYNC_READ,
+        ):
             yield from self._chain(packet, receivers)
             return
         for index, servo in sorted(
@@ -232,9 +234,11 @@ class EmulatedBus:
             return  # the answer is longer than a packet
         for identity in ids:
             index, servo = by_id.get(identity, (-1, None))
-            if servo is None or self._line[index].silent:
-                break
-            if servo.memory["status_return_level"] < ANSWER_READS:
+            if (
+                servo is None
+                or self._line[index].silent
+                or servo.memory["status_return_level"] < ANSWER_READS
+            ):
                 break
             error, data = read_data(servo, address, size)
             if fast:
