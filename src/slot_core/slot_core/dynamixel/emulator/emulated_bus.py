@@ -206,15 +206,11 @@ class EmulatedBus:
             error, data = execute(servo, packet)
             ping = packet.instruction == Instruction.PING
             reads = packet.instruction == Instruction.READ
-            if (
-                not (
-                    ping
-                    or level == ANSWER_ALL
-                    or (reads and level >= ANSWER_READS)
-                )
-            ) or not (own or (ping and packet.id == BROADCAST)):
-                continue
-            yield from self._answer(index, status(identity, error, data))
+            answered = (
+                ping or level == ANSWER_ALL or (reads and level >= ANSWER_READS)
+            )
+            if answered and (own or (ping and packet.id == BROADCAST)):
+                yield from self._answer(index, status(identity, error, data))
 
     def _chain(
         self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]

@@ -90,7 +90,7 @@ class Shaft:
         )
         self.torque = share * motor.stall
         power = (motor.voltage * share) ** 2 / settings.resistance
-        self.temperature += (
-            (settings.room + settings.thermal_resistance * power)
-            - self.temperature
-        ) * (h / settings.thermal_time)
+        steady = settings.room + settings.thermal_resistance * power
+        self.temperature += (steady - self.temperature) * (
+            h / settings.thermal_time
+        )
