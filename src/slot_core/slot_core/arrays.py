@@ -41,5 +41,9 @@ def one_buffer(
         [int(np.prod(shape, dtype=int)) for shape in shapes.values()]
     )
     buffer = np.zeros(ends[-1])
-    parts = zip(shapes.items(), np.split(buffer, ends[:-1]))
-    return buffer, {name: part.reshape(shape) for (name, shape), part in parts}
+    return buffer, {
+        name: part.reshape(shape)
+        for (name, shape), part in zip(
+            shapes.items(), np.split(buffer, ends[:-1])
+        )
+    }

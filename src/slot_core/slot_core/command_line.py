@@ -30,9 +30,10 @@ class CommandParser(argparse.ArgumentParser):
 
 def command_parser(name: str, description: str | None) -> CommandParser:
     """Parser of `scripts/NAME`, whose help shows the description as it is written."""
-    form = argparse.RawDescriptionHelpFormatter
     return CommandParser(
-        prog=f"scripts/{name}", description=description, formatter_class=form
+        prog=f"scripts/{name}",
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
 
 

@@ -167,7 +167,7 @@ def replace(
         raise ConfigError(
             f"{where}: expected a mapping of dotted names, got {quoted(changes)}"
         )
-    mapping = _to_mapping(settings)
+    mapping = dataclasses.asdict(settings)  # type: ignore[call-overload]
     for name, value in changes.items():
         *parents, last = str(name).split(".")
         node = mapping
@@ -189,17 +189,6 @@ def _inside(where: str, name: str) -> str:
     return f"{where}.{name}" if ": " in where else f"{where}: {name}"
 
 
-def _to_mapping(value: Any) -> Any:
-    if dataclasses.is_dataclass(value):
-        return {
-            f.name: _to_mapping(getattr(value, f.name))
-            for f in dataclasses.fields(value)
-        }
-    if isinstance(value, dict):
-        return {key: _to_mapping(item) for key, item in value.items()}
-    return value
-
-
 def _convert(value: Any, kind: Any, meta: Mapping[str, Any], where: str) -> Any:
     if dataclasses.is_dataclass(kind):
         return build(typing.cast(type, kind), value, where)
@@ -207,9 +196,9 @@ def _convert(value: Any, kind: Any, meta: Mapping[str, Any], where: str) -> Any:
         if not isinstance(value, Mapping):
             raise ConfigError(f"{where} = {quoted(value)}: expected a mapping")
         item = typing.get_args(kind)[1]
-        named = {_name(key): inner for key, inner in value.items()}
         return {
-            k: _convert(v, item, meta, f"{where}.{k}") for k, v in named.items()
+            k: _convert(v, item, meta, f"{where}.{k}")
+            for k, v in zip(map(_name, value), value.values())
         }
     if typing.get_origin(kind) is tuple:
         return _convert_tuple(value, typing.get_args(kind), meta, where)
@@ -224,8 +213,9 @@ def _convert_tuple(
     if kinds[-1] is Ellipsis:
         kinds = kinds[:1] * len(value)
     if len(value) != len(kinds):
-        count = f"expected {len(kinds)} values, got {len(value)}"
-        raise ConfigError(f"{where} = {quoted(value)}: {count}")
+        raise ConfigError(
+            f"{where} = {quoted(value)}: expected {len(kinds)} values, got {len(value)}"
+        )
     return tuple(
         _convert(v, k, meta, f"{where}[{i}]")
         for i, (v, k) in enumerate(zip(value, kinds))
@@ -251,10 +241,12 @@ def _convert_scalar(
             f"{where} = {quoted(value)}: expected {KIND_NAMES[kind]}"
         )
     if "options" in meta and value not in meta["options"]:
-        known = ", ".join(meta["options"])
-        raise ConfigError(f"{where} = {quoted(value)}: expected one of {known}")
+        raise ConfigError(
+            f"{where} = {quoted(value)}: expected one of {', '.join(meta['options'])}"
+        )
     if "low" in meta and not meta["low"] <= value <= meta["high"]:
         unit = f" {meta['unit']}" if meta["unit"] else ""
-        limits = f"[{meta['low']}, {meta['high']}]{unit}"
-        raise ConfigError(f"{where} = {quoted(value)}: outside {limits}")
+        raise ConfigError(
+            f"{where} = {quoted(value)}: outside [{meta['low']}, {meta['high']}]{unit}"
+        )
     return value

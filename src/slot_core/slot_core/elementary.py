@@ -269,8 +269,9 @@ def exp(x: Any) -> Any:
     p = np.ones_like(r)
     for n in range(15, 2, -1):
         p = 1.0 + r / n * p
-    near = 1.0 + (r + (rest + 0.5 * (r * r) * p))
-    return np.ldexp(near, np.asarray(k, dtype=int))
+    return np.ldexp(
+        1.0 + (r + (rest + 0.5 * (r * r) * p)), np.asarray(k, dtype=int)
+    )
 
 
 def log(x: Any) -> Any:

@@ -94,12 +94,9 @@ HARDWARE_ERROR_BITS = sum(HardwareError)  # all of them
 
 def hardware_errors(bits: int) -> str:
     """Names of the bits set in a hardware error status, or "none"."""
-    known = [
+    found = [
         str(error.name).lower().replace("_", " ")
         for error in HardwareError
         if bits & error
-    ]
-    other = [
-        f"bit {k}" for k in range(8) if (bits & ~HARDWARE_ERROR_BITS) >> k & 1
-    ]
-    return ", ".join(known + other) or "none"
+    ] + [f"bit {k}" for k in range(8) if (bits & ~HARDWARE_ERROR_BITS) >> k & 1]
+    return ", ".join(found) or "none"

@@ -38,12 +38,14 @@ def rpy_of(rotation: Array) -> Array:
     """Roll, pitch and yaw (..., 3), rad, of rotation matrices (..., 3, 3); within +-pi."""
     r = np.moveaxis(np.asarray(rotation, dtype=float), (-2, -1), (0, 1))
     level = hypot(r[2, 1], r[2, 2])
-    parts = (
-        atan2(r[2, 1], r[2, 2]),
-        atan2(-r[2, 0], level),
-        atan2(r[1, 0], r[0, 0]),
+    return np.stack(
+        [
+            atan2(r[2, 1], r[2, 2]),
+            atan2(-r[2, 0], level),
+            atan2(r[1, 0], r[0, 0]),
+        ],
+        axis=-1,
     )
-    return np.stack(parts, axis=-1)
 
 
 def matrix_of_rpy(rpy: Any) -> Array:
@@ -140,16 +142,17 @@ class Transform:
 
     def __matmul__(self, other: Transform) -> Transform:
         """First `other`, then this one."""
-        turned = product(self.rotation, other.position)
         return Transform(
-            product(self.rotation, other.rotation), turned + self.position
+            product(self.rotation, other.rotation),
+            product(self.rotation, other.position) + self.position,
         )
 
     def apply(self, points: Array) -> Array:
         """Points (..., 3), m, transformed."""
-        flat = np.reshape(points, (-1, 3))
         return (
-            product(flat, self.rotation.T).reshape(np.shape(points))
+            product(np.reshape(points, (-1, 3)), self.rotation.T).reshape(
+                np.shape(points)
+            )
             + self.position
         )
 

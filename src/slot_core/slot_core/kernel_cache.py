@@ -132,11 +132,8 @@ class KernelCache(NullCache):
 
 def folder() -> Path:
     """Folder of the kernels: NUMBA_CACHE_DIR, or slot/kernels in the user's cache."""
-    chosen = CONFIG.CACHE_DIR
-    if chosen:
-        return Path(chosen)
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(home) / "slot" / "kernels"
+    return Path(CONFIG.CACHE_DIR or Path(home, "slot", "kernels"))
 
 
 def prune(kernels: Path, limit: float = LIMIT) -> None:
@@ -211,8 +208,9 @@ def _sources(module: str) -> str:
         new = set(_imported(left.pop())) - found
         found |= new
         left += new
-    texts = sorted(path.read_bytes() for path in found)
-    return hashlib.sha256(b"\0".join(texts)).hexdigest()
+    return hashlib.sha256(
+        b"\0".join(sorted(path.read_bytes() for path in found))
+    ).hexdigest()
 
 
 def _imported(path: Path) -> Iterator[Path]:
@@ -222,6 +220,5 @@ def _imported(path: Path) -> Iterator[Path]:
             name,
             *(f"{name}.{member}" for member in re.findall(r"\w+", members)),
         ):
-            file = getattr(sys.modules.get(full), "__file__", None)
-            if file:
+            if file := getattr(sys.modules.get(full), "__file__", None):
                 yield Path(file)

@@ -65,9 +65,10 @@ def has_state(thing: Any) -> bool:
     state = getattr(type(thing), "STATE", None)
     if not isinstance(state, StateParts):
         return False
-    parts = [getattr(thing, name) for name in state.names]
     return all(
-        has_state(part) for part in parts if hasattr(type(part), "STATE")
+        has_state(part)
+        for part in [getattr(thing, name) for name in state.names]
+        if hasattr(type(part), "STATE")
     )
 
 
@@ -108,8 +109,7 @@ def _plain(value: Any) -> Any:
 def _fields(value: Any) -> dict[str, Any]:
     """Fields of a value class."""
     if hasattr(value, "_asdict"):
-        found: dict[str, Any] = value._asdict()
-        return found
+        return dict(value._asdict())
     if dataclasses.is_dataclass(value):
         return {
             f.name: getattr(value, f.name) for f in dataclasses.fields(value)
@@ -142,11 +142,8 @@ def _value(plain: Any, values: dict[str, type]) -> Any:
     ((kind, content),) = plain.items()
     if kind == ARRAY:
         return _array(*content)
-    if kind == MAP:
-        return {name: _value(item, values) for name, item in content.items()}
-    return values[kind](
-        **{name: _value(item, values) for name, item in content.items()}
-    )
+    named = {name: _value(item, values) for name, item in content.items()}
+    return named if kind == MAP else values[kind](**named)
 
 
 def _array(kind: str, shape: list[int], text: str) -> np.ndarray:

@@ -120,8 +120,10 @@ def product(a: Any, b: Any) -> Any:
 
 def sparse_product(matrix: Any, vector: Array) -> Array:
     """Product of a matrix in SciPy's CSC format and a vector; sums go along the columns."""
-    columns = np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
-    products = matrix.data * vector[columns]
+    products = (
+        matrix.data
+        * vector[np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))]
+    )
     return np.asarray(
         np.bincount(matrix.indices, products, matrix.shape[0]), dtype=float
     )

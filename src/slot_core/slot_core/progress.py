@@ -84,11 +84,11 @@ class ProgressLine:
     def refresh(self) -> None:
         """Show the line if it is time."""
         now = self._clock()
-        if now - self._begin < DELAY or not self._what:
-            return
+        wait = REWRITE if self._terminal else REPEAT
         if (
-            now - self._shown < (REWRITE if self._terminal else REPEAT)
-            and self._width
+            now - self._begin < DELAY
+            or not self._what
+            or (now - self._shown < wait and self._width)
         ):
             return
         with self._lock:

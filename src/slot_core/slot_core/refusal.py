@@ -62,8 +62,6 @@ def quoted(value: Any) -> str:
 
 def printable(text: str) -> str:
     """The text with control characters, and others that are not printable, as escape sequences."""
-    if text.isprintable():
-        return text
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 

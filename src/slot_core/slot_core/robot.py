@@ -123,8 +123,9 @@ class Leg:
             hypot(1.0, slope(at))
             for at in (x[:-1], (x[:-1] + x[1:]) / 2, x[1:])
         )
-        cells = np.diff(x) / 6 * (begin + 4 * middle + end)
-        return x, np.append(0.0, np.cumsum(cells))
+        return x, np.append(
+            0.0, np.cumsum(np.diff(x) / 6 * (begin + 4 * middle + end))
+        )
 
     def arc_length(self) -> float:
         """Arc length of the natural shape from the clamp to the tip, m."""
@@ -217,10 +218,7 @@ class RobotParameters:
     def clamps(self) -> Array:
         """(4, 3) clamps in base_link, m: at the corner each azimuth points to, at mid height."""
         corner = np.array([self.torso.size[0] / 2, self.torso.size[1] / 2, 0.0])
-        direction = np.column_stack(
-            [cos(self.azimuth), sin(self.azimuth), np.zeros(4)]
-        )
-        return np.sign(direction.round(9)) * corner
+        return np.sign(self.outward.round(9)) * corner
 
     def clamp_heights(
         self, height: float | Array, roll: float | Array, pitch: float | Array
@@ -247,8 +245,11 @@ class RobotParameters:
     @cached_property
     def feet(self) -> Array:
         """(4, 3) tips of the natural legs in base_link, m."""
-        drop = self.leg.shape(self.leg.reach) - self.leg.shape(0.0)
-        return self.clamps + self.leg.reach * self.outward + [0.0, 0.0, drop]
+        return (
+            self.clamps
+            + self.leg.reach * self.outward
+            + [0.0, 0.0, self.leg.shape(self.leg.reach) - self.leg.shape(0.0)]
+        )
 
     @cached_property
     def inertia(self) -> Array:

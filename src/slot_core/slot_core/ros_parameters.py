@@ -26,10 +26,8 @@ class Parameters(NamedTuple):
     def match(self, node: str) -> bool:
         """Whether a node, by its full name, gets them."""
         escaped = re.escape(self.pattern)
-        expression = escaped.replace(r"/\*\*", r"(/\w+)*").replace(
-            r"\*", r"\w+"
-        )
-        return re.fullmatch(expression, node) is not None
+        pattern = escaped.replace(r"/\*\*", r"(/\w+)*").replace(r"\*", r"\w+")
+        return re.fullmatch(pattern, node) is not None
 
 
 def read_parameters(file: Path) -> list[Parameters]:
@@ -69,11 +67,13 @@ def _found(content: Any, pattern: str, where: str) -> Iterator[Parameters]:
                 raise ValueError(
                     f"{where}: {pattern}: expected a mapping of parameters"
                 )
-            values = {
-                n: v
-                for n, v in config.dotted(value)
-                if not isinstance(v, Mapping)
-            }
-            yield Parameters(pattern, values)
+            yield Parameters(
+                pattern,
+                {
+                    n: v
+                    for n, v in config.dotted(value)
+                    if not isinstance(v, Mapping)
+                },
+            )
         else:
             yield from _found(value, f"{pattern}/{str(key).strip('/')}", where)

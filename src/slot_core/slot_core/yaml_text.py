@@ -52,12 +52,11 @@ class _UniqueKeyLoader(yaml.CSafeLoader):
             if not isinstance(key, Hashable):
                 break  # which is refused below
             if key in seen:
-                where, problem = (
-                    key_node.start_mark,
-                    f"the key {quoted(key)} is repeated",
-                )
                 raise yaml.constructor.ConstructorError(
-                    None, None, problem, where
+                    None,
+                    None,
+                    f"the key {quoted(key)} is repeated",
+                    key_node.start_mark,
                 )
             seen.add(key)
         return super().construct_mapping(node, deep)

@@ -114,10 +114,13 @@ class SupervisorDiagnostics:
             return array(stamp, [of_supervisor(report)])
         before, self._counted = self._counted, plan
         passed = plan.overruns - before.overruns, plan.skipped - before.skipped
-        disturbances = of_disturbances(plan, self._mass)
         return array(
             stamp,
-            [of_supervisor(report), of_controller(plan, passed), disturbances],
+            [
+                of_supervisor(report),
+                of_controller(plan, passed),
+                of_disturbances(plan, self._mass),
+            ],
         )
 
 

@@ -78,9 +78,8 @@ class DynamixelDriverNode(LifecycleNode):
         self._autostart = runtime.declare(
             self, "autostart", True, "configure at start"
         )
-        angle_max = read_robot().tendon.angle_max
         self._session = ServoSession(
-            brand.make_bus(settings), angle_max, 1.0 / rate
+            brand.make_bus(settings), read_robot().tendon.angle_max, 1.0 / rate
         )
         self._port = self._session.bus.facts.port
         self._servo = read_servo()
@@ -231,8 +230,9 @@ class DynamixelDriverNode(LifecycleNode):
         stamp, angle, rate = decode.joint_command(message)
         if watchdog.limits is None:
             return  # torque is off until the supervisor has sent them
-        now = self.get_clock().now().nanoseconds
-        inputs.require_present(stamp, now, watchdog.clock_jump)
+        inputs.require_present(
+            stamp, self.get_clock().now().nanoseconds, watchdog.clock_jump
+        )
         if fault := self._session.offer(
             time.monotonic_ns(), stamp, angle, rate
         ):
@@ -241,8 +241,12 @@ class DynamixelDriverNode(LifecycleNode):
             self._step()  # before the timer is due
 
     def _on_robot_state(self, message: RobotState) -> None:
-        now = self.get_clock().now().nanoseconds
-        inputs.require_supervisor(self, message, now, self._session.watchdog)
+        inputs.require_supervisor(
+            self,
+            message,
+            self.get_clock().now().nanoseconds,
+            self._session.watchdog,
+        )
         permission = decode.permission(message, time.monotonic_ns())
         self._session.permit(permission)
         if permission.action is Action.OFF and self._active:

@@ -21,8 +21,9 @@ class ForceMapperNode(Node):
     def __init__(self) -> None:
         super().__init__("force_mapper")
         settings = runtime.declare_settings(self, read_force_map())
-        delay = read_estimator().timing.command_delay
-        self._map = make_force_map(read_robot(), settings, delay)
+        self._map = make_force_map(
+            read_robot(), settings, read_estimator().timing.command_delay
+        )
         self._record = stage_record.Recorder(self, self._map)
         self._inputs = TimeSynchronizer("plan", "preview", "state")
         self._angles = runtime.publisher(

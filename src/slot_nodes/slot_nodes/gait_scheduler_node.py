@@ -35,16 +35,19 @@ class GaitSchedulerNode(Node):
             self, "path_heading", KEPT, "heading on the path: kept or along"
         )
         path = read_route(file, heading) if file else None
-        springs = read_springs()
         self._scheduler = GaitScheduler(
-            settings, read_robot(), springs, STAND, None, path
+            settings, read_robot(), read_springs(), STAND, None, path
         )
         self._record = stage_record.Recorder(self, self._scheduler)
         self._preview = runtime.publisher(
             self, GaitPreview, "gait_preview", qos.CONTROL
         )
-        text = "type of /cmd_vel: TwistStamped, else Twist as of Nav2 and teleop without options"
-        stamped = runtime.declare(self, "stamped_cmd_vel", True, text)
+        stamped = runtime.declare(
+            self,
+            "stamped_cmd_vel",
+            True,
+            "type of /cmd_vel: TwistStamped, else Twist as of Nav2 and teleop without options",
+        )
         # one line on publishers of /cmd_vel of the other type
         self._wrong_type = ""
         kind = TwistStamped if stamped else Twist
@@ -79,8 +82,11 @@ class GaitSchedulerNode(Node):
         preview = self._scheduler.step(
             estimate.time, estimate.state, estimate.leg_stiffness
         )
-        remark = preview.remark or self._wrong_type
-        preview = replace(preview, stamp=estimate.stamp, remark=remark)
+        preview = replace(
+            preview,
+            stamp=estimate.stamp,
+            remark=preview.remark or self._wrong_type,
+        )
         self._preview.publish(messages.preview_to_msg(preview))
         self._record.put(estimate.stamp)
 

@@ -37,8 +37,12 @@ class MarkerLocalizerNode(Node):
         self._settings = runtime.declare_settings(self, read_vision())
         mount = read_estimator().mounts.camera
         self._mount = Transform.of(mount.position, mount.rpy)
-        text = "file of scripts/calibrate --camera; empty: /camera/camera_info"
-        file = runtime.declare(self, "calibration", "", text)
+        file = runtime.declare(
+            self,
+            "calibration",
+            "",
+            "file of scripts/calibrate --camera; empty: /camera/camera_info",
+        )
         self._localizer: MarkerLocalizer | None = None
         self._camera: Camera | None = None
         self._odometry = runtime.publisher(self, Odometry, "odom", qos.SENSOR)

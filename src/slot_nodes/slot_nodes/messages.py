@@ -142,33 +142,36 @@ def _odometry(
     message.twist.twist.linear = _vector(velocity)
     message.twist.twist.angular = _vector(rate)
     if not quaternion.any():
-        lost = (LOST * np.eye(6)).ravel()
-        message.pose.covariance, message.twist.covariance = lost, lost
+        message.pose.covariance = (LOST * np.eye(6)).ravel()
+        message.twist.covariance = message.pose.covariance
     return message
 
 
 def image_to_msg(reading: ImageReading) -> Image:
     """Grey image, mono8."""
     height, width = reading.grey.shape
-    message = Image(
-        header=header(reading.stamp, OPTICAL_FRAME), height=height, width=width
+    return Image(
+        header=header(reading.stamp, OPTICAL_FRAME),
+        height=height,
+        width=width,
+        encoding="mono8",
+        step=width,
+        data=array("B", reading.grey.tobytes()),
     )
-    message.encoding, message.step = "mono8", width
-    message.data = array("B", reading.grey.tobytes())
-    return message
 
 
 def camera_to_msg(stamp: int, camera: Camera) -> CameraInfo:
     """Calibration of a camera."""
-    message = CameraInfo(header=header(stamp, OPTICAL_FRAME))
-    message.width, message.height = camera.width, camera.height
-    message.distortion_model, message.d = (
-        camera.model,
-        camera.distortion.tolist(),
+    return CameraInfo(
+        header=header(stamp, OPTICAL_FRAME),
+        width=camera.width,
+        height=camera.height,
+        distortion_model=camera.model,
+        d=camera.distortion.tolist(),
+        k=camera.matrix.ravel(),
+        r=np.eye(3).ravel(),
+        p=camera.projection.ravel(),
     )
-    message.k, message.r = camera.matrix.ravel(), np.eye(3).ravel()
-    message.p = camera.projection.ravel()
-    return message
 
 
 def imu_to_msg(reading: ImuReading) -> Imu:

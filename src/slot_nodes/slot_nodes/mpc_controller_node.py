@@ -29,19 +29,20 @@ class MpcControllerNode(Node):
 
     def __init__(self) -> None:
         super().__init__("mpc_controller")
-        text = "policy by its name, a Python file with one, or onnx:FILE"
-        name = runtime.declare(self, "policy", DEFAULT_POLICY, text)
+        name = runtime.declare(
+            self,
+            "policy",
+            DEFAULT_POLICY,
+            "policy by its name, a Python file with one, or onnx:FILE",
+        )
         kind = policy_class(name)
         settings = runtime.declare_settings(
             self, kind.read_settings(name), read_only=False
         )
-        simulated = self.get_parameter(
-            "use_sim_time"
-        ).value  # a plan takes no simulated time
-        robot, timer = (
-            read_robot(),
-            (lambda: 0.0) if simulated else time.perf_counter,
-        )
+        simulated = self.get_parameter("use_sim_time").value
+        # a plan takes no simulated time
+        timer = (lambda: 0.0) if simulated else time.perf_counter
+        robot = read_robot()
         self._policy = TunedPolicy(
             lambda settings: kind(robot, settings, timer), settings
         )
@@ -107,9 +108,10 @@ class MpcControllerNode(Node):
         plan = self._policy.step(estimate, preview)
         elapsed = time.perf_counter() - start
         self._pace.add(number, elapsed, preview.dt)
-        changes = self._policy.changes
         self._plans.publish(
-            messages.plan_to_msg(plan, preview, elapsed, self._pace, changes)
+            messages.plan_to_msg(
+                plan, preview, elapsed, self._pace, self._policy.changes
+            )
         )
         self._record.put(estimate.stamp)
         self._preparation.reset()

@@ -28,11 +28,10 @@ def _profile(
     durability: DurabilityPolicy = DurabilityPolicy.VOLATILE,
     reliability: ReliabilityPolicy = ReliabilityPolicy.RELIABLE,
 ) -> QoSProfile:
-    last = HistoryPolicy.KEEP_LAST
     return QoSProfile(
         reliability=reliability,
         durability=durability,
-        history=last,
+        history=HistoryPolicy.KEEP_LAST,
         depth=depth,
     )
 
@@ -64,7 +63,8 @@ def best_effort(profile: QoSProfile) -> QoSProfile:
 
 def recorded(topic: RecordedTopic, depth: int) -> QoSProfile:
     """Profile of a subscription to a topic of `config/record.yaml`."""
-    durability = DurabilityPolicy[topic.durability.upper()]
     return _profile(
-        depth, durability, ReliabilityPolicy[topic.reliability.upper()]
+        depth,
+        DurabilityPolicy[topic.durability.upper()],
+        ReliabilityPolicy[topic.reliability.upper()],
     )

@@ -118,8 +118,12 @@ class RecorderNode(Node):
                 self._write(name, *taken)
 
     def _write(self, name: str, data: bytes, info: Any) -> None:
-        kind = self._settings.topics[name].type
-        self._bag.write(name, kind, info["source_timestamp"], data)
+        self._bag.write(
+            name,
+            self._settings.topics[name].type,
+            info["source_timestamp"],
+            data,
+        )
 
     def _announce_when_matched(self) -> None:
         now = time.monotonic()
@@ -149,8 +153,12 @@ class RecorderNode(Node):
                 {topic: sorted(nodes) for topic, nodes in self._nodes.items()}
             )
             data = serialize_message(String(data=text))
-            name = f"{root_of(self.get_namespace())}/{NODES}"
-            self._bag.write(name, "std_msgs/msg/String", time.time_ns(), data)
+            self._bag.write(
+                f"{root_of(self.get_namespace())}/{NODES}",
+                "std_msgs/msg/String",
+                time.time_ns(),
+                data,
+            )
 
     def close(self) -> None:
         """Write the received messages and close the bag, which writes its index."""

@@ -98,17 +98,27 @@ class SimRobotNode(Node):
             self, "seed", 0, "of the sensor noise", between=(0, 2**63 - 1)
         )
         scene = runtime.declare(self, "scene", "flat", "a file of config/scene")
-        text = "publish nothing before /recording"
         self._waits_for_recorder = runtime.declare(
-            self, "wait_for_recording", False, text
+            self,
+            "wait_for_recording",
+            False,
+            "publish nothing before /recording",
         )
         self._is_recording = False
         self._matching_since: float | None = None  # s, monotonic
-        text = "directory for the state of a diverged simulation; empty: working directory"
-        self._dump = runtime.declare(self, "dump", "", text)
+        self._dump = runtime.declare(
+            self,
+            "dump",
+            "",
+            "directory for the state of a diverged simulation; empty: working directory",
+        )
         self._scene = scene
-        text = "port of emulated servos, in lockstep without one; empty: servos of servo.yaml"
-        link = runtime.declare(self, "bus", "", text)
+        link = runtime.declare(
+            self,
+            "bus",
+            "",
+            "port of emulated servos, in lockstep without one; empty: servos of servo.yaml",
+        )
         settings = runtime.declare_settings(self, read_scene(scene), "scene.")
         servo = runtime.declare_settings(
             self, read_servo(settings.parameters), "servo."
@@ -141,11 +151,12 @@ class SimRobotNode(Node):
         )
         self._timer = runtime.wall_timer(self, period, self._publish_at_rest)
         self._servos = self._make_servos(link)
-        text = (
-            "time between two commands in lockstep, as of state_estimator [s]"
+        self._tick = runtime.declare(
+            self,
+            "tick",
+            read_estimator().timing.period,
+            "time between two commands in lockstep, as of state_estimator [s]",
         )
-        known = read_estimator().timing.period
-        self._tick = runtime.declare(self, "tick", known, text)
         self._time = self._make_clock()
 
     def _make_clock(self) -> LockstepClock | RealTimeClock:
@@ -202,11 +213,15 @@ class SimRobotNode(Node):
             )
         self._camera_info = None
         if self._plant.camera is None:
-            odometry = made(Odometry, "odom", qos.SENSOR)
-            self._outputs[OdometryReading] = odometry, messages.odometry_to_msg
+            self._outputs[OdometryReading] = (
+                made(Odometry, "odom", qos.SENSOR),
+                messages.odometry_to_msg,
+            )
         else:
-            image = made(Image, IMAGES, qos.IMAGE)
-            self._outputs[ImageReading] = image, messages.image_to_msg
+            self._outputs[ImageReading] = (
+                made(Image, IMAGES, qos.IMAGE),
+                messages.image_to_msg,
+            )
             self._camera_info = made(
                 CameraInfo, "camera/camera_info", qos.IMAGE
             )
@@ -286,8 +301,9 @@ class SimRobotNode(Node):
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
         try:
-            relax = self._servos.watchdog.relax
-            inputs.require_sole_publisher(self, "desired_joint_angles", relax)
+            inputs.require_sole_publisher(
+                self, "desired_joint_angles", self._servos.watchdog.relax
+            )
             inputs.require_present(
                 stamp, self._now(), self._servos.watchdog.clock_jump
             )
@@ -365,8 +381,9 @@ class SimRobotNode(Node):
 
     def _save_state(self, divergence: DivergenceError) -> str:
         """Write the state of a diverged simulation; return a line with its path or the error."""
-        name = f"lost_{datetime.now():%Y%m%d_%H%M%S}.npz"
-        path = Path(self._dump, name).absolute()
+        path = Path(
+            self._dump, f"lost_{datetime.now():%Y%m%d_%H%M%S}.npz"
+        ).absolute()
         try:
             divergence.save(path, self._scene)
         except OSError as error:
@@ -386,8 +403,9 @@ class SimRobotNode(Node):
             response.message = str(error)
             return response
         done = "cleared" if request.clear else "injected"
-        line = f"fault {done}: {request.kind} at {request.leg}"
-        self.get_logger().warning(line)
+        self.get_logger().warning(
+            f"fault {done}: {request.kind} at {request.leg}"
+        )
         response.success = True
         return response
 
@@ -402,15 +420,15 @@ class SimRobotNode(Node):
     def _publish(self, reading: Reading) -> None:
         if self._lockstep and self._published_clock != self._plant.now:
             self._published_clock = self._plant.now
-            clock = messages.ns_to_stamp(self._published_clock)
-            self._clock_topic.publish(ClockMessage(clock=clock))
+            self._clock_topic.publish(
+                ClockMessage(clock=messages.ns_to_stamp(self._published_clock))
+            )
         if isinstance(reading, StampedHealth):
             if reading.health is None:
                 assert isinstance(self._servos, BusServos)
-                reason = (
+                self.get_logger().fatal(
                     f"{self._servos.end}; their bus watchdogs stop the servos"
                 )
-                self.get_logger().fatal(reason)
                 raise SystemExit(1)
             self._log_action(reading.health.action, reading.health.reason)
         if isinstance(reading, TrueState):
@@ -421,8 +439,9 @@ class SimRobotNode(Node):
                 reading, ImageReading
             ):
                 assert self._plant.camera is not None
-                info = messages.camera_to_msg(reading.stamp, self._plant.camera)
-                self._camera_info.publish(info)
+                self._camera_info.publish(
+                    messages.camera_to_msg(reading.stamp, self._plant.camera)
+                )
             publisher, encode = self._outputs[type(reading)]
             publisher.publish(encode(reading))
 

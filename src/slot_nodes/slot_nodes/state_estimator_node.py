@@ -110,5 +110,7 @@ class StateEstimatorNode(Node):
         )
 
     def _describe(self, estimate: Estimate) -> DiagnosticArray:
-        status = diagnostics.of_estimator(estimate, self._estimator.incline)
-        return diagnostics.array(estimate.stamp, [status])
+        return diagnostics.array(
+            estimate.stamp,
+            [diagnostics.of_estimator(estimate, self._estimator.incline)],
+        )

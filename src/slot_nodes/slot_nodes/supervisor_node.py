@@ -111,8 +111,11 @@ class SupervisorNode(Node):
             self._subscribe_to_controller()
         self._subscribe_to_robot()
         for request in Request:
-            serve = partial(self._on_request, request)
-            self.create_service(Trigger, f"~/{request.name.lower()}", serve)
+            self.create_service(
+                Trigger,
+                f"~/{request.name.lower()}",
+                partial(self._on_request, request),
+            )
         self.create_service(ForgetSource, "~/forget", self._on_forget)
         if not self._lockstep:
             runtime.wall_timer(
@@ -211,8 +214,12 @@ class SupervisorNode(Node):
 
     def _on_state(self, message: MpcState) -> None:
         estimate = decode.estimate(message)
-        receive = self._supervisor.receive_estimate
-        self._take("state_estimator", estimate.stamp, receive, estimate)
+        self._take(
+            "state_estimator",
+            estimate.stamp,
+            self._supervisor.receive_estimate,
+            estimate,
+        )
 
     def _on_plan(self, message: TendonPlan) -> None:
         self._take(
@@ -227,9 +234,13 @@ class SupervisorNode(Node):
 
     def _on_command(self, message: JointState) -> None:
         stamp, angle, rate = decode.joint_command(message)
-        receive = self._supervisor.receive_command
         if fault := self._take(
-            "force_mapper", stamp, receive, stamp, angle, rate
+            "force_mapper",
+            stamp,
+            self._supervisor.receive_command,
+            stamp,
+            angle,
+            rate,
         ):
             self._step()
             raise ValueError(fault)
@@ -267,9 +278,10 @@ class SupervisorNode(Node):
         """Count a publisher of the e-stop with another type, which is not heard, as pressed."""
         for endpoint in self.get_publishers_info_by_topic("estop"):
             if endpoint.topic_type != ESTOP_TYPE:
-                source = f"a publisher of {endpoint.topic_type}"
                 self._supervisor.receive_estop(
-                    self._now(), source, pressed=True
+                    self._now(),
+                    f"a publisher of {endpoint.topic_type}",
+                    pressed=True,
                 )
 
     def _on_forget(
@@ -378,5 +390,8 @@ class SupervisorNode(Node):
             self.get_logger().info(line)
         if not report.keeps_gait:
             walking = report.state is State.WALKING
-            stand = messages.gait_request(STAND, 0.0, 0.0, 0.0)
-            self._wanted["gait"] = self._walk if walking else stand
+            self._wanted["gait"] = (
+                self._walk
+                if walking
+                else messages.gait_request(STAND, 0.0, 0.0, 0.0)
+            )

@@ -38,8 +38,9 @@ class VisualizerNode(Node):
     def __init__(self) -> None:
         super().__init__("visualizer")
         servo = read_servo()
-        loaded = float(servo.tendon_stall(servo.nominal_voltage))
-        self._drawing = Drawing(read_robot(), loaded)
+        self._drawing = Drawing(
+            read_robot(), float(servo.tendon_stall(servo.nominal_voltage))
+        )
         self._changed: dict[str, Shape] = {}
         self._stamp = 0  # ns, of the newest input
         self._markers = runtime.publisher(
@@ -116,22 +117,21 @@ def _markers(stamp: int, name: str, shape: Shape) -> list[Marker]:
 
 
 def _bars(stamp: int, name: str, bars: Bars) -> list[Marker]:
-    triangles = halves(bars.quads).ravel().tolist()
-    found = []
-    for i, (corners, colour) in enumerate(zip(bars.corners, bars.colours)):
-        points = [_point(p) for p in corners.reshape(-1, 3).tolist()]
-        found.append(
-            _marker(
-                stamp,
-                name,
-                i,
-                type=Marker.TRIANGLE_LIST,
-                scale=Vector3(x=1.0, y=1.0, z=1.0),
-                color=_colour(colour),
-                points=[points[k] for k in triangles],
-            )
+    triangles = halves(bars.quads).ravel()
+    return [
+        _marker(
+            stamp,
+            name,
+            i,
+            type=Marker.TRIANGLE_LIST,
+            scale=Vector3(x=1.0, y=1.0, z=1.0),
+            color=_colour(colour),
+            points=[
+                _point(p) for p in corners.reshape(-1, 3)[triangles].tolist()
+            ],
         )
-    return found
+        for i, (corners, colour) in enumerate(zip(bars.corners, bars.colours))
+    ]
 
 
 def _box(stamp: int, name: str, box: Box) -> Marker:
@@ -141,21 +141,21 @@ def _box(stamp: int, name: str, box: Box) -> Marker:
         orientation=Quaternion(x=x, y=y, z=z, w=w),
     )
     x, y, z = box.size.tolist()
-    size = Vector3(x=x, y=y, z=z)
     return _marker(
         stamp,
         name,
         0,
         type=Marker.CUBE,
         pose=pose,
-        scale=size,
+        scale=Vector3(x=x, y=y, z=z),
         color=_colour(box.colour),
     )
 
 
 def _marker(stamp: int, name: str, number: int, **fields: Any) -> Marker:
-    header = messages.header(stamp, FLOOR_FRAME)
-    return Marker(header=header, ns=name, id=number, **fields)
+    return Marker(
+        header=messages.header(stamp, FLOOR_FRAME), ns=name, id=number, **fields
+    )
 
 
 def _point(place: list[float]) -> Point:

@@ -108,8 +108,10 @@ class Drawing:
             _finite(quaternion),
         )
         self._placed = True
-        torso = torso_box(position, quaternion, self._robot)
-        return {"torso": torso} | self._path.extend(position)
+        return {
+            "torso": torso_box(position, quaternion, self._robot),
+            **self._path.extend(position),
+        }
 
     def _draw_legs(self, message: Any) -> dict[str, Shape]:
         self._simulated = True
@@ -142,11 +144,11 @@ class Drawing:
         reference = _finite(decode.preview(message).reference)
         position, size = reference[0, 3:6], np.array(self._robot.torso.size)
         quaternion = Rotation.from_euler("xyz", reference[0, :3]).as_quat()
-        shapes: dict[str, Shape] = {
+        return {
             "reference": box_edges(position, quaternion, size, REFERENCE),
             "horizon": path_strip(reference[:, 3:6], REFERENCE),
+            **self._reference_path.extend(position),
         }
-        return shapes | self._reference_path.extend(position)
 
     def _draw_plan(self, message: Any) -> dict[str, Shape]:
         """Planned forces of the first stage at the tips of the legs, and the predicted motion."""
@@ -166,8 +168,9 @@ class Drawing:
             shapes["predicted_path"] = path_strip(
                 _finite(plan.pose)[:, 3:], DEMANDED
             )
-            feet = _finite(plan.foot).swapaxes(0, 1)
-            shapes["predicted_feet"] = Strips(feet, LEG_COLOURS, PATH_WIDTH)
+            shapes["predicted_feet"] = Strips(
+                _finite(plan.foot).swapaxes(0, 1), LEG_COLOURS, PATH_WIDTH
+            )
         return shapes
 
     _DRAW: ClassVar[dict[str, Callable[[Drawing, Any], dict[str, Shape]]]] = {

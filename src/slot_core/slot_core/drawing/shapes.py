@@ -118,9 +118,11 @@ class Legs:
 
 def _at_nodes(values: Array) -> Array:
     """Unit vectors (4, n, 3) at the nodes from the segments' vectors (4, n - 1, 3)."""
-    between = values[:, :-1] + values[:, 1:]
     return _unit(
-        np.concatenate([values[:, :1], between, values[:, -1:]], axis=1)
+        np.concatenate(
+            [values[:, :1], values[:, :-1] + values[:, 1:], values[:, -1:]],
+            axis=1,
+        )
     )
 
 
@@ -166,8 +168,11 @@ def bent_legs(
     torso at quaternion (4,) x y z w.
     """
     if not directors.size:
-        right = Rotation.from_quat(quaternion).apply(robot.rightward)
-        directors = np.repeat(right[:, None], nodes.shape[1] - 1, axis=1)
+        directors = np.repeat(
+            Rotation.from_quat(quaternion).apply(robot.rightward)[:, None],
+            nodes.shape[1] - 1,
+            axis=1,
+        )
     return Legs(nodes, directors)
 
 
@@ -177,14 +182,14 @@ def natural_legs(
     """Stress-free legs of a torso, at `nodes` nodes: where the bent ones are not known."""
     x = np.linspace(0.0, robot.leg.reach, nodes)
     rise = robot.leg.shape(x) - robot.leg.shape(0.0)
-    along = x[None, :, None] * robot.outward[:, None]
     body = (
         robot.clamps[:, None]
-        + along
+        + x[None, :, None] * robot.outward[:, None]
         + rise[None, :, None] * np.array([0.0, 0.0, 1.0])
     )
-    turned = Rotation.from_quat(quaternion).apply(body.reshape(-1, 3))
-    points = np.asarray(position + turned).reshape(body.shape)
+    points = np.asarray(
+        position + Rotation.from_quat(quaternion).apply(body.reshape(-1, 3))
+    ).reshape(body.shape)
     return bent_legs(points, np.zeros((len(LEGS), 0, 3)), quaternion, robot)
 
 

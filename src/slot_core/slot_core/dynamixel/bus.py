@@ -117,22 +117,24 @@ class Bus:
         Raises CommunicationError, InstructionError.
         """
         address, size = span(first, last or first)
-        send = self._handler.readTx
-        data = self._exchange(
-            identity,
-            lambda: send(self.port, identity, address, size),
-            size,
-            f"reading {first}",
+        return decode_span(
+            address,
+            self._exchange(
+                identity,
+                lambda: self._handler.readTx(
+                    self.port, identity, address, size
+                ),
+                size,
+                f"reading {first}",
+            ),
         )
-        return decode_span(address, data)
 
     def write(self, identity: int, register: str, value: int) -> None:
         """Write one register; raises CommunicationError, InstructionError."""
         item = TABLE[register]
-        data = list(item.encode(value))
         self._exchange(
             identity,
-            lambda: self._write(identity, item.address, data),
+            lambda: self._write(identity, item.address, item.encode(value)),
             0,
             f"writing {register} = {value}",
         )
@@ -195,9 +197,11 @@ class Bus:
         order = sorted(ids, key=lambda identity: identity in self._silent)
         address, size = span(first, last)
         fast = fast and not self._silent.intersection(order)
-        found = self._fast_read(order, address, size) if fast else {}
-        if not fast:
-            found = self._sync_read(order, address, size)
+        result = self._handler.syncReadTx(
+            self.port, address, size, order, len(order), fast
+        )
+        receive = self._receive_fast if fast else self._receive_sound
+        found = receive(order, size) if result == COMM_SUCCESS else {}
         for identity in order:
             self._failed[identity].append(identity not in found)
             if identity not in found and identity not in self._silent:
@@ -210,14 +214,7 @@ class Bus:
             for identity, status in found.items()
         }
 
-    def _fast_read(
-        self, ids: list[int], address: int, size: int
-    ) -> dict[int, _Status]:
-        result = self._handler.syncReadTx(
-            self.port, address, size, ids, len(ids), True
-        )
-        if result != COMM_SUCCESS:
-            return {}
+    def _receive_fast(self, ids: list[int], size: int) -> dict[int, _Status]:
         packet, result = self._handler.rxPacket(self.port, True)
         part_size = size + FAST_OVERHEAD
         length = 1 + len(ids) * part_size
@@ -238,14 +235,8 @@ class Bus:
             if part[1] == identity and not part[0] & ~ALERT
         }
 
-    def _sync_read(
-        self, ids: list[int], address: int, size: int
-    ) -> dict[int, _Status]:
-        result = self._handler.syncReadTx(
-            self.port, address, size, ids, len(ids), False
-        )
-        if result != COMM_SUCCESS:
-            return {}
+    def _receive_sound(self, ids: list[int], size: int) -> dict[int, _Status]:
+        """Answers without an error number, by id."""
         found, _ = self._receive(ids, size)
         return {
             identity: status
@@ -258,10 +249,9 @@ class Bus:
     ) -> dict[int, _Status]:
         for _ in range(self._settings.retries):
             self._handler.readTx(self.port, identity, address, size)
-            found, _ = self._receive([identity], size)
-            usable = identity in found and not found[identity].number
-            self._failed[identity].append(not usable)
-            if usable:
+            found = self._receive_sound([identity], size)
+            self._failed[identity].append(not found)
+            if found:
                 return found
         return {}
 
@@ -269,7 +259,6 @@ class Bus:
         self, identity: int, send: Callable[[], int], size: int, action: str
     ) -> bytes:
         """Send until an answer is valid, with at most `retries` retries; returns its data."""
-        cause = ""
         for _ in range(self._settings.retries + 1):
             found: dict[int, _Status] = {}
             result = send()
@@ -298,9 +287,9 @@ class Bus:
         self.port.setPacketTimeout(STATUS_BYTES + 3)
         return result
 
-    def _write(self, identity: int, address: int, data: list[int]) -> int:
+    def _write(self, identity: int, address: int, data: bytes) -> int:
         result: int = self._handler.writeTxOnly(
-            self.port, identity, address, len(data), data
+            self.port, identity, address, len(data), list(data)
         )
         self.port.setPacketTimeout(STATUS_BYTES)
         return result

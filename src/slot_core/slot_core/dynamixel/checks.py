@@ -64,11 +64,13 @@ def examine(
 
     None and the error if it does not answer.
     """
-    values: dict[str, int] = {}
     try:
         model, firmware = bus.ping(joint.id)
-        for first, last in EEPROM:
-            values |= bus.read(joint.id, first, last)
+        values = {
+            name: value
+            for first, last in EEPROM
+            for name, value in bus.read(joint.id, first, last).items()
+        }
     except (CommunicationError, InstructionError) as error:
         return None, [str(error)]
     setup, reasons = settings.servo, []
@@ -130,7 +132,8 @@ def write_zero(leg: str, zero_deg: float) -> Path:
     values = [value.strip() for value in line[2].split(",")]
     values[LEGS.index(leg)] = f"{zero_deg:.{ZERO_DIGITS}f}"
     changed = text[: line.start(2)] + ", ".join(values) + text[line.end(2) :]
-    settings = config.build(DynamixelSettings, config.parse(changed), path.name)
-    joints(settings.joints)
+    joints(
+        config.build(DynamixelSettings, config.parse(changed), path.name).joints
+    )
     path.write_text(changed)
     return path

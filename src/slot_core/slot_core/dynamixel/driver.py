@@ -6,7 +6,7 @@ Raises also CommunicationError and InstructionError of `bus.py`, which are Servo
 
 import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from slot_core import config
 from slot_core.arrays import Array
 from slot_core.clock import Clock
-from slot_core.dynamixel.bus import Bus, RegisterValues
+from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.checks import (
     ServoInfo,
     examine,
@@ -66,9 +66,12 @@ class Driver:
         self.bus = Bus(
             port, settings.bus, {joint.id: joint.name for joint in self.joints}
         )
-        first, watchdog = self.joints[0], settings.servo.watchdog
         self.facts = BusFacts(
-            "dynamixel", port.port_name, first.low, first.high, watchdog
+            "dynamixel",
+            port.port_name,
+            self.joints[0].low,
+            self.joints[0].high,
+            settings.servo.watchdog,
         )
         self.active = False
         self.health = tuple(
@@ -100,8 +103,10 @@ class Driver:
         self.health = tuple(
             replace(health, last_answer=now) for health in self.health
         )
-        oldest = min(info.firmware for info in infos)
-        self._fast = oldest >= self.settings.servo.fast_from_firmware
+        self._fast = (
+            min(info.firmware for info in infos)
+            >= self.settings.servo.fast_from_firmware
+        )
         return tuple(
             f"{info.leg} id {info.id} v{info.firmware}" for info in infos
         )
@@ -115,11 +120,10 @@ class Driver:
             for index, joint in enumerate(self.joints):
                 self.bus.write_verified(joint.id, "torque_enable", 1)
                 self._change_health(index, torque=True)
-        except RefusedError:
-            self.torque_off()
-            raise
         except ServoError as error:
             self.torque_off()
+            if isinstance(error, RefusedError):
+                raise
             raise RefusedError([str(error)]) from error
         self.active = True
 
@@ -154,14 +158,17 @@ class Driver:
             written = self.clock()
         else:
             if self.active:
-                goals = zip(self.joints, self._goal)
-                counts = {joint.id: joint.counts(goal) for joint, goal in goals}
-                self.bus.sync_write("goal_position", counts)
+                self.bus.sync_write(
+                    "goal_position",
+                    {
+                        joint.id: joint.counts(goal)
+                        for joint, goal in zip(self.joints, self._goal)
+                    },
+                )
             written = self.clock()
             readings = self._read()
         self._update_health(readings)
-        end = self.clock()
-        return Cycle(end - start, written, readings)
+        return Cycle(self.clock() - start, written, readings)
 
     def torque_off(self) -> TorqueOff:
         """Switch all torque off and read it back; never raises."""
@@ -206,9 +213,7 @@ class Driver:
         index = LEGS.index(leg)
         zeros = list(self.settings.joints.zero_deg)
         zeros[index] = zero_deg
-        settings = config.replace(
-            self.settings, {"joints.zero_deg": tuple(zeros)}
-        )
+        settings = config.replace(self.settings, {"joints.zero_deg": zeros})
         self.joints, self.settings = joints(settings.joints), settings
         joint = self.joints[index]
         for register in ("min_position_limit", "max_position_limit"):
@@ -284,14 +289,20 @@ class Driver:
         """Write the duty of the host PID."""
         if not self.active or h == 0.0:
             return
-        angle = np.array([np.nan if r is None else r.angle for r in readings])
-        speed = np.array([np.nan if r is None else r.rate for r in readings])
+        angle, speed = np.array(
+            [
+                (np.nan, np.nan) if r is None else (r.angle, r.rate)
+                for r in readings
+            ]
+        ).T
         duty = self._pid.step(self._goal, angle, speed, h)
-        pwm = {
-            joint.id: joint.pwm(share)
-            for joint, share in zip(self.joints, duty)
-        }
-        self.bus.sync_write("goal_pwm", pwm)
+        self.bus.sync_write(
+            "goal_pwm",
+            {
+                joint.id: joint.pwm(share)
+                for joint, share in zip(self.joints, duty)
+            },
+        )
 
     def _read(self) -> tuple[ServoReading | None, ...]:
         answers = self.bus.sync_read(
@@ -301,14 +312,13 @@ class Driver:
             identity for identity, answer in answers.items() if answer.alert
         }
         return tuple(
-            self._reading(joint, answers[joint.id])
+            self._reading(joint, answers[joint.id].values)
             if joint.id in answers
             else None
             for joint in self.joints
         )
 
-    def _reading(self, joint: Joint, answer: RegisterValues) -> ServoReading:
-        values = answer.values
+    def _reading(self, joint: Joint, values: Mapping[str, int]) -> ServoReading:
         return ServoReading(
             time=self.clock(),
             angle=joint.tendon(values["present_position"]),
@@ -340,8 +350,9 @@ class Driver:
         if "torque_enable" in values:
             self._change_health(index, torque=bool(values["torque_enable"]))
         if "hardware_error_status" in values:
-            error = values["hardware_error_status"]
-            self._change_health(index, hardware_error=error)
+            self._change_health(
+                index, hardware_error=values["hardware_error_status"]
+            )
         if "bus_watchdog" in values:
             self._change_health(index, stopped=values["bus_watchdog"] < 0)
         if "present_temperature" in values:
@@ -352,8 +363,11 @@ class Driver:
             )
 
     def _change_health(self, index: int, **changes: Any) -> None:
-        health = replace(self.health[index], **changes)
-        self.health = (*self.health[:index], health, *self.health[index + 1 :])
+        self.health = (
+            *self.health[:index],
+            replace(self.health[index], **changes),
+            *self.health[index + 1 :],
+        )
 
     def _confirm_off(self, index: int, joint: Joint) -> str:
         """Switch torque off and read it back; returns why it is not confirmed, or ""."""

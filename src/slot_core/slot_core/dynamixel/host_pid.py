@@ -45,14 +45,11 @@ class HostPid:
         self._speed += np.where(valid, weight * (speed - self._speed), 0.0)
         integral = self.integral + s.i * h * error
         unlimited = s.p * error + integral - s.d * self._speed
-        limited = self._limited(unlimited, h)
+        low = np.maximum(self.duty - s.duty_rate * h, -s.duty_limit)
+        high = np.minimum(self.duty + s.duty_rate * h, s.duty_limit)
+        limited = np.clip(unlimited, low, high)
         winding = (unlimited - limited) * error > 0.0
         self.integral = np.where(winding | ~valid, self.integral, integral)
         held = np.where(self._missing <= s.blind_time, self.duty, 0.0)
         self.duty = np.where(valid, limited, held)
         return self.duty.copy()
-
-    def _limited(self, duty: Array, h: float) -> Array:
-        limit, change = self._settings.duty_limit, self._settings.duty_rate * h
-        low = np.maximum(self.duty - change, -limit)
-        return np.clip(duty, low, np.minimum(self.duty + change, limit))

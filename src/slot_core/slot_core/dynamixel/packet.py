@@ -74,8 +74,8 @@ def crc(data: bytes) -> int:
 def build(identity: int, instruction: int, parameters: bytes = b"") -> bytes:
     """Bytes on the wire of a packet."""
     body = (bytes([instruction]) + parameters).replace(PLAIN, STUFFED)
-    head = HEADER + bytes([identity]) + (len(body) + 2).to_bytes(2, "little")
-    return _with_crc(head + body)
+    length = (len(body) + 2).to_bytes(2, "little")
+    return _with_crc(HEADER + bytes([identity]) + length + body)
 
 
 def status(identity: int, error: int, parameters: bytes = b"") -> bytes:
@@ -131,7 +131,11 @@ class Parser:
                 continue
             if len(buffer) < length + OVERHEAD:
                 return None
-            return self._take(length + OVERHEAD)
+            data = bytes(buffer[: length + OVERHEAD])
+            intact = crc(data[:-2]) == int.from_bytes(data[-2:], "little")
+            del buffer[: len(data) if intact else 1]
+            parameters = data[8:-2].replace(STUFFED, PLAIN)
+            return Packet(data[4], data[7], parameters, intact)
         return None
 
     def _align(self) -> bool:
@@ -145,10 +149,3 @@ class Parser:
                 start += 1
         del self._buffer[:start]
         return len(self._buffer) >= OVERHEAD
-
-    def _take(self, size: int) -> Packet:
-        data = bytes(self._buffer[:size])
-        intact = crc(data[:-2]) == int.from_bytes(data[-2:], "little")
-        del self._buffer[: size if intact else 1]
-        parameters = data[8:-2].replace(STUFFED, PLAIN)
-        return Packet(data[4], data[7], parameters, intact)

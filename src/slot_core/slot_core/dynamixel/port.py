@@ -100,22 +100,18 @@ class SerialPort(PortHandler):
         """Time in ms."""
         return 1e3 * self._clock()
 
-    def drain(self, quiet: float) -> int:
+    def drain(self, quiet: float) -> None:
         """Discard input until the line is idle for `quiet` s, for timeout + quiet at most.
 
-        Returns the number of bytes discarded; raises PortError.
+        Raises PortError.
         """
-        dropped = 0
         # bound for a line that is never idle
         end = self._clock() + self._timeout + quiet
         while self._clock() < end:
-            data = self._guard(
+            if not self._guard(
                 lambda: self._await(self.ser.in_waiting or 1, quiet)
-            )
-            if not data:
+            ):
                 break
-            dropped += len(data)
-        return dropped
 
     def _await(self, length: int, timeout: float) -> bytes:
         if length <= 0:  # the SDK asks for that after a corrupted length field
@@ -144,9 +140,10 @@ def check_latency(
     udev rule that sets the timer, if it is above `limit` (ms).
     """
     device = Path(name).resolve().name  # /dev/serial/by-id/... are links
-    path = tty_class / device / "device" / "latency_timer"
     try:
-        found = int(path.read_text())
+        found = int(
+            (tty_class / device / "device" / "latency_timer").read_text()
+        )
     except (OSError, ValueError):
         return None
     if found > limit:

@@ -46,9 +46,9 @@ class BusSettings:
     def __post_init__(self) -> None:
         """Raise ConfigError for a baud rate that the servos do not have."""
         if self.baud not in BAUD_RATES:
-            rates = ", ".join(str(rate) for rate in BAUD_RATES)
             raise ConfigError(
-                f"bus.baud = {self.baud}: expected one of {rates}"
+                f"bus.baud = {self.baud}: expected one of"
+                f" {', '.join(map(str, BAUD_RATES))}"
             )
 
 

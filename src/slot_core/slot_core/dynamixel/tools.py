@@ -37,12 +37,14 @@ def use(options: argparse.Namespace) -> int:
     """Run the tool that the command line names; returns the exit code."""
     try:
         settings = read_settings()
-        changed = {
-            k: v
-            for k, v in (("port", options.port), ("baud", options.baud))
-            if v
-        }
-        bus = dataclasses.replace(settings.bus, **changed)
+        bus = dataclasses.replace(
+            settings.bus,
+            **{
+                k: v
+                for k, v in (("port", options.port), ("baud", options.baud))
+                if v
+            },
+        )
         return TOOLS[options.action](
             dataclasses.replace(settings, bus=bus), options
         )
@@ -134,8 +136,10 @@ def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     """Measure the zero of a leg at its present position; optionally write it."""
     joint = joints(settings.joints)[LEGS.index(options.leg)]
     angle = measure_zero(_open(settings), joint, time.sleep)
-    was = math.degrees(joint.zero)
-    print(f"{joint.name}: zero at {angle:.2f} deg, {was:.2f} deg before")
+    print(
+        f"{joint.name}: zero at {angle:.2f} deg,"
+        f" {math.degrees(joint.zero):.2f} deg before"
+    )
     if options.write:
         print(
             f"written to {write_zero(options.leg, angle)}; now run scripts/servos prepare"
@@ -145,12 +149,11 @@ def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
 
 def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     """Emulate four configured servos with relaxed tendons on a pseudo-terminal."""
-    emulator = read_emulator()
-    if options.usb_latency is not None:
-        emulator = config.replace(
-            emulator, {"usb_latency": options.usb_latency}
-        )
-    servos = EmulatedDynamixels(settings, emulator)
+    latency = options.usb_latency
+    changes = {} if latency is None else {"usb_latency": latency}
+    servos = EmulatedDynamixels(
+        settings, config.replace(read_emulator(), changes)
+    )
     # a shell's `&` makes SIGINT ignored
     for end in (signal.SIGINT, signal.SIGTERM):
         signal.signal(end, signal.default_int_handler)
@@ -168,15 +171,16 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
 
 
 def _state(bus: Bus, joint: Joint) -> str:
-    values = bus.read(joint.id, "torque_enable") | bus.read(
-        joint.id, "hardware_error_status"
+    values = (
+        bus.read(joint.id, "torque_enable")
+        | bus.read(joint.id, "hardware_error_status")
+        | bus.read(joint.id, "present_position", "present_temperature")
     )
-    values |= bus.read(joint.id, "present_position", "present_temperature")
-    torque = "on" if values["torque_enable"] else "off"
     return (
         f"tendon {math.degrees(joint.tendon(values['present_position'])):.1f} deg, "
         f"{values['present_input_voltage'] * VOLTAGE_UNIT:.1f} V, "
-        f"{values['present_temperature']} degC, torque {torque}, "
+        f"{values['present_temperature']} degC, "
+        f"torque {'on' if values['torque_enable'] else 'off'}, "
         f"hardware errors: {hardware_errors(values['hardware_error_status'])}"
     )
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import yaml
@@ -111,11 +110,12 @@ class BagWriter:
             return
         try:
             self._finish(self._file)
-            information = {
-                "rosbag2_bagfile_information": self._information(self._files)
-            }
+            information = self._information(self._files)
             (self._path / "metadata.yaml").write_text(
-                yaml.safe_dump(information, sort_keys=False)
+                yaml.safe_dump(
+                    {"rosbag2_bagfile_information": information},
+                    sort_keys=False,
+                )
             )
         except OSError as error:
             raise self._failure(error) from None
@@ -123,12 +123,7 @@ class BagWriter:
     def __enter__(self) -> BagWriter:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _failure(self, error: OSError) -> BagError:
@@ -238,13 +233,14 @@ class _File:
             self._schemas[kind.name] = self._writer.register_schema(
                 kind.name, kind.encoding, kind.definition.encode()
             )
-        about = {
-            "offered_qos_profiles": yaml.safe_dump(qos, sort_keys=False),
-            "topic_type_hash": kind.digest,
-        }
-        schema = self._schemas[kind.name]
         self._channels[topic] = self._writer.register_channel(
-            topic, "cdr", schema, about
+            topic,
+            "cdr",
+            self._schemas[kind.name],
+            {
+                "offered_qos_profiles": yaml.safe_dump(qos, sort_keys=False),
+                "topic_type_hash": kind.digest,
+            },
         )
         self.counts[topic] = 0
 

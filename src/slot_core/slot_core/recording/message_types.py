@@ -22,10 +22,12 @@ def message_types() -> Types:
 
 def add_installed(types: Types) -> None:
     """Register those types of slot_msgs that are not yet; FileNotFoundError if none is found."""
-    files = sorted(_message_files())
     add_definitions(
         types,
-        {f"{PACKAGE}/msg/{path.stem}": path.read_text() for path in files},
+        {
+            f"{PACKAGE}/msg/{path.stem}": path.read_text()
+            for path in sorted(_message_files())
+        },
     )
 
 
@@ -42,14 +44,15 @@ def types_inside(definitions: tuple[tuple[str, str], ...]) -> Types:
 
 def add_definitions(types: Types, definitions: dict[str, str]) -> None:
     """Register definitions in .msg syntax; types that are registered already stay as they are."""
-    found = {
-        name: definition
-        for typename, text in definitions.items()
-        if typename not in types.fielddefs
-        for name, definition in _parsed(text, typename).items()
-        if name not in types.fielddefs
-    }
-    types.register(found)
+    types.register(
+        {
+            name: definition
+            for typename, text in definitions.items()
+            if typename not in types.fielddefs
+            for name, definition in _parsed(text, typename).items()
+            if name not in types.fielddefs
+        }
+    )
 
 
 @functools.cache
@@ -60,12 +63,11 @@ def _parsed(text: str, typename: str) -> dict[str, Any]:
 
 def _message_files() -> list[Path]:
     """The .msg files from the first installation that has slot_msgs, else from the source tree."""
-    prefixes = [
-        Path(p)
-        for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
-        if p
+    places = [
+        Path(prefix, "share", PACKAGE, "msg")
+        for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        if prefix
     ]
-    places = [prefix / "share" / PACKAGE / "msg" for prefix in prefixes]
     places.append(Path(__file__).resolve().parents[4] / PACKAGE / "msg")
     for place in places:
         if files := list(place.glob("*.msg")):

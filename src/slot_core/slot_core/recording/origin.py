@@ -44,8 +44,7 @@ class Origin:
         """
         if CONFIGURATION not in self.files:
             return []
-        then = self.configuration()
-        now = configuration()
+        then, now = self.configuration(), configuration()
         return sorted(
             name
             for name in then.keys() | now.keys()
@@ -121,11 +120,10 @@ def origin_here(arguments: Mapping[str, Any]) -> Origin:
 def configuration() -> dict[str, bytes]:
     """Content of the configuration's files by their path in its directory."""
     root = config.config_dir().resolve()
-    files = sorted(
-        path for path in root.rglob("*") if path.suffix in (".yaml", ".csv")
-    )
     return {
-        path.relative_to(root).as_posix(): path.read_bytes() for path in files
+        path.relative_to(root).as_posix(): path.read_bytes()
+        for path in sorted(root.rglob("*"))
+        if path.suffix in (".yaml", ".csv")
     }
 
 
@@ -134,19 +132,14 @@ def revision() -> str:
 
     An image without .git names its commit by that variable.
     """
-    sources = Path(__file__).resolve().parent
-    command = [
-        "git",
-        "-C",
-        str(sources),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=10",
-    ]
     try:
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=10, check=False
+            ["git", "describe", "--always", "--dirty", "--abbrev=10"],
+            cwd=Path(__file__).resolve().parent,
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
         )
         if done.returncode == 0:
             return done.stdout.strip()

@@ -1,7 +1,6 @@
 """Recorded topics, how the files of a bag are written (`config/record.yaml`), errors of bags."""
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from slot_core import config
 from slot_core.config import choice, quantity, text
@@ -56,15 +55,16 @@ def read_record_settings(
     """
     settings = config.read(RecordSettings, "record")
     if not stamped_cmd_vel and VELOCITY in settings.topics:
-        plain = dataclasses.replace(
+        settings.topics[VELOCITY] = replace(
             settings.topics[VELOCITY], type="geometry_msgs/msg/Twist"
         )
-        settings.topics[VELOCITY] = plain
-    topics = {
-        f"{root_of(namespace)}/{name}": topic
-        for name, topic in settings.topics.items()
-    }
-    return dataclasses.replace(settings, topics=topics)
+    return replace(
+        settings,
+        topics={
+            f"{root_of(namespace)}/{name}": topic
+            for name, topic in settings.topics.items()
+        },
+    )
 
 
 def root_of(namespace: str) -> str:

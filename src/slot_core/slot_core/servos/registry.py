@@ -48,8 +48,9 @@ def brand_of_help() -> Brand:
 
     Raises ConfigError.
     """
-    path = config.config_dir() / "servo_bus.yaml"
     found = re.search(
-        r"^brand: *(\w+)", read_text(path, config.SIZE_MAX), re.MULTILINE
+        r"^brand: *(\w+)",
+        read_text(config.config_dir() / "servo_bus.yaml", config.SIZE_MAX),
+        re.MULTILINE,
     )
     return BRANDS[ServoBusSettings(found[1] if found else "").brand]()

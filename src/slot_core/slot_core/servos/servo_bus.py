@@ -119,7 +119,7 @@ class Cycle:
 
         tendon_stall: (4,) N m, stall torques at the tendon, of which the load is a share.
         """
-        found = [reading for reading in self.readings if reading is not None]
+        found = [r for r in self.readings if r is not None]
         if not self.complete:
             return None
         angle, rate, load = np.array(

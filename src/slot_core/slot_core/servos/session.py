@@ -160,14 +160,23 @@ class ServoSession:
 
     def may_start(self, permission: Permission) -> bool:
         """Whether a permission switches torque on; not after a RELAX or a refusal, until OFF."""
-        permits = (
-            permission.action in STARTS and self.watchdog.limits is not None
+        return (
+            permission.action in STARTS
+            and self.watchdog.limits is not None
+            and not (self.bus.active or self._locked)
         )
-        return permits and not (self.bus.active or self._locked)
 
     def step(self, now: int) -> Cycle:
         """One bus cycle; raises PortError if the port has disappeared."""
-        self._count_overrun(now)
+        pause = (
+            0.0
+            if self._last_step is None
+            else to_seconds(now - self._last_step)
+        )
+        self.overruns += pause > LATE * self.period
+        if pause > self.bus.facts.watchdog:
+            self._pause = pause
+        self._last_step = now
         if self.bus.active:
             self._command(now)
         cycle = self.bus.cycle()
@@ -234,14 +243,14 @@ class ServoSession:
     @property
     def urgent(self) -> tuple[Any, ...]:
         """Values of the health report whose change is published at once."""
-        servos = self.bus.health
-        states = tuple((servo.torque, servo.hardware_error) for servo in servos)
+        states = tuple(
+            (servo.torque, servo.hardware_error) for servo in self.bus.health
+        )
         return self.action, self.commanded, states, self._slewed.tobytes()
 
     def health(self, stamp: int) -> ServoHealth:
         """Health report of the servos at `stamp` (ns of the messages' clock)."""
         servos, now = self.bus.health, self.bus.clock()
-        age = to_ns(now - self.written)
         return ServoHealth(
             action=self.action,
             reason=self.reason,
@@ -256,7 +265,9 @@ class ServoSession:
             voltage=self.voltage,
             error_rate=np.array([servo.error_rate for servo in servos]),
             commanded=self.commanded,
-            written=stamp - age if self.commanded else 0,
+            written=(
+                stamp - to_ns(now - self.written) if self.commanded else 0
+            ),
             supervised=self.watchdog.supervised,
         )
 
@@ -293,20 +304,7 @@ class ServoSession:
         )
         self.action, self.reason = Action.OFF, f"{result}, after: {reason}"
 
-    def _count_overrun(self, now: int) -> None:
-        """Count an overrun."""
-        pause = (
-            0.0
-            if self._last_step is None
-            else to_seconds(now - self._last_step)
-        )
-        self.overruns += pause > LATE * self.period
-        if pause > self.bus.facts.watchdog:
-            self._pause = pause
-        self._last_step = now
-
 
 def _known(servos: tuple[ServoStatus, ...], name: str) -> Array:
     """(4,) values of a field; NaN where it has not been read yet."""
-    values = [getattr(servo, name) for servo in servos]
-    return np.array([math.nan if value is None else value for value in values])
+    return np.array([getattr(servo, name) for servo in servos], dtype=float)

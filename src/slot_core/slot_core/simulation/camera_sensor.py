@@ -46,18 +46,19 @@ class CameraSensor:
         there = vision.boards_in(frame)
         for name in settings.boards:
             if name not in there:
-                known = f"boards of vision.yaml in {frame} ({', '.join(there)})"
                 raise ConfigError(
-                    f"sensors.camera.boards: {quoted(name)}: expected {known}, which a camera on"
-                    f" the {settings.carrier} can see"
+                    f"sensors.camera.boards: {quoted(name)}: expected boards of vision.yaml in"
+                    f" {frame} ({', '.join(there)}), which a camera on the {settings.carrier} can see"
                 )
-        boards = [make_board(there[name]) for name in settings.boards]
         self._boards: list[tuple[Board, GreyImage]] = [
             (board, print_of(board, vision.dictionary_number))
-            for board in boards
+            for board in [make_board(there[name]) for name in settings.boards]
         ]
-        made = Imperfections(settings.noise, settings.blur, settings.exposure)
-        self._camera = SyntheticCamera(self.camera, made, rng)
+        self._camera = SyntheticCamera(
+            self.camera,
+            Imperfections(settings.noise, settings.blur, settings.exposure),
+            rng,
+        )
 
     def sample(self, sim: SimulatedRobot, stamp: int) -> ImageReading:
         """The image now, stamped `stamp` (ns)."""
@@ -77,15 +78,19 @@ class CameraSensor:
 
     def _seen(self, board: Transform, base: Transform) -> Transform:
         """A board in the optical frame."""
-        if self._on_torso:
-            return (base @ self._mount).inverse @ board
-        return self._placed.inverse @ base @ board
+        return (
+            (base @ self._mount).inverse @ board
+            if self._on_torso
+            else self._placed.inverse @ base @ board
+        )
 
 
 def marker_localizer(settings: CameraSettings) -> MarkerLocalizer:
     """The localiser of a scene's images, as the node of that name has it."""
     vision = read_vision()
-    mount = camera_link(read_estimator().mounts.camera)
     return MarkerLocalizer(
-        vision, nominal(vision.camera), mount, settings.carrier
+        vision,
+        nominal(vision.camera),
+        camera_link(read_estimator().mounts.camera),
+        settings.carrier,
     )

@@ -58,9 +58,11 @@ class LockstepClock:
 
     def at_rest(self) -> list[Reading]:
         """Readings at rest, repeated until they are answered, before the clock starts."""
-        if self._awaited[0] is Answer.COMMAND:
-            return self._plant.readings_at_rest(LOCKSTEP_START)
-        return [self._servos.report()]
+        return (
+            self._plant.readings_at_rest(LOCKSTEP_START)
+            if self._awaited[0] is Answer.COMMAND
+            else [self._servos.report()]
+        )
 
     def advance_on_answer(self, kind: Answer, stamp: int) -> Iterator[Reading]:
         """Yield the readings up to the next that needs an answer, if this is the awaited answer."""

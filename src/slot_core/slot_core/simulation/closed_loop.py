@@ -90,13 +90,22 @@ class ClosedLoop:
         _require_below(CHANGEABLE, given)
         nominal, simulated = read_robot(), read_scene(scene)
         self.gaits = changed(read_gaits(), "gait", given)
-        settings = changed(
-            policy_class(policy).read_settings(policy), "policy", given
+        chosen = make_policy(
+            policy,
+            nominal,
+            lambda: 0.0,
+            changed(
+                policy_class(policy).read_settings(policy), "policy", given
+            ),
         )
-        chosen = make_policy(policy, nominal, lambda: 0.0, settings)
-        estimator = changed(read_estimator(), "estimator", given)
         self.controller = Controller(
-            nominal, chosen, gait, velocity, path, self.gaits, estimator
+            nominal,
+            chosen,
+            gait,
+            velocity,
+            path,
+            self.gaits,
+            changed(read_estimator(), "estimator", given),
         )
         self._parts = _Parts(
             read_robot(simulated.parameters),
@@ -153,11 +162,12 @@ class ClosedLoop:
             elif isinstance(r, JointReading):
                 self.controller.estimator.add_joints(r.stamp, r.angle, r.torque)
             elif isinstance(r, ImageReading) and self._localizer is not None:
-                fix = self._localizer.locate(r.stamp, r.grey)
-                self.controller.estimator.add_odometry(*fix.odometry)
-            elif isinstance(r, OdometryReading):
-                if self._lost_from <= r.stamp < self._lost_until:
-                    continue
+                self.controller.estimator.add_odometry(
+                    *self._localizer.locate(r.stamp, r.grey).odometry
+                )
+            elif isinstance(r, OdometryReading) and not (
+                self._lost_from <= r.stamp < self._lost_until
+            ):
                 self.controller.estimator.add_odometry(
                     r.stamp,
                     r.position,

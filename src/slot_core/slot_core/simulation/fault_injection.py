@@ -48,8 +48,10 @@ class FaultInjection:
         for present in self._faults.values():
             self._schedule_end(present)
         for fault in self._planned.values():
-            begin = self._timeline.now + to_ns(fault.time)
-            self._timeline.act(begin, partial(self.inject, fault))
+            self._timeline.act(
+                self._timeline.now + to_ns(fault.time),
+                partial(self.inject, fault),
+            )
 
     def inject(self, fault: Fault) -> None:
         """Start a fault now, whatever its `time`; it replaces one of its kind at that leg.
@@ -87,8 +89,10 @@ class FaultInjection:
 
     def _schedule_end(self, fault: Fault) -> None:
         if fault.duration:
-            end = self._timeline.now + to_ns(fault.duration)
-            self._timeline.act(end, partial(self._expire, fault))
+            self._timeline.act(
+                self._timeline.now + to_ns(fault.duration),
+                partial(self._expire, fault),
+            )
 
     def _expire(self, fault: Fault) -> None:
         """End a fault unless it has been cleared or replaced."""
@@ -105,9 +109,9 @@ class FaultInjection:
             return
         require_simulated_legs(fault)
         if not isinstance(self._robot, ROBOT_WITH_FAULT[fault.kind]):
-            model = self._robot.scene.solver.legs
             raise ConfigError(
-                f"fault {fault.kind!r}: legs of the model {model!r} cannot have it"
+                f"fault {fault.kind!r}: legs of the model"
+                f" {self._robot.scene.solver.legs!r} cannot have it"
             )
 
     def _set(self, fault: Fault, leg: str, on: bool) -> None:

@@ -44,8 +44,7 @@ class ManyRobots:
 
     def replace(self, index: int, robot: KernelRobot) -> None:
         """Put another robot in a place; raises ValueError for another model of the legs."""
-        kind = robot.handle.numba_type
-        if kind != self.robots[0].handle.numba_type:
+        if robot.handle.numba_type != self.robots[0].handle.numba_type:
             raise ValueError(
                 f"robot {index}: legs of another model, or with other numbers of them"
             )
@@ -81,16 +80,17 @@ class ManyRobots:
         ]
         list(
             self._pool.map(
-                lambda part: self._advance_part(part, goals, steps), calls
+                lambda part: self._advance(
+                    self.robots[0].handle,
+                    self._address[part],
+                    goals[part],
+                    steps,
+                    self.motion[part],
+                ),
+                calls,
             )
         )
         return self.motion.copy()
-
-    def _advance_part(self, part: slice, goals: Array, steps: int) -> None:
-        handle = self.robots[0].handle
-        self._advance(
-            handle, self._address[part], goals[part], steps, self.motion[part]
-        )
 
 
 @unlocked_kernel

@@ -79,11 +79,11 @@ class RobotSimulator:
         )
         self.robot = make_robot(robot, scene, driven)
         bring_to_rest(self.robot)
-        self.emulated: EmulatedServos | None = None
-        if emulate is not None:
-            self.emulated = emulate(
-                self.robot.tendon_angle, scene.supply_voltage
-            )
+        self.emulated: EmulatedServos | None = (
+            None
+            if emulate is None
+            else emulate(self.robot.tendon_angle, scene.supply_voltage)
+        )
         self._reads_joints = scene.sensors.joints and emulate is None
         self.timeline = Timeline()
         self.faults = FaultInjection(
@@ -120,11 +120,11 @@ class RobotSimulator:
         """Readings of the frozen robot at `stamp` (ns), without delay; equal for equal stamps."""
         if not self._at_rest or stamp != self.now:
             self.timeline.now = stamp
-            sensors = self._scene.sensors
-            imu = self._read_imu() if sensors.imu.enabled else []
-            joints = self._read_joints() if self._reads_joints else []
-            truth = true_odometry(self.robot, stamp)
-            self._at_rest = [*imu, *joints, self._odometry_or_image(truth, 0.0)]
+            self._at_rest = [
+                *(self._read_imu() if self._scene.sensors.imu.enabled else ()),
+                *(self._read_joints() if self._reads_joints else ()),
+                self._odometry_or_image(true_odometry(self.robot, stamp), 0.0),
+            ]
         return self._at_rest
 
     def start(self, stamp: int) -> None:
@@ -161,9 +161,11 @@ class RobotSimulator:
         """Schedule the start, `push.time` from now, and the end of a push; pushes add up."""
         force, moment = np.array(push.force), np.array(push.moment)
         begin = self.now + to_ns(push.time)
-        end = begin + to_ns(push.duration)
         self.timeline.act(begin, partial(self.robot.push, force, moment))
-        self.timeline.act(end, partial(self.robot.push, -force, -moment))
+        self.timeline.act(
+            begin + to_ns(push.duration),
+            partial(self.robot.push, -force, -moment),
+        )
 
     def command(self, angle: Array, rate: Array = AT_REST) -> None:
         """Set the tendon angles (4,), rad, from now on, and their rate (4,), rad/s.
@@ -195,10 +197,14 @@ class RobotSimulator:
         """Advance in whole time steps; the periods of `config/scene` are multiples of the step."""
         while (steps := (until - self.now) // self._step) > 0:
             if self.now >= self._next_cycle:
-                age = to_seconds(self.now - self._commanded_at)
-                angle = extrapolated(self._command, self._rate, age)
-                most = self.robot.parameters.tendon.angle_max
-                self._goal = np.clip(angle, 0.0, most)
+                angle = extrapolated(
+                    self._command,
+                    self._rate,
+                    to_seconds(self.now - self._commanded_at),
+                )
+                self._goal = np.clip(
+                    angle, 0.0, self.robot.parameters.tendon.angle_max
+                )
                 self._next_cycle = self.now + to_ns(CYCLE)
             steps = min(steps, -((self.now - self._next_cycle) // self._step))
             if not self.held:
@@ -214,17 +220,25 @@ class RobotSimulator:
             self.robot.parameters.tendon.angle_max,
         )
         for _ in range(steps):
-            angle = self.emulated.advance(step, self.robot.servo_torque)
-            self.robot.advance(1, np.clip(angle, 0.0, most))
+            self.robot.advance(
+                1,
+                np.clip(
+                    self.emulated.advance(step, self.robot.servo_torque),
+                    0.0,
+                    most,
+                ),
+            )
 
     def _read_imu(self) -> list[Reading]:
         return [self._imu.sample(self.robot, self.now)]
 
     def _read_joints(self) -> list[Reading]:
-        sim = self.robot
         return [
             JointReading(
-                self.now, sim.tendon_angle, sim.tendon_rate, sim.servo_torque
+                self.now,
+                self.robot.tendon_angle,
+                self.robot.tendon_rate,
+                self.robot.servo_torque,
             )
         ]
 

@@ -51,8 +51,16 @@ class RodRobot(KernelRobot):
         """Give model and state to the kernels."""
         self._legs = leg_lanes(self.model, self.state)
         scheme = build_scheme(self.scene.solver, self.model.floor)
-        parts = (self.model, self.state, self._work, self._start, self._legs)
-        self.handle = Handle((*parts, scheme))
+        self.handle = Handle(
+            (
+                self.model,
+                self.state,
+                self._work,
+                self._start,
+                self._legs,
+                scheme,
+            )
+        )
 
     def change(
         self, robot: RobotParameters, scene: Scene, servo: ServoSettings
@@ -88,10 +96,9 @@ class RodRobot(KernelRobot):
         if where >= 0:
             leg, node = divmod(where - 1, self.scene.solver.nodes)
             place = f"leg {LEGS[leg]} node {node}" if where else "torso"
-            limit = self.scene.solver.speed_limit
             raise DivergenceError(
                 f"simulation diverged in step {self.steps + 1} at {self.time:.4f} s: {place} is"
-                f" beyond {limit} m/s or not a number",
+                f" beyond {self.scene.solver.speed_limit} m/s or not a number",
                 self.snapshot() | {"command": command},
             )
 
@@ -100,8 +107,9 @@ class RodRobot(KernelRobot):
         super().set_motion(velocity, angular_velocity)
         to_base = Transform(self.rotation, self.position).inverse
         arm = to_base.apply(self.nodes)
-        body = product(to_base.rotation, self.velocity)
-        body = body + np.cross(self.angular_velocity, arm)
+        body = product(to_base.rotation, self.velocity) + np.cross(
+            self.angular_velocity, arm
+        )
         for leg, axes in enumerate(self.model.axes):
             self.state.node_velocity[leg] = product(body[leg], axes.T)
 

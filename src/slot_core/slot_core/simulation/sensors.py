@@ -36,9 +36,12 @@ def normal(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
 
 def true_odometry(sim: SimulatedRobot, stamp: int) -> OdometryReading:
     """Odometry of the simulated robot at `stamp` (ns), without noise."""
-    velocity = product(sim.rotation.T, sim.velocity)
     return OdometryReading(
-        stamp, sim.position, sim.quaternion, velocity, sim.angular_velocity
+        stamp,
+        sim.position,
+        sim.quaternion,
+        product(sim.rotation.T, sim.velocity),
+        sim.angular_velocity,
     )
 
 
@@ -74,13 +77,17 @@ class OdometrySensor:
         if since > 0.0 and (self._trouble.random() < s.loss or within):
             return lost_odometry(truth.stamp)
         position = truth.position + s.position_noise * noise[0]
-        turn = quaternion_of_vector(s.orientation_noise * noise[1])
-        attitude = quaternion_product(turn, truth.quaternion)
+        attitude = quaternion_product(
+            quaternion_of_vector(s.orientation_noise * noise[1]),
+            truth.quaternion,
+        )
         if displacement.any():
             position[:2] = rotate(position[:2], displacement[3])
             position += displacement[:3]
-            yaw = quaternion_of_vector(np.array([0.0, 0.0, displacement[3]]))
-            attitude = quaternion_product(yaw, attitude)
+            attitude = quaternion_product(
+                quaternion_of_vector(np.array([0.0, 0.0, displacement[3]])),
+                attitude,
+            )
         return OdometryReading(
             truth.stamp,
             position,
@@ -91,10 +98,10 @@ class OdometrySensor:
 
     def delay(self) -> float:
         """Delay of the next reading, s."""
-        jitter = self._settings.jitter
         return max(
             0.0,
-            self._settings.delay + jitter * self._trouble.uniform(-1.0, 1.0),
+            self._settings.delay
+            + self._settings.jitter * self._trouble.uniform(-1.0, 1.0),
         )
 
     def _displacement(self, since: float) -> Array:

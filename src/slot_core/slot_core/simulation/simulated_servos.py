@@ -222,9 +222,11 @@ class BusServos(SimulatedServos):
         self._model = read_servo()
         self.end = ""  # why the driver has ended, in lockstep
         if lockstep:
-            bus = self._servos.connect(lambda: to_seconds(plant.now))
             self.session = ServoSession(
-                bus, plant.robot.parameters.tendon.angle_max, CYCLE, self._pass
+                self._servos.connect(lambda: to_seconds(plant.now)),
+                plant.robot.parameters.tendon.angle_max,
+                CYCLE,
+                self._pass,
             )
             self.watchdog = self.session.watchdog
             self.session.configure()
@@ -242,9 +244,11 @@ class BusServos(SimulatedServos):
     @property
     def powered(self) -> bool:
         """Whether the servos accept commands: every torque is on, in lockstep may come on."""
-        if self._lockstep:
-            return self.watchdog.limits is not None
-        return len(self._servos.powered()) == len(LEGS)
+        return (
+            self.watchdog.limits is not None
+            if self._lockstep
+            else len(self._servos.powered()) == len(LEGS)
+        )
 
     def permit(self, permission: Permission) -> None:
         """Set the newest permission, in lockstep; it switches torque on or off at once."""
@@ -336,6 +340,8 @@ def make_servos(
     plant: RobotSimulator, lockstep: bool, link: Path | None = None
 ) -> SimulatedServos:
     """The servos of a plant; raises RefusedError, ConfigError as `BusServos`."""
-    if plant.emulated is None:
-        return DirectServos(plant, lockstep)
-    return BusServos(plant, lockstep, link)
+    return (
+        DirectServos(plant, lockstep)
+        if plant.emulated is None
+        else BusServos(plant, lockstep, link)
+    )

@@ -139,12 +139,11 @@ class SupervisedLoop:
     def receive_joints(self, reading: JointReading) -> None:
         """Give the joints to the supervisor."""
         self.receive(reading)
-        r, supervisor = reading, self.supervisor
         self.ticked.add(
             "joints",
-            r.stamp,
-            lambda now: supervisor.receive_joints(
-                now, r.stamp, r.angle, r.torque
+            reading.stamp,
+            lambda now: self.supervisor.receive_joints(
+                now, reading.stamp, reading.angle, reading.torque
             ),
         )
 
@@ -193,8 +192,9 @@ class SupervisedLoop:
 
     def request_gait(self, state: State) -> None:
         """Request the gait of a new state: the loop's in WALKING, else to stand."""
-        wanted = self._gait if state is State.WALKING else (STAND, np.zeros(3))
-        self.loop.controller.scheduler.request(*wanted)
+        self.loop.controller.scheduler.request(
+            *(self._gait if state is State.WALKING else (STAND, np.zeros(3)))
+        )
 
 
 _MESSAGES: dict[str, Callable[[Supervisor, Tick, int], object]] = {

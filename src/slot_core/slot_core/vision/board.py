@@ -46,12 +46,13 @@ def make_board(settings: BoardSettings) -> Board:
         x = (column - (settings.columns - 1) / 2) * pitch
         y = ((settings.rows - 1) / 2 - row) * pitch
         corners[number] = settings.marker * SQUARE + [x, y, 0.0]
-    size = (
-        settings.columns * pitch + settings.gap,
-        settings.rows * pitch + settings.gap,
-    )
     return Board(
-        corners, Transform.of(settings.pose.position, settings.pose.rpy), size
+        corners,
+        Transform.of(settings.pose.position, settings.pose.rpy),
+        (
+            settings.columns * pitch + settings.gap,
+            settings.rows * pitch + settings.gap,
+        ),
     )
 
 
@@ -69,11 +70,10 @@ def image_of(board: Board, dictionary: int, scale: float) -> GreyImage:
     image = np.full((height, width), WHITE, np.uint8)
     markers = cv2.aruco.getPredefinedDictionary(dictionary)
     for number, corners in board.corners.items():
-        left, top = np.round(
+        x, y = np.round(
             scale * (corners[0, :2] * [1, -1] + np.array(board.size) / 2)
-        )
+        ).astype(int)
         side = round(scale * float(corners[1, 0] - corners[0, 0]))
-        x, y = int(left), int(top)
         image[y : y + side, x : x + side] = cv2.aruco.generateImageMarker(
             markers, number, side
         )
@@ -86,8 +86,11 @@ def print_of(board: Board, dictionary: int) -> GreyImage:
     # with the black border
     cells = cv2.aruco.getPredefinedDictionary(dictionary).markerSize + 2
     scale = PRINT_CELL * cells / float(corners[1, 0] - corners[0, 0])
-    size = [round(scale * edge) for edge in board.size]
-    fine = image_of(board, dictionary, FINER * scale)
     return np.asarray(
-        cv2.resize(fine, size, interpolation=cv2.INTER_AREA), np.uint8
+        cv2.resize(
+            image_of(board, dictionary, FINER * scale),
+            [round(scale * edge) for edge in board.size],
+            interpolation=cv2.INTER_AREA,
+        ),
+        np.uint8,
     )

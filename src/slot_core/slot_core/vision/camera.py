@@ -87,10 +87,12 @@ class Camera:
 
         With (u, v) = P(x', y', parameters) at given pixels: d ray = -(dP/d ray)^-1 dP/d parameters.
         """
-        zero = np.zeros(3)
-        points = np.column_stack([rays, np.ones(len(rays))])[:, None]
         _, slopes = cv2.projectPoints(
-            points, zero, zero, self.matrix, self.distortion
+            np.column_stack([rays, np.ones(len(rays))])[:, None],
+            np.zeros(3),
+            np.zeros(3),
+            self.matrix,
+            self.distortion,
         )
         # of a shift along x and y at distance one
         by_ray = slopes[:, 3:5].reshape(-1, 2, 2)
@@ -105,10 +107,12 @@ class Camera:
         Raises ValueError for another shape.
         """
         _require_last("points", points, 3)
-        zero = np.zeros(3)
-        flat = np.ascontiguousarray(points, np.float64).reshape(-1, 1, 3)
         pixels, _ = cv2.projectPoints(
-            flat, zero, zero, self.matrix, self.distortion
+            np.ascontiguousarray(points, np.float64).reshape(-1, 1, 3),
+            np.zeros(3),
+            np.zeros(3),
+            self.matrix,
+            self.distortion,
         )
         return np.asarray(pixels, np.float64).reshape(*points.shape[:-1], 2)
 
@@ -131,9 +135,11 @@ def _require_last(name: str, values: Array, size: int) -> None:
 def nominal(settings: Intrinsics) -> Camera:
     """The camera of `config/vision.yaml`."""
     (f_x, f_y), (c_x, c_y) = settings.focal, settings.centre
-    matrix = np.array([[f_x, 0.0, c_x], [0.0, f_y, c_y], [0.0, 0.0, 1.0]])
     return Camera(
-        settings.width, settings.height, matrix, np.array(settings.distortion)
+        settings.width,
+        settings.height,
+        np.array([[f_x, 0.0, c_x], [0.0, f_y, c_y], [0.0, 0.0, 1.0]]),
+        np.array(settings.distortion),
     )
 
 
@@ -172,12 +178,15 @@ def from_camera_info(  # noqa: PLR0917
         raise CameraError(
             f"f = {matrix[0, 0]:g}, {matrix[1, 1]:g} px: expected > 0"
         )
-    known = (
+    return Camera(
+        width,
+        height,
+        matrix,
+        distortion,
         None
         if covariance is None
-        else _checked(covariance, 4 + distortion.size)
+        else _checked(covariance, 4 + distortion.size),
     )
-    return Camera(width, height, matrix, distortion, known)
 
 
 def _numbers(name: str, values: Any) -> Array:
@@ -203,9 +212,8 @@ def _checked(covariance: Any, size: int) -> Array:
             f"intrinsics_covariance has {values.size} values, expected {size**2}"
         )
     square = values.reshape(size, size)
-    symmetric = np.allclose(square, square.T)
     if (
-        not symmetric
+        not np.allclose(square, square.T)
         or np.linalg.eigvalsh(square).min() < -1e-9 * np.abs(square).max()
     ):
         raise CameraError(

@@ -1,7 +1,7 @@
 """Finds markers in an image with cv2.aruco; looks first where they were in the last one."""
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -40,7 +40,7 @@ class Detection:
     duplicates: tuple[
         int, ...
     ] = ()  # ids seen more than once: none of them is used
-    size: float = field(default=0.0)  # px, shortest edge
+    size: float = 0.0  # px, shortest edge
 
 
 class MarkerDetector:
@@ -49,7 +49,7 @@ class MarkerDetector:
     def __init__(self, dictionary: int, camera: Camera) -> None:
         self._camera = camera
         self._dictionary = cv2.aruco.getPredefinedDictionary(dictionary)
-        self._last: Detection | None = None
+        self._last = Detection((), np.zeros((0, 4, 2)), np.zeros((0, 4, 2)))
         self._doubled: frozenset[int] = frozenset()  # in the last whole image
         self._since_whole = 0
 
@@ -61,10 +61,9 @@ class MarkerDetector:
             )
         self._camera.require_size(image.shape[1], image.shape[0])
         last, self._since_whole = self._last, self._since_whole + 1
-        found = None
-        if last is not None and last.ids and self._since_whole < WHOLE_EVERY:
-            found = self._near(image, last)
-        if found is None or not set(last.ids if last else ()) <= set(found.ids):
+        near = last.ids and self._since_whole < WHOLE_EVERY
+        found = self._near(image, last) if near else None
+        if found is None or not set(last.ids) <= set(found.ids):
             self._since_whole, self._doubled = 0, frozenset()
             found = self._refined(image, *self._raw(image, 1.0))
             self._doubled = frozenset(found.duplicates)
@@ -75,8 +74,10 @@ class MarkerDetector:
         """The markers near the places of the last image's."""
         low = np.maximum(last.pixels.min(axis=(0, 1)) - MARGIN, 0).astype(int)
         high = np.ceil(last.pixels.max(axis=(0, 1)) + MARGIN).astype(int)
-        part = image[low[1] : high[1], low[0] : high[0]]
-        ids, corners = self._raw(part, 0.5 if last.size > LARGE else 1.0)
+        ids, corners = self._raw(
+            image[low[1] : high[1], low[0] : high[0]],
+            0.5 if last.size > LARGE else 1.0,
+        )
         return self._refined(image, ids, corners + low)
 
     def _raw(self, image: GreyImage, scale: float) -> tuple[Ids, Array]:
@@ -90,8 +91,9 @@ class MarkerDetector:
         )
         parameters = cv2.aruco.DetectorParameters()
         parameters.minMarkerPerimeterRate = scale * SMALLEST / max(small.shape)
-        detector = cv2.aruco.ArucoDetector(self._dictionary, parameters)
-        corners, ids, _ = detector.detectMarkers(np.ascontiguousarray(small))
+        corners, ids, _ = cv2.aruco.ArucoDetector(
+            self._dictionary, parameters
+        ).detectMarkers(np.ascontiguousarray(small))
         if ids is None:
             return np.zeros(0, np.int64), np.zeros((0, 4, 2))
         found = np.array(corners, np.float64).reshape(-1, 4, 2)
@@ -107,10 +109,14 @@ class MarkerDetector:
         rays, noise = refined_rays(
             image, corners, self._camera, self._dictionary.markerSize + 2
         )
-        counts = Counter(ids.tolist())
-        doubled = {i for i, n in counts.items() if n > 1 or i in self._doubled}
-        single = np.array([i not in doubled for i in ids.tolist()])
-        keep = np.isfinite(noise) & single
+        doubled = {
+            i
+            for i, n in Counter(ids.tolist()).items()
+            if n > 1 or i in self._doubled
+        }
+        keep = np.isfinite(noise) & np.array(
+            [i not in doubled for i in ids.tolist()]
+        )
         edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=-1)
         return Detection(
             tuple(ids[keep].tolist()),
@@ -125,8 +131,9 @@ def other_dictionary(image: GreyImage) -> str:
     """The dictionary of which most markers are found, with their number; empty: of none."""
     counts = {}
     for name in FAMILIES:
-        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-        _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(image)
+        _, ids, _ = cv2.aruco.ArucoDetector(
+            cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+        ).detectMarkers(image)
         counts[name] = 0 if ids is None else len(ids)
     best = max(counts, key=lambda name: counts[name])
     return f"{counts[best]} of {best}" if counts[best] else ""

@@ -56,10 +56,9 @@ def edge_points(
     offset = half[:, None, None, None] * ACROSS  # (m, 1, 1, p)
     outward = normal[:, :, None]  # (m, 4, 1, 2)
     places = middle[..., None, :] + offset[..., None] * outward[..., None, :]
-    flat = places.reshape(-1, places.shape[-2], 2).astype(np.float32)
     sampled = cv2.remap(
         image,
-        flat,
+        places.reshape(-1, places.shape[-2], 2).astype(np.float32),
         np.empty(0),
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_REPLICATE,
@@ -106,10 +105,9 @@ def _lines(points: Array, weight: Array) -> tuple[Array, Array, Array]:
     total = np.maximum(weight.sum(axis=-1), 1.0)
     centre = (weight[..., None] * points).sum(axis=-2) / total[..., None]
     x, y = np.moveaxis(points - centre[..., None, :], -1, 0)
-    xx = (weight * x * x).sum(axis=-1)
-    xy = (weight * x * y).sum(axis=-1)
-    yy = (weight * y * y).sum(axis=-1)
+    xx, xy, yy = (
+        (weight * a * b).sum(axis=-1) for a, b in ((x, x), (x, y), (y, y))
+    )
     angle = np.arctan2(2 * xy, xx - yy) / 2  # of the principal axis
     normal = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
-    distance = np.abs(x * normal[..., :1] + y * normal[..., 1:])
-    return centre, normal, distance
+    return centre, normal, np.abs(x * normal[..., :1] + y * normal[..., 1:])

@@ -31,9 +31,8 @@ DEPTHS = ("16UC1", "mono16")
 def grey(message: Any) -> GreyImage:
     """Grey image (h, w) of an Image; raises ValueError for other encodings, missing bytes."""
     if message.encoding not in CHANNELS:
-        known = ", ".join(CHANNELS)
         raise ValueError(
-            f"encoding {quoted(message.encoding)}: expected one of {known}"
+            f"encoding {quoted(message.encoding)}: expected one of {', '.join(CHANNELS)}"
         )
     pixels = _pixels(message, CHANNELS[message.encoding], np.dtype(np.uint8))
     if message.encoding in TO_GREY:
@@ -46,13 +45,13 @@ def grey(message: Any) -> GreyImage:
 def depth(message: Any) -> NDArray[np.uint16]:
     """Depth (h, w), mm, of an Image; raises ValueError for other encodings, missing bytes."""
     if message.encoding not in DEPTHS:
-        known = ", ".join(DEPTHS)
         raise ValueError(
-            f"encoding {quoted(message.encoding)}: expected one of {known}"
+            f"encoding {quoted(message.encoding)}: expected one of {', '.join(DEPTHS)}"
         )
     order: Literal["<", ">"] = ">" if message.is_bigendian else "<"
-    pixels = _pixels(message, 1, np.dtype(np.uint16).newbyteorder(order))
-    return pixels[..., 0].astype(np.uint16)
+    return _pixels(message, 1, np.dtype(np.uint16).newbyteorder(order))[
+        ..., 0
+    ].astype(np.uint16)
 
 
 def _pixels(message: Any, channels: int, kind: np.dtype[Any]) -> NDArray[Any]:
@@ -65,5 +64,8 @@ def _pixels(message: Any, channels: int, kind: np.dtype[Any]) -> NDArray[Any]:
             f"{len(data)} bytes in rows of {step}: {width} x {height} px of"
             f" {message.encoding} have {height} rows of {row} bytes at least"
         )
-    rows = np.ascontiguousarray(data.reshape(height, step)[:, :row])
-    return rows.view(kind).reshape(height, width, channels)
+    return (
+        np.ascontiguousarray(data.reshape(height, step)[:, :row])
+        .view(kind)
+        .reshape(height, width, channels)
+    )

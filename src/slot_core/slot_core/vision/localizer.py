@@ -55,18 +55,17 @@ class MarkerFix:
     @property
     def odometry(self) -> tuple[int, Array, Array, Array, Array, Array]:
         """The arguments of `StateEstimator.add_odometry`."""
-        pose, twist = (
-            np.diag(self.pose_covariance),
-            np.diag(self.twist_covariance),
-        )
-        variance = np.concatenate([pose[3:], pose[:3], twist])
-        motion = (
+        pose = np.diag(self.pose_covariance)
+        return (
+            self.stamp,
             self.position,
             self.quaternion,
             self.velocity,
             self.angular_velocity,
+            np.concatenate(
+                [pose[3:], pose[:3], np.diag(self.twist_covariance)]
+            ),
         )
-        return self.stamp, *motion, variance
 
 
 @dataclass(frozen=True)
@@ -104,22 +103,22 @@ class MarkerLocalizer:
         Raises ConfigError without a board in the frame that the camera does not stand on.
         """
         on_torso = (carrier or settings.carrier) == "torso"
-        placed = Transform.of(
-            settings.world_camera.position, settings.world_camera.rpy
-        )
+        frame = ODOM_FRAME if on_torso else BASE_FRAME
+        placed = settings.world_camera
         self._settings, self._camera, self._on_torso = (
             settings.detection,
             camera,
             on_torso,
         )
-        self._fixed = optical(mount if on_torso else placed)
-        boards = settings.boards_in(ODOM_FRAME if on_torso else BASE_FRAME)
-        if not boards:
-            frame = ODOM_FRAME if on_torso else BASE_FRAME
-            raise ConfigError(f"vision.yaml: boards: none in the frame {frame}")
+        self._fixed = optical(
+            mount if on_torso else Transform.of(placed.position, placed.rpy)
+        )
         self._boards = {
-            name: make_board(board) for name, board in boards.items()
+            name: make_board(board)
+            for name, board in settings.boards_in(frame).items()
         }
+        if not self._boards:
+            raise ConfigError(f"vision.yaml: boards: none in the frame {frame}")
         self._detector = MarkerDetector(settings.dictionary_number, camera)
         self._dictionary = settings.dictionary
         self._last: Known | None = None
@@ -186,24 +185,25 @@ class MarkerLocalizer:
 
     def _base(self, board: Transform, seen: Transform) -> Transform:
         """base_link in odom from the board's pose in its frame and in the optical frame."""
-        if self._on_torso:
-            return board @ seen.inverse @ self._fixed.inverse
-        return self._fixed @ seen @ board.inverse
+        return (
+            board @ seen.inverse @ self._fixed.inverse
+            if self._on_torso
+            else self._fixed @ seen @ board.inverse
+        )
 
     def _expected(self, stamp: int, board: Transform) -> Transform | None:
         """Pose of the board in the optical frame as it was last; None if that is unknown."""
         if (last := self._recent(stamp)) is None:
             return None
-        base = last[1]
-        if self._on_torso:
-            return self._fixed.inverse @ base.inverse @ board
-        return self._fixed.inverse @ base @ board
+        carrier = last[1].inverse if self._on_torso else last[1]
+        return self._fixed.inverse @ carrier @ board
 
     def _recent(self, stamp: int) -> Known | None:
         """The last pose if it is before `stamp`, ns, by at most `memory`."""
         memory = self._settings.memory * SECOND
-        recent = self._last is not None and 0 < stamp - self._last[0] <= memory
-        return self._last if recent else None
+        if self._last is None or not 0 < stamp - self._last[0] <= memory:
+            return None
+        return self._last
 
     def _fix(
         self, stamp: int, board: Transform, pose: BoardPose, markers: int
@@ -278,8 +278,11 @@ class MarkerLocalizer:
 
 def unusual(error: float, settings: DetectionSettings) -> str:
     """A warning where a reprojection error (px) is larger than usual, else an empty string."""
-    usual = f"reprojection error {error:.2f} px, usually below {settings.error_usual:g} px: {WRONG}"
-    return usual if error > settings.error_usual else ""
+    return (
+        f"reprojection error {error:.2f} px, usually below {settings.error_usual:g} px: {WRONG}"
+        if error > settings.error_usual
+        else ""
+    )
 
 
 def _corners(
@@ -289,7 +292,6 @@ def _corners(
     ids = [number for number in found.ids if number in corners]
     if not ids:
         return np.zeros((0, 3)), np.zeros((0, 2))
-    points = np.concatenate([corners[number] for number in ids])
-    return points, np.concatenate(
+    return np.concatenate([corners[number] for number in ids]), np.concatenate(
         [found.rays[found.ids.index(number)] for number in ids]
     )

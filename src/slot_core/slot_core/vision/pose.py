@@ -14,8 +14,7 @@ of the calibration the pose has G C G^T, by the same error in every image.
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -62,28 +61,30 @@ def board_poses(
         )
     except cv2.error:
         return None
-    found = []
     errors = np.ravel(given)
     tried = (
         1
         if count > 1 and errors[1] > CERTAIN * max(errors[0], noise)
         else count
     )
-    for turn, place in zip(turns[:tried], places[:tried]):
-        refined = _refined(turn, place, points, rays)
-        if refined is not None:
-            found.append(refined)
+    refined = (
+        _refined(turn, place, points, rays)
+        for turn, place in zip(turns[:tried], places[:tried])
+    )
+    found = sorted(filter(None, refined), key=lambda item: item[0])
     if not found:
         return None
-    found.sort(key=lambda item: item[0])
     spread = np.zeros((2 * len(rays), 2 * len(rays)))
     if camera is not None and camera.covariance is not None:
         slopes = camera.ray_slopes(rays)
         spread = slopes @ camera.covariance @ slopes.T
     first, *others = (_board_pose(*item, noise, spread) for item in found)
     if others and _angle(others[0].transform, first.transform) > 1e-3:
-        ratio = others[0].error / max(first.error, noise)
-        return dataclasses.replace(first, other=others[0], ratio=ratio)
+        return replace(
+            first,
+            other=others[0],
+            ratio=others[0].error / max(first.error, noise),
+        )
     return first
 
 
@@ -115,10 +116,12 @@ def _refined(
     by it is this one.
     """
     pinhole = np.eye(3)
-    refined = cv2.solvePnPRefineLM(
-        points, rays[:, None], pinhole, None, turn, place, ACCURATE
+    turn, place = map(
+        np.asarray,
+        cv2.solvePnPRefineLM(
+            points, rays[:, None], pinhole, None, turn, place, ACCURATE
+        ),
     )
-    turn, place = map(np.asarray, refined)
     pose = Transform(
         np.asarray(cv2.Rodrigues(turn)[0], np.float64), np.ravel(place)
     )
@@ -127,9 +130,10 @@ def _refined(
     residual = np.ravel(seen) - rays.ravel()
     jacobian = np.concatenate([slopes[:, 3:6], slopes[:, :3]], axis=1)
     in_front = (turned[:, 2] + pose.position[2] > 0).all()
-    if not (in_front and np.isfinite(residual).all()):
-        return None
-    if np.linalg.cond(jacobian.T @ jacobian) > 1e14:
+    if (
+        not (in_front and np.isfinite(residual).all())
+        or np.linalg.cond(jacobian.T @ jacobian) > 1e14
+    ):
         return None
     return float(np.sqrt(2 * np.mean(residual**2))), pose, jacobian
 
@@ -143,5 +147,7 @@ def _angle(a: Transform, b: Transform) -> float:
 
 def nearest(pose: BoardPose, expected: Transform) -> BoardPose:
     """Of the two poses the one whose attitude is nearer to an expected one."""
-    both = (pose, pose.other) if pose.other else (pose,)
-    return min(both, key=lambda each: _angle(each.transform, expected))
+    return min(
+        (pose, pose.other) if pose.other else (pose,),
+        key=lambda each: _angle(each.transform, expected),
+    )

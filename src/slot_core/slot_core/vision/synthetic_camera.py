@@ -57,8 +57,9 @@ class SyntheticCamera:
         self.camera, self._made = camera, imperfections
         self._rng = rng
         self._rays = _rays(camera)
-        shape = (camera.height + 64, camera.width + 64)
-        noise = imperfections.noise * rng.standard_normal(shape, np.float32)
+        noise = imperfections.noise * rng.standard_normal(
+            (camera.height + 64, camera.width + 64), np.float32
+        )
         self._noise = noise.round().astype(np.int16)
 
     def image(self, surfaces: list[Surface]) -> GreyImage:
@@ -108,9 +109,13 @@ class SyntheticCamera:
     def _paint(self, canvas: GreyImage, surface: Surface) -> None:
         """Paint a surface on the canvas of samples, and blur it by its motion."""
         edge = np.linspace(0, 1, 9)[:-1, None]
-        ahead = np.roll(surface.corners, -1, axis=0)
         outline = np.concatenate(
-            [a + edge * (b - a) for a, b in zip(surface.corners, ahead)]
+            [
+                a + edge * (b - a)
+                for a, b in zip(
+                    surface.corners, np.roll(surface.corners, -1, axis=0)
+                )
+            ]
         )
         pixels = SAMPLES * (self.camera.project(outline) + 0.5)
         blur = self._motion(surface)
@@ -132,9 +137,9 @@ class SyntheticCamera:
         rays = (surface.corners[:, :2] / surface.corners[:, 2:]).astype(
             np.float32
         )
-        to_sheet = cv2.getPerspectiveTransform(rays, sheet.astype(np.float32))
         places = cv2.perspectiveTransform(
-            np.ascontiguousarray(self._rays[place]), to_sheet
+            np.ascontiguousarray(self._rays[place]),
+            cv2.getPerspectiveTransform(rays, sheet.astype(np.float32)),
         )
         ink = BLACK + (WHITE - BLACK) / 255 * surface.print
         part = np.ascontiguousarray(canvas[place])
@@ -180,9 +185,10 @@ def _moved(image: GreyImage, way: Array) -> GreyImage:
 def _rays(camera: Camera) -> np.ndarray:
     """Undistorted rays (h, w, 2) of all samples, float32; linear between points of a grid."""
     height, width = SAMPLES * camera.height, SAMPLES * camera.width
-    x = np.arange(0, width + GRID, GRID)
-    y = np.arange(0, height + GRID, GRID)
-    pixels = (np.stack(np.meshgrid(x, y), axis=-1) + 0.5) / SAMPLES - 0.5
+    grid = np.meshgrid(
+        np.arange(0, width + GRID, GRID), np.arange(0, height + GRID, GRID)
+    )
+    pixels = (np.stack(grid, axis=-1) + 0.5) / SAMPLES - 0.5
     coarse = camera.rays(pixels.astype(float))
     fine_x, fine_y = np.meshgrid(
         np.arange(width) / GRID, np.arange(height) / GRID

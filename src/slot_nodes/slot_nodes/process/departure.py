@@ -40,8 +40,12 @@ def limited(code: int, limit: float = LIMIT) -> Iterator[None]:
     """
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
-    end = ctypes.cast(C_LIBRARY._exit, ctypes.c_void_p).value
-    event = _Event(code, 0, SIGEV_THREAD, end)
+    event = _Event(
+        code,
+        0,
+        SIGEV_THREAD,
+        ctypes.cast(C_LIBRARY._exit, ctypes.c_void_p).value,
+    )
     timer = ctypes.c_void_p()
     # struct itimerspec: no interval, then the time in s and ns
     setting = (ctypes.c_long * 4)(0, 0, int(limit), int(limit % 1.0 * 1e9))

@@ -72,8 +72,10 @@ class DirectExecutor(SingleThreadedExecutor):
         )
         for subscription in subscriptions:
             for _ in range(subscription.qos_profile.depth):
-                taken = _call(self._take_subscription(subscription))
-                if not (taken and self._mailbox.waiting):
+                if not (
+                    _call(self._take_subscription(subscription))
+                    and self._mailbox.waiting
+                ):
                     break
         for timer in timers:
             if _is_due(timer):
@@ -83,10 +85,9 @@ class DirectExecutor(SingleThreadedExecutor):
             self._entities_changed = True
             super().spin_once(timeout_sec=0.0)
             # callbacks of an answer: nothing would wake rclpy, whose spin runs one task at a time
-            waiting = [
+            for _ in [
                 t for t, *_ in self._tasks if not (t.done() or t.executing())
-            ]
-            for _ in waiting:
+            ]:
                 super().spin_once(timeout_sec=0.0)
             # rclpy takes the trigger of a signal, but ends only if the context has ended by then
             if (

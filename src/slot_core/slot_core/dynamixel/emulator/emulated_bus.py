@@ -185,8 +185,10 @@ class EmulatedBus:
     def _dispatch(
         self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]
     ) -> Iterator[Reply]:
-        chained = Instruction.SYNC_READ, Instruction.FAST_SYNC_READ
-        if packet.instruction in chained and packet.id == BROADCAST:
+        if packet.id == BROADCAST and packet.instruction in (
+            Instruction.SYNC_READ,
+            Instruction.FAST_SYNC_READ,
+        ):
             yield from self._chain(packet, receivers)
             return
         for index, servo in sorted(
@@ -204,12 +206,11 @@ class EmulatedBus:
             error, data = execute(servo, packet)
             ping = packet.instruction == Instruction.PING
             reads = packet.instruction == Instruction.READ
-            unanswered = not (
+            answered = (
                 ping or level == ANSWER_ALL or (reads and level >= ANSWER_READS)
             )
-            if unanswered or not (own or (ping and packet.id == BROADCAST)):
-                continue
-            yield from self._answer(index, status(identity, error, data))
+            if answered and (own or (ping and packet.id == BROADCAST)):
+                yield from self._answer(index, status(identity, error, data))
 
     def _chain(
         self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]
@@ -229,9 +230,11 @@ class EmulatedBus:
             return  # the answer is longer than a packet
         for identity in ids:
             index, servo = by_id.get(identity, (-1, None))
-            if servo is None or self._line[index].silent:
-                break
-            if servo.memory["status_return_level"] < ANSWER_READS:
+            if (
+                servo is None
+                or self._line[index].silent
+                or servo.memory["status_return_level"] < ANSWER_READS
+            ):
                 break
             error, data = read_data(servo, address, size)
             if fast:
@@ -257,8 +260,9 @@ class EmulatedBus:
         for index, _ in parts:
             if self._rng.random() < self._line[index].corrupt:
                 data = damaged(data, self._rng)
-        late = max(self._line[index].late for index, _ in parts)
-        yield Reply(data, delay + late)
+        yield Reply(
+            data, delay + max(self._line[index].late for index, _ in parts)
+        )
 
     def _answer(self, index: int, data: bytes) -> Iterator[Reply]:
         line = self._line[index]

@@ -68,11 +68,9 @@ class MemoryPort(SerialPort):
             self.packet_timeout = 0.0
         return not self._answers
 
-    def drain(self, quiet: float) -> int:
-        """Discard the answers; returns the number of bytes discarded."""
-        dropped = len(self._answers)
+    def drain(self, quiet: float) -> None:
+        """Discard the answers."""
         self._answers.clear()
-        return dropped
 
 
 class EmulatedDynamixels:
@@ -86,10 +84,14 @@ class EmulatedDynamixels:
     ) -> None:
         """Servos at tendon angles (4,), rad."""
         self.settings, self.joints = settings, joints(settings.joints)
-        shaft_angles = [
-            j.servo_angle(float(angle)) for j, angle in zip(self.joints, angles)
-        ]
-        self.bus = EmulatedBus(emulator, settings.joints.ids, shaft_angles)
+        self.bus = EmulatedBus(
+            emulator,
+            settings.joints.ids,
+            [
+                j.servo_angle(float(angle))
+                for j, angle in zip(self.joints, angles)
+            ],
+        )
         for joint, servo in zip(self.joints, self.bus.servos):
             for name, value in expected(settings, joint).items():
                 servo.memory[name] = value
@@ -103,11 +105,13 @@ class EmulatedDynamixels:
 
         torques: (4,) N m, of the tendons on their spools.
         """
-        loads = [
-            joint.servo_torque(float(t))
-            for joint, t in zip(self.joints, torques)
-        ]
-        self.bus.advance(dt, loads)
+        self.bus.advance(
+            dt,
+            [
+                joint.servo_torque(float(t))
+                for joint, t in zip(self.joints, torques)
+            ],
+        )
         return self.angles()
 
     def angles(self) -> Array:
@@ -121,9 +125,10 @@ class EmulatedDynamixels:
 
     def powered(self) -> tuple[str, ...]:
         """Names of the legs whose servos have torque on."""
-        servos = zip(LEGS, self.bus.servos)
         return tuple(
-            leg for leg, servo in servos if servo.memory["torque_enable"]
+            leg
+            for leg, servo in zip(LEGS, self.bus.servos)
+            if servo.memory["torque_enable"]
         )
 
     def driven(self) -> bool:
@@ -155,5 +160,8 @@ def read_emulated_legs(
     angles: Sequence[float] | Array, voltage: float
 ) -> EmulatedDynamixels:
     """The servos of `config/` at tendon angles (4,), rad, and a supply voltage (V)."""
-    emulator = config.replace(read_emulator(), {"servo.voltage": voltage})
-    return EmulatedDynamixels(read_settings(), emulator, angles)
+    return EmulatedDynamixels(
+        read_settings(),
+        config.replace(read_emulator(), {"servo.voltage": voltage}),
+        angles,
+    )

@@ -127,14 +127,14 @@ class EmulatedServo:
 
     def driven(self) -> bool:
         """Whether instructions move it: torque, and a duty, a speed or a goal away from it."""
-        memory, mode = self.memory, self.memory["operating_mode"]
-        if mode == Mode.PWM:
-            moves = memory["goal_pwm"] != 0
-        elif mode == Mode.VELOCITY:
-            moves = memory["goal_velocity"] != 0
-        else:
-            moves = memory["goal_position"] != self.position()
-        return bool(memory["torque_enable"]) and moves
+        memory = self.memory
+        goal, rest = {
+            Mode.PWM: ("goal_pwm", 0),
+            Mode.VELOCITY: ("goal_velocity", 0),
+        }.get(
+            Mode(memory["operating_mode"]), ("goal_position", self.position())
+        )
+        return bool(memory["torque_enable"]) and memory[goal] != rest
 
     def watchdog_left(self) -> float:
         """Time after which the bus watchdog stops the servo, s; inf if it is not armed."""
@@ -277,8 +277,9 @@ class EmulatedServo:
         memory["present_load"] = self._sign * round(
             min(max(load, -1.0), 1.0) * LOAD_FULL
         )
-        moving = abs(self._velocity()) > memory["moving_threshold"]
-        memory["moving"] = int(moving)
+        memory["moving"] = int(
+            abs(self._velocity()) > memory["moving_threshold"]
+        )
         memory["position_trajectory"] = round(self._trajectory)
         memory["present_input_voltage"] = round(self.voltage / VOLTAGE_UNIT)
         memory["present_temperature"] = round(

@@ -78,7 +78,11 @@ class Memory:
         registers = dict.fromkeys(BY_ADDRESS.get(target) for target in new)
         values = {}
         for register in registers:
-            if register is None or not self._writable(register):
+            if (
+                register is None
+                or not register.writable
+                or (register.eeprom and self["torque_enable"])
+            ):
                 raise RegisterError(Error.ACCESS)
             own = range(register.address, register.end)
             if any(target not in new for target in own):
@@ -100,19 +104,13 @@ class Memory:
                 return target if _mappable(target) else address
         return address
 
-    def _writable(self, register: Register) -> bool:
-        return register.writable and not (
-            register.eeprom and self["torque_enable"]
-        )
-
     def _check(self, register: Register, value: int) -> None:
         name = register.name
-        if not register.low <= value <= register.high:
-            raise RegisterError(Error.DATA_RANGE)
-        if name == "operating_mode" and value not in set(Mode):
-            raise RegisterError(Error.DATA_RANGE)
-        if self["bus_watchdog"] == TRIPPED and (
-            name in GOALS or (name == "bus_watchdog" and value)
+        refused = name in GOALS or (name == "bus_watchdog" and value)
+        if (
+            not register.low <= value <= register.high
+            or (name == "operating_mode" and value not in set(Mode))
+            or (refused and self["bus_watchdog"] == TRIPPED)
         ):
             raise RegisterError(Error.DATA_RANGE)
         low, high = self.limits(name)
@@ -121,10 +119,9 @@ class Memory:
 
     def limits(self, name: str) -> tuple[int, int]:
         """Limits of a register held by other registers; its own range if there are none."""
-        if name == "goal_pwm":
-            return -self["pwm_limit"], self["pwm_limit"]
-        if name == "goal_velocity":
-            return -self["velocity_limit"], self["velocity_limit"]
+        if name in ("goal_pwm", "goal_velocity"):
+            limit = self[name.removeprefix("goal_") + "_limit"]
+            return -limit, limit
         if name == "goal_position" and self["operating_mode"] == Mode.POSITION:
             return self["min_position_limit"], self["max_position_limit"]
         return TABLE[name].low, TABLE[name].high

@@ -5,8 +5,6 @@ its first byte, and an answer is passed on when its last byte has been sent. The
 baud rate on its side. Bytes that the driver does not read in time are lost, as in a serial chip.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import select

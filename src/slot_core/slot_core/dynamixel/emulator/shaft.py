@@ -70,8 +70,9 @@ class Shaft:
         A positive load lowers the angle.
         """
         supply = voltage / self.motor.voltage
-        target = self._target(duty, load, supply)
-        self.speed += (target - self.speed) * (h / (self.motor.time + h))
+        self.speed += (self._target(duty, load, supply) - self.speed) * (
+            h / (self.motor.time + h)
+        )
         self.angle += h * self.speed
         self._heat(duty, supply, h)
 
