@@ -143,14 +143,13 @@ def test_core_imports_nothing_of_ros():
     )
     loaded = set(run.stdout.split())
     assert "slot_core" in loaded
-    others = {
+    assert loaded & {
         "rclpy",
         "rosidl_parser",
         "ament_index_python",
         *PACKAGES,
         "slot_msgs",
-    }
-    assert loaded & others == {"slot_core"}
+    } == {"slot_core"}
 
 
 @pytest.mark.parametrize("package", PACKAGES)

@@ -92,8 +92,7 @@ def test_result_holds_rows_checks_revision_machine_and_whether_it_was_quick(
 def test_a_benchmark_that_cannot_run_is_refused_in_one_line(
     places, refusal, name, reason
 ):
-    line = refusal(main, name, "--out", places)
-    assert line == f"scripts/bench: {reason}"
+    assert refusal(main, name, "--out", places) == f"scripts/bench: {reason}"
     assert not places.exists()
 
 

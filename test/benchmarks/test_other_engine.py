@@ -136,8 +136,7 @@ def test_servo_and_friction_of_the_guide_are_the_projects():
         error,
         torque,
     ) in cases:  # the last one stands still between the two loads
-        drive = np.array([0.0, speed, 0.0])
-        expected = own_rate(law, drive, error, torque, h)
+        expected = own_rate(law, np.array([0.0, speed, 0.0]), error, torque, h)
         found = mujoco_robot.motor_speed(
             law, np.array(speed), np.array(error), torque, h
         )

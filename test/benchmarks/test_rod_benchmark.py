@@ -47,8 +47,9 @@ def test_leg_under_a_small_force_has_bernoullis_flexibility_in_both_planes():
                 tpu.young_modulus * moment(s / leg.length)
             )
 
-        wanted = quad(part, 0, leg.length)[0]
-        assert found / p == pytest.approx(wanted, rel=1e-6)
+        assert found / p == pytest.approx(
+            quad(part, 0, leg.length)[0], rel=1e-6
+        )
 
 
 def test_ritzs_method_gives_the_known_frequencies_of_uniform_rods():

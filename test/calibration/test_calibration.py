@@ -54,8 +54,7 @@ def write(path, *rows):
 
 def test_measurements_are_read_with_their_conditions(tmp_path):
     rows = ["force_angle, 90,, 0.1, 0.3,, 2.5, 0.2", DEFLECTION]
-    data = read_data(write(tmp_path / "leg.csv", *rows))
-    force, deflection = data.rows
+    force, deflection = read_data(write(tmp_path / "leg.csv", *rows)).rows
     assert force.conditions() == {
         "theta_deg": 90.0,
         "height_m": 0.1,
@@ -390,9 +389,10 @@ def test_the_command_fits_and_writes_file_and_figure(tmp_path, capsys):
     out, png = tmp_path / "deep" / "own.yaml", tmp_path / "deep" / "own.png"
     options = f"--free leg.young_modulus tendon.slack --out {out} --plot {png}"
     assert main([str(path), *options.split(), "--note", "by hand"]) == EXPLAINED
-    printed = capsys.readouterr()
-    assert printed.out.splitlines()[-1].startswith(
-        "verdict: explained: chi-square"
+    assert (
+        capsys.readouterr()
+        .out.splitlines()[-1]
+        .startswith("verdict: explained: chi-square")
     )
     content = yaml.safe_load(out.read_text())
     assert content["note"] == "by hand"

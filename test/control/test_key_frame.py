@@ -38,10 +38,9 @@ def test_an_estimator_goes_on_from_a_key_frame_at_any_message(seed, source):
         )
         run(messages[:at], estimator=first)
         restore(second, capture(first))
-        rest = (
-            run(messages[at:], estimator=each)[0] for each in (first, second)
+        assert same(
+            *(run(messages[at:], estimator=each)[0] for each in (first, second))
         )
-        assert same(*rest)
 
 
 def equal(a, b):

@@ -96,8 +96,7 @@ def test_a_shift_of_the_stamps_is_found_within_5_ms_and_compensated(
     [(-0.09, "imu: stamps -90 ms"), (0.075, "imu: stamps +75 ms")],
 )
 def test_a_larger_shift_is_named_and_odometry_serves_alone(shift, line):
-    late = stamped("imu", noisy(WALK, 4.0, 0), shift)
-    estimates, _ = run(late, COMPARED)
+    estimates, _ = run(stamped("imu", noisy(WALK, 4.0, 0), shift), COMPARED)
     assert estimates[-1].message.startswith(line)
     assert "limit 60 ms: it is not used" in estimates[-1].message
     assert set(validities(estimates[-30:])) == {Validity.IMU_MISSING}
@@ -192,13 +191,11 @@ def test_a_stray_stamp_is_dropped(kind, shift):
     stray = stamped(kind, messages[at : at + 1], shift)
     without = messages[:at] + messages[at + 1 :]
     with_it = messages[:at] + stray + messages[at + 1 :]
-    last = [run(each, COMPARED)[0][-10:] for each in (without, with_it)]
-    assert same(*last)
+    assert same(*[run(each, COMPARED)[0][-10:] for each in (without, with_it)])
 
 
 def test_stamps_that_stay_ahead_are_named():
-    messages = noisy(WALK, 3.0, 5)
-    estimates, _ = run(stamped("odometry", messages, 0.4), COMPARED)
+    estimates, _ = run(stamped("odometry", noisy(WALK, 3.0, 5), 0.4), COMPARED)
     assert "odom: stamps 0.4" in estimates[-1].message
     assert Validity.VALID not in validities(estimates)
 
@@ -250,10 +247,9 @@ def test_an_estimator_that_compares_goes_on_from_a_key_frame():
         _, first = run(messages[:at], COMPARED)
         second = StateEstimator(COMPARED)
         restore(second, capture(first))
-        rest = (
-            run(messages[at:], estimator=each)[0] for each in (first, second)
+        assert same(
+            *(run(messages[at:], estimator=each)[0] for each in (first, second))
         )
-        assert same(*rest)
 
 
 def test_a_clock_that_is_set_back_needs_some_stamps():

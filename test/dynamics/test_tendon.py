@@ -53,8 +53,9 @@ def test_a_slack_tendon_has_no_tension_and_a_taut_one_spring_and_damper():
     for rate in (0.0, 2.0):
         pull, tendon = tension(taut + 0.01, rate)
         damper = ROBOT.tendon.cable_damping * rate * radius
-        expected = tendon.stiffness * 0.01 * radius + damper
-        assert pull == pytest.approx(expected, rel=1e-9)
+        assert pull == pytest.approx(
+            tendon.stiffness * 0.01 * radius + damper, rel=1e-9
+        )
 
 
 def pulled_leg(force):
@@ -120,8 +121,7 @@ def test_a_pulled_leg_converges_to_the_continuous_one_to_second_order():
         errors.append(np.hypot(*(here.node[-1] - exact)))
     # N = 43, second order in 1/42
     assert here.tension == pytest.approx(force, rel=2e-3)
-    order = np.log(errors[0] / errors[2]) / np.log(42 / 12)
-    assert order > 1.8
+    assert (np.log(errors[0] / errors[2]) / np.log(42 / 12)) > 1.8
     assert errors[1] < 4e-4  # m at N = 22; without the anchor's own cell 5.7 mm
 
 

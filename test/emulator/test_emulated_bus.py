@@ -332,8 +332,9 @@ def test_speed_stall_torque_and_heat_are_those_of_the_supply_voltage(
         shaft.temperature - shaft.settings.room
     ) * shaft.settings.thermal_time
     # one resistance for three voltages: the e-manual's are 8.5 to 9.0 ohm
-    expected = shaft.settings.thermal_resistance * voltage * current
-    assert heat == pytest.approx(expected, rel=0.06)
+    assert heat == pytest.approx(
+        shaft.settings.thermal_resistance * voltage * current, rel=0.06
+    )
 
 
 def test_a_bus_is_not_emulated_at_a_voltage_without_figures_of_the_motor():

@@ -91,8 +91,7 @@ class Copy:
 
     def setup(self, *arguments: str) -> tuple[int, str]:
         process = self.start(*arguments)
-        output = process.communicate()[1]
-        return process.returncode, output
+        return process.returncode, process.communicate()[1]
 
     @property
     def calls(self) -> list[str]:

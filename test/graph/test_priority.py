@@ -74,5 +74,5 @@ def test_the_priority_that_nobody_has_asked_for(
     monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)))
     graph = read_graph()
     specs = graph.nodes({a.name: a.default for a in graph.arguments} | chosen)
-    found = {spec.environment.get("SLOT_PRIORITY") for spec in specs} - {None}
-    assert found == ({priority} - {None})
+    found = {spec.environment.get("SLOT_PRIORITY") for spec in specs}
+    assert found - {None} == {priority} - {None}

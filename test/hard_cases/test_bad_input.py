@@ -123,8 +123,9 @@ def test_a_start_beyond_the_tendons_is_refused_by_name(solver):
 def test_a_nan_in_the_state_raises_divergence_with_its_place(
     halvings, part, index, place
 ):
-    changes = {"start.settle": 0.0, "solver.halvings": halvings}
-    scene = config.replace(SETTINGS["scene"], changes)
+    scene = config.replace(
+        SETTINGS["scene"], {"start.settle": 0.0, "solver.halvings": halvings}
+    )
     sim = RodRobot(SETTINGS["robot"], scene, SETTINGS["servo"])
     sim.advance(3, np.full(4, 1.0))
     getattr(sim.state, part)[index] = math.nan

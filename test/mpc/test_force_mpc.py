@@ -189,8 +189,9 @@ def test_an_ill_conditioned_problem_is_refused_by_its_condition_number():
     weights = SETTINGS.weights
     bound = np.linalg.cond(b.T @ np.diag(weights.q) @ b + np.diag(weights.r))
     new_mpc(horizon=1, acceptance__condition_max=bound * 1.001)
-    message = r"weights.force.*condition number .* exceeds"
-    with pytest.raises(config.ConfigError, match=message):
+    with pytest.raises(
+        config.ConfigError, match=r"weights.force.*condition number .* exceeds"
+    ):
         new_mpc(horizon=1, acceptance__condition_max=bound * 0.999)
 
 

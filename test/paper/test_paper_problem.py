@@ -218,10 +218,9 @@ def test_the_slacks_are_of_the_published_limits_also_of_forces_of_another_phase(
 
 def metrics(cost, height=0.04, tilt=0.0):
     time, still = np.arange(len(cost), dtype=float), np.ones(len(cost))
-    run = PerturbedRun(
+    return PerturbedRun(
         time, np.array(cost), height * still, tilt * still, infeasible=2
-    )
-    return run.metrics()
+    ).metrics()
 
 
 def test_a_cost_settles_after_its_last_rise_if_it_is_small_at_the_end():
@@ -273,5 +272,6 @@ def test_a_figure_is_judged_by_its_number(judged, paper, ours, verdict):
 def test_a_torso_off_its_height_or_tilted_has_not_settled(
     height, tilt, settled
 ):
-    found = metrics([0.0], height, tilt)["settling_s"]
-    assert found == pytest.approx(settled, nan_ok=True)
+    assert metrics([0.0], height, tilt)["settling_s"] == pytest.approx(
+        settled, nan_ok=True
+    )

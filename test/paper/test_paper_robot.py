@@ -209,8 +209,9 @@ def test_the_ground_force_is_that_of_the_tips_below_the_floor():
         1e5 * 1e-5 + 10.0 * 0.3,
     )
     touching = [[friction, friction, normal], [friction, -friction, normal]]
-    expected = [*touching, [0, 0, 0], [0, 0, 0]]
-    np.testing.assert_allclose(sim.ground_force, expected, atol=1e-12)
+    np.testing.assert_allclose(
+        sim.ground_force, [*touching, [0, 0, 0], [0, 0, 0]], atol=1e-12
+    )
 
 
 def test_the_torsos_spring_carries_the_robot_and_no_leg_does():

@@ -182,10 +182,9 @@ def browsed(path, place, tmp_path):
         "--dump-dom",
         f"file://{path}#{place}",
     ]
-    run = subprocess.run(
+    return subprocess.run(
         command, capture_output=True, text=True, timeout=300, check=True
-    )
-    return run.stdout
+    ).stdout
 
 
 @pytest.mark.skipif(

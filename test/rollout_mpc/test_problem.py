@@ -82,8 +82,9 @@ def test_the_errors_are_scaled_and_turned_into_the_heading(problem):
     # y, heading to the left
     pose[0, -1, [0, 2, 4]] = cost.tilt, 2 * np.pi + cost.yaw, cost.place
     error = problem.errors(pose, reference, np.pi / 2)[0].reshape(K, 6)
-    expected = np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0]) / np.sqrt(K)
-    assert error[-1] == pytest.approx(expected, abs=1e-9)
+    assert error[-1] == pytest.approx(
+        np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0]) / np.sqrt(K), abs=1e-9
+    )
     assert not error[:-1].any()
 
 

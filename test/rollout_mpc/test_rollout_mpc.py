@@ -107,8 +107,9 @@ def test_rejected_states_move_the_last_plan_on_towards_the_gait_and_then_stop(
     )
     assert last < 0.25 * first + 0.01  # rad: the wrench is still carried
     assert {plan.status for plan in stopped} == {Status.STOPPED}
-    said = f"fallback used up after {LIMITS.cycles} cycles; state"
-    assert stopped[-1].message.startswith(said)
+    assert stopped[-1].message.startswith(
+        f"fallback used up after {LIMITS.cycles} cycles; state"
+    )
     assert not len(stopped[-1].angle)
     again = step(policy, walking[45])
     assert (again.status, again.fallback_cycles) == (Status.SOLVED, 0)
@@ -184,7 +185,8 @@ def test_on_a_floor_that_grips_it_walks_and_the_model_learns_of_it():
             found.append(way)
             assert last.plan.status is Status.SOLVED
             learned = misfit_max == OBSERVER.misfit_max
-            said = "the floor grips: friction 0.8 in the model"
-            assert last.plan.message == (said if learned else "")
+            assert last.plan.message == (
+                "the floor grips: friction 0.8 in the model" if learned else ""
+            )
     without, with_it = (np.mean(found) for found in ways.values())
     assert with_it > 1.3 * without

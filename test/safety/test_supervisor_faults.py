@@ -190,8 +190,9 @@ def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(
         walking.run(CYCLE)
     assert walking.reports[-1].state is State.HOLD
     assert walking.reports[-1].reason.startswith("no motion seen: torso ")
-    refused = walking.supervisor.request(walking.now, Request.WALK)
-    assert refused.startswith("WALK refused in HOLD: it ends")
+    assert walking.supervisor.request(walking.now, Request.WALK).startswith(
+        "WALK refused in HOLD: it ends"
+    )
     assert walking.time_until(State.RELAX, TIMING.hold_max + 1.0) < math.inf
 
 
@@ -346,10 +347,10 @@ def test_inputs_stamped_by_another_clock_are_rejected_and_reported_once(
         older = now - 50_000_000
         assert "not newer" in s.receive_command(now, older, np.full(4, 1.9))
     elif source == "estimate":
-        fallen = Estimate(
-            wall, state(roll=1.0), np.zeros((12, 12)), Validity.VALID
+        s.receive_estimate(
+            now,
+            Estimate(wall, state(roll=1.0), np.zeros((12, 12)), Validity.VALID),
         )
-        s.receive_estimate(now, fallen)
     else:
         s.receive_joints(now, wall, walking.angle, np.zeros(4))
         s.receive_health(now, wall, walking.servo_health(**OVERLOAD))

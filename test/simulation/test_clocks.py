@@ -70,8 +70,7 @@ def test_lockstep_advances_from_one_reading_to_the_next_on_its_answer_alone(
             kind, stamp = Answer.STATE, reading.stamp
         else:
             assert isinstance(reading, ImuReading)
-            ticks = len(found(answered, kind)) + 1
-            stamp = LOCKSTEP_START + ticks * PERIOD
+            stamp = LOCKSTEP_START + (len(found(answered, kind)) + 1) * PERIOD
             assert 0 <= reading.stamp - stamp < IMU
         answered.append((kind, stamp - LOCKSTEP_START))
     times = found(answered, Answer.COMMAND)

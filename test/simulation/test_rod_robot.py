@@ -111,8 +111,9 @@ def drop_errors(steps, seconds, theta):
     errors = []
     for sim in sims:
         reach = np.linalg.norm((sim.nodes[0] - sim.nodes[0, 0])[:, :2], axis=1)
-        found = np.column_stack([reach, sim.nodes[0, :, 2]])
-        errors.append(np.abs(found - node).max())
+        errors.append(
+            np.abs(np.column_stack([reach, sim.nodes[0, :, 2]]) - node).max()
+        )
     return errors, node, exact.contact(node, velocity)[:, 1].sum()
 
 

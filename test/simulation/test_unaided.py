@@ -70,8 +70,9 @@ def test_an_imu_in_g_is_named_and_the_robot_does_not_stand():
     )
     *_, last = loop.run(3.0)
     assert last.state is State.READY
-    said = loop.seen[-1].message
-    assert re.match(r"imu: specific force [01]\.\d m/s2 of a robot", said)
+    assert re.match(
+        r"imu: specific force [01]\.\d m/s2 of a robot", loop.seen[-1].message
+    )
 
 
 def test_without_an_imu_it_walks_on_ticks_of_the_joints():

@@ -118,8 +118,9 @@ def test_a_calibration_that_the_image_contradicts_gives_a_warning_or_no_pose():
     wrong = Camera(
         1280, 720, CAMERA.matrix, np.array([0.4, 0.0, 0.0, 0.0, 0.0])
     )
-    line = reason(localizer(camera=wrong), image_from_torso(BASE))
-    assert "reprojection error" in line
+    assert "reprojection error" in reason(
+        localizer(camera=wrong), image_from_torso(BASE)
+    )
     image = image_from_torso(
         Transform.of((0.6, -0.1, 0.07), (0.06, -0.05, 0.2))
     )
@@ -185,8 +186,9 @@ def test_a_camera_without_a_board_to_see_is_refused():
     with pytest.raises(ConfigError, match="boards: none in the frame odom"):
         localizer(dataclasses.replace(VISION, boards={}))
     hidden = {"scene.sensors.camera.boards": ("torso",)}
-    message = r"boards: 'torso': expected .* \(wall, film\)"
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(
+        ConfigError, match=r"boards: 'torso': expected .* \(wall, film\)"
+    ):
         ClosedLoop("marker_camera", "walk", None, 0, changes=hidden)
 
 
