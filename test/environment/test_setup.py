@@ -254,17 +254,6 @@ def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_comman
     ]
 
 
-def test_only_names_of_debian_packages_reach_apt_get(copy):
-    copy.restrict_tools()
-    (copy.stubs / "sudoer").touch()
-    # a Python that says more than it is asked
-    copy.tool("talking", "echo 'my own; script'\n[[ $* = *version_info* ]]\n")
-    copy.tool("python3", f"echo {copy.bin}/talking\n")
-    refusal = "setup: 'my own; script' is no name of a Debian package\n"
-    assert copy.setup() == (1, refusal)
-    assert not copy.calls
-
-
 # Stands for uv: names itself, and logs what it installs.
 UV = """#!/bin/bash
 case $* in --version) echo uv ;; *) echo "uv $UV_DEFAULT_INDEX $SSL_CERT_FILE $HTTPS_PROXY $*" >> "$STUBS/calls" ;; esac
@@ -311,24 +300,6 @@ def test_pip_installs_where_uv_cannot_be_had(copy):
     subprocess.run(
         [copy.home / "venv/bin/python", "-c", "import pip"], check=True
     )
-
-
-FULL = {
-    "device": "echo 'write: No space left on device'; exit 1",
-    "quota": "echo 'write: Disk quota exceeded'; exit 1",
-    # the last write of a phase had a line of the shell's own
-    "stamp": "cd $SLOT_ROOT/.slot; mkdir -p install/lib; ln -s /dev/full install/.stamp",
-}
-
-
-@pytest.mark.parametrize("place", FULL)
-def test_full_disk_is_named_in_the_last_line(copy, place):
-    copy.tool("colcon", FULL[place])
-    status, output = copy.setup()
-    assert status == 1
-    *phases, last = output.splitlines()
-    assert last.startswith(f"setup: no space left in {copy.home}")
-    assert all(phase.endswith(" s)") for phase in phases)
 
 
 CUTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]
@@ -385,11 +356,3 @@ def test_logs_and_caches_go_below_the_repository_where_the_home_cannot_be_writte
 def test_sourcing_the_environment_twice_changes_nothing():
     changes = environment().items() ^ environment(times=2).items()
     assert {name for name, _ in changes} <= {"_"}
-
-
-def test_what_versions_before_have_left_is_removed(ready):
-    left = ("cache/pip", "cache/numba", "underlay")
-    for name in left:
-        (ready.home / name).mkdir()
-    assert ready.setup() == (0, "")
-    assert not any((ready.home / name).exists() for name in left)

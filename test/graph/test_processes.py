@@ -10,19 +10,16 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from dataclasses import replace
 
 import psutil
 import pytest
-from nav_msgs.msg import Odometry
-from rclpy.event_handler import PublisherEventCallbacks
-from sensor_msgs.msg import Imu, JointState
+from sensor_msgs.msg import JointState
 
 from slot_bringup import monitor
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
-from slot_msgs.msg import MpcState, RobotState
+from slot_msgs.msg import RobotState
 from slot_nodes import qos
 from slot_nodes.supervisor_node import NODES_PERIOD
 
@@ -213,50 +210,6 @@ def wait_for_warning(run, wanted):
         while wanted not in warnings:
             executor.spin_once(timeout_sec=0.1)
             assert run.poll() is None, run.communicate()
-
-
-@pytest.mark.parametrize("best_effort", [False, True])
-def test_a_best_effort_odometry_is_received_only_if_the_parameter_says_so(
-    tmp_path, best_effort
-):
-    """Cameras' drivers publish best effort, which a reliable subscription does not receive."""
-    spec = replace(
-        NODES["state_estimator"],
-        parameters={"best_effort_sensors": best_effort},
-    )
-    child = subprocess.Popen(
-        command_line(spec),
-        cwd=tmp_path,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
-    # refused: reliable subscriptions that were discovered
-    received, refused = ([], [])
-    try:
-        with listener("camera") as (node, executor):
-            odometry = node.create_publisher(
-                Odometry, "odom", qos.best_effort(qos.SENSOR)
-            )
-            events = PublisherEventCallbacks(incompatible_qos=refused.append)
-            node.create_publisher(
-                Imu, "imu", qos.best_effort(qos.SENSOR), event_callbacks=events
-            )
-            node.create_subscription(
-                MpcState, "mpc_state", received.append, qos.CONTROL
-            )
-            message = Odometry(child_frame_id="base_link")
-
-            def answered():
-                message.header.stamp = node.get_clock().now().to_msg()
-                odometry.publish(message)
-                executor.spin_once(timeout_sec=0.05)
-                return received or refused
-
-            wait_until(answered)
-        assert bool(received) == best_effort
-    finally:
-        child.terminate()
-        child.wait()
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,6 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY, read_robot
-from slot_core.simulation import plant, readings
-from slot_paper import robot as paper_robot
 from slot_paper.leg import PaperLegs, read_paper
 from slot_paper.robot import PaperRobot
 
@@ -221,22 +219,6 @@ def test_the_torsos_spring_carries_the_robot_and_no_leg_does():
     assert sim.specific_force == pytest.approx([0.0, 0.0, GRAVITY], abs=1e-2)
     assert np.abs(sim.angular_velocity).max() < 1e-9
     assert not sim.ground_force.any()
-
-
-def test_a_plant_runs_the_papers_robot(monkeypatch):
-    stable = config.replace(PRINTED, STABLE)
-    monkeypatch.setattr(paper_robot, "read_paper", lambda: stable)
-    scene = config.replace(read_scene("paper"), UNSETTLED)
-    robot = plant.RobotSimulator(
-        ROBOT, scene, read_servo(), np.random.default_rng(1)
-    )
-    robot.start(0)
-    robot.command(np.full(4, 1.0))
-    *_, odometry = robot.advance_to_reading(readings.OdometryReading)
-    assert isinstance(odometry, readings.OdometryReading)
-    np.testing.assert_array_equal(robot.robot.tendon_angle, 1.0)
-    torque = np.full(4, 1.0 / math.radians(270) * 1.5)
-    assert robot.robot.servo_torque == pytest.approx(torque)
 
 
 def test_unsupported_scenes_and_steps_are_refused_and_the_printed_numbers_diverge():

@@ -148,15 +148,6 @@ def test_commands_reach_the_servos_and_their_stamp_is_recorded_once(rig):
         rig.session.start()
 
 
-def test_a_hold_in_a_stride_moves_the_servos_to_the_angle_of_standing(rig):
-    rig.walks = True
-    rig.run(0.5, SLIGHTLY)
-    rig.run(1.0, SLIGHTLY, Action.HOLD)
-    standing = np.full(4, read_supervisor().servo_limits.standing_angle)
-    assert rig.bus.goals() == pytest.approx(standing)
-    assert rig.servos.angles() == pytest.approx(standing, abs=0.02)
-
-
 def test_permission_off_switches_torque_off_before_the_next_cycle(rig):
     rig.run(0.2, SLIGHTLY)
     rig.permit(Action.OFF, "e-stop pressed")
