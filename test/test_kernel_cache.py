@@ -1,7 +1,6 @@
 """Compiled kernels on disk: shared by content, never trusted when damaged, bounded in size."""
 
 import os
-import resource
 import subprocess
 import sys
 from collections import namedtuple
@@ -78,18 +77,6 @@ def test_folder_that_cannot_be_written_costs_a_compilation_and_set_up_fails(
     assert "cannot be written, so every start does" in capsys.readouterr().err
     with pytest.raises(NotADirectoryError):
         compile_with(doubled(), (1.5,))
-
-
-def test_full_disk_costs_a_compilation_at_every_start(folder, capsys):
-    """An empty file could be made on it, so it was said that the kernel is kept."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
-    try:
-        assert doubled()(1.5) == 3.0
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert "cannot be written, so every start does" in capsys.readouterr().err
-    assert not list(folder.iterdir())
 
 
 def test_order_of_fields_is_part_of_the_key(folder):

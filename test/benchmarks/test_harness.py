@@ -2,10 +2,7 @@
 
 import importlib
 import json
-import os
 import platform
-import shutil
-import subprocess
 import sys
 import types
 from pathlib import Path
@@ -100,32 +97,6 @@ def test_results_into_a_file_are_refused(places, refusal, tmp_path):
     (tmp_path / "file").write_text("")
     line = refusal(main, "tiny", "--out", tmp_path / "file")
     assert line == f"scripts/bench: --out {tmp_path / 'file'}: File exists"
-
-
-@pytest.mark.parametrize("needs", [False, True])
-def test_script_installs_the_peers_of_a_benchmark_and_passes_arguments_and_exit_code(
-    tmp_path, needs
-):
-    scripts = tmp_path / "scripts"
-    (scripts / "benchmarks/graph").mkdir(parents=True)
-    (scripts / "benchmarks/graph/benchmark.py").write_text(
-        'REQUIRES = ("peer",)\n' * needs
-    )
-    for name in ("bench", "help"):
-        shutil.copy(ROOT / "scripts" / name, scripts)
-    # The installation of the packages fails; the benchmark reports that, not the setup.
-    setup = f"#!/bin/sh\necho setup $* >> {tmp_path}/order\n[ $# = 0 ]\n"
-    (scripts / "setup").write_text(setup)
-    python = 'python() { echo "python $*" >> "$root/order"; exit 7; }\n'
-    (scripts / "env").write_text(f'exec() {{ "$@"; }}\n{python}')
-    for name in ("bench", "setup"):
-        (scripts / name).chmod(0o755)
-    command = [scripts / "bench", "graph", "--quick"]
-    ended = subprocess.run(command, cwd="/", check=False, env=dict(os.environ))
-    assert ended.returncode == 7
-    order = (tmp_path / "order").read_text().splitlines()
-    setups = ["setup", "setup --bench"] if needs else ["setup"]
-    assert order == [*setups, "python -m benchmarks graph --quick"]
 
 
 @pytest.mark.parametrize("name", harness.known())

@@ -23,9 +23,7 @@ from slot_core import config
 from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Validity
 from slot_core.estimation.sensor_agreement import STRAYS
-from slot_core.estimation.state_estimator import StateEstimator
 from slot_core.geometry import OPTICAL, wrapped
-from slot_core.key_frame import capture, restore
 from slot_core.robot import GRAVITY
 
 COMPARED = config.replace(SETTINGS, {"agreement.enabled": True})
@@ -239,17 +237,6 @@ def noisy_part(motion, rng):
         imu_messages(motion, 8.0, rng=rng),
         odometry_messages(motion, 8.0, rng=rng, noise=loud),
     )
-
-
-def test_an_estimator_that_compares_goes_on_from_a_key_frame():
-    messages = stamped("imu", noisy(WALK, 3.0, 1), 0.03)
-    for at in np.random.default_rng(0).integers(2, len(messages), 6):
-        _, first = run(messages[:at], COMPARED)
-        second = StateEstimator(COMPARED)
-        restore(second, capture(first))
-        assert same(
-            *(run(messages[at:], estimator=each)[0] for each in (first, second))
-        )
 
 
 def test_a_clock_that_is_set_back_needs_some_stamps():

@@ -194,23 +194,6 @@ def test_bristles_slide_above_the_friction_angle_by_coulombs_law(friction):
     )
 
 
-@pytest.mark.parametrize("law", ["viscous", "bristle"])
-@pytest.mark.parametrize("contact", ["all", "tip"])
-def test_the_floor_carries_robot_and_payload(law, contact):
-    floor = {"floor__friction_law": law, "floor__contact": contact}
-    load = {"payload__mass": 0.5, "payload__place": [-0.03, 0.02, 0.03]}
-    # with less than 90 deg a robot on its tips would rest on its torso
-    start = {"start__settle": 3.0, "start__tendon_angle_deg": 90.0}
-    sim = simulator(servo="pid", **floor, **load, **start)
-    # on its tips it oscillates for seconds
-    sim.advance(15000, sim.tendon_angle)
-    force, weight = (
-        sim.ground_force.sum(0),
-        sim.parameters.weight + 0.5 * GRAVITY,
-    )
-    np.testing.assert_allclose(force, [0.0, 0.0, weight], atol=1e-4 * weight)
-
-
 @pytest.mark.parametrize("nodes", [8, 121])
 def test_the_total_contact_stiffness_is_the_same_at_any_number_of_nodes(nodes):
     """Sum of the points' stiffness = line stiffness times length + stiffness of the tip."""

@@ -125,19 +125,6 @@ def test_a_pulled_leg_converges_to_the_continuous_one_to_second_order():
     assert errors[1] < 4e-4  # m at N = 22; without the anchor's own cell 5.7 mm
 
 
-def test_only_the_broken_tendon_has_no_tension():
-    sim = simulator(**FLOATING, tendons__broken=[False, True, False, False])
-    sim.advance(500, np.full(4, 1.5))
-    assert sim.tension[1] == 0.0
-    assert sim.tension[[0, 2, 3]].min() > 10.0
-    # Its leg keeps its natural shape, except for the effect of the torso's rotation.
-    bend = np.abs(sim.state.node[:, :, ::2] - sim.model.rod.node).max(
-        axis=(1, 2)
-    )
-    assert bend[1] < 1e-3
-    assert bend[[0, 2, 3]].min() > 0.03
-
-
 def test_slack_is_equivalent_to_an_angle_of_the_spool():
     """A tendon longer by s has at theta + s / r the tension of an intact one at theta."""
     found = []

@@ -353,17 +353,6 @@ def test_with_torque_off_the_gear_holds_up_to_its_friction(bus):
     assert bus.advance(0.0)[0] < angle - 1.0
 
 
-def test_temperature_follows_the_heat_balance(bus):
-    shaft = bus.servos[0].shaft
-    s = shaft.settings
-    for _ in range(200):
-        shaft.advance(0.5, 0.7, 11.1, 0.5)  # at rest at half the stall torque
-    warm = s.room + s.thermal_resistance * (0.5 * 11.1) ** 2 / s.resistance
-    closed = warm + (s.room - warm) * math.exp(-100.0 / s.thermal_time)
-    # Euler at h/tau = 1/360
-    assert shaft.temperature == pytest.approx(closed, abs=0.1)
-
-
 def test_joint_conversions_are_inverse_to_each_other():
     settings = dataclasses.replace(
         read_settings().joints, direction=(1, -1, 1, -1)

@@ -15,11 +15,9 @@ import psutil
 import pytest
 from sensor_msgs.msg import JointState
 
-from slot_bringup import monitor
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
-from slot_msgs.msg import RobotState
 from slot_nodes import qos
 from slot_nodes.supervisor_node import NODES_PERIOD
 
@@ -98,18 +96,10 @@ def wait_for_commands(run, count=30, seconds=0.0):
 
 
 def test_an_interrupt_stops_every_process_without_a_fault_and_keeps_the_bag(
-    tmp_path, monkeypatch
+    tmp_path,
 ):
-    """Meanwhile a second graph in the domain is refused."""
     run, nodes = start(tmp_path)
     wait_for_commands(run)
-    # it ends with the first message
-    monkeypatch.setattr(monitor, "DISCOVERY_TIME", 60.0)
-    with pytest.raises(
-        monitor.RunError,
-        match=r"another graph runs in ROS domain \d+, namespace /: set another",
-    ):
-        monitor.require_no_other_graph()
     assert_interrupted(run, nodes, tmp_path, signal.SIGINT)
 
 
@@ -167,65 +157,33 @@ def test_a_second_publisher_of_the_commands_ends_the_run_and_is_named(tmp_path):
     assert all_ended(nodes)
 
 
-FULL = "node recorder has ended; the robot goes on without it"
-
-
-@pytest.mark.parametrize(
-    ("fault", "code", "needed"),
-    [("killed", -9, "sim_robot"), ("full disk", 1, "mpc_controller")],
-)
 def test_the_robot_walks_on_without_its_recorder_but_not_without_another_node_and_both_are_named(
-    tmp_path, fault, code, needed
+    tmp_path,
 ):
     run, nodes = start(tmp_path)
     # the supervisor has seen the recorder
     wait_for_commands(run, seconds=4 * NODES_PERIOD)
-    if fault == "killed":
-        nodes["recorder"].kill()
-    else:
-        nodes["recorder"].rlimit(psutil.RLIMIT_FSIZE, (1, 1))
-        nodes["recorder"].wait(timeout=30)  # else it did not write
-        wait_for_warning(run, FULL)
-    line = run.stderr.readline()
-    while "recorder" not in line:
-        line = run.stderr.readline()
-    said = f"recorder ended with exit code {code}: "
+    nodes["recorder"].kill()
+    while "recorder" not in (line := run.stderr.readline()):
+        pass
+    said = "recorder ended with exit code -9: "
     assert said in line
     assert line.endswith("; the robot goes on without it\n")
     wait_for_commands(run)
-    nodes[needed].kill()
+    nodes["mpc_controller"].kill()
     summary, errors = run.communicate()
     assert run.returncode == 1
     assert said in summary
-    assert f"scripts/run: {needed} ended with exit code -9" in errors
+    assert "scripts/run: mpc_controller ended with exit code -9" in errors
     assert all_ended(nodes)
-
-
-def wait_for_warning(run, wanted):
-    """Wait until the supervisor warns of something."""
-    warnings = set()
-    with listener("listener") as (node, executor):
-        take = lambda message: warnings.update(message.warnings)  # noqa: E731
-        node.create_subscription(RobotState, "robot_state", take, qos.STATE)
-        while wanted not in warnings:
-            executor.spin_once(timeout_sec=0.1)
-            assert run.poll() is None, run.communicate()
 
 
 @pytest.mark.parametrize(
     ("name", "parameter", "message"),
     [
-        ("mpc_controller", "stages:=1000", "stages"),
         ("mpc_controller", "stages:=fifteen", "stages"),
         ("mpc_controller", "policy:=cubic", "policy 'cubic': expected one of"),
-        ("force_mapper", "slope_min:=-1.0", "slope_min"),
         ("supervisor", "gait:=trot", "no gait 'trot' (known: "),
-        (
-            "gait_scheduler",
-            "path:=nowhere.csv",
-            "nowhere.csv: no path with columns x, y",
-        ),
-        ("sim_robot", "scene:=moon", "scene/moon"),
         ("sim_robot", "scene.solver.step:=1.0", "scene.solver.step"),
     ],
 )

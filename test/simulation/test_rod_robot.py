@@ -134,22 +134,6 @@ def test_landing_agrees_with_an_independent_solver():
     assert errors[0] < 2e-5
 
 
-@pytest.mark.parametrize(
-    ("theta_deg", "height"),
-    [(40, 0.017), (57, 0.033), (75, 0.056), (100, 0.087)],
-)
-def test_standing_heights_equal_those_of_an_earlier_implementation(
-    theta_deg, height
-):
-    """With the same parameters and friction 0.3; the heights are rounded to 1 mm."""
-    sim = simulator(
-        floor__friction=[0.3] * 4, start__tendon_angle_deg=float(theta_deg)
-    )
-    sim.advance(1000, sim.tendon_angle)
-    assert sim.position[2] == pytest.approx(height, abs=2e-3)
-    assert np.abs(sim.rpy).max() < 1e-3
-
-
 def test_one_call_of_many_steps_equals_many_calls_of_one():
     one, many = simulator(start__settle=0.1), simulator(start__settle=0.1)
     command = np.array([1.2, 0.8, 1.0, 1.4])
