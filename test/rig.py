@@ -105,7 +105,6 @@ class Rig:
         )
 
     def publisher(self, kind, topic, profile):
-        """Publisher of the test."""
         return self.node.create_publisher(kind, topic, profile)
 
     def destroy_publisher(self, publisher):
@@ -164,7 +163,6 @@ class Rig:
         return now
 
     def runs(self, name):
-        """Whether a node runs."""
         return name in self.children and self.children[name].poll() is None
 
     def exit_code(self, name):
@@ -223,7 +221,6 @@ class Rig:
         return self.transitions[-1][1] if self.transitions else None
 
     def last(self, topic):
-        """Newest message of a topic."""
         return self.messages[topic][-1]
 
     def since(self, topic, time):
@@ -365,5 +362,4 @@ def maker(kind):
 
 
 def nanoseconds(stamp):
-    """Nanoseconds of a builtin_interfaces/Time."""
     return stamp.sec * 1_000_000_000 + stamp.nanosec

@@ -139,7 +139,6 @@ class Walk:
 
 
 def write_walk(path: Path, walk: Walk) -> Path:
-    """Write the bag of a walk."""
     entries = [*_ticks(walk)]
     if walk.truth:
         entries += _truth(walk)

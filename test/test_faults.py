@@ -4,16 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from rod_robots import plant
 
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
 from slot_core.faults import Fault
 from slot_core.refusal import DivergenceError
-from slot_core.robot import read_robot
-from slot_core.servos.registry import read_brand
-from slot_core.simulation.plant import RobotSimulator
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
 STEP = 0.001  # s, of the solver
@@ -33,11 +30,7 @@ def planned(kind, leg="FL", time=0.0, duration=0.0, value=0.0):
 def make(solver="standard", bus=False, tendons=None, **faults):
     changes = {"faults": faults, "start.settle": SETTLE} | (tendons or {})
     changes["solver"] = config.load(f"solver/{solver}")
-    scene = config.replace(read_scene("flat"), changes)
-    emulate = read_brand().emulate if bus else None
-    return RobotSimulator(
-        read_robot(), scene, read_servo(), np.random.default_rng(0), emulate
-    )
+    return plant(config.replace(read_scene("flat"), changes), bus=bus)
 
 
 def advance(plant, milliseconds):

@@ -151,7 +151,6 @@ def files():
 
 
 def is_kernel(node):
-    """Whether a function is compiled."""
     names = (d.id for d in node.decorator_list if isinstance(d, ast.Name))
     return not {"helper", "kernel", "unlocked_kernel"}.isdisjoint(names)
 
@@ -217,10 +216,6 @@ def test_control_path_and_plant_call_nothing_that_differs_by_processor():
             if differs(node, name, node in compiled):
                 found.append(f"{name}:{node.lineno}: {ast.unparse(node)}")
     assert not found, "\n".join(found)
-
-
-
-
 
 
 UMATH = np._core._multiarray_umath

@@ -5,7 +5,6 @@ import json
 import platform
 import sys
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +12,6 @@ import pytest
 from benchmarks import harness
 from benchmarks.__main__ import main
 from benchmarks.harness import at_least, at_most
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def run(quick, out, progress):

@@ -17,7 +17,6 @@ from benchmarks.robot import mujoco_robot  # noqa: E402 - they need MuJoCo
 
 ROBOT = read_robot()
 LEG = ROBOT.leg
-LENGTH = LEG.arc_length()
 ABOVE = config.replace(
     read_scene("flat"),
     {"solver.legs": "spatial", "start.settle": 0.0, "start.height": 1.0},

@@ -176,48 +176,43 @@ def test_the_claims_stand_on_the_page_with_the_number_of_each_verdict(page):
         assert page.count(f" | {verdict} | ") == number
 
 
+RESULT = "rod/rod.json"
 NONSENSE = {
-    "not JSON": "{",
-    "no mapping": "[1, 2]",
-    "another name": json.dumps(result("mpc")),
-    "no checks": json.dumps({"name": "rod", "quick": False}),
-    "rows of text": json.dumps(result("rod", ["a"])),
-    "no revision": json.dumps(result("rod", revision=None)),
-    "nested": "[" * 100_000,
+    "not JSON": (RESULT, b"{", "not "),
+    "no mapping": (RESULT, b"[1, 2]", "not "),
+    "another name": (RESULT, json.dumps(result("mpc")).encode(), "not "),
+    "no checks": (RESULT, b'{"name": "rod", "quick": false}', "not "),
+    "text": (RESULT, json.dumps(result("rod", ["a"])).encode(), "not "),
+    "no revision": (
+        RESULT,
+        json.dumps(result("rod", revision=None)).encode(),
+        "not ",
+    ),
+    "nested": (RESULT, b"[" * 100_000, "not "),
+    "bytes": (RESULT, b"\xff\xfe\x00", "not text in UTF-8"),
+    "table": (
+        "single_leg/errors.csv",
+        b"point,axis,rmse\nbase,z,much\n",
+        "not a table of",
+    ),
+    "bag": (
+        "single_leg/metadata.yaml",
+        b"nonsense",
+        "single_leg: cannot be read",
+    ),
 }
 
 
-@pytest.mark.parametrize("text", NONSENSE.values(), ids=NONSENSE)
+@pytest.mark.parametrize("kind", NONSENSE)
 def test_a_file_that_is_no_result_is_refused_in_one_line(
-    results, refusal, text
+    results, refusal, kind
 ):
-    (results / "rod" / "rod.json").write_text(text)
-    line = refusal(main, "--results", results, "--out", results / "page.md")
-    assert line.startswith(
-        f"scripts/report: {results / 'rod' / 'rod.json'}: not "
-    )
-    assert not (results / "page.md").exists()
-
-
-@pytest.mark.parametrize(
-    ("file", "content", "said"),
-    [
-        ("rod/rod.json", b"\xff\xfe\x00", "not text in UTF-8"),
-        (
-            "single_leg/errors.csv",
-            b"point,axis,rmse\nbase,z,much\n",
-            "not a table of",
-        ),
-        ("single_leg/metadata.yaml", b"nonsense", "single_leg: cannot be read"),
-    ],
-)
-def test_a_damaged_file_beside_a_result_is_refused_in_one_line(
-    results, refusal, file, content, said
-):
+    file, content, said = NONSENSE[kind]
     (results / file).write_bytes(content)
-    assert said in refusal(
-        main, "--results", results, "--out", results / "page.md"
-    )
+    line = refusal(main, "--results", results, "--out", results / "page.md")
+    assert line.startswith(f"scripts/report: {(results / file).parent}")
+    assert said in line
+    assert not (results / "page.md").exists()
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,6 @@ from slot_core.robot import GRAVITY, read_robot
 ROBOT, SPRINGS, SETTINGS = read_robot(), read_springs(), read_estimator()
 PERIOD = SETTINGS.timing.period
 TENSION = read_leg_table(("tension_N",))
-LYING = ROBOT.torso.size[2] / 2
 SLACK, STANDING = np.zeros(4), np.full(4, np.radians(63.0))
 
 

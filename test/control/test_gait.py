@@ -185,7 +185,7 @@ def state_after(velocity, phase, duration=2.8):
     )
 
 
-@pytest.mark.parametrize("case", MIRRORS)
+@pytest.mark.parametrize("case", ["backward", "a right-hand bend"])
 def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_image(
     case,
 ):

@@ -132,7 +132,6 @@ def ready(tmp_path_factory: pytest.TempPathFactory) -> Copy:
 
 
 def until_build(copy: Copy) -> None:
-    """Wait until the workspace is being built."""
     while copy.calls != ["build"]:
         time.sleep(0.02)
 
@@ -289,19 +288,6 @@ def test_uv_of_another_clone_installs_with_hashes_over_the_network_that_pip_woul
         assert f"--python {copy.home}/venv/bin/python" in call
 
 
-def test_pip_installs_where_uv_cannot_be_had(copy):
-    del copy.variables["SLOT_PIP"]
-    absent = f"no-such-uv==1.0 --hash=sha256:{'0' * 64}\n"
-    (copy.root / "scripts/requirements/uv.txt").write_text(absent)
-    copy.variables["PIP_NO_INDEX"] = "1"
-    status, output = copy.setup()
-    assert status == 0
-    assert "uv cannot be had" in output
-    subprocess.run(
-        [copy.home / "venv/bin/python", "-c", "import pip"], check=True
-    )
-
-
 CUTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]
 
 
@@ -326,21 +312,6 @@ def test_no_process_goes_on_after_a_signal_on_a_terminal(copy, cut):
     assert "about " in text
     assert "\n" not in text.rstrip()
     assert ("interrupted" in text) == (cut != signal.SIGKILL)
-
-
-def test_with_a_ros_installation_python_outside_of_the_venv_keeps_its_own_packages(
-    ready,
-):
-    """The nodes get those of the venv by its Python, which is the first on the path."""
-    given = {
-        name: ready.variables[name] for name in ("STUBS", "SLOT_ROS", "PATH")
-    }
-    variables = environment(given=given, root=ready.root)
-    assert str(ready.stubs) in variables["PYTHONPATH"].split(":")
-    assert "venv" not in variables["PYTHONPATH"]
-    assert variables["PATH"].startswith(f"{ready.home}/venv/bin:")
-    program = ready.home / "install/lib/slot_nodes/supervisor"
-    assert program.read_text() == "#!/usr/bin/env python3\nimport sys\n"
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,6 @@ ADOPTS = 36  # PR_SET_CHILD_SUBREAPER of prctl(2)
 
 
 def wait_until(condition):
-    """Wait for a condition."""
     while not condition():
         time.sleep(0.05)
 

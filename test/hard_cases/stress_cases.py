@@ -219,7 +219,6 @@ def wound(sim: RodRobot) -> None:
 
 
 def turned_over(sim: RodRobot) -> None:
-    """Turn the torso onto its back, legs upwards."""
     sim.state.rotation[:] = np.diag([1.0, -1.0, -1.0])
 
 

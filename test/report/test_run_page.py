@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,7 +30,6 @@ from slot_lab.report.run_page.run_page import (
     write_page,
 )
 
-ROOT = Path(__file__).parents[2]
 WALK = Walk(duration=1.0, roll=0.1, bounce=0.004, speed=0.2)
 # a name of three.js, which is not loaded
 XHTML = b"http://www.w3.org/1999/xhtml"
