@@ -58,6 +58,13 @@ TICK = 0.033  # s, between two odometry readings
 SAG = 1 + 0.1 * 885 * 128 / read_settings().gains.p
 
 
+def nodes_of(**changes):
+    """Nodes of the graph by name, with changed values of its arguments."""
+    graph = read_graph()
+    values = {a.name: a.default for a in graph.arguments} | changes
+    return {spec.name: spec for spec in graph.nodes(values)}
+
+
 class Rig:
     """A graph with its messages, requests and faults. Times are ns of the messages' clock."""
 
@@ -69,12 +76,10 @@ class Rig:
         self.directory, self.bus = directory, directory / "bus"
         self.config = changed_config(directory, config)
         self._parameters = parameters or {}
-        graph = read_graph()
-        values = {a.name: a.default for a in graph.arguments}
-        values |= {"hardware": "fake_bus"} | arguments
+        values = {"hardware": "fake_bus"} | arguments
         if values["hardware"] == "fake_bus":
             values["port"] = str(self.bus)
-        self.specs = {spec.name: spec for spec in graph.nodes(values)}
+        self.specs = nodes_of(**values)
         self.children = {}
         self.messages = defaultdict(list)
         self.transitions = []  # (since, State, reason)

@@ -7,7 +7,6 @@ import pytest
 from rod_robots import plant
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.faults import Fault
 from slot_core.refusal import DivergenceError
@@ -137,10 +136,10 @@ def test_a_fault_that_the_model_does_not_support_is_refused(
 ):
     if solver == "paper":  # as printed it diverges while it settles
         monkeypatch.setattr(f"{__name__}.SETTLE", 0.0)
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         make(solver, wrong=fault)
     plant = make(solver)
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         plant.faults.inject(config.build(Fault, fault, "test"))
 
 
@@ -170,7 +169,7 @@ def test_a_fault_that_the_model_does_not_support_is_refused(
     ],
 )
 def test_an_invalid_fault_is_refused_by_name(change, message):
-    with pytest.raises(ConfigError, match=rf"bad\.yaml: {message}"):
+    with pytest.raises(config.ConfigError, match=rf"bad\.yaml: {message}"):
         config.build(Fault, planned("tendon_slack") | change, "bad.yaml")
 
 

@@ -12,7 +12,6 @@ import pytest
 
 from slot_core import kernel_cache
 from slot_core.compiled import kernel
-from slot_core.kernel_cache import KernelCache, prune
 from slot_core.simulation.warm_up import compile_with
 
 
@@ -20,8 +19,8 @@ from slot_core.simulation.warm_up import compile_with
 def folder(tmp_path, monkeypatch):
     """An empty folder of kernels, in a process that has announced and lost nothing."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(KernelCache, "told", False)
-    monkeypatch.setattr(KernelCache, "lost", None)
+    monkeypatch.setattr(kernel_cache.KernelCache, "told", False)
+    monkeypatch.setattr(kernel_cache.KernelCache, "lost", None)
     return tmp_path
 
 
@@ -92,7 +91,7 @@ def test_files_not_used_for_longest_leave_when_the_limit_is_exceeded(folder):
         path = folder / f"{name}{kernel_cache.SUFFIX}"
         path.write_bytes(bytes(100))
         os.utime(path, (1e9 - age, 1e9 - age))
-    prune(folder, limit=250)
+    kernel_cache.prune(folder, limit=250)
     assert sorted(path.stem for path in folder.iterdir()) == ["a", "b"]
 
 

@@ -1,8 +1,5 @@
 """The robot in MuJoCo against closed forms and the project's own laws."""
 
-import functools
-import math
-
 import numpy as np
 import pytest
 
@@ -16,27 +13,23 @@ mujoco = pytest.importorskip("mujoco", reason="needs scripts/setup --bench")
 from benchmarks.robot import mujoco_robot  # noqa: E402 - they need MuJoCo
 
 ROBOT = read_robot()
-LEG = ROBOT.leg
-ABOVE = config.replace(
-    read_scene("flat"),
-    {"solver.legs": "spatial", "start.settle": 0.0, "start.height": 1.0},
-)
 
 
-@functools.cache
-def chain():
-    """A robot in MuJoCo above the floor."""
-    return mujoco_robot.MujocoRobot(ROBOT, ABOVE, read_servo())
+def simulator(**changes):
+    scene = config.replace(
+        read_scene("flat"), {"solver.legs": "spatial"} | changes
+    )
+    return mujoco_robot.MujocoRobot(ROBOT, scene, read_servo())
 
 
 def test_natural_legs_lie_on_the_natural_shape_and_weigh_what_the_robot_does():
-    robot = chain()
+    robot = simulator(**{"start.settle": 0.0, "start.height": 1.0})
     arm = robot.nodes - robot.position - ROBOT.clamps[:, None]
     x = np.einsum("lni,li->ln", arm, ROBOT.outward)
-    drop = LEG.shape(x) - LEG.shape(0.0)
+    drop = ROBOT.leg.shape(x) - ROBOT.leg.shape(0.0)
     # nodes are interpolated between 4001 points of the curve
     np.testing.assert_allclose(arm[..., 2], drop, atol=1e-6)
-    np.testing.assert_allclose(x[:, -1], LEG.reach, atol=1e-6)
+    np.testing.assert_allclose(x[:, -1], ROBOT.leg.reach, atol=1e-6)
     assert robot._model.body_subtreemass[0] == pytest.approx(
         ROBOT.mass, rel=1e-6
     )
@@ -44,13 +37,10 @@ def test_natural_legs_lie_on_the_natural_shape_and_weigh_what_the_robot_does():
 
 def test_standing_feet_carry_the_weight_without_chatter():
     """Over 50 ms no force changes by more than 1 %; with stiffer contacts they did by a quarter."""
-    scene = config.replace(
-        read_scene("flat"),
-        {"solver.legs": "spatial", "solver.nodes": 10, "start.settle": 2.0},
-    )
-    robot = mujoco_robot.MujocoRobot(ROBOT, scene, read_servo())
-    found = []
+    robot = simulator(**{"solver.nodes": 10, "start.settle": 2.0})
+    angle = np.radians(read_scene("flat").start.tendon_angle_deg)
     for _ in range(50):
-        robot.advance(1, np.full(4, math.radians(scene.start.tendon_angle_deg)))
-        found.append(robot.ground_force[:, 2])
-    np.testing.assert_allclose(found, ROBOT.weight / 4, rtol=0.01)
+        robot.advance(1, np.full(4, angle))
+        np.testing.assert_allclose(
+            robot.ground_force[:, 2], ROBOT.weight / 4, rtol=0.01
+        )

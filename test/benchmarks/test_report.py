@@ -6,11 +6,8 @@ import re
 import pytest
 
 from benchmarks.harness import known
-from benchmarks.locomotion.rows import rows as locomotion_rows
 from benchmarks.report.report import main
-from benchmarks.report.results import RUNS
 from slot_paper import claims
-from slot_paper.tables import TABLES
 
 HOSTILE = "<script>|`x`"
 ESCAPED = r"\<script\>\|\`x\`"
@@ -134,39 +131,6 @@ def test_what_is_missing_is_named_with_the_command_that_makes_it(made):
         f"scripts/run --lockstep --gait crawl --bag {made[0] / 'crawl'}"
         in missing
     )
-
-
-def test_without_results_the_papers_figures_stand_alone_with_what_would_be_beside_them(
-    tmp_path,
-):
-    (tmp_path / "empty").mkdir()
-    arguments = [
-        "--results",
-        str(tmp_path / "empty"),
-        "--out",
-        str(tmp_path / "page.md"),
-    ]
-    assert main(arguments) == 0
-    tables = (
-        (tmp_path / "page.md").read_text().partition("The paper beside ours")[2]
-    )
-    assert "| here: " not in tables
-    assert "Not run: robot, mpc, graph." in tables
-
-
-def test_figures_are_looked_up_under_names_that_the_benchmarks_use():
-    wanted = [
-        ours
-        for table in TABLES
-        for line in table.lines
-        for ours in line.ours
-        if ours is not None
-    ]
-    assert {ours.result for ours in wanted} <= known().keys() | RUNS.keys()
-    found = {
-        ours.match["row"] for ours in wanted if ours.result == "locomotion"
-    }
-    assert found <= {row.name for row in locomotion_rows(quick=False)}
 
 
 def test_the_claims_stand_on_the_page_with_the_number_of_each_verdict(page):

@@ -30,8 +30,9 @@ def test_an_estimator_goes_on_from_a_key_frame_at_any_message(seed, source):
     walk = noisy(Walk(), 3.0, seed)
     kept = [m for m in walk if m[0] == "imu" or not 1.2e9 < m[1] < 1.5e9]
     messages = arriving(kept, lambda: rng.uniform(0.0, 0.06))
-    changes = {"odometry.source": source, "agreement.enabled": True}
-    settings = config.replace(SETTINGS, changes)
+    settings = config.replace(
+        SETTINGS, {"odometry.source": source, "agreement.enabled": True}
+    )
     for at in [0, 1, *rng.integers(2, len(messages), 6)]:
         first, second = (
             make_estimator(settings, read_robot(), read_springs())

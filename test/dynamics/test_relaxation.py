@@ -7,7 +7,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
@@ -86,6 +85,7 @@ def test_a_loaded_leg_creeps_as_its_material_to_the_strain_of_youngs_modulus():
 def test_only_spatial_legs_relax(legs):
     scene = config.replace(read_scene("flat"), {"solver.legs": legs})
     with pytest.raises(
-        ConfigError, match=f"leg.relaxation_share = .* model '{legs}' cannot"
+        config.ConfigError,
+        match=f"leg.relaxation_share = .* model '{legs}' cannot",
     ):
         make_robot(RELAXING, scene, read_servo())

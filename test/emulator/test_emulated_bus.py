@@ -6,7 +6,6 @@ import math
 import pytest
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus, read_emulator
 from slot_core.dynamixel.joints import joints
 from slot_core.dynamixel.packet import (
@@ -340,7 +339,8 @@ def test_speed_stall_torque_and_heat_are_those_of_the_supply_voltage(
 def test_a_bus_is_not_emulated_at_a_voltage_without_figures_of_the_motor():
     supplied = config.replace(read_emulator(), {"servo.voltage": 8.0})
     with pytest.raises(
-        ConfigError, match=r"supply_voltage = 8\.0: outside \[9\.0, 12\.0\] V"
+        config.ConfigError,
+        match=r"supply_voltage = 8\.0: outside \[9\.0, 12\.0\] V",
     ):
         EmulatedBus(supplied, (5, 4, 2, 3), (HALF,) * 4)
 

@@ -216,14 +216,6 @@ def test_the_workspace_is_rebuilt_only_for_files_that_are_not_linked(
     assert len(ready.calls) == builds + rebuilt
 
 
-def test_two_concurrent_setups_build_once(ready):
-    builds = len(ready.calls)
-    (ready.home / "install/.stamp").unlink()
-    processes = [ready.start() for _ in range(2)]
-    assert [process.wait() for process in processes] == [0, 0]
-    assert len(ready.calls) == builds + 1
-
-
 @pytest.mark.parametrize("extra", ["test", "bench", "docs", "play", "learn"])
 def test_extra_packages_are_installed_once_and_again_when_their_pins_change(
     ready, extra
@@ -320,8 +312,9 @@ def test_no_process_goes_on_after_a_signal_on_a_terminal(copy, cut):
 def test_logs_and_caches_go_below_the_repository_where_the_home_cannot_be_written(
     name,
 ):
-    path = environment(given={"HOME": "/proc/nowhere"})[name]
-    assert path.startswith(f"{ROOT}/.slot/")
+    assert environment(given={"HOME": "/proc/nowhere"})[name].startswith(
+        f"{ROOT}/.slot/"
+    )
 
 
 def test_sourcing_the_environment_twice_changes_nothing():

@@ -13,19 +13,15 @@ from contextlib import suppress
 
 import psutil
 import pytest
+from rig import nodes_of
 from sensor_msgs.msg import JointState
 
-from slot_bringup.graph import read_graph
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
 from slot_nodes import qos
 from slot_nodes.supervisor_node import NODES_PERIOD
 
-GRAPH = read_graph()
-VALUES = {argument.name: argument.default for argument in GRAPH.arguments} | {
-    "bag": "bag"
-}
-NODES = {spec.name: spec for spec in GRAPH.nodes(VALUES)}
+NODES = nodes_of(bag="bag")
 # A run that does not end by itself.
 RUN = [
     sys.executable,
@@ -40,19 +36,9 @@ RUN = [
 ADOPTS = 36  # PR_SET_CHILD_SUBREAPER of prctl(2)
 
 
-def wait_until(condition):
-    while not condition():
-        time.sleep(0.05)
-
-
 def start(cwd, composed=False):
     """Start a run of the graph; return its process and those of its nodes by name."""
-    expected = {
-        spec.name
-        for spec in GRAPH.nodes(
-            VALUES | {"lockstep": True, "composed": composed}
-        )
-    }
+    expected = set(nodes_of(bag="bag", lockstep=True, composed=composed))
     run = subprocess.Popen(
         [*RUN, "--composed" if composed else "--separate"],
         cwd=cwd,
@@ -71,7 +57,8 @@ def start(cwd, composed=False):
                 )
         return nodes.keys() == expected
 
-    wait_until(all_started)
+    while not all_started():
+        time.sleep(0.05)
     return run, nodes
 
 

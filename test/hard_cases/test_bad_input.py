@@ -7,7 +7,6 @@ import pytest
 from rod_robots import ROBOT, simulator
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.tabulated_robot import TabulatedRobot
@@ -34,7 +33,7 @@ def test_an_invalid_height_map_is_refused_by_name(
     scene = config.replace(read_scene("flat"), {"floor.height_map": name})
     servo = read_servo()
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         RodRobot(ROBOT, scene, servo)
 
 
@@ -85,7 +84,8 @@ def test_a_start_beyond_the_tendons_is_refused_by_name(solver):
     scene = read_scene("map" if solver == "map" else "flat")
     kind = TabulatedRobot if solver == "map" else RodRobot
     with pytest.raises(
-        ConfigError, match=r"start.tendon_angle_deg = 63: above .* 58\.14 deg"
+        config.ConfigError,
+        match=r"start.tendon_angle_deg = 63: above .* 58\.14 deg",
     ):
         kind(robot, scene, read_servo())
 

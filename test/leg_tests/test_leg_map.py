@@ -84,14 +84,6 @@ def test_derivatives_are_difference_quotients(angle_deg, height):
         )
 
 
-def test_material_and_contact_shift_oppositely_where_the_leg_rolls():
-    angle, step = np.radians(63.0), 1e-3
-    leg, here = pulled(61, angle, 0.03)
-    up, down = leg.solve(angle, 0.03 + step), leg.solve(angle, 0.03 - step)
-    assert (up.contact_x - down.contact_x) / (2 * step) > 0.2  # outward
-    assert here.foot_rise < -0.1  # the material on the floor moves inward
-
-
 def test_standing_robot_has_the_height_at_which_each_leg_carries_a_quarter():
     """Same number of nodes, no friction."""
     smooth = {"floor.friction": [0.0] * 4, "start.settle": 10.0}

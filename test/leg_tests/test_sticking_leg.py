@@ -89,22 +89,6 @@ def test_stiffness_is_that_of_an_independent_energy(angle_deg, height):
     np.testing.assert_allclose(found[3:], expected[3:], rtol=1e-3, atol=2e-3)
 
 
-@pytest.mark.parametrize("angle_deg", [85.0, 95.0])
-def test_without_the_longitudinal_force_it_is_the_stiffness_on_a_floor_without_friction(
-    angle_deg,
-):
-    """Where one node touches, the stuck foot let go along the leg is the foot of the static leg."""
-    angle, height = np.radians(angle_deg), 0.1
-    here = pulled(61, angle, height)[1]
-    held = StickingLeg(ROBOT, 61).stiffness(here.node, angle, height)
-    assert np.count_nonzero(height + here.node[:, 1] < 0.0) == 1
-    # The static leg's last pseudo time step, 1000 s, leaves 8e-6 of damping.
-    assert held[2, 2] - held[0, 2] ** 2 / held[0, 0] == pytest.approx(
-        -here.stiffness, rel=3e-5
-    )
-    assert held[0, 2] / held[0, 0] == pytest.approx(here.foot_rise, rel=3e-5)
-
-
 def test_stiffness_over_a_foots_displacements_is_that_of_the_clamp_moved_about_it():
     """Energy of finite motions: the clamp shifts back, and turns back about the foot."""
     angle, height = np.radians(90.0), 0.064

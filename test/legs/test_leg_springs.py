@@ -5,7 +5,6 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.leg_springs import (
@@ -88,7 +87,7 @@ def test_the_angle_of_a_force_is_the_least_one_that_gives_it(springs, table):
 def test_a_table_that_is_no_grid_is_rejected(tmp_path, monkeypatch, content):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     (tmp_path / "leg_map.csv").write_text(content)
-    with pytest.raises(ConfigError, match=r"^leg_map\.csv: "):
+    with pytest.raises(config.ConfigError, match=r"^leg_map\.csv: "):
         read_leg_springs(SLOPE_MIN)
 
 

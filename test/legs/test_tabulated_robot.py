@@ -10,7 +10,6 @@ from scipy.optimize import brentq, fixed_point
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.tabulated_kernels import YIELD
@@ -349,7 +348,7 @@ def test_standing_and_stepping_agree_with_the_rods_within_a_millimetre_and_a_hal
 def test_scene_that_the_table_does_not_cover_is_refused_with_the_name_of_the_setting(
     changes, named
 ):
-    with pytest.raises(ConfigError, match=named):
+    with pytest.raises(config.ConfigError, match=named):
         simulator(**changes)
 
 

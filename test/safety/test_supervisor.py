@@ -7,9 +7,10 @@ import pytest
 from supervisor_bench import STEP, bench_in, state
 
 from slot_core.control.policy import Status
-from slot_core.safety import states as table
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import (
+    ACTIONS,
+    REASONS_TO_RELAX,
     Action,
     Condition,
     Request,
@@ -26,9 +27,7 @@ def test_the_estop_ends_every_state_and_commands_pass_in_two():
         assert next_state(before, Condition.ESTOP_PRESSED) is State.ESTOP
         lost = next_state(before, Condition.ESTOP_LOST)
         assert lost is State.ESTOP or before in OFF
-    passing = {
-        s for s, action in table.ACTIONS.items() if action is Action.PASS
-    }
+    passing = {s for s, action in ACTIONS.items() if action is Action.PASS}
     assert passing == {State.STANDING, State.WALKING}
 
 
@@ -38,7 +37,7 @@ def test_dangerous_conditions_precede_requests():
     dangerous = [
         Condition.ESTOP_PRESSED,
         Condition.ESTOP_LOST,
-        *table.REASONS_TO_RELAX,
+        *REASONS_TO_RELAX,
     ]
     assert max(map(order.index, dangerous)) < min(map(order.index, requests))
 

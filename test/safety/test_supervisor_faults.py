@@ -181,13 +181,18 @@ def test_a_missing_imu_is_warned_of_until_it_is_back_and_the_robot_walks_on(
     assert walking.run(2 * CYCLE).warnings == ()
 
 
+def swing(bench):
+    """Command a stride for the window in which motion has to be seen."""
+    for _ in range(round(SETTINGS.motion.window / CYCLE)):
+        phase = 2 * np.pi * bench.now * 1e-9 / STRIDE
+        bench.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
+        bench.run(CYCLE)
+
+
 def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(
     walking,
 ):
-    for _ in range(round(SETTINGS.motion.window / CYCLE)):
-        phase = 2 * np.pi * walking.now * 1e-9 / STRIDE
-        walking.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
-        walking.run(CYCLE)
+    swing(walking)
     assert walking.reports[-1].state is State.HOLD
     assert walking.reports[-1].reason.startswith("no motion seen: torso ")
     assert walking.supervisor.request(walking.now, Request.WALK).startswith(
@@ -215,10 +220,7 @@ def test_what_is_not_known_is_not_watched_and_that_is_said(
     bench = bench_in(
         State.WALKING, deviation=deviation, settings={"bench": hangs}
     )
-    for _ in range(round(SETTINGS.motion.window / CYCLE)):
-        phase = 2 * np.pi * bench.now * 1e-9 / STRIDE
-        bench.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
-        bench.run(CYCLE)
+    swing(bench)
     assert bench.reports[-1].state is State.WALKING
     assert bench.reports[-1].warnings == said
     bench.state = state(0.8)

@@ -44,8 +44,9 @@ class SessionRig:
 
     def fresh(self):
         """A session on the bus that nobody has told anything yet."""
-        limit = read_robot().tendon.angle_max
-        return ServoSession(self.bus, limit, PERIOD, self.sleep)
+        return ServoSession(
+            self.bus, read_robot().tendon.angle_max, PERIOD, self.sleep
+        )
 
     @property
     def now(self):
@@ -186,8 +187,9 @@ def test_a_silent_servo_has_no_joint_reading_and_relaxes_all_after_its_limit(
     rig,
 ):
     rig.run(0.2, SLIGHTLY)
-    reading = rig.cycle.joints(7, np.full(4, 1.4))
-    assert reading.angle == pytest.approx(rig.servos.angles(), abs=0.02)
+    assert rig.cycle.joints(7, np.full(4, 1.4)).angle == pytest.approx(
+        rig.servos.angles(), abs=0.02
+    )
     rig.inject("silent", "RR")
     (action, when), *_ = rig.run(TIMING.servo_silent + 0.1, SLIGHTLY)
     assert rig.cycle.joints(8, np.full(4, 1.4)) is None

@@ -5,7 +5,6 @@ import pytest
 from rod_robots import plant
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.safety.states import State
@@ -93,5 +92,5 @@ UNSUPPORTED = "legs of the model 'paper' do not support pushes"
 def test_a_restless_robot_and_a_push_that_its_legs_do_not_support_are_refused(
     scene, changes, message
 ):
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         make(scene, **changes)

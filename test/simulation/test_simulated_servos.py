@@ -9,7 +9,6 @@ import rod_robots
 
 from slot_core import config
 from slot_core.clock import SECOND
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.table import Mode
@@ -158,7 +157,7 @@ def test_bus_servos_replace_the_link_of_a_pseudo_terminal_but_no_file(
 ):
     file, link, ends = tmp_path / "file", tmp_path / "old", os.openpty()
     file.touch()
-    with pytest.raises(ConfigError, match="file: exists already"):
+    with pytest.raises(config.ConfigError, match="file: exists already"):
         BusServos(bus[1], link=file)
     link.symlink_to(os.ttyname(ends[1]))
     servos = BusServos(bus[1], link=link)
