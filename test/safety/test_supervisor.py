@@ -1,16 +1,17 @@
 """Supervisor: table of states, requests and their refusals, commands that are followed."""
 
+import itertools
 import math
+import re
 
 import numpy as np
 import pytest
 from supervisor_bench import STEP, bench_in, state
 
 from slot_core.control.policy import Status
+from slot_core.safety import states as table
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import (
-    ACTIONS,
-    REASONS_TO_RELAX,
     Action,
     Condition,
     Request,
@@ -27,8 +28,28 @@ def test_the_estop_ends_every_state_and_commands_pass_in_two():
         assert next_state(before, Condition.ESTOP_PRESSED) is State.ESTOP
         lost = next_state(before, Condition.ESTOP_LOST)
         assert lost is State.ESTOP or before in OFF
-    passing = {s for s, action in ACTIONS.items() if action is Action.PASS}
+    passing = {
+        s for s, action in table.ACTIONS.items() if action is Action.PASS
+    }
     assert passing == {State.STANDING, State.WALKING}
+
+
+def test_the_drawing_shows_the_table_but_for_the_estop():
+    groups = {
+        "a reason to hold": table.REASONS_TO_HOLD,
+        "a fault": table.FAULTS,
+    }
+    drawn, real = set(), set()
+    for before, after, labels in re.findall(
+        "(\\w+) --> (\\w+): (.+)", table.__doc__
+    ):
+        for label in labels.split(", "):
+            named = groups.get(label) or {Condition[label]}
+            drawn |= {(State[before], c, State[after]) for c in named}
+    for before, condition in itertools.product(State, list(Condition)[2:]):
+        if (after := next_state(before, condition)) is not before:
+            real.add((before, condition, after))
+    assert drawn == real
 
 
 def test_dangerous_conditions_precede_requests():
@@ -37,7 +58,7 @@ def test_dangerous_conditions_precede_requests():
     dangerous = [
         Condition.ESTOP_PRESSED,
         Condition.ESTOP_LOST,
-        *REASONS_TO_RELAX,
+        *table.REASONS_TO_RELAX,
     ]
     assert max(map(order.index, dangerous)) < min(map(order.index, requests))
 
