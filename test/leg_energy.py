@@ -17,8 +17,7 @@ def strains(rod, node):
     """Extensions (N-1,), m, and changes of the turning angles (N-1,), rad, at nodes (..., N, 2)."""
     chord = np.diff(node, axis=-2)
     x, z = chord[..., 0], chord[..., 1]
-    turn = np.diff(np.unwrap(np.arctan2(z, x)), prepend=0.0)
-    bend = turn - rod.rest_angle
+    bend = np.diff(np.unwrap(np.arctan2(z, x)), prepend=0.0) - rod.rest_angle
     return np.hypot(x, z) - rod.rest_length - rod.shortening * bend**2, bend
 
 
@@ -96,8 +95,7 @@ def robot_momentum(sim):
     """Momentum, kg m/s, and angular momentum about odom's origin, kg m^2/s, of a robot (2, 3)."""
     rod, (mass, place, velocity) = sim.model.rod, masses(sim)
     angular = mass @ np.cross(place, velocity)
-    inertia = sim.model.torso.inertia
-    angular += sim.rotation @ inertia @ sim.angular_velocity
+    angular += sim.rotation @ sim.model.torso.inertia @ sim.angular_velocity
     nodes, moving = sim._observe()
     arms = np.cross(np.diff(nodes, axis=1), np.diff(moving, axis=1))
     angular -= (rod.coupling @ arms).sum(axis=0)

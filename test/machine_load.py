@@ -10,7 +10,6 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 import psutil
@@ -71,16 +70,10 @@ class Load:
 
 def read_cpu():
     """The CPU times now, of the cores that this process may use."""
-    cores = {f"cpu{number}" for number in os.sched_getaffinity(0)}
-    rows = [
-        line.split() for line in Path("/proc/stat").read_text().splitlines()
-    ]
-    ticks = np.sum(
-        [[int(v) for v in row[1:9]] for row in rows if row[0] in cores], axis=0
-    )
-    idle = ticks[3] + ticks[4]  # user nice system idle iowait irq softirq steal
-    hertz = os.sysconf("SC_CLK_TCK")
-    return Cpu(ticks.sum() / hertz, (ticks.sum() - idle) / hertz, own_cpu())
+    cores = [*os.sched_getaffinity(0)]
+    # user nice system idle iowait irq softirq steal, s
+    times = np.array(psutil.cpu_times(percpu=True))[cores, :8].sum(axis=0)
+    return Cpu(times.sum(), times.sum() - times[3] - times[4], own_cpu())
 
 
 def own_cpu():

@@ -54,7 +54,6 @@ _claims = []
 
 @functools.cache
 def process_domain():
-    """ROS domain of this process."""
     return claim_domain()
 
 

@@ -58,6 +58,13 @@ TICK = 0.033  # s, between two odometry readings
 SAG = 1 + 0.1 * 885 * 128 / read_settings().gains.p
 
 
+def nodes_of(**changes):
+    """Nodes of the graph by name, with changed values of its arguments."""
+    graph = read_graph()
+    values = {a.name: a.default for a in graph.arguments} | changes
+    return {spec.name: spec for spec in graph.nodes(values)}
+
+
 class Rig:
     """A graph with its messages, requests and faults. Times are ns of the messages' clock."""
 
@@ -69,12 +76,10 @@ class Rig:
         self.directory, self.bus = directory, directory / "bus"
         self.config = changed_config(directory, config)
         self._parameters = parameters or {}
-        graph = read_graph()
-        values = {a.name: a.default for a in graph.arguments}
-        values |= {"hardware": "fake_bus"} | arguments
+        values = {"hardware": "fake_bus"} | arguments
         if values["hardware"] == "fake_bus":
             values["port"] = str(self.bus)
-        self.specs = {spec.name: spec for spec in graph.nodes(values)}
+        self.specs = nodes_of(**values)
         self.children = {}
         self.messages = defaultdict(list)
         self.transitions = []  # (since, State, reason)
@@ -105,7 +110,6 @@ class Rig:
         )
 
     def publisher(self, kind, topic, profile):
-        """Publisher of the test."""
         return self.node.create_publisher(kind, topic, profile)
 
     def destroy_publisher(self, publisher):
@@ -164,7 +168,6 @@ class Rig:
         return now
 
     def runs(self, name):
-        """Whether a node runs."""
         return name in self.children and self.children[name].poll() is None
 
     def exit_code(self, name):
@@ -223,7 +226,6 @@ class Rig:
         return self.transitions[-1][1] if self.transitions else None
 
     def last(self, topic):
-        """Newest message of a topic."""
         return self.messages[topic][-1]
 
     def since(self, topic, time):
@@ -365,5 +367,4 @@ def maker(kind):
 
 
 def nanoseconds(stamp):
-    """Nanoseconds of a builtin_interfaces/Time."""
     return stamp.sec * 1_000_000_000 + stamp.nanosec

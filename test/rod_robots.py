@@ -1,9 +1,13 @@
-"""Robots on rods that several tests use."""
+"""Simulated robots that several tests use."""
+
+import numpy as np
 
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
+from slot_core.servos.registry import read_brand
+from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.rod_robot import RodRobot
 
 ROBOT = read_robot()
@@ -28,3 +32,10 @@ def simulator(robot=ROBOT, servo="torque_speed", **changes):
     scene = config.replace(read_scene("flat"), changes)
     settings = {"model": servo} if isinstance(servo, str) else servo
     return RodRobot(robot, scene, config.replace(read_servo(), settings))
+
+
+def plant(scene, servo=None, seed=0, *, bus=False):
+    """Simulator of the robot in a scene with its sensors; bus: on emulated servos."""
+    emulate = read_brand().emulate if bus else None
+    rng = np.random.default_rng(seed)
+    return RobotSimulator(ROBOT, scene, servo or read_servo(), rng, emulate)

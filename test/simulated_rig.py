@@ -143,7 +143,6 @@ class SimulatedRig(Rig):
         )
 
     def run(self, seconds):
-        """Advance the time."""
         end = self._time + round(seconds * SECOND)
         while self._time < end:
             try:
@@ -185,11 +184,9 @@ class SimulatedRig(Rig):
         return name in self._nodes
 
     def node_of(self, name):
-        """A node that runs."""
         return self._nodes[name]
 
     def publisher_of(self, topic):
-        """The publisher of a topic, of a node."""
         found = (p for node in self._nodes.values() for p in node.publishers)
         return next(p for p in found if p.topic_name == topic)
 

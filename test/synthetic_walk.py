@@ -49,9 +49,8 @@ def _zero(node: Nodetype, inner: Any) -> Any:
 def message(topic: str, stamp: float, **fields: Any) -> Any:
     """A message of a topic at graph time `stamp` (s); `a__b=value` sets the field a.b."""
     built = blank(TOPICS[topic])
-    ns = round(stamp * 1e9)
     built.header.stamp.sec, built.header.stamp.nanosec = divmod(
-        ns, 1_000_000_000
+        round(stamp * 1e9), 1_000_000_000
     )
     for path, value in fields.items():
         *parents, last = path.split("__")
@@ -140,7 +139,6 @@ class Walk:
 
 
 def write_walk(path: Path, walk: Walk) -> Path:
-    """Write the bag of a walk."""
     entries = [*_ticks(walk)]
     if walk.truth:
         entries += _truth(walk)

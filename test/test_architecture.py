@@ -68,26 +68,6 @@ LAB = {
     "learning": "",
     "play": "",
 }
-# File names that occur in several folders, with the reason.
-REPEATED = {
-    "__init__.py": "subject of the folder",
-    "leg.py": "a leg of rods, and a leg of the paper",
-    "robot.py": "parameters of the robot, and the robot of the paper",
-    "problem.py": "problem of a policy: of the rollout MPC, and of the paper",
-    "force_map.py": "the force map, and the paper's",
-    "tables.py": "tables of a validation, and of the paper",
-    "model.py": "numerical form of the equations of the folder's subject",
-    "settings.py": "settings class of the folder's YAML file",
-    "elimination.py": "elimination of the legs, and of the public rod",
-    "setup.py": "one in each ROS package",
-    "conftest.py": "pytest fixtures of a folder",
-    "__main__.py": "command of a package",
-    "brand.py": "what a brand of servos provides, and each brand",
-    "servo_bus.py": "the contract of a servo driver, and its example",
-    "benchmark.py": "main function of each benchmark",
-    "plots.py": "plots of each benchmark, and of a run",
-    "cases.py": "cases of each benchmark",
-}
 IMPORT_ALL = """
 import importlib, pkgutil, sys, slot_core
 for module in pkgutil.walk_packages(slot_core.__path__, "slot_core."):
@@ -143,14 +123,13 @@ def test_core_imports_nothing_of_ros():
     )
     loaded = set(run.stdout.split())
     assert "slot_core" in loaded
-    others = {
+    assert loaded & {
         "rclpy",
         "rosidl_parser",
         "ament_index_python",
         *PACKAGES,
         "slot_msgs",
-    }
-    assert loaded & others == {"slot_core"}
+    } == {"slot_core"}
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -221,18 +200,6 @@ def test_only_the_registries_of_policies_and_levels_name_the_papers_package():
     assert not any("slot_paper" in tops(modules()[name]) for name in naming)
 
 
-def test_a_contract_is_at_most_50_lines():
-    lengths = {
-        node.name: node.end_lineno - node.lineno + 1
-        for path in modules().values()
-        for node in ast.parse(path.read_text()).body
-        if isinstance(node, ast.ClassDef)
-        and "Protocol" in map(ast.unparse, node.bases)
-    }
-    assert {"Policy", "ServoBus"} < lengths.keys()
-    assert max(lengths.values()) <= 50, lengths
-
-
 def test_no_module_imports_itself_by_way_of_others():
     graph = {
         name: imports_of(path) & modules().keys() - {name}
@@ -243,22 +210,10 @@ def test_no_module_imports_itself_by_way_of_others():
     )
 
 
-def test_no_package_imports_what_is_for_tests():
+def test_no_package_imports_what_is_for_tests_or_for_launch_files():
+    others = {"pytest", "unittest", "launch", "launch_ros"}
     for path in modules().values():
-        assert not tops(path) & {"pytest", "unittest"}, path
-
-
-def test_nothing_outside_of_scripts_imports_scripts():
-    python = [
-        path for path in tracked() if path.parts[0] not in ("scripts", "test")
-    ]
-    assert len(python) > 100
-    for path in python:
-        assert not tops(ROOT / path) & {
-            "benchmarks",
-            "documentation",
-            "examples",
-        }, path
+        assert not tops(path) & others, path
 
 
 def tracked() -> list[Path]:
@@ -277,11 +232,6 @@ def tracked() -> list[Path]:
     ]
 
 
-def test_a_file_name_occurs_in_several_folders_only_with_a_reason():
-    counts = collections.Counter(path.name for path in tracked())
-    assert {name for name, n in counts.items() if n > 1} == set(REPEATED)
-
-
 def test_a_class_name_occurs_once():
     found = collections.Counter(
         node.name
@@ -293,16 +243,6 @@ def test_a_class_name_occurs_once():
     assert {name for name, n in found.items() if n > 1} == set()
 
 
-def test_no_file_name_has_a_leading_underscore():
-    private = [p for p in tracked() if p.name.startswith("_")]
-    assert {p.name for p in private} <= {"__init__.py", "__main__.py"}
-
-
-def test_launch_is_imported_only_by_the_launch_file():
-    for path in modules().values():
-        assert not tops(path) & {"launch", "launch_ros"}, path
-
-
 # Statements that each part of the repository may have. What goes beyond brings its own cut.
 BUDGET = {
     "src/slot_core": 16_110,
@@ -311,7 +251,7 @@ BUDGET = {
     "src/slot_nodes": 2_220,
     "slot_bringup": 2_965,
     "scripts": 4_875,
-    "test": 17_055,
+    "test": 16_300,
 }
 
 

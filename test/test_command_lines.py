@@ -2,8 +2,6 @@
 
 import os
 import random
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -25,7 +23,6 @@ from slot_lab.twin import twin_command
 from slot_lab.validation import validate
 
 HERE = Path(__file__).parent
-ROOT = HERE.parent
 WALK = str(HERE / "bags" / "walk")
 EXAMPLE = HERE.parent / "slot_bringup" / "example"
 LEG_RUN = str(EXAMPLE / "single_leg_run.csv")
@@ -370,68 +367,6 @@ def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "viser", None)
     return tmp_path
-
-
-# A word of the help of every command.
-HELPS = {
-    "run": "walk",
-    "play": "--graph",
-    "operate": "estop",
-    "replay": "--tolerance",
-    "replay --live": "--rate",
-    "view": "--animate",
-    "view --map": "Constraint Map",
-    "compare": "--plot",
-    "servos": "emulate",
-    "validate": "explained",
-    "validate --track": "--depth",
-    "twin": "--fit",
-    "calibrate": "--free",
-    "calibrate --camera": "--every",
-    "calibrate --print": "--dpi",
-    "calibrate --leg-map": "leg_map.csv",
-    "tune": "--friction",
-    "report": "--results",
-    "bench": "--quick",
-    "docs": "--tables",
-    "docs --pictures": "--list",
-    "docs --figures": "--results",
-    "setup": "--test",
-}
-NO_HELP = {"env", "help", "lint", "test"}  # the last passes its words to pytest
-
-
-@pytest.fixture(scope="module")
-def fresh_clone(tmp_path_factory):
-    """A clone without .slot, with a Python that has no packages."""
-    clone = tmp_path_factory.mktemp("clone")
-    for name in ("config", "src", "slot_bringup"):
-        (clone / name).symlink_to(ROOT / name)
-    shutil.copytree(ROOT / "scripts", clone / "scripts")
-    (clone / "bin").mkdir()
-    (clone / "bin/python3").symlink_to(sys._base_executable)
-    scripts = {p.name for p in (ROOT / "scripts").iterdir() if p.is_file()}
-    commands = {name for name in scripts if name.islower() and "." not in name}
-    assert {command.split()[0] for command in HELPS} == commands - NO_HELP
-    return clone
-
-
-@pytest.mark.parametrize(("command", "text"), HELPS.items())
-def test_a_help_needs_no_set_up_no_package_and_no_environment(
-    fresh_clone, command, text
-):
-    name, *words = command.split()
-    run = subprocess.run(
-        ["/bin/bash", fresh_clone / "scripts" / name, *words, "--help"],
-        capture_output=True,
-        text=True,
-        env={"PATH": f"{fresh_clone}/bin:/usr/bin:/bin"},
-        check=False,
-    )
-    assert run.returncode == 0, run.stderr
-    assert f"usage: scripts/{name}" in run.stdout
-    assert text in run.stdout
-    assert not (fresh_clone / ".slot").exists()
 
 
 @pytest.mark.parametrize(("tool", "arguments", "reason"), CASES)

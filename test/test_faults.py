@@ -4,16 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from rod_robots import plant
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
 from slot_core.faults import Fault
 from slot_core.refusal import DivergenceError
-from slot_core.robot import read_robot
-from slot_core.servos.registry import read_brand
-from slot_core.simulation.plant import RobotSimulator
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
 STEP = 0.001  # s, of the solver
@@ -33,11 +29,7 @@ def planned(kind, leg="FL", time=0.0, duration=0.0, value=0.0):
 def make(solver="standard", bus=False, tendons=None, **faults):
     changes = {"faults": faults, "start.settle": SETTLE} | (tendons or {})
     changes["solver"] = config.load(f"solver/{solver}")
-    scene = config.replace(read_scene("flat"), changes)
-    emulate = read_brand().emulate if bus else None
-    return RobotSimulator(
-        read_robot(), scene, read_servo(), np.random.default_rng(0), emulate
-    )
+    return plant(config.replace(read_scene("flat"), changes), bus=bus)
 
 
 def advance(plant, milliseconds):
@@ -144,10 +136,10 @@ def test_a_fault_that_the_model_does_not_support_is_refused(
 ):
     if solver == "paper":  # as printed it diverges while it settles
         monkeypatch.setattr(f"{__name__}.SETTLE", 0.0)
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         make(solver, wrong=fault)
     plant = make(solver)
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         plant.faults.inject(config.build(Fault, fault, "test"))
 
 
@@ -177,7 +169,7 @@ def test_a_fault_that_the_model_does_not_support_is_refused(
     ],
 )
 def test_an_invalid_fault_is_refused_by_name(change, message):
-    with pytest.raises(ConfigError, match=rf"bad\.yaml: {message}"):
+    with pytest.raises(config.ConfigError, match=rf"bad\.yaml: {message}"):
         config.build(Fault, planned("tendon_slack") | change, "bad.yaml")
 
 
@@ -205,8 +197,9 @@ def test_a_nan_in_a_rod_raises_divergence_and_its_state_can_be_saved_and_loaded(
     plant.start(START)
     command = plant.robot.tendon_angle + 0.1
     plant.command(command)
-    where = r"in step 21 at 0\.0200 s: .* not a number"
-    with pytest.raises(DivergenceError, match=where) as raised:
+    with pytest.raises(
+        DivergenceError, match=r"in step 21 at 0\.0200 s: .* not a number"
+    ) as raised:
         advance(plant, 100)
     path = tmp_path / "log" / "lost.npz"
     raised.value.save(path, "flat")

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.control.force_map import read_force_map
 from slot_core.control.place_feedback import PlaceFeedback
 from slot_core.dynamics.scene import read_scene
@@ -149,7 +148,7 @@ def test_a_changed_file_of_the_configuration_is_read_or_refused(
     sound = file.read_bytes()
     try:
         file.write_bytes(data.draw(changed_text(sound)))
-        with refusable(ConfigError):
+        with refusable(config.ConfigError):
             reader_of(path)()
     finally:
         file.write_bytes(sound)

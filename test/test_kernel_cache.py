@@ -1,7 +1,6 @@
 """Compiled kernels on disk: shared by content, never trusted when damaged, bounded in size."""
 
 import os
-import resource
 import subprocess
 import sys
 from collections import namedtuple
@@ -13,7 +12,6 @@ import pytest
 
 from slot_core import kernel_cache
 from slot_core.compiled import kernel
-from slot_core.kernel_cache import KernelCache, prune
 from slot_core.simulation.warm_up import compile_with
 
 
@@ -21,8 +19,8 @@ from slot_core.simulation.warm_up import compile_with
 def folder(tmp_path, monkeypatch):
     """An empty folder of kernels, in a process that has announced and lost nothing."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(KernelCache, "told", False)
-    monkeypatch.setattr(KernelCache, "lost", None)
+    monkeypatch.setattr(kernel_cache.KernelCache, "told", False)
+    monkeypatch.setattr(kernel_cache.KernelCache, "lost", None)
     return tmp_path
 
 
@@ -80,18 +78,6 @@ def test_folder_that_cannot_be_written_costs_a_compilation_and_set_up_fails(
         compile_with(doubled(), (1.5,))
 
 
-def test_full_disk_costs_a_compilation_at_every_start(folder, capsys):
-    """An empty file could be made on it, so it was said that the kernel is kept."""
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
-    try:
-        assert doubled()(1.5) == 3.0
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert "cannot be written, so every start does" in capsys.readouterr().err
-    assert not list(folder.iterdir())
-
-
 def test_order_of_fields_is_part_of_the_key(folder):
     difference = kernel(lambda pair: pair.a - pair.b)
     for fields, expected in (("a b", 3.0), ("b a", -3.0)):
@@ -105,7 +91,7 @@ def test_files_not_used_for_longest_leave_when_the_limit_is_exceeded(folder):
         path = folder / f"{name}{kernel_cache.SUFFIX}"
         path.write_bytes(bytes(100))
         os.utime(path, (1e9 - age, 1e9 - age))
-    prune(folder, limit=250)
+    kernel_cache.prune(folder, limit=250)
     assert sorted(path.stem for path in folder.iterdir()) == ["a", "b"]
 
 

@@ -166,7 +166,6 @@ def thinned(bag: Bag, path: Path, case: Case) -> Path:
 
 
 def main() -> None:
-    """Record the bags."""
     parser = argparse.ArgumentParser(
         prog="test/bags/record", description=__doc__
     )

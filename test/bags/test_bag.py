@@ -221,8 +221,9 @@ def test_topics_are_read_by_their_new_names_and_a_missing_one_is_named(
     bag = Bag(walk_bag, remap={"/ground_truth/odom": "odom"})
     assert "/ground_truth/odom" not in bag.topics
     assert bag.counts["/odom"] == Bag(walk_bag).counts["/ground_truth/odom"]
-    missing = r"no topic /camera/odom \(topics: /desired_joint_angles"
-    with pytest.raises(BagError, match=missing):
+    with pytest.raises(
+        BagError, match=r"no topic /camera/odom \(topics: /desired_joint_angles"
+    ):
         Bag(walk_bag, remap={"/camera/odom": "/odom"})
     with pytest.raises(NoFieldError, match=r"/odom has no field pose\.speed"):
         bag.series("/odom", "pose.speed")

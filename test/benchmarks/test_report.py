@@ -6,11 +6,8 @@ import re
 import pytest
 
 from benchmarks.harness import known
-from benchmarks.locomotion.rows import rows as locomotion_rows
 from benchmarks.report.report import main
-from benchmarks.report.results import RUNS
 from slot_paper import claims
-from slot_paper.tables import TABLES
 
 HOSTILE = "<script>|`x`"
 ESCAPED = r"\<script\>\|\`x\`"
@@ -136,39 +133,6 @@ def test_what_is_missing_is_named_with_the_command_that_makes_it(made):
     )
 
 
-def test_without_results_the_papers_figures_stand_alone_with_what_would_be_beside_them(
-    tmp_path,
-):
-    (tmp_path / "empty").mkdir()
-    arguments = [
-        "--results",
-        str(tmp_path / "empty"),
-        "--out",
-        str(tmp_path / "page.md"),
-    ]
-    assert main(arguments) == 0
-    tables = (
-        (tmp_path / "page.md").read_text().partition("The paper beside ours")[2]
-    )
-    assert "| here: " not in tables
-    assert "Not run: robot, mpc, graph." in tables
-
-
-def test_figures_are_looked_up_under_names_that_the_benchmarks_use():
-    wanted = [
-        ours
-        for table in TABLES
-        for line in table.lines
-        for ours in line.ours
-        if ours is not None
-    ]
-    assert {ours.result for ours in wanted} <= known().keys() | RUNS.keys()
-    found = {
-        ours.match["row"] for ours in wanted if ours.result == "locomotion"
-    }
-    assert found <= {row.name for row in locomotion_rows(quick=False)}
-
-
 def test_the_claims_stand_on_the_page_with_the_number_of_each_verdict(page):
     for verdict in claims.VERDICTS:
         number = sum(claim.verdict == verdict for claim in claims.CLAIMS)
@@ -176,48 +140,43 @@ def test_the_claims_stand_on_the_page_with_the_number_of_each_verdict(page):
         assert page.count(f" | {verdict} | ") == number
 
 
+RESULT = "rod/rod.json"
 NONSENSE = {
-    "not JSON": "{",
-    "no mapping": "[1, 2]",
-    "another name": json.dumps(result("mpc")),
-    "no checks": json.dumps({"name": "rod", "quick": False}),
-    "rows of text": json.dumps(result("rod", ["a"])),
-    "no revision": json.dumps(result("rod", revision=None)),
-    "nested": "[" * 100_000,
+    "not JSON": (RESULT, b"{", "not "),
+    "no mapping": (RESULT, b"[1, 2]", "not "),
+    "another name": (RESULT, json.dumps(result("mpc")).encode(), "not "),
+    "no checks": (RESULT, b'{"name": "rod", "quick": false}', "not "),
+    "text": (RESULT, json.dumps(result("rod", ["a"])).encode(), "not "),
+    "no revision": (
+        RESULT,
+        json.dumps(result("rod", revision=None)).encode(),
+        "not ",
+    ),
+    "nested": (RESULT, b"[" * 100_000, "not "),
+    "bytes": (RESULT, b"\xff\xfe\x00", "not text in UTF-8"),
+    "table": (
+        "single_leg/errors.csv",
+        b"point,axis,rmse\nbase,z,much\n",
+        "not a table of",
+    ),
+    "bag": (
+        "single_leg/metadata.yaml",
+        b"nonsense",
+        "single_leg: cannot be read",
+    ),
 }
 
 
-@pytest.mark.parametrize("text", NONSENSE.values(), ids=NONSENSE)
+@pytest.mark.parametrize("kind", NONSENSE)
 def test_a_file_that_is_no_result_is_refused_in_one_line(
-    results, refusal, text
+    results, refusal, kind
 ):
-    (results / "rod" / "rod.json").write_text(text)
-    line = refusal(main, "--results", results, "--out", results / "page.md")
-    assert line.startswith(
-        f"scripts/report: {results / 'rod' / 'rod.json'}: not "
-    )
-    assert not (results / "page.md").exists()
-
-
-@pytest.mark.parametrize(
-    ("file", "content", "said"),
-    [
-        ("rod/rod.json", b"\xff\xfe\x00", "not text in UTF-8"),
-        (
-            "single_leg/errors.csv",
-            b"point,axis,rmse\nbase,z,much\n",
-            "not a table of",
-        ),
-        ("single_leg/metadata.yaml", b"nonsense", "single_leg: cannot be read"),
-    ],
-)
-def test_a_damaged_file_beside_a_result_is_refused_in_one_line(
-    results, refusal, file, content, said
-):
+    file, content, said = NONSENSE[kind]
     (results / file).write_bytes(content)
-    assert said in refusal(
-        main, "--results", results, "--out", results / "page.md"
-    )
+    line = refusal(main, "--results", results, "--out", results / "page.md")
+    assert line.startswith(f"scripts/report: {(results / file).parent}")
+    assert said in line
+    assert not (results / "page.md").exists()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,6 @@ import pytest
 
 from slot_bringup import processes
 from slot_bringup.graph import END, GO_ON, REFUSED, RESTART, NodeSpec
-from slot_bringup.processes import Processes
 
 
 @pytest.fixture
@@ -16,7 +15,7 @@ def start(tmp_path, monkeypatch):
     def start(script, if_it_ends=END):
         words = ["/bin/bash", "-c", script]
         monkeypatch.setattr(processes, "command_line", lambda _: words)
-        started = Processes(tmp_path)
+        started = processes.Processes(tmp_path)
         spec = NodeSpec(
             "viewer", "of_no_python_package", {}, if_it_ends=if_it_ends
         )

@@ -145,8 +145,7 @@ def test_hardware_decides_who_has_the_port_the_sensors_and_the_operator(graph):
     blind = nodes_of(graph, odometry="none")
     assert blind["supervisor"].parameters == operated
     assert blind["mpc_controller"].parameters["policy"] == "gait_alone"
-    source = blind["state_estimator"].parameters["odometry.source"]
-    assert source == "none"
+    assert blind["state_estimator"].parameters["odometry.source"] == "none"
     played = nodes_of(graph, hardware="none", bag="somewhere")
     assert not {"sim_robot", "dynamixel_driver"} & played.keys()
     assert {"recorder", "state_estimator", "supervisor"} <= played.keys()

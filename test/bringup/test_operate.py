@@ -83,8 +83,9 @@ def test_the_e_stop_is_published_at_once_and_until_the_supervisor_is_in_estop():
     for reported in (State.WALKING, State.ESTOP):
         operator._on_state(state(reported))
         operator._publish_estop()
-    sent = [(pressed, False) for pressed in (False, True, True, False)]
-    assert node.published == sent
+    assert node.published == [
+        (pressed, False) for pressed in (False, True, True, False)
+    ]
     # four of five messages may be lost
     assert read_supervisor().timing.estop >= 5 * operate.ESTOP_PERIOD
     operator.press("w")
@@ -238,8 +239,9 @@ def test_the_first_line_is_red_in_relax_estop_and_fault_and_without_a_present_st
     ],
 )
 def test_an_action_calls_the_service_of_its_node(arguments, name, fields):
-    options = operate_command._parser().parse_args(arguments.split())
-    wanted = operate.service(options)
+    wanted = operate.service(
+        operate_command._parser().parse_args(arguments.split())
+    )
     assert wanted.name == name
     assert {field: getattr(wanted.request, field) for field in fields} == fields
 

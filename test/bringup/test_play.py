@@ -17,7 +17,6 @@ from rosgraph_msgs.msg import Clock
 from synthetic_walk import Walk, message, write_old, write_walk
 
 from slot_bringup import monitor, play
-from slot_bringup.monitor import listener
 from slot_core.messages import decode
 from slot_lab.bags.bag import Bag
 from slot_msgs.msg import LegStates, MpcState
@@ -34,13 +33,13 @@ def wait(executor, reached):
 
 def test_every_sensor_message_arrives_as_it_was_recorded_with_the_clock_of_its_graph():
     bag, arrived, clock = Bag(WALK), defaultdict(list), []
-    with listener("listener") as (node, executor):
+    with monitor.listener("listener") as (node, executor):
         for topic in bag.topics.keys() & play.PLAYED:
             kind = play.message_class(bag.topics[topic])
             take = arrived[topic].append
             node.create_subscription(kind, topic, take, KEEP, raw=True)
         node.create_subscription(Clock, "/clock", clock.append, qos.CLOCK)
-        with listener("player") as (other, _):
+        with monitor.listener("player") as (other, _):
             player = play.Player(other, bag)
             wait(executor, lambda: all(map(other.count_subscribers, arrived)))
             player.wait_for_nodes()
@@ -106,7 +105,7 @@ def test_a_bag_is_not_played_where_nothing_uses_it_or_a_robot_runs(
     """A recorder alone does not count: the nodes, which start later, would miss the first."""
     monkeypatch.setattr(play, "SEARCH_TIME", 0.2)
     kind = play.message_class(real_time_bag.topics["/odom"])
-    with listener("player") as (node, executor):
+    with monitor.listener("player") as (node, executor):
         player = play.Player(node, real_time_bag)
         recorder = Node("recorder", context=node.context)
         recorder.create_subscription(kind, "/odom", print, qos.SENSOR)
@@ -135,7 +134,7 @@ def test_a_run_ends_with_the_bag_that_is_played_into_it(
     monkeypatch.setattr(monitor.Progress, "slowness", lambda _: "slower")
     running = {"failed.return_value": None, "restart_ended.return_value": []}
     ended = pytest.raises(monitor.RunError, match="no /mpc_state")
-    with listener("state_estimator", "alone") as (node, _):
+    with monitor.listener("state_estimator", "alone") as (node, _):
         node.create_publisher(MpcState, "mpc_state", qos.CONTROL).publish(
             MpcState()
         )

@@ -8,8 +8,8 @@ from contextlib import suppress
 import pytest
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
+from rig import nodes_of
 
-from slot_bringup.graph import read_graph
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
 from slot_core.recording.record_settings import BagError
@@ -24,13 +24,8 @@ LEAST = 50  # messages on disk before the recorder is ended
 def test_a_recorder_that_ends_loses_nothing_and_a_killed_one_the_last_moment(
     tmp_path, number
 ):
-    graph, path = read_graph(), tmp_path / "bag"
-    values = (
-        {a.name: a.default for a in graph.arguments} | SET | {"bag": str(path)}
-    )
-    recorder = next(
-        spec for spec in graph.nodes(values) if spec.name == "recorder"
-    )
+    path = tmp_path / "bag"
+    recorder = nodes_of(**SET, bag=str(path))["recorder"]
     process = subprocess.Popen(command_line(recorder))
     count, left = 0, []
     with listener("robot", "recorded") as (node, _):

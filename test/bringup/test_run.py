@@ -17,9 +17,6 @@ from slot_msgs.msg import MpcState, RobotState, TendonPlan
 from slot_nodes import qos
 from slot_nodes.messages import header
 
-PATH = Path(__file__).resolve().parents[1] / "bags/path.csv"
-
-
 DOMAIN = "ROS_DOMAIN_ID"
 SECURITY = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
 

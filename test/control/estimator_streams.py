@@ -10,7 +10,6 @@ from slot_core.estimation.state_estimator import StateEstimator, read_estimator
 from slot_core.geometry import wrapped
 from slot_core.robot import GRAVITY
 
-UP = np.array([0.0, 0.0, GRAVITY])
 # without the prediction beyond the newest sample and the agreement of the sensors, which have tests
 # of their own
 SETTINGS = config.replace(

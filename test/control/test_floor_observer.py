@@ -20,7 +20,6 @@ from slot_core.robot import GRAVITY, read_robot
 ROBOT, SPRINGS, SETTINGS = read_robot(), read_springs(), read_estimator()
 PERIOD = SETTINGS.timing.period
 TENSION = read_leg_table(("tension_N",))
-LYING = ROBOT.torso.size[2] / 2
 SLACK, STANDING = np.zeros(4), np.full(4, np.radians(63.0))
 
 
@@ -131,8 +130,7 @@ def test_softer_legs_or_a_load_on_a_floor_at_zero_are_not_taken_for_an_origin(
 ):
     """The servos' torques tell them from an origin above or below the floor."""
     world = World()
-    angle = np.full(4, np.radians(70.0))
-    world.rest(angle, ratio=ratio, load=load)
+    world.rest(np.full(4, np.radians(70.0)), ratio=ratio, load=load)
     assert world.observer.floor == LEVEL
     assert world.observer.ratio == pytest.approx(ratio, rel=1e-3)
 
@@ -174,8 +172,9 @@ def test_odometry_that_starts_anew_goes_on_at_the_height_and_tilt_before():
     place = np.array([3.0, -1.0, 0.7])
     before = np.array([0.041, 0.02, -0.03])
     world.observer.start_anew(before, elsewhere, place)
-    found = world.observer.floor.above(elsewhere, place)
-    np.testing.assert_allclose(found, before, atol=1e-12)
+    np.testing.assert_allclose(
+        world.observer.floor.above(elsewhere, place), before, atol=1e-12
+    )
 
 
 def test_a_robot_that_hung_in_the_air_and_was_put_down_finds_the_floor():

@@ -118,8 +118,9 @@ def test_offsets_shift_the_angles_within_the_range():
         stride_table([0.05, 0, 0], stride=stride, offset=o)[:, :4]
         for o in (NO_OFFSET, offset)
     )
-    expected = np.clip(plain + offset, *np.radians(stride.range_deg))
-    assert shifted == pytest.approx(expected, abs=1e-12)
+    assert shifted == pytest.approx(
+        np.clip(plain + offset, *np.radians(stride.range_deg)), abs=1e-12
+    )
 
 
 def test_rates_and_velocities_of_the_torso_are_the_derivatives_of_its_angles_and_sway():
@@ -184,7 +185,7 @@ def state_after(velocity, phase, duration=2.8):
     )
 
 
-@pytest.mark.parametrize("case", MIRRORS)
+@pytest.mark.parametrize("case", ["backward", "a right-hand bend"])
 def test_the_simulated_robot_moves_with_the_opposite_velocity_in_the_mirror_image(
     case,
 ):

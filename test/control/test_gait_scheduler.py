@@ -352,8 +352,7 @@ def test_a_jump_of_the_clock_neither_moves_the_commands_nor_delays_later_changes
     robot.scheduler.request("walk", AHEAD)
     before = robot.run(0.3)[-1]
     robot.now += round(jump * SECOND)
-    after = robot.run(0.033)[0]
-    assert after.tendon_angle[0] == pytest.approx(
+    assert robot.run(0.033)[0].tendon_angle[0] == pytest.approx(
         before.tendon_angle[0], abs=1e-9
     )
     assert robot.run(3.0)[-1].reference[0, 9] > 0.0
@@ -444,8 +443,9 @@ def test_a_posture_on_legs_of_another_stiffness_carries_the_robot_without_a_jerk
     last = robot.run(3.0)[-1]
     assert robot.steps.max() < 0.03  # rad a tick: 1 rad/s
     pose = last.reference[0][[5, 0, 1]]
-    found = stiffness_ratio(ROBOT, SPRINGS, last.tendon_angle[0], pose)
-    assert found == pytest.approx(ratio, rel=1e-6)
+    assert stiffness_ratio(
+        ROBOT, SPRINGS, last.tendon_angle[0], pose
+    ) == pytest.approx(ratio, rel=1e-6)
     assert last.normal_force[0].sum() == pytest.approx(ROBOT.weight)
 
 

@@ -57,8 +57,9 @@ def test_the_gait_alone_and_a_users_policy_named_by_its_file(
 ):
     (tmp_path / "own.py").write_text(OWN)
     for tick in ticks(str(tmp_path / name) if name.endswith(".py") else name):
-        expected = tick.preview.tendon_angle[0] + added
-        np.testing.assert_array_equal(tick.command.angle, expected)
+        np.testing.assert_array_equal(
+            tick.command.angle, tick.preview.tendon_angle[0] + added
+        )
 
 
 @pytest.mark.parametrize(

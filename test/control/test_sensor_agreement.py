@@ -23,9 +23,7 @@ from slot_core import config
 from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Validity
 from slot_core.estimation.sensor_agreement import STRAYS
-from slot_core.estimation.state_estimator import StateEstimator
 from slot_core.geometry import OPTICAL, wrapped
-from slot_core.key_frame import capture, restore
 from slot_core.robot import GRAVITY
 
 COMPARED = config.replace(SETTINGS, {"agreement.enabled": True})
@@ -96,8 +94,7 @@ def test_a_shift_of_the_stamps_is_found_within_5_ms_and_compensated(
     [(-0.09, "imu: stamps -90 ms"), (0.075, "imu: stamps +75 ms")],
 )
 def test_a_larger_shift_is_named_and_odometry_serves_alone(shift, line):
-    late = stamped("imu", noisy(WALK, 4.0, 0), shift)
-    estimates, _ = run(late, COMPARED)
+    estimates, _ = run(stamped("imu", noisy(WALK, 4.0, 0), shift), COMPARED)
     assert estimates[-1].message.startswith(line)
     assert "limit 60 ms: it is not used" in estimates[-1].message
     assert set(validities(estimates[-30:])) == {Validity.IMU_MISSING}
@@ -192,13 +189,11 @@ def test_a_stray_stamp_is_dropped(kind, shift):
     stray = stamped(kind, messages[at : at + 1], shift)
     without = messages[:at] + messages[at + 1 :]
     with_it = messages[:at] + stray + messages[at + 1 :]
-    last = [run(each, COMPARED)[0][-10:] for each in (without, with_it)]
-    assert same(*last)
+    assert same(*[run(each, COMPARED)[0][-10:] for each in (without, with_it)])
 
 
 def test_stamps_that_stay_ahead_are_named():
-    messages = noisy(WALK, 3.0, 5)
-    estimates, _ = run(stamped("odometry", messages, 0.4), COMPARED)
+    estimates, _ = run(stamped("odometry", noisy(WALK, 3.0, 5), 0.4), COMPARED)
     assert "odom: stamps 0.4" in estimates[-1].message
     assert Validity.VALID not in validities(estimates)
 
@@ -242,18 +237,6 @@ def noisy_part(motion, rng):
         imu_messages(motion, 8.0, rng=rng),
         odometry_messages(motion, 8.0, rng=rng, noise=loud),
     )
-
-
-def test_an_estimator_that_compares_goes_on_from_a_key_frame():
-    messages = stamped("imu", noisy(WALK, 3.0, 1), 0.03)
-    for at in np.random.default_rng(0).integers(2, len(messages), 6):
-        _, first = run(messages[:at], COMPARED)
-        second = StateEstimator(COMPARED)
-        restore(second, capture(first))
-        rest = (
-            run(messages[at:], estimator=each)[0] for each in (first, second)
-        )
-        assert same(*rest)
 
 
 def test_a_clock_that_is_set_back_needs_some_stamps():

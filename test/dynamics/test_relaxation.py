@@ -7,7 +7,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
@@ -51,8 +50,7 @@ def creep(times):
 
     def rate(_, y):
         e, a = y[0], y[1:]
-        held = np.dot(SHARE, e - a)
-        return [(1.0 - e - held) / DAMPING, *((e - a) / TIME)]
+        return [(1.0 - e - np.dot(SHARE, e - a)) / DAMPING, *((e - a) / TIME)]
 
     return solve_ivp(
         rate, (0.0, times[-1]), np.zeros(3), t_eval=times, rtol=1e-9, atol=1e-12
@@ -86,6 +84,8 @@ def test_a_loaded_leg_creeps_as_its_material_to_the_strain_of_youngs_modulus():
 @pytest.mark.parametrize("legs", ["map", "paper"])
 def test_only_spatial_legs_relax(legs):
     scene = config.replace(read_scene("flat"), {"solver.legs": legs})
-    message = f"leg.relaxation_share = .* model '{legs}' cannot"
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(
+        config.ConfigError,
+        match=f"leg.relaxation_share = .* model '{legs}' cannot",
+    ):
         make_robot(RELAXING, scene, read_servo())

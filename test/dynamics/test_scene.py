@@ -3,7 +3,6 @@
 import pytest
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 
 PUSH = "pushes: {left: {time: %s, duration: 1, force: [0, 0, 0], moment: [0, 0, 0]}}"
@@ -90,7 +89,7 @@ def test_an_invalid_scene_is_refused_by_name_of_the_setting(
     scenes, text, message
 ):
     scenes("bad", text)
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         read_scene("bad")
 
 

@@ -10,7 +10,6 @@ from numba import njit
 from scipy.integrate import solve_ivp
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.model import build_model
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo, servo, spool_rate, turning_rate
@@ -122,7 +121,7 @@ def test_figures_that_are_no_table_and_voltages_beyond_it_are_refused(
     changes, message
 ):
     voltage = changes.pop("supply_voltage", NOMINAL)
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         servo(config.replace(SETTINGS, changes), voltage)
 
 

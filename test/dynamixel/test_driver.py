@@ -7,7 +7,6 @@ import pytest
 from driver_rig import ONE_COUNT, STANDING, DriverRig
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import CommunicationError, InstructionError
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT
@@ -315,6 +314,7 @@ def test_an_error_answer_is_not_read_as_data(rig):
 
 def test_a_rate_that_the_servos_do_not_have_is_refused_with_those_that_they_have():
     with pytest.raises(
-        ConfigError, match=r"bus\.baud = 500000: expected one of 9600, 57600"
+        config.ConfigError,
+        match=r"bus\.baud = 500000: expected one of 9600, 57600",
     ):
         config.replace(read_settings(), {"bus.baud": 500000})

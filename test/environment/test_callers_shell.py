@@ -30,8 +30,9 @@ MODULES = (
 def own(tmp_path):
     """A folder with modules of the caller's own, which write `ran` there."""
     for name in MODULES:
-        line = f"open({str(tmp_path / 'ran')!r}, 'a')\nprint('my own script')\n"
-        (tmp_path / f"{name}.py").write_text(line)
+        (tmp_path / f"{name}.py").write_text(
+            f"open({str(tmp_path / 'ran')!r}, 'a')\nprint('my own script')\n"
+        )
     return tmp_path
 
 

@@ -106,8 +106,9 @@ def test_servo_bus_moves_one_tendon_to_its_goal_and_ends_with_torque_off(
 
 
 def test_read_a_bag(tmp_path, output):
-    text = output("read_a_bag.py")
-    assert "/joint_states  sensor_msgs/msg/JointState" in text
+    assert "/joint_states  sensor_msgs/msg/JointState" in output(
+        "read_a_bag.py"
+    )
     assert (tmp_path / "walk.png").read_bytes().startswith(b"\x89PNG")
 
 

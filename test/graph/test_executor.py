@@ -34,18 +34,6 @@ def spin_until(node, condition):
         node.executor.spin_once(timeout_sec=0.1)
 
 
-def test_messages_are_served_in_their_order(node):
-    received = []
-    publisher = node.create_publisher(Int32, "numbers", qos.CONTROL)
-    node.create_subscription(
-        Int32, "numbers", lambda m: received.append(m.data), qos.CONTROL
-    )
-    for number in range(20):
-        publisher.publish(Int32(data=number))
-    spin_until(node, lambda: len(received) == 20)
-    assert received == list(range(20))
-
-
 def test_a_slow_reader_in_the_process_gets_the_newest_of_all_that_wait(node):
     seen, mailbox = [], node.executor._mailbox
     publisher = node.create_publisher(Int32, "numbers", qos.CONTROL)

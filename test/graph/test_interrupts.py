@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -101,15 +100,6 @@ def test_a_program_that_listens_is_interrupted_between_two_callbacks():
         with pytest.raises(KeyboardInterrupt):
             executor.spin_until(lambda: False, math.inf)
     assert ended == [True]
-
-
-def test_a_thread_listens_while_another_is_the_main_one():
-    """As the joystick of test/bags/record_bags.py does; signals are the main thread's."""
-    with (
-        ThreadPoolExecutor(1) as pool,
-        listener("in_a_thread") as (_, executor),
-    ):
-        pool.submit(executor.spin_once, 0.01).result()
 
 
 def test_a_program_listens_until_its_condition_holds_or_its_time_is_over():

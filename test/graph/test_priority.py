@@ -5,8 +5,8 @@ import threading
 from unittest.mock import Mock
 
 import pytest
+from rig import nodes_of
 
-from slot_bringup.graph import read_graph
 from slot_core.config import ConfigError
 from slot_nodes import runtime
 
@@ -72,7 +72,6 @@ def test_the_priority_that_nobody_has_asked_for(
     monkeypatch, cores, chosen, priority
 ):
     monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)))
-    graph = read_graph()
-    specs = graph.nodes({a.name: a.default for a in graph.arguments} | chosen)
-    found = {spec.environment.get("SLOT_PRIORITY") for spec in specs} - {None}
-    assert found == ({priority} - {None})
+    specs = nodes_of(**chosen).values()
+    found = {spec.environment.get("SLOT_PRIORITY") for spec in specs}
+    assert found - {None} == {priority} - {None}

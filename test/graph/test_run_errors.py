@@ -11,9 +11,9 @@ from pathlib import Path
 import psutil
 import pytest
 from real_graph import changed_config, claim_domain
+from rig import nodes_of
 
 from slot_bringup import monitor
-from slot_bringup.graph import read_graph
 from slot_bringup.processes import Processes
 
 # Signals that the caller ignores (SIGHUP under nohup) would be ignored in the run too.
@@ -30,16 +30,15 @@ RUN += ["--lockstep", "--composed", "--bag"]
 def test_a_supervisor_alone_is_a_second_graph_in_the_domain(
     tmp_path, monkeypatch
 ):
-    """A real robot before its first odometry has no estimate. A whole graph: test_processes.py."""
-    graph = read_graph()
+    """A real robot before its first odometry has no estimate."""
     processes = Processes(tmp_path)
-    nodes = graph.nodes({a.name: a.default for a in graph.arguments})
-    processes.start([spec for spec in nodes if spec.name == "supervisor"])
+    processes.start([nodes_of()["supervisor"]])
     # it ends with the first message
     monkeypatch.setattr(monitor, "DISCOVERY_TIME", 60.0)
     try:
         with pytest.raises(
-            monitor.RunError, match="another graph runs in ROS domain "
+            monitor.RunError,
+            match=r"another graph runs in ROS domain \d+, namespace /: set another",
         ):
             monitor.require_no_other_graph()
     finally:

@@ -4,21 +4,14 @@ import math
 
 import numpy as np
 import pytest
+from rod_robots import ROBOT, simulator
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.refusal import DivergenceError
-from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
-
-SETTINGS = {
-    "robot": read_robot(),
-    "scene": read_scene("flat"),
-    "servo": read_servo(),
-}
 
 
 @pytest.mark.parametrize(
@@ -38,9 +31,10 @@ def test_an_invalid_height_map_is_refused_by_name(
         (tmp_path / "scene" / "bad.csv").write_text(text)
     name = "bad.csv" if text is not None else "uneven_elsewhere.csv"
     scene = config.replace(read_scene("flat"), {"floor.height_map": name})
+    servo = read_servo()
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
-    with pytest.raises(ConfigError, match=message):
-        RodRobot(SETTINGS["robot"], scene, SETTINGS["servo"])
+    with pytest.raises(config.ConfigError, match=message):
+        RodRobot(ROBOT, scene, servo)
 
 
 STILL, GOAL = [0.0, 0.0, 0.0], np.full(4, 0.5)
@@ -76,9 +70,7 @@ STILL, GOAL = [0.0, 0.0, 0.0], np.full(4, 0.5)
 def test_an_invalid_command_push_or_damage_is_refused_and_changes_nothing(
     act, message
 ):
-    start = {"start.settle": 0.0, "start.height": 0.5}
-    scene = config.replace(SETTINGS["scene"], start)
-    sim = RodRobot(SETTINGS["robot"], scene, SETTINGS["servo"])
+    sim = simulator(servo={}, start__settle=0.0, start__height=0.5)
     before = sim.state.buffer.copy()
     with pytest.raises(ValueError, match=message):
         act(sim)
@@ -88,13 +80,14 @@ def test_an_invalid_command_push_or_damage_is_refused_and_changes_nothing(
 
 @pytest.mark.parametrize("solver", ["coarse", "map"])
 def test_a_start_beyond_the_tendons_is_refused_by_name(solver):
-    robot = config.replace(read_robot(), {"tendon.angle_max_deg": 58.14})
+    robot = config.replace(ROBOT, {"tendon.angle_max_deg": 58.14})
     scene = read_scene("map" if solver == "map" else "flat")
     kind = TabulatedRobot if solver == "map" else RodRobot
     with pytest.raises(
-        ConfigError, match=r"start.tendon_angle_deg = 63: above .* 58\.14 deg"
+        config.ConfigError,
+        match=r"start.tendon_angle_deg = 63: above .* 58\.14 deg",
     ):
-        kind(robot, scene, SETTINGS["servo"])
+        kind(robot, scene, read_servo())
 
 
 @pytest.mark.parametrize("halvings", [0, 6])
@@ -123,9 +116,7 @@ def test_a_start_beyond_the_tendons_is_refused_by_name(solver):
 def test_a_nan_in_the_state_raises_divergence_with_its_place(
     halvings, part, index, place
 ):
-    changes = {"start.settle": 0.0, "solver.halvings": halvings}
-    scene = config.replace(SETTINGS["scene"], changes)
-    sim = RodRobot(SETTINGS["robot"], scene, SETTINGS["servo"])
+    sim = simulator(servo={}, start__settle=0.0, solver__halvings=halvings)
     sim.advance(3, np.full(4, 1.0))
     getattr(sim.state, part)[index] = math.nan
     with pytest.raises(
@@ -137,15 +128,11 @@ def test_a_nan_in_the_state_raises_divergence_with_its_place(
 
 
 def test_a_node_beyond_the_speed_limit_raises_divergence_with_its_place():
-    changes = {
-        "start.settle": 0.0,
-        "start.height": 0.5,
-        "solver.speed_limit": 5.0,
-    }
-    sim = RodRobot(
-        SETTINGS["robot"],
-        config.replace(SETTINGS["scene"], changes),
-        SETTINGS["servo"],
+    sim = simulator(
+        servo={},
+        start__settle=0.0,
+        start__height=0.5,
+        solver__speed_limit=5.0,
     )
     sim.state.node_velocity[2, 21] = [0.0, 0.0, 40.0]
     with pytest.raises(

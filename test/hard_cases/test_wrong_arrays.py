@@ -68,8 +68,7 @@ def scene(**changes):
 def _legs():
     robot, springs = read_robot(), read_leg_springs(4.0)
     heights, still = np.full(4, 0.06), StaticLeg(robot, NODES)
-    table = np.ones((2, 3, 4))
-    grid = np.array([0.0, 1.0]), np.array([0.0, 0.1, 0.2]), table
+    grid = np.array([0.0, 1.0]), np.array([0.0, 0.1, 0.2]), np.ones((2, 3, 4))
     return {
         "LegSprings.at": Case(springs.at, (np.ones(4), heights), finite=False),
         "LegSprings.angle": Case(springs.angle, (np.ones(4), heights)),
@@ -106,9 +105,8 @@ def _robots():
     }
     for name, sim in (("RodRobot", rods), ("TabulatedRobot", tabulated)):
         cases[f"{name}.advance"] = Case(sim.advance, (1, np.full(4, 0.5)))
-        many = ManyRobots([sim, sim])
         cases[f"ManyRobots of {name}"] = Case(
-            many.advance, (np.full((2, 1, 4), 0.5), 1)
+            ManyRobots([sim, sim]).advance, (np.full((2, 1, 4), 0.5), 1)
         )
         cases[f"{name}.push"] = Case(sim.push, (vector, vector))
         cases[f"{name}.set_motion"] = Case(sim.set_motion, (vector, vector))
@@ -131,10 +129,11 @@ def _rods():
         rod.state = type(rod.state)(**dict(zip(names, parts)))
 
     def bent(curvature):
-        shape = Geometry(
-            0.2, Rectangle(0.02, (8e-3, 4e-3)), lambda s: curvature
+        CosseratRod(
+            material,
+            Geometry(0.2, Rectangle(0.02, (8e-3, 4e-3)), lambda s: curvature),
+            NODES,
         )
-        CosseratRod(material, shape, NODES)
 
     return {
         "CosseratRod.state": Case(set_state, tuple(vars(rod.state).values())),

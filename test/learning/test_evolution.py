@@ -23,8 +23,7 @@ SMALL = Evolution(
 
 
 def test_it_climbs_a_hill_from_its_antithetic_pairs():
-    count = shape_of(TASK).size
-    goal = np.random.default_rng(5).standard_normal(count)
+    goal = np.random.default_rng(5).standard_normal(shape_of(TASK).size)
 
     def hill(walks):
         return -((walks.parameters - goal) ** 2).mean(axis=1)

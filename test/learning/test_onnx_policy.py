@@ -56,8 +56,9 @@ def test_it_acts_as_the_network_that_was_learned(tmp_path):
 
 
 def test_tendon_actions_are_added_to_the_angles_of_every_stage(tmp_path, tick):
-    shape = NetworkShape(21, 4)
-    file, _ = network(tmp_path, shape, {GAIT: "walk", KIND: "tendons"})
+    file, _ = network(
+        tmp_path, NetworkShape(21, 4), {GAIT: "walk", KIND: "tendons"}
+    )
     policy = make_policy(f"onnx:{file}", read_robot())
     change = (
         policy.step(tick.estimate, tick.preview).angle

@@ -79,16 +79,9 @@ def test_derivatives_are_difference_quotients(angle_deg, height):
             [up.force - down.force, up.contact_x - down.contact_x]
         )
         count = 2 if height == 0.1 else 1
-        found = change[:count] / (2 * step)
-        assert slopes[:count] == pytest.approx(found, rel=1e-4)
-
-
-def test_material_and_contact_shift_oppositely_where_the_leg_rolls():
-    angle, step = np.radians(63.0), 1e-3
-    leg, here = pulled(61, angle, 0.03)
-    up, down = leg.solve(angle, 0.03 + step), leg.solve(angle, 0.03 - step)
-    assert (up.contact_x - down.contact_x) / (2 * step) > 0.2  # outward
-    assert here.foot_rise < -0.1  # the material on the floor moves inward
+        assert slopes[:count] == pytest.approx(
+            change[:count] / (2 * step), rel=1e-4
+        )
 
 
 def test_standing_robot_has_the_height_at_which_each_leg_carries_a_quarter():
@@ -164,8 +157,9 @@ def test_force_balance_leaves_the_coulomb_friction_of_the_sliding_foot(
     # the difference is the contact damping
     assert force == pytest.approx(normal.sum(), rel=0.01)
     # The foot slides at about 10 mm/s; the regularisation at 1 mm/s lowers mu N by 0.5 %.
-    expected = -friction * normal * np.sign(slip)
-    assert residual[touching, 0] == pytest.approx(expected[touching], rel=0.02)
+    assert residual[touching, 0] == pytest.approx(
+        (-friction * normal * np.sign(slip))[touching], rel=0.02
+    )
     # N, inertia and contact damping, where the forces are some newtons.
     assert np.abs(residual[~touching]).max() < 0.01
     assert np.abs(residual[:, 1]).max() < 0.02

@@ -3,22 +3,13 @@
 import numpy as np
 import pytest
 from leg_energy import chain_strains, elastic_energy
-from scipy.integrate import cumulative_simpson, simpson
 from scipy.spatial.transform import Rotation
 from test_leg_map import pulled
 
-from slot_core import config
-from slot_core.dynamics.rod import sections
 from slot_core.robot import read_robot
 from slot_lab.leg_tests.leg_map import StickingLeg, foot_stiffness
 
 ROBOT = read_robot()
-# Natural shapes: that of the robot, and parabolas that turn by 21 and 49 deg.
-SHAPES = (
-    (6.356, -1.810, 0.0, 0.02175),
-    (0.0, -1.0, 0.0, 0.0),
-    (0.0, -3.0, 0.0, 0.0),
-)
 
 
 class Standing:
@@ -96,73 +87,6 @@ def test_stiffness_is_that_of_an_independent_energy(angle_deg, height):
         found[:3, :3], expected[:3, :3], rtol=1e-4, atol=0.02
     )
     np.testing.assert_allclose(found[3:], expected[3:], rtol=1e-3, atol=2e-3)
-
-
-def unit_loads(leg, shape, nodes=4001):
-    """(3, 3) compliance of the tip over force y, moments x and z, by the unit-load integral."""
-    x = np.linspace(0.0, leg.reach, nodes)
-    slope = shape.deriv()(x)
-    arc = cumulative_simpson(np.hypot(1.0, slope), x=x, initial=0.0)
-    section = sections(leg, arc / arc[-1])
-    t = np.column_stack([np.ones(nodes), np.zeros(nodes), slope])
-    t /= np.linalg.norm(t, axis=1, keepdims=True)
-    across = np.cross(t, [0.0, 1.0, 0.0])
-    arm = np.column_stack([x[-1] - x, np.zeros(nodes), shape(x[-1]) - shape(x)])
-    moments = [np.cross(arm, [0.0, 1.0, 0.0]), [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    twist = [(m * t).sum(1) for m in moments]
-    bend = [(m * across).sum(1) for m in moments]
-    return np.array(
-        [
-            [
-                simpson(
-                    a * c / section.torsion + b * d / section.lateral, x=arc
-                )
-                for c, d in zip(twist, bend)
-            ]
-            for a, b in zip(twist, bend)
-        ]
-    )
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_stiffness_sideways_of_an_unloaded_leg_is_that_of_unit_loads(shape):
-    """Bending and twist of the natural curve, whose tip is held by the springs of its two edges."""
-    robot = config.replace(
-        ROBOT, {"leg.natural_shape": shape, "leg.density": 1.0}
-    )
-    floor = StickingLeg(robot, 121).model.floor
-    tip, edge = (
-        2 * floor.stiffness[-1],
-        2 * floor.stiffness[-1] * floor.half_width**2,
-    )
-    compliance = unit_loads(robot.leg, robot.leg.shape) + np.diag(
-        [1 / tip, 1 / edge, 1 / edge]
-    )
-    expected = np.linalg.inv(compliance)[0, 0]
-    coarse, fine = (  # N/m, of the natural leg above the floor
-        leg.stiffness(leg.model.rod.node, 0.0, 1.0)[1, 1]
-        for leg in (StickingLeg(robot, 61), StickingLeg(robot, 121))
-    )
-    # A chain has no hinge at its tip, so that moments of the edges bend it by some tenths of a
-    # segment too little: an error of first order, which the extrapolation removes.
-    assert coarse == pytest.approx(expected, rel=0.015)
-    assert 2 * fine - coarse == pytest.approx(expected, rel=3e-4)
-
-
-@pytest.mark.parametrize("angle_deg", [85.0, 95.0])
-def test_without_the_longitudinal_force_it_is_the_stiffness_on_a_floor_without_friction(
-    angle_deg,
-):
-    """Where one node touches, the stuck foot let go along the leg is the foot of the static leg."""
-    angle, height = np.radians(angle_deg), 0.1
-    here = pulled(61, angle, height)[1]
-    held = StickingLeg(ROBOT, 61).stiffness(here.node, angle, height)
-    assert np.count_nonzero(height + here.node[:, 1] < 0.0) == 1
-    # The static leg's last pseudo time step, 1000 s, leaves 8e-6 of damping.
-    assert held[2, 2] - held[0, 2] ** 2 / held[0, 0] == pytest.approx(
-        -here.stiffness, rel=3e-5
-    )
-    assert held[0, 2] / held[0, 0] == pytest.approx(here.foot_rise, rel=3e-5)
 
 
 def test_stiffness_over_a_foots_displacements_is_that_of_the_clamp_moved_about_it():

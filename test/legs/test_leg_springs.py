@@ -5,7 +5,6 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.leg_springs import (
@@ -73,8 +72,9 @@ def test_the_angle_of_a_force_is_the_least_one_that_gives_it(springs, table):
     height = rng.uniform(0.03, 0.075, 500)
     force = rng.uniform(2.0, ROBOT.weight / 4 * 1.05, 500)
     angle = springs.angle(force, height)
-    found = springs.at(angle, height).force
-    np.testing.assert_allclose(found, force, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(
+        springs.at(angle, height).force, force, rtol=0, atol=1e-9
+    )
     below = np.linspace(0.0, angle - 1e-6, 500)
     assert (springs.at(below, np.tile(height, (500, 1))).force < force).all()
     beyond = springs.angle(np.array([1e3, -1e3]), np.array([0.04, 0.04]))
@@ -87,7 +87,7 @@ def test_the_angle_of_a_force_is_the_least_one_that_gives_it(springs, table):
 def test_a_table_that_is_no_grid_is_rejected(tmp_path, monkeypatch, content):
     monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
     (tmp_path / "leg_map.csv").write_text(content)
-    with pytest.raises(ConfigError, match=r"^leg_map\.csv: "):
+    with pytest.raises(config.ConfigError, match=r"^leg_map\.csv: "):
         read_leg_springs(SLOPE_MIN)
 
 
@@ -117,8 +117,9 @@ def test_height_and_angles_at_rest_tell_the_stiffness_ratio(
     rods.advance(500, STANDING)
     pose = np.array([rods.position[2], *rods.rpy[:2]])
     ratio = modulus * ROBOT.mass / (ROBOT.mass + payload)
-    found = stiffness_ratio(ROBOT, springs, rods.tendon_angle, pose)
-    assert found == pytest.approx(ratio, rel=0.06)
+    assert stiffness_ratio(
+        ROBOT, springs, rods.tendon_angle, pose
+    ) == pytest.approx(ratio, rel=0.06)
     expected = rest_pose(ROBOT, springs, rods.tendon_angle, ratio)
     assert pose[0] == pytest.approx(expected[0], abs=2.5e-3)
     assert pose[1:] == pytest.approx(expected[1:], abs=np.radians(0.3))

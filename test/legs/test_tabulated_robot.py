@@ -10,7 +10,6 @@ from scipy.optimize import brentq, fixed_point
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.tabulated_kernels import YIELD
@@ -205,9 +204,8 @@ def test_soft_and_stiff_legs_are_stable_at_steps_of_5_ms(sideways, law):
     sim.legs.table[:, :, SPRINGS] = 10 * sideways, sideways, 0.0, sideways
     for command in (np.full(4, STANCE), np.radians([90.0, 30.0, 50.0, 75.0])):
         sim.advance(1000, command)
-        force = sideways * np.abs(sim.state.node[:, YIELD, 1])
         # A foot holds at most mu N, 4 N; this bounds the shift of a stiff leg to some nanometres.
-        assert force.max() < 4.0
+        assert (sideways * np.abs(sim.state.node[:, YIELD, 1])).max() < 4.0
         assert np.abs(sim.velocity).max() < 5e-3  # m/s: at rest after 5 s
 
 
@@ -350,7 +348,7 @@ def test_standing_and_stepping_agree_with_the_rods_within_a_millimetre_and_a_hal
 def test_scene_that_the_table_does_not_cover_is_refused_with_the_name_of_the_setting(
     changes, named
 ):
-    with pytest.raises(ConfigError, match=named):
+    with pytest.raises(config.ConfigError, match=named):
         simulator(**changes)
 
 

@@ -189,23 +189,10 @@ def test_an_ill_conditioned_problem_is_refused_by_its_condition_number():
     weights = SETTINGS.weights
     bound = np.linalg.cond(b.T @ np.diag(weights.q) @ b + np.diag(weights.r))
     new_mpc(horizon=1, acceptance__condition_max=bound * 1.001)
-    message = r"weights.force.*condition number .* exceeds"
-    with pytest.raises(config.ConfigError, match=message):
-        new_mpc(horizon=1, acceptance__condition_max=bound * 0.999)
-
-
-def test_a_failed_case_does_not_affect_the_next():
-    mpc, limit = new_mpc(), SETTINGS.acceptance.input_max
-    good = random_case(np.random.default_rng(10), H + 1)
-    expected = new_mpc().step(*good).force[0]
-    for p, rpy in (
-        ((0, 0, -1e3), (0, 0, 0)),
-        ((0, 0, limit), (limit, -limit, 0)),
+    with pytest.raises(
+        config.ConfigError, match=r"weights.force.*condition number .* exceeds"
     ):
-        mpc.step(torso(p=p, rpy=rpy), standing(H + 1))
-        result = mpc.step(*good)
-        assert result.status == Status.SOLVED
-        np.testing.assert_allclose(result.force[0], expected, rtol=0, atol=1e-3)
+        new_mpc(horizon=1, acceptance__condition_max=bound * 0.999)
 
 
 def test_infeasible_limits_and_a_nan_are_faults_of_their_cycle_alone():

@@ -20,17 +20,13 @@ def rig(simulate):
     return made
 
 
-def request_gait(rig, gait, v_x):
-    answer = rig.call(SetGait, "/set_gait", gait=gait, velocity=Vector3(x=v_x))
-    assert answer.success, answer.message
-    rig.wait_for(lambda: rig.last("/gait_preview").gait == gait)
-
-
 @pytest.mark.parametrize(("gait", "v_x"), [("stand", 0.0), ("walk", 0.02)])
 def test_what_was_requested_last_holds_after_a_hold(rig, gait, v_x):
     """A robot that was told to stand does not walk off; the velocity of the start is 0.05 m/s."""
     rig.walk_steadily()
-    request_gait(rig, gait, v_x)
+    answer = rig.call(SetGait, "/set_gait", gait=gait, velocity=Vector3(x=v_x))
+    assert answer.success, answer.message
+    rig.wait_for(lambda: rig.last("/gait_preview").gait == gait)
     begin = rig.pause("force_mapper")
     rig.run(STOPPED)
     rig.resume("force_mapper")

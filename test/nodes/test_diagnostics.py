@@ -109,8 +109,7 @@ def test_disturbances_are_in_plain_units_and_empty_where_they_are_unknown():
     )
     status = diagnostics.of_disturbances(plan, 2.0)
     assert status.message == "payload 0.3 kg, slip 50 mm/s"
-    values = {v.key: v.value for v in status.values}
-    assert values["slip_mm_s"] == "30, -40"
+    assert {v.key: v.value for v in status.values}["slip_mm_s"] == "30, -40"
     unknown = diagnostics.of_disturbances(TendonPlan(mass=math.nan), 2.0)
     assert {v.value for v in unknown.values} == {""}
 

@@ -67,9 +67,9 @@ def test_the_torque_service_switches_torque_off_after_a_ramp_and_on_again(
     assert reboot.message == "needs a configured driver, torque off"
     begin = rig.now()
     assert switch(rig, False) == (True, "slackening, then torque off")
-    off = rig.wait_for_torque_off(begin)
     assert (
-        off.reason == "torque off, after: torque switched off by the operator"
+        rig.wait_for_torque_off(begin).reason
+        == "torque off, after: torque switched off by the operator"
     )
     assert switch(rig, True) == (True, "torque on")
 

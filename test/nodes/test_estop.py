@@ -14,8 +14,6 @@ STEP = 0.021  # s, between two steps of the supervisor, with the latency of a me
 
 
 class Source:
-    """A source of the e-stop."""
-
     def __init__(self, rig, name):
         self._out = rig.publisher(EmergencyStop, "estop", qos.SENSOR)
         self._rig, self._message = rig, EmergencyStop(source=name)

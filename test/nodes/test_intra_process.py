@@ -4,7 +4,6 @@ import pytest
 from rclpy.qos import QoSProfile
 
 from slot_nodes.process import intra_process
-from slot_nodes.process.intra_process import DELIVERIES_MAX, Mailbox
 
 EVERY, NEWEST = QoSProfile(depth=50), QoSProfile(depth=1)
 
@@ -23,7 +22,7 @@ class Recorded:
 
 @pytest.fixture
 def mailbox():
-    return Mailbox()
+    return intra_process.Mailbox()
 
 
 @pytest.fixture
@@ -147,5 +146,6 @@ def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(
         mailbox.deliver()
     assert mailbox.waiting
     assert events == [
-        ("topic", number) for number in range(1, 3 * DELIVERIES_MAX + 2)
+        ("topic", number)
+        for number in range(1, 3 * intra_process.DELIVERIES_MAX + 2)
     ]

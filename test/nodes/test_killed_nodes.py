@@ -40,7 +40,6 @@ def seconds_to(rig, state, begin):
 
 
 def is_slack(rig):
-    """Whether the tendons are slack."""
     return max(rig.last("/joint_states").position) < 0.05
 
 

@@ -29,8 +29,7 @@ def test_states_equal_those_of_the_core_to_the_last_bit(rig):
     states = {decode.stamp(m): m for m in states}
     # /robot_state keeps one message: while DDS matches the listener, it may miss one of the first
     received = [item for item in reports if item[0] in states]
-    assert len(received) > 100
-    assert len(received) > len(reports) - 3
+    assert len(received) > max(100, len(reports) - 3)
     for stamp, report in received:
         assert states[stamp].state == report.state
         assert states[stamp].reason == report.reason

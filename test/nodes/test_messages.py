@@ -96,8 +96,7 @@ def test_state_and_its_transform():
         floor,
         np.array([0.5, -0.2, -9.7]),
     )
-    message = through_dds(messages.state_to_msg(estimate))
-    got = decode.estimate(message)
+    got = decode.estimate(through_dds(messages.state_to_msg(estimate)))
     assert (got.stamp, got.validity, got.lead) == (STAMP, 3, LEAD)
     assert (got.leg_stiffness, got.legs_are_known) == (0.8, False)
     assert got.message == "a line"
@@ -167,8 +166,9 @@ def test_the_mount_of_a_sensor_is_a_transform_from_base_link():
         "camera_link",
     )
     q = place.transform.rotation
-    expected = Rotation.from_euler("ZYX", [np.pi, 0.3, 0.0]).as_quat()
-    assert [q.x, q.y, q.z, q.w] == pytest.approx(expected)
+    assert [q.x, q.y, q.z, q.w] == pytest.approx(
+        Rotation.from_euler("ZYX", [np.pi, 0.3, 0.0]).as_quat()
+    )
     assert place.transform.translation.x == 0.1
 
 

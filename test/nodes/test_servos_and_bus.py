@@ -24,8 +24,7 @@ def rig(graph):
 
 
 def test_after_a_hardware_error_a_reset_is_refused_until_a_reboot(rig):
-    begin = rig.inject("overheating", "FR", value=90.0)
-    rig.wait_for_state(State.FAULT, begin)
+    rig.wait_for_state(State.FAULT, rig.inject("overheating", "FR", value=90.0))
     rig.inject("overheating", "FR", clear=True)
     # the error lasts until a reboot
     assert "overheating" in rig.request("reset")

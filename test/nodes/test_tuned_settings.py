@@ -102,6 +102,5 @@ def differences(rig, path):
                     topic, name, 1000 * number, serialize_message(message)
                 )
     compared = check_bag(Bag(path), TOLERANCE)
-    plans = next(c for c in compared if c.topic == "/tendon_plan")
-    assert plans.compared > 100
+    assert next(c for c in compared if c.topic == "/tendon_plan").compared > 100
     return {c.topic for c in compared if c.first is not None}

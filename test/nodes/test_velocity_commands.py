@@ -9,7 +9,7 @@ from slot_msgs.msg import GaitPreview
 from slot_nodes import qos
 
 PERIOD = 0.05  # s, of a controller of Nav2
-TELEOP = {"v_x": 0.5, "turn": 1.0}  # m/s, rad/s of its first key
+TELEOP = 0.5, 1.0  # m/s, rad/s of its first key
 KINDS = {True: TwistStamped, False: Twist}
 
 
@@ -22,23 +22,17 @@ def rig(request, simulate):
     made.close()
 
 
-def drive(rig, v_x, turn, seconds):
-    """Publish a velocity for a time; returns the previews of its end."""
-    message = KINDS[rig.stamped]()
-    twist = message.twist if rig.stamped else message
-    twist.linear.x, twist.angular.z = v_x, turn
-    out = rig.publisher(type(message), "cmd_vel", qos.SENSOR)
-    timer = rig.every(PERIOD, lambda: out.publish(message))
-    rig.run(seconds)
-    timer.cancel()
-    return rig.messages["/gait_preview"][-10:]
-
-
 def test_the_speed_of_a_keyboard_walks_the_robot_as_fast_as_it_can_on_that_curve(
     walking,
 ):
-    begin = walking.now()
-    for preview in drive(walking, **TELEOP, seconds=2.0):
+    begin, message = walking.now(), KINDS[walking.stamped]()
+    twist = message.twist if walking.stamped else message
+    twist.linear.x, twist.angular.z = TELEOP
+    out = walking.publisher(type(message), "cmd_vel", qos.SENSOR)
+    timer = walking.every(PERIOD, lambda: out.publish(message))
+    walking.run(2.0)
+    timer.cancel()
+    for preview in walking.messages["/gait_preview"][-10:]:
         v_x, v_y, turn = preview.velocity
         assert (v_y, turn) == pytest.approx((0.0, 2.0 * v_x))
         assert v_x == read_gaits().clipped("walk", [0.5, 0.0, 1.0])[0][0] > 0.01

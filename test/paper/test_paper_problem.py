@@ -15,7 +15,6 @@ from slot_core import config
 from slot_core.control.policy import Status
 from slot_core.robot import read_robot
 from slot_paper import perturbations
-from slot_paper.perturbations import CASES, TABLE, PerturbedRun
 from slot_paper.problem import PaperMpc, read_paper_mpc
 from slot_paper.tables import judge
 
@@ -218,10 +217,9 @@ def test_the_slacks_are_of_the_published_limits_also_of_forces_of_another_phase(
 
 def metrics(cost, height=0.04, tilt=0.0):
     time, still = np.arange(len(cost), dtype=float), np.ones(len(cost))
-    run = PerturbedRun(
+    return perturbations.PerturbedRun(
         time, np.array(cost), height * still, tilt * still, infeasible=2
-    )
-    return run.metrics()
+    ).metrics()
 
 
 def test_a_cost_settles_after_its_last_rise_if_it_is_small_at_the_end():
@@ -238,9 +236,13 @@ def test_a_cost_settles_after_its_last_rise_if_it_is_small_at_the_end():
 def test_the_published_problem_reaches_the_papers_maximum_costs(name):
     """Its peak is over after 5 s; 0.5 % covers the accuracy of SCS, the authors' solver."""
     settings = read_paper_mpc("paper_code")
-    run = perturbations.run_change(read_robot(), settings, CASES[name], 5.3)
+    run = perturbations.run_change(
+        read_robot(), settings, perturbations.CASES[name], 5.3
+    )
     assert run.infeasible == 0
-    assert run.cost.max() == pytest.approx(TABLE[name][0], rel=5e-3)
+    assert run.cost.max() == pytest.approx(
+        perturbations.TABLE[name][0], rel=5e-3
+    )
 
 
 @pytest.mark.parametrize(
@@ -273,5 +275,6 @@ def test_a_figure_is_judged_by_its_number(judged, paper, ours, verdict):
 def test_a_torso_off_its_height_or_tilted_has_not_settled(
     height, tilt, settled
 ):
-    found = metrics([0.0], height, tilt)["settling_s"]
-    assert found == pytest.approx(settled, nan_ok=True)
+    assert metrics([0.0], height, tilt)["settling_s"] == pytest.approx(
+        settled, nan_ok=True
+    )

@@ -75,40 +75,6 @@ def test_it_takes_a_pose_and_says_which_it_does_not(standing):
     assert "height" in standing.loop.refusal
 
 
-CHANGES = {
-    "payload": (
-        {"scene.payload.mass": 0.4},
-        lambda a, b: b.position[2] < a.position[2] - 0.001,
-    ),
-    "stiffness": (
-        {"robot.leg.young_modulus": 2.2e7},
-        lambda a, b: b.position[2] < a.position[2],
-    ),
-    "place": (
-        {"scene.payload.mass": 0.3, "scene.payload.place": [-0.05, 0.0, 0.03]},
-        lambda a, b: b.quaternion[1] < a.quaternion[1] - 0.002,
-    ),
-}
-
-
-def test_changes_act_on_the_robot_that_stands(standing):
-    standing.set_policy("gait_alone")  # which corrects nothing
-    for name, (change, shows) in CHANGES.items():
-        before = standing.truth.odometry
-        standing.change(change)
-        assert shows(before, run(standing, 1.0)), name
-
-
-def test_a_smooth_slope_lets_it_slide_and_a_rough_one_does_not(standing):
-    ways = []
-    for friction in (0.6, 0.02):
-        standing.change({"scene.floor.friction": [friction] * 4})
-        standing.set_slope(8.0)
-        before = standing.truth.odometry.position[0]
-        ways.append(run(standing, 1.0).position[0] - before)
-    assert ways[1] < -0.05 < 10 * ways[0]
-
-
 @pytest.mark.parametrize(
     "change",
     [

@@ -79,7 +79,6 @@ class Browser:
         return found["result"].get("value")
 
     def text(self):
-        """Text of the page."""
         return self.run("document.body ? document.body.innerText : ''")
 
     def click(self, script):

@@ -118,8 +118,9 @@ def test_in_an_emergency_stop_and_a_fault_standing_up_is_refused_or_ends(
     pass_through(graph, robot, State.IDLE, state, State.IDLE, State.READY)
     assert graph.names == ["supervisor/ready"]
     pass_through(graph, robot, state)
-    refused = f"STAND refused in {state.name}: reset first"
-    with pytest.raises(ConfigError, match=refused):
+    with pytest.raises(
+        ConfigError, match=f"STAND refused in {state.name}: reset first"
+    ):
         robot.stand_up()
     pass_through(graph, robot, state, State.IDLE, State.READY)
     assert graph.names == ["supervisor/ready"]

@@ -12,8 +12,9 @@ import time
 from pathlib import Path
 
 import pytest
+from rig import nodes_of
 
-from slot_bringup.graph import TIED, read_graph
+from slot_bringup.graph import TIED
 from slot_bringup.processes import command_line
 from slot_core.estimation.estimate import Validity
 from slot_lab.bags.bag import Bag
@@ -43,15 +44,9 @@ class Robot:
         )
         simulated = rig.specs["sim_robot"]
         renamed = {topic: f"simulated/{topic}" for topic in SENSORS}
-        graph = read_graph()
-        values = {a.name: a.default for a in graph.arguments}
-        values |= {
-            "hardware": "real",
-            "port": str(rig.bus),
-            "bag": str(rig.directory / "bag"),
-        }
+        values = {"port": str(rig.bus), "bag": str(rig.directory / "bag")}
         self.rig, self.bag = rig, Path(values["bag"])
-        rig.specs = {spec.name: spec for spec in graph.nodes(values)}
+        rig.specs = nodes_of(hardware="real", **values)
         self.graph = [*rig.specs]
         rig.specs["sim_robot"] = dataclasses.replace(
             simulated, remappings=renamed

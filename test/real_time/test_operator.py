@@ -15,8 +15,8 @@ import time
 from contextlib import contextmanager, suppress
 
 import pytest
+from rig import nodes_of
 
-from slot_bringup.graph import read_graph
 from slot_bringup.processes import Processes
 
 pytestmark = pytest.mark.real_time
@@ -28,14 +28,8 @@ CTRL_C = "\x03"
 @pytest.fixture(scope="module")
 def graph(environment, tmp_path_factory):
     """Graph of a simulated robot that moves only on requests."""
-    processes, described = (
-        Processes(tmp_path_factory.mktemp("log"), environment),
-        read_graph(),
-    )
-    values = {
-        argument.name: argument.default for argument in described.arguments
-    }
-    processes.start(described.nodes(values | {"attended": True}))
+    processes = Processes(tmp_path_factory.mktemp("log"), environment)
+    processes.start(nodes_of(attended=True).values())
     try:
         yield
         assert processes.failed() is None
@@ -159,8 +153,12 @@ def test_keys_start_a_walk_and_the_command_line_ends_it(environment):
         assert "relax requested by the operator" in live.wait_for("IDLE")[0]
 
 
-def state_after(environment, end):
-    """State after the end of the terminal in READY, and the reason why a reset is refused."""
+@pytest.mark.usefixtures("graph")
+@pytest.mark.parametrize("end", ["closed", "interrupted", "suspended"])
+def test_end_of_the_terminal_stops_the_robot_until_a_reset_at_another(
+    environment, end
+):
+    pattern = re.compile("^(ESTOP|FAULT).*$", re.M)
     with terminal(environment) as live:
         live.press_until("r", "READY")
         if end == "closed":
@@ -169,24 +167,15 @@ def state_after(environment, end):
             live.press(CTRL_C)
         else:
             live.process.send_signal(signal.SIGSTOP)
-        pattern = re.compile("^(ESTOP|FAULT).*$", re.M)
         while not (stopped := pattern.search(operate(environment, "state")[1])):
             pass
         code, _, refusal = operate(environment, "reset")
-        assert code == 1
         live.process.kill()
         live.process.wait(20)
-        return stopped[0], refusal
-
-
-@pytest.mark.usefixtures("graph")
-@pytest.mark.parametrize("end", ["closed", "interrupted", "suspended"])
-def test_end_of_the_terminal_stops_the_robot_until_a_reset_at_another(
-    environment, end
-):
-    output, refusal = state_after(environment, end)
+    assert code == 1
     assert re.match(
-        r"ESTOP for .*: e-stop source \S+ silent for .* s, limit 2 s", output
+        r"ESTOP for .*: e-stop source \S+ silent for .* s, limit 2 s",
+        stopped[0],
     )
     assert re.match(
         "scripts/operate: RESET refused in ESTOP: e-stop source .* silent",

@@ -69,8 +69,9 @@ def test_differences_of_two_synthetic_walks_are_those_of_their_speeds(walks):
     ],
 )
 def test_figures_beyond_their_tolerance_are_named(walks, tolerances, beyond):
-    lines = exceeded(pairs_of(walks), tolerances)
-    assert lines == [f"beyond the tolerance: {line}" for line in beyond]
+    assert exceeded(pairs_of(walks), tolerances) == [
+        f"beyond the tolerance: {line}" for line in beyond
+    ]
 
 
 def test_a_figure_of_one_bag_only_exceeds_every_tolerance(walks, tmp_path):

@@ -7,7 +7,6 @@ from synthetic_walk import WALL, message, write_messages, write_old
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.topics import PLANS
 from slot_lab.report import constraint_map
-from slot_lab.report.constraint_map import map_figure, read_map
 from slot_lab.report.map_command import main
 
 
@@ -45,7 +44,7 @@ def slipping(tmp_path):
 
 
 def test_every_constraint_has_a_row_of_slack(slipping):
-    found = read_map(Bag(slipping))
+    found = constraint_map.read_map(Bag(slipping))
     assert len(found.constraints) == 4 * 5 + 2
     slack = dict(zip(found.constraints, found.slack))
     assert slack["RL friction"][20:23] == pytest.approx(
@@ -61,15 +60,17 @@ def test_a_single_violated_cycle_shows_in_a_long_walk(tmp_path, monkeypatch):
     """Cycles that share a column of the plot show the least slack among them."""
     monkeypatch.setattr(constraint_map, "CAPACITY", 10)
     cycles = [cycle(friction=-0.5 if k == 33 else 1.0) for k in range(95)]
-    found = read_map(Bag(write_cycles(tmp_path / "long", cycles)))
-    shown = map_figure(found).axes[0].collections[0].get_array()
+    found = constraint_map.read_map(
+        Bag(write_cycles(tmp_path / "long", cycles))
+    )
+    shown = constraint_map.map_figure(found).axes[0].collections[0].get_array()
     assert shown.shape == (21, 10)
     assert (shown < 0).sum() == 1
 
 
 def test_fields_missing_from_older_messages_are_listed_and_left_out(tmp_path):
     plan = message(PLANS, 1.0, **cycle())
-    found = read_map(
+    found = constraint_map.read_map(
         Bag(write_old(tmp_path / "older", PLANS, plan, "slack_balance"))
     )
     assert "slack_balance" in found.missing

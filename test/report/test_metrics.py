@@ -150,13 +150,12 @@ def test_events_in_the_warm_up_are_left_out(metrics_of, warm_up, counted):
         TIMING, unanswered=(3,), late=(5,), fallback=(6,), rejected=(7,)
     )
     m = metrics_of(walk, warm_up)
-    found = (
+    assert counted == (
         m.deadline_misses,
         m.unanswered,
         m.fallback_cycles,
         m.unusable_states,
     )
-    assert found == counted
 
 
 def test_real_time_factor_is_graph_time_over_wall_time(metrics_of):
@@ -181,8 +180,9 @@ def test_load_is_the_mean_torque_over_the_stall_torque_at_the_supply_voltage(
     stall *= SERVO.servo_per_tendon  # N m on the tendon angle
     # Torques are 0.5 N m, of the third leg 2 N m from t = 2 s on.
     third = (0.5 * (SAMPLES - OVER) + 2.0 * OVER) / SAMPLES
-    expected = np.array([0.5, 0.5, third, 0.5]) / stall
-    assert m.servo_load == pytest.approx(expected, rel=1e-12)
+    assert m.servo_load == pytest.approx(
+        np.array([0.5, 0.5, third, 0.5]) / stall, rel=1e-12
+    )
     assert m.supply_voltage == pytest.approx(voltage, rel=1e-12, nan_ok=True)
 
 
@@ -201,8 +201,7 @@ def test_without_ground_truth_the_state_estimate_is_the_stated_source(
 
 def test_stride_mean_of_a_speed_with_ripple_is_the_speed():
     t = np.arange(0.0, 5.0, 1e-3)
-    speed = 0.05 + 0.2 * np.sin(2 * np.pi * t / STRIDE)
-    mean = stride_mean(t, speed, STRIDE)
+    mean = stride_mean(t, 0.05 + 0.2 * np.sin(2 * np.pi * t / STRIDE), STRIDE)
     inside = (t >= STRIDE / 2) & (t <= t[-1] - STRIDE / 2)
     assert np.array_equal(np.isfinite(mean), inside)
     # trapezoids of 1 ms: error (2 pi h / T)^2 / 12 of the ripple, below 1.3e-6

@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,7 +30,6 @@ from slot_lab.report.run_page.run_page import (
     write_page,
 )
 
-ROOT = Path(__file__).parents[2]
 WALK = Walk(duration=1.0, roll=0.1, bounce=0.004, speed=0.2)
 # a name of three.js, which is not loaded
 XHTML = b"http://www.w3.org/1999/xhtml"
@@ -53,22 +51,16 @@ def inside(text, name):
     return re.search(rf'id="{name}"[^>]*>(.*?)</', text, re.DOTALL)[1]
 
 
-def unpacked(text, count, width):
-    """Integers (count, width) as the page decodes them, but for those along the legs."""
-    planes = np.frombuffer(
-        zlib.decompress(base64.b64decode(text)), np.uint8
-    ).reshape(4, -1)
-    signed = (
-        np.ascontiguousarray(planes.T).view("<u4")[:, 0].reshape(width, count).T
-    )
-    change = (signed >> 1).astype(np.int64) ^ -(signed & 1).astype(np.int64)
-    return change.cumsum(axis=0).astype(np.int32)
-
-
 def decoded(run):
     """Columns of a run by name, from what the page holds."""
     width = sum(count for _, count, _ in run["columns"])
-    table, found, at = unpacked(run["data"], run["frames"], width), {}, 0
+    planes = np.frombuffer(
+        zlib.decompress(base64.b64decode(run["data"])), np.uint8
+    ).reshape(4, -1)
+    signed = np.ascontiguousarray(planes.T).view("<u4")[:, 0]
+    signed = signed.reshape(width, run["frames"]).T
+    change = (signed >> 1).astype(np.int64) ^ -(signed & 1).astype(np.int64)
+    table, found, at = change.cumsum(axis=0).astype(np.int32), {}, 0
     for name, count, step in run["columns"]:
         integers, at = table[:, at : at + count], at + count
         if name in ALONG:
@@ -182,10 +174,9 @@ def browsed(path, place, tmp_path):
         "--dump-dom",
         f"file://{path}#{place}",
     ]
-    run = subprocess.run(
+    return subprocess.run(
         command, capture_output=True, text=True, timeout=300, check=True
-    )
-    return run.stdout
+    ).stdout
 
 
 @pytest.mark.skipif(

@@ -118,15 +118,13 @@ class Independent:
 
         def strains(x):
             shift = np.vstack([np.zeros(3), x[:9].reshape(3, 3)])
-            clamp = Rotation.identity()
-            return chain_strains(self.rod, clamp, r, d, r + shift, x[9:])[
-                0
-            ].ravel()
+            return chain_strains(
+                self.rod, Rotation.identity(), r, d, r + shift, x[9:]
+            )[0].ravel()
 
         here = strains(np.zeros(12))
         b = np.array([strains(1e-7 * e) - here for e in np.eye(12)]).T / 1e-7
-        stress = self.stiffness * (here + self.beta * b @ y[18:])
-        force = -b.T @ stress
+        force = -b.T @ (self.stiffness * (here + self.beta * b @ y[18:]))
         force[6:9] += load
         # The spin's angular momentum turns with the segment: a moment on it, carried by its nodes.
         length = np.linalg.norm(np.diff(r, axis=0), axis=1)[:, None]

@@ -8,7 +8,6 @@ from rods import OBLONG, UNIT, slender
 from scipy.linalg import eig
 
 from benchmarks.rod import exact
-from benchmarks.rod.exact import LEG, THIN_MATERIAL, TPU
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import FREE, Geometry, Loads, Rectangle, Uniform
 from slot_core.rod.statics import free_unknowns
@@ -32,26 +31,28 @@ RODS = {
     "uniform, sideways": (uniform(1e4), math.sqrt(2.0) * UNIFORM, 16, BENDING),
     "uniform, twist": (uniform(0.8), QUARTER_WAVES, 90, [2e-4, 2e-3, 5e-3]),
     "tapered": (
-        CosseratRod(THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (1e-3, 5e-4)))),
+        CosseratRod(
+            exact.THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (1e-3, 5e-4)))
+        ),
         TAPERED,
         16,
         BENDING,
     ),
     "leg": (
-        CosseratRod(TPU, LEG),
+        CosseratRod(exact.TPU, exact.LEG),
         exact.FREQUENCIES["leg"],
         16,
         [2e-6, 3e-5, 2e-4],
     ),
     "leg, sideways": (
-        CosseratRod(TPU, LEG),
-        exact.sideways(TPU, LEG, 3),
+        CosseratRod(exact.TPU, exact.LEG),
+        exact.sideways(exact.TPU, exact.LEG, 3),
         16,
         [2e-6, 3e-5, 2e-4],
     ),
     "leg, twist": (
-        CosseratRod(TPU, LEG, 61),
-        exact.twisting(TPU, LEG, 2),
+        CosseratRod(exact.TPU, exact.LEG, 61),
+        exact.twisting(exact.TPU, exact.LEG, 2),
         40,
         [2e-4, 6e-4],
     ),

@@ -15,8 +15,7 @@ STANDING = np.array([0.02, -0.01, 0.4, 0.1, -0.2, 0.055, 0, 0, 0, 0, 0, 0])
 
 def plans(count, seed=0):
     """Angles (count, STAGES + 1, 4) that wander about those of a standing robot."""
-    rng = np.random.default_rng(seed)
-    steps = rng.normal(0.0, 0.1, (count, STAGES + 1, 4))
+    steps = np.random.default_rng(seed).normal(0.0, 0.1, (count, STAGES + 1, 4))
     return np.clip(1.3 + np.cumsum(steps, axis=1), 0.0, ROBOT.tendon.angle_max)
 
 

@@ -16,24 +16,6 @@ def problem():
     return PlanProblem(SETTINGS, ANGLE_MAX, DT)
 
 
-def case(seed, size):
-    """Errors (6 K,), slopes (20, 6 K), deviations and angles (K + 1, 4), random."""
-    rng = np.random.default_rng(seed)
-    nominal = np.clip(
-        1.3 + np.cumsum(rng.normal(0, 0.2, (K + 1, 4)), axis=0), 0.2, 1.9
-    )
-    deviation = np.clip(
-        np.cumsum(rng.normal(0, 0.05, (K + 1, 4)), axis=0), -0.4, 0.4
-    )
-    deviation = np.clip(nominal + deviation, 0.2, 2.0) - nominal
-    return (
-        size * rng.normal(size=6 * K),
-        rng.normal(size=(20, 6 * K)),
-        deviation,
-        nominal,
-    )
-
-
 def reference_change(problem, error, slopes, deviation, nominal):
     """The step from its statement in `problem.py`, by another solver."""
     limits, cost = SETTINGS.limits, SETTINGS.cost
@@ -66,7 +48,15 @@ def reference_change(problem, error, slopes, deviation, nominal):
 @pytest.mark.parametrize("size", [0.1, 3.0, 30.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_the_step_is_the_minimum_within_its_limits(problem, seed, size):
-    error, slopes, deviation, nominal = case(seed, size)
+    rng = np.random.default_rng(seed)
+    nominal = np.clip(
+        1.3 + np.cumsum(rng.normal(0, 0.2, (K + 1, 4)), axis=0), 0.2, 1.9
+    )
+    deviation = np.clip(
+        np.cumsum(rng.normal(0, 0.05, (K + 1, 4)), axis=0), -0.4, 0.4
+    )
+    deviation = np.clip(nominal + deviation, 0.2, 2.0) - nominal
+    error, slopes = size * rng.normal(size=6 * K), rng.normal(size=(20, 6 * K))
     found = problem.change(
         error, problem.linearised(slopes), deviation, nominal
     )
@@ -82,8 +72,9 @@ def test_the_errors_are_scaled_and_turned_into_the_heading(problem):
     # y, heading to the left
     pose[0, -1, [0, 2, 4]] = cost.tilt, 2 * np.pi + cost.yaw, cost.place
     error = problem.errors(pose, reference, np.pi / 2)[0].reshape(K, 6)
-    expected = np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0]) / np.sqrt(K)
-    assert error[-1] == pytest.approx(expected, abs=1e-9)
+    assert error[-1] == pytest.approx(
+        np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0]) / np.sqrt(K), abs=1e-9
+    )
     assert not error[:-1].any()
 
 

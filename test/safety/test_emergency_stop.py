@@ -69,8 +69,9 @@ def test_without_torque_a_loss_refuses_ready_until_a_reset_accepts_it():
     bench = two_sources(State.IDLE)
     bench.sources.pop("button")
     bench.run(2 * LIMIT)
-    reason = "READY refused in IDLE: e-stop source button silent for "
-    assert refused(bench, Request.READY).startswith(reason)
+    assert refused(bench, Request.READY).startswith(
+        "READY refused in IDLE: e-stop source button silent for "
+    )
     bench.request(Request.RESET, Request.READY)
 
 

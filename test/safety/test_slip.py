@@ -24,8 +24,8 @@ def test_a_walk_across_a_slope_says_that_it_slides(
     """Limits 15 and 50 mm/s; slides 2, 28, and more than 70 mm/s aside over 5 s."""
     slope = math.radians(across_deg)
     down = (0.0, -GRAVITY * math.sin(slope), -GRAVITY * math.cos(slope))
-    changes = {"scene.gravity": down}
-    loop = SupervisedLoop("flat", "walk", None, seed, changes=changes)
-    *_, report = loop.run(7.0)
+    *_, report = SupervisedLoop(
+        "flat", "walk", None, seed, changes={"scene.gravity": down}
+    ).run(7.0)
     assert report.state is ends
     assert [w[:6] for w in report.warnings] == [line] * bool(line)

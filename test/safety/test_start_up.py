@@ -23,8 +23,9 @@ def test_start_up_repeats_a_refused_request_and_returns_the_reason():
     bench.silent.add("servos")
     bench.run(0.6)
     assert run(bench, start_up, 1.0) is State.IDLE
-    reason = start_up.request_next(bench.supervisor, bench.now)
-    assert "READY refused in IDLE: servo FL silent" in reason
+    assert "READY refused in IDLE: servo FL silent" in start_up.request_next(
+        bench.supervisor, bench.now
+    )
     bench.silent.clear()
     assert run(bench, start_up, 0.5) is State.READY
 

@@ -181,17 +181,23 @@ def test_a_missing_imu_is_warned_of_until_it_is_back_and_the_robot_walks_on(
     assert walking.run(2 * CYCLE).warnings == ()
 
 
+def swing(bench):
+    """Command a stride for the window in which motion has to be seen."""
+    for _ in range(round(SETTINGS.motion.window / CYCLE)):
+        phase = 2 * np.pi * bench.now * 1e-9 / STRIDE
+        bench.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
+        bench.run(CYCLE)
+
+
 def test_commands_that_swing_without_motion_end_in_hold_until_the_next_ready(
     walking,
 ):
-    for _ in range(round(SETTINGS.motion.window / CYCLE)):
-        phase = 2 * np.pi * walking.now * 1e-9 / STRIDE
-        walking.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
-        walking.run(CYCLE)
+    swing(walking)
     assert walking.reports[-1].state is State.HOLD
     assert walking.reports[-1].reason.startswith("no motion seen: torso ")
-    refused = walking.supervisor.request(walking.now, Request.WALK)
-    assert refused.startswith("WALK refused in HOLD: it ends")
+    assert walking.supervisor.request(walking.now, Request.WALK).startswith(
+        "WALK refused in HOLD: it ends"
+    )
     assert walking.time_until(State.RELAX, TIMING.hold_max + 1.0) < math.inf
 
 
@@ -214,10 +220,7 @@ def test_what_is_not_known_is_not_watched_and_that_is_said(
     bench = bench_in(
         State.WALKING, deviation=deviation, settings={"bench": hangs}
     )
-    for _ in range(round(SETTINGS.motion.window / CYCLE)):
-        phase = 2 * np.pi * bench.now * 1e-9 / STRIDE
-        bench.command = np.full(4, 1.0 + 0.5 * np.sin(phase))
-        bench.run(CYCLE)
+    swing(bench)
     assert bench.reports[-1].state is State.WALKING
     assert bench.reports[-1].warnings == said
     bench.state = state(0.8)
@@ -346,10 +349,10 @@ def test_inputs_stamped_by_another_clock_are_rejected_and_reported_once(
         older = now - 50_000_000
         assert "not newer" in s.receive_command(now, older, np.full(4, 1.9))
     elif source == "estimate":
-        fallen = Estimate(
-            wall, state(roll=1.0), np.zeros((12, 12)), Validity.VALID
+        s.receive_estimate(
+            now,
+            Estimate(wall, state(roll=1.0), np.zeros((12, 12)), Validity.VALID),
         )
-        s.receive_estimate(now, fallen)
     else:
         s.receive_joints(now, wall, walking.angle, np.zeros(4))
         s.receive_health(now, wall, walking.servo_health(**OVERLOAD))

@@ -104,9 +104,8 @@ def test_in_a_stride_a_hold_moves_all_legs_slowly_to_the_angle_of_standing(
     before = bench.goals.angle
     assert bench.run(0.2, walks=True, **held) is Action.HOLD
     moved = LIMITS.gate.approach_rate * 0.2
-    left = LIMITS.standing_angle - before
     assert bench.goals.angle - before == pytest.approx(
-        np.clip(left, -moved, moved)
+        np.clip(LIMITS.standing_angle - before, -moved, moved)
     )
 
 

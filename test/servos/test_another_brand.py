@@ -27,8 +27,9 @@ def test_the_robot_stands_on_servos_of_another_brand(own_config, monkeypatch):
 
 
 def test_the_driver_node_drives_servos_of_another_brand(tmp_path, monkeypatch):
-    changes = {"servo_bus": {"brand": "ideal"}}
-    rig = SimulatedRig(tmp_path, changes, only=[], hardware="real")
+    rig = SimulatedRig(
+        tmp_path, {"servo_bus": {"brand": "ideal"}}, only=[], hardware="real"
+    )
     servos = IdealServos()
     brand = make_brand(servos, rig.seconds)
     monkeypatch.setitem(registry.BRANDS, "ideal", lambda: brand)

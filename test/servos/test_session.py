@@ -44,8 +44,9 @@ class SessionRig:
 
     def fresh(self):
         """A session on the bus that nobody has told anything yet."""
-        limit = read_robot().tendon.angle_max
-        return ServoSession(self.bus, limit, PERIOD, self.sleep)
+        return ServoSession(
+            self.bus, read_robot().tendon.angle_max, PERIOD, self.sleep
+        )
 
     @property
     def now(self):
@@ -148,15 +149,6 @@ def test_commands_reach_the_servos_and_their_stamp_is_recorded_once(rig):
         rig.session.start()
 
 
-def test_a_hold_in_a_stride_moves_the_servos_to_the_angle_of_standing(rig):
-    rig.walks = True
-    rig.run(0.5, SLIGHTLY)
-    rig.run(1.0, SLIGHTLY, Action.HOLD)
-    standing = np.full(4, read_supervisor().servo_limits.standing_angle)
-    assert rig.bus.goals() == pytest.approx(standing)
-    assert rig.servos.angles() == pytest.approx(standing, abs=0.02)
-
-
 def test_permission_off_switches_torque_off_before_the_next_cycle(rig):
     rig.run(0.2, SLIGHTLY)
     rig.permit(Action.OFF, "e-stop pressed")
@@ -195,8 +187,9 @@ def test_a_silent_servo_has_no_joint_reading_and_relaxes_all_after_its_limit(
     rig,
 ):
     rig.run(0.2, SLIGHTLY)
-    reading = rig.cycle.joints(7, np.full(4, 1.4))
-    assert reading.angle == pytest.approx(rig.servos.angles(), abs=0.02)
+    assert rig.cycle.joints(7, np.full(4, 1.4)).angle == pytest.approx(
+        rig.servos.angles(), abs=0.02
+    )
     rig.inject("silent", "RR")
     (action, when), *_ = rig.run(TIMING.servo_silent + 0.1, SLIGHTLY)
     assert rig.cycle.joints(8, np.full(4, 1.4)) is None

@@ -1,16 +1,13 @@
 """Clocks of the simulated robot: on answers, in real time, and waiting for a late driver."""
 
-import numpy as np
 import pytest
+import rod_robots
 
 from slot_core import config
 from slot_core.clock import LOCKSTEP_START, SECOND
 from slot_core.dynamics.scene import read_scene
-from slot_core.dynamics.servo import read_servo
-from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.supervisor import PERIOD as SUPERVISOR
-from slot_core.servos.registry import read_brand
 from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.clocks import (
     PATIENCE,
@@ -19,7 +16,6 @@ from slot_core.simulation.clocks import (
     LockstepClock,
     RealTimeClock,
 )
-from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.readings import (
     ImuReading,
     OdometryReading,
@@ -38,9 +34,7 @@ NOW = 7 * SECOND  # ns
 
 @pytest.fixture
 def plant():
-    return RobotSimulator(
-        read_robot(), SCENE, read_servo(), np.random.default_rng(0)
-    )
+    return rod_robots.plant(SCENE)
 
 
 @pytest.mark.parametrize("period", [0.033, 0.2])
@@ -49,9 +43,7 @@ def test_lockstep_advances_from_one_reading_to_the_next_on_its_answer_alone(
 ):
     """Whatever the period of the odometry."""
     scene = config.replace(SCENE, {"sensors.odometry.period": period})
-    plant = RobotSimulator(
-        read_robot(), scene, read_servo(), np.random.default_rng(0)
-    )
+    plant = rod_robots.plant(scene)
     servos = DirectServos(plant, lockstep=True)
     servos.watchdog.set_limits(read_supervisor().servo_limits)
     clock = LockstepClock(plant, servos, TICK)
@@ -70,8 +62,7 @@ def test_lockstep_advances_from_one_reading_to_the_next_on_its_answer_alone(
             kind, stamp = Answer.STATE, reading.stamp
         else:
             assert isinstance(reading, ImuReading)
-            ticks = len(found(answered, kind)) + 1
-            stamp = LOCKSTEP_START + ticks * PERIOD
+            stamp = LOCKSTEP_START + (len(found(answered, kind)) + 1) * PERIOD
             assert 0 <= reading.stamp - stamp < IMU
         answered.append((kind, stamp - LOCKSTEP_START))
     times = found(answered, Answer.COMMAND)
@@ -102,10 +93,7 @@ class LateDriver:
     """A driver with a bus cycle every 10 ms of real time, and a robot whose clock follows it."""
 
     def __init__(self):
-        rng = np.random.default_rng(0)
-        self.plant = RobotSimulator(
-            read_robot(), SCENE, read_servo(), rng, read_brand().emulate
-        )
+        self.plant = rod_robots.plant(SCENE, bus=True)
         self.now = NOW
         self.driver = self.plant.emulated.connect(lambda: self.now / SECOND)
         self.driver.configure()

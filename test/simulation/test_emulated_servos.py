@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+import rod_robots
 
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
@@ -13,9 +14,8 @@ from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import PWM_FULL, RAD_PER_COUNT
 from slot_core.robot import LEGS, read_robot
-from slot_core.servos.registry import read_brand
 from slot_core.servos.session import ServoSession
-from slot_core.simulation.plant import RobotSimulator, ideal_servo
+from slot_core.simulation.plant import ideal_servo
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 ROBOT = read_robot()
@@ -23,10 +23,7 @@ SETTLED = 150  # reports of the supervisor, 3 s: the robot walks at its speed
 
 
 def make(scene="flat"):
-    rng = np.random.default_rng(1)
-    return RobotSimulator(
-        ROBOT, read_scene(scene), read_servo(), rng, read_brand().emulate
-    )
+    return rod_robots.plant(read_scene(scene), seed=1, bus=True)
 
 
 @pytest.fixture

@@ -34,8 +34,7 @@ def robots(level):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_each_robot_moves_to_the_last_bit_as_it_does_alone(level, threads):
     alone, together = robots(level), ManyRobots(robots(level), threads)
-    motion = together.advance(GOALS, 10)
-    for row, one, goals in zip(motion, alone, GOALS):
+    for row, one, goals in zip(together.advance(GOALS, 10), alone, GOALS):
         for goal in goals:
             one.advance(10, goal)
         turning = one.rotation @ one.angular_velocity

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
+from rod_robots import plant
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.robot import read_robot
 from slot_core.safety.states import State
-from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.supervised_loop import SupervisedLoop
 
 START, MILLISECOND = 7_000_000_000, 1_000_000  # ns
@@ -25,8 +23,7 @@ SECOND = {
 
 def make(name="flat", servo=None, **changes):
     scene = config.replace(read_scene(name), {"start.settle": 0.3} | changes)
-    rng = np.random.default_rng(0)
-    return RobotSimulator(read_robot(), scene, servo or read_servo(), rng)
+    return plant(scene, servo)
 
 
 @pytest.mark.parametrize("shift", [0.0, 4e-4])
@@ -95,5 +92,5 @@ UNSUPPORTED = "legs of the model 'paper' do not support pushes"
 def test_a_restless_robot_and_a_push_that_its_legs_do_not_support_are_refused(
     scene, changes, message
 ):
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         make(scene, **changes)

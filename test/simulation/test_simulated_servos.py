@@ -5,26 +5,23 @@ import sys
 
 import numpy as np
 import pytest
+import rod_robots
 
 from slot_core import config
 from slot_core.clock import SECOND
-from slot_core.config import ConfigError
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.table import Mode
-from slot_core.robot import LEGS, read_robot
+from slot_core.robot import LEGS
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import Action
 from slot_core.safety.watchdog import NO_LIMITS, Permission
-from slot_core.servos.registry import read_brand
-from slot_core.simulation.plant import RobotSimulator
 from slot_core.simulation.simulated_servos import (
     CLOSE_TIMEOUT,
     BusServos,
     DirectServos,
 )
 
-ROBOT = read_robot()
 SCENE = config.replace(read_scene("map"), {"start.settle": 0.5})
 LIMITS = read_supervisor().servo_limits
 TICK = 10_000_000  # ns, a whole number of time steps
@@ -36,9 +33,7 @@ COMMAND = np.array([1.3, 1.0, 0.9, 1.2])  # rad, within 0.3 rad of the start
 @pytest.fixture
 def direct():
     """Direct servos of a running robot, without limits."""
-    servos = DirectServos(
-        RobotSimulator(ROBOT, SCENE, SERVO, np.random.default_rng(0))
-    )
+    servos = DirectServos(rod_robots.plant(SCENE, SERVO))
     servos._plant.start(SECOND)
     return servos
 
@@ -103,10 +98,7 @@ def test_tendons_unwind_without_torque_which_comes_back_at_the_angles_of_the_spo
 def bus(tmp_path):
     """Bus servos at a pseudo-terminal, with their simulated robot."""
     interval = sys.getswitchinterval()
-    rng = np.random.default_rng(0)
-    plant = RobotSimulator(
-        ROBOT, SCENE, read_servo(), rng, read_brand().emulate
-    )
+    plant = rod_robots.plant(SCENE, bus=True)
     servos = BusServos(plant, link=tmp_path / "servos")
     yield servos, plant
     servos.close(running=False)
@@ -165,7 +157,7 @@ def test_bus_servos_replace_the_link_of_a_pseudo_terminal_but_no_file(
 ):
     file, link, ends = tmp_path / "file", tmp_path / "old", os.openpty()
     file.touch()
-    with pytest.raises(ConfigError, match="file: exists already"):
+    with pytest.raises(config.ConfigError, match="file: exists already"):
         BusServos(bus[1], link=file)
     link.symlink_to(os.ttyname(ends[1]))
     servos = BusServos(bus[1], link=link)

@@ -70,8 +70,9 @@ def test_an_imu_in_g_is_named_and_the_robot_does_not_stand():
     )
     *_, last = loop.run(3.0)
     assert last.state is State.READY
-    said = loop.seen[-1].message
-    assert re.match(r"imu: specific force [01]\.\d m/s2 of a robot", said)
+    assert re.match(
+        r"imu: specific force [01]\.\d m/s2 of a robot", loop.seen[-1].message
+    )
 
 
 def test_without_an_imu_it_walks_on_ticks_of_the_joints():
@@ -86,8 +87,7 @@ def test_without_an_imu_it_walks_on_ticks_of_the_joints():
 
 def test_it_turns_and_the_gyro_counts_the_turn():
     loop = UnaidedLoop("walk", np.array([0.0, 0.0, 0.1]))
-    for _ in loop.run(8.0):
-        pass
+    list(loop.run(8.0))
     assert loop.true[-1][2] > 0.3
     # measured: 0.06 of 0.83 rad
     assert abs(loop.errors(1)[0, 2]) < 0.1
@@ -97,11 +97,9 @@ def test_it_turns_and_the_gyro_counts_the_turn():
 def test_it_poses(changes):
     """Feet that stick let the gait alone reach 42 mm and a quarter of the roll."""
     loop = UnaidedLoop("stand", **changes)
-    for _ in loop.run(3.0):
-        pass
+    list(loop.run(3.0))
     loop.loop.controller.scheduler.set_pose(np.array([0.045, 0.05, 0.0]))
-    for _ in loop.run(3.0):
-        pass
+    list(loop.run(3.0))
     assert loop.report.state is State.STANDING
     roll, _, _, _, _, height = loop.true[-1]
     assert height == pytest.approx(0.045, abs=4e-3)

@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
-from slot_core.config import ConfigError
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import read_parameters, read_robot
 from slot_lab.bags.recorded_walk import TendonAngles, TorsoTrack
@@ -124,7 +123,7 @@ def test_a_csv_file_is_the_walk_that_it_holds_and_is_compared(
     assert found.angles.angle == pytest.approx(recorded.angles.angle)
     assert found.motion.pose == pytest.approx(recorded.motion.pose)
     with pytest.raises(
-        ConfigError, match="--namespace and --motion are of bags"
+        config.ConfigError, match="--namespace and --motion are of bags"
     ):
         read_recorded(walk, motion="/odom")
     out = ["--out", str(tmp_path / "out")]
@@ -166,7 +165,7 @@ def test_a_csv_file_is_the_walk_that_it_holds_and_is_compared(
 )
 def test_a_csv_file_that_holds_no_walk_is_refused(tmp_path, lines, reason):
     (tmp_path / "walk.csv").write_text("\n".join(lines) + "\n")
-    with pytest.raises((TableError, ConfigError)) as refusal:
+    with pytest.raises((TableError, config.ConfigError)) as refusal:
         read_recorded(tmp_path / "walk.csv")
     assert reason in str(refusal.value)
 
@@ -208,12 +207,12 @@ def test_angles_that_are_no_walk_and_fits_that_it_cannot_tell_are_refused(
         recorded, angles=TendonAngles(MEASURED, angles.t, rising)
     )
     with pytest.raises(
-        ConfigError, match="not periodic; name a length with --period"
+        config.ConfigError, match="not periodic; name a length with --period"
     ):
         angle_period(odd)
     degrees = dataclasses.replace(angles, angle=np.degrees(angles.angle))
     with pytest.raises(
-        ConfigError, match=r"angles of .* rad, outside \[0, 2.029\]"
+        config.ConfigError, match=r"angles of .* rad, outside \[0, 2.029\]"
     ):
         predict(dataclasses.replace(recorded, angles=degrees), PARTS, SETTINGS)
     for names, reason in (
@@ -223,7 +222,7 @@ def test_angles_that_are_no_walk_and_fits_that_it_cannot_tell_are_refused(
             "5 windows .* 6 parameters",
         ),
     ):
-        with pytest.raises(ConfigError, match=reason):
+        with pytest.raises(config.ConfigError, match=reason):
             fit_twin(recorded, PARTS, places(names), strides, SETTINGS)
 
 
@@ -289,7 +288,7 @@ def test_a_change_for_one_leg_leaves_the_others():
     ],
 )
 def test_a_parameter_that_is_none_is_refused(name, message):
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         parameter(PARTS, places([name])[0])
 
 
@@ -314,7 +313,7 @@ def test_a_scene_names_a_parameter_set_and_its_own_values_go_before(own_config):
     assert (scene.floor.friction[0], scene.tendons.slack[1]) == (0.2, -0.0005)
     assert read_robot().torso.mass == 2.0
     with pytest.raises(
-        ConfigError, match=r"--set mine: .* exists; it stays as it is"
+        config.ConfigError, match=r"--set mine: .* exists; it stays as it is"
     ):
         twin_fit.place_of("mine")
 

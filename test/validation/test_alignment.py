@@ -99,10 +99,9 @@ def test_an_error_that_grows_shows_when_the_frames_are_aligned_by_the_start():
     slower = PointTrack(
         track.t, track.position - np.outer(track.t, [0.002, 0.0, 0.0])
     )
-    found = compare(
+    series = compare(
         run(), PointRecording("slow", {"torso": slower}), frame_time=1.0
-    )
-    series = found.series["torso", "x"]
+    ).series["torso", "x"]
     assert (series.run - series.measured)[-1] == pytest.approx(
         0.002 * 15.5, abs=4 * NOISE
     )

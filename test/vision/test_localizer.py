@@ -16,7 +16,6 @@ from views import (
 
 from slot_core import config
 from slot_core.clock import SECOND
-from slot_core.config import ConfigError
 from slot_core.geometry import Transform
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_core.vision.board import print_of, single_marker
@@ -118,8 +117,9 @@ def test_a_calibration_that_the_image_contradicts_gives_a_warning_or_no_pose():
     wrong = Camera(
         1280, 720, CAMERA.matrix, np.array([0.4, 0.0, 0.0, 0.0, 0.0])
     )
-    line = reason(localizer(camera=wrong), image_from_torso(BASE))
-    assert "reprojection error" in line
+    assert "reprojection error" in reason(
+        localizer(camera=wrong), image_from_torso(BASE)
+    )
     image = image_from_torso(
         Transform.of((0.6, -0.1, 0.07), (0.06, -0.05, 0.2))
     )
@@ -177,16 +177,19 @@ def test_one_far_marker_alone_has_no_pose_unless_the_last_one_decides():
     ],
 )
 def test_settings_that_contradict_each_other_are_refused(changes, message):
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(config.ConfigError, match=message):
         changed(**changes)
 
 
 def test_a_camera_without_a_board_to_see_is_refused():
-    with pytest.raises(ConfigError, match="boards: none in the frame odom"):
+    with pytest.raises(
+        config.ConfigError, match="boards: none in the frame odom"
+    ):
         localizer(dataclasses.replace(VISION, boards={}))
     hidden = {"scene.sensors.camera.boards": ("torso",)}
-    message = r"boards: 'torso': expected .* \(wall, film\)"
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(
+        config.ConfigError, match=r"boards: 'torso': expected .* \(wall, film\)"
+    ):
         ClosedLoop("marker_camera", "walk", None, 0, changes=hidden)
 
 

@@ -57,8 +57,7 @@ def test_covariance_of_a_pose_is_that_of_its_errors():
 
 def test_a_small_marker_has_two_poses_of_which_the_expected_one_is_chosen():
     corners = 0.02 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
-    true = Transform.of((0.0, 0.0, 1.5), (np.pi + 0.4, 0.0, 0.0))
-    seen = true.apply(corners)
+    seen = Transform.of((0.0, 0.0, 1.5), (np.pi + 0.4, 0.0, 0.0)).apply(corners)
     rays = seen[:, :2] / seen[:, 2:] + 2e-4 * np.random.default_rng(1).normal(
         size=(4, 2)
     )
@@ -115,8 +114,7 @@ def known(values):
 
 @pytest.mark.parametrize("size", [5, 8])
 def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
-    known = np.diag(np.linspace(0.5, 1e-3, 4 + size))
-    for covariance in (None, known):
+    for covariance in (None, np.diag(np.linspace(0.5, 1e-3, 4 + size))):
         camera = Camera(
             640,
             360,
