@@ -2,15 +2,21 @@
 
 import ast
 import functools
+import importlib
 import os
+import pkgutil
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
+import slot_core
 from slot_core.control.policies import POLICIES
+from slot_core.kernel_cache import KernelCache
+from slot_core.simulation.closed_loop import ClosedLoop
 
 SOURCES = Path(__file__).resolve().parents[1] / "src"
 CORE = SOURCES / "slot_core" / "slot_core"
@@ -151,6 +157,7 @@ def files():
 
 
 def is_kernel(node):
+    """Whether a function is compiled."""
     names = (d.id for d in node.decorator_list if isinstance(d, ast.Name))
     return not {"helper", "kernel", "unlocked_kernel"}.isdisjoint(names)
 
@@ -216,6 +223,35 @@ def test_control_path_and_plant_call_nothing_that_differs_by_processor():
             if differs(node, name, node in compiled):
                 found.append(f"{name}:{node.lineno}: {ast.unparse(node)}")
     assert not found, "\n".join(found)
+
+
+def test_compiled_kernels_call_nothing_of_the_c_library_that_differs_by_processor():
+    for policy in POLICIES:
+        for _ in ClosedLoop("flat", "walk", None, seed=0, policy=policy).run(3):
+            pass
+    objects = set(cached_objects())
+    assert len(objects) >= 20
+    found = set()
+    for path in objects:  # functions that its table of symbols names
+        symbols = {
+            part.decode(errors="ignore")
+            for part in path.read_bytes().split(b"\0")
+        }
+        found |= {f"{path.name}: {symbol}" for symbol in symbols & C_LIBRARY}
+    assert not found
+
+
+def cached_objects():
+    """Cache files of the kernels that are loaded, each with an object file in it."""
+    for module in pkgutil.walk_packages(slot_core.__path__, "slot_core."):
+        for value in vars(importlib.import_module(module.name)).values():
+            if isinstance(value, Dispatcher) and isinstance(
+                value._cache, KernelCache
+            ):
+                yield from (
+                    value._cache.path(types, value.targetctx)
+                    for types in value.signatures
+                )
 
 
 UMATH = np._core._multiarray_umath

@@ -14,6 +14,7 @@ from slot_lab.calibration import experiments, fit
 from slot_lab.calibration.calibrate import build_problem
 from slot_lab.calibration.command import FREE, main
 from slot_lab.calibration.data import COLUMNS, Data, Datum, read_data
+from slot_lab.calibration.fit import FitProblem, Parameter, estimate
 from slot_lab.csv_table import TableError
 from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED
 
@@ -53,7 +54,8 @@ def write(path, *rows):
 
 def test_measurements_are_read_with_their_conditions(tmp_path):
     rows = ["force_angle, 90,, 0.1, 0.3,, 2.5, 0.2", DEFLECTION]
-    force, deflection = read_data(write(tmp_path / "leg.csv", *rows)).rows
+    data = read_data(write(tmp_path / "leg.csv", *rows))
+    force, deflection = data.rows
     assert force.conditions() == {
         "theta_deg": 90.0,
         "height_m": 0.1,
@@ -203,7 +205,7 @@ def test_known_parameters_are_recovered_within_their_intervals():
         dataclasses.replace(row, value=v) for row, v in zip(rows, noisy)
     )
     problem = build_problem(ROBOT, FREE, Data("synthetic", "", measured), quick)
-    found = fit.estimate(problem, fit.fit(problem).values)
+    found = estimate(problem, fit.fit(problem).values)
     true = np.array(list(truth.values()))
     assert np.all(found.interval[:, 0] < true)
     assert np.all(true < found.interval[:, 1])
@@ -218,8 +220,8 @@ def beam_problem(rng):
     """Deflections w F / E + z of a straight cantilever: a logarithmic and a linear parameter."""
     load, per_modulus, sigma = np.linspace(0.2, 2.0, 8), 3e5, 5e-4
     parameters = (
-        fit.Parameter("E", 1e7, 1e5, 1e9),
-        fit.Parameter("z", 0.01, 0.0, 0.02),
+        Parameter("E", 1e7, 1e5, 1e9),
+        Parameter("z", 0.01, 0.0, 0.02),
     )
 
     def predict(values):
@@ -227,9 +229,19 @@ def beam_problem(rng):
 
     truth = np.array([2e7, 0.006])
     measured = predict(truth) + sigma * rng.standard_normal(len(load))
-    return fit.FitProblem(
+    return FitProblem(
         parameters, predict, measured, np.full(len(load), sigma)
     ), truth
+
+
+def test_intervals_contain_the_truth_with_their_probability():
+    rng, inside = np.random.default_rng(1), []
+    for _ in range(400):
+        problem, truth = beam_problem(rng)
+        interval = estimate(problem, fit.fit(problem).values).interval
+        inside.append((interval[:, 0] < truth) & (truth < interval[:, 1]))
+    # 400 trials at 95 %: three standard deviations are 3.3 %.
+    assert np.mean(inside, axis=0) == pytest.approx(0.95, abs=0.033)
 
 
 def test_a_failed_prediction_is_an_error_at_the_start_and_rejected_in_a_trial():
@@ -239,8 +251,8 @@ def test_a_failed_prediction_is_an_error_at_the_start_and_rejected_in_a_trial():
         return np.array([values[0], 2 * values[0]])
 
     def problem(start):
-        free = (fit.Parameter("a", start, 0.0, 1.0),)
-        return fit.FitProblem(free, predict, np.array([0.45, 0.9]), np.ones(2))
+        free = (Parameter("a", start, 0.0, 1.0),)
+        return FitProblem(free, predict, np.array([0.45, 0.9]), np.ones(2))
 
     found = fit.fit(problem(0.1))
     assert found.converged
@@ -255,15 +267,12 @@ def test_intervals_and_correlation_of_a_linear_model_match_regression():
     rng = np.random.default_rng(2)
     x = np.linspace(0.0, 1.0, 12)
     y = 0.3 + 0.4 * x + 0.01 * rng.standard_normal(12)
-    parameters = (
-        fit.Parameter("a", 0.5, 0.0, 1.0),
-        fit.Parameter("b", 0.5, 0.0, 2.0),
-    )
-    problem = fit.FitProblem(
+    parameters = (Parameter("a", 0.5, 0.0, 1.0), Parameter("b", 0.5, 0.0, 2.0))
+    problem = FitProblem(
         parameters, lambda v: v[0] + v[1] * x, y, np.full(12, 0.02)
     )
     found, line = (
-        fit.estimate(problem, fit.fit(problem).values),
+        estimate(problem, fit.fit(problem).values),
         stats.linregress(x, y),
     )
     half = stats.t.ppf(0.975, 10) * np.array(
@@ -299,7 +308,7 @@ def test_what_the_data_do_not_determine_has_no_interval(
     )
     robot = config.replace(ROBOT, changes)
     problem = build_problem(robot, names, Data("", "", rows), SETTINGS)
-    found = fit.estimate(problem, [each.start for each in problem.parameters])
+    found = estimate(problem, [each.start for each in problem.parameters])
     assert (~np.isnan(found.interval).any(axis=1)).tolist() == determined
 
 
@@ -333,12 +342,12 @@ def test_a_fit_that_ends_at_a_bound_stays_within_it_and_names_it(low, high):
         assert low <= values[0] <= high
         return values[0] * np.ones(3)
 
-    start = (fit.Parameter("p", 0.5 * (low + high), low, high),)
+    start = (Parameter("p", 0.5 * (low + high), low, high),)
     for beyond, bound in ((low - 1.0, low), (high + 1.0, high)):
-        problem = fit.FitProblem(start, predict, np.full(3, beyond), np.ones(3))
+        problem = FitProblem(start, predict, np.full(3, beyond), np.ones(3))
         found = fit.fit(problem).values
         assert found[0] == pytest.approx(bound, rel=1e-3)
-        ended = fit.estimate(problem, found)
+        ended = estimate(problem, found)
         assert ended.at_limit.all()
         # Measurements with a sigma of 1 say nothing about a parameter between -3 and 7 mm.
         assert ended.at_bound("p") == ["p"] * (high > 1.0)
@@ -381,10 +390,9 @@ def test_the_command_fits_and_writes_file_and_figure(tmp_path, capsys):
     out, png = tmp_path / "deep" / "own.yaml", tmp_path / "deep" / "own.png"
     options = f"--free leg.young_modulus tendon.slack --out {out} --plot {png}"
     assert main([str(path), *options.split(), "--note", "by hand"]) == EXPLAINED
-    assert (
-        capsys.readouterr()
-        .out.splitlines()[-1]
-        .startswith("verdict: explained: chi-square")
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[-1].startswith(
+        "verdict: explained: chi-square"
     )
     content = yaml.safe_load(out.read_text())
     assert content["note"] == "by hand"

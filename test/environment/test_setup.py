@@ -91,7 +91,8 @@ class Copy:
 
     def setup(self, *arguments: str) -> tuple[int, str]:
         process = self.start(*arguments)
-        return process.returncode, process.communicate()[1]
+        output = process.communicate()[1]
+        return process.returncode, output
 
     @property
     def calls(self) -> list[str]:
@@ -132,6 +133,7 @@ def ready(tmp_path_factory: pytest.TempPathFactory) -> Copy:
 
 
 def until_build(copy: Copy) -> None:
+    """Wait until the workspace is being built."""
     while copy.calls != ["build"]:
         time.sleep(0.02)
 
@@ -216,6 +218,14 @@ def test_the_workspace_is_rebuilt_only_for_files_that_are_not_linked(
     assert len(ready.calls) == builds + rebuilt
 
 
+def test_two_concurrent_setups_build_once(ready):
+    builds = len(ready.calls)
+    (ready.home / "install/.stamp").unlink()
+    processes = [ready.start() for _ in range(2)]
+    assert [process.wait() for process in processes] == [0, 0]
+    assert len(ready.calls) == builds + 1
+
+
 @pytest.mark.parametrize("extra", ["test", "bench", "docs", "play", "learn"])
 def test_extra_packages_are_installed_once_and_again_when_their_pins_change(
     ready, extra
@@ -243,6 +253,17 @@ def test_missing_packages_are_installed_with_sudo_and_else_named_with_the_comman
         "apt-get -q update",
         "apt-get -q -y install --no-install-recommends cmake",
     ]
+
+
+def test_only_names_of_debian_packages_reach_apt_get(copy):
+    copy.restrict_tools()
+    (copy.stubs / "sudoer").touch()
+    # a Python that says more than it is asked
+    copy.tool("talking", "echo 'my own; script'\n[[ $* = *version_info* ]]\n")
+    copy.tool("python3", f"echo {copy.bin}/talking\n")
+    refusal = "setup: 'my own; script' is no name of a Debian package\n"
+    assert copy.setup() == (1, refusal)
+    assert not copy.calls
 
 
 # Stands for uv: names itself, and logs what it installs.
@@ -280,6 +301,37 @@ def test_uv_of_another_clone_installs_with_hashes_over_the_network_that_pip_woul
         assert f"--python {copy.home}/venv/bin/python" in call
 
 
+def test_pip_installs_where_uv_cannot_be_had(copy):
+    del copy.variables["SLOT_PIP"]
+    absent = f"no-such-uv==1.0 --hash=sha256:{'0' * 64}\n"
+    (copy.root / "scripts/requirements/uv.txt").write_text(absent)
+    copy.variables["PIP_NO_INDEX"] = "1"
+    status, output = copy.setup()
+    assert status == 0
+    assert "uv cannot be had" in output
+    subprocess.run(
+        [copy.home / "venv/bin/python", "-c", "import pip"], check=True
+    )
+
+
+FULL = {
+    "device": "echo 'write: No space left on device'; exit 1",
+    "quota": "echo 'write: Disk quota exceeded'; exit 1",
+    # the last write of a phase had a line of the shell's own
+    "stamp": "cd $SLOT_ROOT/.slot; mkdir -p install/lib; ln -s /dev/full install/.stamp",
+}
+
+
+@pytest.mark.parametrize("place", FULL)
+def test_full_disk_is_named_in_the_last_line(copy, place):
+    copy.tool("colcon", FULL[place])
+    status, output = copy.setup()
+    assert status == 1
+    *phases, last = output.splitlines()
+    assert last.startswith(f"setup: no space left in {copy.home}")
+    assert all(phase.endswith(" s)") for phase in phases)
+
+
 CUTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]
 
 
@@ -306,17 +358,39 @@ def test_no_process_goes_on_after_a_signal_on_a_terminal(copy, cut):
     assert ("interrupted" in text) == (cut != signal.SIGKILL)
 
 
+def test_with_a_ros_installation_python_outside_of_the_venv_keeps_its_own_packages(
+    ready,
+):
+    """The nodes get those of the venv by its Python, which is the first on the path."""
+    given = {
+        name: ready.variables[name] for name in ("STUBS", "SLOT_ROS", "PATH")
+    }
+    variables = environment(given=given, root=ready.root)
+    assert str(ready.stubs) in variables["PYTHONPATH"].split(":")
+    assert "venv" not in variables["PYTHONPATH"]
+    assert variables["PATH"].startswith(f"{ready.home}/venv/bin:")
+    program = ready.home / "install/lib/slot_nodes/supervisor"
+    assert program.read_text() == "#!/usr/bin/env python3\nimport sys\n"
+
+
 @pytest.mark.parametrize(
     "name", ["ROS_LOG_DIR", "MPLCONFIGDIR", "COLCON_LOG_PATH", "XDG_CACHE_HOME"]
 )
 def test_logs_and_caches_go_below_the_repository_where_the_home_cannot_be_written(
     name,
 ):
-    assert environment(given={"HOME": "/proc/nowhere"})[name].startswith(
-        f"{ROOT}/.slot/"
-    )
+    path = environment(given={"HOME": "/proc/nowhere"})[name]
+    assert path.startswith(f"{ROOT}/.slot/")
 
 
 def test_sourcing_the_environment_twice_changes_nothing():
     changes = environment().items() ^ environment(times=2).items()
     assert {name for name, _ in changes} <= {"_"}
+
+
+def test_what_versions_before_have_left_is_removed(ready):
+    left = ("cache/pip", "cache/numba", "underlay")
+    for name in left:
+        (ready.home / name).mkdir()
+    assert ready.setup() == (0, "")
+    assert not any((ready.home / name).exists() for name in left)
