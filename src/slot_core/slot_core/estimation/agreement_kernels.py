@@ -71,20 +71,29 @@ class TurnWork(NamedTuple):
 
 def turn_sums() -> TurnSums:
     """Sums over nothing."""
-    shapes = [(3,), (4,), (len(SHIFTS), 13), (5,), (4,), (4,)]
     return TurnSums(
-        np.zeros(KEPT, dtype=np.int64),
-        np.zeros((KEPT, 4)),
-        np.zeros(2, dtype=np.int64),
-        *(np.zeros(shape) for shape in shapes),
+        stamps=np.zeros(KEPT, dtype=np.int64),
+        attitudes=np.zeros((KEPT, 4)),
+        ring=np.zeros(2, dtype=np.int64),
+        rate=np.zeros(3),
+        force=np.zeros(4),
+        pairs=np.zeros((len(SHIFTS), 13)),
+        odometry=np.zeros(5),
+        twist=np.zeros(4),
+        up=np.zeros(4),
     )
 
 
 def turn_work() -> TurnWork:
     """Work space."""
-    shifts = len(SHIFTS)
-    shapes = [(3,), (shifts, 3), (shifts, 12), (3, 3), (4, 4), (4, 4)]
-    return TurnWork(*(np.zeros(shape) for shape in shapes))
+    return TurnWork(
+        turn=np.zeros(3),
+        turns=np.zeros((len(SHIFTS), 3)),
+        table=np.zeros((len(SHIFTS), 12)),
+        rotation=np.zeros((3, 3)),
+        power=np.zeros((4, 4)),
+        half=np.zeros((4, 4)),
+    )
 
 
 @helper
@@ -162,8 +171,7 @@ def attitude_at(sums, entry, stamp):
 @helper
 def turn_between(p, q):
     """Rotation vector, rad, of the turn from attitude p to attitude q, in the axes of p."""
-    x, y, z, w = multiply((-p[0], -p[1], -p[2], p[3]), q)
-    return logarithm(x, y, z, w)
+    return logarithm(*multiply((-p[0], -p[1], -p[2], p[3]), q))
 
 
 @kernel
@@ -181,9 +189,10 @@ def compare_turns(sums, work, before, after, keep):
             start += 1
         while stamps[(first + end + 1) % KEPT] < b:
             end += 1
-        p, q = attitude_at(sums, start, a), attitude_at(sums, end, b)
         g = work.turns[row]
-        g[0], g[1], g[2] = turn_between(p, q)
+        g[0], g[1], g[2] = turn_between(
+            attitude_at(sums, start, a), attitude_at(sums, end, b)
+        )
         largest = max(largest, square(g))
     size = square(turn)
     if size > JUMP * JUMP and size > 9.0 * largest:
