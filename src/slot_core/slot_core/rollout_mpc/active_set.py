@@ -59,15 +59,18 @@ class ActiveSet:
         """
         n = len(self._work.goal)
         rows = checked("rows", rows, (-1, n))
-        parts = (
+        x = np.empty(n)
+        is_found = _minimise(
+            self._work,
             checked("inverse", inverse, (n, n), finite=False),
             checked("gradient", gradient, (n,), finite=False),
             rows,
             checked("low", low, (len(rows),), finite=False),
             checked("high", high, (len(rows),), finite=False),
+            slack,
+            x,
         )
-        x = np.empty(n)
-        return x if _minimise(self._work, *parts, slack, x) else None
+        return x if is_found else None
 
 
 @kernel
@@ -80,7 +83,7 @@ def _minimise(work, inverse, gradient, rows, low, high, slack, x):
     for _ in range(STEPS_MAX):
         row, side = _most_violated(rows, low, high, slack, x)
         if side == 0.0:
-            return _is_finite(x)
+            return _dot(x, x) < math.inf  # a number is not finite
         for i in range(x.size):
             work.goal[i] = side * rows[row, i]
         bound = low[row] if side > 0.0 else -high[row]
@@ -183,12 +186,3 @@ def _dot(a, b):
     for i in range(a.size):
         value += a[i] * b[i]
     return value
-
-
-@helper
-def _is_finite(x):
-    """Whether all numbers are finite."""
-    fine = True
-    for i in range(x.size):
-        fine = fine and abs(x[i]) < math.inf
-    return fine

@@ -63,8 +63,9 @@ class DisturbanceObserver:
         """scale: (6,) errors of roll, pitch, yaw, x, y, z that cost as much as one another."""
         self._scale = scale[[*PLACE, *TILTS]]
         self._model, self._settings, self._dt = model, settings, dt
-        limits = settings.stiffness, settings.drift_max, settings.wrench_max
-        self._stiffness, self._drift_max, self._wrench_max = np.array(limits)
+        self._stiffness, self._drift_max, self._wrench_max = np.array(
+            [settings.stiffness, settings.drift_max, settings.wrench_max]
+        )
         self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame
         self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
         self._misfit = np.zeros(6)  # mean squares, in units of the scales
@@ -91,8 +92,8 @@ class DisturbanceObserver:
             return
         while len(past) > window + 1:
             past.popleft()
-        plan = np.array([seen.angle for seen in past])
-        poses = self._model.roll_out(past[0].start, plan[None]).pose[0]
+        plan = np.array([[seen.angle for seen in past]])
+        poses = self._model.roll_out(past[0].start, plan).pose[0]
         if np.isfinite(poses).all():
             self._correct(state, poses[-1], self._dt * window)
 

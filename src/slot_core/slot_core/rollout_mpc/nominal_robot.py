@@ -104,8 +104,7 @@ class NominalRobot:
     @stiffness.setter
     def stiffness(self, ratio: float) -> None:
         self._stiffness = ratio
-        scaled = ratio * self._table[..., SCALED]
-        self.robot.legs.table[..., SCALED] = scaled
+        self.robot.legs.table[..., SCALED] = ratio * self._table[..., SCALED]
 
     def set_wrench(self, wrench: Array, yaw: float) -> None:
         """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""
@@ -122,10 +121,9 @@ class NominalRobot:
         angle = checked("angle", angle, (len(LEGS),))
         self.robot.state.buffer[:] = self._initial
         self.robot.state.tendon_angle[:] = angle
-        start = self.robot.state.buffer.copy()
         still = np.concatenate([state[:6], np.zeros(6)])
-        plan = np.tile(angle, (SETTLING + 1, 1))
-        settled = self.after(self.measured(start, still), plan)
+        start = self.measured(self.robot.state.buffer.copy(), still)
+        settled = self.after(start, np.tile(angle, (SETTLING + 1, 1)))
         return self.measured(settled, state)
 
     def measured(self, known: Array, state: Array) -> Array:
@@ -153,8 +151,10 @@ class NominalRobot:
             )
         start = self._checked(start)
         count, stages = plans.shape[0], plans.shape[1] - 1
-        of_feet = np.empty((2, count, stages, len(LEGS), 3))
-        found = Rollouts(np.empty((count, stages, 6)), *of_feet)
+        found = Rollouts(
+            np.empty((count, stages, 6)),
+            *np.empty((2, count, stages, len(LEGS), 3)),
+        )
         roll_out(
             self.robot.handle,
             start,

@@ -63,32 +63,35 @@ class PlanProblem:
     ):
         self._settings, self._dt, self._angle_max = settings, dt, angle_max
         stages, cost = settings.stages, settings.cost
-        steps, each = np.arange(stages + 1), np.eye(len(settings.knots))
         hats = np.array(
-            [interpolated(steps, settings.knots, row) for row in each]
+            [
+                interpolated(np.arange(stages + 1), settings.knots, row)
+                for row in np.eye(len(settings.knots))
+            ]
         )
         basis = hats[None, :, :, None] * MODES[:, None, None, :]
         self.basis = basis.reshape(-1, stages + 1, LEG_COUNT)  # (n, K + 1, 4)
         self._flat = self.basis.reshape(len(self.basis), -1)  # (n, 4 (K + 1))
         rates = np.diff(self.basis, axis=1).reshape(len(self.basis), -1)
         self._rows = np.hstack([self._flat, rates]).T.copy()
-        scale = [
-            cost.tilt,
-            cost.tilt,
-            cost.yaw,
-            cost.place,
-            cost.place,
-            cost.height,
-        ]
-        self.scale = np.array(scale)  # (6,) of the errors of a pose
+        # (6,) of the errors of a pose
+        self.scale = np.array(
+            [
+                cost.tilt,
+                cost.tilt,
+                cost.yaw,
+                cost.place,
+                cost.place,
+                cost.height,
+            ]
+        )
         self._weight = 1.0 / (np.sqrt(stages) * self.scale)
         pulls = np.array([self._pull(b).ravel() for b in self.basis])
         damping = np.eye(len(self.basis)) / np.square(cost.change)
         self._damped = product(self._flat, pulls.T) + damping
         self._solver = ActiveSet(len(self.basis))
-        nowhere = np.zeros(3)
         wanted = self.reference(
-            np.zeros((stages + 1, 12)), nowhere, nowhere, 0.0
+            np.zeros((stages + 1, 12)), np.zeros(3), np.zeros(3), 0.0
         )
         # compiles the kernels, as does the step
         error = self.errors(wanted[None], wanted, 0.0)[0]
@@ -111,12 +114,16 @@ class PlanProblem:
             raise ValueError(
                 f"reference: {len(rows)} stages, expected more than {stages}"
             )
-        place, drift = (
+        pose = np.empty((stages, 6))
+        set_reference(
+            rows,
             checked("place", place, (3,)),
             checked("drift", drift, (3,)),
+            sag,
+            self._dt,
+            cost.reach,
+            pose,
         )
-        pose = np.empty((stages, 6))
-        set_reference(rows, place, drift, sag, self._dt, cost.reach, pose)
         return pose
 
     def moved(self, drift: Array, yaw: float) -> Array:
@@ -178,20 +185,26 @@ class PlanProblem:
         shape = (self._settings.stages + 1, LEG_COUNT)
         nominal = checked("nominal", nominal, shape)
         deviation = checked("deviation", deviation, shape)
-        pull = product(self._flat, self._pull(deviation).ravel())
-        gradient = product(linear.slopes, error) + pull
-        limits, low, high = (
-            self._settings.limits,
-            *np.empty((2, len(self._rows))),
-        )
-        step = self._dt * limits.rate
-        least, most = self.range(nominal)
+        limits = self._settings.limits
+        low, high = np.empty((2, len(self._rows)))
         set_limits(
-            nominal, deviation, least, most, limits.deviation, step, low, high
+            nominal,
+            deviation,
+            *self.range(nominal),
+            limits.deviation,
+            self._dt * limits.rate,
+            low,
+            high,
         )
-        slack = QP_TOLERANCE * limits.deviation
-        solve = self._solver.solve
-        delta = solve(linear.inverse, gradient, self._rows, low, high, slack)
+        pull = product(self._flat, self._pull(deviation).ravel())
+        delta = self._solver.solve(
+            linear.inverse,
+            product(linear.slopes, error) + pull,
+            self._rows,
+            low,
+            high,
+            QP_TOLERANCE * limits.deviation,
+        )
         return (
             None if delta is None else product(delta, self._flat).reshape(shape)
         )

@@ -76,9 +76,11 @@ class EmergencyStop:
         """Miss released sources that are silent no more, if another source is alive."""
         silent = self._silent(time)
         if len(silent) < len(self._sources):
-            for name in silent:
-                if not self._sources[name][1]:
-                    del self._sources[name]
+            self._sources = {
+                name: source
+                for name, source in self._sources.items()
+                if source[1] or name not in silent
+            }
 
     def forget(self, time: int, source: str) -> str:
         """Release the e-stop of a silent source and forget it; returns the reason of a refusal."""
@@ -92,11 +94,11 @@ class EmergencyStop:
 
     def _silent(self, time: int) -> dict[str, float]:
         """Time since the last message of each source that is silent, s."""
-        ages = {
-            name: to_seconds(time - received)
+        return {
+            name: age
             for name, (received, _) in self._sources.items()
+            if (age := to_seconds(time - received)) > self._limit
         }
-        return {name: age for name, age in ages.items() if age > self._limit}
 
 
 class Conditions:
@@ -154,10 +156,9 @@ class Conditions:
 
     def receive_mpc(self, status: int, fallback_cycles: int) -> None:
         """Status of the last cycle of the MPC, and cycles since its last solution."""
-        stopped = status == Status.STOPPED
         self._stopped = (
             f"MPC stopped, {fallback_cycles} cycles without a solution"
-            if stopped
+            if status == Status.STOPPED
             else ""
         )
 
@@ -276,7 +277,15 @@ class Conditions:
 
     def _servos(self, time: int) -> Iterator[Finding]:
         limit = self._settings.timing.servo_silent
-        if errors := list(self._hardware_errors()):
+        health = self._health
+        errors = [
+            f"servo {leg}: {hardware_errors(bits)} error, register 70 = 0x{bits:02x}, limit 0"
+            for leg, bits in zip(
+                LEGS, health.hardware_error.tolist() if health else ()
+            )
+            if bits
+        ]
+        if errors:
             yield Condition.SERVO_FAULT, "; ".join(errors)
         for leg, answered, since in zip(LEGS, self._answered, self._not_finite):
             age = math.inf if answered is None else to_seconds(time - answered)
@@ -338,15 +347,6 @@ class Conditions:
         ):
             if age > limit:
                 yield condition, f"no command {_span(age)}, limit {limit:g} s"
-
-    def _hardware_errors(self) -> Iterator[str]:
-        """One line for each servo with error bits."""
-        if self._health is None:
-            return
-        for leg, bits in zip(LEGS, map(int, self._health.hardware_error)):
-            if bits:
-                names = hardware_errors(bits)
-                yield f"servo {leg}: {names} error, register 70 = 0x{bits:02x}, limit 0"
 
 
 def _span(age: float) -> str:
