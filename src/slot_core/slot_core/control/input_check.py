@@ -86,7 +86,6 @@ def fault_of(
     # false for NaN
     if low <= array.min(initial=high) and array.max(initial=low) <= high:
         return ""
-    inside = (array >= low) & (array <= high)
-    index = tuple(int(i) for i in np.argwhere(~inside)[0])
+    index = tuple(np.argwhere(~((array >= low) & (array <= high)))[0].tolist())
     where = f"[{', '.join(map(str, index))}]" if index else ""
     return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"

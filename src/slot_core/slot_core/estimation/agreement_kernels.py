@@ -63,7 +63,6 @@ class TurnWork(NamedTuple):
 
     turn: Array  # (3,) rad, of odometry between two readings
     turns: Array  # (len(SHIFTS), 3) rad, of the gyroscope
-    table: Array  # (len(SHIFTS), 12) of E(1, 1), S_o, S_g and B
     rotation: Array  # (3, 3)
     power: Array  # (4, 4)
     half: Array  # (4, 4)
@@ -89,7 +88,6 @@ def turn_work() -> TurnWork:
     return TurnWork(
         turn=np.zeros(3),
         turns=np.zeros((len(SHIFTS), 3)),
-        table=np.zeros((len(SHIFTS), 12)),
         rotation=np.zeros((3, 3)),
         power=np.zeros((4, 4)),
         half=np.zeros((4, 4)),
@@ -211,22 +209,18 @@ def compare_turns(sums, work, before, after, keep):
     return True
 
 
-@kernel
-def set_table(sums, out):
-    """E(1, 1), S_o, S_g and B row by row, about the means, of each shift: out (n, 12)."""
-    total = sums.odometry
-    count = max(total[4], 1.0)
-    for row in range(out.shape[0]):
-        pair, trace = sums.pairs[row], 0.0
-        turned = total[3] - square(total) / count
-        gyro = pair[SQUARE] - square(pair[MEAN:SQUARE]) / count
-        for i in range(3):
-            for j in range(3):
-                k = 3 * i + j
-                out[row, 3 + k] = pair[k] - total[i] * pair[MEAN + j] / count
-            trace += out[row, 3 + 4 * i]
-        out[row, 0] = turned + gyro - 2.0 * trace
-        out[row, 1], out[row, 2] = turned, gyro
+def turn_table(sums: TurnSums) -> Array:
+    """E(1, 1), S_o, S_g and B row by row, about the means, of each shift: (n, 12)."""
+    total, count = sums.odometry, max(sums.odometry[4], 1.0)
+    mean = sums.pairs[:, MEAN:SQUARE]
+    turned = total[3] - (total[:3] * total[:3]).sum() / count
+    gyro = sums.pairs[:, SQUARE] - (mean * mean).sum(axis=1) / count
+    b = (
+        sums.pairs[:, :MEAN]
+        - np.repeat(total[:3], 3) * np.tile(mean, 3) / count
+    )
+    left = turned + gyro - 2.0 * (b[:, 0] + b[:, 4] + b[:, 8])
+    return np.column_stack([left, np.full_like(gyro, turned), gyro, b])
 
 
 @kernel

@@ -34,9 +34,9 @@ from slot_core.estimation.agreement_kernels import (
     compare_turns,
     coverage,
     integrate,
-    set_table,
     set_turn,
     turn_sums,
+    turn_table,
     turn_work,
 )
 from slot_core.estimation.inertial_filter import (
@@ -393,8 +393,8 @@ class SensorAgreement:
     def _judge_turns(self) -> None:
         """Compare the turns of gyroscope and odometry: shift, axes, unit."""
         work, total = self._work, self._sums.odometry
-        set_table(self._sums, work.table)
-        left, turned, gyro = work.table[:, :3].T
+        table = turn_table(self._sums)
+        left, turned, gyro = table[:, :3].T
         best = 1 + int(np.argmin(left[1:-1]))
         count, variance = float(total[4]), float(self._variance[1])
         moved = float(turned[best]) - 3.0 * count * variance
@@ -407,7 +407,7 @@ class SensorAgreement:
             and here < UNEXPLAINED * turned[best]
             and 2.0 * each * (STEP * STEP) < (SHARP * SHARP) * bend
         ):
-            align(work.table[best, 3:], np.sqrt(each * gyro[best]), work)
+            align(table[best, 3:], np.sqrt(each * gyro[best]), work)
             noise = TURN_ERROR * TURN_ERROR * each / gyro[best]
             angle = 3.0 - work.rotation.trace()  # squared, of a small turn
             straight = noise < DOUBT * DOUBT and angle < max(
@@ -436,7 +436,7 @@ class SensorAgreement:
             )
         is_long = moved > MOTION and count * self._interval > LONG
         if is_long or gyro[best] > 100.0 * turned[best]:
-            self._explain(moved, is_long)
+            self._explain(table, moved, is_long)
 
     def _take_shift(self, shift: int, error: float) -> None:
         """Follow a shift of the stamps, as certain as `error`, ns, or find it beyond the limit."""
@@ -459,13 +459,12 @@ class SensorAgreement:
                 " compensated"
             )
 
-    def _explain(self, moved: float, is_long: bool) -> None:
+    def _explain(self, table: Array, moved: float, is_long: bool) -> None:
         """Find axes and unit with which the gyroscope turns as the odometry does.
 
-        moved: sum of squared turns of odometry without noise, rad^2; is_long: enough for axes.
+        table: see `turn_table`; moved: sum of squared turns of odometry without noise, rad^2; is_long: enough for axes.
         """
         work, variance = self._work, float(self._variance[1])
-        table = work.table
         best = int(
             np.argmax(
                 np.square(table[:, 3:]).sum(axis=1)
@@ -556,8 +555,7 @@ def load_kernels() -> None:
     compare_steps(sums, work, reading, reading, 0.0, steps, 1.0, 1.0)
     if coverage(sums, 0, STEP) > 0:
         compare_turns(sums, work, 0, STEP, 1.0)
-    set_table(sums, work.table)
-    align(work.table[0, 3:], 1.0, work)
+    align(turn_table(sums)[0, 3:], 1.0, work)
 
 
 def _squared(rotation: Array) -> Array:

@@ -156,12 +156,14 @@ def one_step(model, legs, state, feet, work, scheme):
     floor = model.floor
     predict_torso(model, state, work, h, theta)
     for k in range(4):
-        angle, command = state.tendon_angle[k], feet.command[k]
-        torque = model.tendon.spool_radius * state.tension[k]
-        rate = spool_rate(
-            model.servo, state.drive[k], command, angle, torque, h
+        state.tendon_rate[k] = spool_rate(
+            model.servo,
+            state.drive[k],
+            feet.command[k],
+            state.tendon_angle[k],
+            model.tendon.spool_radius * state.tension[k],
+            h,
         )
-        state.tendon_rate[k] = rate
     for _ in range(scheme.iterations):
         place = start_torso(model, state, work, tau)
         for k in range(4):
@@ -173,11 +175,15 @@ def one_step(model, legs, state, feet, work, scheme):
     if floor.bristle > 0.0:
         bend_corners(model, state, work, h)
         for k in range(4):
-            limit, stiffness = feet.limit[k], floor.stiffness[-1]
             for side in range(2):
-                bristle, slip = state.bristle[k, side], feet.slip[k, side]
                 advance_bristle(
-                    floor, bristle, limit, stiffness, feet.flat, h, slip
+                    floor,
+                    state.bristle[k, side],
+                    feet.limit[k],
+                    floor.stiffness[-1],
+                    feet.flat,
+                    h,
+                    feet.slip[k, side],
                 )
     finish_torso(state, work, h, theta)
     finish_rate(state, work, theta)
@@ -207,24 +213,25 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     force_rate = force_slope * drop_rate + here.force_a * rate
     leg_force = max(0.0, here.force + beta * force_rate)
     leg_force *= here.force > 0.0
-    own, other = model.friction[0, k], model.friction[1, k]
-    outward, released = dot(slip, a), state.tendon_rate[k]
     mu = coefficient(
-        model.floor, own, other, released, outward, dot(slip, slip)
+        model.floor,
+        model.friction[0, k],
+        model.friction[1, k],
+        state.tendon_rate[k],
+        dot(slip, a),
+        dot(slip, slip),
     )
-    stage = (tau, tau + beta)
-    turn_rate = dot(foot.up, row(work.motion, 1))
     grip = _grip(
         model,
         state,
         axes,
         k,
         mu,
-        stage,
+        (tau, tau + beta),
         leg_force,
         here.spring,
         slip,
-        turn_rate,
+        dot(foot.up, row(work.motion, 1)),
         foot,
     )
     normal, rate_of = grip.normal, grip.rate

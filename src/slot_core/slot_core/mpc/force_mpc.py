@@ -124,9 +124,11 @@ class ForceMpc(Policy):
         if self._last is None or self._missed > rule.cycles:
             used_up = f"fallback used up after {rule.cycles} cycles"
             why = "no feasible input yet" if self._last is None else used_up
-            nothing = np.zeros((self._settings.horizon, FEET, 3))
             return self._plan(
-                nothing, Status.STOPPED, f"{why}; {fault}", report
+                np.zeros((self._settings.horizon, FEET, 3)),
+                Status.STOPPED,
+                f"{why}; {fault}",
+                report,
             )
         deviation = self._last
         for _ in range(self._missed):

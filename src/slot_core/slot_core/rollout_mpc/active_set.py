@@ -63,7 +63,7 @@ class ActiveSet:
         is_found = _minimise(
             self._work,
             checked("inverse", inverse, (n, n), finite=False),
-            checked("gradient", gradient, (n,), finite=False),
+            -checked("gradient", gradient, (n,), finite=False),
             rows,
             checked("low", low, (len(rows),), finite=False),
             checked("high", high, (len(rows),), finite=False),
@@ -74,11 +74,9 @@ class ActiveSet:
 
 
 @kernel
-def _minimise(work, inverse, gradient, rows, low, high, slack, x):
-    """Write the minimum into x (n,); whether it was found."""
-    _image(inverse, gradient, x)
-    for i in range(x.size):
-        x[i] = -x[i]
+def _minimise(work, inverse, slope, rows, low, high, slack, x):
+    """Write the minimum into x (n,); whether it was found. slope: -g (n,)."""
+    _image(inverse, slope, x)
     count = 0
     for _ in range(STEPS_MAX):
         row, side = _most_violated(rows, low, high, slack, x)

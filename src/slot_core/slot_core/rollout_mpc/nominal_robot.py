@@ -25,11 +25,12 @@ from slot_core.dynamics.scene import (
     read_scene,
 )
 from slot_core.dynamics.servo import read_servo
-from slot_core.elementary import atan2, cos, sin
-from slot_core.geometry import roll_pitch_yaw, rotate
+from slot_core.elementary import atan2
+from slot_core.geometry import matrix_of_rpy, roll_pitch_yaw, rotate
 from slot_core.key_frame import StateParts
 from slot_core.legs.tabulated_kernels import PLACE, divergence_of, one_step
 from slot_core.legs.tabulated_robot import COLUMNS, TabulatedRobot
+from slot_core.matrices import product
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.rollout_mpc.settings import NominalSettings
 
@@ -128,9 +129,12 @@ class NominalRobot:
 
     def measured(self, known: Array, state: Array) -> Array:
         """The state with the torso of an estimate (12,) and the legs and servos of `known`."""
-        known, state = self._checked(known), checked("state", state, (12,))
-        set_torso(self.robot.handle, known, state)
-        return self.robot.state.buffer.copy()
+        torso, state = self.robot.state, checked("state", state, (12,))
+        torso.buffer[:] = self._checked(known)
+        torso.rotation[:] = matrix_of_rpy(state[:3])
+        torso.position[:], torso.velocity[:] = state[3:6], state[9:]
+        torso.rate[:] = product(torso.rotation.T, state[6:9])
+        return torso.buffer.copy()
 
     def place(self, start: Array) -> Array:
         """Place (3,) of the torso in odom: x, y (m), yaw (rad)."""
@@ -230,35 +234,6 @@ def roll_out(
             _record(
                 pose[p, k], force[p, k], foot[p, k], legs, state, feet, diverged
             )
-
-
-@kernel
-def set_torso(machine, known, state):
-    """Take the state `known` (m,) with the torso of an estimate (12,).
-
-    Its rotation is Rz(yaw) Ry(pitch) Rx(roll).
-    """
-    torso = contents(machine)[2]
-    for i in range(known.size):
-        torso.buffer[i] = known[i]
-    cr, cp, cy = cos(state[0]), cos(state[1]), cos(state[2])
-    sr, sp, sy = sin(state[0]), sin(state[1]), sin(state[2])
-    r = torso.rotation
-    r[0, 0], r[0, 1], r[0, 2] = (
-        cy * cp,
-        cy * sp * sr - sy * cr,
-        cy * sp * cr + sy * sr,
-    )
-    r[1, 0], r[1, 1], r[1, 2] = (
-        sy * cp,
-        sy * sp * sr + cy * cr,
-        sy * sp * cr - cy * sr,
-    )
-    r[2, 0], r[2, 1], r[2, 2] = -sp, cp * sr, cp * cr
-    w = state[6:9]
-    for i in range(3):
-        torso.position[i], torso.velocity[i] = state[3 + i], state[9 + i]
-        torso.rate[i] = r[0, i] * w[0] + r[1, i] * w[1] + r[2, i] * w[2]
 
 
 @helper
