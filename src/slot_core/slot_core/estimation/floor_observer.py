@@ -189,12 +189,6 @@ class _Rest(NamedTuple):
             rows[-1].stamp, joints, position, attitude / norm(attitude), force
         )
 
-    @property
-    def tilt(self) -> float:
-        """Angle of the torso to gravity, rad; 0 without an IMU."""
-        x, y, z = self.force if self.force.any() else UP
-        return float(atan2(norm(np.array([x, y])), z))
-
 
 class FloorObserver:
     """Learns the floor and the stiffness ratio at rest."""
@@ -291,7 +285,8 @@ class FloorObserver:
         if to_seconds(stamp - self._rest[0].stamp) >= s.rest_time:
             mean = _Rest.mean(self._rest)
             self._rest.clear()
-            if mean.tilt <= s.incline_max:
+            up = mean.force if mean.force.any() else UP  # without an IMU
+            if atan2(norm(up[:2]), up[2]) <= s.incline_max:
                 self._learn(mean)
 
     def start_anew(

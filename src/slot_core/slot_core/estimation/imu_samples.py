@@ -43,11 +43,10 @@ class ImuSamples:
             np.vstack([self.values, value])[-most:],
         )
 
-    def without(self, count: int) -> ImuSamples:
-        """The samples but the oldest ones."""
-        return ImuSamples(self.stamps[count:], self.values[count:])
+    def __getitem__(self, part: slice) -> ImuSamples:
+        """A part of the samples."""
+        return ImuSamples(self.stamps[part], self.values[part])
 
     def until(self, stamp: int) -> ImuSamples:
         """The samples up to `stamp`, ns."""
-        count = int(np.searchsorted(self.stamps, stamp, side="right"))
-        return ImuSamples(self.stamps[:count], self.values[:count])
+        return self[: int(np.searchsorted(self.stamps, stamp, side="right"))]

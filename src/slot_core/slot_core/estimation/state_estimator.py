@@ -369,7 +369,11 @@ class StateEstimator:
             or abs(norm(q) - 1.0) > limits.quaternion_tolerance
         ):
             return None
-        known = _known(variance, self._variance)
+        given = np.asarray(variance, dtype=np.float64)
+        if given.shape != self._variance.shape:
+            given = self._variance
+        known = np.where(given > 0.0, given, self._variance)  # NaN is not
+        known = np.clip(known, VARIANCE_MIN, VARIANCE_MAX)
         return OdometryMotion(stamp, q / norm(q), p, v, w, known)
 
     def _advances(self, stream: str, stamp: int) -> bool:
@@ -479,13 +483,6 @@ class StateEstimator:
         )
         self._weighed = int(stamps[-1])
 
-    def _gravity_on(self, floor: FloorPlane, stamp: int) -> Array:
-        """Gravity (3,) in the floor's frame at `stamp` (ns); straight down without an IMU."""
-        if self._imu_is_lost(stamp):
-            return DOWN
-        found = self._gravity.value(self._filter.state.velocity)
-        return product(matrix_of_quaternion(floor.quaternion).T, found)
-
     def _process(self, stamp: int, motion: OdometryMotion | None) -> None:
         """Predict to a reading (None: unusable), and correct with it."""
         gap = self._settings.timing.odometry_gap * SECOND
@@ -504,7 +501,13 @@ class StateEstimator:
                     return
                 # not valid yet: the readings are counted anew
                 self._accepted, self._initial = 0, stamp
-        if motion is not None and self._has_relocalised():
+        readings = [usable for usable in self._rejected if usable is not None]
+        has_relocalised = len(
+            readings
+        ) >= self._settings.gate.max_rejections and all(
+            self._agree(a, b) for a, b in pairwise(readings)
+        )
+        if motion is not None and has_relocalised:
             self._start(motion, self._moves_alike(motion))
             return
         self._corrected, self._reached = self._filter.state, stamp
@@ -551,7 +554,7 @@ class StateEstimator:
         self._filter.propagate(samples, start, stamp)
         self._filter.use_gyro(samples, stamp, to_seconds(stamp - knots[-2]))
         # two stay, to extrapolate
-        self._imu = self._imu.without(max(len(samples.stamps) - 2, 0))
+        self._imu = self._imu[max(len(samples.stamps) - 2, 0) :]
         return True
 
     def _accept(self, stamp: int) -> None:
@@ -566,13 +569,6 @@ class StateEstimator:
     def _contradicted(self) -> bool:
         """Whether a usable reading was rejected since the last accepted one."""
         return any(motion is not None for motion in self._rejected)
-
-    def _has_relocalised(self) -> bool:
-        """Whether `max_rejections` readings in a row were rejected and agree with each other."""
-        readings = [motion for motion in self._rejected if motion is not None]
-        return len(readings) >= self._settings.gate.max_rejections and all(
-            self._agree(a, b) for a, b in pairwise(readings)
-        )
 
     def _moves_alike(self, motion: OdometryMotion) -> bool:
         """Whether the velocities of a reading are those of the filter at its stamp."""
@@ -623,16 +619,14 @@ class StateEstimator:
         rate = 1.0 / max(self._interval, 1e-3)
         if stamp - self._accepted_stamp > timing.odometry_wait * SECOND:
             age = to_seconds(stamp - self._accepted_stamp)
-            limit = f"limit {timing.odometry_wait:g} s"
+            fault, line = Validity.ODOMETRY_LOST, "no usable odom"
             if self._contradicted:
-                return (
+                fault, line = (
                     Validity.ODOMETRY_REJECTED,
-                    f"odom contradicts the IMU for {age:.2g} s, {limit}",
+                    "odom contradicts the IMU",
                 )
-            return (
-                Validity.ODOMETRY_LOST,
-                f"no usable odom for {age:.2g} s, {limit}",
-            )
+            limit = timing.odometry_wait
+            return fault, f"{line} for {age:.2g} s, limit {limit:g} s"
         if self._is_initialising(stamp):
             anew = "odom has started anew" if self._restarted else ""
             return Validity.INITIALISING, anew
@@ -648,17 +642,14 @@ class StateEstimator:
                 f"odom at {rate:.1f} Hz, limit {least:g} Hz {with_it}",
             )
         found = Validity.IMU_MISSING if without_imu else Validity.VALID
-        return found, self._remark(stamp)
-
-    def _remark(self, stamp: int) -> str:
-        """One line on a usable estimate at `stamp` (ns), or ""."""
         if self._imu_interval > self._longest_imu_interval:
-            return (
+            return found, (
                 f"imu at {1.0 / self._imu_interval:.0f} Hz, limit"
                 f" {1.0 / self._longest_imu_interval:.0f} Hz: it is not used"
             )
         has_jumped = 0 < stamp - self._jumped < JUMP_SAID
-        return self._agreement.message or (JUMPED if has_jumped else "")
+        jumped = JUMPED if has_jumped else ""
+        return found, self._agreement.message or jumped
 
     def _predicted(
         self, stamp: int, delay: float, floor: FloorPlane
@@ -666,7 +657,12 @@ class StateEstimator:
         """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
         assert self._stamp is not None
         saved, rate, samples = self._filter.state, self._filter.rate, self._imu
-        gravity = self._gravity_on(floor, stamp)
+        gravity = DOWN
+        if not self._imu_is_lost(stamp):
+            gravity = product(
+                matrix_of_quaternion(floor.quaternion).T,
+                self._gravity.value(saved.velocity),
+            )
         newest = (
             int(samples.stamps[-1]) if len(samples.stamps) else BEFORE_ALL_TIMES
         )
@@ -711,15 +707,3 @@ def vector(values: Array, size: int, limit: float) -> Array | None:
         return None
     within = all(abs(x) <= limit for x in array.ravel().tolist())  # NaN is not
     return array if array.shape == (size,) and within else None
-
-
-def _known(variance: Array | None, nominal: Array) -> Array:
-    """Variances (12,): where one is not positive, or not a number, the nominal one.
-
-    All are nominal if there are not twelve, or none.
-    """
-    given = np.asarray(variance, dtype=np.float64)
-    if given.shape != nominal.shape:
-        return nominal
-    known = np.where(given > 0.0, given, nominal)
-    return np.clip(known, VARIANCE_MIN, VARIANCE_MAX)

@@ -141,9 +141,10 @@ def advance(machine, steps):
 @helper
 def divergence_of(state, limit):
     """Kind of divergence of the torso, or -1; limit: m/s and rad/s."""
-    if not dot(state.velocity, state.velocity) < limit * limit:
-        return TOO_FAST
-    if not dot(state.rate, state.rate) < limit * limit:
+    if not (
+        dot(state.velocity, state.velocity) < limit * limit
+        and dot(state.rate, state.rate) < limit * limit
+    ):
         return TOO_FAST
     return -1 if state.rotation[2, 2] > COS_TILT_MAX else TOO_TILTED
 
@@ -208,7 +209,14 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     rate *= model.fault[1, k] * (angle > 0.0)
     angle = model.fault[1, k] * max(0.0, angle)
     here, foot = _contact_point(legs, state, feet, work, k, place, angle, tau)
-    drop_rate, slip = _slip_and_drop_rate(work, a, here, foot, rate)
+    # rate of the drop, and slip, of a foot without displacements against its leg's equilibrium
+    shift_rate = here.x_a * rate
+    rigid = at(work.motion[0], work.motion[1], foot.place)
+    drop_rate = (
+        dot(foot.up, rigid) + foot.slope * shift_rate
+    ) / foot.normal_per_drop
+    slip = plus(plus(rigid, drop_rate, foot.path), shift_rate, a)
+    slip = plus(slip, -dot(foot.up, slip), foot.up)
     force_slope = min(0.0, here.force_h)
     force_rate = force_slope * drop_rate + here.force_a * rate
     leg_force = max(0.0, here.force + beta * force_rate)
@@ -246,8 +254,11 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     for i in range(3):
         work.vector[3 + i] -= turning * foot.up[i]
     _add_stiffness(work.matrix, foot, stiffness, grip, inv)
-    tension = here.tension - here.x_a * dot(f, a) / radius
-    tension += beta * (here.tension_h * drop_rate + here.tension_a * rate)
+    tension = (
+        here.tension
+        - here.x_a * dot(f, a) / radius
+        + beta * (here.tension_h * drop_rate + here.tension_a * rate)
+    )
     state.tension[k] = max(0.0, tension) * (here.tension > 0.0)
     put(state.node_velocity[k], YIELD, rate_of)
     put(feet.force, k, times(axes, f))
@@ -284,7 +295,7 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
     along = scaled(1.0 / width, along)
     aside = cross(up, along)
     outward, left = plus(a, lean[0], path), plus(b, lean[1], path)
-    foot = Foot(
+    return here, Foot(
         place=(
             root[0] + x * a[0],
             root[1] + x * a[1],
@@ -305,22 +316,6 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
             dot(left, aside),
         ),
     )
-    return here, foot
-
-
-@helper
-def _slip_and_drop_rate(work, a, here, foot, rate):
-    """Rate of the foot's drop below the clamp, m/s, and slip of the foot, step axes, m/s.
-
-    Of a foot without displacements against its leg's equilibrium.
-    """
-    up, shift_rate = foot.up, here.x_a * rate
-    rigid = at(work.motion[0], work.motion[1], foot.place)
-    drop_rate = (
-        dot(up, rigid) + foot.slope * shift_rate
-    ) / foot.normal_per_drop
-    slip = plus(plus(rigid, drop_rate, foot.path), shift_rate, a)
-    return drop_rate, plus(slip, -dot(up, slip), up)
 
 
 @helper
@@ -430,12 +425,18 @@ def _grip(
             syp * held + uneven * b1 * lever,
             spp * held + drag * lever * lever,
         )
-        load = (
-            leg_force * foot.lean[0] - sxx * x - a1 * g1 - a2 * g2,
-            leg_force * foot.lean[1] - syy * y - syp * turn - b1 * g1 - b2 * g2,
-            -syp * y - spp * turn - lever * g3,
+        rate = _image(
+            inverse,
+            (
+                leg_force * foot.lean[0] - sxx * x - a1 * g1 - a2 * g2,
+                leg_force * foot.lean[1]
+                - syy * y
+                - syp * turn
+                - b1 * g1
+                - b2 * g2,
+                -syp * y - spp * turn - lever * g3,
+            ),
         )
-        rate = _image(inverse, load)
         z = _slip(start, foot.drive, lever, rate)
         force = (
             -drag * z[0] - uneven * z[2] - held_1,

@@ -115,13 +115,8 @@ class DisturbanceObserver:
         s = self._settings
         square = np.square(residual / self._scale)
         self._misfit += s.misfit_gain * (square - self._misfit)
-        if self.misfit > s.misfit_max:
+        if np.sqrt(self._misfit.mean()) > s.misfit_max:
             self._model.friction = s.friction
-
-    @property
-    def misfit(self) -> float:
-        """Residual of the model error after drift and wrench, in units of the scales."""
-        return float(np.sqrt(self._misfit.mean()))
 
 
 def _bounded(values: Array, most: Array) -> Array:

@@ -64,20 +64,13 @@ class NominalRobot:
         self.robot.legs.table[..., TURN] *= settings.turn
         self._table = self.robot.legs.table.copy()
         self._stiffness = 1.0
+        self.friction = settings.friction  # of the floor
+        self.push = np.zeros(6)  # N, N m, force and moment on the torso
         self._angle_max = robot.tendon.angle_max
         self._initial = self.robot.state.buffer.copy()
         # compile the kernels
         self.measured(self._initial, np.zeros(12))
         self.after(self._initial, np.zeros((2, len(LEGS))))
-
-    @property
-    def push(self) -> Array:
-        """Force (N) and moment (N m) on the torso, (6,)."""
-        return np.array(self.robot.model.push)
-
-    @push.setter
-    def push(self, push: Array) -> None:
-        self.robot.model.push[:] = push
 
     @property
     def gravity(self) -> Array:
@@ -87,15 +80,6 @@ class NominalRobot:
     @gravity.setter
     def gravity(self, gravity: Array) -> None:
         self.robot.model.gravity[:] = checked("gravity", gravity, (3,))
-
-    @property
-    def friction(self) -> float:
-        """Coefficient of the floor."""
-        return float(self.robot.model.friction[0, 0])
-
-    @friction.setter
-    def friction(self, coefficient: float) -> None:
-        self.robot.model.friction[:] = coefficient
 
     @property
     def stiffness(self) -> float:
@@ -109,12 +93,9 @@ class NominalRobot:
 
     def set_wrench(self, wrench: Array, yaw: float) -> None:
         """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""
-        wrench, yaw = (
-            checked("wrench", wrench, (3,)),
-            float(checked("yaw", yaw, ())),
-        )
-        self.robot.model.push[2] = wrench[0]
-        self.robot.model.push[3:5] = rotate(wrench[1:], yaw)
+        wrench = checked("wrench", wrench, (3,))
+        moment = rotate(wrench[1:], float(checked("yaw", yaw, ())))
+        self.push = np.array([0.0, 0.0, wrench[0], *moment, 0.0])
 
     def at_rest(self, state: Array, angle: Array) -> Array:
         """State with the torso of `state` (12,) and legs and servos that have reached `angle`."""
@@ -154,6 +135,8 @@ class NominalRobot:
                 f"plans: {plans.shape[1]} stages, expected two or more"
             )
         start = self._checked(start)
+        self.robot.model.push[:] = self.push
+        self.robot.model.friction[:] = self.friction
         count, stages = plans.shape[0], plans.shape[1] - 1
         found = Rollouts(
             np.empty((count, stages, 6)),
@@ -224,9 +207,10 @@ def roll_out(
         diverged = False
         for k in range(plans.shape[1] - 1):
             for c in range(cycles):
-                _command(
-                    feet, plans[p, k], plans[p, k + 1], c / cycles, angle_max
-                )
+                for leg in range(4):
+                    here, there = plans[p, k, leg], plans[p, k + 1, leg]
+                    goal = here + c / cycles * (there - here)
+                    feet.command[leg] = min(max(goal, 0.0), angle_max)
                 for _ in range(steps):
                     if not diverged:
                         one_step(model, legs, state, feet, work, scheme)
@@ -234,14 +218,6 @@ def roll_out(
             _record(
                 pose[p, k], force[p, k], foot[p, k], legs, state, feet, diverged
             )
-
-
-@helper
-def _command(feet, here, there, share, angle_max):
-    """Give the servos the angles between two stages."""
-    for leg in range(4):
-        goal = here[leg] + share * (there[leg] - here[leg])
-        feet.command[leg] = min(max(goal, 0.0), angle_max)
 
 
 @helper

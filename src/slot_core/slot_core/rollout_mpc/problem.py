@@ -65,8 +65,10 @@ class PlanProblem:
                 for row in np.eye(len(settings.knots))
             ]
         )
-        basis = hats[None, :, :, None] * MODES[:, None, None, :]
-        self.basis = basis.reshape(-1, stages + 1, LEG_COUNT)  # (n, K + 1, 4)
+        # (n, K + 1, 4)
+        self.basis = (hats[None, :, :, None] * MODES[:, None, None, :]).reshape(
+            -1, stages + 1, LEG_COUNT
+        )
         self._flat = self.basis.reshape(len(self.basis), -1)  # (n, 4 (K + 1))
         rates = np.diff(self.basis, axis=1).reshape(len(self.basis), -1)
         self._rows = np.hstack([self._flat, rates]).T.copy()
@@ -87,14 +89,10 @@ class PlanProblem:
         damping = np.eye(len(self.basis)) / np.square(cost.change)
         self._damped = product(self._flat, pulls.T) + damping
         self._solver = ActiveSet(len(self.basis))
-        wanted = self.reference(
-            np.zeros((stages + 1, 12)), np.zeros(3), np.zeros(3), 0.0
-        )
-        # compiles the kernels, as does the step
-        error = self.errors(wanted[None], wanted, 0.0)[0]
-        slopes = np.zeros((len(self.basis), error.size))
+        slopes = np.zeros((len(self.basis), 6 * stages))
         angle = np.zeros((stages + 1, LEG_COUNT))
-        self.change(error, self.linearised(slopes), angle, angle)
+        # compiles the solver
+        self.change(slopes[0], self.linearised(slopes), angle, angle)
 
     def reference(
         self, rows: Array, place: Array, drift: Array, sag: float

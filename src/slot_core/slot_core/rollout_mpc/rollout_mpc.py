@@ -21,7 +21,8 @@ from slot_core.arrays import Array
 from slot_core.control.force_map import read_springs
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.input_check import (
-    gravity_fault,
+    GRAVITY_RANGE,
+    fault_of,
     preview_fault,
     state_fault,
     time_fault,
@@ -92,7 +93,9 @@ class RolloutMpc(Policy):
         self._robot, self._settings, self._timer = robot, settings, timer
         self._springs = read_springs()
         x, y, _ = robot.feet.T
-        self._shares = _shares(np.array([np.ones(len(LEGS)), y, -x]))  # (4, 3)
+        balance = np.array([np.ones(len(LEGS)), y, -x])  # B
+        # (4, 3) least forces of the legs for a wrench, B^T (B B^T)^-1
+        self._shares = product(balance.T, inverse(product(balance, balance.T)))
         self._begin(read_gaits().dt)
 
     @staticmethod
@@ -146,7 +149,7 @@ class RolloutMpc(Policy):
         if fault := (
             fault
             or state_fault(estimate.state, limits.input_max)
-            or gravity_fault(estimate.gravity)
+            or fault_of("gravity", estimate.gravity, (3,), *GRAVITY_RANGE)
         ):
             return self._fall_back(Status.REJECTED, fault)
         present = self._plan
@@ -365,6 +368,13 @@ class RolloutMpc(Policy):
         message, friction = "", self._model.friction
         if friction != self._settings.nominal.friction:
             message = f"the floor grips: friction {friction:g} in the model"
+        fx, fy, normal = motion.force[0].T
+        slack = np.full(len(LEGS), math.nan)
+        if preview is not None:
+            slack = preview.friction[0] * normal - np.maximum(
+                np.abs(fx), np.abs(fy)
+            )
+        least, largest = self._problem.range(plan.nominal)
         return TendonPlan(
             angle[:-1],
             rate,
@@ -373,7 +383,13 @@ class RolloutMpc(Policy):
             foot=motion.foot,
             status=Status.SOLVED,
             message=message,
-            report=self._report(plan, angle[0], rate, preview),
+            report=replace(
+                self._disturbances,
+                slack_normal_min=normal,
+                slack_friction=slack,
+                slack_angle=np.minimum(angle[0] - least, largest - angle[0]),
+                slack_rate=self._settings.limits.rate - np.abs(rate),
+            ),
         )
 
     def _note_disturbances(self) -> None:
@@ -387,34 +403,6 @@ class RolloutMpc(Policy):
             drift=observer.drift.copy(),
             wrench=observer.wrench.copy(),
         )
-
-    def _report(
-        self,
-        plan: _Plan,
-        angle: Array,
-        rate: Array,
-        preview: GaitPreview | None,
-    ) -> PlanReport:
-        """Disturbances, and margins of the first stage of a plan."""
-        fx, fy, normal = plan.motion.force[0].T
-        friction = np.full(len(LEGS), math.nan)
-        if preview is not None:
-            friction = preview.friction[0] * normal - np.maximum(
-                np.abs(fx), np.abs(fy)
-            )
-        least, largest = self._problem.range(plan.nominal)
-        return replace(
-            self._disturbances,
-            slack_normal_min=normal,
-            slack_friction=friction,
-            slack_angle=np.minimum(angle - least, largest - angle),
-            slack_rate=self._settings.limits.rate - np.abs(rate),
-        )
-
-
-def _shares(balance: Array) -> Array:
-    """Least forces (4, 3) of the legs for a wrench: B^T (B B^T)^-1 with the balance B (3, 4)."""
-    return np.asarray(product(balance.T, inverse(product(balance, balance.T))))
 
 
 def _no_motion(stages: int) -> Rollouts:

@@ -19,6 +19,12 @@ from slot_core.safety.states import Action, Condition
 from slot_core.safety.watchdog import ServoHealth
 
 Finding = tuple[Condition, str]
+NO_REPORT = ServoHealth(
+    action=Action.HOLD,
+    reason="",
+    torque=np.zeros(len(LEGS), dtype=np.bool_),
+    goal=np.full(len(LEGS), math.inf),
+)
 
 
 class EmergencyStop:
@@ -122,7 +128,7 @@ class Conditions:
         # time of the last answer
         self._answered: list[int | None] = [None] * len(LEGS)
         self._not_finite: list[int | None] = [None] * len(LEGS)  # since when
-        self._health: ServoHealth | None = None
+        self._health = NO_REPORT
         self._reported = 0  # time of the last health report
 
     def receive_heartbeat(self, time: int, source: str) -> None:
@@ -185,7 +191,7 @@ class Conditions:
 
     def unpowered(self) -> list[str]:
         """Servos without torque, one line each."""
-        if self._health is None:
+        if self._health is NO_REPORT:
             return ["no report of the servos yet"]
         return [
             f"servo {leg} without torque"
@@ -196,30 +202,24 @@ class Conditions:
     @property
     def supervised(self) -> int | None:
         """As of ServoHealth; None without a report."""
-        return None if self._health is None else self._health.supervised
+        return None if self._health is NO_REPORT else self._health.supervised
 
     def release_reason(self) -> str:
         """Reason of a RELAX or OFF that the servos report, or ""."""
-        if self._health is None or self._health.action in (
-            Action.PASS,
-            Action.HOLD,
-        ):
+        if self._health.action in (Action.PASS, Action.HOLD):
             return ""
         return f"servos: {self._health.reason}"
 
     def torque_off(self, since: int) -> bool:
         """Whether a report newer than `since` says that no servo is under torque."""
-        if self._health is None or self._reported <= since:
-            return False
         return (
-            self._health.action in (Action.RELAX, Action.OFF)
+            self._reported > since
+            and self._health.action in (Action.RELAX, Action.OFF)
             and not self._health.torque.any()
         )
 
     def distance(self, angle: Array) -> float:
         """Largest distance of the servos' goals from angles (4,), rad; inf without a report."""
-        if self._health is None:
-            return math.inf
         return float(np.abs(self._health.goal - angle).max())
 
     def unwatched(self) -> Iterator[str]:
@@ -248,7 +248,7 @@ class Conditions:
     @property
     def slewed(self) -> bool:
         """Whether the rate limit holds a goal back."""
-        return self._health is not None and bool(self._health.slewed.any())
+        return bool(self._health.slewed.any())
 
     def conditions(self, time: int) -> dict[Condition, str]:
         """Every condition that holds now, with one line: cause, value and limit."""

@@ -137,7 +137,16 @@ class RateLimiter:
                 np.clip(angle, 0.0, self._angle_max), self._rate(time, fast)
             )
         if action is Action.RELAX:
-            return self._relax(time)
+            # torque goes off at the end of the ramp, whether or not the servos have followed
+            moved = self._move(np.zeros(len(LEGS)), self.settings.relax_rate)
+            self._relaxed = (
+                self._relaxed
+                or time - self._since >= self.settings.relax_time * SECOND
+                or not self._goal.any()
+            )
+            return (
+                unchanged(action, self._goal, False) if self._relaxed else moved
+            )
         if action is Action.HOLD and ease is not None:
             return self._move(
                 np.full(len(LEGS), ease), self.settings.approach_rate
@@ -156,21 +165,6 @@ class RateLimiter:
         share = to_seconds(time - self._since) / s.resume_time
         return s.approach_rate + (s.rate_max - s.approach_rate) * min(
             max(share, 0.0), 1.0
-        )
-
-    def _relax(self, time: int) -> Goals:
-        """Ramp to slack; torque goes off at its end, whether or not the servos have followed."""
-        slack = np.zeros(len(LEGS))
-        moved = self._move(slack, self.settings.relax_rate)
-        self._relaxed = (
-            self._relaxed
-            or time - self._since >= self.settings.relax_time * SECOND
-            or bool((self._goal == slack).all())
-        )
-        return (
-            unchanged(self._action, self._goal, False)
-            if self._relaxed
-            else moved
         )
 
     def _move(self, target: Array, rate: float) -> Goals:

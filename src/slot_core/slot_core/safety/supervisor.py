@@ -435,7 +435,16 @@ class Supervisor:
     def _further_reasons(self, request: Request) -> list[str]:
         """Reasons to refuse a request that are not conditions, one line each."""
         if request is Request.READY:
-            return self._angles_out_of_range()
+            largest = self._robot.tendon.angle_max
+            tolerance = self._settings.zero_tolerance
+            return [  # of a wrong zero
+                f"servo {leg} at {angle:.3g} rad, limits"
+                f" [{-tolerance:.3g}, {largest + tolerance:.3g}]"
+                if np.isfinite(angle)
+                else f"servo {leg} has not told its angle yet"
+                for leg, angle in zip(LEGS, self._tendon_angle)
+                if not -tolerance <= angle <= largest + tolerance
+            ]
         if request is Request.STAND and (unpowered := self._inputs.unpowered()):
             return unpowered
         limit, distance = (
@@ -449,20 +458,6 @@ class Supervisor:
         if request is Request.WALK and not self._inputs.legs_are_known:
             return ["the stiffness of the legs is not measured yet"]
         return []
-
-    def _angles_out_of_range(self) -> list[str]:
-        """Servos whose angle is outside the range (a wrong zero), one line each."""
-        largest, tolerance = (
-            self._robot.tendon.angle_max,
-            self._settings.zero_tolerance,
-        )
-        return [
-            f"servo {leg} at {angle:.3g} rad, limits [{-tolerance:.3g}, {largest + tolerance:.3g}]"
-            if np.isfinite(angle)
-            else f"servo {leg} has not told its angle yet"
-            for leg, angle in zip(LEGS, self._tendon_angle)
-            if not -tolerance <= angle <= largest + tolerance
-        ]
 
     def _transition(
         self, now: int, time: int, condition: Condition, reason: str
