@@ -24,6 +24,7 @@ from slot_core.estimation.filter_kernels import (
     logarithm,
     multiply,
     rotate,
+    rotate_back,
     rotation_matrix,
     store_unit,
 )
@@ -264,26 +265,6 @@ def set_turn(work, p, q):
     work.turn[0], work.turn[1], work.turn[2] = turn_between(p, q)
 
 
-@helper
-def add_force(sums, rotation, before, after, dt, keep):
-    """Add the mean specific force over dt (s) between two readings (13,), turned into odom.
-
-    rotation: work space (3, 3).
-    """
-    up, force = sums.up, sums.force
-    for i in range(4):
-        up[i] *= keep
-    if force[3] > 0.0:
-        for reading in (before, after):
-            rotation_matrix(rotation, reading[:4])
-            for i in range(3):
-                for j in range(3):
-                    up[i] += dt / 2 * rotation[i, j] * force[j] / force[3]
-        up[3] += dt
-    for i in range(4):
-        force[i] = 0.0
-
-
 @kernel
 def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
     """Add the step between two readings (13,), dt (s) apart, to the sums of twist and force.
@@ -297,28 +278,29 @@ def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
         sums.twist[kind] *= keep
     sums.twist[3] += 1.0
     for kind in range(3):
+        in_base = dt / 2 if kind == 0 else 0.0
+        in_odom = dt / 2 if kind == 1 else 0.0
         for i in range(3):
             moved[i], turned[i] = after[4 + i] - before[4 + i], work.turn[i]
         for reading in (before, after):
             rotation_matrix(rotation, reading[:4])
+            v = rotate(rotation, reading[7:10])
+            w = rotate_back(rotation, reading[10:13])
             for i in range(3):
-                v, w = reading[7 + i], reading[10 + i]
-                if kind == 0:
-                    v = (
-                        rotation[i, 0] * reading[7]
-                        + rotation[i, 1] * reading[8]
-                        + rotation[i, 2] * reading[9]
-                    )
-                else:
-                    w = (
-                        rotation[0, i] * reading[10]
-                        + rotation[1, i] * reading[11]
-                        + rotation[2, i] * reading[12]
-                    )
-                if kind < 2:
-                    moved[i] -= dt / 2 * v
-                    turned[i] -= dt / 2 * w
+                moved[i] -= in_base * v[i] + in_odom * reading[7 + i]
+                turned[i] -= in_base * reading[10 + i] + in_odom * w[i]
         sums.twist[kind] += min(
             square(moved) / variance[0], LARGEST_RESIDUAL
         ) + min(square(turned) / variance[1], LARGEST_RESIDUAL)
-    add_force(sums, rotation, before, after, dt, keep_force)
+    up, force = sums.up, sums.force
+    for i in range(4):
+        up[i] *= keep_force
+    if force[3] > 0.0:
+        for reading in (before, after):
+            rotation_matrix(rotation, reading[:4])
+            for i in range(3):
+                for j in range(3):
+                    up[i] += dt / 2 * rotation[i, j] * force[j] / force[3]
+        up[3] += dt
+    for i in range(4):
+        force[i] = 0.0

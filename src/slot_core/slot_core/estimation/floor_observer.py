@@ -407,9 +407,11 @@ class FloorObserver:
 
     def _near(self, floor: FloorPlane) -> FloorPlane:
         """The floor, or z = 0 of odom if it cannot be told from that."""
-        s, (x, y, _) = self._settings, floor.normal
-        level = norm(np.array([x, y])) < s.tilt_min
-        return LEVEL if level and abs(floor.height) < s.offset_min else floor
+        is_near = (
+            norm(floor.normal[:2]) < self._settings.tilt_min
+            and abs(floor.height) < self._settings.offset_min
+        )
+        return LEVEL if is_near else floor
 
 
 def _cost(ratio: float, error: float) -> float:

@@ -505,24 +505,20 @@ class InertialFilter:
         With another floor than z = 0 of odom the filter's state is changed, and has to be restored.
         """
         if not floor.is_odom:
-            self._refer_to(floor)
+            nominal, back = self._state, inverse_quaternion(floor.quaternion)
+            turn = matrix_of_quaternion(back)
+            nominal.attitude[:] = quaternion_product(back, nominal.attitude)
+            nominal.position[2] -= floor.height
+            nominal.position[:] = product(turn, nominal.position)
+            nominal.velocity[:] = product(turn, nominal.velocity)
+            jacobian = np.eye(15)
+            for part in (THETA, P, V):
+                jacobian[part, part] = turn
+            nominal.cov[:] = product(product(jacobian, nominal.cov), jacobian.T)
         state, cov = np.empty(12), np.empty((12, 12))
         rate, variance, gyro_share = self.rate
         output(self._state, self._work, rate, gyro_share, variance, state, cov)
         return state, cov
-
-    def _refer_to(self, floor: FloorPlane) -> None:
-        """Turn and move attitude, position and velocity from odom into the frame of a floor."""
-        state, back = self._state, inverse_quaternion(floor.quaternion)
-        turn = matrix_of_quaternion(back)
-        state.attitude[:] = quaternion_product(back, state.attitude)
-        state.position[2] -= floor.height
-        state.position[:] = product(turn, state.position)
-        state.velocity[:] = product(turn, state.velocity)
-        jacobian = np.eye(15)
-        for part in (THETA, P, V):
-            jacobian[part, part] = turn
-        state.cov[:] = product(product(jacobian, state.cov), jacobian.T)
 
 
 def _require_some(samples: ImuSamples) -> None:

@@ -372,8 +372,9 @@ class GaitSettings:
     def find(self, name: str) -> Posture | Stride:
         """The gait of that name; raises ConfigError for an unknown one and lists the known ones."""
         if name not in self.gaits:
-            known = ", ".join(sorted(self.gaits))
-            raise config.ConfigError(f"no gait {quoted(name)} (known: {known})")
+            raise config.ConfigError(
+                f"no gait {quoted(name)} (known: {', '.join(sorted(self.gaits))})"
+            )
         return self.gaits[name]
 
     def clipped(self, name: str, velocity: Array) -> tuple[Array, str]:

@@ -250,8 +250,12 @@ class GaitScheduler:
         gait = self._current.gait
         if self._path is not None and isinstance(gait, Stride):
             wanted = gait.reached(self._path.velocity(state, self._speed))
-        rates = np.array([s.acceleration, s.acceleration, s.turn_acceleration])
-        self._velocity = _toward(self._velocity, wanted, elapsed * rates)
+        self._velocity = _toward(
+            self._velocity,
+            wanted,
+            elapsed
+            * np.array([s.acceleration, s.acceleration, s.turn_acceleration]),
+        )
         self._pose = self._pose_after(elapsed)
 
     @property
@@ -394,13 +398,12 @@ class GaitScheduler:
             (self._since_change + times) / max(self._settings.transition, 1e-9),
             0.0,
             1.0,
-        )
+        )[:, None]
         current = self._table_ahead(self._current, times, velocity)
         if share.min() == 1.0:
             return current
-        weight = share[:, None]
         previous = self._table_ahead(self._previous, times, velocity)
-        return (1 - weight) * previous + weight * current
+        return (1 - share) * previous + share * current
 
     def _table_ahead(
         self, active: _Active, times: Array, velocity: Array
@@ -426,9 +429,10 @@ class GaitScheduler:
             return self._posture_table_ahead(times, shift)
         # as in `_stride`
         advances = active is self._current and not self._is_still()
-        ahead = times if advances else np.zeros_like(times)
-        phase = np.mod(active.phase + ahead / gait.period, 1.0)
-        table = gait.stride_table(phase, velocity, offset)
+        ahead = times / gait.period if advances else np.zeros_like(times)
+        table = gait.stride_table(
+            np.mod(active.phase + ahead, 1.0), velocity, offset
+        )
         table[:, [13, 8, 9]] += self._pose + np.array(
             [shift - gait.height, 0.0, 0.0]
         )
