@@ -29,14 +29,16 @@ class LegTable:
     table: Array  # (m, n, requested columns)
 
     def __post_init__(self) -> None:
-        for values in (self.angle, self.height):
-            rises = np.diff(checked("grid", values, (-1,))) > 0.0
-            if not rises.size or not rises.all():
+        grid = [
+            checked("grid", values, (-1,))
+            for values in (self.angle, self.height)
+        ]
+        checked("table", self.table, (*map(len, grid), -1))
+        for values in grid:
+            if len(values) < 2 or not (np.diff(values) > 0.0).all():
                 raise ValueError(
                     "grid: expected two or more angles and heights that rise"
                 )
-        shape = len(self.angle), len(self.height), -1
-        checked("table", self.table, shape)
 
     def at(self, angle: Array, height: Array) -> Array:
         """Columns (k, c) at angles (k,) rad and heights (k,) m, bilinear; outside: at the edge.
@@ -54,10 +56,12 @@ def read_leg_table(columns: Sequence[str]) -> LegTable:
     """Columns of `config/leg_map.csv`; raises ConfigError if it is missing or not a grid."""
     names = ("theta_deg", "height_m", *columns)
     try:
-        text = read_text(config.config_dir() / "leg_map.csv", SIZE_MAX)
+        lines = read_text(
+            config.config_dir() / "leg_map.csv", SIZE_MAX
+        ).splitlines()
         rows = [
             [float(row[name]) for name in names]
-            for row in csv.DictReader(text.splitlines())
+            for row in csv.DictReader(lines)
         ]
         theta_deg, height, *values = np.array(sorted(rows)).T
         angles, heights = np.unique(theta_deg), np.unique(height)
