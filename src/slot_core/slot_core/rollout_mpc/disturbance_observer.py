@@ -92,8 +92,8 @@ class DisturbanceObserver:
             return
         while len(past) > window + 1:
             past.popleft()
-        plan = np.array([[seen.angle for seen in past]])
-        poses = self._model.roll_out(past[0].start, plan).pose[0]
+        plan = np.array([seen.angle for seen in past])
+        poses = self._model.roll_out(past[0].start, plan[None]).pose[0]
         if np.isfinite(poses).all():
             self._correct(state, poses[-1], self._dt * window)
 
@@ -115,8 +115,13 @@ class DisturbanceObserver:
         s = self._settings
         square = np.square(residual / self._scale)
         self._misfit += s.misfit_gain * (square - self._misfit)
-        if np.sqrt(self._misfit.mean()) > s.misfit_max:
+        if self.misfit > s.misfit_max:
             self._model.friction = s.friction
+
+    @property
+    def misfit(self) -> float:
+        """Residual of the model error after drift and wrench, in units of the scales."""
+        return float(np.sqrt(self._misfit.mean()))
 
 
 def _bounded(values: Array, most: Array) -> Array:
