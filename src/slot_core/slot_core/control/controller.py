@@ -54,8 +54,9 @@ class Controller:
             gaits or read_gaits(), robot, springs, gait, velocity, path
         )
         self.policy = policy
-        delay = estimator.timing.command_delay
-        self.force_map = make_force_map(robot, read_force_map(), delay)
+        self.force_map = make_force_map(
+            robot, read_force_map(), estimator.timing.command_delay
+        )
 
     def poll(self) -> Tick | None:
         """Process the estimator's next estimate; None if none is ready."""

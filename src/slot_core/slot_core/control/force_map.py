@@ -99,42 +99,42 @@ class ForceMap:
         checked("state", state, (12,), finite=False)
         normal = plan.force[0, :, 2]
         if len(plan.angle):
-            found = plan.angle[0], np.zeros(len(LEGS)), plan.rate
+            angle, slope, rate = plan.angle[0], np.zeros(count), plan.rate
         elif plan.map == INCREMENTAL:
-            found = self._incremental(normal, preview, state)
+            angle, slope = self._incremental(normal, preview, state)
+            rate = preview.rate
         else:
             raise ValueError(f"map {quoted(plan.map)}: expected {INCREMENTAL}")
-        angle, slope, rate = found
         late = min(max(to_seconds(lead) - self._delay, 0.0), preview.dt)
         angle = angle + late * rate
         self._last = clipped = self._clip(angle)
-        name = plan.map or PLANNED
         return TendonCommand(
-            name, clipped, normal, slope, angle, clipped != angle, rate
+            map=plan.map or PLANNED,
+            angle=clipped,
+            force=normal,
+            slope=slope,
+            angle_unclamped=angle,
+            saturated=clipped != angle,
+            rate=rate,
         )
 
     def _incremental(
         self, normal: Array, preview: GaitPreview, state: Array
-    ) -> tuple[Array, Array, Array]:
-        """Angle, slope and rate for normal forces (4,) N."""
+    ) -> tuple[Array, Array]:
+        """Angle and slope for normal forces (4,) N."""
         nominal = preview.tendon_angle[0]
         height = self._robot.clamp_heights(state[5], *state[:2])
-        ratio = preview.leg_stiffness
-        slope = self._springs.at(nominal, height, ratio).slope
+        slope = self._springs.at(nominal, height, preview.leg_stiffness).slope
         limit = np.radians(self._settings.correction_max_deg)
         correction = np.clip(
             (normal - preview.normal_force[0]) / slope, -limit, limit
         )
-        return nominal + correction, slope, preview.rate
+        return nominal + correction, slope
 
     def _hold(self, preview: GaitPreview) -> TendonCommand:
         """The last angles; before the first of them, the nominal angles of the preview."""
-        angle = (
-            self._clip(preview.tendon_angle[0])
-            if self._last is None
-            else self._last
-        )
-        zeros = np.zeros(len(LEGS))
+        nominal, zeros = preview.tendon_angle[0], np.zeros(len(LEGS))
+        angle = self._clip(nominal) if self._last is None else self._last
         return TendonCommand(
             HELD, angle, zeros, zeros, angle, zeros.astype(bool), zeros
         )

@@ -11,18 +11,13 @@ from slot_core.robot import LEGS
 
 STATES, FEET = 12, len(LEGS)
 EXCEED = " ms exceed "
-GRAVITY_MAX = 20.0  # m/s^2
+GRAVITY_RANGE = (-20.0, 20.0)  # m/s^2, of an element
 STAGE_TIME = (0.001, 0.1)  # s, shortest and longest time between stages
 
 
 def state_fault(state: Array, most: float) -> str:
     """The fault of a state (12,), whose elements are at most `most`; empty if there is none."""
     return fault_of("state", state, (STATES,), -most, most)
-
-
-def gravity_fault(gravity: Array) -> str:
-    """The fault of a gravity (3,), m/s^2; empty if there is none."""
-    return fault_of("gravity", gravity, (3,), -GRAVITY_MAX, GRAVITY_MAX)
 
 
 def preview_fault(preview: GaitPreview, stages: int, most: float) -> str:
@@ -86,7 +81,6 @@ def fault_of(
     # false for NaN
     if low <= array.min(initial=high) and array.max(initial=low) <= high:
         return ""
-    inside = (array >= low) & (array <= high)
-    index = tuple(int(i) for i in np.argwhere(~inside)[0])
+    index = tuple(np.argwhere(~((array >= low) & (array <= high)))[0].tolist())
     where = f"[{', '.join(map(str, index))}]" if index else ""
     return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"

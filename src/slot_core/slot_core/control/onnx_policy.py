@@ -76,22 +76,26 @@ class OnnxPolicy(Policy):
             return gait_plan(preview)
         if fault := state_fault(estimate.state, STATE_MAX):
             return self._fall_back(Status.REJECTED, fault, preview)
-        seen = observation(
-            np.asarray(estimate.state, dtype=float)[None],
-            np.asarray(preview.reference, dtype=float)[:1],
-            preview.phases[:1],
-            preview.velocity_ahead[:1],
-            self._action,
+        action = self.act(
+            observation(
+                np.asarray(estimate.state, dtype=float)[None],
+                np.asarray(preview.reference, dtype=float)[:1],
+                preview.phases[:1],
+                preview.velocity_ahead[:1],
+                self._action,
+            )
         )
-        action = self.act(seen)
         if not np.isfinite(action).all():
             return self._fall_back(
                 Status.NOT_SOLVED, "action not finite", preview
             )
         self._action, self._missed = np.clip(action, -1.0, 1.0), 0
-        velocity = preview.velocity_ahead
         change = deviation(
-            self._kind, self._action, self._stride, preview.phases, velocity
+            self._kind,
+            self._action,
+            self._stride,
+            preview.phases,
+            preview.velocity_ahead,
         )
         return gait_plan(preview, change)
 
@@ -103,9 +107,11 @@ class OnnxPolicy(Policy):
             np.zeros_like(self._action),
             self._missed + 1,
         )
-        plan = gait_plan(preview)
         return replace(
-            plan, status=cause, message=fault, fallback_cycles=self._missed
+            gait_plan(preview),
+            status=cause,
+            message=fault,
+            fallback_cycles=self._missed,
         )
 
     def act(self, seen: Array) -> Array:
@@ -141,9 +147,8 @@ def _session(file: Path) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     with _refused(file):
-        content = read_bytes(file, SIZE_MAX)
         return onnxruntime.InferenceSession(
-            content, options, ["CPUExecutionProvider"]
+            read_bytes(file, SIZE_MAX), options, ["CPUExecutionProvider"]
         )
 
 

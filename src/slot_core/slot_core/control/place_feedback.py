@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core import config
-from slot_core.arrays import Array
 from slot_core.config import quantity
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.policy import Policy, TendonPlan, Timer
@@ -63,19 +62,13 @@ class PlaceFeedback(Policy):
             return gait_plan(preview)
         phase = preview.phases
         table = stride.stride_table(phase, preview.velocity_ahead)
-        error = place_error(
-            estimate.state, preview.reference[0], table[0, 11:13]
+        state, reference = estimate.state, preview.reference[0]
+        gap = rotate(reference[3:5] - state[3:5], -state[2])
+        # without the gait's own sway
+        error = np.append(
+            gap - table[0, 11:13], wrapped(reference[2] - state[2])
         )
         most = np.array(self._settings.change_max)
         change = np.clip(np.array(self._settings.gain) * error, -most, most)
         turned = stride.stride_table(phase, preview.velocity_ahead + change)
         return gait_plan(preview, turned[:, :4] - table[:, :4])
-
-
-def place_error(state: Array, reference: Array, sway: Array) -> Array:
-    """Reference place minus the robot's (3,): along and across the heading (m), yaw (rad).
-
-    state, reference: (12,); sway: (2,) m, of x and y in the heading frame, which is no error.
-    """
-    gap = rotate(reference[3:5] - state[3:5], -state[2])
-    return np.append(gap - sway, wrapped(reference[2] - state[2]))

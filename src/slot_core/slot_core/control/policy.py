@@ -146,10 +146,9 @@ def policy_class(name: str) -> type[Policy]:
             f"policy {quoted(name)}: it is named {RENAMED[name]} now"
         )
     else:
-        known = ", ".join(POLICIES)
         raise ConfigError(
-            f"policy {quoted(name)}: expected one of {known}, a file that ends with .py, or"
-            f" {ONNX}FILE"
+            f"policy {quoted(name)}: expected one of {', '.join(POLICIES)}, a file that ends with"
+            f" .py, or {ONNX}FILE"
         )
     found: type[Policy] = pkgutil.resolve_name(place)
     return found

@@ -24,6 +24,7 @@ from slot_core.estimation.filter_kernels import (
     logarithm,
     multiply,
     rotate,
+    rotate_back,
     rotation_matrix,
     store_unit,
 )
@@ -63,7 +64,6 @@ class TurnWork(NamedTuple):
 
     turn: Array  # (3,) rad, of odometry between two readings
     turns: Array  # (len(SHIFTS), 3) rad, of the gyroscope
-    table: Array  # (len(SHIFTS), 12) of E(1, 1), S_o, S_g and B
     rotation: Array  # (3, 3)
     power: Array  # (4, 4)
     half: Array  # (4, 4)
@@ -71,20 +71,28 @@ class TurnWork(NamedTuple):
 
 def turn_sums() -> TurnSums:
     """Sums over nothing."""
-    shapes = [(3,), (4,), (len(SHIFTS), 13), (5,), (4,), (4,)]
     return TurnSums(
-        np.zeros(KEPT, dtype=np.int64),
-        np.zeros((KEPT, 4)),
-        np.zeros(2, dtype=np.int64),
-        *(np.zeros(shape) for shape in shapes),
+        stamps=np.zeros(KEPT, dtype=np.int64),
+        attitudes=np.zeros((KEPT, 4)),
+        ring=np.zeros(2, dtype=np.int64),
+        rate=np.zeros(3),
+        force=np.zeros(4),
+        pairs=np.zeros((len(SHIFTS), 13)),
+        odometry=np.zeros(5),
+        twist=np.zeros(4),
+        up=np.zeros(4),
     )
 
 
 def turn_work() -> TurnWork:
     """Work space."""
-    shifts = len(SHIFTS)
-    shapes = [(3,), (shifts, 3), (shifts, 12), (3, 3), (4, 4), (4, 4)]
-    return TurnWork(*(np.zeros(shape) for shape in shapes))
+    return TurnWork(
+        turn=np.zeros(3),
+        turns=np.zeros((len(SHIFTS), 3)),
+        rotation=np.zeros((3, 3)),
+        power=np.zeros((4, 4)),
+        half=np.zeros((4, 4)),
+    )
 
 
 @helper
@@ -162,8 +170,7 @@ def attitude_at(sums, entry, stamp):
 @helper
 def turn_between(p, q):
     """Rotation vector, rad, of the turn from attitude p to attitude q, in the axes of p."""
-    x, y, z, w = multiply((-p[0], -p[1], -p[2], p[3]), q)
-    return logarithm(x, y, z, w)
+    return logarithm(*multiply((-p[0], -p[1], -p[2], p[3]), q))
 
 
 @kernel
@@ -181,9 +188,10 @@ def compare_turns(sums, work, before, after, keep):
             start += 1
         while stamps[(first + end + 1) % KEPT] < b:
             end += 1
-        p, q = attitude_at(sums, start, a), attitude_at(sums, end, b)
         g = work.turns[row]
-        g[0], g[1], g[2] = turn_between(p, q)
+        g[0], g[1], g[2] = turn_between(
+            attitude_at(sums, start, a), attitude_at(sums, end, b)
+        )
         largest = max(largest, square(g))
     size = square(turn)
     if size > JUMP * JUMP and size > 9.0 * largest:
@@ -202,22 +210,18 @@ def compare_turns(sums, work, before, after, keep):
     return True
 
 
-@kernel
-def set_table(sums, out):
-    """E(1, 1), S_o, S_g and B row by row, about the means, of each shift: out (n, 12)."""
-    total = sums.odometry
-    count = max(total[4], 1.0)
-    for row in range(out.shape[0]):
-        pair, trace = sums.pairs[row], 0.0
-        turned = total[3] - square(total) / count
-        gyro = pair[SQUARE] - square(pair[MEAN:SQUARE]) / count
-        for i in range(3):
-            for j in range(3):
-                k = 3 * i + j
-                out[row, 3 + k] = pair[k] - total[i] * pair[MEAN + j] / count
-            trace += out[row, 3 + 4 * i]
-        out[row, 0] = turned + gyro - 2.0 * trace
-        out[row, 1], out[row, 2] = turned, gyro
+def turn_table(sums: TurnSums) -> Array:
+    """E(1, 1), S_o, S_g and B row by row, about the means, of each shift: (n, 12)."""
+    total, count = sums.odometry, max(sums.odometry[4], 1.0)
+    mean = sums.pairs[:, MEAN:SQUARE]
+    turned = total[3] - (total[:3] * total[:3]).sum() / count
+    gyro = sums.pairs[:, SQUARE] - (mean * mean).sum(axis=1) / count
+    b = (
+        sums.pairs[:, :MEAN]
+        - np.repeat(total[:3], 3) * np.tile(mean, 3) / count
+    )
+    left = turned + gyro - 2.0 * (b[:, 0] + b[:, 4] + b[:, 8])
+    return np.column_stack([left, np.full_like(gyro, turned), gyro, b])
 
 
 @kernel
@@ -261,26 +265,6 @@ def set_turn(work, p, q):
     work.turn[0], work.turn[1], work.turn[2] = turn_between(p, q)
 
 
-@helper
-def add_force(sums, rotation, before, after, dt, keep):
-    """Add the mean specific force over dt (s) between two readings (13,), turned into odom.
-
-    rotation: work space (3, 3).
-    """
-    up, force = sums.up, sums.force
-    for i in range(4):
-        up[i] *= keep
-    if force[3] > 0.0:
-        for reading in (before, after):
-            rotation_matrix(rotation, reading[:4])
-            for i in range(3):
-                for j in range(3):
-                    up[i] += dt / 2 * rotation[i, j] * force[j] / force[3]
-        up[3] += dt
-    for i in range(4):
-        force[i] = 0.0
-
-
 @kernel
 def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
     """Add the step between two readings (13,), dt (s) apart, to the sums of twist and force.
@@ -294,28 +278,29 @@ def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
         sums.twist[kind] *= keep
     sums.twist[3] += 1.0
     for kind in range(3):
+        in_base = dt / 2 if kind == 0 else 0.0
+        in_odom = dt / 2 if kind == 1 else 0.0
         for i in range(3):
             moved[i], turned[i] = after[4 + i] - before[4 + i], work.turn[i]
         for reading in (before, after):
             rotation_matrix(rotation, reading[:4])
+            v = rotate(rotation, reading[7:10])
+            w = rotate_back(rotation, reading[10:13])
             for i in range(3):
-                v, w = reading[7 + i], reading[10 + i]
-                if kind == 0:
-                    v = (
-                        rotation[i, 0] * reading[7]
-                        + rotation[i, 1] * reading[8]
-                        + rotation[i, 2] * reading[9]
-                    )
-                else:
-                    w = (
-                        rotation[0, i] * reading[10]
-                        + rotation[1, i] * reading[11]
-                        + rotation[2, i] * reading[12]
-                    )
-                if kind < 2:
-                    moved[i] -= dt / 2 * v
-                    turned[i] -= dt / 2 * w
+                moved[i] -= in_base * v[i] + in_odom * reading[7 + i]
+                turned[i] -= in_base * reading[10 + i] + in_odom * w[i]
         sums.twist[kind] += min(
             square(moved) / variance[0], LARGEST_RESIDUAL
         ) + min(square(turned) / variance[1], LARGEST_RESIDUAL)
-    add_force(sums, rotation, before, after, dt, keep_force)
+    up, force = sums.up, sums.force
+    for i in range(4):
+        up[i] *= keep_force
+    if force[3] > 0.0:
+        for reading in (before, after):
+            rotation_matrix(rotation, reading[:4])
+            for i in range(3):
+                for j in range(3):
+                    up[i] += dt / 2 * rotation[i, j] * force[j] / force[3]
+        up[3] += dt
+    for i in range(4):
+        force[i] = 0.0

@@ -61,20 +61,18 @@ class FilterWork(NamedTuple):
 
 def work_space() -> FilterWork:
     """Work space of one filter."""
-    wide, block = (15, 15), (3, 3)
-    shapes = (
-        block,
-        wide,
-        wide,
-        (9, 9),
-        (15, 9),
-        block,
-        (9,),
-        (3,),
-        (15,),
-        (6,),
+    return FilterWork(
+        rotation=np.zeros((3, 3)),
+        wide=np.zeros((15, 15)),
+        product=np.zeros((15, 15)),
+        innovation=np.zeros((9, 9)),
+        gain=np.zeros((15, 9)),
+        block=np.zeros((3, 3)),
+        residual=np.zeros(9),
+        weighted=np.zeros(3),
+        error=np.zeros(15),
+        sample=np.zeros(6),
     )
-    return FilterWork(*(np.zeros(shape) for shape in shapes))
 
 
 @kernel
@@ -257,9 +255,7 @@ def set_residual(out, state, work, attitude, position, velocity):
     without IMU, 50 mm/s.
     """
     a, v, rotation = state.attitude, state.velocity, work.rotation
-    inverse = (-a[0], -a[1], -a[2], a[3])
-    x, y, z, w = multiply(attitude, inverse)
-    t = logarithm(x, y, z, w)
+    t = logarithm(*multiply(attitude, (-a[0], -a[1], -a[2], a[3])))
     out[0], out[1], out[2] = t
     rotation_matrix(rotation, attitude)
     read = rotate(rotation, velocity)
@@ -271,9 +267,7 @@ def set_residual(out, state, work, attitude, position, velocity):
     rotation_matrix(rotation, a)
     for i in range(3):
         out[P + i] = position[i] - state.position[i]
-        out[V + i] = 0.0
-        for j in range(3):
-            out[V + i] += rotation[j, i] * off[j]
+    out[V], out[V + 1], out[V + 2] = rotate_back(rotation, off)
 
 
 @helper
@@ -284,10 +278,11 @@ def set_velocity_jacobian(out, velocity, work):
     for i in range(3):
         for j in range(3):
             out[V + i, V + j] = rotation[j, i]
-            total = 0.0
-            for k in range(3):
-                total += rotation[k, i] * block[k, j]
-            out[V + i, THETA + j] = total
+            out[V + i, THETA + j] = (
+                rotation[0, i] * block[0, j]
+                + rotation[1, i] * block[1, j]
+                + rotation[2, i] * block[2, j]
+            )
 
 
 @helper
@@ -355,10 +350,8 @@ def bound_force_bias(state, work, largest):
     for i in range(3):
         u[i] *= bounded / max(length, 1e-9)
     u[2] -= GRAVITY
-    for i in range(3):
-        state.bias[1, i] = 0.0
-        for j in range(3):
-            state.bias[1, i] += rotation[j, i] * u[j]
+    b = state.bias[1]
+    b[0], b[1], b[2] = rotate_back(rotation, u)
 
 
 @kernel
@@ -384,7 +377,9 @@ def output(state, work, rate, gyro_share, rate_variance, out, cov):
     set_product_transposed(cov, work.product[:12], jacobian)
     for i in range(6, 9):
         cov[i, i] += rate_variance
-    symmetrise(cov)
+    for i in range(12):
+        for j in range(i):
+            cov[i, j] = cov[j, i] = 0.5 * (cov[i, j] + cov[j, i])
 
 
 @helper
@@ -472,6 +467,16 @@ def rotate(m, a):
 
 
 @helper
+def rotate_back(m, a):
+    """The transpose of the rotation matrix m (3, 3) times the vector a (3,)."""
+    return (
+        m[0, 0] * a[0] + m[1, 0] * a[1] + m[2, 0] * a[2],
+        m[0, 1] * a[0] + m[1, 1] * a[1] + m[2, 1] * a[2],
+        m[0, 2] * a[0] + m[1, 2] * a[1] + m[2, 2] * a[2],
+    )
+
+
+@helper
 def set_cross(out, row, column, a, scale):
     """Set a block (3, 3) of out to scale [a]x, with [a]x b = a x b."""
     x, y, z = scale * a[0], scale * a[1], scale * a[2]
@@ -512,11 +517,3 @@ def congruence(p, f, half):
         for j in range(i):
             half[i, j], half[j, i] = half[j, i], half[i, j]
     set_product(p, f, half)
-
-
-@helper
-def symmetrise(a):
-    """a <- (a + a^T) / 2."""
-    for i in range(a.shape[0]):
-        for j in range(i):
-            a[i, j] = a[j, i] = 0.5 * (a[i, j] + a[j, i])

@@ -148,8 +148,10 @@ class FloorPlane(NamedTuple):
     @property
     def transform(self) -> Transform:
         """From coordinates in the floor's frame to odom."""
-        place = np.array([0.0, 0.0, self.height])
-        return Transform(matrix_of_quaternion(self.quaternion), place)
+        return Transform(
+            matrix_of_quaternion(self.quaternion),
+            np.array([0.0, 0.0, self.height]),
+        )
 
     @property
     def is_odom(self) -> bool:
@@ -158,8 +160,7 @@ class FloorPlane(NamedTuple):
 
     def above(self, attitude: Array, position: Array) -> Array:
         """Pose (3,) height m, roll, pitch rad of a torso at a pose in odom."""
-        back = inverse_quaternion(self.quaternion)
-        turn = quaternion_product(back, attitude)
+        turn = quaternion_product(inverse_quaternion(self.quaternion), attitude)
         roll, pitch, _ = rpy_of(matrix_of_quaternion(turn))
         height = product(self.normal, position) - self.height * self.normal[2]
         return np.array([height, roll, pitch])
@@ -187,12 +188,6 @@ class _Rest(NamedTuple):
         return cls(
             rows[-1].stamp, joints, position, attitude / norm(attitude), force
         )
-
-    @property
-    def tilt(self) -> float:
-        """Angle of the torso to gravity, rad; 0 without an IMU."""
-        x, y, z = self.force if self.force.any() else UP
-        return float(atan2(norm(np.array([x, y])), z))
 
 
 class FloorObserver:
@@ -262,10 +257,11 @@ class FloorObserver:
         """
         s = self._settings
         self._begun = self._begun or stamp
-        age = to_seconds(abs(stamp - self._stamp))
         row = _Rest(stamp, self._joints, torso.position, torso.attitude, force)
         angle = self._joints[0]
-        fresh = age <= JOINTS_LATE and bool(np.isfinite(angle).all())
+        fresh = to_seconds(abs(stamp - self._stamp)) <= JOINTS_LATE and bool(
+            np.isfinite(angle).all()
+        )
         still = (
             fresh
             and norm(torso.velocity) <= s.rest_speed
@@ -277,8 +273,9 @@ class FloorObserver:
         if fresh and self.is_known and self._ticks % FOLLOWED == 0:
             self._follow(row)
         if still and self._rest:
-            first = self._rest[0].joints[0]
-            still = np.abs(first - angle).max() <= s.rest_angle
+            still = (
+                np.abs(self._rest[0].joints[0] - angle).max() <= s.rest_angle
+            )
         if not still:
             self._rest.clear()
             if to_seconds(stamp - self._begun) > s.patience:
@@ -288,7 +285,8 @@ class FloorObserver:
         if to_seconds(stamp - self._rest[0].stamp) >= s.rest_time:
             mean = _Rest.mean(self._rest)
             self._rest.clear()
-            if mean.tilt <= s.incline_max:
+            up = mean.force if mean.force.any() else UP  # without an IMU
+            if atan2(norm(up[:2]), up[2]) <= s.incline_max:
                 self._learn(mean)
 
     def start_anew(
@@ -305,8 +303,9 @@ class FloorObserver:
         known, self.is_known = self.is_known, True
         angle = rest.joints[0]
         if angle.max() <= self._settings.slack_angle:
-            lying = np.array([self._lowest, 0.0, 0.0])
-            self._lain = _floor_below(lying, rest.attitude, rest.position)
+            self._lain = _floor_below(
+                np.array([self._lowest, 0.0, 0.0]), rest.attitude, rest.position
+            )
             self._lay = rest.stamp
             self.floor = self._near(self._lain)
             return
@@ -355,10 +354,10 @@ class FloorObserver:
         if modulus <= 0.0:  # not known
             return s.ratio_min <= ratio <= s.ratio_max
         nominal = rest_pose(self._robot, self._springs, angle)
-        cost = _cost(modulus, s.modulus_error)
-        cost += _cost(modulus / ratio, s.load_error)
         contradiction = self._torque_ratio(nominal, rest)
-        return cost < s.origin_cost + _cost(contradiction, s.torque_error)
+        return _cost(modulus, s.modulus_error) + _cost(
+            modulus / ratio, s.load_error
+        ) < s.origin_cost + _cost(contradiction, s.torque_error)
 
     def _torque_ratio(self, pose: Array, rest: _Rest) -> float:
         """Torques of the tendons over the table's at a pose (3,) above the floor."""
@@ -374,17 +373,12 @@ class FloorObserver:
         Of a torso that still lies it is an upper bound, which helps legs that the torques say are
         soft; servos that hold nominal legs higher under a heavy load would overload.
         """
-        lies = seen[0] < self._lowest + self._settings.clearance
+        s = self._settings
+        lies = seen[0] < self._lowest + s.clearance
         if lies and not 0.0 < self._torque_ratio(seen, rest) < SOFT:
             return
-        found = self._bounded(ratio)
-        is_one = abs(found - 1.0) < self._settings.ratio_change
-        self.ratio = 1.0 if is_one else found
-
-    def _bounded(self, ratio: float) -> float:
-        return min(
-            max(ratio, self._settings.ratio_min), self._settings.ratio_max
-        )
+        found = min(max(ratio, s.ratio_min), s.ratio_max)
+        self.ratio = 1.0 if abs(found - 1.0) < s.ratio_change else found
 
     def _follow(self, now: _Rest) -> None:
         """Move the floor slowly by the mean error that friction of the feet does not explain.
@@ -397,8 +391,7 @@ class FloorObserver:
             return
         time = FOLLOWED * self._period
         seen = self.floor.above(now.attitude, now.position)
-        held = rest_pose(self._robot, self._springs, angle, self.ratio)
-        error = seen - held
+        error = seen - rest_pose(self._robot, self._springs, angle, self.ratio)
         if abs(error[0]) > s.lift:
             return
         self._error += (error - self._error) * time / s.follow_time
@@ -414,9 +407,11 @@ class FloorObserver:
 
     def _near(self, floor: FloorPlane) -> FloorPlane:
         """The floor, or z = 0 of odom if it cannot be told from that."""
-        s, (x, y, _) = self._settings, floor.normal
-        level = norm(np.array([x, y])) < s.tilt_min
-        return LEVEL if level and abs(floor.height) < s.offset_min else floor
+        is_near = (
+            norm(floor.normal[:2]) < self._settings.tilt_min
+            and abs(floor.height) < self._settings.offset_min
+        )
+        return LEVEL if is_near else floor
 
 
 def _cost(ratio: float, error: float) -> float:
@@ -426,9 +421,7 @@ def _cost(ratio: float, error: float) -> float:
 
 def _floor_below(pose: Array, attitude: Array, position: Array) -> FloorPlane:
     """Floor that a torso is above at a pose (3,) height, roll, pitch, from its pose in odom."""
-    height, roll, pitch = pose
-    up = upward(roll, pitch)
-    normal = product(matrix_of_quaternion(attitude), up)
+    normal = product(matrix_of_quaternion(attitude), upward(*pose[1:]))
     return FloorPlane(
-        float((product(normal, position) - height) / normal[2]), normal
+        float((product(normal, position) - pose[0]) / normal[2]), normal
     )

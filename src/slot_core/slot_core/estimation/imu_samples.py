@@ -20,8 +20,12 @@ class ImuSamples:
     def __post_init__(self) -> None:
         """Raise ValueError for stamps and values of other types or shapes."""
         stamps, values = self.stamps, self.values
-        typed = stamps.dtype == np.int64 and values.dtype == np.float64
-        if not typed or stamps.ndim != 1 or values.shape != (len(stamps), 6):
+        if (
+            stamps.dtype != np.int64
+            or values.dtype != np.float64
+            or stamps.ndim != 1
+            or values.shape != (len(stamps), 6)
+        ):
             raise ValueError(
                 f"IMU samples: stamps {stamps.dtype} {stamps.shape}, values {values.dtype}"
                 f" {values.shape}: expected int64 (n,), float64 (n, 6)"
@@ -34,14 +38,15 @@ class ImuSamples:
 
     def followed(self, stamp: int, value: Array, most: int) -> ImuSamples:
         """The newest samples, at most `most`: these and another, `stamp` (ns) and value (6,)."""
-        stamps = np.append(self.stamps, stamp)[-most:]
-        return ImuSamples(stamps, np.vstack([self.values, value])[-most:])
+        return ImuSamples(
+            np.append(self.stamps, stamp)[-most:],
+            np.vstack([self.values, value])[-most:],
+        )
 
-    def without(self, count: int) -> ImuSamples:
-        """The samples but the oldest ones."""
-        return ImuSamples(self.stamps[count:], self.values[count:])
+    def __getitem__(self, part: slice) -> ImuSamples:
+        """A part of the samples."""
+        return ImuSamples(self.stamps[part], self.values[part])
 
     def until(self, stamp: int) -> ImuSamples:
         """The samples up to `stamp`, ns."""
-        count = int(np.searchsorted(self.stamps, stamp, side="right"))
-        return ImuSamples(self.stamps[:count], self.values[:count])
+        return self[: int(np.searchsorted(self.stamps, stamp, side="right"))]

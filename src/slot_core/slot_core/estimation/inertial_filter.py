@@ -305,14 +305,13 @@ class OdometryMotion:
     variance: Array  # (12,) of angle, position, velocity and rate; SI
 
     def __post_init__(self) -> None:
-        sizes = {
+        for name, size in {
             "attitude": 4,
             "position": 3,
             "velocity": 3,
             "rate": 3,
             "variance": 12,
-        }
-        for name, size in sizes.items():
+        }.items():
             checked(name, getattr(self, name), (size,))
 
 
@@ -332,9 +331,12 @@ class InertialFilter:
     def __init__(self, settings: EstimatorSettings) -> None:
         self._settings = settings
         imu, blind = settings.imu, settings.blind
-        attitude, cov = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros((15, 15))
         self._state = FilterState(
-            attitude, np.zeros(3), np.zeros(3), np.zeros((2, 3)), cov
+            attitude=np.array([0.0, 0.0, 0.0, 1.0]),
+            position=np.zeros(3),
+            velocity=np.zeros(3),
+            bias=np.zeros((2, 3)),
+            cov=np.zeros((15, 15)),
         )
         self.forget_biases()
         self._work = work_space()
@@ -392,8 +394,8 @@ class InertialFilter:
         amplification = interpolate(
             sample, samples.stamps, samples.values, stamp
         )
-        noise = float(amplification * np.square(imu.gyro_noise) * imu.rate)
-        variance = noise + float(np.square(age * imu.angular_acceleration_step))
+        variance = float(amplification * np.square(imu.gyro_noise) * imu.rate)
+        variance += float(np.square(age * imu.angular_acceleration_step))
         self.rate = Rate(sample[:3] - self._state.bias[0], variance, 1.0)
 
     def propagate(self, samples: ImuSamples, begin: int, end: int) -> None:
@@ -402,17 +404,19 @@ class InertialFilter:
         Raises ValueError without samples.
         """
         _require_some(samples)
-        longest = to_ns(self._settings.timing.imu_gap)
-        blind = longest, self.rate.value, self._blind_noise
-        steps = (
+        propagate_through(
+            self._state,
+            self._work,
             samples.stamps,
             samples.values,
             begin,
             end,
             self._noise,
             self._bias_max,
+            to_ns(self._settings.timing.imu_gap),
+            self.rate.value,
+            self._blind_noise,
         )
-        propagate_through(self._state, self._work, *steps, *blind)
 
     def propagate_blind(self, dt: float) -> None:
         """Propagate by dt (s) at constant velocities, without IMU data.
@@ -422,8 +426,16 @@ class InertialFilter:
         blind, steps = self._blind_noise.copy(), self._settings.imu
         turn = 0.5 * dt * dt * steps.angular_acceleration_step
         blind[THETA] += np.square(turn) / dt
-        noise = blind, False, self._bias_max
-        propagate(self._state, self._work, self.rate.value, UP, dt, *noise)
+        propagate(
+            self._state,
+            self._work,
+            self.rate.value,
+            UP,
+            dt,
+            blind,
+            False,
+            self._bias_max,
+        )
         self.rate = Rate(
             self.rate.value,
             float(np.square(self._settings.blind.gyro_noise)) / dt,
@@ -449,18 +461,20 @@ class InertialFilter:
 
     def correct(self, motion: OdometryMotion) -> bool:
         """Correct with a reading at the present stamp; False for an outlier, which is ignored."""
-        pose, gate = (
-            (motion.attitude, motion.position),
-            self._settings.gate.distance,
-        )
-        noise, rate_noise = motion.variance[:9], motion.variance[9:].sum() / 3.0
-        limits = gate, self._bias_max
         if not correct(
-            self._state, self._work, *pose, motion.velocity, noise, *limits
+            self._state,
+            self._work,
+            motion.attitude,
+            motion.position,
+            motion.velocity,
+            motion.variance[:9],
+            self._settings.gate.distance,
+            self._bias_max,
         ):
             return False
         value, variance, gyro_share = self.rate
         value = value - gyro_share * self._work.error[GYRO_BIAS]
+        rate_noise = motion.variance[9:].sum() / 3.0
         share = rate_noise / (rate_noise + variance)
         # by the inverse variances
         fused = share * value + (1.0 - share) * motion.rate
@@ -491,24 +505,20 @@ class InertialFilter:
         With another floor than z = 0 of odom the filter's state is changed, and has to be restored.
         """
         if not floor.is_odom:
-            self._refer_to(floor)
+            nominal, back = self._state, inverse_quaternion(floor.quaternion)
+            turn = matrix_of_quaternion(back)
+            nominal.attitude[:] = quaternion_product(back, nominal.attitude)
+            nominal.position[2] -= floor.height
+            nominal.position[:] = product(turn, nominal.position)
+            nominal.velocity[:] = product(turn, nominal.velocity)
+            jacobian = np.eye(15)
+            for part in (THETA, P, V):
+                jacobian[part, part] = turn
+            nominal.cov[:] = product(product(jacobian, nominal.cov), jacobian.T)
         state, cov = np.empty(12), np.empty((12, 12))
         rate, variance, gyro_share = self.rate
         output(self._state, self._work, rate, gyro_share, variance, state, cov)
         return state, cov
-
-    def _refer_to(self, floor: FloorPlane) -> None:
-        """Turn and move attitude, position and velocity from odom into the frame of a floor."""
-        state, back = self._state, inverse_quaternion(floor.quaternion)
-        turn = matrix_of_quaternion(back)
-        state.attitude[:] = quaternion_product(back, state.attitude)
-        state.position[2] -= floor.height
-        state.position[:] = product(turn, state.position)
-        state.velocity[:] = product(turn, state.velocity)
-        jacobian = np.eye(15)
-        for part in (THETA, P, V):
-            jacobian[part, part] = turn
-        state.cov[:] = product(product(jacobian, state.cov), jacobian.T)
 
 
 def _require_some(samples: ImuSamples) -> None:

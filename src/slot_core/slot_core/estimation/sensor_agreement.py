@@ -34,9 +34,9 @@ from slot_core.estimation.agreement_kernels import (
     compare_turns,
     coverage,
     integrate,
-    set_table,
     set_turn,
     turn_sums,
+    turn_table,
     turn_work,
 )
 from slot_core.estimation.inertial_filter import (
@@ -165,8 +165,11 @@ class SensorAgreement:
         size = integrate(self._sums, self._rotation, stamp, sample)
         if size > self._settings.rate_still or size == 0.0:
             self._moving = stamp + LINGER
-        known = self._proven or self._span > LATE * self._settings.shift_max
-        serves = self._weighed and (known or stamp > self._moving)
+        serves = self._weighed and (
+            self._proven
+            or self._span > LATE * self._settings.shift_max
+            or stamp > self._moving
+        )
         if not self._faults and not serves:
             self.withheld = stamp
         return sample if serves and not self._faults else None
@@ -211,8 +214,11 @@ class SensorAgreement:
             turn = self._work.turn.copy()
         if apart >= INTERVAL:
             self._last = motion
-        comparable = INTERVAL <= apart <= LONGEST_INTERVAL
-        if last is not None and comparable and self._settings.enabled:
+        if (
+            last is not None
+            and INTERVAL <= apart <= LONGEST_INTERVAL
+            and self._settings.enabled
+        ):
             self._compare(last, motion, turn, is_given)
         if not is_given or self._frame in {"", "pose"}:
             velocity, rate, variance = self._twist_of_pose(motion, last, turn)
@@ -220,8 +226,8 @@ class SensorAgreement:
                 difference = np.concatenate(
                     [motion.velocity - velocity, motion.rate - rate]
                 )
-                is_near = (difference * difference / variance[6:]).sum() < NEAR
-                is_given = bool(is_near)
+                square = (difference * difference / variance[6:]).sum()
+                is_given = bool(square < NEAR)
             if not is_given or self._frame == "pose":
                 motion = replace(
                     motion, velocity=velocity, rate=rate, variance=variance
@@ -246,13 +252,12 @@ class SensorAgreement:
         dt = to_seconds(motion.stamp - last.stamp) if last is not None else 0.0
         if last is None or dt * SECOND > LONGEST_INTERVAL:
             return np.zeros(3), np.zeros(3), variance
-        step = (motion.position - last.position) / dt
-        velocity = product(matrix_of_quaternion(motion.attitude).T, step)
-        noise = self._variance / (dt * dt)
+        back = matrix_of_quaternion(motion.attitude).T
         change = np.square(
             [0.5 * dt * ACCELERATION, 0.5 * dt * ANGULAR_ACCELERATION]
         )
-        variance[6:] = np.repeat(noise + change, 3)
+        variance[6:] = np.repeat(self._variance / (dt * dt) + change, 3)
+        velocity = product(back, (motion.position - last.position) / dt)
         return velocity, turn / dt, variance
 
     def _compare(
@@ -283,7 +288,6 @@ class SensorAgreement:
         self._interval += 0.1 * (dt - self._interval)
         age = max(to_seconds(self._imu - last.stamp), 0.0)
         self._span += 0.1 * (age - self._span)
-        keep = 1.0 - dt / MEMORY
         before, after = (
             np.concatenate([m.attitude, m.position, m.velocity, m.rate])
             for m in (last, motion)
@@ -295,7 +299,7 @@ class SensorAgreement:
             after,
             dt,
             self._variance,
-            keep,
+            1.0 - dt / MEMORY,
             1.0 - dt / FORCE_MEMORY,
         )
         if is_given:
@@ -339,8 +343,11 @@ class SensorAgreement:
     def _judge_force(self, motion: OdometryMotion) -> None:
         """Compare the mean specific force, in odom, with [0 0 g]."""
         time = float(self._sums.up[3])
-        moves = self._imu <= self._moving and "force" not in self._faults
-        if time < FORCE_TIME or (self._weighed and moves):
+        if time < FORCE_TIME or (
+            self._weighed
+            and self._imu <= self._moving
+            and "force" not in self._faults
+        ):
             return
         up = self._sums.up[:3] / time
         size = norm(up)
@@ -370,14 +377,13 @@ class SensorAgreement:
         """One line about an IMU whose up, of odom (3,), is none: a mount that would mend it."""
         rotation = matrix_of_quaternion(motion.attitude)
         seen = product(rotation.T, up)  # in base_link, as mounted
-        wanted = rotation[2]
         sensor = product(self._mount.T, seen)
         axis = int(np.argmax(np.abs(sensor)))
         name = "-+"[int(sensor[axis] > 0.0)] + "xyz"[axis]
         if name == "-y":
             mount, cause = OPTICAL, "is it in optical axes?"
         else:
-            mount = product(_shortest_turn(seen, wanted), self._mount)
+            mount = product(_shortest_turn(seen, rotation[2]), self._mount)
             cause = "is it turned?"
         return (
             f"imu: up is its {name} axis against odometry's attitude: {cause}"
@@ -387,8 +393,8 @@ class SensorAgreement:
     def _judge_turns(self) -> None:
         """Compare the turns of gyroscope and odometry: shift, axes, unit."""
         work, total = self._work, self._sums.odometry
-        set_table(self._sums, work.table)
-        left, turned, gyro = work.table[:, :3].T
+        table = turn_table(self._sums)
+        left, turned, gyro = table[:, :3].T
         best = 1 + int(np.argmin(left[1:-1]))
         count, variance = float(total[4]), float(self._variance[1])
         moved = float(turned[best]) - 3.0 * count * variance
@@ -401,30 +407,36 @@ class SensorAgreement:
             and here < UNEXPLAINED * turned[best]
             and 2.0 * each * (STEP * STEP) < (SHARP * SHARP) * bend
         ):
-            align(work.table[best, 3:], np.sqrt(each * gyro[best]), work)
+            align(table[best, 3:], np.sqrt(each * gyro[best]), work)
             noise = TURN_ERROR * TURN_ERROR * each / gyro[best]
             angle = 3.0 - work.rotation.trace()  # squared, of a small turn
             straight = noise < DOUBT * DOUBT and angle < max(
                 TURNED * TURNED, noise
             )
-            limit = self._settings.shift_max * SECOND
-            if straight or abs(SHIFTS[best]) > limit:
+            if (
+                straight
+                or abs(SHIFTS[best]) > self._settings.shift_max * SECOND
+            ):
                 half = 0.5 * STEP * (before - after) / bend
-                error = STEP * float(np.sqrt(2.0 * each / bend))
-                self._take_shift(int(SHIFTS[best]) + round(half), error)
+                self._take_shift(
+                    int(SHIFTS[best]) + round(half),
+                    STEP * float(np.sqrt(2.0 * each / bend)),
+                )
                 return
         square = float(self._sums.pairs[best, SQUARE])
         rate = float(np.sqrt(square / count)) / self._interval
-        turns = square > 3.0 * total[3] and rate > self._settings.rate_still
-        if turns and not self._proven:
+        if (
+            square > 3.0 * total[3]
+            and rate > self._settings.rate_still
+            and not self._proven
+        ):
             self._notes["rest"] = (
                 f"imu: turns at {rate:.2g} rad/s where odometry is at rest:"
                 " not used until motion tells more; is it in deg/s?"
             )
-        loud = gyro[best] > 100.0 * turned[best]
         is_long = moved > MOTION and count * self._interval > LONG
-        if is_long or loud:
-            self._explain(moved, is_long)
+        if is_long or gyro[best] > 100.0 * turned[best]:
+            self._explain(table, moved, is_long)
 
     def _take_shift(self, shift: int, error: float) -> None:
         """Follow a shift of the stamps, as certain as `error`, ns, or find it beyond the limit."""
@@ -438,7 +450,8 @@ class SensorAgreement:
                 f" {1e3 * limit:.0f} ms: it is not used; mend its stamps"
             )
             return
-        self._accept_turns()
+        self._faults.pop("turns", None)
+        self._faults.pop("clock", None)
         self._proven = True
         if follows:
             self._notes["shift"] = (
@@ -446,32 +459,30 @@ class SensorAgreement:
                 " compensated"
             )
 
-    def _accept_turns(self) -> None:
-        """Take back that the turns differ."""
-        self._faults.pop("turns", None)
-        self._faults.pop("clock", None)
-
-    def _explain(self, moved: float, is_long: bool) -> None:
+    def _explain(self, table: Array, moved: float, is_long: bool) -> None:
         """Find axes and unit with which the gyroscope turns as the odometry does.
 
-        moved: sum of squared turns of odometry without noise, rad^2; is_long: enough for axes.
+        table: see `turn_table`; moved: sum of squared turns of odometry without noise, rad^2; is_long: enough for axes.
         """
         work, variance = self._work, float(self._variance[1])
-        table = work.table
-        coupling = np.square(table[:, 3:]).sum(axis=1)
-        best = int(np.argmax(coupling / np.maximum(table[:, 2], variance)))
+        best = int(
+            np.argmax(
+                np.square(table[:, 3:]).sum(axis=1)
+                / np.maximum(table[:, 2], variance)
+            )
+        )
         turned, gyro = float(table[best, 1]), float(table[best, 2])
         b = table[best, 3:]
         align(b, np.sqrt(variance * gyro), work)
         shared = float((work.rotation.ravel() * b).sum())
         unit = shared / max(gyro, variance)
         clear = unit * unit * gyro > (DISTINCT * DISTINCT) * variance
-        noise = turned - moved
         straight = max(
             TURNED * TURNED,
             TURN_ERROR * TURN_ERROR * variance / max(gyro, variance),
         )
-        explained = turned - unit * shared - noise < WELL * moved
+        # without noise
+        explained = turned - unit * shared - (turned - moved) < WELL * moved
         upright = work.rotation[2, 2] > 1.0 - 2.0 * self._settings.lean
         if clear and abs(unit / DEGREE - 1.0) < 0.3 and self.units[0] == 1.0:
             self.units = (DEGREE, self.units[1])
@@ -480,7 +491,8 @@ class SensorAgreement:
                 " as deg/s"
             )
         elif explained and 3.0 - work.rotation.trace() < straight:
-            self._accept_turns()
+            self._faults.pop("turns", None)
+            self._faults.pop("clock", None)
             return
         elif explained and upright and 0.7 < unit < 1.4 and is_long:
             self._rotation = product(_squared(work.rotation), self._rotation)
@@ -492,10 +504,10 @@ class SensorAgreement:
         elif is_long:
             self._proven = False
             ratio = np.sqrt(max(gyro, 0.0) / turned)
-            alike = 0.8 < ratio < 1.25
-            kinds = ("clock", "turns") if alike else ("turns", "clock")
-            self._faults[kinds[0]] = _mismatch(ratio)
-            self._faults.pop(kinds[1], None)
+            kinds = ("clock", "turns")
+            found, other = kinds if 0.8 < ratio < 1.25 else kinds[::-1]
+            self._faults[found] = _mismatch(ratio)
+            self._faults.pop(other, None)
             return
         else:
             return
@@ -543,8 +555,7 @@ def load_kernels() -> None:
     compare_steps(sums, work, reading, reading, 0.0, steps, 1.0, 1.0)
     if coverage(sums, 0, STEP) > 0:
         compare_turns(sums, work, 0, STEP, 1.0)
-    set_table(sums, work.table)
-    align(work.table[0, 3:], 1.0, work)
+    align(turn_table(sums)[0, 3:], 1.0, work)
 
 
 def _squared(rotation: Array) -> Array:

@@ -42,12 +42,12 @@ from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.estimation.inertial_filter import (
     EstimatorSettings,
     InertialFilter,
-    Mount,
     OdometryMotion,
     load_kernels,
 )
 from slot_core.estimation.sensor_agreement import STRAYS, SensorAgreement
 from slot_core.geometry import (
+    Transform,
     inverse_quaternion,
     matrix_of_quaternion,
     matrix_of_rpy,
@@ -64,7 +64,7 @@ WITHHELD = 3.0
 # SI, to which the variances of a message are clipped
 VARIANCE_MIN, VARIANCE_MAX = 1e-12, 1e6
 ANGLE_MAX = 100.0  # rad, of a tendon angle that is used
-EARLY = 0.25  # of a period, see `earliness`
+EARLY = 0.25  # of a period, see `_earliness`
 INTERVAL_GAIN = 0.2  # of the mean time between readings
 IMU_GAIN = 0.05  # the same of the IMU
 IMU_INTERVAL = 0.1  # s, longest time between its samples that counts
@@ -72,14 +72,6 @@ SLOW_IMU = 1.25  # times `imu_gap`, mean time between samples of an IMU that ser
 JUMPED = "odom has started anew: place and heading count from here"
 JUMP_SAID = 3 * SECOND  # ns, for which it is said
 SAME_SPEED, SAME_RATE = 0.1, 0.5  # m/s, rad/s, of one motion in two frames
-
-
-def earliness(period: float, interval: float) -> int:
-    """Time before a tick from which on odometry in place of the IMU gives it, ns.
-
-    period: between ticks, interval: between readings, s. It takes the reading nearest to the tick.
-    """
-    return to_ns(min(EARLY * period, interval / 2.0))
 
 
 def read_estimator() -> EstimatorSettings:
@@ -138,7 +130,12 @@ class StateEstimator:
             o.rate_noise,
         ]
         self._variance = np.square(np.repeat(noise, 3))
-        self._mount = _mount(settings.mounts.imu)
+        imu = settings.mounts.imu
+        is_moved = any((*imu.position, *imu.rpy))
+        # from the IMU's frame to base_link; None: it is base_link
+        self._mount = Transform.of(imu.position, imu.rpy) if is_moved else None
+        # s, mean time between the samples of an IMU that serves, at most
+        self._longest_imu_interval = SLOW_IMU * settings.timing.imu_gap
         self._ready: deque[Estimate] = deque(maxlen=settings.buffers.estimates)
         self._reset()
 
@@ -147,8 +144,9 @@ class StateEstimator:
         self._filter = InertialFilter(self._settings)
         if self._floor is not None:
             self._floor.reset()
-        mount = matrix_of_rpy(self._settings.mounts.imu.rpy)
-        self._agreement = SensorAgreement(self._settings, mount)
+        self._agreement = SensorAgreement(
+            self._settings, matrix_of_rpy(self._settings.mounts.imu.rpy)
+        )
         self._newest: dict[str, int] = {}
         self._begun = 0  # ns, stamp of the first message
         # by stream: stamps in a row that are far from the newest
@@ -200,17 +198,19 @@ class StateEstimator:
         reach = limits.gyro_max * self._agreement.reach
         rate = vector(angular_velocity, 3, reach / turn_unit)
         force = vector(specific_force, 3, limits.acceleration_max / force_unit)
-        if rate is None or force is None or self._is_slow(stamp):
-            return
-        if not self._advances("imu", stamp):
+        if (
+            rate is None
+            or force is None
+            or self._is_slow(stamp)
+            or not self._advances("imu", stamp)
+        ):
             return
         rate, force = turn_unit * rate, force_unit * force
         if self._mount is not None:
             # f = R f_imu - w x (w x r); no IMU measures the angular acceleration's share
-            rotation, place = self._mount
-            rate = product(rotation, rate)
-            force = product(rotation, force) - np.cross(
-                rate, np.cross(rate, place)
+            rate = product(self._mount.rotation, rate)
+            force = product(self._mount.rotation, force) - np.cross(
+                rate, np.cross(rate, self._mount.position)
             )
         sample = self._agreement.sample(stamp, rate, force)
         if sample is not None:
@@ -242,8 +242,16 @@ class StateEstimator:
         """
         if self._agreement.is_stray(stamp, self._newest.get("imu")):
             return
-        motion = position, quaternion_xyzw, velocity, angular_velocity, variance
-        self._received.append((stamp, *motion))
+        self._received.append(
+            (
+                stamp,
+                position,
+                quaternion_xyzw,
+                velocity,
+                angular_velocity,
+                variance,
+            )
+        )
         newest = self._newest.get("imu", BEFORE_ALL_TIMES)
         starts = self._stamp is None and newest > BEFORE_ALL_TIMES
         is_lost = self._imu_is_lost(stamp + self._agreement.shift)
@@ -256,44 +264,37 @@ class StateEstimator:
             self._process_due()
             self._propagate_to_newest()
         if is_lost:
-            period = self._settings.timing.period
-            early = earliness(period, self._interval)
-            self._publish_due(stamp, stamp + early)
+            self._publish_due(stamp, stamp + self._earliness)
         elif starts:
             self._publish_due(newest, newest)
+
+    @property
+    def _earliness(self) -> int:
+        """Time before a tick from which on odometry in place of the IMU gives it, ns.
+
+        The tick takes the reading nearest to it.
+        """
+        period = self._settings.timing.period
+        return to_ns(min(EARLY * period, self._interval / 2.0))
 
     def _take_received(self) -> None:
         """Take the readings that have arrived, in their order."""
         received, self._received = self._received, deque()
-        for reading in received:
-            self._take_odometry(*reading)
-
-    def _take_odometry(  # noqa: PLR0917
-        self,
-        stamp: int,
-        position: Array,
-        quaternion: Array,
-        velocity: Array,
-        rate: Array,
-        variance: Array | None,
-    ) -> None:
-        agreement = self._agreement
-        shift = agreement.shift
-        if not self._advances("odometry", stamp + shift):
-            return
-        motion = self._decode(stamp, position, quaternion, velocity, rate)
-        if motion is not None:
-            is_given = True
-            if variance is not None:
-                is_given = not np.any(np.asarray(variance)[6:] < 0.0)
-                known = _known(variance, self._variance)
-                motion = replace(motion, variance=known)
-            newest = self._newest.get("imu", 0)
-            motion = agreement.compared(motion, is_given, newest)
-            self._shift_odometry(agreement.shift - shift)
-            if agreement.recalibrated:
-                self._forget_biases()
-        self._waiting.append((stamp + agreement.shift, motion))
+        for stamp, *parts in received:
+            agreement, shift = self._agreement, self._agreement.shift
+            if not self._advances("odometry", stamp + shift):
+                continue
+            motion, variance = self._decode(stamp, *parts), parts[-1]
+            if motion is not None:
+                is_given = variance is None or not np.any(
+                    np.asarray(variance)[6:] < 0.0
+                )
+                newest = self._newest.get("imu", 0)
+                motion = agreement.compared(motion, is_given, newest)
+                self._shift_odometry(agreement.shift - shift)
+                if agreement.recalibrated:
+                    self._forget_biases()
+            self._waiting.append((stamp + agreement.shift, motion))
 
     def add_joints(self, stamp: int, angle: Array, torque: Array) -> None:
         """Add tendon angles (4,) rad and torques (4,) N m at `stamp` (ns).
@@ -345,13 +346,14 @@ class StateEstimator:
             return None
         return self._predicted(newest, 0.0, LEVEL)
 
-    def _decode(
+    def _decode(  # noqa: PLR0917
         self,
         stamp: int,
         position: Array,
         quaternion: Array,
         velocity: Array,
         rate: Array,
+        variance: Array | None,
     ) -> OdometryMotion | None:
         """The decoded reading; None if it is not finite, of a wrong shape, or out of range."""
         limits = self._settings.odometry
@@ -359,12 +361,20 @@ class StateEstimator:
         q = vector(quaternion, 4, 2.0)
         v = vector(velocity, 3, limits.velocity_max)
         w = vector(rate, 3, self._settings.imu.gyro_max)
-        if p is None or q is None or v is None or w is None:
+        if (
+            p is None
+            or q is None
+            or v is None
+            or w is None
+            or abs(norm(q) - 1.0) > limits.quaternion_tolerance
+        ):
             return None
-        length = norm(q)
-        if abs(length - 1.0) > limits.quaternion_tolerance:
-            return None
-        return OdometryMotion(stamp, q / length, p, v, w, self._variance)
+        given = np.asarray(variance, dtype=np.float64)
+        if given.shape != self._variance.shape:
+            given = self._variance
+        known = np.where(given > 0.0, given, self._variance)  # NaN is not
+        known = np.clip(known, VARIANCE_MIN, VARIANCE_MAX)
+        return OdometryMotion(stamp, q / norm(q), p, v, w, known)
 
     def _advances(self, stream: str, stamp: int) -> bool:
         """Whether `stamp` is the newest of its stream; a clock set back resets the estimator.
@@ -395,26 +405,24 @@ class StateEstimator:
         """Whether the mean time between IMU samples, the one at `stamp` (ns) too, is too long."""
         if stamp > self._sampled:
             elapsed = to_seconds(stamp - (self._sampled or stamp))
-            elapsed = min(elapsed, IMU_INTERVAL)
-            self._imu_interval = _mean(self._imu_interval, elapsed, IMU_GAIN)
+            self._imu_interval = _mean(
+                self._imu_interval, min(elapsed, IMU_INTERVAL), IMU_GAIN
+            )
             self._sampled = stamp
         return self._imu_interval > self._longest_imu_interval
 
-    @property
-    def _longest_imu_interval(self) -> float:
-        """Mean time between the samples of an IMU that serves, at most, s."""
-        return SLOW_IMU * self._settings.timing.imu_gap
-
     def _process_due(self) -> None:
-        """Process the waiting readings that are due."""
-        while self._waiting and self._is_due(self._waiting[0][0]):
-            self._process(*self._waiting.popleft())
+        """Process waiting readings that the IMU has reached, or all if it is lost.
 
-    def _is_due(self, stamp: int) -> bool:
-        """Whether the IMU has reached `stamp` (ns) or is lost, or the queue is full."""
-        full = len(self._waiting) > self._settings.buffers.odometry
-        reached = self._newest.get("imu", BEFORE_ALL_TIMES) >= stamp
-        return reached or full or self._imu_is_lost(self._waiting[-1][0])
+        In a full queue the oldest ones are due too.
+        """
+        newest, most = self._newest, self._settings.buffers.odometry
+        while self._waiting and (
+            newest.get("imu", BEFORE_ALL_TIMES) >= self._waiting[0][0]
+            or len(self._waiting) > most
+            or self._imu_is_lost(self._waiting[-1][0])
+        ):
+            self._process(*self._waiting.popleft())
 
     def _imu_is_lost(self, stamp: int) -> bool:
         """Whether the newest IMU sample is older than `stamp` (ns) by more than `imu_lost`."""
@@ -442,28 +450,21 @@ class StateEstimator:
         The ticks follow the time of the IMU. A later `latest` is that of odometry in its place:
         the tick is then at the reading, and the next one a period later.
         """
-        period = to_ns(self._settings.timing.period)
+        timing = self._settings.timing
+        period = to_ns(timing.period)
         if self._stamp is None or latest < self._tick:
             return
-        if self._floor is not None:
-            self._observe_floor(self._floor, now)
+        is_known = now - self._accepted_stamp <= to_ns(timing.odometry_wait)
+        if self._floor is not None and is_known:
+            samples, rate = self._imu.values, self._filter.rate.value
+            force = samples[-1, 3:] if len(samples) else np.zeros(3)
+            self._floor.observe(now, self._filter.state, rate, force)
         self._weigh()
         missed = (now - self._tick) // period
         tick = now if latest > now else self._tick + missed * period
         floor = LEVEL if self._floor is None else self._floor.floor
-        delay = self._settings.timing.command_delay
-        self._ready.append(self._predicted(tick, delay, floor))
+        self._ready.append(self._predicted(tick, timing.command_delay, floor))
         self._tick = tick + period
-
-    def _observe_floor(self, floor: FloorObserver, now: int) -> None:
-        """Let the floor observer take the torso's pose, if it is known at `now` (ns)."""
-        if now - self._accepted_stamp > to_ns(
-            self._settings.timing.odometry_wait
-        ):
-            return
-        samples = self._imu.values
-        force = samples[-1, 3:] if len(samples) else np.zeros(3)
-        floor.observe(now, self._filter.state, self._filter.rate.value, force)
 
     def _weigh(self) -> None:
         """Let the gravity filter take the samples since the last tick."""
@@ -472,20 +473,15 @@ class StateEstimator:
         if not new.any():
             return
         force = self._imu.values[new, 3:].sum(axis=0) / np.count_nonzero(new)
-        dt = to_seconds(int(stamps[-1]) - self._weighed)
         self._gravity.add(
             product(matrix_of_quaternion(state.attitude), force),
             state.velocity,
-            min(dt, self._settings.timing.period),
+            min(
+                to_seconds(int(stamps[-1]) - self._weighed),
+                self._settings.timing.period,
+            ),
         )
         self._weighed = int(stamps[-1])
-
-    def _gravity_on(self, floor: FloorPlane, stamp: int) -> Array:
-        """Gravity (3,) in the floor's frame at `stamp` (ns); straight down without an IMU."""
-        if self._imu_is_lost(stamp):
-            return DOWN
-        found = self._gravity.value(self._filter.state.velocity)
-        return product(matrix_of_quaternion(floor.quaternion).T, found)
 
     def _process(self, stamp: int, motion: OdometryMotion | None) -> None:
         """Predict to a reading (None: unusable), and correct with it."""
@@ -505,7 +501,13 @@ class StateEstimator:
                     return
                 # not valid yet: the readings are counted anew
                 self._accepted, self._initial = 0, stamp
-        if motion is not None and self._has_relocalised():
+        readings = [usable for usable in self._rejected if usable is not None]
+        has_relocalised = len(
+            readings
+        ) >= self._settings.gate.max_rejections and all(
+            self._agree(a, b) for a, b in pairwise(readings)
+        )
+        if motion is not None and has_relocalised:
             self._start(motion, self._moves_alike(motion))
             return
         self._corrected, self._reached = self._filter.state, stamp
@@ -552,7 +554,7 @@ class StateEstimator:
         self._filter.propagate(samples, start, stamp)
         self._filter.use_gyro(samples, stamp, to_seconds(stamp - knots[-2]))
         # two stay, to extrapolate
-        self._imu = self._imu.without(max(len(samples.stamps) - 2, 0))
+        self._imu = self._imu[max(len(samples.stamps) - 2, 0) :]
         return True
 
     def _accept(self, stamp: int) -> None:
@@ -568,20 +570,15 @@ class StateEstimator:
         """Whether a usable reading was rejected since the last accepted one."""
         return any(motion is not None for motion in self._rejected)
 
-    def _has_relocalised(self) -> bool:
-        """Whether `max_rejections` readings in a row were rejected and agree with each other."""
-        readings = [motion for motion in self._rejected if motion is not None]
-        if len(readings) < self._settings.gate.max_rejections:
-            return False
-        return all(self._agree(a, b) for a, b in pairwise(readings))
-
     def _moves_alike(self, motion: OdometryMotion) -> bool:
         """Whether the velocities of a reading are those of the filter at its stamp."""
         state = self._filter.state
         back = matrix_of_quaternion(state.attitude).T
         off = product(back, state.velocity) - motion.velocity
-        turning = self._filter.rate.value - motion.rate
-        return norm(off) < SAME_SPEED and norm(turning) < SAME_RATE
+        return bool(
+            norm(off) < SAME_SPEED
+            and norm(self._filter.rate.value - motion.rate) < SAME_RATE
+        )
 
     def _agree(self, a: OdometryMotion, b: OdometryMotion) -> bool:
         """Whether a, moved at the mean velocity of a and b, gives b within the gate."""
@@ -597,16 +594,17 @@ class StateEstimator:
         apart = quaternion_product(inverse_quaternion(turned), b.attitude)
         angle = 2.0 * atan2(norm(apart[:3]), abs(apart[3]))
         gate = self._settings.gate
-        return distance <= gate.agreement_distance and bool(
-            angle <= gate.agreement_angle
+        return bool(
+            distance <= gate.agreement_distance
+            and angle <= gate.agreement_angle
         )
 
     def _is_initialising(self, stamp: int) -> bool:
         """Whether estimates at `stamp` (ns) are not valid yet."""
         gate = self._settings.gate
-        time = to_seconds(stamp - self._initial)
         return (
-            self._accepted < gate.initial_readings or time < gate.initial_time
+            self._accepted < gate.initial_readings
+            or to_seconds(stamp - self._initial) < gate.initial_time
         )
 
     def _judged(self, stamp: int) -> tuple[Validity, str]:
@@ -614,43 +612,44 @@ class StateEstimator:
         timing = self._settings.timing
         withheld = to_seconds(stamp - self._agreement.withheld)
         is_open = withheld < WITHHELD * self._interval
-        incomplete = not (self._imu_complete or is_open)
-        without_imu = self._imu_is_lost(stamp) or incomplete
+        without_imu = self._imu_is_lost(stamp) or not (
+            self._imu_complete or is_open
+        )
         least = timing.rate_min_blind if without_imu else timing.rate_min
         rate = 1.0 / max(self._interval, 1e-3)
         if stamp - self._accepted_stamp > timing.odometry_wait * SECOND:
             age = to_seconds(stamp - self._accepted_stamp)
-            limit = f"limit {timing.odometry_wait:g} s"
+            fault, line = Validity.ODOMETRY_LOST, "no usable odom"
             if self._contradicted:
-                line = f"odom contradicts the IMU for {age:.2g} s, {limit}"
-                return Validity.ODOMETRY_REJECTED, line
-            line = f"no usable odom for {age:.2g} s, {limit}"
-            return Validity.ODOMETRY_LOST, line
+                fault, line = (
+                    Validity.ODOMETRY_REJECTED,
+                    "odom contradicts the IMU",
+                )
+            limit = timing.odometry_wait
+            return fault, f"{line} for {age:.2g} s, limit {limit:g} s"
         if self._is_initialising(stamp):
-            line = "odom has started anew" if self._restarted else ""
-            return Validity.INITIALISING, line
+            anew = "odom has started anew" if self._restarted else ""
+            return Validity.INITIALISING, anew
         if self._floor is not None and not self._floor.is_known:
-            line = "the floor is not known before the torso rests on it"
-            return Validity.INITIALISING, line
+            return (
+                Validity.INITIALISING,
+                "the floor is not known before the torso rests on it",
+            )
+        with_it = "without an IMU" if without_imu else "with an IMU"
         if rate < least:
-            with_it = "without an IMU" if without_imu else "with an IMU"
             return (
                 Validity.ODOMETRY_SLOW,
                 f"odom at {rate:.1f} Hz, limit {least:g} Hz {with_it}",
             )
         found = Validity.IMU_MISSING if without_imu else Validity.VALID
-        return found, self._remark(stamp)
-
-    def _remark(self, stamp: int) -> str:
-        """One line on a usable estimate at `stamp` (ns), or ""."""
-        longest = self._longest_imu_interval
-        if self._imu_interval > longest:
-            return (
+        if self._imu_interval > self._longest_imu_interval:
+            return found, (
                 f"imu at {1.0 / self._imu_interval:.0f} Hz, limit"
-                f" {1.0 / longest:.0f} Hz: it is not used"
+                f" {1.0 / self._longest_imu_interval:.0f} Hz: it is not used"
             )
         has_jumped = 0 < stamp - self._jumped < JUMP_SAID
-        return self._agreement.message or (JUMPED if has_jumped else "")
+        jumped = JUMPED if has_jumped else ""
+        return found, self._agreement.message or jumped
 
     def _predicted(
         self, stamp: int, delay: float, floor: FloorPlane
@@ -658,7 +657,12 @@ class StateEstimator:
         """Estimate of the tick `stamp`, predicted by `delay` (s) from where the filter is."""
         assert self._stamp is not None
         saved, rate, samples = self._filter.state, self._filter.rate, self._imu
-        gravity = self._gravity_on(floor, stamp)
+        gravity = DOWN
+        if not self._imu_is_lost(stamp):
+            gravity = product(
+                matrix_of_quaternion(floor.quaternion).T,
+                self._gravity.value(saved.velocity),
+            )
         newest = (
             int(samples.stamps[-1]) if len(samples.stamps) else BEFORE_ALL_TIMES
         )
@@ -671,24 +675,21 @@ class StateEstimator:
         state, covariance = self._filter.output(floor)
         self._filter.restore(saved)
         self._filter.rate = rate
-        lead = self._reached + to_ns(delay) - stamp
         validity, message = self._judged(stamp)
         if self._agreement.forbids_motion:
             validity, message = Validity.INITIALISING, self._agreement.message
-        ratio, known = 1.0, True
-        if self._floor is not None:
-            ratio, known = self._floor.ratio, self._floor.legs_are_known
+        below = self._floor
         return Estimate(
             stamp,
             state,
             covariance,
             validity,
-            lead,
-            ratio,
-            known,
-            message,
-            floor,
-            gravity,
+            lead=self._reached + to_ns(delay) - stamp,
+            leg_stiffness=1.0 if below is None else below.ratio,
+            legs_are_known=below is None or below.legs_are_known,
+            message=message,
+            floor=floor,
+            gravity=gravity,
         )
 
 
@@ -706,22 +707,3 @@ def vector(values: Array, size: int, limit: float) -> Array | None:
         return None
     within = all(abs(x) <= limit for x in array.ravel().tolist())  # NaN is not
     return array if array.shape == (size,) and within else None
-
-
-def _mount(imu: Mount) -> tuple[Array, Array] | None:
-    """Rotation (3, 3) from the IMU's frame to base_link and its position; None for base_link."""
-    rotation = matrix_of_rpy(imu.rpy)
-    place = np.array(imu.position)
-    return (rotation, place) if np.any(imu.rpy) or place.any() else None
-
-
-def _known(variance: Array, nominal: Array) -> Array:
-    """Variances (12,): where one is not positive, or not a number, the nominal one.
-
-    All are nominal if there are not twelve.
-    """
-    given = np.asarray(variance, dtype=np.float64)
-    if given.shape != nominal.shape:
-        return nominal
-    known = np.where(given > 0.0, given, nominal)
-    return np.clip(known, VARIANCE_MIN, VARIANCE_MAX)

@@ -14,8 +14,6 @@ So the state moves as the IMU says within a stride, and stays over many. The sup
 covariance what is not known. A bias of the accelerometer is taken for a tilt: 0.1 m/s^2 are 0.6 deg.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from slot_core import config
@@ -33,7 +31,6 @@ from slot_core.estimation.state_estimator import (
     ANGLE_MAX,
     VARIANCE_MAX,
     StateEstimator,
-    earliness,
     vector,
 )
 from slot_core.geometry import (
@@ -94,9 +91,9 @@ class UnaidedEstimator(StateEstimator):
             return
         self._angle = known
         if self._imu_is_lost(stamp):
-            early = earliness(self._settings.timing.period, self._interval)
-            self._correct(stamp, stamp + early, with_imu=False)
-            self._publish_due(stamp, stamp + early)
+            latest = stamp + self._earliness
+            self._correct(stamp, latest, with_imu=False)
+            self._publish_due(stamp, latest)
 
     def _process_due(self) -> None:
         stamp = self._newest["imu"]
@@ -114,21 +111,18 @@ class UnaidedEstimator(StateEstimator):
         yaw = rpy_of(matrix_of_quaternion(state.attitude))[2]
         level = quaternion_of(matrix_of_rpy([roll, pitch, yaw]))
         place = np.array([*state.position[:2], height])
-        variance = np.square(START)
+        attitude, variance = level, np.square(START)
         variance[PLACE] = VARIANCE_MAX
-        reading = OdometryMotion(stamp, level, place, zero, zero, variance)
-        if self._stamp is None:
-            return reading
-        variance = np.full(12, VARIANCE_MAX)
-        variance[HEIGHT], variance[VELOCITY] = (
-            np.square(HEIGHT_ERROR),
-            np.square(SPEED),
-        )
-        attitude = state.attitude
-        if not with_imu:
-            attitude, variance[:2] = level, np.square(TILT)
-            variance[RATE] = np.square(SPEED)
-        return replace(reading, attitude=attitude, variance=variance)
+        if self._stamp is not None:
+            variance[:] = VARIANCE_MAX
+            variance[HEIGHT] = np.square(HEIGHT_ERROR)
+            variance[VELOCITY] = np.square(SPEED)
+            if with_imu:
+                attitude = state.attitude
+            else:
+                variance[:2] = np.square(TILT)
+                variance[RATE] = np.square(SPEED)
+        return OdometryMotion(stamp, attitude, place, zero, zero, variance)
 
     def _judged(self, stamp: int) -> tuple[Validity, str]:
         validity, message = super()._judged(stamp)
@@ -148,7 +142,7 @@ def make_estimator(
     """The state estimator for the source of the odometry; raises ConfigError without a leg table."""
     if settings.odometry.source == NO_ODOMETRY:
         return UnaidedEstimator(settings, robot, springs)
-    floor = FloorObserver(
-        robot, springs, settings.floor, settings.timing.period
+    return StateEstimator(
+        settings,
+        FloorObserver(robot, springs, settings.floor, settings.timing.period),
     )
-    return StateEstimator(settings, floor)

@@ -101,9 +101,12 @@ class Pattern:
     @cached_property
     def table(self) -> Array:
         """Coefficients (13, 5): 4 tendon angles (rad), 4 normal forces, TORSO_MOTION."""
-        motion = [getattr(self, name) for name in TORSO_MOTION]
         return np.vstack(
-            [np.radians(self.angle_deg), self.normal_force, motion]
+            [
+                np.radians(self.angle_deg),
+                self.normal_force,
+                [getattr(self, name) for name in TORSO_MOTION],
+            ]
         )
 
 
@@ -187,15 +190,12 @@ class Stride:
         """Largest v_x, v_y (m/s) and yaw rate (rad/s) that can be requested, one at a time."""
         return (self.forward.speed, self.lateral.speed, self.turn.speed)
 
-    def walking(self, velocity: Array) -> float:
-        """Weight of steering at a velocity (3,), in [0, 1]; the rest is the weight of `turn`."""
-        return min(1.0, norm(velocity[:2]) / self.walking_speed)
-
     def reached(self, velocity: Array) -> Array:
         """The velocity (3,), scaled, its yaw rate clipped, to what the patterns reach together."""
         share = velocity[:2] / self.speeds[:2] / self.amplitude_max[:2]
         planar = velocity[:2] / max(1.0, norm(share))
-        walking = self.walking(planar)
+        # weight of steering; the rest is that of `turn`
+        walking = min(1.0, norm(planar) / self.walking_speed)
         steering = min(
             self.forward_steering.rate_max, self.lateral_steering.rate_max
         )
@@ -237,16 +237,15 @@ class Stride:
         table = self._rest + self._moving(velocity)  # (n or 1, 13, 5)
         table = np.broadcast_to(table, (len(phase), *table.shape[1:]))
         values = (table * basis.value[:, None]).sum(axis=-1)
-        slopes = (table[:, 8:11] * basis.slope[:, None]).sum(
-            axis=-1
-        ) / self.period
-        sway = (table[:, 11:13] * basis.integral[:, None]).sum(
-            axis=-1
-        ) * self.period
         angle = np.clip(values[:, :4] + offset, *np.radians(self.range_deg))
         torso = np.zeros((len(phase), 12))
         torso[:, [0, 1, 5, 9, 10]] = values[:, 8:]
-        torso[:, 3:5], torso[:, [6, 7, 11]] = sway, slopes
+        torso[:, 3:5] = (table[:, 11:13] * basis.integral[:, None]).sum(
+            axis=-1
+        ) * self.period
+        torso[:, [6, 7, 11]] = (table[:, 8:11] * basis.slope[:, None]).sum(
+            axis=-1
+        ) / self.period
         return np.hstack([angle, np.maximum(values[:, 4:8], 0.0), torso])
 
     def _moving(self, velocity: Array) -> Array:
@@ -261,9 +260,10 @@ class Stride:
             (amplitude / limit[:, None]).T[..., None, None], self._pairs
         ):
             table += np.maximum(a, 0.0) * one + np.maximum(-a, 0.0) * other
-        steerings = (self.forward_steering, self.lateral_steering)
         for a, steering, (one, other) in zip(
-            amplitude.T, steerings, self._steering
+            amplitude.T,
+            (self.forward_steering, self.lateral_steering),
+            self._steering,
         ):
             turn = (
                 np.clip(velocity[:, 2], -steering.rate_max, steering.rate_max)
@@ -278,18 +278,12 @@ class Stride:
         front_rear = np.array([1.0, -1.0, 1.0, -1.0, 1.0])  # signs of the sway
         left_right = np.array([-1.0, 1.0, 1.0, 1.0, -1.0])
         return [
-            (
-                self.forward.table,
-                _mirrored(self.forward.table, FRONT_REAR, front_rear),
-            ),
-            (
-                self.lateral.table,
-                _mirrored(self.lateral.table, LEFT_RIGHT, left_right),
-            ),
-            (
-                self.turn.table,
-                _mirrored(self.turn.table, LEFT_RIGHT, left_right),
-            ),
+            (table, _mirrored(table, legs, signs))
+            for table, legs, signs in (
+                (self.forward.table, FRONT_REAR, front_rear),
+                (self.lateral.table, LEFT_RIGHT, left_right),
+                (self.turn.table, LEFT_RIGHT, left_right),
+            )
         ]
 
     @cached_property
@@ -298,15 +292,11 @@ class Stride:
 
         The mirror image of a left turn is a right turn, hence the sign.
         """
-        ones = np.ones(5)
-        forward, lateral = (
-            self.forward_steering.table,
-            self.lateral_steering.table,
+        pairs = (
+            (self.forward_steering.table, FRONT_REAR),
+            (self.lateral_steering.table, LEFT_RIGHT),
         )
-        return [
-            (forward, -_mirrored(forward, FRONT_REAR, ones)),
-            (lateral, -_mirrored(lateral, LEFT_RIGHT, ones)),
-        ]
+        return [(t, -_mirrored(t, legs, np.ones(5))) for t, legs in pairs]
 
     @cached_property
     def _rest(self) -> Array:
@@ -320,10 +310,8 @@ class Stride:
 
 def _mirrored(table: Array, legs: list[int], signs: Array) -> Array:
     """Mirror image of a pattern (13, 5), half a stride later; signs (5,) of the sway."""
-    mirrored = np.vstack(
-        [table[:4][legs], table[4:8][legs], signs[:, None] * table[8:]]
-    )
-    return mirrored * HALF_STRIDE_LATER
+    parts = [table[:4][legs], table[4:8][legs], signs[:, None] * table[8:]]
+    return np.vstack(parts) * HALF_STRIDE_LATER
 
 
 @dataclass(frozen=True)
@@ -384,8 +372,9 @@ class GaitSettings:
     def find(self, name: str) -> Posture | Stride:
         """The gait of that name; raises ConfigError for an unknown one and lists the known ones."""
         if name not in self.gaits:
-            known = ", ".join(sorted(self.gaits))
-            raise config.ConfigError(f"no gait {quoted(name)} (known: {known})")
+            raise config.ConfigError(
+                f"no gait {quoted(name)} (known: {', '.join(sorted(self.gaits))})"
+            )
         return self.gaits[name]
 
     def clipped(self, name: str, velocity: Array) -> tuple[Array, str]:
@@ -402,9 +391,10 @@ class GaitSettings:
         share = gait.share_reached(wanted)
         if share == 1.0:
             return wanted, ""
-        pairs = zip(SPEED_NAMES, wanted, share * wanted)
         changes = ", ".join(
-            f"{label} {v:.3g} to {c:.3g}" for label, v, c in pairs if v
+            f"{label} {v:.3g} to {share * v:.3g}"
+            for label, v in zip(SPEED_NAMES, wanted)
+            if v
         )
         return (
             share * wanted,
@@ -453,14 +443,11 @@ class GaitSettings:
             raise config.ConfigError(
                 f"gait {name} has slack tendons: no body pose"
             )
-        low, high = gait.height_range
-        limits = (
-            (low, high),
-            (-self.tilt_max, self.tilt_max),
-            (-self.tilt_max, self.tilt_max),
-        )
-        for value, (least, most), label in zip(
-            pose, limits, ("height", "roll", "pitch")
+        tilts = (-self.tilt_max, self.tilt_max)
+        for label, value, (least, most) in zip(
+            ("height", "roll", "pitch"),
+            pose,
+            (gait.height_range, tilts, tilts),
         ):
             if not least <= value <= most:
                 raise config.ConfigError(

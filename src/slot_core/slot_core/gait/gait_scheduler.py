@@ -117,10 +117,9 @@ class GaitScheduler:
         velocity outside the gait's range.
         """
         self._settings.require_velocity(gait, velocity)
-        wanted = self._settings.find(gait)
         self._requested, self._wanted = gait, np.array(velocity, dtype=float)
         self._remark = ""  # what of the velocity is clipped
-        self._wanted_pose = self._home(wanted)
+        self._wanted_pose = self._home(self._settings.find(gait))
         # ns, of the velocity; None: it does not expire
         self._command_stamp: int | None = None
 
@@ -183,7 +182,13 @@ class GaitScheduler:
         self._stiffness += min(
             max(leg_stiffness - self._stiffness, -step), step
         )
-        self._change_gait(elapsed)
+        self._since_change += elapsed
+        if (
+            self._requested != self._current.name
+            and self._since_change >= self._settings.transition
+        ):
+            self._previous, self._since_change = self._current, 0.0
+            self._current = self._activate(self._requested)
         self._approach_commands(elapsed, state)
         self._stride(elapsed, state)
         return self._preview(stamp, state)
@@ -196,18 +201,18 @@ class GaitScheduler:
         """Whether the robot is further from where it was seen last than it can move."""
         if self._seen is None:
             return False
-        distance = norm(state[3:5] - self._seen[:2])
-        angle = abs(wrapped(state[2] - self._seen[2]))
         # the estimates of a gap have one time, but not one place
         most = max(elapsed, self._settings.dt)
-        return bool(distance > FASTEST * most or angle > FASTEST_TURN * most)
+        return bool(
+            norm(state[3:5] - self._seen[:2]) > FASTEST * most
+            or abs(wrapped(state[2] - self._seen[2])) > FASTEST_TURN * most
+        )
 
     def _is_expired(self, stamp: int) -> bool:
         """Whether the velocity is too old at `stamp` (ns), or too far in the future."""
-        if self._command_stamp is None:
-            return False
         return (
-            abs(stamp - self._command_stamp)
+            self._command_stamp is not None
+            and abs(stamp - self._command_stamp)
             > self._settings.velocity_timeout * 1e9
         )
 
@@ -238,18 +243,6 @@ class GaitScheduler:
             [gait.height, *np.radians([gait.roll_deg, gait.pitch_deg])]
         )
 
-    def _change_gait(self, elapsed: float) -> None:
-        """Start the requested gait, unless a blend is under way."""
-        self._since_change += elapsed
-        current = self._current.name
-        if (
-            self._requested == current
-            or self._since_change < self._settings.transition
-        ):
-            return
-        self._previous, self._since_change = self._current, 0.0
-        self._current = self._activate(self._requested)
-
     def _approach_commands(self, elapsed: float, state: Array) -> None:
         """Let velocity and body pose follow their commands at limited rates."""
         s = self._settings
@@ -257,8 +250,12 @@ class GaitScheduler:
         gait = self._current.gait
         if self._path is not None and isinstance(gait, Stride):
             wanted = gait.reached(self._path.velocity(state, self._speed))
-        rates = np.array([s.acceleration, s.acceleration, s.turn_acceleration])
-        self._velocity = _toward(self._velocity, wanted, elapsed * rates)
+        self._velocity = _toward(
+            self._velocity,
+            wanted,
+            elapsed
+            * np.array([s.acceleration, s.acceleration, s.turn_acceleration]),
+        )
         self._pose = self._pose_after(elapsed)
 
     @property
@@ -289,8 +286,9 @@ class GaitScheduler:
             id(a): a for a in (self._previous, self._current)
         }.values():
             if isinstance(active.gait, Stride):
-                moving = self._moving_after(active, np.array([elapsed]))
-                active.moving = float(moving[0])
+                (active.moving,) = self._moving_after(
+                    active, np.array([elapsed])
+                ).tolist()
         current, still = self._current, self._is_still()
         # coming to rest, it stays where it was: the legs unwind and would move the robot
         stands = still and (current.moving == 0.0 or self._place is None)
@@ -298,8 +296,9 @@ class GaitScheduler:
             self._place = None
             return
         if not still:
-            period = current.gait.period
-            current.phase = (current.phase + elapsed / period) % 1.0
+            current.phase = (
+                current.phase + elapsed / current.gait.period
+            ) % 1.0
         if self._path is not None:
             self._place = self._path.place(state, elapsed, self._speed)
         elif self._place is None:
@@ -319,20 +318,18 @@ class GaitScheduler:
         if not self._followed:
             return np.zeros(len(times))
         change = times / max(self._settings.transition, 1e-9)
-        later = (
-            active.moving - change
-            if self._is_still()
-            else active.moving + change
+        return np.clip(
+            active.moving + (-change if self._is_still() else change), 0.0, 1.0
         )
-        return np.clip(later, 0.0, 1.0)
 
     def _preview(self, stamp: int, state: Array) -> GaitPreview:
         times = self._settings.dt * np.arange(
             self._settings.stages, dtype=float
         )
         current, (velocity, place) = self._current, self._ahead(times, state)
-        table = self._blend(times, velocity)
-        angle, force, motion = np.split(table, [4, 8], axis=1)
+        angle, force, motion = np.split(
+            self._blend(times, velocity), [4, 8], axis=1
+        )
         return GaitPreview(
             stamp=stamp,
             gait=current.name,
@@ -377,36 +374,36 @@ class GaitScheduler:
             return self._path.ahead(
                 place, times, self._speed, gait.reached, self._velocity
             )
-        steps = times[:, None] * [
-            s.acceleration,
-            s.acceleration,
-            s.turn_acceleration,
-        ]
-        velocity = _toward(self._velocity, self._reachable, steps)
+        rates = [s.acceleration, s.acceleration, s.turn_acceleration]
+        velocity = _toward(
+            self._velocity, self._reachable, times[:, None] * rates
+        )
         begin = state[[3, 4, 2]] if place is None else place
         return velocity, places_ahead(begin, velocity, s.dt)
 
     def _is_corrected(self) -> bool:
         """Whether the legs follow the commands and are loaded."""
-        if not self._followed or self._followed_for < SETTLING:
-            return False
         gaits = [self._current.gait]
         if self._since_change < self._settings.transition:
             gaits.append(self._previous.gait)
-        return all(isinstance(gait, Stride) or gait.loaded for gait in gaits)
+        return (
+            self._followed
+            and self._followed_for >= SETTLING
+            and all(isinstance(gait, Stride) or gait.loaded for gait in gaits)
+        )
 
     def _blend(self, times: Array, velocity: Array) -> Array:
         """Blend (n, 20) of the previous and the present gait at velocities (n, 3)."""
-        elapsed = self._since_change + times
         share = np.clip(
-            elapsed / max(self._settings.transition, 1e-9), 0.0, 1.0
-        )
+            (self._since_change + times) / max(self._settings.transition, 1e-9),
+            0.0,
+            1.0,
+        )[:, None]
         current = self._table_ahead(self._current, times, velocity)
         if share.min() == 1.0:
             return current
-        weight = share[:, None]
         previous = self._table_ahead(self._previous, times, velocity)
-        return (1 - weight) * previous + weight * current
+        return (1 - share) * previous + share * current
 
     def _table_ahead(
         self, active: _Active, times: Array, velocity: Array
@@ -432,11 +429,13 @@ class GaitScheduler:
             return self._posture_table_ahead(times, shift)
         # as in `_stride`
         advances = active is self._current and not self._is_still()
-        ahead = times if advances else np.zeros_like(times)
-        phase = np.mod(active.phase + ahead / gait.period, 1.0)
-        table = gait.stride_table(phase, velocity, offset)
-        lifted = np.array([shift - gait.height, 0.0, 0.0])
-        table[:, [13, 8, 9]] += self._pose + lifted
+        ahead = times / gait.period if advances else np.zeros_like(times)
+        table = gait.stride_table(
+            np.mod(active.phase + ahead, 1.0), velocity, offset
+        )
+        table[:, [13, 8, 9]] += self._pose + np.array(
+            [shift - gait.height, 0.0, 0.0]
+        )
         if moving.min() == 1.0:
             return table
         still = self._posture_table_ahead(times, shift)
@@ -464,13 +463,10 @@ class GaitScheduler:
 
         shift: m, of the height.
         """
-        lifted = np.array([shift, 0.0, 0.0])
-        ends = np.stack(
-            [
-                self._posture_row(self._pose_after(t) + lifted)
-                for t in (0.0, times[-1])
-            ]
-        )
+        ends = [
+            self._posture_row(self._pose_after(t) + np.array([shift, 0.0, 0.0]))
+            for t in (0.0, times[-1])
+        ]
         share = (times / max(times[-1], 1e-9))[:, None]
         return (1 - share) * ends[0] + share * ends[1]
 

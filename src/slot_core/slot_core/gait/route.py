@@ -94,13 +94,12 @@ class Route:
         end of the path.
         """
         arc = np.minimum(self.travelled + speed * times, self.length)
-        direction = self._direction[self._segments(arc)]
         xy = np.column_stack(
             [interpolated(arc, self._arc, axis) for axis in self._points.T]
         )
         xy += place[:2] - xy[0]
         yaw, velocity = np.full(len(times), place[2]), np.zeros((len(times), 3))
-        for k, way in enumerate(direction):
+        for k, way in enumerate(self._direction[self._segments(arc)]):
             along = way - yaw[k]
             turn = TURN_GAIN * wrapped(along) if self._along else 0.0
             wanted = np.array([speed * cos(along), speed * sin(along), turn])
@@ -131,11 +130,10 @@ class Route:
         return self._start_yaw
 
     def _point(self, travelled: float) -> Array:
-        x, y = self._points.T
         return np.array(
             [
-                interpolated(travelled, self._arc, x),
-                interpolated(travelled, self._arc, y),
+                interpolated(travelled, self._arc, axis)
+                for axis in self._points.T
             ]
         )
 

@@ -76,8 +76,9 @@ class LegSprings:
         angles, force = self._table.angle, checked("forces", force, (-1,))
         height = checked("heights", height, force.shape)
         turned, high = np.broadcast_arrays(angles, height[:, None])
-        found = self.at(turned, high, ratio).force
-        rising = np.maximum.accumulate(found, axis=1)
+        rising = np.maximum.accumulate(
+            self.at(turned, high, ratio).force, axis=1
+        )
         return np.array(
             [interpolated(f, row, angles) for f, row in zip(force, rising)]
         )
@@ -85,8 +86,9 @@ class LegSprings:
     def height(self, force: float, angle: float, ratio: float = 1.0) -> float:
         """Clamp height (m) at which a leg with a tendon angle (rad) carries a force (N)."""
         heights = self._table.height
-        found = self.at(np.full(len(heights), angle), heights, ratio).force
-        falling = np.minimum.accumulate(found)
+        falling = np.minimum.accumulate(
+            self.at(np.full(len(heights), angle), heights, ratio).force
+        )
         return float(interpolated(-force, -falling, heights))
 
 
@@ -129,12 +131,11 @@ def rest_pose(
     own height above the floor; there it lies flat.
     """
     pose, lowest = np.array([0.06, 0.0, 0.0]), robot.torso.size[2] / 2
-    wanted = np.array([robot.weight / ratio, 0.0, 0.0])
     for _ in range(STEPS):
         legs = springs.at(angle, drops(robot, springs, angle, pose))
         x, y = (robot.clamps + legs.contact[:, None] * robot.outward).T[:2]
         lever = np.array([np.ones_like(x), y, -x])  # force, M_x, M_y
-        missing = wanted - product(lever, legs.force)
+        missing = [robot.weight / ratio, 0.0, 0.0] - product(lever, legs.force)
         stiffness = np.maximum(-legs.stiffness, STIFFNESS_MIN)
         step = -product(inverse(product(lever * stiffness, lever.T)), missing)
         size = np.abs(step).max()

@@ -141,9 +141,10 @@ def advance(machine, steps):
 @helper
 def divergence_of(state, limit):
     """Kind of divergence of the torso, or -1; limit: m/s and rad/s."""
-    if not dot(state.velocity, state.velocity) < limit * limit:
-        return TOO_FAST
-    if not dot(state.rate, state.rate) < limit * limit:
+    if not (
+        dot(state.velocity, state.velocity) < limit * limit
+        and dot(state.rate, state.rate) < limit * limit
+    ):
         return TOO_FAST
     return -1 if state.rotation[2, 2] > COS_TILT_MAX else TOO_TILTED
 
@@ -156,12 +157,14 @@ def one_step(model, legs, state, feet, work, scheme):
     floor = model.floor
     predict_torso(model, state, work, h, theta)
     for k in range(4):
-        angle, command = state.tendon_angle[k], feet.command[k]
-        torque = model.tendon.spool_radius * state.tension[k]
-        rate = spool_rate(
-            model.servo, state.drive[k], command, angle, torque, h
+        state.tendon_rate[k] = spool_rate(
+            model.servo,
+            state.drive[k],
+            feet.command[k],
+            state.tendon_angle[k],
+            model.tendon.spool_radius * state.tension[k],
+            h,
         )
-        state.tendon_rate[k] = rate
     for _ in range(scheme.iterations):
         place = start_torso(model, state, work, tau)
         for k in range(4):
@@ -173,11 +176,15 @@ def one_step(model, legs, state, feet, work, scheme):
     if floor.bristle > 0.0:
         bend_corners(model, state, work, h)
         for k in range(4):
-            limit, stiffness = feet.limit[k], floor.stiffness[-1]
             for side in range(2):
-                bristle, slip = state.bristle[k, side], feet.slip[k, side]
                 advance_bristle(
-                    floor, bristle, limit, stiffness, feet.flat, h, slip
+                    floor,
+                    state.bristle[k, side],
+                    feet.limit[k],
+                    floor.stiffness[-1],
+                    feet.flat,
+                    h,
+                    feet.slip[k, side],
                 )
     finish_torso(state, work, h, theta)
     finish_rate(state, work, theta)
@@ -202,29 +209,37 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     rate *= model.fault[1, k] * (angle > 0.0)
     angle = model.fault[1, k] * max(0.0, angle)
     here, foot = _contact_point(legs, state, feet, work, k, place, angle, tau)
-    drop_rate, slip = _slip_and_drop_rate(work, a, here, foot, rate)
+    # rate of the drop, and slip, of a foot without displacements against its leg's equilibrium
+    shift_rate = here.x_a * rate
+    rigid = at(work.motion[0], work.motion[1], foot.place)
+    drop_rate = (
+        dot(foot.up, rigid) + foot.slope * shift_rate
+    ) / foot.normal_per_drop
+    slip = plus(plus(rigid, drop_rate, foot.path), shift_rate, a)
+    slip = plus(slip, -dot(foot.up, slip), foot.up)
     force_slope = min(0.0, here.force_h)
     force_rate = force_slope * drop_rate + here.force_a * rate
     leg_force = max(0.0, here.force + beta * force_rate)
     leg_force *= here.force > 0.0
-    own, other = model.friction[0, k], model.friction[1, k]
-    outward, released = dot(slip, a), state.tendon_rate[k]
     mu = coefficient(
-        model.floor, own, other, released, outward, dot(slip, slip)
+        model.floor,
+        model.friction[0, k],
+        model.friction[1, k],
+        state.tendon_rate[k],
+        dot(slip, a),
+        dot(slip, slip),
     )
-    stage = (tau, tau + beta)
-    turn_rate = dot(foot.up, row(work.motion, 1))
     grip = _grip(
         model,
         state,
         axes,
         k,
         mu,
-        stage,
+        (tau, tau + beta),
         leg_force,
         here.spring,
         slip,
-        turn_rate,
+        dot(foot.up, row(work.motion, 1)),
         foot,
     )
     normal, rate_of = grip.normal, grip.rate
@@ -239,8 +254,11 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     for i in range(3):
         work.vector[3 + i] -= turning * foot.up[i]
     _add_stiffness(work.matrix, foot, stiffness, grip, inv)
-    tension = here.tension - here.x_a * dot(f, a) / radius
-    tension += beta * (here.tension_h * drop_rate + here.tension_a * rate)
+    tension = (
+        here.tension
+        - here.x_a * dot(f, a) / radius
+        + beta * (here.tension_h * drop_rate + here.tension_a * rate)
+    )
     state.tension[k] = max(0.0, tension) * (here.tension > 0.0)
     put(state.node_velocity[k], YIELD, rate_of)
     put(feet.force, k, times(axes, f))
@@ -277,7 +295,7 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
     along = scaled(1.0 / width, along)
     aside = cross(up, along)
     outward, left = plus(a, lean[0], path), plus(b, lean[1], path)
-    foot = Foot(
+    return here, Foot(
         place=(
             root[0] + x * a[0],
             root[1] + x * a[1],
@@ -298,22 +316,6 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
             dot(left, aside),
         ),
     )
-    return here, foot
-
-
-@helper
-def _slip_and_drop_rate(work, a, here, foot, rate):
-    """Rate of the foot's drop below the clamp, m/s, and slip of the foot, step axes, m/s.
-
-    Of a foot without displacements against its leg's equilibrium.
-    """
-    up, shift_rate = foot.up, here.x_a * rate
-    rigid = at(work.motion[0], work.motion[1], foot.place)
-    drop_rate = (
-        dot(up, rigid) + foot.slope * shift_rate
-    ) / foot.normal_per_drop
-    slip = plus(plus(rigid, drop_rate, foot.path), shift_rate, a)
-    return drop_rate, plus(slip, -dot(up, slip), up)
 
 
 @helper
@@ -423,12 +425,18 @@ def _grip(
             syp * held + uneven * b1 * lever,
             spp * held + drag * lever * lever,
         )
-        load = (
-            leg_force * foot.lean[0] - sxx * x - a1 * g1 - a2 * g2,
-            leg_force * foot.lean[1] - syy * y - syp * turn - b1 * g1 - b2 * g2,
-            -syp * y - spp * turn - lever * g3,
+        rate = _image(
+            inverse,
+            (
+                leg_force * foot.lean[0] - sxx * x - a1 * g1 - a2 * g2,
+                leg_force * foot.lean[1]
+                - syy * y
+                - syp * turn
+                - b1 * g1
+                - b2 * g2,
+                -syp * y - spp * turn - lever * g3,
+            ),
         )
-        rate = _image(inverse, load)
         z = _slip(start, foot.drive, lever, rate)
         force = (
             -drag * z[0] - uneven * z[2] - held_1,

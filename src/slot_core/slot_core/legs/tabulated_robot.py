@@ -117,23 +117,36 @@ class TabulatedRobot(KernelRobot):
         table = read_leg_table(COLUMNS)
         model = build_model(robot, scene, servo)
         # the torso carries the mass of the legs
-        rigid_body = model.torso._replace(
-            mass=robot.mass, inertia=robot.inertia
+        self.model = model._replace(
+            torso=model.torso._replace(mass=robot.mass, inertia=robot.inertia)
         )
-        self.model = model._replace(torso=rigid_body)
         self.legs = map_legs(robot, table, model.floor.half_width)
         self._contact_drop = _contact_drop(table)
         self.state = state_space(2, 2)
         self.state.position[2] = scene.start.height
         self.state.rotation[:] = np.eye(3)
-        place = table.table[0, -1, 1], 0.0, -scene.start.height
-        self.state.node[:, PLACE] = place
-        shapes = 4, (4, 3), 4, (4, 2, 3), 2
-        self.feet = Feet(*(np.zeros(shape) for shape in shapes))
+        self.state.node[:, PLACE] = (
+            table.table[0, -1, 1],
+            0.0,
+            -scene.start.height,
+        )
+        self.feet = Feet(
+            command=np.zeros(4),
+            force=np.zeros((4, 3)),
+            limit=np.zeros(4),
+            slip=np.zeros((4, 2, 3)),
+            flat=np.zeros(2),
+        )
         self._work = work_space()
-        parts = (self.model, self.legs, self.state, self.feet, self._work)
         self.handle = Handle(
-            (*parts, build_scheme(scene.solver, self.model.floor))
+            (
+                self.model,
+                self.legs,
+                self.state,
+                self.feet,
+                self._work,
+                build_scheme(scene.solver, self.model.floor),
+            )
         )
         self._settle()
 
@@ -152,9 +165,9 @@ class TabulatedRobot(KernelRobot):
             limit = f"torso is beyond {self.scene.solver.speed_limit} m/s or not a number"
             if divergence == TOO_TILTED:
                 limit = f"torso is tilted by more than {TILT_MAX_DEG:g} deg"
-            state = self.snapshot() | {"command": self.feet.command.copy()}
             raise DivergenceError(
-                f"simulation diverged at {self.time:.4f} s: {limit}", state
+                f"simulation diverged at {self.time:.4f} s: {limit}",
+                self.snapshot() | {"command": self.feet.command.copy()},
             )
 
     @property
@@ -172,8 +185,9 @@ class TabulatedRobot(KernelRobot):
             node[:, :1] * self.parameters.outward
             + node[:, 1:2] * self.legs.left
         )
-        body = np.stack([self.parameters.clamps, foot], axis=1)
-        return Transform(self.rotation, self.position).apply(body)
+        return Transform(self.rotation, self.position).apply(
+            np.stack([self.parameters.clamps, foot], axis=1)
+        )
 
     @property
     def ground_force(self) -> Array:
@@ -184,14 +198,13 @@ class TabulatedRobot(KernelRobot):
 def _require_tabulated(scene: Scene) -> None:
     """Raise ConfigError at the first setting that the table does not cover."""
     made_for = read_scene("flat").floor
-    needs = {
+    for name, needed in {
         "floor.height_map": "",
         "floor.contact": made_for.contact,
         "floor.stiffness": made_for.stiffness,
         "floor.line_stiffness": made_for.line_stiffness,
         "solver.halvings": 0,
-    }
-    for name, needed in needs.items():
+    }.items():
         value = attrgetter(name)(scene)
         if value != needed:
             raise ConfigError(

@@ -4,6 +4,7 @@ Independent of ROS: the functions only read attributes, so they decode rclpy's m
 as well as the messages that the `rosbags` library reads from a bag.
 """
 
+import math
 from dataclasses import fields
 from typing import Any
 
@@ -52,8 +53,6 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
     """
     pose, twist = message.pose.pose, message.twist.twist
     pose_variance = np.array(message.pose.covariance)[::7]  # of position, angle
-    # of velocity, rate
-    twist_variance = np.array(message.twist.covariance)[::7]
     q = pose.orientation
     return (
         stamp(message),
@@ -61,7 +60,13 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
         np.array([q.x, q.y, q.z, q.w]),
         vector(twist.linear),
         vector(twist.angular),
-        np.concatenate([pose_variance[3:], pose_variance[:3], twist_variance]),
+        np.concatenate(
+            [
+                pose_variance[3:],
+                pose_variance[:3],
+                np.array(message.twist.covariance)[::7],  # of velocity, rate
+            ]
+        ),
     )
 
 
@@ -70,8 +75,9 @@ def torso_odometry(
 ) -> tuple[int, Array, Array, Array, Array, Array]:
     """As `odometry`; raises ValueError if its child frame is not base_link."""
     if message.child_frame_id.rpartition("/")[2] != BASE_FRAME:
-        frame = quoted(message.child_frame_id)
-        raise ValueError(f"child_frame_id {frame}: expected {BASE_FRAME!r}")
+        raise ValueError(
+            f"child_frame_id {quoted(message.child_frame_id)}: expected {BASE_FRAME!r}"
+        )
     return odometry(message)
 
 
@@ -136,21 +142,21 @@ def _of_joints(message: Any, values: Any) -> Array:
         raise ValueError(
             f"joints {quoted(names)}: expected {', '.join(TENDON_JOINTS)} once each"
         )
-    by_name = dict(zip(names, values))
-    return np.array([by_name[joint] for joint in TENDON_JOINTS])
+    return np.array([values[names.index(joint)] for joint in TENDON_JOINTS])
 
 
 def estimate(message: Any) -> Estimate:
     """Estimate of an MpcState; raises ValueError on an unknown validity."""
-    parts = (
-        message.rpy,
-        message.position,
-        message.angular_velocity,
-        message.linear_velocity,
-    )
     return Estimate(
         stamp(message),
-        np.concatenate([vector(part) for part in parts]),
+        np.concatenate(
+            [
+                vector(message.rpy),
+                vector(message.position),
+                vector(message.angular_velocity),
+                vector(message.linear_velocity),
+            ]
+        ),
         np.array(message.covariance).reshape(12, 12),
         Validity(message.validity),
         time(message.lead),
@@ -218,9 +224,7 @@ def _of_stages(
 
     Raises ValueError for another number of values.
     """
-    stages, each = int(message.stages), 1
-    for count in shape:
-        each *= count
+    stages, each = int(message.stages), math.prod(shape)
     values = np.array(getattr(message, name, ()))
     if optional and not values.size:
         return values.reshape(0, *shape)
@@ -254,12 +258,13 @@ def legs(message: Any) -> tuple[int, Array, Array, Array, Array]:
             )
         if not np.isfinite(values).all():
             raise ValueError(f"{name}: expected finite numbers")
-    force = np.array([vector(f) for f in message.ground_force])
-    shape = (
+    return (
+        stamp(message),
+        np.array(message.tension),
+        np.array([vector(force) for force in message.ground_force]),
         position.reshape(len(LEGS), count, 3),
         director.reshape(len(LEGS), -1, 3),
     )
-    return stamp(message), np.array(message.tension), force, *shape
 
 
 def robot_state(message: Any) -> tuple[int, State, Action, str]:
@@ -275,8 +280,14 @@ def robot_state(message: Any) -> tuple[int, State, Action, str]:
 def permission(message: Any, now: int) -> Permission:
     """Permission of a RobotState received at `now` (ns); raises ValueError on unknown numbers."""
     sent, state, action, reason = robot_state(message)
-    walks = state is State.WALKING
-    return Permission(now, action, message.followed, reason, sent, walks)
+    return Permission(
+        now,
+        action,
+        message.followed,
+        reason,
+        sent,
+        walks=state is State.WALKING,
+    )
 
 
 def servo_health(message: Any) -> tuple[int, ServoHealth]:
@@ -310,17 +321,16 @@ def emergency_stop(message: Any) -> tuple[str, bool, bool]:
 
 def servo_limits(message: Any) -> ServoLimits:
     """Limits of whatever drives the servos; raises ConfigError on one out of bounds."""
-    gate = {
-        field.name: getattr(message, field.name)
-        for field in fields(GateSettings)
-    }
-    timing = {
-        field.name: getattr(message, field.name)
-        for field in fields(ServoLimits)
-        if field.name != "gate"
-    }
+    gate, limits = (
+        {
+            field.name: getattr(message, field.name)
+            for field in fields(kind)
+            if field.name != "gate"
+        }
+        for kind in (GateSettings, ServoLimits)
+    )
     return config.build(
-        ServoLimits, timing | {"gate": gate}, "servo_limits: message"
+        ServoLimits, limits | {"gate": gate}, "servo_limits: message"
     )
 
 

@@ -61,16 +61,11 @@ class ForceMpc(Policy):
 
     def reset(self) -> None:
         """Set up the problem afresh, without an earlier input."""
-        self._problem = self.make_problem()
+        self.problem = self.make_problem()  # of the last step
         self._stage = NO_STAGE
         # last feasible input of the first stage minus u_ref
         self._last: Array | None = None
         self._missed = 0  # consecutive cycles without an accepted solution
-
-    @property
-    def problem(self) -> Any:
-        """The problem of the last step; read only."""
-        return self._problem
 
     def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
         """Plan for the estimate at stage 0 of `preview`.
@@ -82,17 +77,17 @@ class ForceMpc(Policy):
         if fault := preview_fault(preview, self._settings.horizon, most):
             self._stage = replace(self._stage, rate=np.zeros(FEET))
             return self._fall_back(Status.REJECTED, fault)
-        self._stage = self._problem.read(preview)
+        self._stage = self.problem.read(preview)
         if fault := state_fault(state, most):
             return self._fall_back(Status.REJECTED, fault)
-        self._problem.update(np.asarray(state, dtype=float), preview)
-        return self._accept(self._problem.solve(), start)
+        self.problem.update(np.asarray(state, dtype=float), preview)
+        return self._accept(self.problem.solve(), start)
 
     def _accept(self, solution: Solution, start: float) -> TendonPlan:
         """The solution's plan if it is accepted, else the fallback's; `start`: of the tick, s."""
         limits, problem, z = (
             self._settings.acceptance,
-            self._problem,
+            self.problem,
             solution.z,
         )
         violation = problem.violation(z)
@@ -124,9 +119,11 @@ class ForceMpc(Policy):
         if self._last is None or self._missed > rule.cycles:
             used_up = f"fallback used up after {rule.cycles} cycles"
             why = "no feasible input yet" if self._last is None else used_up
-            nothing = np.zeros((self._settings.horizon, FEET, 3))
             return self._plan(
-                nothing, Status.STOPPED, f"{why}; {fault}", report
+                np.zeros((self._settings.horizon, FEET, 3)),
+                Status.STOPPED,
+                f"{why}; {fault}",
+                report,
             )
         deviation = self._last
         for _ in range(self._missed):
@@ -156,9 +153,9 @@ class ForceMpc(Policy):
                 slack_normal_max=below_max,
                 slack_friction=friction,
                 slack_total=float(
-                    stage.force_max.sum() - self._problem.mass * GRAVITY
+                    stage.force_max.sum() - self.problem.mass * GRAVITY
                 ),
-                slack_balance=self._problem.balance(first),
-                mass=self._problem.mass,
+                slack_balance=self.problem.balance(first),
+                mass=self.problem.mass,
             ),
         )

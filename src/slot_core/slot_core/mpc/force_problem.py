@@ -53,8 +53,8 @@ class ForceProblem:
         # A prediction that is non-zero wherever any prediction is.
         generic = self._model.predict(0.3, 0.1, STAGE_TIME[1])
         _check_condition(generic, settings)
-        weights = np.concatenate([settings.weights.r, settings.weights.q])
-        self.weight = np.tile(weights, n)  # diagonal of P
+        # diagonal of P
+        self.weight = np.tile([*settings.weights.r, *settings.weights.q], n)
         self.target = np.zeros((n, STAGE))
         rows = _rows(n, generic)
         self.matrix = sparse.csc_matrix(rows.astype(float))  # C
@@ -64,16 +64,15 @@ class ForceProblem:
         feet, forces = np.zeros((n, FEET)), np.zeros((n, FEET, 3))
         self._ahead = Horizon(feet, feet, forces, np.zeros((n, STATES)))
         self._set(generic, np.zeros(STATES))
-        cones = [
-            clarabel.ZeroConeT(n * STATES),
-            clarabel.NonnegativeConeT(len(rows) - n * STATES),
-        ]
         self._solver = clarabel.DefaultSolver(
             sparse.diags(self.weight, format="csc"),
             self.c,
             self.matrix,
             self.right,
-            cones,
+            [
+                clarabel.ZeroConeT(n * STATES),
+                clarabel.NonnegativeConeT(len(rows) - n * STATES),
+            ],
             options(settings.solver),
         )
         self.solve()  # the first solve is slow (page faults): not during operation
@@ -113,12 +112,14 @@ class ForceProblem:
     def _set(self, prediction: Prediction, state: Array) -> None:
         """Set C, d and the targets for a prediction from a state (12,) and the stages ahead."""
         stages = self._ahead
-        entries = (
-            prediction.a.ravel(),
-            prediction.b.ravel(),
-            stages.friction.ravel(),
+        values = np.concatenate(
+            [
+                [1.0, -1.0],
+                -prediction.a.ravel(),
+                -prediction.b.ravel(),
+                -stages.friction.ravel(),
+            ]
         )
-        values = np.concatenate([[1.0, -1.0], -np.concatenate(entries)])
         self.matrix.data[:] = values[self._slots]
         dynamics = self.right[: self.horizon * STATES].reshape(
             self.horizon, STATES

@@ -102,30 +102,26 @@ class TorsoModel:
         gain = np.zeros((6, INPUTS))
         levers = product(self._feet, rotation.T)
         levers[:, 2] = -height
-        arms = lever_arms(levers)
         turned = product(product(rotation, self._inverse_inertia), rotation.T)
-        gain[:3] = product(turned, arms)
+        gain[:3] = product(turned, lever_arms(levers))
         gain[3:] = np.tile(np.eye(3) / self._mass, FEET)
-        acceleration = np.zeros(6)
-        acceleration[5] = -GRAVITY
-        a, b, drift = (
-            np.eye(STATES),
-            np.zeros((STATES, INPUTS)),
-            np.zeros(STATES),
-        )
+        acceleration = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY])
+        a, half = np.eye(STATES), dt * dt / 2
         a[:6, 6:] = dt * jacobian
-        b[:6] = dt * dt / 2 * product(jacobian, gain)
-        b[6:] = dt * gain
-        drift[:6] = dt * dt / 2 * product(jacobian, acceleration)
-        drift[6:] = dt * acceleration
-        return Prediction(a, b, drift)
+        moved = half * product(jacobian, acceleration)
+        return Prediction(
+            a,
+            b=np.vstack([half * product(jacobian, gain), dt * gain]),
+            drift=np.append(moved, dt * acceleration),
+        )
 
 
 def turned_to(reference: Array, state: Array) -> Array:
     """The reference (n, 12), its yaw shifted by the full turns to the nearest of a state (12,)."""
     shifted = reference.copy()
-    turns = np.round((state[YAW] - reference[0, YAW]) / (2 * np.pi))
-    shifted[:, YAW] += 2 * np.pi * turns
+    shifted[:, YAW] += (
+        2 * np.pi * np.round((state[YAW] - reference[0, YAW]) / (2 * np.pi))
+    )
     return shifted
 
 

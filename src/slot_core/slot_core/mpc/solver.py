@@ -60,7 +60,7 @@ def options(settings: MpcSolverSettings) -> clarabel.DefaultSettings:
 def solution_of(solver: clarabel.DefaultSolver) -> Solution:
     """Solve; raises nothing."""
     found = solver.solve()
-    count = int(found.iterations)
-    solved = found.status == clarabel.SolverStatus.Solved
-    fault = "" if solved else f"{found.status} after {count} iterations"
+    count, fault = int(found.iterations), ""
+    if found.status != clarabel.SolverStatus.Solved:
+        fault = f"{found.status} after {count} iterations"
     return Solution(np.array(found.x), fault, count)

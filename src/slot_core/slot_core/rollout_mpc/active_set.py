@@ -59,28 +59,29 @@ class ActiveSet:
         """
         n = len(self._work.goal)
         rows = checked("rows", rows, (-1, n))
-        parts = (
+        x = np.empty(n)
+        is_found = _minimise(
+            self._work,
             checked("inverse", inverse, (n, n), finite=False),
-            checked("gradient", gradient, (n,), finite=False),
+            -checked("gradient", gradient, (n,), finite=False),
             rows,
             checked("low", low, (len(rows),), finite=False),
             checked("high", high, (len(rows),), finite=False),
+            slack,
+            x,
         )
-        x = np.empty(n)
-        return x if _minimise(self._work, *parts, slack, x) else None
+        return x if is_found else None
 
 
 @kernel
-def _minimise(work, inverse, gradient, rows, low, high, slack, x):
-    """Write the minimum into x (n,); whether it was found."""
-    _image(inverse, gradient, x)
-    for i in range(x.size):
-        x[i] = -x[i]
+def _minimise(work, inverse, slope, rows, low, high, slack, x):
+    """Write the minimum into x (n,); whether it was found. slope: -g (n,)."""
+    _image(inverse, slope, x)
     count = 0
     for _ in range(STEPS_MAX):
         row, side = _most_violated(rows, low, high, slack, x)
         if side == 0.0:
-            return _is_finite(x)
+            return _dot(x, x) < math.inf  # a number is not finite
         for i in range(x.size):
             work.goal[i] = side * rows[row, i]
         bound = low[row] if side > 0.0 else -high[row]
@@ -183,12 +184,3 @@ def _dot(a, b):
     for i in range(a.size):
         value += a[i] * b[i]
     return value
-
-
-@helper
-def _is_finite(x):
-    """Whether all numbers are finite."""
-    fine = True
-    for i in range(x.size):
-        fine = fine and abs(x[i]) < math.inf
-    return fine

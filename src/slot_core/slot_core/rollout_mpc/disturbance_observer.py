@@ -63,8 +63,9 @@ class DisturbanceObserver:
         """scale: (6,) errors of roll, pitch, yaw, x, y, z that cost as much as one another."""
         self._scale = scale[[*PLACE, *TILTS]]
         self._model, self._settings, self._dt = model, settings, dt
-        limits = settings.stiffness, settings.drift_max, settings.wrench_max
-        self._stiffness, self._drift_max, self._wrench_max = np.array(limits)
+        self._stiffness, self._drift_max, self._wrench_max = np.array(
+            [settings.stiffness, settings.drift_max, settings.wrench_max]
+        )
         self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame
         self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
         self._misfit = np.zeros(6)  # mean squares, in units of the scales

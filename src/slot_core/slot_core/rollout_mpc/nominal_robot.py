@@ -26,11 +26,12 @@ from slot_core.dynamics.scene import (
     read_scene,
 )
 from slot_core.dynamics.servo import read_servo
-from slot_core.elementary import atan2, cos, sin
-from slot_core.geometry import roll_pitch_yaw, rotate
+from slot_core.elementary import atan2
+from slot_core.geometry import matrix_of_rpy, roll_pitch_yaw, rotate
 from slot_core.key_frame import StateParts
 from slot_core.legs.tabulated_kernels import PLACE, divergence_of, one_step
 from slot_core.legs.tabulated_robot import COLUMNS, SPRINGS, TabulatedRobot
+from slot_core.matrices import product
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.rollout_mpc.settings import NominalSettings
 
@@ -66,20 +67,13 @@ class NominalRobot:
         self.robot.legs.table[..., SPRINGS] *= (along, aside, 1.0, turn)
         self._table = self.robot.legs.table.copy()
         self._stiffness = 1.0
+        self.friction = settings.friction  # of the floor
+        self.push = np.zeros(6)  # N, N m, force and moment on the torso
         self._angle_max = robot.tendon.angle_max
         self._initial = self.robot.state.buffer.copy()
         # compile the kernels
         self.measured(self._initial, np.zeros(12))
         self.after(self._initial, np.zeros((2, len(LEGS))))
-
-    @property
-    def push(self) -> Array:
-        """Force (N) and moment (N m) on the torso, (6,)."""
-        return np.array(self.robot.model.push)
-
-    @push.setter
-    def push(self, push: Array) -> None:
-        self.robot.model.push[:] = push
 
     @property
     def gravity(self) -> Array:
@@ -91,15 +85,6 @@ class NominalRobot:
         self.robot.model.gravity[:] = checked("gravity", gravity, (3,))
 
     @property
-    def friction(self) -> float:
-        """Coefficient of the floor."""
-        return float(self.robot.model.friction[0, 0])
-
-    @friction.setter
-    def friction(self, coefficient: float) -> None:
-        self.robot.model.friction[:] = coefficient
-
-    @property
     def stiffness(self) -> float:
         """Ratio kappa of the legs (`legs/leg_springs.py`)."""
         return self._stiffness
@@ -107,17 +92,13 @@ class NominalRobot:
     @stiffness.setter
     def stiffness(self, ratio: float) -> None:
         self._stiffness = ratio
-        scaled = ratio * self._table[..., SCALED]
-        self.robot.legs.table[..., SCALED] = scaled
+        self.robot.legs.table[..., SCALED] = ratio * self._table[..., SCALED]
 
     def set_wrench(self, wrench: Array, yaw: float) -> None:
         """Set the wrench on the torso: F_z (N) in odom, M_x and M_y (N m) at heading `yaw`."""
-        wrench, yaw = (
-            checked("wrench", wrench, (3,)),
-            float(checked("yaw", yaw, ())),
-        )
-        self.robot.model.push[2] = wrench[0]
-        self.robot.model.push[3:5] = rotate(wrench[1:], yaw)
+        wrench = checked("wrench", wrench, (3,))
+        moment = rotate(wrench[1:], float(checked("yaw", yaw, ())))
+        self.push = np.array([0.0, 0.0, wrench[0], *moment, 0.0])
 
     def at_rest(self, state: Array, angle: Array) -> Array:
         """State with the torso of `state` (12,) and legs and servos that have reached `angle`."""
@@ -125,17 +106,19 @@ class NominalRobot:
         angle = checked("angle", angle, (len(LEGS),))
         self.robot.state.buffer[:] = self._initial
         self.robot.state.tendon_angle[:] = angle
-        start = self.robot.state.buffer.copy()
         still = np.concatenate([state[:6], np.zeros(6)])
-        plan = np.tile(angle, (SETTLING + 1, 1))
-        settled = self.after(self.measured(start, still), plan)
+        start = self.measured(self.robot.state.buffer.copy(), still)
+        settled = self.after(start, np.tile(angle, (SETTLING + 1, 1)))
         return self.measured(settled, state)
 
     def measured(self, known: Array, state: Array) -> Array:
         """The state with the torso of an estimate (12,) and the legs and servos of `known`."""
-        known, state = self._checked(known), checked("state", state, (12,))
-        set_torso(self.robot.handle, known, state)
-        return self.robot.state.buffer.copy()
+        torso, state = self.robot.state, checked("state", state, (12,))
+        torso.buffer[:] = self._checked(known)
+        torso.rotation[:] = matrix_of_rpy(state[:3])
+        torso.position[:], torso.velocity[:] = state[3:6], state[9:]
+        torso.rate[:] = product(torso.rotation.T, state[6:9])
+        return torso.buffer.copy()
 
     def place(self, start: Array) -> Array:
         """Place (3,) of the torso in odom: x, y (m), yaw (rad)."""
@@ -155,9 +138,13 @@ class NominalRobot:
                 f"plans: {plans.shape[1]} stages, expected two or more"
             )
         start = self._checked(start)
+        self.robot.model.push[:] = self.push
+        self.robot.model.friction[:] = self.friction
         count, stages = plans.shape[0], plans.shape[1] - 1
-        of_feet = np.empty((2, count, stages, len(LEGS), 3))
-        found = Rollouts(np.empty((count, stages, 6)), *of_feet)
+        found = Rollouts(
+            np.empty((count, stages, 6)),
+            *np.empty((2, count, stages, len(LEGS), 3)),
+        )
         roll_out(
             self.robot.handle,
             start,
@@ -223,9 +210,10 @@ def roll_out(
         diverged = False
         for k in range(plans.shape[1] - 1):
             for c in range(cycles):
-                _command(
-                    feet, plans[p, k], plans[p, k + 1], c / cycles, angle_max
-                )
+                for leg in range(4):
+                    here, there = plans[p, k, leg], plans[p, k + 1, leg]
+                    goal = here + c / cycles * (there - here)
+                    feet.command[leg] = min(max(goal, 0.0), angle_max)
                 for _ in range(steps):
                     if not diverged:
                         one_step(model, legs, state, feet, work, scheme)
@@ -233,43 +221,6 @@ def roll_out(
             _record(
                 pose[p, k], force[p, k], foot[p, k], legs, state, feet, diverged
             )
-
-
-@kernel
-def set_torso(machine, known, state):
-    """Take the state `known` (m,) with the torso of an estimate (12,).
-
-    Its rotation is Rz(yaw) Ry(pitch) Rx(roll).
-    """
-    torso = contents(machine)[2]
-    for i in range(known.size):
-        torso.buffer[i] = known[i]
-    cr, cp, cy = cos(state[0]), cos(state[1]), cos(state[2])
-    sr, sp, sy = sin(state[0]), sin(state[1]), sin(state[2])
-    r = torso.rotation
-    r[0, 0], r[0, 1], r[0, 2] = (
-        cy * cp,
-        cy * sp * sr - sy * cr,
-        cy * sp * cr + sy * sr,
-    )
-    r[1, 0], r[1, 1], r[1, 2] = (
-        sy * cp,
-        sy * sp * sr + cy * cr,
-        sy * sp * cr - cy * sr,
-    )
-    r[2, 0], r[2, 1], r[2, 2] = -sp, cp * sr, cp * cr
-    w = state[6:9]
-    for i in range(3):
-        torso.position[i], torso.velocity[i] = state[3 + i], state[9 + i]
-        torso.rate[i] = r[0, i] * w[0] + r[1, i] * w[1] + r[2, i] * w[2]
-
-
-@helper
-def _command(feet, here, there, share, angle_max):
-    """Give the servos the angles between two stages."""
-    for leg in range(4):
-        goal = here[leg] + share * (there[leg] - here[leg])
-        feet.command[leg] = min(max(goal, 0.0), angle_max)
 
 
 @helper

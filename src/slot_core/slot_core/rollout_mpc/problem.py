@@ -25,19 +25,15 @@ This is the real-time iteration of Diehl, Bock and Schloeder (SIAM J. Control Op
 step a tick, from the last plan, shifted.
 """
 
-# mypy: disable-error-code="no-untyped-def"
-# ruff: noqa: PLR0917 - kernels take their arguments by position
-
 import math
 from typing import NamedTuple
 
 import numpy as np
 
 from slot_core.arrays import Array, checked
-from slot_core.compiled import kernel
 from slot_core.elementary import cos, sin
 from slot_core.geometry import rotate
-from slot_core.matrices import interpolated, inverse, product
+from slot_core.matrices import interpolated, inverse, norm, product
 from slot_core.robot import LEGS
 from slot_core.rollout_mpc.active_set import ActiveSet
 from slot_core.rollout_mpc.settings import RolloutMpcSettings
@@ -63,38 +59,40 @@ class PlanProblem:
     ):
         self._settings, self._dt, self._angle_max = settings, dt, angle_max
         stages, cost = settings.stages, settings.cost
-        steps, each = np.arange(stages + 1), np.eye(len(settings.knots))
         hats = np.array(
-            [interpolated(steps, settings.knots, row) for row in each]
+            [
+                interpolated(np.arange(stages + 1), settings.knots, row)
+                for row in np.eye(len(settings.knots))
+            ]
         )
-        basis = hats[None, :, :, None] * MODES[:, None, None, :]
-        self.basis = basis.reshape(-1, stages + 1, LEG_COUNT)  # (n, K + 1, 4)
+        # (n, K + 1, 4)
+        self.basis = (hats[None, :, :, None] * MODES[:, None, None, :]).reshape(
+            -1, stages + 1, LEG_COUNT
+        )
         self._flat = self.basis.reshape(len(self.basis), -1)  # (n, 4 (K + 1))
         rates = np.diff(self.basis, axis=1).reshape(len(self.basis), -1)
         self._rows = np.hstack([self._flat, rates]).T.copy()
-        scale = [
-            cost.tilt,
-            cost.tilt,
-            cost.yaw,
-            cost.place,
-            cost.place,
-            cost.height,
-        ]
-        self.scale = np.array(scale)  # (6,) of the errors of a pose
+        # (6,) of the errors of a pose
+        self.scale = np.array(
+            [
+                cost.tilt,
+                cost.tilt,
+                cost.yaw,
+                cost.place,
+                cost.place,
+                cost.height,
+            ]
+        )
+        self._times = dt * np.arange(1, stages + 1)  # s, of the stages
         self._weight = 1.0 / (np.sqrt(stages) * self.scale)
         pulls = np.array([self._pull(b).ravel() for b in self.basis])
         damping = np.eye(len(self.basis)) / np.square(cost.change)
         self._damped = product(self._flat, pulls.T) + damping
         self._solver = ActiveSet(len(self.basis))
-        nowhere = np.zeros(3)
-        wanted = self.reference(
-            np.zeros((stages + 1, 12)), nowhere, nowhere, 0.0
-        )
-        # compiles the kernels, as does the step
-        error = self.errors(wanted[None], wanted, 0.0)[0]
-        slopes = np.zeros((len(self.basis), error.size))
+        slopes = np.zeros((len(self.basis), 6 * stages))
         angle = np.zeros((stages + 1, LEG_COUNT))
-        self.change(error, self.linearised(slopes), angle, angle)
+        # compiles the solver
+        self.change(slopes[0], self.linearised(slopes), angle, angle)
 
     def reference(
         self, rows: Array, place: Array, drift: Array, sag: float
@@ -111,17 +109,23 @@ class PlanProblem:
             raise ValueError(
                 f"reference: {len(rows)} stages, expected more than {stages}"
             )
-        place, drift = (
-            checked("place", place, (3,)),
-            checked("drift", drift, (3,)),
+        place = checked("place", place, (3,))
+        drift = checked("drift", drift, (3,))
+        gap = rows[0, 3:5] - place[:2]
+        beyond = max(0.0, 1.0 - cost.reach / max(norm(gap), 1e-300))
+        pose, time = rows[1 : stages + 1, :6].copy(), self._times[:, None]
+        # the means of the gait's roll and pitch, added up in turn
+        pose[:, :2] = np.cumsum(pose[:, :2] / stages, axis=0)[-1]
+        pose[:, 2:3] -= time * drift[2]
+        pose[:, 3:5] = (
+            pose[:, 3:5] - beyond * gap - rotate(time * drift[:2], place[2])
         )
-        pose = np.empty((stages, 6))
-        set_reference(rows, place, drift, sag, self._dt, cost.reach, pose)
+        pose[:, 5] -= sag
         return pose
 
     def moved(self, drift: Array, yaw: float) -> Array:
         """Way (K, 3) in x, y (m) and yaw (rad) by which the drift takes the robot in the stages."""
-        time = self._dt * np.arange(1, self._settings.stages + 1)[:, None]
+        time = self._times[:, None]
         return np.hstack([time * rotate(drift[:2], yaw), time * drift[2]])
 
     def varied(self, angle: Array) -> tuple[Array, Array]:
@@ -141,9 +145,14 @@ class PlanProblem:
         """Weighted errors (P, 6 K) of poses (P, K, 6), x and y along and across the heading."""
         reference = checked("reference", reference, (-1, 6), finite=False)
         pose = checked("pose", pose, (-1, *reference.shape), finite=False)
-        error = np.empty(pose.shape)
-        set_errors(pose, reference, self._weight, yaw, error)
-        return error.reshape(len(pose), -1)
+        error, (c, s) = pose - reference, (cos(yaw), sin(yaw))
+        turn = error[..., 2] + math.pi
+        turn -= 2.0 * math.pi * np.floor(turn / (2.0 * math.pi)) + math.pi
+        x, y = error[..., 3], error[..., 4]
+        error[..., 2:5] = np.stack(
+            [turn, c * x + s * y, c * y - s * x], axis=-1
+        )
+        return (error * self._weight).reshape(len(pose), -1)
 
     def cost(self, error: Array, deviation: Array) -> float:
         """Cost of errors (6 K,) and deviations (K + 1, 4)."""
@@ -178,20 +187,23 @@ class PlanProblem:
         shape = (self._settings.stages + 1, LEG_COUNT)
         nominal = checked("nominal", nominal, shape)
         deviation = checked("deviation", deviation, shape)
+        limits, (least, largest) = self._settings.limits, self.range(nominal)
+        # of the changes of the angles, then of their differences between two stages
+        low = np.maximum(least - nominal, -limits.deviation) - deviation
+        high = np.minimum(largest - nominal, limits.deviation) - deviation
+        rise, step = np.diff(nominal, axis=0), self._dt * limits.rate
+        change = np.diff(deviation, axis=0)
+        slower = np.minimum(-step - rise, 0.0) - change
+        faster = np.maximum(step - rise, 0.0) - change
         pull = product(self._flat, self._pull(deviation).ravel())
-        gradient = product(linear.slopes, error) + pull
-        limits, low, high = (
-            self._settings.limits,
-            *np.empty((2, len(self._rows))),
+        delta = self._solver.solve(
+            linear.inverse,
+            product(linear.slopes, error) + pull,
+            self._rows,
+            np.minimum(np.concatenate([low, slower]).ravel(), 0.0),
+            np.maximum(np.concatenate([high, faster]).ravel(), 0.0),
+            QP_TOLERANCE * limits.deviation,
         )
-        step = self._dt * limits.rate
-        least, most = self.range(nominal)
-        set_limits(
-            nominal, deviation, least, most, limits.deviation, step, low, high
-        )
-        slack = QP_TOLERANCE * limits.deviation
-        solve = self._solver.solve
-        delta = solve(linear.inverse, gradient, self._rows, low, high, slack)
         return (
             None if delta is None else product(delta, self._flat).reshape(shape)
         )
@@ -200,73 +212,3 @@ class PlanProblem:
         """Least and largest tendon angle of a plan around the nominal angles, rad."""
         least = min(self._settings.limits.angle_min, float(nominal.min()))
         return least, self._angle_max
-
-
-@kernel
-def set_reference(rows, place, drift, sag, dt, reach, pose):
-    """Write the poses (K, 6) that the rollouts are to have, from a preview's reference (n, 12).
-
-    place: x, y (m), yaw (rad) of the robot; drift: v_x, v_y (m/s), yaw rate (rad/s), heading frame;
-    sag: m by which the torso is lower; reach: m. Roll and pitch are the means of the gait's.
-    """
-    count = pose.shape[0]
-    roll = pitch = 0.0
-    for k in range(count):
-        roll += rows[k + 1, 0] / count
-        pitch += rows[k + 1, 1] / count
-    ahead, aside = rows[0, 3] - place[0], rows[0, 4] - place[1]
-    distance = math.sqrt(ahead * ahead + aside * aside)
-    share = 1.0 - reach / distance if distance > reach else 0.0
-    c, s = cos(place[2]), sin(place[2])
-    for k in range(count):
-        row, time = rows[k + 1], dt * (k + 1)
-        x, y = time * drift[0], time * drift[1]
-        pose[k, 0], pose[k, 1] = roll, pitch
-        pose[k, 2] = row[2] - time * drift[2]
-        pose[k, 3] = row[3] - share * ahead - (c * x - s * y)
-        pose[k, 4] = row[4] - share * aside - (s * x + c * y)
-        pose[k, 5] = row[5] - sag
-
-
-@kernel
-def set_errors(pose, reference, w, yaw, error):
-    """Write errors (P, K, 6) of poses (P, K, 6), x and y along and across the heading.
-
-    w: (6,) weights of the errors.
-    """
-    c, s = cos(yaw), sin(yaw)
-    for p in range(pose.shape[0]):
-        for k in range(pose.shape[1]):
-            is_, should, e = pose[p, k], reference[k], error[p, k]
-            x, y = is_[3] - should[3], is_[4] - should[4]
-            turn = is_[2] - should[2] + math.pi
-            turn -= 2.0 * math.pi * math.floor(turn / (2.0 * math.pi)) + math.pi
-            e[0], e[1], e[2] = (
-                (is_[0] - should[0]) * w[0],
-                (is_[1] - should[1]) * w[1],
-                turn * w[2],
-            )
-            e[3], e[4] = (c * x + s * y) * w[3], (c * y - s * x) * w[4]
-            e[5] = (is_[5] - should[5]) * w[5]
-
-
-@kernel
-def set_limits(nominal, deviation, least, largest, most, step, low, high):
-    """Write the limits (8 K + 4,) of the changes of a plan's angles, then of their differences.
-
-    nominal, deviation: (K + 1, 4) rad; least, largest: of an angle, rad; most: largest deviation,
-    rad; step: largest difference between two stages, rad. What the plan violates already may stay.
-    """
-    count = nominal.size
-    for k in range(nominal.shape[0]):
-        for leg in range(4):
-            i, angle, b = 4 * k + leg, nominal[k, leg], deviation[k, leg]
-            low[i] = min(max(least - angle, -most) - b, 0.0)
-            high[i] = max(min(largest - angle, most) - b, 0.0)
-            if k + 1 < nominal.shape[0]:
-                rise, change = (
-                    nominal[k + 1, leg] - angle,
-                    deviation[k + 1, leg] - b,
-                )
-                low[count + i] = min(min(-step - rise, 0.0) - change, 0.0)
-                high[count + i] = max(max(step - rise, 0.0) - change, 0.0)

@@ -21,7 +21,8 @@ from slot_core.arrays import Array
 from slot_core.control.force_map import read_springs
 from slot_core.control.gait_alone import gait_plan
 from slot_core.control.input_check import (
-    gravity_fault,
+    GRAVITY_RANGE,
+    fault_of,
     preview_fault,
     state_fault,
     time_fault,
@@ -92,7 +93,9 @@ class RolloutMpc(Policy):
         self._robot, self._settings, self._timer = robot, settings, timer
         self._springs = read_springs()
         x, y, _ = robot.feet.T
-        self._shares = _shares(np.array([np.ones(len(LEGS)), y, -x]))  # (4, 3)
+        balance = np.array([np.ones(len(LEGS)), y, -x])  # B
+        # (4, 3) least forces of the legs for a wrench, B^T (B B^T)^-1
+        self._shares = product(balance.T, inverse(product(balance, balance.T)))
         self._begin(read_gaits().dt)
 
     @staticmethod
@@ -119,9 +122,8 @@ class RolloutMpc(Policy):
         self._dt, settings = dt, self._settings
         self._model = NominalRobot(self._robot, settings.nominal, dt)
         self._problem = PlanProblem(settings, self._robot.tendon.angle_max, dt)
-        scale = self._problem.scale
         self.observer = DisturbanceObserver(
-            self._model, settings.observer, scale, dt
+            self._model, settings.observer, self._problem.scale, dt
         )
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
@@ -147,7 +149,7 @@ class RolloutMpc(Policy):
         if fault := (
             fault
             or state_fault(estimate.state, limits.input_max)
-            or gravity_fault(estimate.gravity)
+            or fault_of("gravity", estimate.gravity, (3,), *GRAVITY_RANGE)
         ):
             return self._fall_back(Status.REJECTED, fault)
         present = self._plan
@@ -186,8 +188,7 @@ class RolloutMpc(Policy):
         """
         if ratio != self._model.stiffness:
             weight, wrench = self._robot.weight, self.observer.wrench.copy()
-            left = weight - wrench[0]
-            left *= ratio / self._model.stiffness
+            left = (weight - wrench[0]) * (ratio / self._model.stiffness)
             wrench[0] = sorted((0.0, wrench[0], weight - left))[1]
             self.observer.wrench = wrench
             self._model.stiffness = ratio
@@ -209,8 +210,9 @@ class RolloutMpc(Policy):
             self._next.nominal[1:-1], plan.motion.pose
         )
         if self._state is not None:
-            angle = self._angles(plan)[0]
-            self.observer.observe(plan.start, self._state, angle, self._walks)
+            self.observer.observe(
+                plan.start, self._state, self._angles(plan)[0], self._walks
+            )
 
     def _ready(self, time: int, state: Array, preview: GaitPreview) -> _Plan:
         """The plan for the state (12,) at `time` (ns), linearised near it."""
@@ -226,8 +228,9 @@ class RolloutMpc(Policy):
             nominal, sag = self._nominal(preview)
             start = self._model.at_rest(state, nominal[0])
             still = np.zeros((stages + 1, len(LEGS)))
-            new = _Plan(time, start, nominal, sag, still, _no_motion(stages))
-            return self._linearised(new)
+            return self._linearised(
+                _Plan(time, start, nominal, sag, still, _no_motion(stages))
+            )
         self._model.set_wrench(self.observer.wrench, state[2])
         start = self._model.measured(found.start, state)
         nominal, sag = self._nominal(preview)
@@ -237,7 +240,8 @@ class RolloutMpc(Policy):
         """The prepared plan at `time`; None if there is none, or if the robot is elsewhere."""
         if self._plan is None:
             return None
-        missed = round(self._share(time)) - 1
+        # stages since the first one that follows the present plan
+        missed = round(1e-9 * (time - self._plan.time) / self._dt) - 1
         if not 0 <= missed <= MISSED_MAX:
             return None
         self.prepare()
@@ -254,11 +258,6 @@ class RolloutMpc(Policy):
             if is_near and abs(wrapped(gap[2])) < (1 + missed) * TURN
             else None
         )
-
-    def _share(self, time: int) -> float:
-        """Stages from the first one of the present plan to `time` (ns)."""
-        assert self._plan is not None
-        return 1e-9 * (time - self._plan.time) / self._dt
 
     def _nominal(self, preview: GaitPreview) -> tuple[Array, float]:
         """Angles (K + 2, 4) of the gait, turned on to carry the wrench on the torso, and the sag.
@@ -303,8 +302,8 @@ class RolloutMpc(Policy):
         pose = self._model.roll_out(plan.start, plans).pose
         yaw = self._model.place(plan.start)[2]
         slopes = self._problem.errors(pose[1:], pose[0], yaw) / steps[:, None]
-        diverged = ~np.isfinite(slopes).all(axis=1)
-        slopes[diverged] = 0.0  # no change along them
+        # no change along diverged ones
+        slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
         return replace(plan, linear=self._problem.linearised(slopes))
 
     def _improved(
@@ -340,15 +339,19 @@ class RolloutMpc(Policy):
         if self._plan is None or self._missed > limits.cycles:
             used_up = f"fallback used up after {limits.cycles} cycles"
             why = "no plan yet" if self._plan is None else used_up
-            force = _no_motion(self._settings.stages).force
             plan = TendonPlan(
-                np.zeros((0, len(LEGS))), np.zeros(len(LEGS)), force
+                np.zeros((0, len(LEGS))),
+                np.zeros(len(LEGS)),
+                _no_motion(self._settings.stages).force,
             )
             cause, fault = Status.STOPPED, f"{why}; {fault}"
         else:
-            moved, motion = self._moved_on(self._plan), self._plan.motion
-            deviation = limits.decay * moved.deviation
-            self._plan = replace(moved, deviation=deviation, motion=motion)
+            moved = self._moved_on(self._plan)
+            self._plan = replace(
+                moved,
+                deviation=limits.decay * moved.deviation,
+                motion=self._plan.motion,
+            )
             self._next = self._state = None
             self.observer.forget()
             self._note_disturbances()
@@ -366,6 +369,13 @@ class RolloutMpc(Policy):
         message, friction = "", self._model.friction
         if friction != self._settings.nominal.friction:
             message = f"the floor grips: friction {friction:g} in the model"
+        fx, fy, normal = motion.force[0].T
+        slack = np.full(len(LEGS), math.nan)
+        if preview is not None:
+            slack = preview.friction[0] * normal - np.maximum(
+                np.abs(fx), np.abs(fy)
+            )
+        least, largest = self._problem.range(plan.nominal)
         return TendonPlan(
             angle[:-1],
             rate,
@@ -374,7 +384,13 @@ class RolloutMpc(Policy):
             foot=motion.foot,
             status=Status.SOLVED,
             message=message,
-            report=self._report(plan, angle[0], rate, preview),
+            report=replace(
+                self._disturbances,
+                slack_normal_min=normal,
+                slack_friction=slack,
+                slack_angle=np.minimum(angle[0] - least, largest - angle[0]),
+                slack_rate=self._settings.limits.rate - np.abs(rate),
+            ),
         )
 
     def _note_disturbances(self) -> None:
@@ -388,34 +404,6 @@ class RolloutMpc(Policy):
             drift=observer.drift.copy(),
             wrench=observer.wrench.copy(),
         )
-
-    def _report(
-        self,
-        plan: _Plan,
-        angle: Array,
-        rate: Array,
-        preview: GaitPreview | None,
-    ) -> PlanReport:
-        """Disturbances, and margins of the first stage of a plan."""
-        fx, fy, normal = plan.motion.force[0].T
-        friction = np.full(len(LEGS), math.nan)
-        if preview is not None:
-            friction = preview.friction[0] * normal - np.maximum(
-                np.abs(fx), np.abs(fy)
-            )
-        least, largest = self._problem.range(plan.nominal)
-        return replace(
-            self._disturbances,
-            slack_normal_min=normal,
-            slack_friction=friction,
-            slack_angle=np.minimum(angle - least, largest - angle),
-            slack_rate=self._settings.limits.rate - np.abs(rate),
-        )
-
-
-def _shares(balance: Array) -> Array:
-    """Least forces (4, 3) of the legs for a wrench: B^T (B B^T)^-1 with the balance B (3, 4)."""
-    return np.asarray(product(balance.T, inverse(product(balance, balance.T))))
 
 
 def _no_motion(stages: int) -> Rollouts:

@@ -19,6 +19,12 @@ from slot_core.safety.states import Action, Condition
 from slot_core.safety.watchdog import ServoHealth
 
 Finding = tuple[Condition, str]
+NO_REPORT = ServoHealth(
+    action=Action.HOLD,
+    reason="",
+    torque=np.zeros(len(LEGS), dtype=np.bool_),
+    goal=np.full(len(LEGS), math.inf),
+)
 
 
 class EmergencyStop:
@@ -76,9 +82,11 @@ class EmergencyStop:
         """Miss released sources that are silent no more, if another source is alive."""
         silent = self._silent(time)
         if len(silent) < len(self._sources):
-            for name in silent:
-                if not self._sources[name][1]:
-                    del self._sources[name]
+            self._sources = {
+                name: source
+                for name, source in self._sources.items()
+                if source[1] or name not in silent
+            }
 
     def forget(self, time: int, source: str) -> str:
         """Release the e-stop of a silent source and forget it; returns the reason of a refusal."""
@@ -92,11 +100,11 @@ class EmergencyStop:
 
     def _silent(self, time: int) -> dict[str, float]:
         """Time since the last message of each source that is silent, s."""
-        ages = {
-            name: to_seconds(time - received)
+        return {
+            name: age
             for name, (received, _) in self._sources.items()
+            if (age := to_seconds(time - received)) > self._limit
         }
-        return {name: age for name, age in ages.items() if age > self._limit}
 
 
 class Conditions:
@@ -120,7 +128,7 @@ class Conditions:
         # time of the last answer
         self._answered: list[int | None] = [None] * len(LEGS)
         self._not_finite: list[int | None] = [None] * len(LEGS)  # since when
-        self._health: ServoHealth | None = None
+        self._health = NO_REPORT
         self._reported = 0  # time of the last health report
 
     def receive_heartbeat(self, time: int, source: str) -> None:
@@ -154,10 +162,9 @@ class Conditions:
 
     def receive_mpc(self, status: int, fallback_cycles: int) -> None:
         """Status of the last cycle of the MPC, and cycles since its last solution."""
-        stopped = status == Status.STOPPED
         self._stopped = (
             f"MPC stopped, {fallback_cycles} cycles without a solution"
-            if stopped
+            if status == Status.STOPPED
             else ""
         )
 
@@ -184,7 +191,7 @@ class Conditions:
 
     def unpowered(self) -> list[str]:
         """Servos without torque, one line each."""
-        if self._health is None:
+        if self._health is NO_REPORT:
             return ["no report of the servos yet"]
         return [
             f"servo {leg} without torque"
@@ -195,30 +202,24 @@ class Conditions:
     @property
     def supervised(self) -> int | None:
         """As of ServoHealth; None without a report."""
-        return None if self._health is None else self._health.supervised
+        return None if self._health is NO_REPORT else self._health.supervised
 
     def release_reason(self) -> str:
         """Reason of a RELAX or OFF that the servos report, or ""."""
-        if self._health is None or self._health.action in (
-            Action.PASS,
-            Action.HOLD,
-        ):
+        if self._health.action in (Action.PASS, Action.HOLD):
             return ""
         return f"servos: {self._health.reason}"
 
     def torque_off(self, since: int) -> bool:
         """Whether a report newer than `since` says that no servo is under torque."""
-        if self._health is None or self._reported <= since:
-            return False
         return (
-            self._health.action in (Action.RELAX, Action.OFF)
+            self._reported > since
+            and self._health.action in (Action.RELAX, Action.OFF)
             and not self._health.torque.any()
         )
 
     def distance(self, angle: Array) -> float:
         """Largest distance of the servos' goals from angles (4,), rad; inf without a report."""
-        if self._health is None:
-            return math.inf
         return float(np.abs(self._health.goal - angle).max())
 
     def unwatched(self) -> Iterator[str]:
@@ -247,7 +248,7 @@ class Conditions:
     @property
     def slewed(self) -> bool:
         """Whether the rate limit holds a goal back."""
-        return self._health is not None and bool(self._health.slewed.any())
+        return bool(self._health.slewed.any())
 
     def conditions(self, time: int) -> dict[Condition, str]:
         """Every condition that holds now, with one line: cause, value and limit."""
@@ -276,7 +277,15 @@ class Conditions:
 
     def _servos(self, time: int) -> Iterator[Finding]:
         limit = self._settings.timing.servo_silent
-        if errors := list(self._hardware_errors()):
+        health = self._health
+        errors = [
+            f"servo {leg}: {hardware_errors(bits)} error, register 70 = 0x{bits:02x}, limit 0"
+            for leg, bits in zip(
+                LEGS, health.hardware_error.tolist() if health else ()
+            )
+            if bits
+        ]
+        if errors:
             yield Condition.SERVO_FAULT, "; ".join(errors)
         for leg, answered, since in zip(LEGS, self._answered, self._not_finite):
             age = math.inf if answered is None else to_seconds(time - answered)
@@ -338,15 +347,6 @@ class Conditions:
         ):
             if age > limit:
                 yield condition, f"no command {_span(age)}, limit {limit:g} s"
-
-    def _hardware_errors(self) -> Iterator[str]:
-        """One line for each servo with error bits."""
-        if self._health is None:
-            return
-        for leg, bits in zip(LEGS, map(int, self._health.hardware_error)):
-            if bits:
-                names = hardware_errors(bits)
-                yield f"servo {leg}: {names} error, register 70 = 0x{bits:02x}, limit 0"
 
 
 def _span(age: float) -> str:

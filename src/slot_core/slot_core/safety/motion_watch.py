@@ -90,9 +90,8 @@ class MotionWatch:
     @property
     def findings(self) -> dict[Condition, str]:
         """Conditions, with one line each."""
-        if self._remark:
-            return {Condition.OFF_COMMAND: self._remark, **self._alarms}
-        return self._alarms
+        remark = {Condition.OFF_COMMAND: self._remark} if self._remark else {}
+        return remark | self._alarms
 
     def observe(
         self, time: int, state: Array, command: Array, velocity: Array
@@ -109,8 +108,9 @@ class MotionWatch:
         if self._window.add(time, row, limits.window) and not self._alarms:
             self._seek_motion()
         moved = np.append(rotate(state[9:11], -state[2]), state[8])
-        both = np.array([moved, velocity])
-        is_full = self._velocities.add(time, both, limits.slip_window)
+        is_full = self._velocities.add(
+            time, np.array([moved, velocity]), limits.slip_window
+        )
         if is_full and time - self._compared >= SECOND:
             self._compared = time
             self._compare(*self._velocities.rows().mean(axis=0))

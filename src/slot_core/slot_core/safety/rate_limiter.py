@@ -127,18 +127,30 @@ class RateLimiter:
         self._time = time
         if action is not self._action:
             self._action, self._since, self._relaxed = action, time, False
-        budget = self._budget + to_seconds(elapsed)
-        self._budget = np.minimum(budget, self.settings.burst)
+        self._budget = np.minimum(
+            self._budget + to_seconds(elapsed), self.settings.burst
+        )
         if action is Action.PASS:
             age = to_seconds(time - self._accepted)
             angle = extrapolated(self._target, self._target_rate, age)
-            goal = np.clip(angle, 0.0, self._angle_max)
-            return self._move(goal, self._rate(time, fast))
+            return self._move(
+                np.clip(angle, 0.0, self._angle_max), self._rate(time, fast)
+            )
         if action is Action.RELAX:
-            return self._relax(time)
+            # torque goes off at the end of the ramp, whether or not the servos have followed
+            moved = self._move(np.zeros(len(LEGS)), self.settings.relax_rate)
+            self._relaxed = (
+                self._relaxed
+                or time - self._since >= self.settings.relax_time * SECOND
+                or not self._goal.any()
+            )
+            return (
+                unchanged(action, self._goal, False) if self._relaxed else moved
+            )
         if action is Action.HOLD and ease is not None:
-            rest = np.full(len(LEGS), ease)
-            return self._move(rest, self.settings.approach_rate)
+            return self._move(
+                np.full(len(LEGS), ease), self.settings.approach_rate
+            )
         return unchanged(action, self._goal, action is Action.HOLD)
 
     def restart_rate(self, time: int) -> None:
@@ -153,20 +165,6 @@ class RateLimiter:
         share = to_seconds(time - self._since) / s.resume_time
         return s.approach_rate + (s.rate_max - s.approach_rate) * min(
             max(share, 0.0), 1.0
-        )
-
-    def _relax(self, time: int) -> Goals:
-        """Ramp to slack; torque goes off at its end, whether or not the servos have followed."""
-        slack = np.zeros(len(LEGS))
-        moved = self._move(slack, self.settings.relax_rate)
-        expired = time - self._since >= self.settings.relax_time * SECOND
-        self._relaxed = (
-            self._relaxed or expired or bool((self._goal == slack).all())
-        )
-        return (
-            unchanged(self._action, self._goal, False)
-            if self._relaxed
-            else moved
         )
 
     def _move(self, target: Array, rate: float) -> Goals:

@@ -227,11 +227,11 @@ class SupervisorSettings:
 
     def __post_init__(self) -> None:
         """Raise ConfigError for a node whose heartbeat the supervisor does not receive."""
-        for node in self.nodes:
-            if node not in NODES:
-                raise ConfigError(
-                    f"nodes: {quoted(node)}: expected some of {', '.join(NODES)}"
-                )
+        unknown = [node for node in self.nodes if node not in NODES]
+        if unknown:
+            raise ConfigError(
+                f"nodes: {quoted(unknown[0])}: expected some of {', '.join(NODES)}"
+            )
 
     @property
     def servo_limits(self) -> ServoLimits:

@@ -78,9 +78,9 @@ class SteadyClock:
         passed = 0 if self._last is None else now - self._last
         self._last = now
         if abs(passed) > self._jump:
-            limit = to_seconds(self._jump)
             self.jumped = (
-                f"clock jumped by {to_seconds(passed):+.3g} s, limit {limit:g}"
+                f"clock jumped by {to_seconds(passed):+.3g} s, limit"
+                f" {to_seconds(self._jump):g}"
             )
             passed = 0
         self._time += max(passed, 0)
@@ -111,13 +111,13 @@ class Supervisor:
         self._right_clock: set[str] = set()
         self.operated = False  # whether an operator has requested anything
         self._state, self._reason, self._since = State.IDLE, "started", 0
-        self._resume = State.STANDING  # state after HOLD
-        self._held_from = State.STANDING  # state before HOLD
+        # state after HOLD; state before it
+        self._resume = self._held_from = State.STANDING
         self._holds: list[int] = []  # steady times of the last HOLDs
         # whether the last transition led from HOLD back to it
         self._resumed = False
-        self._entered = 0  # steady time of the last transition
-        self._ready_since = 0  # steady time of the last READY
+        # steady times of the last transition and of the last READY
+        self._entered = self._ready_since = 0
         # steady time since which there is no reason to hold
         self._clear_since: int | None = None
         self._faulty = False  # whether RELAX ends in FAULT
@@ -232,9 +232,13 @@ class Supervisor:
                     for name in ("estimate", "command")
                 ),
             )
-            age = to_seconds(now - oldest)
             self._tendons = self._watch.observe(
-                stamp, angle, torque, self._height, self._stride, age=age
+                stamp,
+                angle,
+                torque,
+                self._height,
+                self._stride,
+                age=to_seconds(now - oldest),
             )
 
     def receive_health(self, now: int, stamp: int, health: ServoHealth) -> None:
@@ -262,9 +266,7 @@ class Supervisor:
             return no_change(request, before)
         reasons = [
             text for c, text in active.items() if c in FORBIDDEN_BY[request]
-        ]
-        if not reasons:
-            reasons = self._further_reasons(request)
+        ] or self._further_reasons(request)
         if reasons:
             return f"{request.name} refused in {before.name}: {reasons[0]}"
         self._transition(now, time, condition, f"{condition.value} by {by}")
@@ -293,21 +295,26 @@ class Supervisor:
         found = self._tendons.stiffness
         if not abs(found - self._modulus) <= SHOWN:
             self._modulus = found
-        legs = legs_message(
-            self._leg_stiffness, self._modulus, self._robot.mass
+        lines = (
+            self._inputs.sensor_warning(time),
+            legs_message(self._leg_stiffness, self._modulus, self._robot.mass),
         )
-        warnings += filter(None, [self._inputs.sensor_warning(time), legs])
+        warnings += filter(None, lines)
         warnings += self._inputs.unwatched()
         for (
             source
         ) in self._right_clock:  # not before a report has named the fault
             self._wrong_clock.pop(source, None)
         self._right_clock.clear()
-        self._followed = self._is_followed()
+        distance = self._inputs.distance(self._command)
+        # from when the servos have reached the commands: before, at a limited rate, they are on
+        # their way from wherever the legs were
+        self._followed = ACTIONS[self._state] is Action.PASS and (
+            self._followed or distance <= self._settings.arrived
+        )
         if not self._followed:
             self._unfollowed = time
-        if self._followed and self._inputs.slewed:
-            distance = self._inputs.distance(self._command)
+        elif self._inputs.slewed:
             warnings.append(f"command slewed, {distance:.3g} rad left")
         return Report(
             state=self._state,
@@ -319,16 +326,6 @@ class Supervisor:
             resumed=self._resumed,
             followed=self._followed,
         )
-
-    def _is_followed(self) -> bool:
-        """Whether the servos follow the commands: permitted, and from when they have reached them.
-
-        Before, at a limited rate, they are on their way from wherever the legs were.
-        """
-        if ACTIONS[self._state] is not Action.PASS:
-            return False
-        arrived = self._inputs.distance(self._command) <= self._settings.arrived
-        return self._followed or arrived
 
     def _advance(self, now: int) -> int:
         """Steady time at `now`; after a jump every stamp counts as newer."""
@@ -365,7 +362,10 @@ class Supervisor:
         if self._tendons.damaged.any():
             found[Condition.TENDON_DAMAGED] = self._tendons.message
         found |= self._motion.findings
-        if reason := self._torque_missing(time):
+        change = self._settings.timing.torque_change * SECOND
+        is_due = time - self._ready_since > change
+        reason = self._inputs.release_reason()  # of servos without torque
+        if reason and is_due and self._state in UNDER_TORQUE:
             found.setdefault(Condition.SERVO_FAULT, reason)
         if self._state is State.HOLD:
             self._end_hold(time, found)
@@ -380,16 +380,6 @@ class Supervisor:
             self._state in MOVING
             and time - since > self._settings.gate.resume_time * SECOND
         )
-
-    def _torque_missing(self, time: int) -> str:
-        """Why the servos have no torque after the time to switch it on, or ""."""
-        overdue = (
-            time - self._ready_since
-            > self._settings.timing.torque_change * SECOND
-        )
-        if self._state in UNDER_TORQUE and overdue:
-            return self._inputs.release_reason()
-        return ""
 
     def _end_relax(self, time: int, found: dict[Condition, str]) -> None:
         """Add the condition that ends RELAX: torque off, as the servos report it.
@@ -408,16 +398,18 @@ class Supervisor:
             self._settings.gate.relax_time + self._settings.timing.torque_change
         )
         if to_seconds(time - self._entered) > limit:
-            reason = f"torque off not confirmed within {limit:.3g} s, after: {self._reason}"
-            found[Condition.RELAXED_AFTER_FAULT] = reason
+            found[Condition.RELAXED_AFTER_FAULT] = (
+                f"torque off not confirmed within {limit:.3g} s, after: {self._reason}"
+            )
 
     def _end_hold(self, time: int, found: dict[Condition, str]) -> None:
         """Add the condition that ends HOLD."""
         timing = self._settings.timing
         held = to_seconds(time - self._entered)
         if held > timing.hold_max:
-            reason = f"held for {held:.3g} s, limit {timing.hold_max:g} s, since: {self._reason}"
-            found[Condition.HELD_TOO_LONG] = reason
+            found[Condition.HELD_TOO_LONG] = (
+                f"held for {held:.3g} s, limit {timing.hold_max:g} s, since: {self._reason}"
+            )
         if len(self._holds) > timing.holds_max:
             found[Condition.HELD_TOO_OFTEN] = (
                 f"held {len(self._holds)} times in {timing.holds_window:g} s,"
@@ -431,10 +423,9 @@ class Supervisor:
             time if self._clear_since is None else self._clear_since
         )
         if time - self._clear_since >= timing.recovery * SECOND:
-            walks = self._resume is State.WALKING
             recovered = (
                 Condition.WALKING_RECOVERED
-                if walks
+                if self._resume is State.WALKING
                 else Condition.STANDING_RECOVERED
             )
             found[recovered] = (
@@ -444,7 +435,16 @@ class Supervisor:
     def _further_reasons(self, request: Request) -> list[str]:
         """Reasons to refuse a request that are not conditions, one line each."""
         if request is Request.READY:
-            return self._angles_out_of_range()
+            largest = self._robot.tendon.angle_max
+            tolerance = self._settings.zero_tolerance
+            return [  # of a wrong zero
+                f"servo {leg} at {angle:.3g} rad, limits"
+                f" [{-tolerance:.3g}, {largest + tolerance:.3g}]"
+                if np.isfinite(angle)
+                else f"servo {leg} has not told its angle yet"
+                for leg, angle in zip(LEGS, self._tendon_angle)
+                if not -tolerance <= angle <= largest + tolerance
+            ]
         if request is Request.STAND and (unpowered := self._inputs.unpowered()):
             return unpowered
         limit, distance = (
@@ -458,20 +458,6 @@ class Supervisor:
         if request is Request.WALK and not self._inputs.legs_are_known:
             return ["the stiffness of the legs is not measured yet"]
         return []
-
-    def _angles_out_of_range(self) -> list[str]:
-        """Servos whose angle is outside the range (a wrong zero), one line each."""
-        largest, tolerance = (
-            self._robot.tendon.angle_max,
-            self._settings.zero_tolerance,
-        )
-        return [
-            f"servo {leg} at {angle:.3g} rad, limits [{-tolerance:.3g}, {largest + tolerance:.3g}]"
-            if np.isfinite(angle)
-            else f"servo {leg} has not told its angle yet"
-            for leg, angle in zip(LEGS, self._tendon_angle)
-            if not -tolerance <= angle <= largest + tolerance
-        ]
 
     def _transition(
         self, now: int, time: int, condition: Condition, reason: str

@@ -123,8 +123,11 @@ class TendonWatch:
         if elapsed > self._limits.sample_gap:
             self.pause()
         expected, slope = self._load(values[0], values[2])
-        row = np.array([expected, values[1], slope])
-        if self._window.add(stamp, row, max(stride, self._limits.window_min)):
+        if self._window.add(
+            stamp,
+            np.array([expected, values[1], slope]),
+            max(stride, self._limits.window_min),
+        ):
             self._evaluate(elapsed)
         return self.state
 
@@ -141,9 +144,8 @@ class TendonWatch:
     def _evaluate(self, elapsed: float) -> None:
         """Compute the slack from the means; sum its excess over `elapsed` (s), set the alarms."""
         expected, torque, slope = self._window.rows().mean(axis=0)
-        shares = torque / np.maximum(expected, TORQUE_MIN)
-        common = np.clip(np.median(shares), *self._limits.shared)
-        self._stiffness = float(common)
+        share = np.median(torque / np.maximum(expected, TORQUE_MIN))
+        self._stiffness = float(np.clip(share, *self._limits.shared))
         slope = np.maximum(self._stiffness * slope, self._limits.stiffness_min)
         self._slack = (
             self._radius * (self._stiffness * expected - torque) / slope
@@ -167,12 +169,14 @@ class TendonWatch:
         """One line with legs, values and limit, or ""."""
         if not self._named:
             return ""
-        limit = 1e3 * self._limits.slack_max
         legs = ", ".join(
             f"{leg} ({1e3 * slack:.1f} mm)"
             for leg, slack in self._named.items()
         )
-        return f"slack or broken tendon {legs}, limit {limit:.1f} mm"
+        return (
+            f"slack or broken tendon {legs}, limit"
+            f" {1e3 * self._limits.slack_max:.1f} mm"
+        )
 
 
 def read_tendon_watch(

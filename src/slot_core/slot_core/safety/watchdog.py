@@ -161,23 +161,22 @@ class Watchdog:
         if self.limits is None or self._limiter is None:
             return unchanged(self.action, self._engaged, True)
         self.action, self.reason = self._decide(now, self.limits)
-        received = [] if self._commanded is None else [self._commanded]
-        received += [] if self.permission is None else [self.permission.time]
+        permitted = None if self.permission is None else self.permission.time
         self.overdue = any(
-            now - time > self.limits.command_hold * SECOND for time in received
+            time is not None and now - time > self.limits.command_hold * SECOND
+            for time in (self._commanded, permitted)
         )
-        fast = self.permission is not None and self.permission.fast
         if self.action is Action.PASS:
-            self._note_stride(now, self.limits)
-        ease = self.limits.standing_angle if self.eases else None
-        return self._limiter.step(now, self.action, fast, ease)
-
-    def _note_stride(self, now: int, limits: ServoLimits) -> None:
-        """Note that the servos follow a stride, or have followed a posture for `settling`."""
-        if self.permission is not None and self.permission.walks:
-            self._strode = now
-        elif now - (self._strode or now) > limits.settling * SECOND:
-            self._strode = None
+            if self.permission is not None and self.permission.walks:
+                self._strode = now
+            elif now - (self._strode or now) > self.limits.settling * SECOND:
+                self._strode = None  # a posture for `settling`
+        return self._limiter.step(
+            now,
+            self.action,
+            fast=self.permission is not None and self.permission.fast,
+            ease=self.limits.standing_angle if self.eases else None,
+        )
 
     def _decide(self, now: int, limits: ServoLimits) -> tuple[Action, str]:
         """Action and its reason, "" for PASS."""
