@@ -6,7 +6,7 @@ Needs `scripts/setup --learn`. The graph walks with it by `scripts/run --policy 
 import argparse
 import os
 
-from slot_lab.learning.evolution import Evolution, learn, shape_of
+from slot_lab.learning.evolution import Evolution, learn, shape_of, trials
 from slot_lab.learning.learned_walk import compare, draw, export
 from slot_lab.learning.task import make_task
 
@@ -14,6 +14,9 @@ parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--generations", type=int, default=60)
 parser.add_argument(
     "--pairs", type=int, default=16, help="half the networks of a generation"
+)
+parser.add_argument(
+    "--scheduler", default="", metavar="ADDRESS", help="of dask.distributed"
 )
 options = parser.parse_args()
 
@@ -33,11 +36,12 @@ EVOLUTION = Evolution(
     threads=len(os.sched_getaffinity(0)),
 )
 history = []
-for found in learn(TASK, EVOLUTION):
-    history.append(found)
-    print(
-        f"{found.generation:4d} generations, {found.steps:8d} steps: {found.test:.4f} a step"
-    )
+with trials(options.scheduler) as evaluate:
+    for found in learn(TASK, EVOLUTION, evaluate):
+        history.append(found)
+        print(
+            f"{found.generation:4d} generations, {found.steps:8d} steps: {found.test:.4f} a step"
+        )
 export("walk.onnx", TASK, shape_of(TASK), history[-1].best)
 draw(history, "learning.png")
 print(compare("onnx:walk.onnx", "gait_alone"))

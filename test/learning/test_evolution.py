@@ -1,5 +1,7 @@
 """The evolution strategy learns; its networks are those that ONNX runs."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,11 @@ pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
 from slot_lab.learning import task as spaces
 from slot_lab.learning.evolution import (
     Evolution,
+    Walks,
     learn,
+    returns,
     shape_of,
+    spread,
 )
 from slot_lab.learning.task import make_task, mirror_of
 
@@ -23,7 +28,8 @@ SMALL = Evolution(
 
 
 def test_it_climbs_a_hill_from_its_antithetic_pairs():
-    goal = np.random.default_rng(5).standard_normal(shape_of(TASK).size)
+    count = shape_of(TASK).size
+    goal = np.random.default_rng(5).standard_normal(count)
 
     def hill(walks):
         return -((walks.parameters - goal) ** 2).mean(axis=1)
@@ -32,6 +38,18 @@ def test_it_climbs_a_hill_from_its_antithetic_pairs():
     assert found[-1].test > 0.2 * found[0].test  # both negative
     assert found[-1].test <= -((found[-1].best - goal) ** 2).mean() + 1e-12
     assert found[-1].steps == 150 * 16 * 12
+
+
+def test_parts_on_workers_return_what_one_process_does():
+    client = SimpleNamespace(  # of dask.distributed, in this process
+        map=lambda call, items, pure: [call(item) for item in items],
+        gather=list,
+    )
+    parameters = np.random.default_rng(1).standard_normal(
+        (5, shape_of(TASK).size)
+    )
+    walks = Walks(TASK, SMALL, parameters, np.arange(5))
+    assert spread(client, 2)(walks) == pytest.approx(returns(walks), abs=1e-12)
 
 
 def test_the_gait_half_a_stride_later_is_its_mirror_image():

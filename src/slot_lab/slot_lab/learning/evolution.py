@@ -9,13 +9,15 @@ less the mean of the pair,
 and a step of Adam along g. Both networks of a pair walk in the same drawn scene, whose difficulty
 the mean takes out. Sigma and the step fall geometrically over the generations: large ones learn
 quickly, with small ones the network comes to rest where it walks best without disturbance. All
-pairs walk at once, each network on another robot of one vector environment.
+pairs walk at once, each network on another robot, in one vector environment or in several
+processes.
 """
 
 import functools
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +27,7 @@ from slot_core.control.walk_actions import ACTIONS
 from slot_lab.learning.network import NetworkShape
 from slot_lab.learning.task import Task, mirror_of
 from slot_lab.learning.vector_env import WalkVectorEnv
+from slot_lab.workers import gather, workers
 
 DECAYS, TINY = (0.9, 0.99), 1e-8  # of Adam
 # of the scenes that test the mean network
@@ -43,7 +46,7 @@ class Evolution:
     rate: Schedule = (0.006, 0.0005)
     seed: int = 0
     step: float = 0.0  # s, longest time step of the simulation; 0: the level's
-    threads: int = 1
+    threads: int = 1  # of a process
     test_every: int = 10  # generations
 
 
@@ -88,6 +91,32 @@ def returns(walks: Walks) -> Array:
     return found / steps
 
 
+def spread(client: Any, parts: int) -> Callable[[Walks], Array]:
+    """`returns` by the workers of a client of `dask.distributed`, in so many parts."""
+
+    def call(walks: Walks) -> Array:
+        task, evolution, parameters, seeds = walks
+        pieces = zip(
+            np.array_split(parameters, parts), np.array_split(seeds, parts)
+        )
+        items = [
+            Walks(task, evolution, *piece) for piece in pieces if len(piece[1])
+        ]
+        return np.concatenate(gather(client, returns, items))
+
+    return call
+
+
+@contextmanager
+def trials(scheduler: str) -> Iterator[Callable[[Walks], Array]]:
+    """Function that evaluates networks: `returns`, or workers of the scheduler at an address."""
+    if not scheduler:
+        yield returns
+        return
+    with workers(scheduler) as client:
+        yield spread(client, len(client.ncores()))
+
+
 def learn(
     task: Task,
     evolution: Evolution,
@@ -102,16 +131,8 @@ def learn(
     steps = round(task.duration / task.gaits.dt) * 2 * e.pairs
     for generation in range(e.generations + 1):
         if generation % e.test_every == 0 or generation == e.generations:
-            test = float(
-                evaluate(
-                    Walks(
-                        task,
-                        e,
-                        np.tile(centre, (len(TEST_SEEDS), 1)),
-                        TEST_SEEDS,
-                    )
-                ).mean()
-            )
+            tested = np.tile(centre, (len(TEST_SEEDS), 1))
+            test = float(evaluate(Walks(task, e, tested, TEST_SEEDS)).mean())
             if test > most:
                 best, most = centre.copy(), test
             yield Generation(
@@ -125,14 +146,8 @@ def learn(
         )
         directions = rng.standard_normal((e.pairs, size))
         tried = centre + sigma * np.concatenate([directions, -directions])
-        found = evaluate(
-            Walks(
-                task,
-                e,
-                tried,
-                np.tile(rng.integers(TEST_SEEDS[0], size=e.pairs), 2),
-            )
-        )
+        seeds = rng.integers(TEST_SEEDS[0], size=e.pairs)
+        found = evaluate(Walks(task, e, tried, np.tile(seeds, 2)))
         mean = float(found.mean())
         better = found - np.tile(found.reshape(2, -1).mean(axis=0), 2)
         rank = better.argsort().argsort() / (len(found) - 1) - 0.5
