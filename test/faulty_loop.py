@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from slot_core.clock import LOCKSTEP_START, SECOND
-from slot_core.dynamixel.emulator.memory import TRIPPED
+from slot_core.dynamixel.emulator.emulated_servo import TRIPPED
 from slot_core.faults import Fault
 from slot_core.robot import read_robot
 from slot_core.safety.states import Action, State

@@ -10,8 +10,12 @@ from rosbags.interfaces import Nodetype
 from scipy.spatial.transform import Rotation
 
 from slot_core.arrays import Array
-from slot_core.recording.bag_writer import BagWriter, MessageType
-from slot_core.recording.message_types import message_types, types_inside
+from slot_core.recording.bag_writer import (
+    BagWriter,
+    MessageType,
+    message_types,
+    types_inside,
+)
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import TENDON_JOINTS, read_robot
 

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from slot_core.progress import DELAY, REPEAT, REWRITE, ProgressLine
+from slot_core.command_line import DELAY, REPEAT, REWRITE, ProgressLine
 
 
 class Shown(ProgressLine):

@@ -17,7 +17,7 @@ from slot_bringup.monitor import listener
 from slot_core.clock import SECOND, to_seconds
 from slot_core.command_line import show
 from slot_core.messages import decode
-from slot_core.recording.message_types import Types, message_types
+from slot_core.recording.bag_writer import Types, message_types
 from slot_core.refusal import InputError
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.topics import LEG_STATES

@@ -14,8 +14,7 @@ from pathlib import Path
 
 from slot_bringup import interrupts
 from slot_bringup.playing.main_page import open_in_browser
-from slot_core.command_line import command_parser, refuse, show
-from slot_core.progress import ProgressLine
+from slot_core.command_line import ProgressLine, command_parser, refuse, show
 from slot_core.refusal import InputError
 
 PROGRAM = "scripts/view"

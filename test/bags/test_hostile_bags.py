@@ -13,8 +13,7 @@ import pytest
 from damage import examples, refusable, require_short, spliced
 from hypothesis import given
 
-from slot_core.recording.bag_writer import BagWriter
-from slot_core.recording.message_types import message_types
+from slot_core.recording.bag_writer import BagWriter, message_types
 from slot_core.recording.origin import CONFIGURATION, Origin
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import read_robot
@@ -23,7 +22,7 @@ from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import read_motion, tendon_angles
 from slot_lab.report import compare, map_command
 from slot_lab.report.run_page.run_page import content, read_frames
-from slot_lab.twin.recorded import read_recorded
+from slot_lab.twin.strides import read_recorded
 from slot_lab.validation.recording import read_recording
 
 WALK = Path(__file__).parent / "walk"

@@ -15,8 +15,7 @@ from rosbags.rosbag2 import (
 )
 from synthetic_walk import TOPICS, WALL, Walk, encode, message, write_walk
 
-from slot_core.recording.bag_writer import BagWriter
-from slot_core.recording.message_types import message_types
+from slot_core.recording.bag_writer import BagWriter, message_types
 from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags import replay_command

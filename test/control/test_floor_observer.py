@@ -13,8 +13,7 @@ from slot_core.estimation.floor_observer import (
     FloorPlane,
 )
 from slot_core.estimation.state_estimator import read_estimator
-from slot_core.legs.leg_springs import drops, rest_pose
-from slot_core.legs.leg_table import read_leg_table
+from slot_core.legs.leg_table import drops, read_leg_table, rest_pose
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT, SPRINGS, SETTINGS = read_robot(), read_springs(), read_estimator()

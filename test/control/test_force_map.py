@@ -12,8 +12,7 @@ from slot_core.control.force_map import (
     read_force_map,
 )
 from slot_core.control.policy import Status, TendonPlan
-from slot_core.legs.leg_springs import LegSprings
-from slot_core.legs.leg_table import LegTable
+from slot_core.legs.leg_table import LegSprings, LegTable
 from slot_core.robot import read_robot
 
 ROBOT = read_robot()

@@ -12,8 +12,13 @@ from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.gait.gait import FRONT_REAR, LEFT_RIGHT, read_gaits
-from slot_core.gait.reference import places_ahead, reference
+from slot_core.gait.gait import (
+    FRONT_REAR,
+    LEFT_RIGHT,
+    places_ahead,
+    read_gaits,
+    reference,
+)
 from slot_core.robot import read_robot
 from slot_core.simulation.make_robot import make_robot
 

@@ -11,7 +11,7 @@ from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import GaitCommand, read_gaits
 from slot_core.gait.gait_scheduler import SETTLING, GaitScheduler
 from slot_core.gait.route import Route
-from slot_core.legs.leg_springs import stiffness_ratio
+from slot_core.legs.leg_table import stiffness_ratio
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 

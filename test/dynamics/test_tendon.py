@@ -6,8 +6,7 @@ from rod_robots import FLOATING, ROBOT, simulator
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from slot_core.dynamics.rod import build
-from slot_core.dynamics.tendon import route
+from slot_core.dynamics.rod import build, route
 from slot_lab.leg_tests.leg_map import StaticLeg, tangent
 from slot_lab.leg_tests.level_leg import level_leg
 

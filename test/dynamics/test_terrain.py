@@ -7,7 +7,7 @@ from rod_robots import simulator
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
-from slot_core.dynamics.terrain import Terrain, ground
+from slot_core.dynamics.contact import Terrain, ground
 from slot_core.robot import GRAVITY
 
 SPACING = 0.05

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from slot_core.dynamixel.host_pid import HostPid
+from slot_core.dynamixel.driver import HostPid
 from slot_core.dynamixel.settings import HostPidSettings
 
 SETTINGS = HostPidSettings(

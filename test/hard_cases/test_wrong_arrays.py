@@ -16,8 +16,7 @@ from slot_core.estimation.inertial_filter import InertialFilter, OdometryMotion
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
-from slot_core.legs.leg_springs import LegSprings, read_leg_springs
-from slot_core.legs.leg_table import LegTable
+from slot_core.legs.leg_table import LegSprings, LegTable, read_leg_springs
 from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.robot import read_robot
 from slot_core.rod.cosserat_rod import CosseratRod

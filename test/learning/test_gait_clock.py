@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from slot_core.control.force_map import read_springs
+from slot_core.gait.gait import moved
 from slot_core.gait.gait_scheduler import GaitScheduler
-from slot_core.gait.reference import moved
 
 pytest.importorskip("gymnasium", reason="needs scripts/setup --learn")
 from slot_lab.learning.gait_clock import GaitClock

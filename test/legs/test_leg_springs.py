@@ -7,14 +7,14 @@ from scipy.interpolate import RegularGridInterpolator
 from slot_core import config
 from slot_core.dynamics.scene import level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.legs.leg_springs import (
+from slot_core.legs.leg_table import (
     COLUMNS,
     legs_message,
     read_leg_springs,
+    read_leg_table,
     rest_pose,
     stiffness_ratio,
 )
-from slot_core.legs.leg_table import read_leg_table
 from slot_core.robot import read_robot
 from slot_core.simulation.make_robot import make_robot
 

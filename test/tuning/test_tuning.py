@@ -8,7 +8,7 @@ from real_graph import set_values
 
 from slot_core import config
 from slot_core.gait.gait import HarmonicBasis, read_gaits
-from slot_lab.tuning import identification, symmetry, tune_command
+from slot_lab.tuning import identification, tune_command
 from slot_lab.tuning.pattern_search import (
     FAILED,
     Goal,
@@ -38,11 +38,11 @@ def series(pattern, phase):
 @pytest.mark.parametrize(
     ("pattern", "legs", "sign"),
     [
-        (symmetry.forward, [1, 0, 3, 2], 1),  # its mirror image
-        (symmetry.turn, [3, 2, 1, 0], 1),  # after half a turn
+        (identification.forward, [1, 0, 3, 2], 1),  # its mirror image
+        (identification.turn, [3, 2, 1, 0], 1),  # after half a turn
         # whose mirror image steers to the other side
         (
-            symmetry.steering,
+            identification.steering,
             [1, 0, 3, 2],
             -1,
         ),
@@ -118,7 +118,7 @@ def search(evaluations, seed=1):
 
 def test_a_search_finds_the_pattern_and_its_record_is_of_no_other(tmp_path):
     found = search(1200).run(parabola, tmp_path / "record", print)
-    pattern = symmetry.forward(found.x)
+    pattern = identification.forward(found.x)
     assert pattern == pytest.approx(np.array(WALK.forward.angle_deg), abs=1.0)
     assert found.speed == pytest.approx([0.06], abs=1e-4)
     with pytest.raises(config.ConfigError, match="record of another search"):

@@ -15,12 +15,14 @@ from slot_lab.bags.topics import COMMANDED, MEASURED
 from slot_lab.csv_table import TableError
 from slot_lab.twin import twin, twin_command, twin_fit
 from slot_lab.twin.prediction import predict, read_parts
-from slot_lab.twin.recorded import COLUMNS, BagRecording, read_recorded
 from slot_lab.twin.settings import read_twin
 from slot_lab.twin.strides import (
+    COLUMNS,
+    BagRecording,
     angle_period,
     error_growth,
     find_strides,
+    read_recorded,
     stride_errors,
 )
 from slot_lab.twin.twin_fit import (

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 from views import CAMERA, VISION, board, image_from_torso, seen_from_torso
 
 from slot_core.geometry import Transform
+from slot_core.vision.board import board_poses, nearest
 from slot_core.vision.camera import (
     Camera,
     CameraError,
@@ -15,7 +16,6 @@ from slot_core.vision.camera import (
     read_camera,
 )
 from slot_core.vision.detector import MarkerDetector
-from slot_core.vision.pose import board_poses, nearest
 
 
 @pytest.mark.parametrize("blur", [0.0, 0.6, 1.5])

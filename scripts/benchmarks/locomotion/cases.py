@@ -13,8 +13,7 @@ from slot_core.arrays import Array
 from slot_core.clock import LOCKSTEP_START, to_seconds
 from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.dynamics.servo import read_servo
-from slot_core.gait.gait import read_gaits
-from slot_core.gait.reference import mean_velocity
+from slot_core.gait.gait import mean_velocity, read_gaits
 from slot_core.gait.route import Route
 from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY, read_robot

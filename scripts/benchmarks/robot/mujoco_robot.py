@@ -12,7 +12,7 @@ the link before. With one order at all nodes the sideways deflection would have 
 order in the links' length, and so with the twist at nodes, as the rod has it.
 
 The tendon is an actuator on the combination of hinges and slides that lengthens it. Its tension
-T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt) follows `slot_core.dynamics.tendon`. The servo is the
+T = max(0, k (l - l_cmd) + c d(l - l_cmd)/dt) follows `slot_core.dynamics.rod`. The servo is the
 pid of `slot_core.dynamics.servo` with the friction of the tendon's guide, in NumPy.
 
 A contact is held by the acceleration -b v - k r of its points: k = 1 / (HOLD REACH)^2 and

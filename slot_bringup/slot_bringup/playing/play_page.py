@@ -24,8 +24,7 @@ from slot_core.control.controller import Tick
 from slot_core.control.pace import Pace, Speed
 from slot_core.drawing import palette
 from slot_core.drawing.shapes import FORCE_SCALE, Arrows, rgb
-from slot_core.recording.bag_writer import BagWriter
-from slot_core.recording.message_types import message_types
+from slot_core.recording.bag_writer import BagWriter, message_types
 from slot_core.recording.origin import origin_here
 from slot_core.recording.record_settings import BagError, read_record_settings
 from slot_core.robot import read_robot

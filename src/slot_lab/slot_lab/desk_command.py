@@ -5,8 +5,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 
-from slot_core.command_line import INTERRUPTED, refuse, show
-from slot_core.progress import ProgressLine
+from slot_core.command_line import INTERRUPTED, ProgressLine, refuse, show
 from slot_core.refusal import DivergenceError, InputError
 
 UNUSABLE = 2  # exit code

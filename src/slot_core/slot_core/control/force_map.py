@@ -3,7 +3,7 @@
     theta = theta_gait + (f_z - f_gait) / F_theta
 
 theta_gait and f_gait are the gait's nominal angle and normal force, F_theta the slope of a leg at
-rest at that angle and its present height (`legs/leg_springs.py`); that the leg is a spring is
+rest at that angle and its present height (`legs/leg_table.py`); that the leg is a spring is
 neglected. Until the next command the angle goes on at the rate of theta_gait. A planned angle is
 passed on.
 
@@ -25,7 +25,7 @@ from slot_core.config import quantity
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.gait.gait import GaitPreview
 from slot_core.key_frame import StateParts
-from slot_core.legs.leg_springs import LegSprings, read_leg_springs
+from slot_core.legs.leg_table import LegSprings, read_leg_springs
 from slot_core.refusal import quoted
 from slot_core.robot import LEGS, RobotParameters
 

@@ -16,9 +16,14 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.config import ConfigError, text
-from slot_core.control.gait_alone import gait_plan
 from slot_core.control.input_check import state_fault
-from slot_core.control.policy import Policy, Status, TendonPlan, Timer
+from slot_core.control.policy import (
+    Policy,
+    Status,
+    TendonPlan,
+    Timer,
+    gait_plan,
+)
 from slot_core.control.walk_actions import (
     ACTIONS,
     deviation,

@@ -14,8 +14,7 @@ import numpy as np
 
 from slot_core import config
 from slot_core.config import quantity
-from slot_core.control.gait_alone import gait_plan
-from slot_core.control.policy import Policy, TendonPlan, Timer
+from slot_core.control.policy import Policy, TendonPlan, Timer, gait_plan
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, Vector3, read_gaits
 from slot_core.geometry import rotate, wrapped

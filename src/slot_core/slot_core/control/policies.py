@@ -11,7 +11,7 @@ POLICIES = {
     "force_mpc": "slot_core.mpc.force_mpc:ForceMpc",  # MPC on ground reaction forces
     "paper_text": PAPER,  # the same as printed in the paper
     "paper_code": PAPER,  # and as in the authors' published scripts
-    GAIT_ALONE: "slot_core.control.gait_alone:GaitAlone",
+    GAIT_ALONE: "slot_core.control.policy:GaitAlone",
 }
 """Module and class by name."""
 RENAMED = {"predictive": "rollout_mpc", "forces": "force_mpc"}

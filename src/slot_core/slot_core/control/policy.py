@@ -4,6 +4,8 @@
 `force_mapper` makes the tendon angles of it (`force_map.py`). A user's policy is a class like the
 ones of `policies.py`, named there, or in a Python file that ends with `POLICY = TheClass`. A learned
 network is `onnx:FILE` (`onnx_policy.py`).
+
+The simplest policy is `GaitAlone`, which passes on the angles and forces of the gait.
 """
 
 import enum
@@ -22,7 +24,7 @@ from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.control.policies import POLICIES, RENAMED
 from slot_core.estimation.estimate import Estimate
-from slot_core.gait.gait import GaitPreview
+from slot_core.gait.gait import GaitPreview, first_rate
 from slot_core.key_frame import StateParts
 from slot_core.names import ONNX
 from slot_core.refusal import quoted, require_regular
@@ -182,3 +184,23 @@ def _class_in_file(path: Path) -> type[Policy]:
             f"policy {path}: {type(error).__name__}: {error}"
         ) from error
     return found
+
+
+class GaitAlone(Policy):
+    """Tendon angles of the gait: open loop."""
+
+    STATE = StateParts()
+
+    def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
+        """The angles and normal forces of the preview."""
+        return gait_plan(preview)
+
+
+def gait_plan(preview: GaitPreview, change: Array | float = 0.0) -> TendonPlan:
+    """The angles of a preview, changed by `change` (n, 4), rad, and its normal forces."""
+    angle, force = (
+        preview.tendon_angle + change,
+        np.zeros((*preview.normal_force.shape, 3)),
+    )
+    force[..., 2] = preview.normal_force
+    return TendonPlan(angle, first_rate(angle, preview.dt), force)

@@ -6,14 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core.arrays import Array, one_buffer
-from slot_core.dynamics.contact import Floor
-from slot_core.dynamics.rod import Rod, discretise
+from slot_core.dynamics.contact import Floor, read_terrain
+from slot_core.dynamics.rod import Rod, TendonModel, discretise, route
 from slot_core.dynamics.scene import FloorSettings, Scene, SolverSettings
 from slot_core.dynamics.servo import Servo, ServoSettings, servo
 from slot_core.dynamics.spatial.leg import SpatialLeg
 from slot_core.dynamics.spatial.strain import segments
-from slot_core.dynamics.tendon import TendonModel, route
-from slot_core.dynamics.terrain import read_terrain
 from slot_core.dynamics.torso import TorsoBox, box
 from slot_core.elementary import cos, sin
 from slot_core.robot import RobotParameters

@@ -18,8 +18,12 @@ from slot_core.dynamics.algebra import (
     times,
     times_transposed,
 )
-from slot_core.dynamics.contact import coefficient, friction_force, normal_force
-from slot_core.dynamics.terrain import clearance
+from slot_core.dynamics.contact import (
+    clearance,
+    coefficient,
+    friction_force,
+    normal_force,
+)
 
 ORIGIN, AXES = np.zeros(3), np.eye(3)  # of odom
 

@@ -13,7 +13,7 @@ from slot_core.robot import read_parameters
 
 @dataclass(frozen=True)
 class FloorSettings:
-    """Shape of the floor and contact law; the equations are in `contact.py` and `terrain.py`."""
+    """Shape of the floor and contact law; the equations are in `contact.py`."""
 
     stiffness: float = quantity(
         "contact stiffness of a leg's tip and of the torso's corners",

@@ -27,8 +27,12 @@ from slot_core.dynamics.algebra import (
     times,
     times_transposed,
 )
-from slot_core.dynamics.contact import friction_force, normal_force, tangential
-from slot_core.dynamics.terrain import clearance
+from slot_core.dynamics.contact import (
+    clearance,
+    friction_force,
+    normal_force,
+    tangential,
+)
 from slot_core.robot import Torso
 
 

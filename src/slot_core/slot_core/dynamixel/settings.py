@@ -138,7 +138,7 @@ class GainSettings:
 
 @dataclass(frozen=True)
 class HostPidSettings:
-    """Position PID on the host, of tendon angles; equations: `host_pid.py`."""
+    """Position PID on the host, of tendon angles; equations: `driver.py`."""
 
     p: float = quantity("P gain, duty per angle", "1/rad", 0.0, 1e3)
     i: float = quantity(

@@ -2,7 +2,7 @@
 
 A visual SLAM puts the origin of odom where its first image was taken. The floor is where the feet
 are. While the torso rests, tendon angles and the leg table tell its pose above the floor
-(`legs/leg_springs.py`), and so the plane of the floor in odom:
+(`legs/leg_table.py`), and so the plane of the floor in odom:
 
     n = R u_b,    c = (n . p - h) / n_z
 
@@ -42,13 +42,13 @@ from slot_core.geometry import (
     upward,
 )
 from slot_core.key_frame import StateParts
-from slot_core.legs.leg_springs import (
+from slot_core.legs.leg_table import (
     LegSprings,
     drops,
+    read_leg_table,
     rest_pose,
     stiffness_ratio,
 )
-from slot_core.legs.leg_table import read_leg_table
 from slot_core.matrices import norm, product
 from slot_core.robot import LEGS, RobotParameters
 

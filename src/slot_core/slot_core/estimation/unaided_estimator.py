@@ -40,7 +40,7 @@ from slot_core.geometry import (
     rpy_of,
 )
 from slot_core.key_frame import StateParts
-from slot_core.legs.leg_springs import LegSprings, rest_pose
+from slot_core.legs.leg_table import LegSprings, rest_pose
 from slot_core.matrices import norm
 from slot_core.robot import GRAVITY, LEGS, RobotParameters
 

@@ -16,12 +16,15 @@ from slot_core.gait.gait import (
     GaitSettings,
     Posture,
     Stride,
+    limited,
+    moved,
+    places_ahead,
+    reference,
 )
-from slot_core.gait.reference import limited, moved, places_ahead, reference
 from slot_core.gait.route import Route
 from slot_core.geometry import wrapped
 from slot_core.key_frame import StateParts
-from slot_core.legs.leg_springs import LegSprings
+from slot_core.legs.leg_table import LegSprings
 from slot_core.matrices import norm
 from slot_core.robot import RobotParameters
 
@@ -164,7 +167,7 @@ class GaitScheduler:
     ) -> GaitPreview:
         """Preview from `stamp` (ns) on, at `state` (12,).
 
-        leg_stiffness: ratio kappa of the legs (`leg_springs.py`), followed at a limited rate.
+        leg_stiffness: ratio kappa of the legs (`leg_table.py`), followed at a limited rate.
         """
         if self._is_expired(stamp):
             self._stop()

@@ -9,7 +9,7 @@
 The rod stretches, bends in both planes and twists; it does not shear, and its sections have no
 moment of inertia about their cross axes. It is the chain of the robot's legs
 (`dynamics/rod.py`, `dynamics/spatial`), of fourth order in the length of a segment for bending in
-one plane. Tangent and elimination are in `assembly.py` and `elimination.py`.
+one plane. Tangent and elimination are in `elimination.py`.
 """
 
 import math
@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from slot_core.arrays import Array, checked
 from slot_core.refusal import DivergenceError, quoted
 from slot_core.rod import kernels
-from slot_core.rod.mesh import build_mesh
+from slot_core.rod.mesh import build_mesh, frame_rows, place, work_space
 from slot_core.rod.model import (
     CLAMPED,
     FREE,
@@ -45,7 +45,6 @@ from slot_core.rod.statics import (
     follow,
     free_unknowns,
 )
-from slot_core.rod.work import frame_rows, place, work_space
 
 NO_LOADS = Loads()
 ORIGIN = Pose()
@@ -59,7 +58,7 @@ class CosseratRod:
     base, tip: supports of the ends.
     pose: of the base.
     refined: with the correction of the hinges where bending and twist meet, which makes the error
-        of third order in any direction (`dynamics/spatial/refine.py`). Newton's method then needs
+        of third order in any direction (`dynamics/spatial/strain.py`). Newton's method then needs
         more iterations; on a strip that is hundreds of times as stiff sideways it may fail.
 
     The rod starts at rest in its natural shape. A step allocates no memory.
@@ -254,7 +253,7 @@ class CosseratRod:
         return p.sum(axis=0), angular
 
     def tangent(self, loads: Loads = NO_LOADS) -> Array:
-        """(4 N + 7, 4 N + 7) tangent stiffness over the unknowns of `assembly.py`, held included.
+        """(4 N + 7, 4 N + 7) tangent stiffness over the unknowns of `elimination.py`, held included.
 
         Antisymmetric parts that vanish in equilibrium are left out.
         """

@@ -3,16 +3,265 @@
 Four unknowns are eliminated with each hinge. The unsymmetric terms of a follower force and of a
 dead moment enter the last 6 x 6 block alone. A negative pivot means that the tangent is not
 positive definite: the number of negative pivots is the number of unstable directions.
+
+Tangent and gradient are assembled hinge by hinge. The unknowns of Newton's method are
+the turn of the base's section (3, and an unused entry), then of every node
+its displacement (3) and the turn w of the segment behind it about itself, last the displacement of
+the tip's node, the turn of the tip's section (3) and an unused entry: x has 4 N + 7 entries. The hinge
+at node k depends on x[4 k : 4 k + 11]. Over the difference s of a segment's two displacements and
+w, its rotation is
+
+    Phi = t x s / l + t (w + z.s),      z = t x a / (l (1 + a.t)),
+
+and a moment m on the segment acts on (s, w) with (m x t / l + m.t z, m.t). Here a is the direction
+from which the director is carried to t in this step; z is 0 in statics. An end's section has Phi
+itself as s.
+
+The axial force is an independent unknown and enters the geometric stiffness (mixed integration
+points; Magisano, Leonetti, Garcea 2017). The solution is the same, but Newton's method converges in
+fewer iterations and from farther away where stretch is much stiffer than bending.
+
+The antisymmetric part of a segment's block is left out: it comes from spins not being coordinates
+and vanishes in equilibrium. That of the tip's section is not, because a dead moment has no
+potential.
 """
 
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
 import math
+from typing import NamedTuple
 
 from slot_core.compiled import helper
-from slot_core.dynamics.algebra import combined, cross, row
-from slot_core.rod.assembly import assemble
+from slot_core.dynamics.algebra import (
+    add,
+    combined,
+    cross,
+    dot,
+    minus,
+    plus,
+    put,
+    row,
+    scaled,
+)
+from slot_core.dynamics.spatial.hinge import bend, between, rows
+from slot_core.dynamics.spatial.strain import frame_before, growth
+
+
+class Lever(NamedTuple):
+    """How a moment acts on (s, w): (scale m x t + keep m + m.t z, m.t)."""
+
+    t: tuple[float, float, float]
+    scale: float
+    keep: float
+    z: tuple[float, float, float]
+
+
+ZERO = (0.0, 0.0, 0.0)
+SECTION = Lever((0.0, 0.0, 0.0), 0.0, 1.0, ZERO)  # of an end
+
+
+@helper
+def segment(work, k):
+    """Lever of segment k, whose director is carried on from the direction a = work.begin[k]."""
+    s, a = work.segments, row(work.begin, k)
+    t, scale = row(s.direction, k), s.per_length[k]
+    return Lever(
+        t, scale, 0.0, plus(ZERO, scale / (1.0 + dot(a, t)), cross(t, a))
+    )
+
+
+@helper
+def acting(lever, m):
+    """The four components over (s, w) of a moment m."""
+    w = dot(m, lever.t)
+    s = combined(lever.scale, cross(m, lever.t), lever.keep, m, w, lever.z)
+    return (*s, w)
+
+
+@helper
+def hinge(mesh, work, k, inv, before, behind):
+    """Write the form of the hinge at node k over (s, w) of the segments before and behind it.
+
+    inv is 1 / (theta h), and 0 in statics; before, behind: levers of both. Writes work.form (8, 9),
+    the tangent | negative gradient, work.stretch (8,), and the hinge's moments, N m.
+    """
+    s, beta, tension = work.segments, mesh.damping_time, work.tension[k]
+    viscous = 1.0 + beta * inv
+    normal = mesh.axial[k] * (s.extension[k] + beta * s.extension_rate[k])
+    base = frame_before(s, k, work.stage_frame[0])
+    h = bend(mesh, s, k, base, viscous, tension, mesh.none, 0.0)
+    m = plus(h.moment, normal - tension, h.bulge)
+    m = minus(m, _refined(mesh, s, k, base))
+    work.normal[k] = normal
+    put(work.moment, k, h.moment)
+    put(work.residual, k, m)
+    Q = work.form
+    _stiffness(Q, h, before, behind)
+    _gradient(Q, m, normal, before, behind)
+    axial = viscous * mesh.axial[k]
+    _stretch(work.stretch[k], Q, h.bulge, before, behind, axial)
+
+
+@helper
+def _refined(mesh, s, k, base):
+    """Moment of the hinge's correction `strain.py`, B delta mapped as in `strain.py`."""
+    t, d, b = base
+    psi = (s.twist[k], s.turn[k], s.side[k])
+    mu = row(mesh.refinement.delta, k)
+    once = cross(psi, mu)
+    v = plus(plus(mu, 0.5, once), s.curl[k], cross(psi, once))
+    return combined(v[0], t, v[1], d, v[2], b)
+
+
+@helper
+def _stiffness(Q, h, before, behind):
+    """Tangent of the hinge: K on both sides, [m] / 2 - K between them."""
+    own = rows(h.tangent)
+    _product(Q[:4, :4], own, before, before)
+    _product(Q[:4, 4:8], between(h.tangent, h.moment), before, behind)
+    _product(Q[4:8, 4:8], own, behind, behind)
+
+
+@helper
+def _product(out, r, left, right):
+    """out (4, 4) = P_left^T R P_right of a matrix R with the rows r."""
+    a, b, c = acting(right, r[0]), acting(right, r[1]), acting(right, r[2])
+    for j in range(4):
+        column = acting(left, (a[j], b[j], c[j]))
+        for i in range(4):
+            out[i, j] = column[i]
+
+
+@helper
+def _gradient(Q, m, normal, before, behind):
+    """Negative gradient of the hinge and of the segment behind it."""
+    a, b = acting(before, m), acting(behind, m)
+    for i in range(4):
+        Q[i, 8] = a[i]
+        Q[4 + i, 8] = -b[i]
+    for i in range(3):
+        Q[4 + i, 8] -= normal * behind.t[i]
+
+
+@helper
+def _stretch(g, Q, bulge, before, behind, axial):
+    """Add the axial stiffness of the segment behind the hinge; g (8,): derivative of l - c."""
+    a, b = acting(before, bulge), acting(behind, bulge)
+    for i in range(4):
+        g[i] = -a[i]
+        g[4 + i] = b[i]
+    for i in range(3):
+        g[4 + i] += behind.t[i]
+    for i in range(8):
+        share = axial * g[i]
+        for j in range(8):
+            Q[i, j] += share * g[j]
+
+
+@helper
+def own(mesh, work, k, inv, lever):
+    """Add the terms of segment k alone to the form, as the segment before a hinge.
+
+    Its geometric stiffness, its spin, and the rest of its inertia (`dynamics/rod.py`). Both
+    hinges must have their moments.
+    """
+    Q, t, scale = work.form, lever.t, work.segments.per_length[k]
+    inertia, mu = mesh.spin[k] * inv, mesh.coupling[k] * inv
+    gained = minus(scaled(work.spin[k], t), row(work.swirl, k))
+    turning = scaled(inertia, gained)
+    m = minus(row(work.moment, k), row(work.moment, k + 1))
+    m = add(m, turning)
+    across = work.tension[k] * scale
+    square, half = scale * scale, 0.5 * scale
+    q, mt = cross(t, m), dot(m, t)
+    pull, lag = acting(lever, turning), growth(work.speed, work.before, k)
+    for i in range(3):
+        g = square * q[i] - across * t[i]
+        for j in range(3):
+            Q[i, j] += t[j] * g + square * q[j] * t[i]
+        Q[i, i] += across - mu * inv
+        Q[i, 3] += half * (m[i] - mt * t[i])
+        Q[i, 8] += mu * lag[i] - pull[i]
+    Q[3, 3] += inertia * inv
+    Q[3, 8] -= pull[3]
+
+
+@helper
+def spread(F, Q, sign, share):
+    """Write a hinge's form to F (11, 12) over its unknowns; the upper half.
+
+    sign, share: -1 and 1, since s before the hinge is share times the node's displacement plus
+    sign times the displacement of the node before; +1 and 0 for the base's section.
+    """
+    for i in range(3):
+        for j in range(3):
+            aa, ab, bb = Q[i, j], Q[i, 4 + j], Q[4 + i, 4 + j]
+            F[i, j] = aa
+            F[i, 4 + j] = sign * (share * aa - ab)
+            F[i, 8 + j] = sign * ab
+            F[4 + i, 4 + j] = share * (aa - ab - Q[j, 4 + i]) + bb
+            F[4 + i, 8 + j] = share * ab - bb
+            F[8 + i, 8 + j] = bb
+        F[i, 3] = sign * Q[i, 3]
+        F[i, 7] = sign * Q[i, 7]
+        F[3, 4 + i] = share * Q[i, 3] - Q[3, 4 + i]
+        F[3, 8 + i] = Q[3, 4 + i]
+        F[4 + i, 7] = share * Q[i, 7] - Q[4 + i, 7]
+        F[7, 8 + i] = Q[4 + i, 7]
+        F[i, 11] = sign * Q[i, 8]
+        F[4 + i, 11] = share * Q[i, 8] - Q[4 + i, 8]
+        F[8 + i, 11] = Q[4 + i, 8]
+    F[3, 3] = Q[3, 3] + 1.0 - share
+    F[3, 7] = Q[3, 7]
+    F[7, 7] = Q[7, 7]
+    F[3, 11] = Q[3, 8]
+    F[7, 11] = Q[7, 8]
+
+
+@helper
+def spread_last(F, Q):
+    """The same for the tip's hinge."""
+    for i in range(3):
+        for j in range(3):
+            aa, ab = Q[i, j], Q[i, 4 + j]
+            F[i, j] = aa
+            F[i, 4 + j] = -aa
+            F[4 + i, 4 + j] = aa
+            F[i, 7 + j] = -ab
+            F[4 + i, 7 + j] = ab
+            F[7 + i, 7 + j] = Q[4 + i, 4 + j]
+        F[i, 3] = -Q[i, 3]
+        F[3, 4 + i] = Q[i, 3]
+        F[3, 7 + i] = Q[3, 4 + i]
+        F[i, 10] = F[4 + i, 10] = F[7 + i, 10] = 0.0
+        F[i, 11] = -Q[i, 8]
+        F[4 + i, 11] = Q[i, 8]
+        F[7 + i, 11] = Q[4 + i, 8]
+    F[3, 3] = Q[3, 3]
+    F[3, 11] = Q[3, 8]
+    F[3, 10] = F[10, 11] = 0.0
+    F[10, 10] = 1.0
+
+
+@helper
+def assemble(mesh, work, inv):
+    """Write the blocks of all hinges to work.factor (N, 11, 12), at the strains of the iterate.
+
+    A hinge's form is complete with the terms of the segment before it, which need both its hinges.
+    """
+    F, Q, last = work.factor, work.form, work.normal.size - 1
+    ahead = segment(work, 0)
+    hinge(mesh, work, 0, inv, SECTION, ahead)
+    spread(F[0], Q, 1.0, 0.0)
+    for k in range(1, last):
+        here, ahead = ahead, segment(work, k)
+        hinge(mesh, work, k, inv, here, ahead)
+        own(mesh, work, k - 1, inv, here)
+        spread(F[k], Q, -1.0, 1.0)
+    hinge(mesh, work, last, inv, ahead, SECTION)
+    own(mesh, work, last - 1, inv, ahead)
+    spread_last(F[last], Q)
 
 
 @helper

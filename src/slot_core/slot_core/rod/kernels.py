@@ -24,18 +24,23 @@ from slot_core.dynamics.algebra import (
     scaled,
     times,
 )
-from slot_core.dynamics.spatial.refine import refine
 from slot_core.dynamics.spatial.strain import (
     frame,
     frame_before,
     measure,
     orient,
     point_along,
+    refine,
     rotation_vector,
     turned,
 )
-from slot_core.rod.assembly import assemble
-from slot_core.rod.elimination import eliminate, load_tip, pull, substitute
+from slot_core.rod.elimination import (
+    assemble,
+    eliminate,
+    load_tip,
+    pull,
+    substitute,
+)
 
 # rod lengths and rad; a step that ends with more has diverged
 LARGEST_INCREMENT = 1.0

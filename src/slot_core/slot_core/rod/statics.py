@@ -19,9 +19,8 @@ from scipy.linalg import eigh
 
 from slot_core.arrays import Array
 from slot_core.rod import kernels
-from slot_core.rod.mesh import Mesh
+from slot_core.rod.mesh import Mesh, RodWork
 from slot_core.rod.model import need
-from slot_core.rod.work import RodWork
 
 # divisor of the first step, which measures the first rate of turn
 FIRST_PROBE = 64
@@ -109,7 +108,7 @@ class RodLoads(NamedTuple):
 
 
 def free_unknowns(mesh: Mesh) -> NDArray[np.intp]:
-    """Indices of the unknowns (`assembly.py`) that exist and that no support holds."""
+    """Indices of the unknowns (`elimination.py`) that exist and that no support holds."""
     free, tip = np.ones(len(mesh.metric), dtype=bool), len(mesh.metric) - 7
     free[[3, -1]] = False
     free[:3], free[4:7] = (

@@ -86,7 +86,7 @@ class NominalRobot:
 
     @property
     def stiffness(self) -> float:
-        """Ratio kappa of the legs (`legs/leg_springs.py`)."""
+        """Ratio kappa of the legs (`legs/leg_table.py`)."""
         return self._stiffness
 
     @stiffness.setter

@@ -19,7 +19,6 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.control.force_map import read_springs
-from slot_core.control.gait_alone import gait_plan
 from slot_core.control.input_check import (
     GRAVITY_RANGE,
     fault_of,
@@ -33,6 +32,7 @@ from slot_core.control.policy import (
     Status,
     TendonPlan,
     Timer,
+    gait_plan,
 )
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, first_rate, read_gaits

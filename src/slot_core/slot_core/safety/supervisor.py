@@ -15,7 +15,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.estimation.estimate import Estimate
-from slot_core.legs.leg_springs import SHOWN, legs_message
+from slot_core.legs.leg_table import SHOWN, legs_message
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.safety.conditions import Conditions, OptionalNodes
 from slot_core.safety.motion_watch import MotionWatch

@@ -20,14 +20,19 @@ from slot_core.clock import SECOND, to_seconds
 from slot_core.config import ConfigError
 from slot_core.geometry import Transform, optical
 from slot_core.robot import BASE_FRAME, ODOM_FRAME
-from slot_core.vision.board import GreyImage, make_board
+from slot_core.vision.board import (
+    BoardPose,
+    GreyImage,
+    board_poses,
+    make_board,
+    nearest,
+)
 from slot_core.vision.camera import Camera
 from slot_core.vision.detector import (
     Detection,
     MarkerDetector,
     other_dictionary,
 )
-from slot_core.vision.pose import BoardPose, board_poses, nearest
 from slot_core.vision.settings import DetectionSettings, VisionSettings
 
 # stamp, ns; base_link in odom; covariance (6, 6) of noise

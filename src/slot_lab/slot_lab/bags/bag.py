@@ -28,8 +28,13 @@ from rosbags.serde import SerdeError
 
 from slot_core import config
 from slot_core.clock import to_seconds
-from slot_core.recording.bag_writer import BagWriter, MessageType
-from slot_core.recording.message_types import Types, add_installed, types_inside
+from slot_core.recording.bag_writer import (
+    BagWriter,
+    MessageType,
+    Types,
+    add_installed,
+    types_inside,
+)
 from slot_core.recording.origin import ORIGIN, Origin
 from slot_core.recording.record_settings import (
     BagError,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from slot_core.clock import to_seconds
+from slot_core.command_line import untold
 from slot_core.messages import decode
-from slot_core.progress import untold
 from slot_lab.bags.bag import Bag, BagError
 from slot_lab.bags.replayed_stages import STAGES, RecordedStages, Replayed
 from slot_lab.bags.topics import COMMANDED, ESTIMATE, OUTPUTS, SENSORS

@@ -19,8 +19,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import CommandParser
-from slot_core.progress import ProgressLine
+from slot_core.command_line import CommandParser, ProgressLine
 from slot_core.refusal import InputError, quoted
 from slot_lab.bags.topics import OUTPUTS
 from slot_lab.desk_command import Outcome, run_command

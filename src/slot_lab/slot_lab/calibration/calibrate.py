@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from slot_core import config
 from slot_core.arrays import Array
+from slot_core.command_line import ProgressLine
 from slot_core.drawing import palette
-from slot_core.progress import ProgressLine
 from slot_core.robot import RobotParameters, read_parameters, read_robot
 from slot_lab.calibration import parameter_file
 from slot_lab.calibration.data import CONDITIONS, Data, read_data

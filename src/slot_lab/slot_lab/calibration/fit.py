@@ -27,8 +27,8 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from slot_core.arrays import Array
+from slot_core.command_line import untold
 from slot_core.config import ConfigError, leaves
-from slot_core.progress import untold
 from slot_core.refusal import InputError
 from slot_core.robot import RobotParameters
 from slot_lab.workers import serially

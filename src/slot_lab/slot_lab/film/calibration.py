@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from slot_core.arrays import Array
-from slot_core.progress import ProgressLine
+from slot_core.command_line import ProgressLine
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera, CameraError, camera_text
 from slot_core.vision.settings import VisionSettings, read_vision

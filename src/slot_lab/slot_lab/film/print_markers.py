@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from slot_core.command_line import ProgressLine
 from slot_core.config import ConfigError
-from slot_core.progress import ProgressLine
 from slot_core.refusal import quoted
 from slot_core.vision.board import (
     WHITE,

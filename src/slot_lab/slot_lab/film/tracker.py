@@ -19,10 +19,15 @@ import cv2
 import numpy as np
 
 from slot_core.arrays import Array
+from slot_core.command_line import ProgressLine, Tell, untold
 from slot_core.geometry import OPTICAL, Transform
-from slot_core.progress import ProgressLine, Tell, untold
 from slot_core.robot import ODOM_FRAME, POINT_FRAME, TORSO
-from slot_core.vision.board import GreyImage, make_board, single_marker
+from slot_core.vision.board import (
+    GreyImage,
+    board_poses,
+    make_board,
+    single_marker,
+)
 from slot_core.vision.camera import Camera, CameraError, nominal, read_camera
 from slot_core.vision.detector import (
     Detection,
@@ -30,7 +35,6 @@ from slot_core.vision.detector import (
     other_dictionary,
 )
 from slot_core.vision.localizer import unusual
-from slot_core.vision.pose import board_poses
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_lab.bags.topics import IMAGES
 from slot_lab.csv_table import write_points

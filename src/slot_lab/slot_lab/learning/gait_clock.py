@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from slot_core.arrays import Array
 from slot_core.control.force_map import read_springs
-from slot_core.gait.gait import STAND, Posture
-from slot_core.gait.reference import moved, reference
+from slot_core.gait.gait import STAND, Posture, moved, reference
 from slot_core.geometry import wrapped
 from slot_core.robot import LEGS
 from slot_lab.learning.rewards import PLACE

@@ -11,8 +11,7 @@ from slot_core.arrays import Array
 from slot_core.control.onnx_policy import GAIT, KIND
 from slot_core.drawing import palette
 from slot_core.dynamics.scene import level_changes
-from slot_core.gait.gait import STAND
-from slot_core.gait.reference import mean_velocity
+from slot_core.gait.gait import STAND, mean_velocity
 from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.learning.evolution import Generation
 from slot_lab.learning.network import NetworkShape, write_onnx

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.arrays import Array
-from slot_core.gait.reference import moved
+from slot_core.gait.gait import moved
 from slot_core.geometry import rotate, wrapped
 from slot_lab.learning.task import Task
 

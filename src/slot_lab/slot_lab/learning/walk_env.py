@@ -14,7 +14,7 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.clock import LOCKSTEP_START
-from slot_core.control.gait_alone import gait_plan
+from slot_core.control.policy import gait_plan
 from slot_core.control.walk_actions import ACTIONS, deviation, observation
 from slot_core.dynamics.scene import level_changes
 from slot_core.estimation.estimate import Estimate

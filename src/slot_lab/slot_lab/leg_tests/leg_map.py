@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 
 from slot_core.arrays import Array, checked
+from slot_core.command_line import Tell, untold
 from slot_core.compiled import kernel
 from slot_core.config import quantity
 from slot_core.dynamics.spatial.elimination import follow
 from slot_core.matrices import product
-from slot_core.progress import Tell, untold
 from slot_core.robot import RobotParameters
 from slot_lab.leg_tests.level_leg import (
     NoEquilibriumError,

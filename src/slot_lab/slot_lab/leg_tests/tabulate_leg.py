@@ -10,8 +10,7 @@ from functools import partial
 from pathlib import Path
 
 from slot_core import config
-from slot_core.command_line import CommandParser, refuse
-from slot_core.progress import ProgressLine
+from slot_core.command_line import CommandParser, ProgressLine, refuse
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from slot_core.arrays import Array
 from slot_core.clock import to_seconds
+from slot_core.command_line import ProgressLine
 from slot_core.control.policy import Status
 from slot_core.drawing import palette
-from slot_core.progress import ProgressLine
 from slot_core.robot import LEGS
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
 from slot_lab.bags.recorded_walk import seconds

@@ -18,6 +18,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from slot_core.arrays import Array
+from slot_core.command_line import Tell, untold
 from slot_core.drawing import palette
 from slot_core.drawing.drawing import NATURAL_NODES
 from slot_core.drawing.shapes import (
@@ -30,7 +31,6 @@ from slot_core.drawing.shapes import (
     normals,
 )
 from slot_core.messages import decode
-from slot_core.progress import Tell, untold
 from slot_core.refusal import InputError
 from slot_core.robot import LEGS, RobotParameters, read_robot
 from slot_lab.bags.bag import Bag

@@ -13,12 +13,12 @@ from matplotlib.figure import Figure as Canvas
 
 from slot_core import config
 from slot_core.arrays import Array
+from slot_core.command_line import ProgressLine
 from slot_core.config import ConfigError
 from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.drawing import palette
 from slot_core.dynamics.servo import read_servo
 from slot_core.geometry import rotate
-from slot_core.progress import ProgressLine
 from slot_core.recording.origin import CONFIGURATION
 from slot_core.recording.record_settings import BagError, read_record_settings
 from slot_core.refusal import InputError, one_line, quoted

@@ -26,10 +26,10 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.gait.gait import Pattern, Stride
-from slot_lab.tuning import symmetry
+from slot_lab.tuning import identification
+from slot_lab.tuning.identification import FREE_LEGS, NUMBERS, numbers
 from slot_lab.tuning.settings import TuningSettings
 from slot_lab.tuning.stride_run import HEIGHT, HELD, Job, Outcome, RunAll
-from slot_lab.tuning.symmetry import FREE_LEGS, NUMBERS, numbers
 
 FAILED = 1000.0  # cost of a candidate that diverges on a floor
 ZERO = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -65,11 +65,15 @@ class Found:
 
 def trial(stride: Stride, kind: str, x: Array) -> Stride:
     """The stride with the pattern of the numbers x, at a speed of one scale."""
-    angle = symmetry.forward(x) if kind == "forward" else symmetry.turn(x)
+    angle = (
+        identification.forward(x)
+        if kind == "forward"
+        else identification.turn(x)
+    )
     # without tables
     found = Pattern(
         getattr(stride, kind).speed,
-        symmetry.rows(angle),
+        identification.rows(angle),
         (ZERO,) * 4,
         *(ZERO,) * 5,
     )

@@ -16,8 +16,7 @@ from slot_core.arrays import Array
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
-from slot_core.gait.gait import Stride
-from slot_core.gait.reference import mean_velocity
+from slot_core.gait.gait import Stride, mean_velocity
 from slot_core.refusal import DivergenceError
 from slot_core.robot import RobotParameters, read_robot
 from slot_core.simulation.make_robot import make_robot

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from slot_core import config
+from slot_core.command_line import ProgressLine
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
-from slot_core.progress import ProgressLine
 from slot_core.refusal import quoted
 from slot_core.robot import read_robot
 from slot_lab.desk_command import Outcome
-from slot_lab.tuning import identification, symmetry
+from slot_lab.tuning import identification
 from slot_lab.tuning.identification import IdentificationError
 from slot_lab.tuning.pattern_search import (
     Goal,
@@ -68,7 +68,7 @@ class _Tuning:
         seed = options.seed if options.scratch else None
         self._starts = {  # before the first search: a later one may be refused
             kind: start_of(self.stride, kind, self.settings, seed)
-            for kind in symmetry.NUMBERS
+            for kind in identification.NUMBERS
             if kind in options.stages
         }
         self._progress = progress
@@ -82,12 +82,14 @@ class _Tuning:
 
     def forget(self) -> None:
         """Remove the records of searches that are written."""
-        for kind in symmetry.NUMBERS:
+        for kind in identification.NUMBERS:
             self._record(kind).unlink(missing_ok=True)
 
     def _forward(self, run_all: RunAll) -> list[str]:
         pattern, note = self._search("forward", run_all)
-        across = symmetry.rows(symmetry.lateral(np.array(pattern.angle_deg)))
+        across = identification.rows(
+            identification.lateral(np.array(pattern.angle_deg))
+        )
         self.stride = replace(
             self.stride,
             forward=pattern,
@@ -128,12 +130,12 @@ class _Tuning:
                 f"steering: only {steering.rate:.4f} rad/s was found"
             )
         # a reflected left turn is a right turn
-        across = -symmetry.lateral(np.array(steering.angle_deg))
+        across = -identification.lateral(np.array(steering.angle_deg))
         self.stride = replace(
             self.stride,
             forward_steering=steering,
             lateral_steering=Steering(
-                steering.rate, steering.rate_max, symmetry.rows(across)
+                steering.rate, steering.rate_max, identification.rows(across)
             ),
         )
         return [

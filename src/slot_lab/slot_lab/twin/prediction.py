@@ -19,11 +19,11 @@ from scipy.spatial.transform import Rotation
 
 from slot_core import config
 from slot_core.arrays import Array
+from slot_core.command_line import Tell, untold
 from slot_core.config import ConfigError
 from slot_core.dynamics.scene import Scene, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
-from slot_core.progress import Tell, untold
 from slot_core.robot import (
     LEAST_NODES,
     LEG_POINTS,
@@ -38,8 +38,8 @@ from slot_core.safety.rate_limiter import extrapolated
 from slot_core.simulation.make_robot import make_robot
 from slot_lab.bags.recorded_walk import TendonAngles, TorsoTrack
 from slot_lab.csv_table import PointRow, write_points
-from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings
+from slot_lab.twin.strides import BagRecording
 
 LEAST_SETTLING = 1.0  # s
 LONGEST_GAP = 0.06  # s, between two angles, across which a spline is drawn

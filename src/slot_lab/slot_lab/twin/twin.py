@@ -16,15 +16,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from slot_core.arrays import Array
+from slot_core.command_line import ProgressLine
 from slot_core.config import load
 from slot_core.drawing import palette
-from slot_core.progress import ProgressLine
 from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.calibration.fit import RunAll
 from slot_lab.desk_command import Outcome
 from slot_lab.plot_file import write_plot
 from slot_lab.twin.prediction import predict, read_parts, write_predicted_points
-from slot_lab.twin.recorded import read_recorded
 from slot_lab.twin.settings import TwinSettings, read_twin
 from slot_lab.twin.strides import (
     PITCH,
@@ -35,6 +34,7 @@ from slot_lab.twin.strides import (
     error_growth,
     find_strides,
     placed,
+    read_recorded,
     residuals,
     stride_errors,
 )

@@ -27,8 +27,8 @@ import numpy as np
 
 from slot_core import config
 from slot_core.arrays import Array
+from slot_core.command_line import untold
 from slot_core.config import ConfigError, leaves
-from slot_core.progress import untold
 from slot_core.refusal import DivergenceError, quoted
 from slot_core.robot import LEGS, read_parameters
 from slot_lab.calibration import parameter_file
@@ -42,9 +42,9 @@ from slot_lab.calibration.fit import (
     fit,
 )
 from slot_lab.twin.prediction import ModelParts, predict
-from slot_lab.twin.recorded import BagRecording
 from slot_lab.twin.settings import TwinSettings
 from slot_lab.twin.strides import (
+    BagRecording,
     StrideErrors,
     Strides,
     residuals,

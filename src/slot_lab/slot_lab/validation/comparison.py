@@ -25,7 +25,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from slot_core.arrays import Array
-from slot_core.progress import Tell, untold
+from slot_core.command_line import Tell, untold
 from slot_core.robot import LEG_POINTS, LEGS
 from slot_lab.validation.alignment import (
     FrameAlignment,

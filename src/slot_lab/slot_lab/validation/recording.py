@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from slot_core.arrays import Array
-from slot_core.progress import Tell, untold
+from slot_core.command_line import Tell, untold
 from slot_core.refusal import InputError, quoted
 from slot_core.robot import (
     BODY_POINTS,

@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from slot_core.command_line import command_parser, within
+from slot_core.command_line import ProgressLine, command_parser, within
 from slot_core.names import LEGS
-from slot_core.progress import ProgressLine
 from slot_lab.bags.topics import MOTION_TOPICS
 from slot_lab.desk_command import Outcome, run_command
 from slot_lab.verdict import EXIT_CODES

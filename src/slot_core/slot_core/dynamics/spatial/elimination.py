@@ -26,10 +26,32 @@ The tangent of a hinge is in `hinge.py`. An antisymmetric rest in the block of o
 segment comes from spins not being coordinates; it is left out. The twist about a segment has the inertia of
 its section's polar moment. The mass moves linearly between two nodes, which adds -mu (ds/dt)^2 / 2
 to the energy of the lumped masses.
+
+`Form` is F, and `Pivot` holds the factors of D.
+
+The floor acts on the edges of a leg. A contact point lies
+at the arm a from node i, half the leg's width along the director of segment k
+or against it. It moves with the velocity u of its segment:
+
+    u = V_i + w x a,      w = t x (V_{k+1} - V_k) / l + Omega t.
+
+With the floor's normal n, the gap g and the friction law of `contact.py`, the floor's force on it is
+
+    f = N n - drag v - held,      N = max(0, -k g - d u.n),      v = u - (u.n) n.
+
+In a Newton iteration the point is displaced by X + Phi x a, which changes its velocity by
+1 / (theta h) times as much. The tangent -df is
+
+    C = c 1 + s n n^T,      c = drag / (theta h),      s = k + d / (theta h) - c while N > 0, else 0,
+
+over X, and C mapped by Phi -> Phi x a over Phi. The arm turns with the segment; the moment of f
+about the node adds the symmetric part of Phi -> -(Phi x a) x f.
 """
 
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
+
+from typing import NamedTuple
 
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import (
@@ -42,20 +64,221 @@ from slot_core.dynamics.algebra import (
     row,
     scaled,
 )
-from slot_core.dynamics.lanes import largest, like, total, where
-from slot_core.dynamics.spatial.floor_contact import add_contact
-from slot_core.dynamics.spatial.hinge import Symmetric, bend, between, rows
-from slot_core.dynamics.spatial.quadratic_form import (
-    Form,
-    dot4,
-    dots,
-    factor,
-    less,
-    solve,
-    solve_rows,
-    sum_of,
+from slot_core.dynamics.contact import (
+    clearance,
+    coefficient,
+    friction_force,
+    normal_force,
+    tangential,
 )
+from slot_core.dynamics.lanes import any_lane, largest, like, total, where
+from slot_core.dynamics.spatial.hinge import Symmetric, bend, between, rows
 from slot_core.dynamics.spatial.strain import frame_before, growth
+
+
+class Form(NamedTuple):
+    """Quadratic form over (X, Phi, lambda | 1) of the leg beyond a node."""
+
+    place: Symmetric  # over X
+    x: tuple[float, float, float]  # rows X of the coupling to Phi
+    y: tuple[float, float, float]
+    z: tuple[float, float, float]
+    turn: Symmetric  # over Phi
+    pull: tuple[float, float, float]  # column of lambda, rows X
+    twist: tuple[float, float, float]  # rows Phi
+    force: tuple[float, float, float]  # gradient, rows X
+    moment: tuple[float, float, float]  # rows Phi
+
+
+class Pivot(NamedTuple):
+    """Factors L D L^T of a symmetric 4 x 4 matrix: L below the diagonal, 1 / D."""
+
+    l10: float
+    l20: float
+    l30: float
+    l21: float
+    l31: float
+    l32: float
+    d0: float
+    d1: float
+    d2: float
+    d3: float
+    positive: bool
+
+
+@helper
+def sum_of(a, b):
+    """Sum of two symmetric matrices."""
+    return Symmetric(
+        a.xx + b.xx,
+        a.xy + b.xy,
+        a.xz + b.xz,
+        a.yy + b.yy,
+        a.yz + b.yz,
+        a.zz + b.zz,
+    )
+
+
+@helper
+def factor(xx, xy, xz, xw, yy, yz, yw, zz, zw, ww):
+    """Factors of a symmetric 4 x 4 matrix, and whether it is positive definite."""
+    d0 = 1.0 / xx
+    l10 = xy * d0
+    l20 = xz * d0
+    l30 = xw * d0
+    yy = yy - l10 * xy
+    yz = yz - l10 * xz
+    yw = yw - l10 * xw
+    d1 = 1.0 / yy
+    l21 = yz * d1
+    l31 = yw * d1
+    zz = zz - l20 * xz - l21 * yz
+    zw = zw - l20 * xw - l21 * yw
+    d2 = 1.0 / zz
+    l32 = zw * d2
+    ww = ww - l30 * xw - l31 * yw - l32 * zw
+    positive = (xx > 0.0) & (yy > 0.0) & (zz > 0.0) & (ww > 0.0)
+    return Pivot(l10, l20, l30, l21, l31, l32, d0, d1, d2, 1.0 / ww, positive)
+
+
+@helper
+def solve(p, r):
+    """Solution of the pivot's system for a right-hand side of four numbers."""
+    b = r[1] - p.l10 * r[0]
+    c = r[2] - p.l20 * r[0] - p.l21 * b
+    d = r[3] - p.l30 * r[0] - p.l31 * b - p.l32 * c
+    d = d * p.d3
+    c = c * p.d2 - p.l32 * d
+    b = b * p.d1 - p.l21 * c - p.l31 * d
+    return r[0] * p.d0 - p.l10 * b - p.l20 * c - p.l30 * d, b, c, d
+
+
+@helper
+def solve_rows(p, rows):
+    """Solutions for the three right-hand sides of a block."""
+    return solve(p, rows[0]), solve(p, rows[1]), solve(p, rows[2])
+
+
+@helper
+def dot4(a, b):
+    """Product of two rows of four numbers."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
+
+
+@helper
+def dots(rows, b):
+    """Products of three rows with a fourth, of four numbers each."""
+    return dot4(rows[0], b), dot4(rows[1], b), dot4(rows[2], b)
+
+
+@helper
+def less(a, left, right):
+    """a - left right^T, symmetric, for blocks of three rows of four numbers."""
+    return Symmetric(
+        xx=a.xx - dot4(left[0], right[0]),
+        xy=a.xy - dot4(left[0], right[1]),
+        xz=a.xz - dot4(left[0], right[2]),
+        yy=a.yy - dot4(left[1], right[1]),
+        yz=a.yz - dot4(left[1], right[2]),
+        zz=a.zz - dot4(left[2], right[2]),
+    )
+
+
+@helper
+def add_contact(model, leg, k, end, inv, place, form):
+    """Add the floor's forces on both edges of segment k at its begin or end (0, 1) to the form.
+
+    inv = 1 / (theta h), 1/s; place: torso's centre in odom, m. Writes the points' friction limits
+    and the floor's slopes below them, which bristles need at the end of the step.
+    """
+    floor, i = model.floor, k + end
+    if i < floor.first:
+        return form
+    root = (leg.root[0], leg.root[1], leg.root[2])
+    d = row(leg.segments.director, k)
+    for side in range(2):
+        p = 4 * k + 2 * end + side
+        arm = scaled(floor.half_width if side else -floor.half_width, d)
+        point = add(add(root, row(leg.stage, i)), arm)
+        gap, up, below = clearance(floor.terrain, place, leg.field, point)
+        if floor.bristle > 0.0:
+            leg.limit[p] = like(0.0, gap)
+            leg.slope[p, 0] = below.slope_x
+            leg.slope[p, 1] = below.slope_y
+        if any_lane(gap < 0.0):
+            form = _touch(floor, leg, k, i, p, arm, gap, up, inv, form)
+    return form
+
+
+@helper
+def _touch(floor, leg, k, i, p, a, gap, up, inv, form):
+    """Add the floor's force on contact point p and its tangent to the form.
+
+    i: its node; a (3 numbers): its arm, m; gap, m; up (3 numbers): the floor's normal, leg axes.
+    g = -f is the gradient that the force adds.
+    """
+    u = add(row(leg.velocity, i), cross(angular_velocity(leg, k), a))
+    vn = dot(up, u)
+    v = plus(u, -vn, up)
+    stiffness, damping = floor.stiffness[p], floor.damping[p]
+    normal = normal_force(stiffness, damping, gap, vn)
+    own, other = leg.friction[0], leg.friction[1]
+    mu = coefficient(floor, own, other, leg.rate[0], v[0], dot(v, v))
+    bristle = v
+    if floor.bristle > 0.0:
+        leg.limit[p] = mu * normal
+        bristle = tangential(leg.field, leg.bristle[p], up)
+    hold = friction_force(
+        floor, mu * normal, 1.0 / inv, stiffness, damping, bristle, v
+    )
+    g = minus(add(scaled(hold.drag, v), hold.held), scaled(normal, up))
+    drag = hold.drag * inv
+    stiff = where(
+        normal > 0.0, stiffness + damping * inv - drag, like(0.0, drag)
+    )
+    s = scaled(stiff, up)
+    C = Symmetric(
+        xx=drag + s[0] * up[0],
+        xy=s[0] * up[1],
+        xz=s[0] * up[2],
+        yy=drag + s[1] * up[1],
+        yz=s[1] * up[2],
+        zz=drag + s[2] * up[2],
+    )
+    cx, cy, cz = rows(C)
+    bx, by, bz = cross(a, cx), cross(a, cy), cross(a, cz)
+    tx = cross(a, (bx[0], by[0], bz[0]))
+    ty = cross(a, (bx[1], by[1], bz[1]))
+    tz = cross(a, (bx[2], by[2], bz[2]))
+    level = -dot(a, g)
+    T = form.turn
+    turn = Symmetric(
+        xx=T.xx + tx[0] + a[0] * g[0] + level,
+        xy=T.xy + ty[0] + 0.5 * (a[0] * g[1] + a[1] * g[0]),
+        xz=T.xz + tz[0] + 0.5 * (a[0] * g[2] + a[2] * g[0]),
+        yy=T.yy + ty[1] + a[1] * g[1] + level,
+        yz=T.yz + tz[1] + 0.5 * (a[1] * g[2] + a[2] * g[1]),
+        zz=T.zz + tz[2] + a[2] * g[2] + level,
+    )
+    return Form(
+        place=sum_of(form.place, C),
+        x=add(form.x, bx),
+        y=add(form.y, by),
+        z=add(form.z, bz),
+        turn=turn,
+        pull=form.pull,
+        twist=form.twist,
+        force=add(form.force, g),
+        moment=add(form.moment, cross(a, g)),
+    )
+
+
+@helper
+def angular_velocity(leg, k):
+    """Angular velocity of segment k at the stage, rad/s, in leg axes."""
+    t, v = row(leg.segments.direction, k), leg.velocity
+    turning = cross(t, minus(row(v, k + 1), row(v, k)))
+    return plus(scaled(leg.segments.per_length[k], turning), leg.spin[k], t)
 
 
 @helper

@@ -71,7 +71,7 @@ def bend(rod, s, k, before, viscous, normal, tendon, tension):
     """The hinge at node k behind the frame `before` = (t, d, b).
 
     viscous: derivative of the moment over the stiffness by the strain in a step, 1 in statics;
-    normal: axial force of segment k, N; tendon, tension (N): a tendon along the rod (`tendon.py`).
+    normal: axial force of segment k, N; tendon, tension (N): a tendon along the rod (`rod.py`).
 
     mu = B (e + beta de/dt) with the strains e of `strain.py`, and the material's relaxation. The
     correction c_k of the segment's length adds the axial force to both bending stiffnesses.

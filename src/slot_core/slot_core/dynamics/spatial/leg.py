@@ -27,8 +27,9 @@ from slot_core.dynamics.algebra import (
     times,
 )
 from slot_core.dynamics.contact import advance_bristle
+from slot_core.dynamics.rod import pull
 from slot_core.dynamics.servo import spool_rate
-from slot_core.dynamics.spatial.floor_contact import angular_velocity
+from slot_core.dynamics.spatial.elimination import angular_velocity
 from slot_core.dynamics.spatial.strain import (
     Segments,
     frame_before,
@@ -38,7 +39,6 @@ from slot_core.dynamics.spatial.strain import (
     relax,
     remember,
 )
-from slot_core.dynamics.tendon import pull
 
 
 class SpatialLeg(NamedTuple):

@@ -8,27 +8,245 @@ load: motor torque / stall torque, which on the torque-speed line is duty - spee
 A hardware error sets its bit until the servo is rebooted. If the bit is set in Shutdown (63) too,
 torque goes off and cannot be switched on again before a reboot (error: result fail). Profiles: the
 profile velocity is followed, the profile acceleration is not modelled.
+
+Motor, gear and temperature of an emulated servo.
+
+The motor's speed follows its torque-speed line with time constant motor_time, as `pid` does in
+`dynamics/servo.py`:
+
+    motor_time dw/dt = w0 (v u - tau / tau_stall) - w
+
+with the duty u and the load torque tau; w0 and tau_stall of `servo.yaml` hold at the supply
+voltage V of the servos, v is 1 but while a fault gives a servo another voltage, v V. With torque
+off the gear holds loads up to `friction`; the excess turns it along the same line, u = 0.
+Temperature:
+
+    C dT/dt = (V torque / tau_stall)^2 / R_el - (T - T_room) / R
+
+with time constant R C, the motor's torque and its electric resistance R_el. `R`, `C`, `friction`
+are assumed, not measured.
+
+Control table of an emulated servo: reading and writing with its access rules and error numbers.
+
+A write is executed completely or not at all. Error numbers (ROBOTIS e-manual, Protocol 2.0):
+
+    4  value outside the register's range; a goal while the bus watchdog has tripped
+    5  part of a register
+    6  value outside a limit held by another register
+    7  address undefined or not writable; EEPROM while torque is on
 """
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from slot_core.config import quantity
-from slot_core.dynamixel.emulator.memory import TRIPPED, Memory, RegisterError
-from slot_core.dynamixel.emulator.shaft import Motor, Shaft, ShaftSettings
 from slot_core.dynamixel.packet import ALERT, Error
 from slot_core.dynamixel.table import (
+    BY_ADDRESS,
     COUNTS,
+    INDIRECT_BANKS,
+    INDIRECT_COUNT,
     LOAD_FULL,
     PWM_FULL,
     RAD_PER_COUNT,
     RAD_S_PER_UNIT,
+    RAM_START,
+    REGISTERS,
     TABLE,
+    TABLE_END,
     VOLTAGE_UNIT,
     WATCHDOG_UNIT,
     Mode,
+    Register,
 )
 from slot_core.faults import HardwareError
+
+
+@dataclass(frozen=True)
+class ShaftSettings:
+    """Gear and heat; the motor itself is in `servo.yaml`."""
+
+    friction: float = quantity(
+        "load torque that the gear holds with torque off", "N m", 0.0, 10.0
+    )
+    resistance: float = quantity(
+        "electric resistance of the motor at stall", "ohm", 0.1, 1e3
+    )
+    room: float = quantity("room temperature", "degC", -40.0, 60.0)
+    thermal_resistance: float = quantity(
+        "thermal resistance from motor to room", "K/W", 0.0, 100.0
+    )
+    thermal_time: float = quantity(
+        "time constant of the temperature", "s", 1.0, 1e5
+    )
+
+
+class Motor(NamedTuple):
+    """Torque-speed line at a supply voltage, and time constant of the motor."""
+
+    voltage: float  # V
+    speed: float  # rad/s, no-load speed
+    stall: float  # N m, stall torque
+    time: float  # s, time constant of the speed
+
+
+class Shaft:
+    """Output shaft: angle (rad), speed (rad/s), motor torque (N m), temperature (degC)."""
+
+    def __init__(
+        self, motor: Motor, settings: ShaftSettings, angle: float
+    ) -> None:
+        self.motor, self.settings = motor, settings
+        self.angle, self.speed = angle, 0.0
+        self.temperature = settings.room
+        self.torque = 0.0
+
+    def advance(
+        self, duty: float | None, load: float, voltage: float, h: float
+    ) -> None:
+        """Advance by h s at a duty (None: torque off), supply voltage (V) and load torque (N m).
+
+        A positive load lowers the angle.
+        """
+        supply = voltage / self.motor.voltage
+        self.speed += (self._target(duty, load, supply) - self.speed) * (
+            h / (self.motor.time + h)
+        )
+        self.angle += h * self.speed
+        self._heat(duty, supply, h)
+
+    def _target(self, duty: float | None, load: float, supply: float) -> float:
+        motor = self.motor
+        if duty is not None:
+            return motor.speed * (supply * duty - load / motor.stall)
+        excess = max(abs(load) - self.settings.friction, 0.0)
+        return -motor.speed * math.copysign(excess, load) / motor.stall
+
+    def _heat(self, duty: float | None, supply: float, h: float) -> None:
+        settings, motor = self.settings, self.motor
+        share = (
+            0.0 if duty is None else supply * duty - self.speed / motor.speed
+        )
+        self.torque = share * motor.stall
+        power = (motor.voltage * share) ** 2 / settings.resistance
+        steady = settings.room + settings.thermal_resistance * power
+        self.temperature += (steady - self.temperature) * (
+            h / settings.thermal_time
+        )
+
+
+GOALS = ("goal_pwm", "goal_velocity", "goal_position")
+TRIPPED = -1  # value of Bus Watchdog after it has tripped
+
+
+class RegisterError(Exception):
+    """A rejected instruction; `number`: error number of the status packet."""
+
+    def __init__(self, number: Error) -> None:
+        super().__init__(number.name)
+        self.number = number
+
+
+class Memory:
+    """Registers of one servo; values by register name."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray(TABLE_END)
+        self._values: dict[
+            str, int
+        ] = {}  # what the bytes stand for: they are read all the time
+        for register in REGISTERS:
+            self[register.name] = register.initial
+
+    def __getitem__(self, name: str) -> int:
+        return self._values[name]
+
+    def __setitem__(self, name: str, value: int) -> None:
+        register = TABLE[name]
+        self._bytes[register.address : register.end] = register.encode(value)
+        self._values[name] = int(value)
+
+    def reset(self) -> None:
+        """Set the writable registers of RAM to their initial values."""
+        for register in REGISTERS:
+            if register.writable and not register.eeprom:
+                self[register.name] = register.initial
+
+    def read(self, address: int, size: int) -> bytes:
+        """`size` bytes from an address; raises RegisterError."""
+        targets = [self._target(a) for a in range(address, address + size)]
+        if not targets or any(target not in BY_ADDRESS for target in targets):
+            raise RegisterError(Error.ACCESS)
+        return bytes(self._bytes[target] for target in targets)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write bytes from an address; raises RegisterError and then changes nothing."""
+        for register, value in self.checked(address, data).items():
+            self[register] = value
+
+    def checked(self, address: int, data: bytes) -> dict[str, int]:
+        """Values that a write would set, by register name; raises RegisterError."""
+        if not data:
+            raise RegisterError(Error.DATA_LENGTH)
+        new = {self._target(address + k): byte for k, byte in enumerate(data)}
+        registers = dict.fromkeys(BY_ADDRESS.get(target) for target in new)
+        values = {}
+        for register in registers:
+            if (
+                register is None
+                or not register.writable
+                or (register.eeprom and self["torque_enable"])
+            ):
+                raise RegisterError(Error.ACCESS)
+            own = range(register.address, register.end)
+            if any(target not in new for target in own):
+                raise RegisterError(Error.DATA_LENGTH)
+            values[register.name] = register.decode(
+                bytes(new[target] for target in own)
+            )
+            self._check(register, values[register.name])
+        return values
+
+    def _target(self, address: int) -> int:
+        """Address accessed: for indirect data the one in its indirect address, else the same."""
+        for first, data in INDIRECT_BANKS:
+            if data <= address < data + INDIRECT_COUNT:
+                pointer = first + 2 * (address - data)
+                target = int.from_bytes(
+                    self._bytes[pointer : pointer + 2], "little"
+                )
+                return target if _mappable(target) else address
+        return address
+
+    def _check(self, register: Register, value: int) -> None:
+        name = register.name
+        refused = name in GOALS or (name == "bus_watchdog" and value)
+        if (
+            not register.low <= value <= register.high
+            or (name == "operating_mode" and value not in set(Mode))
+            or (refused and self["bus_watchdog"] == TRIPPED)
+        ):
+            raise RegisterError(Error.DATA_RANGE)
+        low, high = self.limits(name)
+        if not low <= value <= high:
+            raise RegisterError(Error.DATA_LIMIT)
+
+    def limits(self, name: str) -> tuple[int, int]:
+        """Limits of a register held by other registers; its own range if there are none."""
+        if name in ("goal_pwm", "goal_velocity"):
+            limit = self[name.removeprefix("goal_") + "_limit"]
+            return -limit, limit
+        if name == "goal_position" and self["operating_mode"] == Mode.POSITION:
+            return self["min_position_limit"], self["max_position_limit"]
+        return TABLE[name].low, TABLE[name].high
+
+
+def _mappable(address: int) -> bool:
+    """Whether indirect data may be an alias of this address: RAM, but not indirect data."""
+    return address >= RAM_START and not any(
+        data <= address < data + INDIRECT_COUNT for _, data in INDIRECT_BANKS
+    )
 
 
 @dataclass(frozen=True)
