@@ -6,7 +6,7 @@ So no test's time limit holds a compilation, and the workers do not compile the 
 import time
 
 import numpy as np
-from legs_one_by_one import advance_one_by_one
+from rod_robots import advance_one_by_one
 
 from slot_core import config
 from slot_core.dynamics.scene import read_scene

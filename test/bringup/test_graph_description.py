@@ -1,7 +1,17 @@
-"""Graph description, and the launch file that starts it."""
+"""Graph description, and the launch file that starts it.
 
+The launcher's choice between one process for the controller's nodes and one for each.
+
+Parameters for Nav2 against what the robot reaches, its frames, topics and size.
+
+Programs in a terminal in which scripts/env was not sourced.
+"""
+
+import json
+import os
 import re
 import runpy
+import subprocess
 import sys
 from contextlib import nullcontext
 from pathlib import Path
@@ -9,14 +19,19 @@ from types import SimpleNamespace
 from unittest.mock import Mock
 
 import ament_index_python.packages
+import numpy as np
 import pytest
 import yaml
 
+from slot_bringup import composition
+from slot_bringup.arguments import parse
 from slot_bringup.check import check
 from slot_bringup.graph import END, GO_ON, REFUSED, RESTART, read_graph
 from slot_bringup.processes import command_line
 from slot_core.config import ConfigError
+from slot_core.gait.gait import read_gaits
 from slot_core.recording.record_settings import read_record_settings
+from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 
 PARAMETERS = Path(__file__).parent / "params.yaml"
@@ -507,3 +522,171 @@ def load_launch_file(monkeypatch, given, asked=None, words=()):
     return start["function"](
         SimpleNamespace(launch_configurations=texts, argv=words)
     )
+
+
+@pytest.mark.parametrize(
+    ("cores", "load", "line"),
+    [
+        (2.0, 0.395, "one process: its load is 0.79 of a core, limit 0.8"),
+        (2.0, 0.405, "four processes: its load is 0.81 of a core, limit 0.8"),
+        (1.5, 2.0, "one process: 1.5 cores for the graph, less than 2"),
+        (
+            2.0,
+            ValueError("no sensor"),
+            "four processes: its policy fails, ValueError: no sensor",
+        ),
+    ],
+)
+def test_the_controller_has_one_process_where_one_core_carries_it_or_there_is_no_second(
+    monkeypatch, cores, load, line
+):
+    monkeypatch.setattr(composition, "available_cores", lambda: cores)
+    monkeypatch.setattr(composition, "core_load", Mock(side_effect=[load]))
+    chosen = composition.choose(vars(parse([])))
+    assert chosen == (line.startswith("one"), f"controller in {line}")
+
+
+@pytest.mark.parametrize(
+    ("words", "composed"),
+    [
+        (["--composed"], True),
+        (["--separate"], False),
+        (["--lockstep"], True),
+        (["--lockstep", "--separate"], False),
+    ],
+)
+def test_what_is_asked_for_is_not_measured(monkeypatch, words, composed):
+    monkeypatch.setattr(composition, "core_load", None)  # cannot be called
+    assert composition.choose(vars(parse(words))) == (composed, "")
+
+
+@pytest.mark.parametrize(
+    ("files", "cores"),
+    [
+        ({}, 3.0),
+        ({"cpu.max": "150000 100000"}, 1.5),
+        ({"cpu.max": "900000 100000"}, 3.0),
+        ({"cpu.max": "max 100000"}, 3.0),
+        (
+            {
+                "cpu/cpu.cfs_quota_us": "50000",
+                "cpu/cpu.cfs_period_us": "100000",
+            },
+            0.5,
+        ),
+        (
+            {"cpu/cpu.cfs_quota_us": "-1", "cpu/cpu.cfs_period_us": "100000"},
+            3.0,
+        ),
+    ],
+)
+def test_cores_are_those_of_the_affinity_within_the_quota_of_the_container(
+    monkeypatch, tmp_path, files, cores
+):
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 2, 5})
+    (tmp_path / "cpu").mkdir()
+    for name, text in files.items():
+        (tmp_path / name).write_text(f"{text}\n")
+    assert composition.available_cores(tmp_path) == cores
+
+
+def test_the_load_is_the_cpu_time_of_the_ticks_over_their_period(monkeypatch):
+    """A clock that goes on by 4 ms with each tick; 33 ms between two of them."""
+    times = iter(0.004 * (n // 2 + n % 2) for n in range(10_000))
+    monkeypatch.setattr("time.thread_time", lambda: next(times))
+    load = composition.core_load("gait_alone", "walk")
+    assert load == pytest.approx(0.004 / 0.033, rel=0.02)
+
+
+FILE = Path(__file__).parents[2] / "slot_bringup/nav2/nav2_params.yaml"
+NODES = {
+    name: content.get("ros__parameters") or content[name]["ros__parameters"]
+    for name, content in yaml.safe_load(FILE.read_text()).items()
+}
+FOLLOW, BEHAVIOR = (
+    NODES["controller_server"]["FollowPath"],
+    NODES["behavior_server"],
+)
+
+
+@pytest.mark.parametrize(
+    "velocity",
+    [
+        [FOLLOW["desired_linear_vel"], 0.0, 0.0],
+        [FOLLOW["regulated_linear_scaling_min_speed"], 0.0, 0.0],
+        [0.0, 0.0, FOLLOW["rotate_to_heading_angular_vel"]],
+        [0.0, 0.0, BEHAVIOR["max_rotational_vel"]],
+        [0.0, 0.0, BEHAVIOR["min_rotational_vel"]],
+    ],
+)
+def test_the_gait_reaches_every_speed(velocity):
+    assert read_gaits().clipped("walk", velocity)[1] == ""
+
+
+def test_acceleration_and_progress_are_those_of_the_robot():
+    turns = FOLLOW["max_angular_accel"], BEHAVIOR["rotational_acc_lim"]
+    assert max(turns) <= read_gaits().turn_acceleration
+    progress = NODES["controller_server"]["progress_checker"]
+    slowest = (
+        progress["required_movement_radius"]
+        / progress["movement_time_allowance"]
+    )
+    assert slowest < 0.5 * FOLLOW["regulated_linear_scaling_min_speed"]
+
+
+@pytest.mark.parametrize("costmap", ["local_costmap", "global_costmap"])
+def test_the_footprint_holds_the_feet_of_straight_legs(costmap):
+    corners = np.array(json.loads(NODES[costmap]["footprint"]))
+    robot = read_robot()
+    tips = robot.clamps[:, :2] + robot.leg.reach * robot.outward[:, :2]
+    assert (np.abs(tips) < corners.max(axis=0)).all()
+
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = (
+    ROOT / "src" / "slot_core",
+    ROOT / "src" / "slot_nodes",
+    ROOT / "slot_bringup",
+)
+
+
+def test_a_program_under_another_python_finds_them_behind_its_own_packages():
+    """As `ros2 launch`, in a terminal in which scripts/env was sourced."""
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-S",
+            "-c",
+            "import slot_bringup, sys; print(*sys.path, sep='\\n')",
+        ],
+        env={
+            "PYTHONPATH": os.pathsep.join(map(str, PACKAGES)),
+            "VIRTUAL_ENV": sys.prefix,
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    *others, last = done.stdout.splitlines()
+    assert Path(last).parents[2] == Path(sys.prefix)
+    assert last not in others
+
+
+@pytest.mark.parametrize(
+    "module", ["slot_nodes.mpc_controller_node", "slot_bringup.run"]
+)
+def test_a_program_without_its_libraries_says_in_one_line_what_to_source(
+    module,
+):
+    # -S leaves out the packages installed for this Python
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", f"import {module}"],
+        env={"PYTHONPATH": os.pathsep.join(map(str, PACKAGES))},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert "scipy" in line
+    assert "source scripts/env" in line

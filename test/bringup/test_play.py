@@ -1,25 +1,35 @@
 """A bag is played into running nodes: every message, in order, with the clock; or refused.
 
 No time is asserted: the bags are played a hundred times faster than they were recorded.
+
+scripts/view: which run it shows, where it writes its page, and when it opens a browser.
+
+Keys that steer the robot, and what they publish.
 """
 
+import math
+import os
+import time
 from collections import defaultdict
 from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from synthetic_walk import Walk, message, write_old, write_walk
 
-from slot_bringup import monitor, play
+from slot_bringup import monitor, operator_screen, play, steering, view
+from slot_bringup.playing import main_page
 from slot_core.messages import decode
 from slot_lab.bags.bag import Bag
-from slot_msgs.msg import LegStates, MpcState
+from slot_msgs.msg import GaitPreview, LegStates, MpcState
 from slot_nodes import qos
 
 KEEP = QoSProfile(depth=2000)  # all messages: they are taken after the play
@@ -142,3 +152,174 @@ def test_a_run_ends_with_the_bag_that_is_played_into_it(
             given = {"namespace": "alone", "played": played, "remedy": "wait"}
             monitor.watch(MagicMock(**running), 60.0, **given)
     assert "scripts/run: slower; wait" in capsys.readouterr().err
+
+
+def test_a_run_is_written_into_its_folder_and_opened(
+    monkeypatch, refusal, tmp_path
+):
+    """On a machine with a display."""
+    opened = []
+    monkeypatch.setattr(main_page.webbrowser, "open", opened.append)
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.chdir(tmp_path)
+    line = refusal(view.main)
+    assert line.startswith("scripts/view: no bag in /")
+    assert "/bags: name one, or make one by scripts/run" in line
+    bag = write_walk(Path("bags/walk"), Walk(duration=1.0))
+    page = bag.absolute() / view.PAGE
+    for words in ([], ["--no-browser"], ["--html", "other.html"]):
+        assert view.main(words) == 0
+    monkeypatch.delenv("DISPLAY")
+    assert view.main([str(bag)]) == 0
+    assert page.exists()
+    assert opened == [page.as_uri()]
+
+
+def test_the_newest_bag_is_shown_by_default(tmp_path):
+    newest, older = (tmp_path / f"walk_{i}" / "walk.mcap" for i in (2, 1))
+    for age, file in enumerate([newest, older]):
+        file.parent.mkdir()
+        file.touch()
+        os.utime(file, (1e9 - age, 1e9 - age))
+    older.with_name(view.PAGE).touch()  # of an older run that was shown last
+    (tmp_path / "plots_of_a_film").mkdir()
+    assert view.newest_bag(tmp_path) == newest.parent
+
+
+def test_the_live_page_of_a_run_waits_for_its_graph_and_ends_with_it(
+    monkeypatch, tmp_path
+):
+    program, words, done = (
+        tmp_path / "python",
+        tmp_path / "words",
+        tmp_path / "done",
+    )
+    program.write_text(
+        f"#!/bin/sh\ntrap 'touch {done}; exit' TERM\necho $@ >{words}.new\nmv {words}.new {words}\n"
+        "while :; do sleep 0.1; done\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setattr(main_page.sys, "executable", str(program))
+    with main_page.live_page("fred", 90.0):
+        while not words.exists():
+            time.sleep(0.01)
+        assert not done.exists()
+    assert done.exists()
+    assert "--graph --namespace fred --wait 90.0 --open" in words.read_text()
+
+
+UP, DOWN, RIGHT, LEFT = (f"\x1b[{letter}" for letter in "ABCD")
+STAMP = 7_000_000_000
+
+
+class Keys(steering.SteeringKeys):
+    """Keys that keep what they publish, in a graph that hears one type of /cmd_vel."""
+
+    def __init__(self, heard="TwistStamped"):
+        self.published = []
+        topic = SimpleNamespace(publish=self.published.append)
+        info = SimpleNamespace(topic_type=f"geometry_msgs/msg/{heard}")
+        node = {"create_publisher": lambda *_: topic}
+        node["get_subscriptions_info_by_topic"] = lambda _: [info]
+        super().__init__(SimpleNamespace(**node))
+
+
+def commanded(velocity=(0.0, 0.0, 0.0), gait="walk"):
+    return GaitPreview(
+        requested=gait, velocity=list(velocity), pose=[0.06, 0.0, 0.0]
+    )
+
+
+@pytest.mark.parametrize(
+    ("pressed", "velocity"),
+    [
+        ([UP], [0.01, 0.0, 0.0]),
+        ([UP, UP, DOWN, UP], [0.02, 0.0, 0.0]),
+        ([","], [0.0, 0.01, 0.0]),  # to the left
+        ([LEFT], [0.0, 0.0, 0.025]),
+        ([RIGHT, LEFT, "."], [0.0, -0.01, 0.0]),
+    ],
+)
+@pytest.mark.parametrize("heard", [Twist, TwistStamped])
+def test_a_key_changes_the_velocity_that_is_repeated_in_the_type_that_is_heard(
+    pressed, velocity, heard
+):
+    keys = Keys(heard.__name__)
+    for key in pressed:
+        assert keys.press(key, commanded()).startswith("velocity ")
+    keys.repeat(STAMP, commanded())
+    (message,) = keys.published
+    assert type(message) is heard
+    stamp, sent = decode.velocity(message)
+    assert stamp == (STAMP if heard is TwistStamped else 0)
+    np.testing.assert_allclose(sent, velocity, atol=1e-15)
+
+
+def test_a_velocity_beyond_the_reach_of_the_gait_is_clipped_and_does_not_wind_up():
+    """The first key goes on from what is commanded."""
+    keys, present = Keys(), commanded([0.03, 0.0, 0.0])
+    keys.press(UP, present)
+    keys.repeat(STAMP, present)
+    assert decode.velocity(keys.published[0])[1] == pytest.approx(
+        [0.04, 0.0, 0.0]
+    )
+    said = [keys.press(UP, present) for _ in range(20)]
+    assert said[-1].startswith("velocity clipped to the reach of gait walk")
+    keys.press(DOWN, present)
+    keys.repeat(STAMP, present)
+    assert decode.velocity(keys.published[1])[1][0] < 0.1  # not 0.19
+
+
+def test_zero_is_repeated_until_it_is_commanded_then_another_may_steer():
+    """Before the first key nothing is published either."""
+    keys = Keys()
+    keys.repeat(STAMP, commanded())
+    assert not keys.published
+    keys.press(UP, commanded())
+    keys.press(steering.STOP, commanded())
+    for velocity, count in ((0.01, 1), (0.01, 2), (0.0, 3), (0.0, 3)):
+        keys.repeat(STAMP, commanded([velocity, 0.0, 0.0]))
+        assert len(keys.published) == count
+
+
+@pytest.mark.parametrize(
+    ("pressed", "pose"),
+    [
+        ("+", [0.062, 0.0, 0.0]),
+        ("--", [0.056, 0.0, 0.0]),
+        ("lli", [0.06, math.radians(2.0), math.radians(1.0)]),
+        ("jk", [0.06, -math.radians(1.0), -math.radians(1.0)]),
+    ],
+)
+def test_a_key_changes_height_and_attitude_up_to_a_limit(pressed, pose):
+    keys = Keys()
+    for key in pressed:
+        assert keys.press(key, commanded()).startswith("height ")
+    assert isinstance(keys.published[-1], PoseStamped)
+    np.testing.assert_allclose(
+        decode.body_pose(keys.published[-1]), pose, atol=1e-9
+    )
+    said = [keys.press(pressed[-1], commanded()) for _ in range(40)]
+    assert "reaches [" in said[-1]
+    assert len(keys.published) < 40
+
+
+def test_other_keys_do_not_steer_nor_any_without_a_gait_scheduler():
+    keys = Keys()
+    for key in (
+        *operator_screen.KEYS,
+        operator_screen.QUIT,
+        "a",
+        "\x1b",
+        "\x1b[5~",
+    ):
+        assert keys.press(key, commanded()) == ""
+    for key in (UP, "+", steering.STOP):
+        assert keys.press(key, None) == "no gait_scheduler answers"
+    assert not keys.published
+
+
+def test_keys_are_told_apart_in_what_a_terminal_sends():
+    sent = ["w", UP, LEFT, "q", "\x1b[5~", "\x1bOA", " "]
+    assert operator_screen.KEY.findall("".join(sent)) == sent

@@ -1,7 +1,15 @@
-"""Command line of scripts/run."""
+"""Command line of scripts/run.
 
+End of the graph's processes.
+
+The recorder as a process: nothing is lost at its end, and little when it is killed.
+"""
+
+import signal
+import subprocess
 import sys
-from contextlib import nullcontext
+import time
+from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -9,10 +17,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from nav_msgs.msg import Odometry
+from rclpy.duration import Duration
+from rig import nodes_of
 from synthetic_walk import Walk, write_walk
 
-from slot_bringup import monitor, run
+from slot_bringup import monitor, processes, run
 from slot_bringup.arguments import parse
+from slot_bringup.graph import END, GO_ON, REFUSED, RESTART, NodeSpec
+from slot_bringup.monitor import listener
+from slot_bringup.processes import command_line
+from slot_core.recording.record_settings import BagError
+from slot_lab.bags.bag import Bag
 from slot_msgs.msg import MpcState, RobotState, TendonPlan
 from slot_nodes import qos
 from slot_nodes.messages import header
@@ -152,3 +167,111 @@ def test_a_graph_slower_than_real_time_says_so_with_its_share(
         progress.update_truth(Odometry(header=stamp))
         progress.update_plan(TendonPlan(skipped=int(skipped * passed)))
     assert progress.slowness() == found
+
+
+@pytest.fixture
+def start(tmp_path, monkeypatch):
+    """A function that starts a shell script as a node."""
+
+    def start(script, if_it_ends=END):
+        words = ["/bin/bash", "-c", script]
+        monkeypatch.setattr(processes, "command_line", lambda _: words)
+        started = processes.Processes(tmp_path)
+        spec = NodeSpec(
+            "viewer", "of_no_python_package", {}, if_it_ends=if_it_ends
+        )
+        started.start([spec])
+        return started
+
+    return start
+
+
+@pytest.mark.parametrize(
+    "end",
+    [
+        ("", -9, "did not end within 0.2 s of SIGINT: killed"),
+        ("exit 3", 3, "ended with exit code 3: its last words"),
+    ],
+)
+def test_a_node_that_is_killed_or_fails_at_its_end_is_named(
+    start, monkeypatch, capsys, end
+):
+    trap, code, line = end
+    if not trap:
+        monkeypatch.setattr(processes, "STOP_TIMEOUT", 0.2)
+    loop = "while :; do sleep 0.01; done"
+    started = start(f"trap '{trap}' INT; echo its last words; echo; {loop}")
+    while started.last_line("viewer") != "its last words":
+        time.sleep(0.01)
+    assert started.stop() == {"viewer": code}
+    assert capsys.readouterr().err == f"scripts/run: viewer {line}\n"
+
+
+@pytest.mark.parametrize(
+    ("if_it_ends", "code"), [(END, 3), (GO_ON, REFUSED), (RESTART, REFUSED)]
+)
+def test_a_process_that_is_needed_or_refuses_its_configuration_ends_the_graph(
+    start, if_it_ends, code
+):
+    started = start(f"exit {code}", if_it_ends)
+    started._children["viewer"].join()
+    assert started.failed() == ("viewer", code)
+
+
+@pytest.mark.parametrize(
+    ("if_it_ends", "restarts"), [(GO_ON, 0), (RESTART, processes.RESTARTS)]
+)
+def test_a_process_that_is_not_needed_is_restarted_a_few_times_then_missed(
+    start, if_it_ends, restarts
+):
+    started = start("echo its last words; exit 3", if_it_ends)
+    line = "at 1.5 s viewer ended with exit code 3: its last words; "
+    started._children["viewer"].join()
+    for _ in range(restarts):
+        assert started.restart_ended(1.5) == [line + "restarted"]
+        started._children["viewer"].join()
+    assert started.restart_ended(1.5) == [line + "the robot goes on without it"]
+    assert started.restart_ended(1.6) == []  # said once
+    assert started.failed() is None
+    assert started.missing == {"viewer"}
+    assert len(started.remarks) == restarts + 1
+
+
+SET = {"scene": "slope5", "namespace": "recorded"}
+LEAST = 50  # messages on disk before the recorder is ended
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_recorder_that_ends_loses_nothing_and_a_killed_one_the_last_moment(
+    tmp_path, number
+):
+    path = tmp_path / "bag"
+    recorder = nodes_of(**SET, bag=str(path))["recorder"]
+    process = subprocess.Popen(command_line(recorder))
+    count, left = 0, []
+    with listener("robot", "recorded") as (node, _):
+        publisher = node.create_publisher(Odometry, "odom", qos.SENSOR)
+        while not publisher.get_subscription_count():
+            time.sleep(0.02)
+        while len(left) < LEAST:
+            publisher.publish(Odometry(child_frame_id=str(count)))
+            count += 1
+            time.sleep(0.005)
+            if count % LEAST == 0:
+                with suppress(BagError):
+                    left = frames(Bag(path, "recorded"))
+        assert publisher.wait_for_all_acked(Duration(seconds=60))
+        process.send_signal(number)
+        code = process.wait()
+    bag, told = Bag(path, "recorded"), number == signal.SIGTERM
+    left = frames(bag)
+    assert (code, bag.finished) == (0 if told else -number, told)
+    assert left == [str(n) for n in range(count if told else len(left))]
+    assert len(left) >= LEAST
+    about = bag.origin.about
+    assert about.pop("revision")
+    assert about == {"hardware": "sim", "gait": "walk"} | SET
+
+
+def frames(bag):
+    return [message.child_frame_id for _, message in bag.messages("/odom")]

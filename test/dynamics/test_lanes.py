@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from legs_one_by_one import advance_one_by_one
 from numba import njit
 from numba.core.errors import NumbaError, TypingError
-from rod_robots import simulator
+from rod_robots import advance_one_by_one, simulator
 
 from slot_core import compiled
 from slot_core.dynamics import integrator

@@ -2,14 +2,22 @@
 
 Processes end while the robot walks in lockstep, so that no time matters: a process that hangs is
 ended by pytest's timeout.
+
+Priority of the nodes' processes.
+
+SIGINT and SIGTERM: node and listener end between two callbacks, a preparation at once.
 """
 
 import ctypes
+import math
+import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import suppress
+from unittest.mock import Mock
 
 import psutil
 import pytest
@@ -18,7 +26,8 @@ from sensor_msgs.msg import JointState
 
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
-from slot_nodes import qos
+from slot_core.config import ConfigError
+from slot_nodes import qos, runtime
 from slot_nodes.supervisor_node import NODES_PERIOD
 
 NODES = nodes_of(bag="bag")
@@ -183,3 +192,170 @@ def test_invalid_parameter_is_refused_in_one_line(
     assert done.returncode == 2, done.stderr
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+
+
+def test_every_thread_takes_the_priority_and_who_has_no_right_to_it_is_told(
+    monkeypatch,
+):
+    taken, ended = [], threading.Event()
+    other = threading.Thread(target=ended.wait)
+    other.start()
+    monkeypatch.setattr(
+        runtime.ctypes, "CDLL", lambda *_, **__: Mock(mlockall=lambda _: 0)
+    )
+    monkeypatch.setattr(
+        runtime.os, "sched_setscheduler", lambda *values: taken.append(values)
+    )
+    runtime.take_priority("0")
+    assert taken == []
+    runtime.take_priority("20")
+    assert {threading.get_native_id(), other.native_id} <= {
+        thread for thread, _, _ in taken
+    }
+    assert {(kind, given.sched_priority) for _, kind, given in taken} == {
+        (os.SCHED_FIFO, 20)
+    }
+    monkeypatch.setattr(
+        runtime.os, "sched_setscheduler", Mock(side_effect=PermissionError)
+    )
+    with pytest.raises(
+        ConfigError, match=r"^realtime = 20: no right to this priority"
+    ):
+        runtime.take_priority("20")
+    runtime.take_priority("")  # nobody has asked for one
+    ended.set()
+    other.join()
+
+
+def test_the_priority_is_taken_where_there_is_a_right_to_it(monkeypatch):
+    taken = set()
+    monkeypatch.setattr(
+        runtime.ctypes, "CDLL", lambda *_, **__: Mock(mlockall=lambda _: 0)
+    )
+    monkeypatch.setattr(
+        runtime.os,
+        "sched_setscheduler",
+        lambda *values: taken.add(values[2].sched_priority),
+    )
+    runtime.take_priority("")
+    assert taken == {runtime.PRIORITY}
+
+
+@pytest.mark.parametrize(
+    ("cores", "chosen", "priority"),
+    [
+        (2, {}, ""),  # that which the nodes may take
+        (2, {"realtime": 0}, None),
+        (2, {"lockstep": True}, None),
+        (1, {}, None),
+        (1, {"realtime": 20}, "20"),
+    ],
+)
+def test_the_priority_that_nobody_has_asked_for(
+    monkeypatch, cores, chosen, priority
+):
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)))
+    specs = nodes_of(**chosen).values()
+    found = {spec.environment.get("SLOT_PRIORITY") for spec in specs}
+    assert found - {None} == {priority} - {None}
+
+
+# Arguments: signal, where it is sent: in "make", in a "library" called by it, which drops the
+# exception, in an "import", which makes another of it, as pybind does, or in a "callback".
+NODE = """
+import os, sys, time
+from contextlib import suppress
+import rclpy
+from rclpy.node import Node
+from slot_nodes import runtime
+
+number, place = int(sys.argv[1]), sys.argv[2]
+
+class Interrupted(Node):
+    def __init__(self):
+        super().__init__("interrupted")
+        self.create_timer(0.01, self.work)
+        with suppress(KeyboardInterrupt):
+            self.raise_signal("library")
+        if place == "library":
+            time.sleep(100)
+        try:
+            self.raise_signal("import")
+        except KeyboardInterrupt as error:
+            raise ImportError("initialization failed") from error
+        self.raise_signal("make")
+
+    def raise_signal(self, here):
+        if here == place:
+            os.kill(os.getpid(), number)
+            time.sleep(0.2)  # the context ends meanwhile
+            print(f"end of {here}", flush=True)
+
+    def work(self):
+        self.raise_signal("callback")
+
+    def close(self):
+        print("closed", flush=True)
+
+runtime.run(Interrupted)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("place", ["make", "library", "import", "callback"])
+def test_a_preparation_is_interrupted_at_once_and_a_callback_is_not(
+    number, place
+):
+    """A node that sends itself the signal at that place ends without a fault."""
+    command = [sys.executable, "-c", NODE, str(int(number)), place]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    printed = ["end of callback", "closed"] if place == "callback" else []
+    assert ended.stdout.splitlines() == printed
+
+
+# Fast DDS waits for ever: a call into C that keeps Python's lock, as rclpy's does.
+STUCK = """
+import ctypes, sys
+from slot_nodes.process import departure
+
+print("finished")
+with departure.limited(int(sys.argv[1]), limit=0.3):
+    pass
+with departure.limited(int(sys.argv[1]), limit=0.3):
+    ctypes.PyDLL(None).sleep(100)
+print("never")
+"""
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_a_process_whose_departure_from_dds_does_not_end_ends_with_its_exit_code(
+    code,
+):
+    command = [sys.executable, "-c", STUCK, str(code)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (code, "")
+    assert ended.stdout == "finished\n"
+
+
+def test_a_program_that_listens_is_interrupted_between_two_callbacks():
+    ended = []
+
+    def interrupt_itself():
+        os.kill(os.getpid(), signal.SIGINT)
+        ended.append(True)
+
+    with listener("listener") as (node, executor):
+        node.create_timer(0.01, interrupt_itself)
+        with pytest.raises(KeyboardInterrupt):
+            executor.spin_until(lambda: False, math.inf)
+    assert ended == [True]
+
+
+def test_a_program_listens_until_its_condition_holds_or_its_time_is_over():
+    ticks = []
+    with listener("listener") as (node, executor):
+        assert not executor.spin_until(lambda: False, 0.01)
+        node.create_timer(0.01, lambda: ticks.append(True))
+        assert executor.spin_until(lambda: len(ticks) == 3, math.inf)
+    assert len(ticks) == 3

@@ -1,4 +1,7 @@
-"""The page of a running graph: what its controls send, and what it says of the messages."""
+"""The page of a running graph: what its controls send, and what it says of the messages.
+
+Bag of a played robot: the checks of a recorded walk hold for it.
+"""
 
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -7,12 +10,16 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
+from slot_bringup.playing import play_page
 from slot_bringup.playing.graph_page import GraphPage
 from slot_bringup.playing.graph_robot import TRIES, WAIT, GraphRobot
 from slot_bringup.playing.page_server import start_server
 from slot_core.config import ConfigError
 from slot_core.messages import decode
 from slot_core.safety.states import LATCHED, Request, State
+from slot_lab.bags.bag import Bag
+from slot_lab.bags.check_bag import check_bag
+from slot_lab.play.played_robot import PlayedRobot
 from slot_msgs.msg import GaitPreview, RobotState
 
 VELOCITY = np.array([0.03, 0.0, 0.0])
@@ -270,3 +277,25 @@ def test_the_page_says_state_silence_and_which_message_is_refused(graph, page):
     assert "HOLD" not in silent
     graph.report(State.STANDING)
     assert "no state" not in said(1.0)
+
+
+def test_a_saved_bag_replays_equal_to_the_last_bit_though_the_world_has_changed(
+    tmp_path,
+):
+    robot = PlayedRobot()
+    robot.wishes.gait, robot.wishes.velocity = (
+        "walk",
+        np.array([0.05, 0.0, 0.0]),
+    )
+    for frame in range(125):
+        if frame == 100:
+            robot.change({"scene.payload.mass": 0.2})
+            robot.push([0.0, 5.0, 0.0], 0.2)
+        robot.advance()
+    count = play_page.save(robot, tmp_path / "bag")
+    bag = Bag(tmp_path / "bag")
+    assert sum(bag.counts.values()) == count
+    states, *found = check_bag(bag, 0.0)
+    assert states.why == "no record of state_estimator in the bag"
+    assert all(stage.compared > 100 for stage in found)
+    assert [stage.first for stage in found] == [None] * 3

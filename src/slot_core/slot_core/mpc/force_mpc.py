@@ -43,10 +43,7 @@ class ForceMpc(Policy):
     def __init__(
         self, robot: RobotParameters, settings: MpcSettings, timer: Timer
     ):
-        """Set up problem and solver; `timer` returns seconds.
-
-        Raises ConfigError if the weights leave the problem ill-conditioned.
-        """
+        """Set up problem and solver; `timer` returns seconds."""
         self._robot, self._settings, self._timer = robot, settings, timer
         self.reset()
 

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from slot_core import config
 from slot_core.arrays import Array
 from slot_core.control.input_check import STAGE_TIME
 from slot_core.gait.gait import GaitPreview
@@ -25,7 +24,6 @@ from slot_core.mpc.model import (
     Horizon,
     Prediction,
     TorsoModel,
-    condensed_condition,
     turned_to,
 )
 from slot_core.mpc.settings import MpcSettings
@@ -43,16 +41,12 @@ class ForceProblem:
     """
 
     def __init__(self, robot: RobotParameters, settings: MpcSettings):
-        """Set up problem and solver.
-
-        Raises ConfigError if the weights leave the problem ill-conditioned.
-        """
+        """Set up problem and solver."""
         self._settings, self.mass = settings, robot.mass
         self._model = TorsoModel(robot)
         self.horizon = n = settings.horizon
         # A prediction that is non-zero wherever any prediction is.
         generic = self._model.predict(0.3, 0.1, STAGE_TIME[1])
-        _check_condition(generic, settings)
         # diagonal of P
         self.weight = np.tile([*settings.weights.r, *settings.weights.q], n)
         self.target = np.zeros((n, STAGE))
@@ -193,17 +187,3 @@ def _rows(horizon: int, pattern: Prediction) -> NDArray[np.int64]:
             largest[k, leg, k, f_z] = 1
     parts = dynamics, friction, least, largest
     return np.vstack([part.reshape(-1, horizon * STAGE) for part in parts])
-
-
-def _check_condition(prediction: Prediction, settings: MpcSettings) -> None:
-    """Raise ConfigError if the condensed Hessian is ill-conditioned."""
-    weights, limit = settings.weights, settings.acceptance.condition_max
-    condition = condensed_condition(
-        prediction, weights.q, weights.r, settings.horizon
-    )
-    if not condition <= limit:
-        raise config.ConfigError(
-            f"mpc.yaml: weights.force = {list(weights.force)}: condition number {condition:.1e} "
-            f"of the condensed Hessian exceeds {limit:.1e}, the forces are ill-conditioned; "
-            "raise weights.force or lower the others"
-        )

@@ -125,31 +125,6 @@ def turned_to(reference: Array, state: Array) -> Array:
     return shifted
 
 
-def condensed_condition(
-    prediction: Prediction, q: Array, r: Array, horizon: int
-) -> float:
-    """Condition number of the condensed Hessian S'QS + R (states eliminated: x = S u + ..).
-
-    If it is large, the objective is flat in some directions: roundoff and the solver's tolerance
-    then appear in the forces. q (12,) and r (12,): diagonals of Q and R.
-    """
-    columns = np.zeros((horizon, STATES, INPUTS))  # first block column of S
-    block = prediction.b
-    for k in range(horizon):
-        columns[k] = block
-        block = prediction.a @ block
-    s = np.zeros((horizon * STATES, horizon * INPUTS))
-    for k in range(horizon):
-        s[k * STATES :, k * INPUTS : (k + 1) * INPUTS] = columns[
-            : horizon - k
-        ].reshape(-1, INPUTS)
-    hessian = s.T @ (np.tile(q, horizon)[:, None] * s) + np.diag(
-        np.tile(r, horizon)
-    )
-    eigenvalues = np.linalg.eigvalsh(hessian)
-    return float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
-
-
 def rotation_z(yaw: float) -> Array:
     """R_z(yaw) (3, 3)."""
     s, c = sin(yaw), cos(yaw)

@@ -53,12 +53,6 @@ class Acceptance:
     time_budget: float = quantity(
         "longest time for checks, update and solve", "s", 0, math.inf
     )
-    condition_max: float = quantity(
-        "largest condition number of the Hessian, at the longest stage",
-        "",
-        1,
-        1e12,
-    )
     input_max: float = quantity(
         "largest accepted magnitude of any input, SI units", "", 1, 1e9
     )
