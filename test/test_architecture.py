@@ -245,14 +245,15 @@ def test_a_class_name_occurs_once():
 
 # Statements that each part of the repository may have. What goes beyond brings its own cut.
 BUDGET = {
-    "src/slot_core": 15_420,
+    "src/slot_core": 15_400,
     "src/slot_lab": 6_285,
-    "src/slot_paper": 700,
+    "src/slot_paper": 690,
     "src/slot_nodes": 2_170,
     "slot_bringup": 2_850,
     "scripts": 4_690,
-    "test": 16_385,
+    "test": 16_140,
 }
+ALL = 48_200
 
 
 def statements(path: Path) -> int:
@@ -275,6 +276,7 @@ def test_each_package_keeps_its_budget_of_statements():
     assert not beyond, (
         f"beyond BUDGET: {beyond}; all: {counts}; largest: {named}"
     )
+    assert sum(counts.values()) <= ALL, f"beyond {ALL}: {counts}; {named}"
     assert sum(counts.values()) == sum(sizes.values()), (
         "a file outside of BUDGET"
     )

@@ -1,13 +1,28 @@
-"""Keys, screen and command line of the operator's terminal."""
+"""Keys, screen and command line of the operator's terminal.
 
+scripts/servos against emulated servos.
+
+URDF and Foxglove files against slot_core.robot and the messages of the graph.
+"""
+
+import graphlib
+import json
 import os
 import re
+import signal
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from contextlib import closing
+from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 
 from slot_bringup import operate, operate_command
@@ -18,12 +33,25 @@ from slot_bringup.operator_screen import (
     OperatorView,
     lines,
 )
+from slot_bringup.servos import main
+from slot_core.config import ConfigError
 from slot_core.dynamics.servo import read_servo
+from slot_core.dynamixel.checks import write_zero
+from slot_core.dynamixel.emulator.emulated_bus import read_emulator
+from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
+from slot_core.dynamixel.emulator.pseudo_terminal import PseudoTerminal
+from slot_core.dynamixel.settings import read_settings
 from slot_core.messages import decode
-from slot_core.robot import LEGS, TENDON_JOINTS
+from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import Request, State
-from slot_msgs.msg import GaitPreview, RobotState, ServoHealth
+from slot_msgs.msg import (
+    GaitPreview,
+    MpcState,
+    RobotState,
+    ServoHealth,
+    TendonPlan,
+)
 
 NOW = 100.0  # s, on the terminal's clock
 
@@ -268,3 +296,244 @@ def test_without_a_graph_or_a_terminal_one_line_says_so(
             f"no {who} answers in {place} within 0.2 s: does scripts/run run?"
         )
     assert capsys.readouterr().err == f"scripts/operate: {message}\n"
+
+
+PATIENT = 0.1  # s, answer timeout on a busy machine
+
+
+@pytest.fixture
+def dynamixel_yaml(own_config):
+    """Path of dynamixel.yaml in a writable copy of the configuration."""
+    path = own_config / "dynamixel.yaml"
+    path.write_text(
+        path.read_text().replace("timeout: 0.008", f"timeout: {PATIENT}")
+    )
+    return path
+
+
+@pytest.fixture
+def legs(dynamixel_yaml):
+    return EmulatedDynamixels(
+        read_settings(), read_emulator(), (0.1, 0.0, 0.0, 0.0)
+    )
+
+
+@pytest.fixture
+def servos(legs):
+    with closing(PseudoTerminal(legs.bus)) as terminal:
+        yield lambda words: main(["--port", terminal.name, *words.split()])
+
+
+def test_scan_finds_every_servo_at_its_rate(servos, legs, capsys):
+    legs.bus.servos[1].memory["baud_rate"] = 1
+    assert servos("--baud 1000000 scan") == 0
+    found = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in found] == ["1000000"] * 3
+    assert [line.split()[3] for line in found] == ["2", "3", "5"]
+    assert servos("--baud 57600 scan") == 0
+    assert "id   4  model 1060  firmware 45" in capsys.readouterr().out
+    assert servos("--baud 115200 scan") == 1
+    assert servos("--baud 4500000 scan") == 1  # which the port does not support
+    none = "no servo answered: check power, cable and port\n"
+    assert capsys.readouterr().err == 2 * none
+    assert main(["--port", "/nowhere/x", "scan"]) == 1
+    assert capsys.readouterr().err.startswith("scripts/servos: /nowhere/x: ")
+
+
+def test_info_lists_differences_from_the_configuration_and_prepare_writes_them(
+    servos, legs, capsys
+):
+    assert servos("info") == 0
+    out = capsys.readouterr().out
+    assert "servo FL (id 5): model 1060, firmware 45" in out
+    assert (
+        "tendon 5.7 deg, 11.1 V, 25 degC, torque off, hardware errors: none"
+        in out
+    )
+    memory = legs.bus.servos[2].memory
+    memory["shutdown"], memory["operating_mode"], memory["torque_enable"] = (
+        52,
+        16,
+        1,
+    )
+    assert servos("info") == 1
+    assert (
+        "servo RL (id 2): shutdown is 52, expected 53"
+        in capsys.readouterr().out
+    )
+    assert servos("prepare") == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "servo RL (id 2): shutdown 52 -> 53",
+        "servo RL (id 2): operating_mode 16 -> 3",
+    ]
+    assert memory["torque_enable"] == 0
+    assert servos("info") == 0
+
+
+def test_assign_refuses_unless_one_servo_is_on_the_line(servos, legs, capsys):
+    assert servos("assign 9") == 1
+    assert "expected exactly one" in capsys.readouterr().err
+    for servo in legs.bus.servos[1:]:
+        servo.memory["baud_rate"] = 0
+    assert servos("assign 9 --to-baud 2000000") == 0
+    memory = legs.bus.servos[0].memory
+    assert (memory["id"], memory["baud_rate"]) == (9, 4)
+
+
+def test_zero_measures_the_present_angle_and_writes_it(
+    servos, legs, dynamixel_yaml, capsys
+):
+    comments = dynamixel_yaml.read_text().count("#")
+    assert servos("zero FL") == 0
+    assert read_settings().joints.zero_deg[0] == 130.0
+    assert servos("zero FL --write") == 0
+    # 0.1 rad of the tendon = 5.91 deg of the servo; the encoder rounds down to 0.088 deg.
+    assert read_settings().joints.zero_deg == (
+        pytest.approx(135.91, abs=0.09),
+        130,
+        130,
+        130,
+    )
+    assert dynamixel_yaml.read_text().count("#") == comments
+    assert servos("info") == 1  # the position limits depend on the zero
+    assert servos("prepare") == 0
+    assert servos("info") == 0
+
+
+@pytest.mark.parametrize(
+    ("key", "angle", "reason"),
+    [
+        ("zero_deg", 400.0, "zero_deg"),
+        ("zero_deg", 300.0, "not within one turn"),
+        ("zero", 100.0, "no line zero_deg"),
+    ],
+)
+def test_a_zero_that_cannot_be_written_changes_nothing(
+    dynamixel_yaml, key, angle, reason
+):
+    before = dynamixel_yaml.read_text().replace("zero_deg", key)
+    dynamixel_yaml.write_text(before)
+    with pytest.raises(ConfigError, match=reason):
+        write_zero("RR", angle)
+    assert dynamixel_yaml.read_text() == before
+
+
+def test_emulate_answers_at_its_link_until_interrupted(
+    tmp_path, dynamixel_yaml
+):
+    link = tmp_path / "servos"
+    words = ["-m", "slot_bringup.servos", "emulate", "--link", str(link)]
+    process = subprocess.Popen(
+        [sys.executable, *words], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout.readline().strip() == str(link)
+        assert main(["--port", str(link), "info"]) == 0
+    finally:
+        process.send_signal(signal.SIGINT)
+    assert process.wait(10) == 0
+    assert not link.exists()
+
+
+ROOT = Path(__file__).parents[2]
+SHARE = ROOT / "slot_bringup"
+URDF = ET.parse(SHARE / "urdf/slot.urdf").getroot()
+SIDES = "child", "parent"
+MESSAGES = {
+    "mpc_state": MpcState,
+    "tendon_plan": TendonPlan,
+    "desired_joint_angles": JointState,
+}
+ROBOT = read_robot()
+WRITTEN = {"rtol": 1e-5, "atol": 1e-9}  # the URDF is written with six digits
+
+
+TORSO = "link[@name='torso_link']"
+
+
+def tabled():
+    """Path of an element, its attribute, and the robot's number for it."""
+    for kind in ("visual", "collision"):
+        yield f"{TORSO}/{kind}/geometry/box", "size", ROBOT.torso.size
+    yield f"{TORSO}/inertial/mass", "value", ROBOT.torso.mass
+    for i, j in zip(*np.triu_indices(3)):
+        axes = "xyz"[i] + "xyz"[j]
+        yield f"{TORSO}/inertial/inertia", f"i{axes}", ROBOT.torso.inertia[i, j]
+    servo, volts = read_servo(), read_servo().nominal_voltage
+    for k, leg in enumerate(LEGS):
+        clamp = f"joint[@name='{leg}_clamp']/origin"
+        x, y, _ = ROBOT.outward[k]
+        yield clamp, "xyz", ROBOT.clamps[k]
+        yield clamp, "rpy", [0.0, 0.0, np.arctan2(y, x)]
+        limits = {
+            "lower": 0.0,
+            "upper": ROBOT.tendon.angle_max,
+            "effort": servo.tendon_stall(volts),
+            "velocity": servo.tendon_speed(volts),
+        }
+        for name, limit in limits.items():
+            yield f"joint[@name='{TENDON_JOINTS[k]}']/limit", name, limit
+        spool = f"link[@name='{leg}_spool_link']/visual/geometry/cylinder"
+        yield spool, "radius", ROBOT.tendon.spool_radius
+        yield spool, "length", ROBOT.leg.width
+
+
+@pytest.mark.parametrize(("path", "attribute", "expected"), [*tabled()])
+def test_a_number_is_that_of_the_robot(path, attribute, expected):
+    np.testing.assert_allclose(
+        numbers(URDF, path, attribute), expected, **WRITTEN
+    )
+
+
+def numbers(element, path, attribute):
+    return np.array(element.find(path).get(attribute).split(), dtype=float)
+
+
+def test_links_form_one_tree_rooted_in_the_base_frame():
+    links = [element.get("name") for element in URDF.iter("link")]
+    joints = URDF.findall("joint")
+    parents = {
+        j.find("child").get("link"): [j.find("parent").get("link")]
+        for j in joints
+    }
+    assert len(links) == len(set(links)) == 2 + 2 * len(LEGS)
+    assert sorted([BASE_FRAME, *parents]) == sorted(links)
+    order = graphlib.TopologicalSorter(parents).static_order()
+    assert next(order) == BASE_FRAME  # and there is no circle
+    assert [*URDF.find("link")] == []  # KDL accepts no inertia on the root link
+
+
+@pytest.mark.parametrize("leg", LEGS)
+def test_a_spool_turns_about_its_drum_at_the_clamp_of_its_leg(leg):
+    names = f"{leg}_clamp", f"{leg}_tendon"
+    clamp, tendon = (URDF.find(f"joint[@name='{name}']") for name in names)
+    assert (clamp.get("type"), tendon.get("type")) == ("fixed", "revolute")
+    ends = [j.find(end).get("link") for j in (clamp, tendon) for end in SIDES]
+    link, spool = f"leg_{leg}_link", f"{leg}_spool_link"
+    assert ends == [link, BASE_FRAME, spool, link]
+    assert tendon.find("origin") is None
+    # about fixed axes
+    rpy = numbers(URDF.find(f"link[@name='{spool}']"), "visual/origin", "rpy")
+    drum = Rotation.from_euler("xyz", rpy).apply([0, 0, 1])
+    np.testing.assert_allclose(
+        np.abs(drum @ numbers(tendon, "axis", "xyz")), 1.0
+    )
+
+
+def test_plots_name_fields_that_the_messages_have():
+    """Of Foxglove's layout."""
+    layout = json.loads((SHARE / "foxglove/slot.json").read_text())[
+        "configById"
+    ]
+    plots = [plot for name, plot in layout.items() if name.startswith("Plot!")]
+    values = [path["value"] for plot in plots for path in plot["paths"]]
+    assert len(values) == len(set(values)) == 11
+    for value in values:
+        topic, field, index = re.match(
+            r"/(\w+)\.(\w+)(?:\[(\d+)\])?", value
+        ).groups()
+        kind = MESSAGES[topic].get_fields_and_field_types()[field]
+        length = re.search(r"\[(\d*)\]|sequence", kind)
+        assert (index is None) == (length is None), value
+        if length and length[1]:
+            assert int(index) < int(length[1]), value

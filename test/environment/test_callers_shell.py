@@ -1,7 +1,16 @@
-"""Programs of scripts/ in a caller's folder and shell: neither changes what they do."""
+"""Programs of scripts/ in a caller's folder and shell: neither changes what they do.
+
+DDS stays on the loopback interface, checked in the system calls of two processes.
+"""
 
 import os
+import re
+import signal
 import subprocess
+from collections.abc import Iterator
+from contextlib import suppress
+from ipaddress import ip_address
+from pathlib import Path
 
 import pytest
 from real_graph import process_domain
@@ -127,3 +136,132 @@ def test_a_relative_path_is_not_looked_up_in_cdpath(tmp_path):
     assert environment(given={"CDPATH": str(tmp_path)})["SLOT_ROOT"] == str(
         ROOT
     )
+
+
+PEER = Path(__file__).with_name("loopback_peer.py")
+
+# Variables of a caller, each of which would let DDS use other interfaces or transports.
+HOSTILE = {
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
+    "ROS_STATIC_PEERS": "192.0.2.1",
+    "ROS_DISCOVERY_SERVER": "192.0.2.1:11811",
+    "ROS_LOCALHOST_ONLY": "0",
+    "RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp",
+    "FASTRTPS_DEFAULT_PROFILES_FILE": "/nowhere.xml",
+    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+    "ROS_SECURITY_ENABLE": "true",
+    "ROS_SECURITY_KEYSTORE": "/nowhere",
+}
+
+# strace -yy prints the socket in angle brackets, with the address that it is bound to.
+SENT = re.compile(r"^(?:sendto|sendmsg|sendmmsg|connect)\(.*")
+RECEIVED = re.compile(
+    r"^(?:recvfrom|recvmsg|recvmmsg|accept4?)\(\d+<(?:UDP|TCP)[^:]*:\[(\S+):\d+"
+)
+BOUND = re.compile(r"^bind\(.*")
+SHARED = re.compile(r'^openat\(.*"/dev/shm/([\w.]*fast\w*)"')  # of Fast DDS
+# bytes
+BUFFER = re.compile(
+    r"^setsockopt\(\d+<UDP\S+, SOL_SOCKET, SO_RCVBUF, \[(\d+)\]"
+)
+ADDRESS = re.compile(r'inet_addr\("([^"]+)"\)|inet_pton\(AF_INET6, "([^"]+)"')
+FAMILY = re.compile(r"sa_family=(\w+)")
+# the last two stay on the machine
+FAMILIES = {"AF_INET", "AF_INET6", "AF_UNIX", "AF_NETLINK"}
+
+
+def named_in(calls: re.Pattern[str], trace: str) -> Iterator[str]:
+    """Every address named in some calls of a trace, and every address family not in FAMILIES."""
+    for line in filter(calls.match, trace.splitlines()):
+        yield from (
+            family for family in FAMILY.findall(line) if family not in FAMILIES
+        )
+        yield from (four or six for four, six in ADDRESS.findall(line))
+
+
+@pytest.fixture(scope="module")
+def trace(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """System calls (all threads) of two processes that exchange question and answer.
+
+    Those of the network, and those that open a file, as shared memory is.
+    """
+    folder = tmp_path_factory.mktemp("trace")
+    variables = environment() | {"ROS_DOMAIN_ID": process_domain()}
+
+    def start(role: str) -> subprocess.Popen[str]:
+        tracer = ["strace", "-ff", "-yy", "-e", "trace=network,openat", "-o"]
+        return subprocess.Popen(
+            [*tracer, str(folder / role), "python", str(PEER), role],
+            env=variables,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    answer, ask = start("answer"), start("ask")
+    try:
+        assert ask.communicate()[0] == "yes\n"
+    finally:
+        for process in (ask, answer):
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGTERM)  # strace and the process
+            process.wait()
+    return "".join(path.read_text() for path in folder.iterdir())
+
+
+def test_two_communicating_processes_send_receive_and_bind_on_the_loopback_only(
+    trace,
+):
+    sent, bound = (list(named_in(calls, trace)) for calls in (SENT, BOUND))
+    received = [
+        m[1].strip("[]") for m in map(RECEIVED.match, trace.splitlines()) if m
+    ]
+    # they did use the network
+    assert any(address.startswith("127.") for address in sent)
+    assert bound
+    assert received
+    for address in sent + bound + received:  # a family that is none raises
+        assert ip_address(address).is_loopback
+
+
+def test_two_communicating_processes_share_no_memory_and_have_large_buffers(
+    trace,
+):
+    """With shared memory a process that joins lets others sleep for 333 ms, and one that is killed
+    leaves its segments behind. The default buffer of 200 kB lost messages within 40 ms while a
+    process waited for a processor, on a topic with a history of one for good.
+    """
+    assert SHARED.match(
+        'openat(AT_FDCWD, "/dev/shm/fastrtps_008e51d8", O_RDWR) = 9'
+    )
+    lines = trace.splitlines()
+    assert any(line.startswith("openat(") for line in lines)
+    assert not any(map(SHARED.match, lines))
+    sizes = [int(match[1]) for match in map(BUFFER.match, lines) if match]
+    assert max(sizes) >= 4 << 20  # the kernel grants net.core.rmem_max
+
+
+@pytest.mark.parametrize("network", ["0", "yes"])
+def test_the_environment_keeps_dds_on_the_loopback_whatever_the_caller_has_set(
+    network,
+):
+    variables = environment(given=HOSTILE | {"SLOT_NETWORK": network})
+    profile = ROOT / "slot_bringup/dds/loopback_only.xml"
+    assert profile.exists()
+    assert {
+        name: variables[name] for name in HOSTILE.keys() & variables.keys()
+    } == {
+        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(profile),
+    }
+
+
+def test_slot_network_leaves_the_callers_dds_variables_as_they_are():
+    """Also after an earlier sourcing, which has set those of the loopback."""
+    network = {"SLOT_NETWORK": "1"}
+    variables = environment(given=HOSTILE | network)
+    assert variables | HOSTILE == variables
+    again = environment(given=environment() | network)
+    names = {"ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"}
+    assert names.isdisjoint(again)

@@ -1,16 +1,38 @@
-"""Metrics of synthetic walks against closed forms."""
+"""Metrics of synthetic walks against closed forms.
+
+The Dynamic Constraint Map of synthetic bags, and of one with older messages.
+
+Plots of a walk: the data in each panel, the size of the files, and that they are not blank.
+"""
 
 import math
 from dataclasses import replace
 
+import matplotlib.image
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.spatial.transform import Rotation
-from synthetic_walk import RATE, STRIDE, Walk, write_walk
+from synthetic_walk import (
+    RATE,
+    STRIDE,
+    WALL,
+    Walk,
+    angles,
+    message,
+    normal_forces,
+    write_messages,
+    write_old,
+    write_walk,
+)
 
 from slot_core.dynamics.servo import read_servo
+from slot_core.robot import LEGS
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import Ticks, TorsoTrack, stride_mean
+from slot_lab.bags.topics import PLANS
+from slot_lab.report import constraint_map, plots, robot_drawing
+from slot_lab.report.map_command import main
 from slot_lab.report.metrics import walk_metrics
 
 COURSE = 0.01  # rad
@@ -215,3 +237,144 @@ def test_stages_that_publish_after_the_command_have_no_latency_but_the_whole_has
     np.testing.assert_allclose(ticks.latency[0], [0.1, 0.2, 0.3, 0.4])
     assert np.isnan(ticks.latency[1]).all()
     np.testing.assert_allclose(ticks.end_to_end, [1.0, 0.5])
+
+
+def write_cycles(path, cycles):
+    """A bag of cycles given by their fields, 30 a second."""
+    plans = [
+        message(PLANS, 10.0 + k / 30, **each) for k, each in enumerate(cycles)
+    ]
+    return write_messages(
+        path, [(WALL + k, PLANS, p) for k, p in enumerate(plans)]
+    )
+
+
+def cycle(friction=1.0, status=0, balance=np.inf):
+    return {
+        "slack_normal_min": np.full(4, 5.0),
+        "slack_normal_max": np.full(4, 7.0),
+        "slack_friction": np.array([1.0, 1.0, friction, 1.0]),
+        "slack_angle": np.full(4, 0.5),
+        "slack_rate": np.full(4, 40.0),
+        "slack_total": 28.0,
+        "slack_balance": balance,
+        "status": status,
+    }
+
+
+@pytest.fixture
+def slipping(tmp_path):
+    """Sixty cycles; the rear left leg slips in three of them, of which two are not solved."""
+    cycles = [cycle() for _ in range(60)]
+    cycles[20] = cycle(friction=-0.25)
+    cycles[21] = cycle(friction=-0.9e-4, status=1)
+    cycles[22] = cycle(friction=-0.125, status=4)
+    return write_cycles(tmp_path / "slipping", cycles)
+
+
+def test_every_constraint_has_a_row_of_slack(slipping):
+    found = constraint_map.read_map(Bag(slipping))
+    assert len(found.constraints) == 4 * 5 + 2
+    slack = dict(zip(found.constraints, found.slack))
+    assert slack["RL friction"][20:23] == pytest.approx(
+        [-0.25, -0.9e-4, -0.125]
+    )
+    assert slack["FR largest normal"] == pytest.approx(np.full(60, 7.0))
+    assert slack["total support"] == pytest.approx(np.full(60, 28.0))
+    # A violation is slack below the solver's tolerance, 1e-4.
+    assert found.violated.sum(axis=0)[20:23].tolist() == [1, 0, 1]
+
+
+def test_a_single_violated_cycle_shows_in_a_long_walk(tmp_path, monkeypatch):
+    """Cycles that share a column of the plot show the least slack among them."""
+    monkeypatch.setattr(constraint_map, "CAPACITY", 10)
+    cycles = [cycle(friction=-0.5 if k == 33 else 1.0) for k in range(95)]
+    found = constraint_map.read_map(
+        Bag(write_cycles(tmp_path / "long", cycles))
+    )
+    shown = constraint_map.map_figure(found).axes[0].collections[0].get_array()
+    assert shown.shape == (21, 10)
+    assert (shown < 0).sum() == 1
+
+
+def test_fields_missing_from_older_messages_are_listed_and_left_out(tmp_path):
+    plan = message(PLANS, 1.0, **cycle())
+    found = constraint_map.read_map(
+        Bag(write_old(tmp_path / "older", PLANS, plan, "slack_balance"))
+    )
+    assert "slack_balance" in found.missing
+    assert not any("balance" in name for name in found.constraints)
+
+
+def test_the_command_draws_a_bag_and_its_exit_code_reports_violations(
+    tmp_path, slipping, capsys
+):
+    clean = write_cycles(
+        tmp_path / "clean", [cycle(status=int(k == 5)) for k in range(30)]
+    )
+    assert main([str(clean), "--out", str(tmp_path / "map.png")]) == 0
+    assert "NOT_SOLVED 1" in capsys.readouterr().out
+    assert (tmp_path / "map.png").exists()
+    assert main([str(slipping)]) == 1
+    assert (tmp_path / "slipping_constraints.png").exists()
+    assert "-0.2500 N" in capsys.readouterr().out
+    assert main([str(tmp_path / "nothing")]) == 2
+
+
+PLOTTED = Walk(duration=5.0, course=0.02, roll=0.1, bounce=0.004, late=(50,))
+
+# of stamps and doubles; the plotted values are of order 1 to 100
+CLOSE = 1e-6
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return Bag(write_walk(tmp_path_factory.mktemp("bags") / "walk", PLOTTED))
+
+
+@pytest.fixture(scope="module")
+def metrics(bag):
+    return walk_metrics(bag, WARM_UP, read_servo())
+
+
+def line(ax, label):
+    (found,) = [drawn for drawn in ax.lines if drawn.get_label() == label]
+    return found.get_xdata(), found.get_ydata()
+
+
+def test_the_panels_show_the_motion_in_their_units_and_each_leg_in_its_own(
+    bag, metrics
+):
+    figure = plots.dashboard_figure(bag, metrics)
+    axes = {ax.get_label(): ax for sub in figure.subfigs for ax in sub.axes}
+    x, y = line(axes["path"], "torso")
+    assert np.allclose(y, np.tan(0.02) * x, atol=CLOSE)
+    t, z = axes["height"].lines[0].get_data()  # mm
+    assert np.allclose(
+        z, 60 + 4 * np.sin(2 * np.pi * t / STRIDE), atol=CLOSE * 1e3
+    )
+    t, roll = line(axes["tilt"], "roll")  # deg
+    turn = np.degrees(0.1) * np.sin(2 * np.pi * t / STRIDE)
+    assert np.allclose(roll, turn, atol=1e-4)
+    for i, leg in enumerate(LEGS):
+        t, desired = line(axes[f"angle {leg}"], "desired")
+        assert np.allclose(
+            desired, [np.degrees(angles(s))[i] for s in t], atol=1e-4
+        )
+        t, true = line(axes[f"force {leg}"], "true")
+        expected = [1.05 * normal_forces(s - 0.03)[i] for s in t]
+        assert np.allclose(true, expected, atol=CLOSE * 10)
+
+
+def test_plots_are_not_empty_and_an_animation_ends_with_the_walk(
+    bag, metrics, tmp_path, monkeypatch
+):
+    plots.dashboard(bag, metrics, tmp_path / "new" / "walk.png")
+    pixels = matplotlib.image.imread(tmp_path / "new" / "walk.png")[..., :3]
+    assert 0.03 < float((pixels.min(axis=2) < 0.9).mean()) < 0.6
+    times = robot_drawing.frame_times(bag)
+    assert times[-1] == pytest.approx(PLOTTED.start + PLOTTED.duration)
+    monkeypatch.setattr(robot_drawing, "frame_times", lambda bag: times[:3])
+    robot_drawing.animate(bag, tmp_path / "walk.gif")
+    with Image.open(tmp_path / "walk.gif") as plot:
+        assert (plot.n_frames, plot.info["loop"]) == (3, 0)
