@@ -87,6 +87,9 @@ class ObserverSettings:
         0.1,
         1e3,
     )
+    misfit_after: float = quantity(
+        "time of a walk after which the misfit is judged", "s", 0, 100
+    )
     friction: float = quantity(
         "friction coefficient of a floor that grips", "", 0.01, 2
     )
