@@ -253,7 +253,6 @@ BUDGET = {
     "scripts": 4_690,
     "test": 16_140,
 }
-ALL = 48_200
 
 
 def statements(path: Path) -> int:
@@ -276,7 +275,8 @@ def test_each_package_keeps_its_budget_of_statements():
     assert not beyond, (
         f"beyond BUDGET: {beyond}; all: {counts}; largest: {named}"
     )
-    assert sum(counts.values()) <= ALL, f"beyond {ALL}: {counts}; {named}"
+    # the budget of all is less than the sum of its parts
+    assert sum(counts.values()) <= 48_200, f"beyond: {counts}; {named}"
     assert sum(counts.values()) == sum(sizes.values()), (
         "a file outside of BUDGET"
     )
