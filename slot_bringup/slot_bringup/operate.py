@@ -210,7 +210,7 @@ class Operator:
         self.view.answer = f"{request} ..."
 
         def show(answer: Future) -> None:
-            self.view.answer = answer.result().message or f"{request}: granted"
+            self.view.answer = answer_text(request, answer.result().message)
 
         client.call_async(Trigger.Request()).add_done_callback(show)
 
@@ -258,6 +258,11 @@ class Operator:
 
     def _publish_estop(self) -> None:
         self._estop_topic.publish(self._estop)
+
+
+def answer_text(action: str, message: str) -> str:
+    """Text shown for the answer to an action."""
+    return message or f"{action}: granted"
 
 
 @contextmanager
@@ -337,7 +342,5 @@ def act(options: argparse.Namespace, program: str) -> int:
         success, message = call(service(options), options.namespace)
         if not success:
             raise OperateError(message)
-        return (
-            0 if show(program, [message or f"{options.action}: granted"]) else 2
-        )
+        return 0 if show(program, [answer_text(options.action, message)]) else 2
     return 0

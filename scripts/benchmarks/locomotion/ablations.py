@@ -100,8 +100,15 @@ def measured(
             / len(SEEDS)
             for kind, changes in (("with", ()), ("without", without))
         }
-        labels = {"kind": "ablation", "part": part, "row": row.name}
-        found.append({**labels, "unit": row.unit, **means})
+        found.append(
+            {
+                "kind": "ablation",
+                "part": part,
+                "row": row.name,
+                "unit": row.unit,
+                **means,
+            }
+        )
     return found
 
 

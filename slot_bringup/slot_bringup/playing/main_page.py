@@ -168,11 +168,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(arguments)
     try:
         require_viser()
+        play = _play_graph if options.graph else _play_robot
         with on_interrupt(signal.default_int_handler):
-            if options.graph:
-                _play_graph(options)
-            else:
-                _play_robot(options)
+            play(options)
     except ConfigError as error:
         refuse(PROGRAM, error)
         return 2

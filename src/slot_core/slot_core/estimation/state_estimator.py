@@ -366,15 +366,18 @@ class StateEstimator:
             or q is None
             or v is None
             or w is None
-            or abs(norm(q) - 1.0) > limits.quaternion_tolerance
+            or abs((length := norm(q)) - 1.0) > limits.quaternion_tolerance
         ):
             return None
-        given = np.asarray(variance, dtype=np.float64)
-        if given.shape != self._variance.shape:
-            given = self._variance
-        known = np.where(given > 0.0, given, self._variance)  # NaN is not
+        nominal = self._variance
+        given = np.asarray(
+            nominal if variance is None else variance, dtype=np.float64
+        )
+        if given.shape != nominal.shape:
+            given = nominal
+        known = np.where(given > 0.0, given, nominal)  # NaN is not
         known = np.clip(known, VARIANCE_MIN, VARIANCE_MAX)
-        return OdometryMotion(stamp, q / norm(q), p, v, w, known)
+        return OdometryMotion(stamp, q / length, p, v, w, known)
 
     def _advances(self, stream: str, stamp: int) -> bool:
         """Whether `stamp` is the newest of its stream; a clock set back resets the estimator.

@@ -25,14 +25,12 @@ This is the real-time iteration of Diehl, Bock and Schloeder (SIAM J. Control Op
 step a tick, from the last plan, shifted.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from slot_core.arrays import Array, checked
-from slot_core.elementary import cos, sin
-from slot_core.geometry import rotate
+from slot_core.geometry import rotate, wrapped
 from slot_core.matrices import interpolated, inverse, norm, product
 from slot_core.robot import LEGS
 from slot_core.rollout_mpc.active_set import ActiveSet
@@ -145,13 +143,9 @@ class PlanProblem:
         """Weighted errors (P, 6 K) of poses (P, K, 6), x and y along and across the heading."""
         reference = checked("reference", reference, (-1, 6), finite=False)
         pose = checked("pose", pose, (-1, *reference.shape), finite=False)
-        error, (c, s) = pose - reference, (cos(yaw), sin(yaw))
-        turn = error[..., 2] + math.pi
-        turn -= 2.0 * math.pi * np.floor(turn / (2.0 * math.pi)) + math.pi
-        x, y = error[..., 3], error[..., 4]
-        error[..., 2:5] = np.stack(
-            [turn, c * x + s * y, c * y - s * x], axis=-1
-        )
+        error = pose - reference
+        error[..., 2] = wrapped(error[..., 2])
+        error[..., 3:5] = rotate(error[..., 3:5], -yaw)
         return (error * self._weight).reshape(len(pose), -1)
 
     def cost(self, error: Array, deviation: Array) -> float:

@@ -277,12 +277,9 @@ class Conditions:
 
     def _servos(self, time: int) -> Iterator[Finding]:
         limit = self._settings.timing.servo_silent
-        health = self._health
         errors = [
             f"servo {leg}: {hardware_errors(bits)} error, register 70 = 0x{bits:02x}, limit 0"
-            for leg, bits in zip(
-                LEGS, health.hardware_error.tolist() if health else ()
-            )
+            for leg, bits in zip(LEGS, self._health.hardware_error.tolist())
             if bits
         ]
         if errors:

@@ -363,9 +363,11 @@ class Supervisor:
             found[Condition.TENDON_DAMAGED] = self._tendons.message
         found |= self._motion.findings
         change = self._settings.timing.torque_change * SECOND
-        is_due = time - self._ready_since > change
-        reason = self._inputs.release_reason()  # of servos without torque
-        if reason and is_due and self._state in UNDER_TORQUE:
+        if (
+            self._state in UNDER_TORQUE
+            and time - self._ready_since > change
+            and (reason := self._inputs.release_reason())  # without torque
+        ):
             found.setdefault(Condition.SERVO_FAULT, reason)
         if self._state is State.HOLD:
             self._end_hold(time, found)

@@ -39,6 +39,7 @@ from slot_core.recording.origin import ORIGIN, Origin
 from slot_core.recording.record_settings import (
     BagError,
     NoFieldError,
+    RecordedTopic,
     read_record_settings,
     root_of,
 )
@@ -190,11 +191,15 @@ class Bag:
         for topic, time, data in self.raw(*topics):
             yield topic, time, self.decode(topic, data)
 
+    @functools.cached_property
+    def _known_topics(self) -> Mapping[str, RecordedTopic]:
+        """The topics of the graph."""
+        return read_record_settings().topics
+
     def require_types(self, *topics: str) -> None:
         """Raise BagError for a topic of the graph whose messages have another type in the bag."""
-        known_topics = read_record_settings().topics
         for topic in topics:
-            known, kind = known_topics.get(topic), self.topics.get(topic)
+            known, kind = self._known_topics.get(topic), self.topics.get(topic)
             if known is not None and kind not in (None, known.type):
                 raise BagError(
                     f"{self.path}: {topic} holds {kind}, not {known.type}"

@@ -74,8 +74,8 @@ class RecordedStages:
         self.own_policy = own_policy
         self.bag, self.origin, self.robot = bag, bag.origin, read_robot()
         # messages in their order, by topic and stamp (ns)
-        self.sensors: defaultdict[tuple[str, int], deque[Any]] = defaultdict(
-            deque
+        self.sensors: defaultdict[tuple[str, int], list[Any]] = defaultdict(
+            list
         )
         self.messages: dict[str, list[Any]] = {topic: [] for topic in OUTPUTS}
         self.records: dict[str, list[Any]] = {
@@ -243,6 +243,7 @@ def estimates(recorded: RecordedStages) -> Replayed:
     if source := recorded.origin.about.get("odometry"):
         settings = config.replace(settings, {"odometry.source": source})
     found = Replayed()
+    readings = {key: deque(rest) for key, rest in recorded.sensors.items()}
     make = partial(make_estimator, settings, recorded.robot, read_springs())
     estimator: StateEstimator | None = None
     known: list[tuple[int, int]] = []  # stamps of the outputs: after, up to
@@ -259,7 +260,7 @@ def estimates(recorded: RecordedStages) -> Replayed:
                 not _take_next(
                     estimator,
                     SENSORS[kind],
-                    recorded.sensors[SENSORS[kind], int(stamp)],
+                    readings.get((SENSORS[kind], int(stamp)), deque()),
                 )
                 and estimator is not None
             ):
