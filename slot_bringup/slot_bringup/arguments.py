@@ -281,7 +281,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
         type=time,
         default=20.0,
         metavar="S",
-        help="length of the run on the robot's clock, s (default: 20)",
+        help="length of the run on the robot's clock, from when it may first follow commands, s (default: 20)",
     )
     add(
         "--view",
