@@ -5,7 +5,8 @@ heading frame and without the gait's own sway, the amplitudes belong to the velo
 
     V_k + clip(gain e, +-change_max),
 
-so that the angles differ from the gait's by the difference of its tables.
+so that the angles differ from the gait's by the difference of its tables. A turn in place stays one,
+of at most amplitude one.
 """
 
 from dataclasses import dataclass
@@ -69,5 +70,11 @@ class PlaceFeedback(Policy):
         )
         most = np.array(self._settings.change_max)
         change = np.clip(np.array(self._settings.gain) * error, -most, most)
-        turned = stride.stride_table(phase, preview.velocity_ahead + change)
+        velocity = preview.velocity_ahead + change
+        if preview.in_place:
+            # a walk would turn by its steering alone; a larger turn lies on its belly
+            velocity = np.clip(
+                velocity, (0, 0, -stride.turn.speed), (0, 0, stride.turn.speed)
+            )
+        turned = stride.stride_table(phase, velocity)
         return gait_plan(preview, turned[:, :4] - table[:, :4])

@@ -495,6 +495,11 @@ class GaitPreview:
     leg_stiffness: float = 1.0  # ratio kappa of the legs (`leg_table.py`)
 
     @property
+    def in_place(self) -> bool:
+        """Whether the robot is to turn without moving."""
+        return (self.velocity_ahead[0] != 0.0).tolist() == [False, False, True]
+
+    @property
     def phases(self) -> Array:
         """(n,) of the stages, in [0, 1)."""
         ahead = self.dt * np.arange(len(self.tendon_angle)) / self.period

@@ -6,6 +6,10 @@ plan on by a stage, lets the nominal robot execute the command, linearises its m
 corrects the disturbances. Where `prepare` has not been called, `step` calls it: the commands are
 the same.
 
+A turn in place lies on its belly for a part of the stride, which the nominal robot does not know. On a
+level floor its plan is therefore that of `place`, with the wrench carried: the gait's angles, with
+the amplitude from the error of the yaw. The observer keeps its disturbances meanwhile.
+
 While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
 is tried first whether the next one could be solved. A cycle without a new plan moves the last one on and
 lets its deviations from the gait decay; after `limits.cycles` such cycles in a row the status is
@@ -26,6 +30,7 @@ from slot_core.control.input_check import (
     state_fault,
     time_fault,
 )
+from slot_core.control.place_feedback import PlaceFeedback
 from slot_core.control.policy import (
     PlanReport,
     Policy,
@@ -51,6 +56,7 @@ from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
 LEAST_SPEED = 0.01  # m/s, of a walk
+LEVEL = 0.35  # m/s^2, gravity along a floor of 2 deg
 # m, rad beyond the nominal robot's motion: the odometry has jumped
 JUMP, TURN = 0.05, 0.2
 
@@ -80,6 +86,7 @@ class RolloutMpc(Policy):
         "_next",
         "_state",
         "_walks",
+        "_turns",
         "_stiffness",
         "_missed",
         "_disturbances",
@@ -92,6 +99,9 @@ class RolloutMpc(Policy):
         """Take the nominal robot; raises ConfigError if the leg table does not cover it."""
         self._robot, self._settings, self._timer = robot, settings, timer
         self._springs = read_springs()
+        self._place = PlaceFeedback(
+            robot, PlaceFeedback.read_settings("place"), timer
+        )
         x, y, _ = robot.feet.T
         balance = np.array([np.ones(len(LEGS)), y, -x])  # B
         # (4, 3) least forces of the legs for a wrench, B^T (B B^T)^-1
@@ -130,6 +140,7 @@ class RolloutMpc(Policy):
         # (12,) that the plan is for; None after a fallback
         self._state: Array | None = None
         self._walks = False  # whether that is with a velocity
+        self._turns = False  # whether it is a turn in place on a level floor
         self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
         self._missed = 0  # consecutive cycles without a new plan
         self._note_disturbances()
@@ -157,6 +168,11 @@ class RolloutMpc(Policy):
         self._take_stiffness(preview.leg_stiffness)
         if self._settings.nominal.slope:
             self._model.gravity = estimate.gravity
+        self._turns = preview.in_place and norm(self._model.gravity[:2]) < LEVEL
+        if self._turns:
+            preview = replace(
+                preview, tendon_angle=self._place.step(estimate, preview).angle
+            )
         ready = self._ready(estimate.time, state, preview)
         plan, rollout, fault = self._improved(ready, state, preview)
         cause = Status.NOT_SOLVED if fault else Status.LATE
@@ -209,7 +225,9 @@ class RolloutMpc(Policy):
         self._stiffness = self._stiffness_of(
             self._next.nominal[1:-1], plan.motion.pose
         )
-        if self._state is not None:
+        if self._turns:
+            self.observer.forget()
+        elif self._state is not None:
             self.observer.observe(
                 plan.start, self._state, self._angles(plan)[0], self._walks
             )
@@ -317,6 +335,15 @@ class RolloutMpc(Policy):
         error = problem.errors(before.pose, wanted, yaw)[0]
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
+        if self._turns:
+            return (
+                replace(
+                    plan,
+                    deviation=self._settings.limits.decay * plan.deviation,
+                ),
+                before,
+                "",
+            )
         assert plan.linear is not None
         change = problem.change(
             error, plan.linear, plan.deviation, plan.nominal[:-1]
