@@ -180,7 +180,9 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as scratch:
             bag = record(name, CASES[name], Path(scratch))
             if CASES[name].velocity and "/cmd_vel" not in Bag(bag).topics:
-                sys.exit(f"{name}: the graph did not hear /cmd_vel: record it again")
+                sys.exit(
+                    f"{name}: the graph did not hear /cmd_vel: record it again"
+                )
             if (BAGS / name).exists():
                 compare.main([str(BAGS / name), str(bag), "--warm-up", "0"])
                 shutil.rmtree(BAGS / name)
