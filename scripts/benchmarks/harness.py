@@ -146,6 +146,51 @@ def in_processes(
             yield result
 
 
+def resumed(
+    call: Callable[[S], tuple[S, T]],
+    jobs: Sequence[S],
+    path: Path,
+    progress: Progress,
+    read: Callable[[Any], T],
+) -> dict[S, T]:
+    """Results of all jobs; `call` returns a job and its result.
+
+    Those that an interrupted benchmark has left in the file are taken, if the revision is the same
+    and committed; `read` makes a result from its JSON.
+    """
+    now = revision(ROOT)
+    lines = path.read_text().splitlines(True) if path.exists() else []
+    before = {
+        job: result
+        for job, made_at, result in map(
+            json.loads, (line for line in lines if line.endswith("\n"))
+        )
+        if made_at == now and not now["dirty"]
+    }
+    found = {
+        job: read(before[repr(job)]) for job in jobs if repr(job) in before
+    }
+    with path.open("w") as file:
+        file.writelines(
+            f"{json.dumps([job, now, before[job]])}\n" for job in before
+        )
+        for job, result in in_processes(
+            call, [job for job in jobs if job not in found], progress
+        ):
+            found[job] = result
+            print(
+                json.dumps(
+                    [repr(job), now, result],
+                    default=lambda x: (
+                        vars(x) if dataclasses.is_dataclass(x) else x.tolist()
+                    ),
+                ),
+                file=file,
+                flush=True,
+            )
+    return found
+
+
 def mark_front(
     rows: Sequence[dict[str, Any]], cost: str, error: Callable[[Row], float]
 ) -> None:

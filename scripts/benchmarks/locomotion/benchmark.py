@@ -6,7 +6,7 @@ alone; the default, `rollout_mpc`; the paper's problem and map as printed, and a
 scripts, these in the first case of a row. With --quick there are two columns and fewer rows. The
 default must reach the goal of the row, and where the gait alone does not, be better by the row's
 `share`, so that a controller without effect fails. Apart from the table stand the margins of the
-walk (margins.py).
+walk (margins.py). An interrupted benchmark goes on where it ended.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ from benchmarks.harness import (
     Row,
     at_least,
     at_most,
-    in_processes,
+    resumed,
 )
 from benchmarks.locomotion import ablations, cases, margins, plots
 from benchmarks.locomotion.cases import (
@@ -63,7 +63,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         dict.fromkeys([*jobs, *walks, *parts]),
         key=lambda job: -job[0].duration,
     )
-    motions = dict(in_processes(cases.run_job, every, progress))
+    motions = resumed(
+        cases.run_job, every, out / "runs.jsonl", progress, cases.read_motion
+    )
     table = measured(wanted, motions, seeds)
     found = [
         margins.row(case, motions[case, column, seed])

@@ -134,6 +134,12 @@ def run_job(job: Job) -> tuple[Job, WalkMotion]:
     return job, run_case(*job)
 
 
+def read_motion(fields: Mapping[str, Any]) -> WalkMotion:
+    """A motion whose arrays are lists."""
+    arrays = {name: np.array(fields[name]) for name in COURSES}
+    return WalkMotion(**(dict(fields) | arrays))
+
+
 def run_case(case: Case, column: str, seed: int) -> WalkMotion:
     """Run a case with the controller of a column."""
     path = Route(np.array(case.path), case.heading) if case.path else None

@@ -6,8 +6,6 @@ cause; what of it a set is allowed is a check. Runs that an interrupted benchmar
 `runs.jsonl` are kept if the revision is the same and committed.
 """
 
-import itertools
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,15 +14,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import (
-    ROOT,
     Check,
     Outcome,
     Progress,
     Row,
-    as_json,
     at_least,
-    in_processes,
-    revision,
+    resumed,
 )
 from benchmarks.world.field_loop import DURATION, GAITS, run_set
 from benchmarks.world.plots import draw
@@ -73,31 +68,10 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         for gait in gaits
         for seed in seeds
     ]
-    found = run_all(jobs, out / "runs.jsonl", progress)
+    found = resumed(run_job, jobs, out / "runs.jsonl", progress, dict)
     rows = judged([found[job] for job in jobs])
     draw(rows, out / "world.png")
     return rows, checks(rows)
-
-
-def run_all(
-    jobs: Sequence[Job], path: Path, progress: Progress
-) -> dict[Job, dict[str, Any]]:
-    """Rows of all jobs: those in the file, if they are of this revision, and the others."""
-    now = revision(ROOT)
-    lines = path.read_text().splitlines() if path.exists() else []
-    found = {
-        tuple(job): row
-        for job, made_at, row in map(json.loads, lines)
-        if made_at == now and not now["dirty"]
-    }
-    left = [job for job in jobs if job not in found]
-    with path.open("w") as file:
-        for job, row in itertools.chain(
-            list(found.items()), in_processes(run_job, left, progress)
-        ):
-            found[job] = row
-            print(json.dumps(as_json([job, now, row])), file=file, flush=True)
-    return found
 
 
 def run_job(job: Job) -> tuple[Job, dict[str, Any]]:
