@@ -23,11 +23,19 @@ STRIDE = read_gaits().strides["walk"].period
 HEIGHTS = np.full(4, HEIGHT)
 
 
-def feed(watch, seconds, slack=(0.0, 0.0, 0.0, 0.0), *, start=0, stiffness=1):
+def feed(
+    watch,
+    seconds,
+    slack=(0.0, 0.0, 0.0, 0.0),
+    *,
+    start=0,
+    stiffness=1,
+    swing=0.4,
+):
     """Feed a stride's readings, each leg with its slack (m); returns the last time and state."""
     for stamp in range(start + TICK, start + round(seconds * 1e9) + 1, TICK):
         phase = stamp * 1e-9 / STRIDE * math.tau
-        angle = 1.2 + 0.4 * np.sin(phase + np.arange(4))
+        angle = 1.2 + swing * np.sin(phase + np.arange(4))
         torque, _ = LOAD(angle - np.array(slack) / RADIUS, HEIGHTS)
         torque *= stiffness
         state = watch.observe(stamp, angle, torque, HEIGHTS, STRIDE)
@@ -96,6 +104,17 @@ def test_slack_behind_with_as_much_less_in_front_is_a_shifted_load_up_to_the_lim
     for behind, damaged in ((0.0015, False), (0.0045, True)):
         _, state = feed(watch(), 2.0, [-0.0015, -0.0015, behind, behind])
         assert state.damaged.tolist() == [False, False, damaged, damaged]
+
+
+@pytest.mark.parametrize(
+    ("swing", "slack", "damaged"),
+    [(0.0, 0.0035, False), (0.4, 0.0035, True), (0.0, 0.006, True)],
+)
+def test_in_a_posture_diagonals_apart_are_friction_of_the_guides_up_to_the_limit(
+    swing, slack, damaged
+):
+    _, state = feed(watch(), 2.0, [0, slack, slack, 0], swing=swing)
+    assert state.damaged.tolist() == [False, damaged, damaged, False]
 
 
 def test_a_moment_of_slack_raises_no_alarm_and_the_same_slack_for_longer_does():

@@ -43,16 +43,16 @@ QUICK = (
     "friction 0.8",
 )
 LIMITS = {
-    "mean": (0.1, 2e-4),
+    "speed": (0.1, 2e-4),
     "aside": (0.1, 15.0),
     "heading": (0.1, 3.0),
     "tilt": (0.1, 2.5),
     "height": (0.0, 5.0),
     "stand": (0.0, 3.0),
 }
-"""Share of the reference's value, and more in m/s, mm, deg, deg, mm, that a run may be worse by.
+"""Share of the reference's value, and more in m/s, mm, deg, deg, mm, by which a set may be worse.
 
-`mean` is the speed, mean over the seeds: that of one walk of 10 s uphill scatters by 3 %.
+Both are means over the seeds: the speed of one walk of 10 s uphill scatters by 3 %.
 """
 Job = tuple[str, str, int, float, str]  # set, gait, seed, duration, solver
 
@@ -83,38 +83,33 @@ def run_job(job: Job) -> tuple[Job, dict[str, Any]]:
 
 
 def judged(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Rows with the ratio of their mean speed to the reference's, their verdict, and its line."""
+    """Rows with the ratio of the set's speed to the reference's, verdict and its line."""
     every, found = sets(), []
-    rows = [
-        {
-            **row,
-            "mean": float(
+    means = {
+        (name, gait): {
+            measure: float(
                 np.mean(
                     [
-                        other["speed"]
-                        for other in rows
-                        if other["set"] == row["set"]
-                        and other["gait"] == row["gait"]
+                        row[measure]
+                        for row in rows
+                        if (row["set"], row["gait"]) == (name, gait)
                     ]
                 )
-            ),
+            )
+            for measure in ("speed", "aside", "heading", "tilt", "height")
         }
-        for row in rows
-    ]
-    references = {
-        (row["gait"], row["seed"]): row
-        for row in rows
-        if row["set"] == REFERENCE
+        for name, gait in {(row["set"], row["gait"]) for row in rows}
     }
     for row in rows:
-        one, reference = every[row["set"]], references[row["gait"], row["seed"]]
+        one, gait = every[row["set"]], row["gait"]
+        mean, reference = means[one.name, gait], means[REFERENCE, gait]
         causes = [x for x in row["lines"] if re.search(one.cause, x, re.I)]
-        worse = worse_in(row, reference)
+        worse = worse_in(gait, mean, reference)
         verdict = verdict_of(row, bool(worse), bool(causes))
         found.append(
             {
                 **row,
-                "ratio": row["mean"] / reference["mean"],
+                "ratio": mean["speed"] / reference["speed"],
                 "worse": " ".join(worse),
                 "verdict": verdict,
                 "allowed": verdict in one.allowed,
@@ -124,11 +119,11 @@ def judged(rows: Sequence[Row]) -> list[dict[str, Any]]:
     return found
 
 
-def worse_in(row: Row, reference: Row) -> list[str]:
-    """Names of what is worse in a run than in its reference."""
-    off = {name: row[name] - reference[name] for name in LIMITS if name in row}
-    limits = LIMITS | {"height": LIMITS.get(row["gait"], LIMITS["height"])}
-    for name in ("mean", "height"):
+def worse_in(gait: str, mean: Row, reference: Row) -> list[str]:
+    """Names of the means that are worse in a set than in the reference, with a gait."""
+    off = {name: mean[name] - reference[name] for name in mean}
+    limits = LIMITS | {"height": LIMITS.get(gait, LIMITS["height"])}
+    for name in ("speed", "height"):
         off[name] = abs(off[name])
     return [
         name

@@ -32,6 +32,7 @@ from slot_core.safety.settings import MotionLimits
 from slot_core.safety.states import Condition
 
 WAYS = (("ahead", "back"), ("left", "right"))
+FILTER = 20  # ticks, a stride: the torso sways
 
 
 class MovingWindow:
@@ -86,6 +87,9 @@ class MotionWatch:
         # one line on a walk that is not as commanded, of once a second
         self._remark, self._compared = "", 0
         self._slow = 0  # s, for which the walk has been slow
+        self._recent = np.zeros(
+            (2, 3)
+        )  # velocities, filtered over FILTER ticks
 
     @property
     def findings(self) -> dict[Condition, str]:
@@ -108,12 +112,17 @@ class MotionWatch:
         if self._window.add(time, row, limits.window) and not self._alarms:
             self._seek_motion()
         moved = np.append(rotate(state[9:11], -state[2]), state[8])
-        is_full = self._velocities.add(
-            time, np.array([moved, velocity]), limits.slip_window
-        )
+        velocities = np.array([moved, velocity])
+        self._recent += (velocities - self._recent) / FILTER
+        is_full = self._velocities.add(time, velocities, limits.slip_window)
         if is_full and time - self._compared >= SECOND:
             self._compared = time
             self._compare(*self._velocities.rows().mean(axis=0))
+
+    @property
+    def slides(self) -> bool:
+        """Whether the torso has slid faster than `slip_hold` during the last strides."""
+        return bool(norm(_slip(*self._recent)[1]) > self._limits.slip_hold)
 
     def _seek_motion(self) -> None:
         """Set the alarm if the window shows commands without motion."""
@@ -132,9 +141,7 @@ class MotionWatch:
     def _compare(self, moved: Array, asked: Array) -> None:
         """Compare mean velocities (3,): remark on slip and on slow walks, alarm on much slip."""
         self._remark, limits, speed = "", self._limits, norm(asked[:2])
-        way = asked[:2] / max(speed, 1e-9)
-        along = float(np.sum(moved[:2] * way))
-        slip = moved[:2] - min(max(along, 0.0), speed) * way
+        along, slip = _slip(moved, asked)
         fast, least = norm(slip), limits.progress_min * speed
         is_slow = speed > limits.slip_max and along < least
         self._slow = self._slow + 1 if is_slow else 0
@@ -153,3 +160,11 @@ class MotionWatch:
                 f"walks {1e3 * along:z.0f} of {1e3 * speed:.0f} mm/s, least {1e3 * least:.0f}:"
                 " floor, slope, load or legs allow no more"
             )
+
+
+def _slip(moved: Array, asked: Array) -> tuple[float, Array]:
+    """Progress v . e (m/s) along the command, and the slip s (2,), of velocities (3,)."""
+    speed = norm(asked[:2])
+    way = asked[:2] / max(speed, 1e-9)
+    along = float(np.sum(moved[:2] * way))
+    return along, moved[:2] - min(max(along, 0.0), speed) * way

@@ -195,7 +195,8 @@ class Supervisor:
             self._motion.pause()
         state, self._leg_stiffness = estimate.state, estimate.leg_stiffness
         self._height = np.full(len(LEGS), np.nan)
-        if known and np.isfinite(state).all():
+        # a slide loads the legs in other ways than their statics say
+        if known and np.isfinite(state).all() and not self._motion.slides:
             self._height = self._robot.clamp_heights(state[5], *state[:2])
 
     def receive_command(
