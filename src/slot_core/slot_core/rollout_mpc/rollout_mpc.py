@@ -30,7 +30,6 @@ from slot_core.control.input_check import (
     state_fault,
     time_fault,
 )
-from slot_core.control.place_feedback import PlaceFeedback
 from slot_core.control.policy import (
     PlanReport,
     Policy,
@@ -38,6 +37,7 @@ from slot_core.control.policy import (
     TendonPlan,
     Timer,
     gait_plan,
+    make_policy,
 )
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, first_rate, read_gaits
@@ -99,9 +99,7 @@ class RolloutMpc(Policy):
         """Take the nominal robot; raises ConfigError if the leg table does not cover it."""
         self._robot, self._settings, self._timer = robot, settings, timer
         self._springs = read_springs()
-        self._place = PlaceFeedback(
-            robot, PlaceFeedback.read_settings("place"), timer
-        )
+        self._place = make_policy("place", robot, timer)
         x, y, _ = robot.feet.T
         balance = np.array([np.ones(len(LEGS)), y, -x])  # B
         # (4, 3) least forces of the legs for a wrench, B^T (B B^T)^-1
