@@ -87,9 +87,8 @@ class MotionWatch:
         # one line on a walk that is not as commanded, of once a second
         self._remark, self._compared = "", 0
         self._slow = 0  # s, for which the walk has been slow
-        self._recent = np.zeros(
-            (2, 3)
-        )  # velocities, filtered over FILTER ticks
+        # velocities, filtered over FILTER ticks
+        self._recent = np.zeros((2, 3))
 
     @property
     def findings(self) -> dict[Condition, str]:
@@ -121,8 +120,11 @@ class MotionWatch:
 
     @property
     def slides(self) -> bool:
-        """Whether the torso has slid faster than `slip_hold` during the last strides."""
-        return bool(norm(_slip(*self._recent)[1]) > self._limits.slip_hold)
+        """Whether the torso has slid at twice `slip_hold` during the last stride.
+
+        With a broken tendon it slides at up to 1.2 times `slip_hold` before the tendon is named.
+        """
+        return bool(norm(_slip(*self._recent)[1]) > 2 * self._limits.slip_hold)
 
     def _seek_motion(self) -> None:
         """Set the alarm if the window shows commands without motion."""

@@ -25,7 +25,7 @@ stride: on a simulated walk with up to 0.2 s of delay the inferred slack of soun
 2.0 mm, against 0.5 mm. So the mean restarts when what the legs follow, or what they are compared
 with, is older than `age_max`; until a whole stride was in time the slack is unknown.
 
-While the robot slides, faster than it could walk back, dragged legs are loaded otherwise: the supervisor
+While the robot slides, at twice the speed of its walk, dragged legs are loaded otherwise: the supervisor
 gives no heights then.
 
 Not detected: a tendon at an angle that needs hardly any tension (below some 20 deg), and a leg
