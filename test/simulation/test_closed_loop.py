@@ -91,15 +91,17 @@ def test_a_minute_of_walking_is_straight_level_and_at_the_commanded_speed_and_he
         (-0.04, 0, 0),
         (0, 0.05, 0),
         (0.025, -0.025, 0),
+        (0, 0, 0.1),
     ],
 )
-def test_robot_walks_at_the_commanded_velocity(velocity):
+def test_robot_walks_and_turns_at_the_commanded_velocity(velocity):
     position, rpy, _ = walk(15.0, velocity=velocity)
     # the feedback takes some strides to find it; measured: 5 mm/s, 11 deg at the most
     assert mean_velocity(position, 6.0)[:2] == pytest.approx(
         velocity[:2], abs=6e-3
     )
-    assert np.degrees(np.abs(rpy[:, 2])).max() < 15.0
+    heading = velocity[2] * PERIOD * np.arange(len(rpy))
+    assert np.degrees(np.abs(rpy[:, 2] - heading)).max() < 15.0
 
 
 @pytest.mark.parametrize("policy", ["rollout_mpc", "place"])

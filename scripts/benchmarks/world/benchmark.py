@@ -1,9 +1,9 @@
 """Walks with sensors, legs and floors as users have them, under the supervisor.
 
 Rows are sets of `sets.py`, each with walk, crawl, stand and a walk uphill, in three seeds. The
-reference has none of their differences. A run walks as well as its reference, or a line names the
-cause; what of it a set is allowed is a check. Runs that an interrupted benchmark has left in
-`runs.jsonl` are kept if the revision is the same and committed.
+reference has none of their differences. In means over its seeds a set walks as well as the
+reference, or a line of each run names the cause; what of it a set is allowed is a check. Runs that
+an interrupted benchmark has left in `runs.jsonl` are kept if the revision is the same and committed.
 """
 
 import re
