@@ -86,7 +86,6 @@ class RolloutMpc(Policy):
         "_next",
         "_state",
         "_walks",
-        "_turns",
         "_stiffness",
         "_missed",
         "_disturbances",
@@ -135,10 +134,9 @@ class RolloutMpc(Policy):
         )
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
-        # (12,) that the plan is for; None after a fallback
+        # (12,) that the plan is for; None after a fallback and in a turn in place
         self._state: Array | None = None
         self._walks = False  # whether that is with a velocity
-        self._turns = False  # whether it is a turn in place on a level floor
         self._stiffness = np.ones(len(LEGS))  # N/rad, mean over the stages
         self._missed = 0  # consecutive cycles without a new plan
         self._note_disturbances()
@@ -166,13 +164,14 @@ class RolloutMpc(Policy):
         self._take_stiffness(preview.leg_stiffness)
         if self._settings.nominal.slope:
             self._model.gravity = estimate.gravity
-        self._turns = preview.in_place and norm(self._model.gravity[:2]) < LEVEL
-        if self._turns:
+        turns = preview.in_place and norm(self._model.gravity[:2]) < LEVEL
+        if turns:
+            self.observer.forget()
             preview = replace(
                 preview, tendon_angle=self._place.step(estimate, preview).angle
             )
         ready = self._ready(estimate.time, state, preview)
-        plan, rollout, fault = self._improved(ready, state, preview)
+        plan, rollout, fault = self._improved(ready, state, preview, turns)
         cause = Status.NOT_SOLVED if fault else Status.LATE
         if fault := fault or time_fault(
             self._timer() - begin, limits.time_budget
@@ -189,7 +188,7 @@ class RolloutMpc(Policy):
         now = force[:1] if present is None else present.motion.force[1:2]
         motion = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
         self._plan = replace(plan, motion=motion, linear=None)
-        self._next, self._state = None, state
+        self._next, self._state = None, None if turns else state
         self._walks = norm(preview.velocity_ahead[0, :2]) > LEAST_SPEED
         self._note_disturbances()
         return self._published(self._plan, preview=preview)
@@ -223,9 +222,7 @@ class RolloutMpc(Policy):
         self._stiffness = self._stiffness_of(
             self._next.nominal[1:-1], plan.motion.pose
         )
-        if self._turns:
-            self.observer.forget()
-        elif self._state is not None:
+        if self._state is not None:
             self.observer.observe(
                 plan.start, self._state, self._angles(plan)[0], self._walks
             )
@@ -323,9 +320,12 @@ class RolloutMpc(Policy):
         return replace(plan, linear=self._problem.linearised(slopes))
 
     def _improved(
-        self, plan: _Plan, state: Array, preview: GaitPreview
+        self, plan: _Plan, state: Array, preview: GaitPreview, turns: bool
     ) -> tuple[_Plan, Rollouts, str]:
-        """The plan after a step of the problem and its rollout, or the fault."""
+        """The plan after a step of the problem and its rollout, or the fault.
+
+        In a turn in place its deviation from the gait decays instead.
+        """
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
         wanted = problem.reference(rows, place, observer.drift, plan.sag)
@@ -333,15 +333,9 @@ class RolloutMpc(Policy):
         error = problem.errors(before.pose, wanted, yaw)[0]
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
-        if self._turns:
-            return (
-                replace(
-                    plan,
-                    deviation=self._settings.limits.decay * plan.deviation,
-                ),
-                before,
-                "",
-            )
+        if turns:
+            decayed = self._settings.limits.decay * plan.deviation
+            return replace(plan, deviation=decayed), before, ""
         assert plan.linear is not None
         change = problem.change(
             error, plan.linear, plan.deviation, plan.nominal[:-1]
