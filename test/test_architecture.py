@@ -35,7 +35,7 @@ CORE = {
     "dynamics": "",
     "rod": "dynamics",
     "legs": "dynamics",
-    "estimation": "legs",
+    "estimation": "dynamics legs",
     "gait": "legs",
     "control": "legs estimation gait",
     "mpc": "legs estimation gait control",
@@ -245,7 +245,7 @@ def test_a_class_name_occurs_once():
 
 # Statements that each part of the repository may have. What goes beyond brings its own cut.
 BUDGET = {
-    "src/slot_core": 15_430,
+    "src/slot_core": 15_400,
     "src/slot_lab": 6_285,
     "src/slot_paper": 690,
     "src/slot_nodes": 2_170,

@@ -16,11 +16,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import llvmlite
 import numba
+import numpy as np
 from numba.core import types
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
@@ -71,7 +72,7 @@ class KernelCache(NullCache):
             ),
             [(name, getattr(CONFIG, name)) for name in SETTINGS],
             sys.version_info[:2],
-            _versions(),
+            (numba.__version__, llvmlite.__version__, np.__version__),
             _sources(self._function.__module__),
         )
         return (
@@ -192,11 +193,6 @@ def _described(value: Any) -> str:
     if isinstance(value, (types.Tuple, types.UniTuple)):
         return _described(tuple(value.types))
     return str(value)
-
-
-@functools.cache
-def _versions() -> tuple[str, ...]:
-    return tuple(version(name) for name in ("numba", "llvmlite", "numpy"))
 
 
 @functools.cache

@@ -86,12 +86,6 @@ def read_terrain(name: str, spacing: float) -> Terrain:
 
 
 @helper
-def is_uneven(terrain):
-    """Whether there is a height map."""
-    return terrain.height.shape[0] > 1
-
-
-@helper
 def _ground(terrain, x, y):
     """`ground` below one point."""
     rows, columns = terrain.height.shape
@@ -127,7 +121,7 @@ def clearance(terrain, centre, axes, r):
     up = row(axes, 2)
     height = plus_dot(centre[2], up, r)
     level = like(0.0, height)
-    if not is_uneven(terrain):
+    if terrain.height.shape[0] == 1:  # no height map
         return height, up, Ground(level, level, level)
     east = plus_dot(centre[0], row(axes, 0), r)
     north = plus_dot(centre[1], row(axes, 1), r)

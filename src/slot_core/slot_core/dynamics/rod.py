@@ -85,18 +85,15 @@ def discretise(leg: Leg, nodes: int, anchor: float) -> Rod:
 
     anchor: arc length of the anchor as a share of the leg's.
     """
-    arc, node = stations(nodes, anchor) * leg.arc_length(), np.zeros((nodes, 2))
+    before = round(anchor * (nodes - 1))
+    ahead = np.linspace(0.0, anchor, before + 1)
+    behind = np.linspace(anchor, 1.0, nodes - before)
+    arc = np.append(ahead, behind[1:]) * leg.arc_length()
+    node = np.zeros((nodes, 2))
     x, along = leg.arc
     node[:, 0] = interpolated(arc, along, x)
     node[:, 1] = leg.shape(node[:, 0]) - leg.shape(0.0)
-    return build(leg, node, arc, round(anchor * (nodes - 1)))
-
-
-def stations(nodes: int, anchor: float) -> Array:
-    """(N,) arc lengths of the nodes over the total, one at the anchor, equal steps on each side."""
-    before = round(anchor * (nodes - 1))
-    behind = np.linspace(anchor, 1.0, nodes - before)
-    return np.append(np.linspace(0.0, anchor, before + 1), behind[1:])
+    return build(leg, node, arc, before)
 
 
 def build(leg: Leg, node: Array, arc: Array, anchor: int) -> Rod:

@@ -108,11 +108,6 @@ class ServoSettings:
                     " voltage"
                 )
 
-    @property
-    def ideal_speed(self) -> float:
-        """Largest rate of the tendon angle of the ideal servo, rad/s."""
-        return self.ideal_rpm * math.tau / 60.0 / self.servo_per_tendon
-
     def require_voltage(self, voltage: float) -> None:
         """Raise ConfigError for a supply voltage (V) beyond those that the maker states."""
         low, high = self.voltage[0], self.voltage[-1]
@@ -183,9 +178,8 @@ def servo(settings: ServoSettings, voltage: float) -> Servo:
     """
     settings.require_voltage(voltage)
     ideal = settings.model == "ideal"
-    speed = (
-        settings.ideal_speed if ideal else float(settings.tendon_speed(voltage))
-    )
+    rate = settings.ideal_rpm * math.tau / 60.0 / settings.servo_per_tendon
+    speed = rate if ideal else float(settings.tendon_speed(voltage))
     return Servo(
         gain=1.0 / settings.lag,
         speed=speed,

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slot_core import config
 from slot_core.command_line import CommandParser, command_parser
 from slot_core.dynamixel.table import BAUD_RATES
 from slot_core.names import LEGS
@@ -48,9 +49,12 @@ def make_bus(settings: DynamixelSettings) -> Driver:
 
 def emulate(angles: Sequence[float] | Array, voltage: float) -> EmulatedServos:
     """Emulated servos as configured, at tendon angles (4,), rad, and a supply voltage (V)."""
-    from slot_core.dynamixel.emulator import emulated_legs  # noqa: PLC0415 - not on a robot
+    from slot_core.dynamixel.emulator import emulated_bus, emulated_legs  # noqa: PLC0415 - not on a robot
 
-    return emulated_legs.read_emulated_legs(angles, voltage)
+    emulator = config.replace(
+        emulated_bus.read_emulator(), {"servo.voltage": voltage}
+    )
+    return emulated_legs.EmulatedDynamixels(read_settings(), emulator, angles)
 
 
 def tools(arguments: Sequence[str] | None) -> int:

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from slot_core.arrays import Array
 from slot_core.clock import SECOND
 from slot_core.compiled import helper, kernel
+from slot_core.dynamics.algebra import times, times_transposed
 from slot_core.estimation.filter_kernels import (
     exponential,
     logarithm,
     multiply,
-    rotate,
-    rotate_back,
     rotation_matrix,
     store_unit,
 )
@@ -107,8 +106,8 @@ def integrate(sums, rotation, stamp, sample):
 
     The sample is turned by `rotation` (3, 3). Returns the angular velocity, rad/s.
     """
-    sample[0], sample[1], sample[2] = rotate(rotation, sample[:3])
-    sample[3], sample[4], sample[5] = rotate(rotation, sample[3:])
+    sample[0], sample[1], sample[2] = times(rotation, sample[:3])
+    sample[3], sample[4], sample[5] = times(rotation, sample[3:])
     stamps, ring, rate = sums.stamps, sums.ring, sums.rate
     newest = (ring[0] + ring[1] - 1) % KEPT
     turned = (0.0, 0.0, 0.0, 1.0)
@@ -284,8 +283,8 @@ def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
             moved[i], turned[i] = after[4 + i] - before[4 + i], work.turn[i]
         for reading in (before, after):
             rotation_matrix(rotation, reading[:4])
-            v = rotate(rotation, reading[7:10])
-            w = rotate_back(rotation, reading[10:13])
+            v = times(rotation, reading[7:10])
+            w = times_transposed(rotation, reading[10:13])
             for i in range(3):
                 moved[i] -= in_base * v[i] + in_odom * reading[7 + i]
                 turned[i] -= in_base * reading[10 + i] + in_odom * w[i]

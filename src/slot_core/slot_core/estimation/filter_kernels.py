@@ -16,6 +16,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import SECOND
 from slot_core.compiled import helper, kernel
+from slot_core.dynamics.algebra import times, times_transposed
 from slot_core.elementary import atan2, cos, sin
 from slot_core.geometry import roll_pitch_yaw
 from slot_core.matrices import (
@@ -117,7 +118,7 @@ def propagate(state, work, rate, force, dt, noise, from_imu, bias_max):
     rotation = work.rotation
     rotation_matrix(rotation, middle)
     if from_imu:
-        f[0], f[1], f[2] = rotate(rotation, f)
+        f[0], f[1], f[2] = times(rotation, f)
     store_unit(state.attitude, multiply(middle, half))
     for i in range(3):
         acceleration = f[i] - (GRAVITY if i == 2 else 0.0)
@@ -205,7 +206,7 @@ def turn_tilt(state, work, turn, dt, largest):
         return
     back = work.block
     rotation_matrix(back, (-turn[0], -turn[1], -turn[2], turn[3]))
-    b[0], b[1], b[2] = rotate(back, b)
+    b[0], b[1], b[2] = times(back, b)
     set_scaled(work.wide, FORCE_BIAS, FORCE_BIAS, back, 1.0)
     set_cross(work.wide, FORCE_BIAS, GYRO_BIAS, b, -dt)
 
@@ -258,7 +259,7 @@ def set_residual(out, state, work, attitude, position, velocity):
     t = logarithm(*multiply(attitude, (-a[0], -a[1], -a[2], a[3])))
     out[0], out[1], out[2] = t
     rotation_matrix(rotation, attitude)
-    read = rotate(rotation, velocity)
+    read = times(rotation, velocity)
     off = (
         read[0] - v[0] - (t[1] * v[2] - t[2] * v[1]),
         read[1] - v[1] - (t[2] * v[0] - t[0] * v[2]),
@@ -267,7 +268,7 @@ def set_residual(out, state, work, attitude, position, velocity):
     rotation_matrix(rotation, a)
     for i in range(3):
         out[P + i] = position[i] - state.position[i]
-    out[V], out[V + 1], out[V + 2] = rotate_back(rotation, off)
+    out[V], out[V + 1], out[V + 2] = times_transposed(rotation, off)
 
 
 @helper
@@ -341,7 +342,7 @@ def bound_force_bias(state, work, largest):
     """
     u, rotation = work.weighted, work.rotation
     rotation_matrix(rotation, state.attitude)
-    u[0], u[1], u[2] = rotate(rotation, state.bias[1])
+    u[0], u[1], u[2] = times(rotation, state.bias[1])
     u[2] += GRAVITY
     length = math.sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
     bounded = min(max(length, GRAVITY - largest), GRAVITY + largest)
@@ -351,7 +352,7 @@ def bound_force_bias(state, work, largest):
         u[i] *= bounded / max(length, 1e-9)
     u[2] -= GRAVITY
     b = state.bias[1]
-    b[0], b[1], b[2] = rotate_back(rotation, u)
+    b[0], b[1], b[2] = times_transposed(rotation, u)
 
 
 @kernel
@@ -363,7 +364,7 @@ def output(state, work, rate, gyro_share, rate_variance, out, cov):
     rotation, jacobian = work.rotation, work.wide[:12]
     rotation_matrix(rotation, state.attitude)
     out[0], out[1], out[2] = roll_pitch_yaw(rotation)
-    out[6], out[7], out[8] = rotate(rotation, rate)
+    out[6], out[7], out[8] = times(rotation, rate)
     for i in range(12):
         for j in range(ERROR):
             jacobian[i, j] = 0.0
@@ -453,26 +454,6 @@ def rotation_matrix(out, q):
         2 * (x * z - y * w),
         2 * (y * z + x * w),
         1 - 2 * (x * x + y * y),
-    )
-
-
-@helper
-def rotate(m, a):
-    """The rotation matrix m (3, 3) times the vector a (3,)."""
-    return (
-        m[0, 0] * a[0] + m[0, 1] * a[1] + m[0, 2] * a[2],
-        m[1, 0] * a[0] + m[1, 1] * a[1] + m[1, 2] * a[2],
-        m[2, 0] * a[0] + m[2, 1] * a[1] + m[2, 2] * a[2],
-    )
-
-
-@helper
-def rotate_back(m, a):
-    """The transpose of the rotation matrix m (3, 3) times the vector a (3,)."""
-    return (
-        m[0, 0] * a[0] + m[1, 0] * a[1] + m[2, 0] * a[2],
-        m[0, 1] * a[0] + m[1, 1] * a[1] + m[2, 1] * a[2],
-        m[0, 2] * a[0] + m[1, 2] * a[1] + m[2, 2] * a[2],
     )
 
 

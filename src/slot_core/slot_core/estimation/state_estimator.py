@@ -463,8 +463,7 @@ class StateEstimator:
             force = samples[-1, 3:] if len(samples) else np.zeros(3)
             self._floor.observe(now, self._filter.state, rate, force)
         self._weigh()
-        missed = (now - self._tick) // period
-        tick = now if latest > now else self._tick + missed * period
+        tick = now if latest > now else now - (now - self._tick) % period
         floor = LEVEL if self._floor is None else self._floor.floor
         self._ready.append(self._predicted(tick, timing.command_delay, floor))
         self._tick = tick + period
@@ -628,8 +627,9 @@ class StateEstimator:
                     Validity.ODOMETRY_REJECTED,
                     "odom contradicts the IMU",
                 )
-            limit = timing.odometry_wait
-            return fault, f"{line} for {age:.2g} s, limit {limit:g} s"
+            return fault, (
+                f"{line} for {age:.2g} s, limit {timing.odometry_wait:g} s"
+            )
         if self._is_initialising(stamp):
             anew = "odom has started anew" if self._restarted else ""
             return Validity.INITIALISING, anew
@@ -650,8 +650,7 @@ class StateEstimator:
                 f"imu at {1.0 / self._imu_interval:.0f} Hz, limit"
                 f" {1.0 / self._longest_imu_interval:.0f} Hz: it is not used"
             )
-        has_jumped = 0 < stamp - self._jumped < JUMP_SAID
-        jumped = JUMPED if has_jumped else ""
+        jumped = JUMPED if 0 < stamp - self._jumped < JUMP_SAID else ""
         return found, self._agreement.message or jumped
 
     def _predicted(

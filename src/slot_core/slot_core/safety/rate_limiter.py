@@ -83,7 +83,7 @@ class RateLimiter:
         self._goal = self._target.copy()
         self._budget = np.zeros(len(LEGS))  # s
         self._action = Action.OFF
-        self._since = 0  # ns, of the present action
+        self.since = 0  # ns, when the present action began
         self._time: int | None = None
         # whether the ramp to slack has ended in torque off
         self._relaxed = False
@@ -126,7 +126,7 @@ class RateLimiter:
         elapsed = 0 if self._time is None else max(time - self._time, 0)
         self._time = time
         if action is not self._action:
-            self._action, self._since, self._relaxed = action, time, False
+            self._action, self.since, self._relaxed = action, time, False
         self._budget = np.minimum(
             self._budget + to_seconds(elapsed), self.settings.burst
         )
@@ -141,7 +141,7 @@ class RateLimiter:
             moved = self._move(np.zeros(len(LEGS)), self.settings.relax_rate)
             self._relaxed = (
                 self._relaxed
-                or time - self._since >= self.settings.relax_time * SECOND
+                or time - self.since >= self.settings.relax_time * SECOND
                 or not self._goal.any()
             )
             return (
@@ -153,16 +153,12 @@ class RateLimiter:
             )
         return unchanged(action, self._goal, action is Action.HOLD)
 
-    def restart_rate(self, time: int) -> None:
-        """Start the growth of the rate from `approach_rate` to `rate_max` anew at `time`."""
-        self._since = time
-
     def _rate(self, time: int, fast: bool) -> float:
         """Largest rate of the goals, rad/s."""
         s = self.settings
         if not fast:
             return s.approach_rate
-        share = to_seconds(time - self._since) / s.resume_time
+        share = to_seconds(time - self.since) / s.resume_time
         return s.approach_rate + (s.rate_max - s.approach_rate) * min(
             max(share, 0.0), 1.0
         )

@@ -147,7 +147,7 @@ class Watchdog:
         if self._limiter is None:
             return
         if permission.fast and not (self.permission and self.permission.fast):
-            self._limiter.restart_rate(permission.time)
+            self._limiter.since = permission.time
         if permission.action is Action.OFF:
             self.own_reason = ""
         self.permission = permission

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from slot_core import config
 from slot_core.arrays import Array
 from slot_core.clock import Clock
 from slot_core.dynamixel.checks import expected
@@ -17,12 +16,11 @@ from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator.emulated_bus import (
     EmulatedBus,
     EmulatorSettings,
-    read_emulator,
 )
 from slot_core.dynamixel.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.joints import joints
 from slot_core.dynamixel.port import SerialPort
-from slot_core.dynamixel.settings import DynamixelSettings, read_settings
+from slot_core.dynamixel.settings import DynamixelSettings
 from slot_core.faults import Fault
 from slot_core.robot import LEGS
 from slot_core.servos.servo_bus import PortError
@@ -154,14 +152,3 @@ class EmulatedDynamixels:
     def serve(self, link: Path | None) -> PseudoTerminal:
         """Pseudo-terminal of these servos; raises ConfigError if another file has its name."""
         return PseudoTerminal(self.bus, link)
-
-
-def read_emulated_legs(
-    angles: Sequence[float] | Array, voltage: float
-) -> EmulatedDynamixels:
-    """The servos of `config/` at tendon angles (4,), rad, and a supply voltage (V)."""
-    return EmulatedDynamixels(
-        read_settings(),
-        config.replace(read_emulator(), {"servo.voltage": voltage}),
-        angles,
-    )

@@ -216,7 +216,12 @@ class Memory:
                 target = int.from_bytes(
                     self._bytes[pointer : pointer + 2], "little"
                 )
-                return target if _mappable(target) else address
+                # an alias of RAM, but not of indirect data
+                is_data = any(
+                    bank <= target < bank + INDIRECT_COUNT
+                    for _, bank in INDIRECT_BANKS
+                )
+                return address if target < RAM_START or is_data else target
         return address
 
     def _check(self, register: Register, value: int) -> None:
@@ -240,13 +245,6 @@ class Memory:
         if name == "goal_position" and self["operating_mode"] == Mode.POSITION:
             return self["min_position_limit"], self["max_position_limit"]
         return TABLE[name].low, TABLE[name].high
-
-
-def _mappable(address: int) -> bool:
-    """Whether indirect data may be an alias of this address: RAM, but not indirect data."""
-    return address >= RAM_START and not any(
-        data <= address < data + INDIRECT_COUNT for _, data in INDIRECT_BANKS
-    )
 
 
 @dataclass(frozen=True)
