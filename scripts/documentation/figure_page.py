@@ -11,15 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import known
-from benchmarks.report.results import (
-    ReportError,
-    Result,
-    number,
-    read_benchmark,
-)
 from documentation import DOC, ROOT
 from documentation.markdown import plain, table
 from documentation.pictures import PICTURES
+from documentation.results import ReportError, Result, number, read_result
 from slot_core.command_line import command_parser, refuse
 
 CANNOT_WRITE = 2  # exit code
@@ -156,7 +151,7 @@ def page(results: Path, before: str) -> str:
         re.findall(r"^## (\w+)\n\n(.*?)(?=^## |\Z)", before, re.M | re.S)
     )
     for name, subject in known().items():
-        result = read_benchmark(results, name)
+        result = read_result(results, name)
         text = kept.get(
             name, f"Not measured yet: `scripts/bench {name}`."
         ).rstrip()

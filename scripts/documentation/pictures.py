@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import COURSES
-from benchmarks.report.results import ReportError, read_benchmark
 from documentation import DOC, ROOT
+from documentation.results import ReportError, read_result
 from slot_core.command_line import command_parser, progress, refuse
 from slot_core.refusal import InputError, quoted
 
@@ -160,7 +160,7 @@ PICTURES = {
 
 def read_rows(results: Path, benchmark: str) -> Rows:
     """Rows of a benchmark, with NaN in the place of null; raises ReportError."""
-    found = read_benchmark(results, benchmark)
+    found = read_result(results, benchmark)
     assert found is not None  # `draw` has looked
     return [
         {k: float("nan") if v is None else v for k, v in row.items()}
