@@ -41,6 +41,7 @@ from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.emulator.pseudo_terminal import PseudoTerminal
 from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.tools import disturb
 from slot_core.messages import decode
 from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS, read_robot
 from slot_core.safety.settings import read_supervisor
@@ -334,10 +335,12 @@ def test_scan_finds_every_servo_at_its_rate(servos, legs, capsys):
     assert "id   4  model 1060  firmware 45" in capsys.readouterr().out
     assert servos("--baud 115200 scan") == 1
     assert servos("--baud 4500000 scan") == 1  # which the port does not support
-    none = "no servo answered: check power, cable and port\n"
+    none = "no servo answered at any baud rate: check power, cable and port\n"
     assert capsys.readouterr().err == 2 * none
     assert main(["--port", "/nowhere/x", "scan"]) == 1
-    assert capsys.readouterr().err.startswith("scripts/servos: /nowhere/x: ")
+    refusal = capsys.readouterr().err
+    assert refusal.startswith("scripts/servos: /nowhere/x: ")
+    assert "; serial ports: " in refusal
 
 
 def test_info_lists_differences_from_the_configuration_and_prepare_writes_them(
@@ -368,6 +371,59 @@ def test_info_lists_differences_from_the_configuration_and_prepare_writes_them(
     ]
     assert memory["torque_enable"] == 0
     assert servos("info") == 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "complaint"),
+    [
+        ("undervoltage:RL:9", "servo RL (id 2): 9.0 V, limits [9.5, 14] V"),
+        ("overload:FR", "servo FR (id 4): overload: mend the cause"),
+        ("spool:RR:349", "servo RR (id 3): stands at 5576 counts, outside"),
+        ("pwm_limit:FL:300", "servo FL (id 5): pwm_limit is 300, expected 885"),
+        ("silent:FR", "answers: id 2 at 1000000 baud, id 3 at 1000000 baud,"),
+    ],
+)
+def test_info_names_what_would_keep_a_servo_from_walking(
+    servos, legs, capsys, fault, complaint
+):
+    disturb(legs, fault)
+    assert servos("info") == 1
+    assert complaint in "".join(capsys.readouterr())
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("FL", "expected KIND:LEG"),
+        ("x:FL", "expected spool, a register, or one of silent,"),
+        ("pwm_limit:FL:886", "outside [0, 885]"),
+        ("wrong_id:FL:999", "value = 999.0: outside [0.0, 252.0] as an id"),
+    ],
+)
+def test_a_fault_that_a_servo_cannot_have_is_refused(legs, fault, reason):
+    with pytest.raises(ConfigError, match=re.escape(reason)):
+        disturb(legs, fault)
+
+
+def test_one_leg_moves_there_and_back_and_no_other_comes_under_torque(
+    servos, legs, capsys, monkeypatch
+):
+    """Whatever another tool has left in RAM: no answers to writes, and no duty."""
+    clock = SimpleNamespace(sleep=legs.advance)
+    monkeypatch.setattr("slot_core.dynamixel.tools.time", clock)
+    for name, value in ("status_return_level", 1), ("goal_pwm", 0):
+        legs.bus.servos[1].memory[name] = value
+    assert servos("move FR 20 --rate 60") == 0
+    there, back = capsys.readouterr().out.splitlines()
+    assert "servo FR (id 4): there: at 20.0 deg, goal 20.0 deg" in there
+    assert "goal 0.0 deg" in back
+    assert np.abs(np.degrees(legs.angles())).max() < 6.0
+    assert legs.powered() == ()
+    assert servos("move FL 117") == servos("move FL 20 --rate 0") == 1
+    assert "ANGLE 117: outside [0, 116.28]" in capsys.readouterr().err
+    legs.bus.servos[0].memory["shutdown"] = 0
+    assert servos("move FL 20") == 1
+    assert legs.powered() == ()
 
 
 def test_assign_refuses_unless_one_servo_is_on_the_line(servos, legs, capsys):
@@ -419,16 +475,21 @@ def test_a_zero_that_cannot_be_written_changes_nothing(
 
 
 def test_emulate_answers_at_its_link_until_interrupted(
-    tmp_path, dynamixel_yaml
+    tmp_path, dynamixel_yaml, capsys
 ):
+    """A new servo alone on the line is found, as its maker delivers it."""
     link = tmp_path / "servos"
     words = ["-m", "slot_bringup.servos", "emulate", "--link", str(link)]
+    words += ["--new", "RL"]
     process = subprocess.Popen(
         [sys.executable, *words], stdout=subprocess.PIPE, text=True
     )
     try:
         assert process.stdout.readline().strip() == str(link)
-        assert main(["--port", str(link), "info"]) == 0
+        tool = ["--port", str(link)]
+        assert main([*tool, "--baud", "57600", "assign", "2"]) == 0
+        assert main([*tool, "info"]) == 1
+        assert "id 2 at 57600 baud; a new servo" in capsys.readouterr().out
     finally:
         process.send_signal(signal.SIGINT)
     assert process.wait(10) == 0

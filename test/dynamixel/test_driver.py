@@ -49,6 +49,16 @@ def rig():
             250,
             "servo RL (id 2): return_delay_time is 250, expected 0",
         ),
+        (
+            "pwm_limit",
+            300,
+            "servo RL (id 2): pwm_limit is 300, expected 885; scripts/servos prepare",
+        ),
+        (
+            "velocity_limit",
+            20,
+            "servo RL (id 2): velocity_limit is 20, expected 265",
+        ),
     ],
 )
 def test_a_servo_with_a_wrong_register_is_refused_by_name(

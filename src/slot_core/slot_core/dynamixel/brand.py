@@ -25,6 +25,7 @@ info      print state of the four servos and differences from the configuration
 assign    set id and baud rate of the only servo on the line
 prepare   write the configuration into the servos' EEPROM
 zero      measure the servo angle at which a leg's tendon is relaxed (torque off)
+move      move the tendon of one leg to an angle (deg) and back, the others free
 emulate   emulate the four servos on a pseudo-terminal, until interrupted
 """
 
@@ -91,7 +92,25 @@ def _parser() -> CommandParser:
     zero.add_argument(
         "--write", action="store_true", help="to config/dynamixel.yaml"
     )
+    move = actions.add_parser("move")
+    move.add_argument("leg", choices=LEGS)
+    move.add_argument("angle", type=float, metavar="ANGLE", help="deg")
+    move.add_argument(
+        "--rate", type=float, default=5.0, help="deg/s (default: %(default)s)"
+    )
     emulate = actions.add_parser("emulate")
+    emulate.add_argument(
+        "--new",
+        choices=LEGS,
+        help="this servo alone on the line, as the maker delivers it",
+    )
+    emulate.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="KIND:LEG[:VALUE]",
+        help="a fault from the start; may be given several times",
+    )
     emulate.add_argument("--link", type=Path, help="symbolic link to the port")
     emulate.add_argument(
         "--usb-latency", type=float, help="latency of the emulated adapter, s"

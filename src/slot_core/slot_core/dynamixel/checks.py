@@ -14,7 +14,14 @@ from slot_core import config
 from slot_core.dynamixel.bus import Bus, CommunicationError, InstructionError
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.settings import DynamixelSettings
-from slot_core.dynamixel.table import BAUD_RATES, RAD_PER_COUNT
+from slot_core.dynamixel.table import (
+    ANSWER_ALL,
+    BAUD_RATES,
+    PWM_FULL,
+    RAD_PER_COUNT,
+    Mode,
+)
+from slot_core.faults import hardware_errors
 from slot_core.refusal import read_text
 from slot_core.robot import LEGS
 from slot_core.servos.servo_bus import RefusedError
@@ -23,6 +30,7 @@ SAMPLES = 20
 SAMPLE_PERIOD = 0.02  # s
 ZERO_DIGITS = 2  # of a zero in deg
 SPREAD_MAX = 3  # counts, largest spread of the readings of a servo at rest
+STANDS = "{}: stands at {} counts, outside its limits [{}, {}]; turn it back by hand, or zero it"
 NUMBER = r"-?\d+(?:\.\d+)?"
 
 EEPROM = (  # first and last of adjacent registers
@@ -62,9 +70,11 @@ def examine(
 ) -> tuple[ServoInfo | None, list[str]]:
     """Identity and EEPROM of a servo, and its differences from the configuration, one line each.
 
-    None and the error if it does not answer.
+    None and the error if it does not answer. A status return level that another tool has left is
+    set back: with it a servo does not confirm what it does.
     """
     try:
+        bus.sync_write("status_return_level", {joint.id: ANSWER_ALL})
         model, firmware = bus.ping(joint.id)
         values = {
             name: value
@@ -81,11 +91,51 @@ def examine(
             f"{joint.name}: firmware {firmware}, expected {setup.firmware_min} or newer"
         )
     reasons += [
-        f"{joint.name}: {name} is {values[name]}, expected {value}"
+        f"{joint.name}: {name} is {values[name]}, expected {value}; scripts/servos prepare"
         for name, value in expected(settings, joint).items()
         if values[name] != value
     ]
     return ServoInfo(joint.leg, joint.id, model, firmware, values), reasons
+
+
+def prepare_torque(bus: Bus, settings: DynamixelSettings, joint: Joint) -> int:
+    """Set goal := present position, gains, profile and watchdog; returns the position, counts.
+
+    Raises ServoError, as RefusedError for an error or a position with which torque must stay off.
+    """
+    error = bus.read(joint.id, "hardware_error_status")["hardware_error_status"]
+    if error:
+        raise RefusedError(
+            [
+                f"{joint.name}: hardware error: {hardware_errors(error)}; reboot it"
+            ]
+        )
+    bus.write_verified(joint.id, "torque_enable", 0)
+    # a tripped one refuses goals
+    bus.write_verified(joint.id, "bus_watchdog", 0)
+    present = bus.read(joint.id, "present_position")["present_position"]
+    low, high = joint.limits()
+    if not low <= present <= high:
+        raise RefusedError([STANDS.format(joint.name, present, low, high)])
+    # Armed before torque comes on.
+    bus.write_verified(joint.id, "bus_watchdog", settings.servo.watchdog_code())
+    gains = settings.gains
+    if settings.mode is Mode.PWM:
+        bus.write_verified(joint.id, "goal_pwm", 0)
+        return present
+    for register, value in (
+        ("goal_pwm", PWM_FULL),
+        ("profile_acceleration", 0),
+        ("profile_velocity", 0),
+        ("feedforward_2nd_gain", 0),
+        ("feedforward_1st_gain", 0),
+        ("position_p_gain", gains.p),
+        ("position_i_gain", gains.i),
+        ("position_d_gain", gains.d),
+        ("goal_position", present),
+    ):
+        bus.write_verified(joint.id, register, value)
+    return present
 
 
 def measure_zero(

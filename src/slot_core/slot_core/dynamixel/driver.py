@@ -31,13 +31,13 @@ from slot_core.dynamixel.checks import (
     examine,
     expected,
     measure_zero,
+    prepare_torque,
     write_zero,
 )
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings, HostPidSettings
 from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT, Mode
-from slot_core.faults import hardware_errors
 from slot_core.robot import LEGS
 from slot_core.servos.servo_bus import (
     BusFacts,
@@ -284,53 +284,13 @@ class Driver:
         self._pid.reset()
         self._last = None
         for index, joint in enumerate(self.joints):
-            error = self.bus.read(joint.id, "hardware_error_status")[
-                "hardware_error_status"
-            ]
-            if error:
-                reasons.append(
-                    f"{joint.name}: hardware error: {hardware_errors(error)}; reboot it"
-                )
-                continue
-            self.bus.write_verified(joint.id, "torque_enable", 0)
-            # a tripped one refuses goals
-            self.bus.write_verified(joint.id, "bus_watchdog", 0)
-            reasons += self._prepare_servo(index, joint)
+            try:
+                present = prepare_torque(self.bus, self.settings, joint)
+                self._goal[index] = joint.tendon(present)
+            except RefusedError as error:
+                reasons += error.reasons
         if reasons:
             raise RefusedError(reasons)
-
-    def _prepare_servo(self, index: int, joint: Joint) -> list[str]:
-        """Set goal := present position, gains and profile; returns reasons to refuse torque."""
-        present = self.bus.read(joint.id, "present_position")[
-            "present_position"
-        ]
-        low, high = joint.limits()
-        if not low <= present <= high:
-            return [
-                f"{joint.name}: stands at {present} counts, outside its limits [{low}, {high}];"
-                " turn it back by hand, or zero it"
-            ]
-        self._goal[index] = joint.tendon(present)
-        # Armed before torque comes on.
-        self.bus.write_verified(
-            joint.id, "bus_watchdog", self.settings.servo.watchdog_code()
-        )
-        if self.settings.mode is Mode.PWM:
-            self.bus.write_verified(joint.id, "goal_pwm", 0)
-            return []
-        gains = self.settings.gains
-        for register, value in (
-            ("profile_acceleration", 0),
-            ("profile_velocity", 0),
-            ("feedforward_2nd_gain", 0),
-            ("feedforward_1st_gain", 0),
-            ("position_p_gain", gains.p),
-            ("position_i_gain", gains.i),
-            ("position_d_gain", gains.d),
-            ("goal_position", present),
-        ):
-            self.bus.write_verified(joint.id, register, value)
-        return []
 
     def _regulate(
         self, readings: tuple[ServoReading | None, ...], h: float

@@ -14,6 +14,7 @@ from typing import Any
 
 import serial
 from dynamixel_sdk import PortHandler
+from serial.tools.list_ports import comports
 
 from slot_core.clock import Clock
 from slot_core.servos.servo_bus import PortError
@@ -72,7 +73,10 @@ class SerialPort(PortHandler):
                 exclusive=True,
             )
         except (OSError, termios.error, ValueError) as error:
-            raise PortError(f"{self.port_name}: {error}") from None
+            ports = ", ".join(port.device for port in comports()) or "none"
+            raise PortError(
+                f"{self.port_name}: {error}; serial ports: {ports}"
+            ) from None
         self.is_open = True
         self.tx_time_per_byte = 1e3 * BITS_PER_BYTE / self.baudrate
         return True

@@ -11,7 +11,9 @@ from slot_core.config import ConfigError, choice, quantity, text
 from slot_core.dynamixel.table import (
     BAUD_RATES,
     NO_SECONDARY_ID,
+    PWM_FULL,
     RETURN_DELAY_UNIT,
+    TABLE,
     VOLTAGE_UNIT,
     WATCHDOG_UNIT,
     Mode,
@@ -92,6 +94,8 @@ class ServoSetup:
             "temperature_limit": self.temperature_limit,
             "min_voltage_limit": round(self.voltage_min / VOLTAGE_UNIT),
             "max_voltage_limit": round(self.voltage_max / VOLTAGE_UNIT),
+            "pwm_limit": PWM_FULL,
+            "velocity_limit": TABLE["velocity_limit"].initial,
             "shutdown": self.shutdown,
         }
 

@@ -24,6 +24,9 @@ WATCHDOG_UNIT = 0.020  # s
 RETURN_DELAY_UNIT = 2e-6  # s
 VOLTAGE_UNIT = 0.1  # V
 
+# values of Status Return Level (68); 0: ping only
+ANSWER_READS, ANSWER_ALL = 1, 2
+
 # baud, by the value of Baud Rate (8)
 BAUD_RATES = (9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000, 4500000)
 

@@ -7,16 +7,18 @@ import math
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 
 from slot_core import config
 from slot_core.command_line import refuse
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.checks import (
+    STANDS,
     examine,
     expected,
     measure_zero,
+    prepare_torque,
     write_zero,
 )
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
@@ -24,13 +26,28 @@ from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import BaudRateError, SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings, read_settings
-from slot_core.dynamixel.table import BAUD_RATES, VOLTAGE_UNIT
-from slot_core.faults import hardware_errors
+from slot_core.dynamixel.table import (
+    BAUD_RATES,
+    REGISTERS,
+    TABLE,
+    VOLTAGE_UNIT,
+    Mode,
+)
+from slot_core.faults import BUS_KINDS, Fault, hardware_errors
 from slot_core.robot import LEGS
 from slot_core.servos.servo_bus import RefusedError, ServoError
 
 PERIOD = 0.002  # s, between two steps of the emulated servos
 FAILED = 1  # exit code
+SPOOL = "spool"
+STEP = 0.02  # s, between two goals of `move`
+SETTLE = 15  # goals, until the leg is where it goes
+RATE_MAX = 60.0  # deg/s, of `move`
+NO_ANSWER = "no servo answered at any baud rate: check power, cable and port"
+ALONE = (
+    "a new servo has id 1 at 57600 baud, two with one id answer at once:"
+    " connect it alone, then scripts/servos --baud RATE assign ID"
+)
 
 
 def use(options: argparse.Namespace) -> int:
@@ -57,40 +74,55 @@ def use(options: argparse.Namespace) -> int:
 
 def scan(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     """List the servos that answer, at every baud rate the port supports, fastest first."""
-    rates = (
-        [options.baud] if options.baud else sorted(BAUD_RATES, key=lambda b: -b)
-    )
-    found = 0
-    for baud in rates:
+    found = list(_answers(settings, options.baud))
+    for baud, identity, model, firmware in found:
+        print(
+            f"{baud:>8} baud  id {identity:>3}  model {model}  firmware {firmware}"
+        )
+    if not found:
+        print(NO_ANSWER, file=sys.stderr)
+    return 0 if found else FAILED
+
+
+def _answers(
+    settings: DynamixelSettings, only: int | None = None
+) -> Iterator[tuple[int, int, int, int]]:
+    """Baud rate, id, model and firmware of each servo that answers, at all rates or `only` one."""
+    for baud in [only] if only else sorted(BAUD_RATES, reverse=True):
         try:
             bus = _open(settings, baud)
         except BaudRateError:
             continue
         for identity, (model, firmware) in bus.scan().items():
-            print(
-                f"{baud:>8} baud  id {identity:>3}  model {model}  firmware {firmware}"
-            )
-            found += 1
+            yield baud, identity, model, firmware
         bus.port.close()
-    if not found:
-        print("no servo answered: check power, cable and port", file=sys.stderr)
-    return 0 if found else FAILED
 
 
 def info(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Print state of the four servos and differences from the configuration; exit code 0: none."""
-    bus, faulty = _open(settings), 0
+    """Print the four servos' state, what is wrong with it, and what mends it; exit code 0: nothing."""
+    bus, silent, wrong = _open(settings), False, False
     for joint in joints(settings.joints):
         found, reasons = examine(bus, settings, joint)
+        silent |= found is None
         if found is not None:
-            print(
-                f"{joint.name}: model {found.model}, firmware {found.firmware}"
+            values = (
+                bus.read(joint.id, "torque_enable")
+                | bus.read(joint.id, "hardware_error_status")
+                | bus.read(joint.id, "present_position", "present_temperature")
             )
-            print(f"  {_state(bus, joint)}")
+            print(
+                f"{joint.name}: model {found.model}, firmware {found.firmware}\n"
+                f"  {_state(joint, values)}"
+            )
+            reasons += _complaints(settings, joint, values)
         for reason in reasons:
             print(f"  {reason}")
-        faulty += bool(reasons)
-    return FAILED if faulty else 0
+        wrong |= bool(reasons)
+    if silent:
+        bus.port.close()
+        there = [f"id {i} at {baud} baud" for baud, i, *_ in _answers(settings)]
+        print(f"answers: {', '.join(there)}; {ALONE}" if there else NO_ANSWER)
+    return FAILED if wrong else 0
 
 
 def assign(settings: DynamixelSettings, options: argparse.Namespace) -> int:
@@ -147,6 +179,47 @@ def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     return 0
 
 
+def move(settings: DynamixelSettings, options: argparse.Namespace) -> int:
+    """Move the tendon of one leg to an angle and back, at a rate; torque off before and after."""
+    joint = joints(settings.joints)[LEGS.index(options.leg)]
+    low, high = math.degrees(joint.low), math.degrees(joint.high)
+    for name, value, least, most in (
+        ("ANGLE", options.angle, low, high),
+        ("--rate", options.rate, 0.1, RATE_MAX),
+    ):
+        if not least <= value <= most:
+            raise ConfigError(
+                f"{name} {value:g}: outside [{least:g}, {most:g}]"
+            )
+    if settings.mode is not Mode.POSITION:
+        raise ConfigError(
+            "control = pwm: a leg moves alone with control: position of dynamixel.yaml"
+        )
+    bus = _open(settings)
+    _, reasons = examine(bus, settings, joint)
+    if reasons:
+        raise RefusedError(reasons)
+    start = joint.tendon(prepare_torque(bus, settings, joint))
+    goal = math.radians(options.angle)
+    steps = math.ceil(abs(goal - start) / math.radians(options.rate) / STEP)
+    way = [start + (goal - start) * k / max(steps, 1) for k in range(steps + 1)]
+    try:
+        bus.write_verified(joint.id, "torque_enable", 1)
+        for name, angles in (("there", way), ("back", way[::-1])):
+            for angle in [*angles, *SETTLE * angles[-1:]]:
+                bus.write(joint.id, "goal_position", joint.counts(angle))
+                time.sleep(STEP)
+            present = bus.read(joint.id, "present_position")["present_position"]
+            print(
+                f"{joint.name}: {name}: at {math.degrees(joint.tendon(present)):z.1f} deg,"
+                f" goal {math.degrees(angles[-1]):z.1f} deg",
+                flush=True,
+            )
+    finally:
+        bus.write_verified(joint.id, "torque_enable", 0)
+    return 0
+
+
 def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     """Emulate four configured servos with relaxed tendons on a pseudo-terminal."""
     latency = options.usb_latency
@@ -154,6 +227,15 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     servos = EmulatedDynamixels(
         settings, config.replace(read_emulator(), changes)
     )
+    for leg, servo in zip(LEGS, servos.bus.servos):
+        if options.new == leg:
+            for register in REGISTERS:
+                if register.writable and register.eeprom:
+                    servo.memory[register.name] = register.initial
+        elif options.new:
+            servos.set_fault(Fault("silent", leg, 0.0, 0.0, 0.0), on=True)
+    for text in options.fault:
+        disturb(servos, text)
     # a shell's `&` makes SIGINT ignored
     for end in (signal.SIGINT, signal.SIGTERM):
         signal.signal(end, signal.default_int_handler)
@@ -170,19 +252,55 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
             return 0
 
 
-def _state(bus: Bus, joint: Joint) -> str:
-    values = (
-        bus.read(joint.id, "torque_enable")
-        | bus.read(joint.id, "hardware_error_status")
-        | bus.read(joint.id, "present_position", "present_temperature")
-    )
+def disturb(servos: EmulatedDynamixels, text: str) -> None:
+    """Apply KIND:LEG[:VALUE]: the angle of a spool (deg), a register, or a fault as injected."""
+    kind, leg, value = (*text.split(":"), "0", "0")[:3]
+    if leg not in LEGS:
+        raise ConfigError(
+            f"--fault {text}: expected KIND:LEG or KIND:LEG:VALUE"
+        )
+    index, number = LEGS.index(leg), float(value)
+    servo, register = servos.bus.servos[index], TABLE.get(kind)
+    if register is not None and not register.low <= number <= register.high:
+        raise ConfigError(
+            f"--fault {text}: outside [{register.low}, {register.high}]"
+        )
+    if register is not None:
+        servo.memory[kind] = int(number)
+    elif kind == SPOOL:
+        angle = servos.joints[index].servo_angle(math.radians(number))
+        servo.shaft.angle = angle
+    elif kind in BUS_KINDS:
+        servos.set_fault(Fault(kind, leg, 0.0, 0.0, number), on=True)
+    else:
+        raise ConfigError(
+            f"--fault {text}: expected {SPOOL}, a register, or one of {', '.join(BUS_KINDS)}"
+        )
+
+
+def _state(joint: Joint, values: Mapping[str, int]) -> str:
     return (
-        f"tendon {math.degrees(joint.tendon(values['present_position'])):.1f} deg, "
+        f"tendon {math.degrees(joint.tendon(values['present_position'])):z.1f} deg, "
         f"{values['present_input_voltage'] * VOLTAGE_UNIT:.1f} V, "
         f"{values['present_temperature']} degC, "
         f"torque {'on' if values['torque_enable'] else 'off'}, "
         f"hardware errors: {hardware_errors(values['hardware_error_status'])}"
     )
+
+
+def _complaints(
+    settings: DynamixelSettings, joint: Joint, values: Mapping[str, int]
+) -> Iterator[str]:
+    """Lines on a state with which the servo would not come under torque, or not for long."""
+    if errors := values["hardware_error_status"]:
+        yield f"{joint.name}: {hardware_errors(errors)}: mend the cause, then switch the supply off and on"
+    voltage = values["present_input_voltage"] * VOLTAGE_UNIT
+    low, high = settings.servo.voltage_min, settings.servo.voltage_max
+    if not low <= voltage <= high:
+        yield f"{joint.name}: {voltage:.1f} V, limits [{low:g}, {high:g}] V: check supply and cable"
+    present, (low, high) = values["present_position"], joint.limits()
+    if not low <= present <= high:
+        yield STANDS.format(joint.name, present, low, high)
 
 
 def _open(settings: DynamixelSettings, baud: int | None = None) -> Bus:
@@ -204,5 +322,6 @@ TOOLS: dict[str, Callable[[DynamixelSettings, argparse.Namespace], int]] = {
     "assign": assign,
     "prepare": prepare,
     "zero": zero,
+    "move": move,
     "emulate": emulate,
 }

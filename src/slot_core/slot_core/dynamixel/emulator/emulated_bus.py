@@ -39,6 +39,8 @@ from slot_core.dynamixel.packet import (
     status,
 )
 from slot_core.dynamixel.table import (
+    ANSWER_ALL,
+    ANSWER_READS,
     BAUD_RATES,
     MODEL_NUMBER,
     NO_SECONDARY_ID,
@@ -141,10 +143,6 @@ _ACTIONS: dict[int, Callable[[EmulatedServo, Packet], bytes]] = {
     Instruction.REBOOT: _on_reboot,
     Instruction.SYNC_WRITE: _on_sync_write,
 }
-
-
-# values of Status Return Level (68); 0: ping only
-ANSWER_READS, ANSWER_ALL = (1, 2)
 
 
 @dataclass(frozen=True)
