@@ -81,6 +81,10 @@ REFUSED = {
                 "path: needs odometry, which is none",
             ),
             (["--bench"], "bench: needs odometry none"),
+            (
+                ["--without", "mpc,recorder"],
+                "without = 'mpc': expected names among recorder, sim_robot,",
+            ),
             (["--namespace", "a$b"], "namespace = 'a$b': Invalid namespace: "),
             (
                 ["--frame-prefix", "/a/"],

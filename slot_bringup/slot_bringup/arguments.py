@@ -210,6 +210,13 @@ def graph_arguments() -> tuple[Argument, ...]:
             "with real servos",
         ),
         Argument(
+            "without",
+            str,
+            "",
+            "nodes that are not started, separated by commas: a lab's own take their place",
+            unit="NODES",
+        ),
+        Argument(
             "params_file",
             str,
             "",

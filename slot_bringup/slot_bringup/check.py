@@ -13,7 +13,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.validate_namespace import validate_namespace
 from rclpy.validate_topic_name import validate_topic_name
 
-from slot_bringup.graph import absolute, is_blind, is_simulated
+from slot_bringup.graph import absolute, is_blind, is_simulated, read_graph
 from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_force_map
@@ -62,6 +62,7 @@ def check(values: Mapping[str, Any]) -> None:
             )
     scene = read_scene(values["scene"])
     policy_class(values["policy"]).read_settings(values["policy"])
+    _check_nodes(values["without"])
     if values["lockstep"]:
         _check_lockstep(values)
     _check_odometry(values)
@@ -92,6 +93,16 @@ def check(values: Mapping[str, Any]) -> None:
     _check_prefix(values["frame_prefix"])
     if values["bag"]:
         _check_new(Path(values["bag"]))
+
+
+def _check_nodes(without: str) -> None:
+    """Raise ConfigError for a name among some, separated by commas, that no node has."""
+    known = read_graph().names
+    for name in filter(None, without.split(",")):
+        if name not in known:
+            raise ConfigError(
+                f"without = {quoted(name)}: expected names among {', '.join(known)}"
+            )
 
 
 def _check_parameters(values: Mapping[str, Any]) -> None:

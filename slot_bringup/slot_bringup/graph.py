@@ -58,6 +58,7 @@ class Graph:
         self._common = description["parameters"]
         self._remappings = description["remappings"]
         self._nodes = description["nodes"]
+        self.names = tuple(self._nodes)  # of all nodes
 
     def nodes(self, values: Mapping[str, Any]) -> list[NodeSpec]:
         """Nodes to start; `values` holds the value of every argument by name.
@@ -79,7 +80,9 @@ class Graph:
                 if_it_ends=self.if_it_ends(name),
             )
             for name, entry in self._nodes.items()
-            if values["hardware"] in entry.get("hardware", [values["hardware"]])
+            if name not in values["without"].split(",")
+            and values["hardware"]
+            in entry.get("hardware", [values["hardware"]])
             and ("needs" not in entry or values[entry["needs"]])
             and ("unless" not in entry or not values[entry["unless"]])
         ]

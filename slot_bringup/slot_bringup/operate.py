@@ -282,7 +282,11 @@ def _terminal() -> Iterator[int]:
 
 
 def live(namespace: str) -> None:
-    """Show the robot's state and handle keys until the operator quits or the terminal is closed."""
+    """Show the robot's state and handle keys until the operator quits or the terminal is closed.
+
+    It has the priority of the nodes, where there is a right to it: the e-stop waits for no other program.
+    """
+    runtime.take_priority("")
     with (
         listener("operate", namespace) as (node, executor),
         _terminal() as keyboard,

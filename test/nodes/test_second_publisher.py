@@ -7,7 +7,7 @@ from sensor_msgs.msg import JointState
 
 from slot_core.messages import decode
 from slot_core.safety.states import Action
-from slot_msgs.msg import RobotState, ServoLimits
+from slot_msgs.msg import RobotState, ServoLimits, TendonPlan
 from slot_nodes import qos
 
 TOPICS = {
@@ -92,6 +92,15 @@ def test_a_second_publisher_lets_a_walking_robot_relax_with_a_line_that_names_bo
     walking.run(0.1)
     fault = f"FAULT: slack after: servos: {line}"
     assert fault in walking.log_lines("supervisor")
+
+
+def test_two_controllers_let_a_walking_robot_relax_and_are_named(walking):
+    begin = walking.now()
+    second = walking.publisher(TendonPlan, "tendon_plan", qos.CONTROL)
+    walking.wait_for_torque_off(begin)
+    walking.destroy_publisher(second)
+    line = "/tendon_plan has 2 publishers, limit 1: /mpc_controller, /tester"
+    assert f"RELAX: {line}" in walking.log_lines("supervisor")
 
 
 def test_a_forged_permission_brings_no_torque_in_estop(walking, intruder):

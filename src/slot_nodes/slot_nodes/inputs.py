@@ -163,15 +163,23 @@ def require_sole_publisher(
 ) -> None:
     """Raise ValueError, and let the servos relax, if several nodes publish the topic.
 
-    Both get one line that names the nodes. DDS lists a killed node for another 20 s.
+    Both get one line that names the nodes.
+    """
+    if line := second_publisher(node, topic):
+        relax(line)
+        raise ValueError(line)
+
+
+def second_publisher(node: Node, topic: str) -> str:
+    """One line that names the nodes if several publish the topic, or "".
+
+    DDS lists a killed node for another 20 s.
     """
     name = node.resolve_topic_name(topic)
     if node.count_publishers(name) < 2:
-        return
+        return ""
     nodes = sorted(map(full_name, node.get_publishers_info_by_topic(name)))
-    line = f"{name} has {len(nodes)} publishers, limit 1: {', '.join(nodes)}"
-    relax(line)
-    raise ValueError(line)
+    return f"{name} has {len(nodes)} publishers, limit 1: {', '.join(nodes)}"
 
 
 def full_name(endpoint: TopicEndpointInfo) -> str:

@@ -52,6 +52,8 @@ from slot_nodes.diagnostics import SupervisorDiagnostics
 ESTOP_TYPE = "slot_msgs/msg/EmergencyStop"
 LIMITS_PERIOD = 1.0  # s, between two messages with the limits of the servos
 NODES_PERIOD = 1.0  # s, between two looks at which nodes are there
+# topics that one node alone publishes, beside those that the servos' node looks at
+SOLE = ("mpc_state", "gait_preview", "tendon_plan", "servo_health")
 # one topic of each node
 CONTROLLER = ("gait_preview", "tendon_plan", "desired_joint_angles")
 
@@ -130,13 +132,15 @@ class SupervisorNode(Node):
         self._limits.publish(self._servo_limits)
 
     def _look_for_nodes(self) -> None:
-        """Look which nodes of this namespace are there."""
+        """Look which nodes of this namespace are there, and who publishes what they obey."""
         here, present = (
             self.get_namespace(),
             self.get_node_names_and_namespaces(),
         )
+        lines = (inputs.second_publisher(self, topic) for topic in SOLE)
         self._supervisor.receive_nodes(
-            name for name, space in present if space == here
+            (name for name, space in present if space == here),
+            next(filter(None, lines), ""),
         )
 
     def _declare_gait(self) -> SetGait.Request:

@@ -125,6 +125,7 @@ class Conditions:
         self.place_is_known = self.tilt_is_known = True
         self._stopped = ""  # why the MPC counts as stopped
         self._rejected = ""  # why the newest command was rejected
+        self.intruder = ""  # topic of the controller and nodes that publish it
         # time of the last answer
         self._answered: list[int | None] = [None] * len(LEGS)
         self._not_finite: list[int | None] = [None] * len(LEGS)  # since when
@@ -323,6 +324,8 @@ class Conditions:
             )
 
     def _nodes(self, time: int) -> Iterator[Finding]:
+        if self.intruder:
+            yield Condition.SECOND_PUBLISHER, self.intruder
         limit = self._settings.timing.heartbeat
         for node in self._settings.nodes:
             age = self._age(time, f"node {node}")

@@ -24,7 +24,7 @@ stateDiagram-v2
     from every state by ESTOP_PRESSED, from those
     under torque by ESTOP_LOST
   end note
-  note right of FAULT: faults are SERVO_FAULT, SERVO_SILENT, TILTED
+  note right of FAULT: faults are SERVO_FAULT, SERVO_SILENT, TILTED, SECOND_PUBLISHER
   note right of HOLD
     reasons to hold are CLOCK_JUMPED, NODE_LOST,
     TENDON_DAMAGED, NO_MOTION, SLIDING, MPC_STOPPED,
@@ -72,6 +72,7 @@ class Condition(enum.Enum):
     SERVO_FAULT = "servo fault"
     SERVO_SILENT = "servo silent"
     TILTED = "tilted"
+    SECOND_PUBLISHER = "second publisher"
     COMMAND_LOST = "commands lost"
     HELD_TOO_LONG = "held too long"
     HELD_TOO_OFTEN = "held too often"
@@ -106,6 +107,7 @@ TRANSITIONS: dict[Condition, tuple[State, ...]] = {
     Condition.SERVO_FAULT: (_F, _X, _X, _X, _X, _X, _E, _F),
     Condition.SERVO_SILENT: (_I, _X, _X, _X, _X, _X, _E, _F),
     Condition.TILTED: (_I, _X, _X, _X, _X, _X, _E, _F),
+    Condition.SECOND_PUBLISHER: (_I, _X, _X, _X, _X, _X, _E, _F),
     Condition.COMMAND_LOST: (_I, _R, _X, _X, _X, _X, _E, _F),
     Condition.HELD_TOO_LONG: (_I, _R, _S, _W, _X, _X, _E, _F),
     Condition.HELD_TOO_OFTEN: (_I, _R, _S, _W, _X, _X, _E, _F),

@@ -143,8 +143,9 @@ class Supervisor:
         """Stamp of the first message of a supervisor that the servos took, ns; None: no report."""
         return self._inputs.supervised
 
-    def receive_nodes(self, names: Iterable[str]) -> None:
-        """Names of the nodes that are there now."""
+    def receive_nodes(self, names: Iterable[str], intruder: str = "") -> None:
+        """Names of the nodes that are there now; a line on a topic with too many publishers."""
+        self._inputs.intruder = intruder
         self._companions.look(names)
 
     def receive_estop(
