@@ -80,7 +80,13 @@ class Copy:
 
     def start(self, *arguments: str, stderr: int = subprocess.PIPE) -> Process:
         return subprocess.Popen(
-            [str(self.root / "scripts/setup"), *arguments],
+            [
+                # tests under nohup ignore hangups, and a shell cannot trap a signal that it was started to ignore
+                "env",
+                "--default-signal=HUP",
+                str(self.root / "scripts/setup"),
+                *arguments,
+            ],
             cwd="/",
             env=self.variables,
             stdin=subprocess.DEVNULL,
