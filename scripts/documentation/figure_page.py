@@ -14,10 +14,9 @@ from benchmarks.harness import known
 from documentation import DOC, ROOT
 from documentation.markdown import plain, table
 from documentation.pictures import PICTURES
-from documentation.results import ReportError, Result, number, read_result
-from slot_core.command_line import command_parser, refuse
+from documentation.results import Result, number, read_result, write_page
+from slot_core.command_line import command_parser
 
-CANNOT_WRITE = 2  # exit code
 INTRODUCTION = """\
 # Figures
 
@@ -180,18 +179,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="default: the page",
     )
     options = parser.parse_args(arguments)
-    try:
-        options.out.write_text(
-            page(
-                options.results,
-                options.out.read_text() if options.out.is_file() else "",
-            )
-        )
-    except (ReportError, OSError) as error:
-        refuse(parser.prog, error)
-        return CANNOT_WRITE
-    print(options.out)
-    return 0
+    return write_page(
+        parser.prog,
+        options.out,
+        lambda: page(
+            options.results,
+            options.out.read_text() if options.out.is_file() else "",
+        ),
+    )
 
 
 if __name__ == "__main__":

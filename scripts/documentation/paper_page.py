@@ -30,8 +30,10 @@ COMMANDS = {
 """Command lines of the results that are no benchmark's."""
 
 
-def render(directory: Path) -> str:
-    """The page of the results in a directory; raises ReportError."""
+def page(directory: Path, out: Path) -> str:
+    """The page of the results in a directory, for a file; raises ReportError."""
+    if out.suffix != ".md":
+        raise ReportError(f"--out {out}: expected a name that ends in .md")
     if not directory.is_dir():
         raise ReportError(
             f"--results {directory}: not a directory; scripts/bench NAME makes one"

@@ -9,9 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import CommandParser, refuse
-
-CANNOT_REPORT = 2  # exit code
+from slot_core.command_line import CommandParser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -29,22 +27,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             help=f"default: {default}",
         )
     options = parser.parse_args(arguments)
-    from documentation.paper_page import render  # noqa: PLC0415 - heavy
-    from documentation.results import ReportError  # noqa: PLC0415 - heavy
+    from documentation.paper_page import page  # noqa: PLC0415 - heavy
+    from documentation.results import write_page  # noqa: PLC0415 - heavy
 
-    try:
-        if options.out.suffix != ".md":
-            raise ReportError(
-                f"--out {options.out}: expected a name that ends in .md"
-            )
-        page = render(options.results)
-        options.out.parent.mkdir(parents=True, exist_ok=True)
-        options.out.write_text(page, encoding="utf-8", errors="replace")
-    except (ReportError, OSError) as error:
-        refuse(parser.prog, error)
-        return CANNOT_REPORT
-    print(options.out)
-    return 0
+    return write_page(
+        parser.prog, options.out, lambda: page(options.results, options.out)
+    )
 
 
 if __name__ == "__main__":

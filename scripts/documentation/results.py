@@ -4,13 +4,16 @@ import csv
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Check
+from slot_core.command_line import refuse
 from slot_core.refusal import InputError, quoted
+
+CANNOT_WRITE = 2  # exit code
 
 
 class ReportError(InputError):
@@ -58,6 +61,19 @@ def read_result(directory: Path, name: str) -> Result | None:
         raise ReportError(
             f"{path}: not a result of scripts/bench: {why}"
         ) from None
+
+
+def write_page(program: str, out: Path, make: Callable[[], str]) -> int:
+    """Write a page and print its path; returns the exit code, 2 with one line for a bad input."""
+    try:
+        page = make()
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(page, encoding="utf-8", errors="replace")
+    except (ReportError, OSError) as error:
+        refuse(program, error)
+        return CANNOT_WRITE
+    print(out)
+    return 0
 
 
 def number(value: Any) -> float | None:

@@ -86,9 +86,10 @@ def discretise(leg: Leg, nodes: int, anchor: float) -> Rod:
     anchor: arc length of the anchor as a share of the leg's.
     """
     before = round(anchor * (nodes - 1))
-    ahead = np.linspace(0.0, anchor, before + 1)
-    behind = np.linspace(anchor, 1.0, nodes - before)
-    arc = np.append(ahead, behind[1:]) * leg.arc_length()
+    behind = np.linspace(anchor, 1.0, nodes - before)[1:]
+    arc = leg.arc_length() * np.append(
+        np.linspace(0.0, anchor, before + 1), behind
+    )
     node = np.zeros((nodes, 2))
     x, along = leg.arc
     node[:, 0] = interpolated(arc, along, x)

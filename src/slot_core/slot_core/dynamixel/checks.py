@@ -30,7 +30,6 @@ SAMPLES = 20
 SAMPLE_PERIOD = 0.02  # s
 ZERO_DIGITS = 2  # of a zero in deg
 SPREAD_MAX = 3  # counts, largest spread of the readings of a servo at rest
-STANDS = "{}: stands at {} counts, outside its limits [{}, {}]; turn it back by hand, or zero it"
 NUMBER = r"-?\d+(?:\.\d+)?"
 
 EEPROM = (  # first and last of adjacent registers
@@ -98,6 +97,17 @@ def examine(
     return ServoInfo(joint.leg, joint.id, model, firmware, values), reasons
 
 
+def misplaced(joint: Joint, present: int) -> list[str]:
+    """One line if a servo stands outside of its limits, counts; none within."""
+    low, high = joint.limits()
+    if low <= present <= high:
+        return []
+    return [
+        f"{joint.name}: stands at {present} counts, outside its limits [{low}, {high}];"
+        " turn it back by hand, or zero it"
+    ]
+
+
 def prepare_torque(bus: Bus, settings: DynamixelSettings, joint: Joint) -> int:
     """Set goal := present position, gains, profile and watchdog; returns the position, counts.
 
@@ -114,12 +124,10 @@ def prepare_torque(bus: Bus, settings: DynamixelSettings, joint: Joint) -> int:
     # a tripped one refuses goals
     bus.write_verified(joint.id, "bus_watchdog", 0)
     present = bus.read(joint.id, "present_position")["present_position"]
-    low, high = joint.limits()
-    if not low <= present <= high:
-        raise RefusedError([STANDS.format(joint.name, present, low, high)])
+    if reasons := misplaced(joint, present):
+        raise RefusedError(reasons)
     # Armed before torque comes on.
     bus.write_verified(joint.id, "bus_watchdog", settings.servo.watchdog_code())
-    gains = settings.gains
     if settings.mode is Mode.PWM:
         bus.write_verified(joint.id, "goal_pwm", 0)
         return present
@@ -129,9 +137,9 @@ def prepare_torque(bus: Bus, settings: DynamixelSettings, joint: Joint) -> int:
         ("profile_velocity", 0),
         ("feedforward_2nd_gain", 0),
         ("feedforward_1st_gain", 0),
-        ("position_p_gain", gains.p),
-        ("position_i_gain", gains.i),
-        ("position_d_gain", gains.d),
+        ("position_p_gain", settings.gains.p),
+        ("position_i_gain", settings.gains.i),
+        ("position_d_gain", settings.gains.d),
         ("goal_position", present),
     ):
         bus.write_verified(joint.id, register, value)

@@ -14,21 +14,21 @@ from slot_core.command_line import refuse
 from slot_core.config import ConfigError
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.checks import (
-    STANDS,
     examine,
     expected,
     measure_zero,
+    misplaced,
     prepare_torque,
     write_zero,
 )
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
+from slot_core.dynamixel.emulator.emulated_servo import Memory
 from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import BaudRateError, SerialPort, check_latency
 from slot_core.dynamixel.settings import DynamixelSettings, read_settings
 from slot_core.dynamixel.table import (
     BAUD_RATES,
-    REGISTERS,
     TABLE,
     VOLTAGE_UNIT,
     Mode,
@@ -43,7 +43,7 @@ SPOOL = "spool"
 STEP = 0.02  # s, between two goals of `move`
 SETTLE = 15  # goals, until the leg is where it goes
 RATE_MAX = 60.0  # deg/s, of `move`
-NO_ANSWER = "no servo answered at any baud rate: check power, cable and port"
+NO_ANSWER = "no servo answered: check power, cable and port"
 ALONE = (
     "a new servo has id 1 at 57600 baud, two with one id answer at once:"
     " connect it alone, then scripts/servos --baud RATE assign ID"
@@ -74,11 +74,12 @@ def use(options: argparse.Namespace) -> int:
 
 def scan(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     """List the servos that answer, at every baud rate the port supports, fastest first."""
-    found = list(_answers(settings, options.baud))
-    for baud, identity, model, firmware in found:
+    found = 0
+    for baud, identity, model, firmware in _answers(settings, options.baud):
         print(
             f"{baud:>8} baud  id {identity:>3}  model {model}  firmware {firmware}"
         )
+        found += 1
     if not found:
         print(NO_ANSWER, file=sys.stderr)
     return 0 if found else FAILED
@@ -216,6 +217,8 @@ def move(settings: DynamixelSettings, options: argparse.Namespace) -> int:
                 flush=True,
             )
     finally:
+        # an interrupt may have left an exchange unfinished
+        bus.port.is_using = False
         bus.write_verified(joint.id, "torque_enable", 0)
     return 0
 
@@ -229,9 +232,7 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     )
     for leg, servo in zip(LEGS, servos.bus.servos):
         if options.new == leg:
-            for register in REGISTERS:
-                if register.writable and register.eeprom:
-                    servo.memory[register.name] = register.initial
+            servo.memory = Memory()
         elif options.new:
             servos.set_fault(Fault("silent", leg, 0.0, 0.0, 0.0), on=True)
     for text in options.fault:
@@ -268,8 +269,9 @@ def disturb(servos: EmulatedDynamixels, text: str) -> None:
     if register is not None:
         servo.memory[kind] = int(number)
     elif kind == SPOOL:
-        angle = servos.joints[index].servo_angle(math.radians(number))
-        servo.shaft.angle = angle
+        servo.shaft.angle = servos.joints[index].servo_angle(
+            math.radians(number)
+        )
     elif kind in BUS_KINDS:
         servos.set_fault(Fault(kind, leg, 0.0, 0.0, number), on=True)
     else:
@@ -298,9 +300,7 @@ def _complaints(
     low, high = settings.servo.voltage_min, settings.servo.voltage_max
     if not low <= voltage <= high:
         yield f"{joint.name}: {voltage:.1f} V, limits [{low:g}, {high:g}] V: check supply and cable"
-    present, (low, high) = values["present_position"], joint.limits()
-    if not low <= present <= high:
-        yield STANDS.format(joint.name, present, low, high)
+    yield from misplaced(joint, values["present_position"])
 
 
 def _open(settings: DynamixelSettings, baud: int | None = None) -> Bus:

@@ -450,14 +450,18 @@ class SensorAgreement:
                 f" {1e3 * limit:.0f} ms: it is not used; mend its stamps"
             )
             return
-        self._faults.pop("turns", None)
-        self._faults.pop("clock", None)
+        self._accept_turns()
         self._proven = True
         if follows:
             self._notes["shift"] = (
                 f"imu: stamps {1e3 * found:+.0f} ms against odometry's:"
                 " compensated"
             )
+
+    def _accept_turns(self) -> None:
+        """Take back that the turns differ."""
+        self._faults.pop("turns", None)
+        self._faults.pop("clock", None)
 
     def _explain(self, table: Array, moved: float, is_long: bool) -> None:
         """Find axes and unit with which the gyroscope turns as the odometry does.
@@ -491,8 +495,7 @@ class SensorAgreement:
                 " as deg/s"
             )
         elif explained and 3.0 - work.rotation.trace() < straight:
-            self._faults.pop("turns", None)
-            self._faults.pop("clock", None)
+            self._accept_turns()
             return
         elif explained and upright and 0.7 < unit < 1.4 and is_long:
             self._rotation = product(_squared(work.rotation), self._rotation)

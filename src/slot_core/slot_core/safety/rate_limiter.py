@@ -83,7 +83,7 @@ class RateLimiter:
         self._goal = self._target.copy()
         self._budget = np.zeros(len(LEGS))  # s
         self._action = Action.OFF
-        self.since = 0  # ns, when the present action began
+        self.since = 0  # ns, from when the rate of the present action grows
         self._time: int | None = None
         # whether the ramp to slack has ended in torque off
         self._relaxed = False
