@@ -9,6 +9,7 @@ import pytest
 import yaml
 from ament_index_python.packages import get_package_share_directory
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
@@ -162,6 +163,7 @@ def test_writer_refuses_a_second_type_an_unknown_type_and_a_bag_that_exists(
         ("notes.txt", b"no bag", "cannot be read"),
         ("foreign.mcap", b"\x89PNG\r\n\x1a\n" + bytes(100), "magic is invalid"),
         ("empty.mcap", b"", "seems to be empty"),
+        ("walk.mcap", b"version https://git-lfs.x", "a pointer of Git LFS"),
         (
             "bag/notes.txt",
             b"",
@@ -183,6 +185,54 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path, file, content, reason):
         list(Bag(bag).merged())
     assert str(bag) in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+FOREIGN = [
+    ("/add/_service_event", "a_msgs/srv/Add_Event", "ros2msg", b"int8 a\n---\n", "cdr"),
+    ("/gps", "foxglove.LocationFix", "protobuf", b"\n\xc5\x01\xff", "protobuf"),
+    ("/plan", "Plan", "jsonschema", b"{}", "json"),
+    ("/scan", "sensor_msgs/LaserScan", "ros1msg", b"Header header", "ros1"),
+    ("/lidar", "a_msgs/msg/Lidar", "unknown", b"", "cdr"),
+    ("/text", "", "", b"", "json"),
+]
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_foreign_channels_are_skipped_and_named_where_they_are_needed(
+    walk_bag, tmp_path, finished
+):
+    """As a service that is introspected, Foxglove or a driver adds them."""
+    file = tmp_path / "bag.mcap"
+    with file.open("wb") as stream:
+        out = Writer(stream)
+        out.start("ros2")
+        for topic, name, language, text, encoding in FOREIGN:
+            kind = out.register_schema(name, language, text) if name else 0
+            channel = out.register_channel(topic, encoding, kind)
+            out.add_message(channel, WALL, b"{}", WALL)
+        for schema, channel, m in make_reader(
+            (walk_bag / "walk.mcap").open("rb")
+        ).iter_messages():
+            kind = out.register_schema(schema.name, "ros2msg", schema.data)
+            number = out.register_channel(channel.topic, "cdr", kind)
+            out.add_message(number, m.log_time, m.data, m.publish_time)
+        out.finish()
+    if not finished:
+        file.write_bytes(file.read_bytes()[:-9])
+    bag = Bag(file)
+    assert bag.finished == finished
+    assert len(list(bag.merged())) == len(list(Bag(walk_bag).raw()))
+    for topic, name, _, _, encoding in FOREIGN:
+        reason = rf"{topic} holds .*{name} in '{encoding}', expected cdr"
+        if encoding == "cdr":
+            reason = f"{topic} holds {name}, of which the bag has no definition"
+        with pytest.raises(BagError, match=reason):
+            list(bag.messages(topic))
+    renamed = Bag(file, remap={"/plan": "/odom"})
+    with pytest.raises(BagError, match="/odom holds Plan in 'json'"):
+        read_motion(renamed, "/odom")
+    renamed.save(tmp_path / "copy")
+    assert Bag(tmp_path / "copy").topics.keys() == Bag(walk_bag).topics.keys() - {"/odom"}
 
 
 def test_a_bag_split_by_size_reads_as_one(walk_bag, tmp_path):
@@ -277,6 +327,10 @@ def test_equal_messages_of_one_stamp_count_once_and_lost_ones_not(written):
         (
             [(1.0, 0.0), (3.0, 0.1), (2.5, 0.2)],
             "time goes back by 0.5 s after message 1",
+        ),
+        (
+            [(1.0, 0.0), (2000.0, 0.1)],
+            "steps by 1999 s to 2000 s, limit 600 s: was the clock set",
         ),
         ([(1.0, 0.0), (1.0, 0.1)], "messages 0 and the next have one stamp"),
         ([(1.0, 0.0), (1.0, 0.0)], "1 samples, less than 2"),
