@@ -9,7 +9,6 @@ import pytest
 import yaml
 from ament_index_python.packages import get_package_share_directory
 from mcap.reader import make_reader
-from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import Reader
@@ -26,7 +25,7 @@ from synthetic_walk import (
 )
 
 from slot_core.messages import decode
-from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
@@ -187,14 +186,22 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path, file, content, reason):
     assert "\n" not in str(refused.value)
 
 
-FOREIGN = [
-    ("/add/_service_event", "a_msgs/srv/Add_Event", "ros2msg", b"int8 a\n---\n", "cdr"),
-    ("/gps", "foxglove.LocationFix", "protobuf", b"\n\xc5\x01\xff", "protobuf"),
-    ("/plan", "Plan", "jsonschema", b"{}", "json"),
-    ("/scan", "sensor_msgs/LaserScan", "ros1msg", b"Header header", "ros1"),
-    ("/lidar", "a_msgs/msg/Lidar", "unknown", b"", "cdr"),
-    ("/text", "", "", b"", "json"),
-]
+class Binary(bytes):
+    """A definition that is no text."""
+
+    encode = bytes
+
+
+FOREIGN = {
+    "/gps": MessageType(
+        "a.Fix", Binary(b"\n\xc5\x01\xff"), "protobuf", "", "protobuf"
+    ),
+    "/plan": MessageType("Plan", "{}", "jsonschema", "", "json"),
+    "/scan": MessageType("a_msgs/Scan", "Header h", "ros1msg", "", "ros1"),
+    "/text": MessageType("", "", "", "", "json"),
+    "/service": MessageType("a_msgs/srv/Add_Event", "int8 a\n---\n"),
+    "/lidar": MessageType("a_msgs/msg/Lidar", "", "unknown"),
+}
 
 
 @pytest.mark.parametrize("finished", [True, False])
@@ -202,37 +209,27 @@ def test_foreign_channels_are_skipped_and_named_where_they_are_needed(
     walk_bag, tmp_path, finished
 ):
     """As a service that is introspected, Foxglove or a driver adds them."""
-    file = tmp_path / "bag.mcap"
-    with file.open("wb") as stream:
-        out = Writer(stream)
-        out.start("ros2")
-        for topic, name, language, text, encoding in FOREIGN:
-            kind = out.register_schema(name, language, text) if name else 0
-            channel = out.register_channel(topic, encoding, kind)
-            out.add_message(channel, WALL, b"{}", WALL)
-        for schema, channel, m in make_reader(
-            (walk_bag / "walk.mcap").open("rb")
-        ).iter_messages():
-            kind = out.register_schema(schema.name, "ros2msg", schema.data)
-            number = out.register_channel(channel.topic, "cdr", kind)
-            out.add_message(number, m.log_time, m.data, m.publish_time)
-        out.finish()
+    entries, file = list(Bag(walk_bag).raw()), tmp_path / "bag" / "bag.mcap"
+    with BagWriter(file.parent, SETTINGS) as out:
+        for topic, kind in FOREIGN.items():
+            out.add_topic(topic, kind)
+            out.write(topic, kind.name, WALL, b"{}")
+        for topic, time, data in entries:
+            out.write(topic, TOPICS[topic], time, data)
     if not finished:
         file.write_bytes(file.read_bytes()[:-9])
-    bag = Bag(file)
-    assert bag.finished == finished
-    assert len(list(bag.merged())) == len(list(Bag(walk_bag).raw()))
-    for topic, name, _, _, encoding in FOREIGN:
-        reason = rf"{topic} holds .*{name} in '{encoding}', expected cdr"
-        if encoding == "cdr":
-            reason = f"{topic} holds {name}, of which the bag has no definition"
-        with pytest.raises(BagError, match=reason):
-            list(bag.messages(topic))
-    renamed = Bag(file, remap={"/plan": "/odom"})
-    with pytest.raises(BagError, match="/odom holds Plan in 'json'"):
-        read_motion(renamed, "/odom")
-    renamed.save(tmp_path / "copy")
-    assert Bag(tmp_path / "copy").topics.keys() == Bag(walk_bag).topics.keys() - {"/odom"}
+    bag = Bag(file, remap={"/plan": "/odom"})
+    left = [topic for topic, _, _ in entries if topic != "/odom"]
+    assert [topic for topic, _, _ in bag.merged()] == left
+    asked = dict(FOREIGN) | {"/odom": FOREIGN["/plan"]}
+    for topic in asked.keys() - {"/plan"}:
+        held = asked[topic].serialization
+        reason = f"in '{held}', expected cdr"
+        reason = "no definition in ros2msg" if held == "cdr" else reason
+        with pytest.raises(BagError, match=f"{topic} holds .*{reason}"):
+            read_motion(bag, topic)
+    bag.save(tmp_path / "copy")
+    assert set(Bag(tmp_path / "copy").topics) == set(left)
 
 
 def test_a_bag_split_by_size_reads_as_one(walk_bag, tmp_path):

@@ -211,7 +211,7 @@ def test_the_graph_walks_with_a_network_and_its_bag_replays(tmp_path):
     )
     recorded = Bag(record(tmp_path / "bag", *options))
     data.unlink()
-    assert "its weights are in net.onnx.data: No such file" in refusal_of(file)
+    assert "weights are in net.onnx.data beside it: File" in refusal_of(file)
     file.write_bytes(recorded.origin.files["policy.onnx"])
     assert len(inside) <= file.stat().st_size < len(inside) + 200
     file.unlink()

@@ -46,8 +46,13 @@ def test_a_table_is_the_torso_and_its_yaw_unwrapped(csv):
 
 
 def test_a_trajectory_of_tum_is_the_torso(csv):
-    turned = [f"{row} 0 0 {math.sin(0.4 * n)} {math.cos(0.4 * n)}" for n, row in enumerate(TUM)]
-    track = read_recording(csv("# time x y z qx qy qz qw", *turned)).points["torso"]
+    turned = [
+        f"{row} 0 0 {math.sin(0.4 * n)} {math.cos(0.4 * n)}"
+        for n, row in enumerate(TUM)
+    ]
+    track = read_recording(csv("# time x y z qx qy qz qw", *turned)).points[
+        "torso"
+    ]
     assert track.t == pytest.approx(np.arange(10) / 30, abs=1e-4)
     assert track.position[3] == pytest.approx([0.1, 0.0, 0.03])
     assert track.rpy[:, 2] == pytest.approx(0.8 * np.arange(10))

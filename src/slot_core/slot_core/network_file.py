@@ -26,13 +26,9 @@ def read_network(file: Path) -> bytes:
     Raises ConfigError if onnx is not installed, for a file that is no network, for a data file
     that is missing or elsewhere, and for a node that draws at random: its replay would differ.
     """
-    try:
-        import onnx  # noqa: PLC0415 - not installed with the robot
-    except ModuleNotFoundError:
-        raise ConfigError(
-            f"policy {file}: onnx is missing; run scripts/setup --learn"
-        ) from None
     with refused(file):
+        import onnx  # noqa: PLC0415 - not installed with the robot
+
         content = read_bytes(file, SIZE_MAX)
         model = onnx.load_model_from_string(content)
         if drawn := _random_node(model):
@@ -40,29 +36,17 @@ def read_network(file: Path) -> bytes:
                 f"policy {file}: {drawn} draws at random, so that a bag would not replay; export"
                 " the mean action, in evaluation mode"
             )
-        places = {
+        for name in {
             entry.value
             for tensor in model.graph.initializer
             for entry in tensor.external_data
             if entry.key == "location"
-        }
-        for place in places:
-            _require_data(file, place)
-        if places:
+        }:
+            with refused(f"{file}, whose weights are in {name} beside it"):
+                read_bytes(file.parent / name, SIZE_MAX)
             onnx.load_external_data_for_model(model, str(file.parent))
             content = model.SerializeToString()
     return content
-
-
-def _require_data(file: Path, place: str) -> None:
-    """Raise ConfigError if a data file is not there, is too large or is no regular file."""
-    try:
-        read_bytes(file.parent / place, SIZE_MAX)
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"policy {file}: its weights are in {place}:"
-            f" {getattr(error, 'strerror', None) or error}; keep both files in one folder"
-        ) from None
 
 
 def _random_node(model: Any) -> str:
@@ -72,7 +56,9 @@ def _random_node(model: Any) -> str:
         for tensor in model.graph.initializer
         if not any(tensor.raw_data) and not any(tensor.int32_data)
     }
-    for node in (n for part in (model.graph, *model.functions) for n in _nodes(part)):
+    for node in (
+        n for part in (model.graph, *model.functions) for n in _nodes(part)
+    ):
         if node.op_type in RANDOM:
             return str(node.op_type)
         if node.op_type == "Dropout" and not {"", *still} >= {*node.input[2:]}:
@@ -90,14 +76,18 @@ def _nodes(part: Any) -> Iterator[Any]:
 
 
 @contextmanager
-def refused(file: Path) -> Iterator[None]:
-    """Convert exceptions of the libraries to ConfigError."""
+def refused(policy: object) -> Iterator[None]:
+    """Convert exceptions of the libraries, and their absence, to ConfigError."""
     try:
         yield
     except ConfigError:
         raise
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"policy {policy}: {error.name} is missing; run scripts/setup --learn"
+        ) from None
     except Exception as error:
         line = " ".join(str(error).split())[:200]
         raise ConfigError(
-            f"policy {file}: {type(error).__name__}: {line}"
+            f"policy {policy}: {type(error).__name__}: {line}"
         ) from None

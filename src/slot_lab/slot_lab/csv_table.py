@@ -103,7 +103,9 @@ def read_table(path: Path) -> Table:
     if not lines:
         raise TableError(f"{path}: is empty: no line of column names")
     if len(lines[0][2]) == 1 and len(lines[0][2][0].split()) == len(TUM):
-        lines = [(n, where, " ".join(cells).split()) for n, where, cells in lines]
+        lines = [
+            (n, where, " ".join(cells).split()) for n, where, cells in lines
+        ]
         lines.insert(0, (0, lines[0][1], [*TUM]))
     (_, head, columns), *data = lines
     rows = []

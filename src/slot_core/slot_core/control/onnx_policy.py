@@ -142,15 +142,11 @@ def _loaded(file: Path) -> tuple[Any, str, str]:
 def _session(file: Path) -> Any:
     """The network, ready to run; raises ConfigError."""
     content = read_network(file)
-    try:
-        import onnxruntime  # noqa: PLC0415 - not installed with the robot
-    except ModuleNotFoundError:
-        raise ConfigError(
-            f"policy {file}: onnxruntime is missing; run scripts/setup --learn"
-        ) from None
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
     with refused(file):
+        import onnxruntime  # noqa: PLC0415 - not installed with the robot
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
         return onnxruntime.InferenceSession(
             content, options, ["CPUExecutionProvider"]
         )

@@ -194,30 +194,39 @@ def from_camera_info(  # noqa: PLR0917
 def _require_pinhole(matrix: Array, width: int, height: int) -> None:
     """Raise CameraError unless K = [f_x 0 c_x; 0 f_y c_y; 0 0 1] px suits an image of this size."""
     (f_x, skew, c_x), (below, f_y, c_y), last = matrix.tolist()
-    if last != [0.0, 0.0, 1.0]:
-        turned = ": transposed?" if c_x == c_y == 0.0 else ""
-        raise CameraError(
-            f"K[6:9] = {', '.join(f'{v:g}' for v in last)}{turned}, expected 0, 0, 1"
-        )
-    if skew or below:
-        raise CameraError(
+    turned = ": transposed?" if c_x == c_y == 0.0 else ""
+    sides = ("x", f_x, c_x, width), ("y", f_y, c_y, height)
+    field = [2 * np.degrees(np.arctan2(n / 2, f)) for _, f, _, n in sides]
+    normalised = ": normalised? K is in px" if f_x < 10.0 else ""
+    for unsuitable, fault in (
+        (
+            last != [0.0, 0.0, 1.0],
+            f"K[6:9] = {', '.join(f'{v:g}' for v in last)}{turned}, expected 0, 0, 1",
+        ),
+        (
+            skew or below,
             f"K[1] = {skew:g}, K[3] = {below:g}: expected 0, a camera without skew; calibrate it"
-            " by scripts/calibrate --camera"
-        )
-    for axis, f, c, size in (("x", f_x, c_x, width), ("y", f_y, c_y, height)):
-        if f <= 0:
-            raise CameraError(f"f_{axis} = {f:g} px: expected > 0")
-        field = 2 * np.degrees(np.arctan2(size / 2, f))
-        if not FIELDS[0] <= field <= FIELDS[1]:
-            hint = ": normalised? K is in px" if f < 10.0 else ""
-            raise CameraError(
-                f"f_{axis} = {f:g} px, a field of view of {field:.3g} deg on {size} px, expected"
-                f" {FIELDS[0]:g} to {FIELDS[1]:g}{hint}"
+            " by scripts/calibrate --camera",
+        ),
+        (min(f_x, f_y) <= 0, f"f = {f_x:g}, {f_y:g} px: expected > 0"),
+        *(
+            (
+                not FIELDS[0] <= angle <= FIELDS[1],
+                f"f_{axis} = {f:g} px, a field of view of {angle:.3g} deg on {size} px, expected"
+                f" {FIELDS[0]:g} to {FIELDS[1]:g}{normalised}",
             )
-        if not 0.0 <= c <= size:
-            raise CameraError(
-                f"c_{axis} = {c:g} px: outside of the image, [0, {size}]; K of another size?"
+            for (axis, f, _, size), angle in zip(sides, field)
+        ),
+        *(
+            (
+                not 0.0 <= c <= size,
+                f"c_{axis} = {c:g} px: outside of the image, [0, {size}]; K of another size?",
             )
+            for axis, _, c, size in sides
+        ),
+    ):
+        if unsuitable:
+            raise CameraError(fault)
 
 
 def _numbers(name: str, values: Any) -> Array:

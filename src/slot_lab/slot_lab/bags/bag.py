@@ -50,6 +50,8 @@ __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 Stamps = NDArray[np.int64]
 STORAGES = (".mcap", ".db3")
 METADATA_MAX = 10_000_000  # bytes of metadata.yaml
+CDR = "cdr"  # serialization of messages that are read
+LANGUAGES = ("ros2msg", "ros2idl", "omgidl", "")  # of definitions
 _mcap: Any = storage_mcap
 # At every opening of a file the library parses a text of YAML for every topic.
 _mcap.parse_qos = functools.lru_cache(64)(_mcap.parse_qos)
@@ -61,8 +63,6 @@ _message_definition = _mcap.get_msgdef
 _mcap.get_msgdef = lambda schema: _message_definition(
     schema if schema and schema.encoding in LANGUAGES else None
 )
-CDR = "cdr"  # serialization of messages that are read
-LANGUAGES = ("ros2msg", "ros2idl", "omgidl", "")  # of definitions
 SPARE = 64  # bytes at the end of a message, beyond its own, at most
 MAGIC = b"\x89MCAP0\r\n"  # at both ends of a whole file
 
@@ -369,7 +369,9 @@ class Bag:
         if found != CDR:
             return f"holds {kind} in {quoted(found)}, expected {CDR}, as ROS 2 records"
         if kind not in self._types.fielddefs:
-            return f"holds {kind}, of which the bag has no definition in ros2msg"
+            return (
+                f"holds {kind}, of which the bag has no definition in ros2msg"
+            )
         return ""
 
     def _connections(self, reader: Reader) -> list[tuple[str, Connection]]:

@@ -124,7 +124,9 @@ def _replay(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     bag = Bag(options.bag, options.namespace, dict(options.remap))
     if options.mend:
         bag.save(options.mend)
-        left_out = [f"without {t}, which {why}" for t, why in bag.foreign.items()]
+        left_out = [
+            f"without {t}, which {why}" for t, why in bag.foreign.items()
+        ]
         return [f"wrote {options.mend}", *left_out], 0
     chosen = options.only, options.skip
     try:

@@ -16,6 +16,7 @@ folders of images, bags with images, and depth.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -78,16 +79,15 @@ class PointRecording:
 
 def read_recording(
     path: Path,
-    namespace: str = "",
     camera: Path | None = None,
     motion: str = "",
     tell: Tell = untold,
-    remap: Mapping[str, str] | None = None,
+    **names: Any,
 ) -> PointRecording:
     """A recording from a bag, a CSV file, or a video and its camera's file.
 
-    motion: topic of a bag, by default the first of MOTION_TOPICS that is recorded. remap: new
-    names of its topics. Raises
+    motion: topic of a bag, by default the first of MOTION_TOPICS that is recorded. names:
+    `namespace` and `remap` of a bag. Raises
     TableError for a CSV file, BagError for a bag, RecordingError for a video, and ConfigError for
     the settings of the tracker.
     """
@@ -95,7 +95,7 @@ def read_recording(
         return _from_video(path, camera, tell)
     if path.is_dir() or path.suffix in STORAGES:
         return _from_bag(
-            Bag(path, namespace, remap), [motion] if motion else MOTION_TOPICS
+            Bag(path, **names), [motion] if motion else MOTION_TOPICS
         )
     return _from_csv(path)
 

@@ -1,9 +1,9 @@
 """Compares a run with a measurement: aligned in time and space, with the paper's error metrics.
 
 RUN and MEASUREMENT are each a bag, a CSV file with the header time,point,x,y,z (m, s) or
-time,x,y,z[,roll,pitch,yaw], a trajectory of TUM (time x y z qx qy qz qw, without a header), or a
-video, whose markers are tracked as by scripts/validate --track (see its --help). MEASUREMENT is the reference: errors are RUN minus MEASUREMENT. The intervals are
-95 % of a block bootstrap.
+time,x,y,z[,roll,pitch,yaw], a trajectory of TUM (time x y z qx qy qz qw, no header), or a video,
+whose markers are tracked as by scripts/validate --track (see its --help). MEASUREMENT is the
+reference: errors are RUN minus MEASUREMENT. The intervals are 95 % of a block bootstrap.
 """
 
 import argparse
@@ -107,16 +107,16 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     progress(f"reading {options.run}", 0.0)
     run = read_recording(
         options.run,
-        options.namespace,
         options.camera,
         options.motion,
         partial(progress, f"reading {options.run}"),
-        dict(options.remap),
+        namespace=options.namespace,
+        remap=dict(options.remap),
     )
     progress(f"reading {options.measurement}", 0.0)
     measured = read_recording(
         options.measurement,
-        camera=options.camera,
+        options.camera,
         tell=partial(progress, f"reading {options.measurement}"),
         remap=dict(options.remap_measured),
     )
