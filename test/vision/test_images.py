@@ -252,7 +252,7 @@ def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
         camera = Camera(
             640,
             360,
-            CAMERA.matrix / 2,
+            np.diag([0.5, 0.5, 1.0]) @ CAMERA.matrix,
             np.linspace(-0.01, 0.02, size),
             covariance,
         )
