@@ -204,6 +204,27 @@ INFO = {
         ),
         ({"d": [0.0] * 4}, "D has 4 values, plumb_bob has 5"),
         ({"d": [float("inf")] * 5}, "not finite"),
+        (
+            {"k": [900.0, 40.0, *INFO["k"][2:]]},
+            r"K\[1\] = 40, .* without skew",
+        ),
+        (
+            {"k": np.reshape(INFO["k"], (3, 3)).T},
+            r"K\[6:9\] = 640, 360, 1: transposed\?, expected 0, 0, 1",
+        ),
+        (
+            {"k": [0.7, 0, 0.5, 0, 1.3, 0.5, 0, 0, 1]},
+            "f_x = 0.7 px, a field of view of 180 deg on 1280 px, .*normalised",
+        ),
+        ({"k": [9e5, *INFO["k"][1:]]}, "a field of view of 0.0815 deg"),
+        (
+            {"height": 300},
+            r"c_y = 360 px: outside of the image, \[0, 300\]",
+        ),
+        (
+            {"model": "equidistant", "d": []},
+            "distortion_model 'equidistant': .* rectify the images of a fish",
+        ),
         ({"k": [1e308, *INFO["k"][1:]]}, "above 1e\\+06"),
         ({"k": [10**400] * 9}, "K = .*: expected numbers"),
         ({"d": {"a": 1}}, "D = .*: expected numbers"),
@@ -231,7 +252,7 @@ def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
         camera = Camera(
             640,
             360,
-            CAMERA.matrix / 2,
+            np.diag([0.5, 0.5, 1.0]) @ CAMERA.matrix,
             np.linspace(-0.01, 0.02, size),
             covariance,
         )
@@ -247,6 +268,8 @@ def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
         ("", "not subscriptable"),
         ("image_width: 3", "image_height is missing"),
         ("[", "expected the node content|while parsing"),
+        ("%YAML:1.0\n---\nK: !!opencv-matrix\n", "a file of OpenCV"),
+        ("version https://git-lfs.github.com/spec", "a pointer of Git LFS"),
         (known([1.0] * 3), "intrinsics_covariance has 3 values, expected 81"),
         (known(np.tri(9).ravel().tolist()), "not symmetric and positive"),
         (known((-np.eye(9)).ravel().tolist()), "not symmetric and positive"),

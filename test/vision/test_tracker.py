@@ -185,7 +185,9 @@ def test_an_unreadable_film_is_refused_in_one_line(
 
 def test_films_that_do_not_fit_are_refused(folder, refusal):
     film, depth = folder / "film", folder / "depth"
-    half = Camera(640, 360, CAMERA.matrix / 2, CAMERA.distortion)
+    half = Camera(
+        640, 360, np.diag([0.5, 0.5, 1.0]) @ CAMERA.matrix, CAMERA.distortion
+    )
     (folder / "half.yaml").write_text(camera_text(half))
     (depth / "005.png").unlink()
     for name in ("none", "blank"):
