@@ -41,8 +41,10 @@ def test_the_container_of_the_robot_records_to_the_host(service, record, bags):
 
 def test_the_tools_of_the_servos_run_in_the_container(tmp_path, capsys):
     """As the page has it, at the device that is passed in."""
-    page = (ROOT / "slot_bringup/doc/hardware.md").read_text()
-    (words,) = re.findall(r"run --rm servos (.*)", page)
+    (words,) = re.findall(
+        r"run --rm servos (.*)",
+        (ROOT / "slot_bringup/doc/hardware.md").read_text(),
+    )
     service, port = COMPOSE["services"]["servos"], str(tmp_path / "ttyUSB0")
     *programs, option, device = service["entrypoint"]
     assert [os.access(ROOT / name, os.X_OK) for name in programs] == [True] * 2

@@ -140,9 +140,10 @@ def test_gait_and_scene_of_the_page_run_as_its_commands_say(
         (own_config / name).write_text(text)
     monkeypatch.chdir(ROOT)
     commands = re.findall(r"^scripts/run (.*)", EXTEND, re.MULTILINE)
-    policy, low, mine = (parse(words.split()) for words in commands)
-    for options in (policy, low, mine):
+    given = [parse(words.split()) for words in commands]
+    for options in given:
         check_options(options)
+    _, low, mine, _ = given
     stands = SupervisedLoop(low.scene, low.gait, None, 0)
     *_, last = stands.run(3.0)
     assert last.state is State.STANDING
