@@ -52,9 +52,7 @@ class Rollouts(NamedTuple):
 class NominalRobot:
     """Rollouts of plans of tendon angles; it knows no payload, slope or damage but the wrench."""
 
-    STATE = StateParts(
-        "push", "stiffness", "gravity", "friction", "in_posture"
-    )
+    STATE = StateParts("push", "stiffness", "gravity", "friction", "in_posture")
 
     def __init__(
         self, robot: RobotParameters, settings: NominalSettings, dt: float
