@@ -40,7 +40,7 @@ def image(pixels, encoding="mono8", **changes):
     return message
 
 
-def test_images_of_every_encoding_are_grey_and_depth_is_in_millimetres():
+def test_images_of_every_encoding_are_grey():
     colour = np.zeros((2, 3, 3), np.uint8)
     colour[..., 2] = 200  # red of BGR
     assert set(np.unique(image_message.grey(image(colour, "bgr8")))) == {60}
@@ -50,10 +50,6 @@ def test_images_of_every_encoding_are_grey_and_depth_is_in_millimetres():
     np.testing.assert_array_equal(
         image_message.grey(image(np.pad(grey, ((0, 0), (0, 5))), width=4)), grey
     )
-    depth = np.array([[800, 1], [2, 65535]], np.uint16)
-    for big, order in ((0, "<u2"), (1, ">u2")):
-        message = image(depth.astype(order), "16UC1", is_bigendian=big)
-        np.testing.assert_array_equal(image_message.depth(message), depth)
 
 
 @pytest.mark.parametrize(
@@ -74,20 +70,16 @@ def test_a_image_with_missing_bytes_is_refused(changes, reason):
         image_message.grey(image(np.zeros((3, 4), np.uint8), **changes))
 
 
-def write_bag(path, images, depths=(), k=CAMERA.matrix):
-    """A bag with images and depth images as (stamp in ms, array)."""
+def write_bag(path, images, k=CAMERA.matrix):
+    """A bag with images as (stamp in ms, array)."""
     info = blank("sensor_msgs/msg/CameraInfo")
     info.height, info.width, info.distortion_model = 720, 1280, "plumb_bob"
     info.d, info.k = CAMERA.distortion, k.ravel()
     entries = [(0, "/camera/camera_info", info)]
-    for topic, encoding, frames in (
-        ("/camera/image_raw", "mono8", images),
-        ("/camera/depth", "16UC1", depths),
-    ):
-        for ms, pixels in frames:
-            message = image(pixels, encoding)
-            message.header.stamp.nanosec = ms * 1_000_000
-            entries.append((ms * 1_000_000, topic, message))
+    for ms, pixels in images:
+        message = image(pixels)
+        message.header.stamp.nanosec = ms * 1_000_000
+        entries.append((ms * 1_000_000, "/camera/image_raw", message))
     with BagWriter(path, read_record_settings()) as bag:
         for time, topic, message in entries:
             kind = message.__msgtype__
@@ -95,20 +87,12 @@ def write_bag(path, images, depths=(), k=CAMERA.matrix):
     return path
 
 
-def test_a_bag_gives_its_images_with_stamps_camera_and_the_nearest_depth(
-    tmp_path,
-):
+def test_a_bag_gives_its_images_with_stamps_and_camera(tmp_path):
     images = [(ms, np.full((2, 3), ms, np.uint8)) for ms in (10, 43, 76)]
-    depths = [(ms, np.full((2, 3), ms, np.uint16)) for ms in (12, 40, 100)]
-    bag = write_bag(tmp_path / "bag", images, depths)
-    frames = list(read_film(bag, depth="/camera/depth"))
+    bag = write_bag(tmp_path / "bag", images)
+    frames = list(read_film(bag))
     assert [f.time for f in frames] == pytest.approx([0.010, 0.043, 0.076])
     assert [f.grey[0, 0] for f in frames] == [10, 43, 76]
-    assert [f.depth is not None and f.depth[0, 0] for f in frames] == [
-        12,
-        40,
-        False,
-    ]
     assert bag_camera(bag, "/camera/image_raw").equals(CAMERA)
     bare = write_bag(tmp_path / "bare", [], k=np.zeros((3, 3)))
     with pytest.raises(FilmError, match="no topic /camera/image_raw"):

@@ -76,22 +76,6 @@ class SyntheticCamera:
         noise = self._noise[y : y + size[1], x : x + size[0]]
         return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), np.uint8)
 
-    def depth(self, surfaces: list[Surface], noise: float) -> np.ndarray:
-        """Depth along the optical axis as a RealSense gives it, uint16 (h, w), mm; zero: none.
-
-        Each surface is at the mean depth of its corners. noise: standard deviation, m, of every
-        pixel.
-        """
-        depth = np.zeros((self.camera.height, self.camera.width))
-        for surface in filter(lambda one: one.faces_camera, surfaces):
-            outline = np.round(self.camera.project(surface.corners))
-            middle = float(surface.corners[:, 2].mean())
-            cv2.fillConvexPoly(depth, outline.astype(np.int32), middle)
-        noisy = depth + noise * self._rng.standard_normal(depth.shape)
-        return np.clip(np.where(depth > 0, 1e3 * noisy, 0.0), 0, 65535).astype(
-            np.uint16
-        )
-
     def _paint(self, canvas: GreyImage, surface: Surface) -> None:
         """Paint a surface on the canvas of samples, and blur it by its motion."""
         edge = np.linspace(0, 1, 9)[:-1, None]

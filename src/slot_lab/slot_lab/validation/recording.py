@@ -10,7 +10,7 @@ headers:
 and a trajectory of TUM, time x y z qx qy qz qw without a header, is the torso's.
 
 The markers of a video are tracked as by scripts/validate --track, with its defaults; it also takes
-folders of images, bags with images, and depth.
+folders of images and bags with images.
 """
 
 from collections.abc import Mapping, Sequence
