@@ -234,16 +234,6 @@ def beam_problem(rng):
     ), truth
 
 
-def test_intervals_contain_the_truth_with_their_probability():
-    rng, inside = np.random.default_rng(1), []
-    for _ in range(400):
-        problem, truth = beam_problem(rng)
-        interval = estimate(problem, fit.fit(problem).values).interval
-        inside.append((interval[:, 0] < truth) & (truth < interval[:, 1]))
-    # 400 trials at 95 %: three standard deviations are 3.3 %.
-    assert np.mean(inside, axis=0) == pytest.approx(0.95, abs=0.033)
-
-
 def test_a_failed_prediction_is_an_error_at_the_start_and_rejected_in_a_trial():
     def predict(values):
         if values[0] > 0.5:
