@@ -64,7 +64,7 @@ LAB = {
     "calibration": "leg_tests",
     "validation": "bags film",
     "twin": "bags calibration",
-    "tuning": "",
+    "tuning": "leg_tests",
     "learning": "",
     "play": "",
 }

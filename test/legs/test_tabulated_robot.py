@@ -3,7 +3,6 @@
 Legs as springs: the table of their statics against scipy's interpolation.
 """
 
-import csv
 import math
 
 import numpy as np
@@ -44,14 +43,9 @@ def simulator(robot=ROBOT, name="map", **changes):
 
 def read(name):
     """Column of the table over angle (rad) and height (m), interpolated by SciPy."""
-    with (config.config_dir() / "leg_map.csv").open() as file:
-        rows = [
-            (r["theta_deg"], r["height_m"], r[name])
-            for r in csv.DictReader(file)
-        ]
-    theta, height, value = np.array(rows, dtype=float).T
-    grid = np.radians(np.unique(theta)), np.unique(height)
-    table = RegularGridInterpolator(grid, value.reshape(len(grid[0]), -1))
+    made = read_leg_table((name,))
+    grid = (made.angle, made.height)
+    table = RegularGridInterpolator(grid, made.table[..., 0])
     return lambda angle, drop: float(table((angle, drop)))
 
 
@@ -268,18 +262,6 @@ def test_newton_step_is_exact_where_feet_stick():
         ends.append(np.concatenate(change))
     assert np.abs(ends[0][:2]).max() > 1e-5
     assert ends[0] == pytest.approx(ends[1], rel=2e-3, abs=1e-7)
-
-
-def test_a_symmetric_stance_stays_symmetric():
-    """Legs mirrored in the plane x z: equal along the legs, opposite sideways and in their turns."""
-    sim = simulator(**{"start.settle": 0.0})
-    for _ in range(3):
-        sim.advance(200, np.radians([80.0, 80.0, 55.0, 55.0]))
-        left, right = sim.state.node[::2, YIELD], sim.state.node[1::2, YIELD]
-        assert np.abs(left).max() > 1e-6
-        np.testing.assert_allclose(left, right * [1, -1, -1], atol=1e-12)
-        assert abs(sim.position[1]) < 1e-12
-        assert np.abs(sim.rpy[[0, 2]]).max() < 1e-12
 
 
 def test_error_is_of_first_order_in_the_step():
