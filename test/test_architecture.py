@@ -65,7 +65,7 @@ LAB = {
     "validation": "bags film",
     "twin": "bags calibration",
     "tuning": "",
-    "learning": "",
+    "learning": "report",
     "play": "",
 }
 IMPORT_ALL = """
