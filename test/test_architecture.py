@@ -65,7 +65,7 @@ LAB = {
     "validation": "bags film",
     "twin": "bags calibration",
     "tuning": "leg_tests",
-    "learning": "",
+    "learning": "report",
     "play": "",
 }
 IMPORT_ALL = """

@@ -216,27 +216,6 @@ def test_known_parameters_are_recovered_within_their_intervals():
     assert low < found.chi_square < high
 
 
-<<<<<<< HEAD
-=======
-def beam_problem(rng):
-    """Deflections w F / E + z of a straight cantilever: a logarithmic and a linear parameter."""
-    load, per_modulus, sigma = np.linspace(0.2, 2.0, 8), 3e5, 5e-4
-    parameters = (
-        Parameter("E", 1e7, 1e5, 1e9),
-        Parameter("z", 0.01, 0.0, 0.02),
-    )
-
-    def predict(values):
-        return per_modulus * load / values[0] + values[1]
-
-    truth = np.array([2e7, 0.006])
-    measured = predict(truth) + sigma * rng.standard_normal(len(load))
-    return FitProblem(
-        parameters, predict, measured, np.full(len(load), sigma)
-    ), truth
-
-
->>>>>>> af6b2059722c4d79d56a3c5b2b34402856036a6b
 def test_a_failed_prediction_is_an_error_at_the_start_and_rejected_in_a_trial():
     def predict(values):
         if values[0] > 0.5:

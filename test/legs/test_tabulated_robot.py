@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from slot_core import config
 from slot_core.dynamics.scene import level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.legs.fingerprint import LEG, fingerprint, misfit
 from slot_core.legs.leg_table import (
     COLUMNS,
     legs_message,
@@ -429,6 +430,35 @@ def test_a_table_that_is_no_grid_is_rejected(tmp_path, monkeypatch, content):
     (tmp_path / "leg_map.csv").write_text(content)
     with pytest.raises(config.ConfigError, match=r"^leg_map\.csv: "):
         read_leg_springs(SLOPE_MIN)
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"leg.young_modulus": 0.82 * ROBOT.leg.young_modulus}, ""),
+        ({"leg.azimuth_deg": [60.0, -60.0, 120.0, -120.0]}, ""),  # of a gait
+        (
+            {"leg.young_modulus": 1.3 * ROBOT.leg.young_modulus},
+            "leg.young_modulus = 2.6e+07 Pa, robot.yaml says 3.38e+07 Pa;",
+        ),
+        (
+            {"leg.reach": 0.15, "leg.width": 0.025},
+            "leg.reach = 0.19 m, robot.yaml says 0.15 m; scripts/tune leg makes",
+        ),
+        (
+            {"leg.natural_shape": [6.356, -1.5, 0.0, 0.02175]},
+            "leg.natural_shape = 6.356 -1.81 0 0.02175, robot.yaml says 6.356",
+        ),
+    ],
+)
+def test_the_leg_of_another_print_is_its_own_and_of_another_one_the_parameter_is_named(
+    changes, line
+):
+    found = misfit(
+        fingerprint(ROBOT, LEG), config.replace(ROBOT, changes), "leg_map.csv"
+    )
+    assert found.startswith(line and f"leg_map.csv was made for {line}")
+    assert bool(found) == bool(line)
 
 
 @pytest.mark.parametrize(("modulus", "payload", "friction"), AT_REST)
