@@ -6,8 +6,7 @@ alone; the default, `rollout_mpc`; the paper's problem and map as printed, and a
 scripts, these in the first case of a row. With --quick there are two columns and fewer rows. The
 default must reach the goal of the row, and where the gait alone does not, be better by the row's
 `share`, so that a controller without effect fails. Apart from the table stand the margins of the
-walk (margins.py) and, without --quick, other legs (other_legs.py). An interrupted benchmark goes on
-where it ended.
+walk (margins.py). An interrupted benchmark goes on where it ended.
 """
 
 import dataclasses
@@ -27,13 +26,7 @@ from benchmarks.harness import (
     at_most,
     resumed,
 )
-from benchmarks.locomotion import (
-    ablations,
-    cases,
-    margins,
-    other_legs,
-    plots,
-)
+from benchmarks.locomotion import ablations, cases, margins, plots
 from benchmarks.locomotion.cases import (
     ALONE,
     COLUMNS,
@@ -85,12 +78,10 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     plots.draw_top(shown, out / "top.png")
     margins.draw(found, out / "margins.png")
     parted = ablations.measured(wanted, motions) if parts else []
-    legs = [other_legs.row(name, out) for name in other_legs.LEGS if not quick]
-    return [*table, *found, *parted, *legs], [
+    return [*table, *found, *parted], [
         *checks(wanted, table),
         *margins.checks(found),
         *ablations.checks(parted),
-        *other_legs.checks(legs),
     ]
 
 
