@@ -176,7 +176,7 @@ def test_every_thread_takes_the_priority_and_who_has_no_right_to_it_is_told(
     monkeypatch,
 ):
     taken, ended = [], threading.Event()
-    other = threading.Thread(target=ended.wait)
+    other = threading.Thread(target=ended.wait, daemon=True)
     other.start()
     monkeypatch.setattr(
         runtime.ctypes, "CDLL", lambda *_, **__: Mock(mlockall=lambda _: 0)
