@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-PAGE, PANELS, VIEW = (1200, 560), (1200, 2400), (1000, 640)  # px
+PAGE, PANELS, VIEW = (1200, 560), (1200, 2190), (1000, 640)  # px
 MOMENT = 4.3  # s, of the run: after a push
 TABS = "Drive", "World", "Push", "Keys", "Plots"
 WALKED = 11.0  # s, so that the plots are full
+FADED_IN = 4000.0  # ms, after which the scene is opaque
 # pixels of the robot
 SHARP = "?fixedDpr=1"
 TAB = "[...document.querySelectorAll('[role=tab]')].find(t => t.innerText == {!r})"
@@ -37,25 +38,24 @@ def write_page(path: Path) -> None:
         window.call("Page.navigate", url=window.run("location.origin") + SHARP)
         browser.wait_for(lambda: "paused" in window.text())
         window.run(f"{NOTICES}.forEach(button => button.click())")
-        browser.wait_for(lambda: not window.run(f"{NOTICES}.length"))
+        begin = window.run("performance.now()")
+        browser.wait_for(
+            lambda: (
+                not window.run(f"{NOTICES}.length")
+                and window.run("performance.now()") > begin + FADED_IN
+            )
+        )
         cv2.imwrite(str(path), captured(window, None))
 
 
 def write_panels(path: Path) -> None:
-    """Write the panels beside each other."""
+    """Write the panels below each other, the plots beside them."""
     with walking(PANELS) as window:
-        shown = [panel(window, name) for name in TABS]
-    height = max(map(len, shown))
-    # white below the shorter
-    columns = [
-        np.pad(
-            each,
-            ((0, height - len(each)), (0, 0), (0, 0)),
-            constant_values=255,
-        )
-        for each in shown
-    ]
-    cv2.imwrite(str(path), np.hstack(columns))
+        *panels, plots = [panel(window, name) for name in TABS]
+    left = np.vstack(panels)
+    below = len(plots) - len(left)
+    left = np.pad(left, ((0, below), (0, 0), (0, 0)), constant_values=255)
+    cv2.imwrite(str(path), np.hstack([left, plots]))
 
 
 def write_view(page: Path, path: Path) -> None:

@@ -100,10 +100,8 @@ def _add_plot(gui: viser.GuiApi, plot: traces.Plot) -> Any:
         for curve in plot.curves.values()
         for name, colour in zip(curve.names, curve.colours)
     ]
-    # until there are points
-    empty = np.zeros((len(curves), 2))
     return gui.add_uplot(
-        (np.array([0.0, SPAN]), *empty),
+        tuple(np.zeros((1 + len(curves), 2))),
         (uplot.Series(label="s"), *curves),
         title=plot.title,
         height=HEIGHT,

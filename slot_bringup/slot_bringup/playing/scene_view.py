@@ -38,7 +38,7 @@ LEGEND = (
 )
 # at the left of the panel; on a phone over the whole width
 LEGEND_STYLE = """<style>#slot_legend {
-  position: fixed; top: 0; left: 0; max-width: calc(100% - 26em); padding: 0.4em 0.8em;
+  position: fixed; top: 0; left: 0; max-width: calc(100% - 34em); padding: 0.4em 0.8em;
   display: flex; flex-wrap: wrap; gap: 0 1.2em; pointer-events: none;
   font: 13px/1.5 sans-serif; background: rgba(255, 255, 255, 0.8);
 }
