@@ -97,7 +97,7 @@ class WalkEnv(gymnasium.Env[Any, Any]):
         Raises ValueError as `taken_action` does, before the robot moves.
         """
         plant, task, preview = self._loop.plant, self.task, self._preview
-        taken = taken_action(action, self.action_space.shape)[None]
+        taken = taken_action(action, self._action.shape[1:])[None]
         change = deviation(
             task.actions,
             taken,

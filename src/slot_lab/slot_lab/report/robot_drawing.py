@@ -271,10 +271,9 @@ def read_poses(
 
     Without recorded leg states it has stress-free legs and no forces.
     """
-    motion, states = read_motion(bag), []
-    if bag.counts.get(LEG_STATES):
-        states = [message for _, message in bag.messages(LEG_STATES)]
-        t = seconds(np.array([decode.stamp(message) for message in states]))
+    motion, found = read_motion(bag), bag.counts.get(LEG_STATES)
+    states = [m for _, m in bag.messages(LEG_STATES)] if found else []
+    t = seconds(np.array([decode.stamp(message) for message in states]))
     poses = []
     for time in times:
         if states:
