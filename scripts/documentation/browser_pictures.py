@@ -16,7 +16,6 @@ PAGE, PANELS, VIEW = (1200, 560), (1200, 2190), (1000, 640)  # px
 MOMENT = 4.3  # s, of the run: after a push
 TABS = "Drive", "World", "Push", "Keys", "Plots"
 WALKED = 11.0  # s, so that the plots are full
-FADED_IN = 4000.0  # ms, after which the scene is opaque
 # pixels of the robot
 SHARP = "?fixedDpr=1"
 TAB = "[...document.querySelectorAll('[role=tab]')].find(t => t.innerText == {!r})"
@@ -42,7 +41,7 @@ def write_page(path: Path) -> None:
         browser.wait_for(
             lambda: (
                 not window.run(f"{NOTICES}.length")
-                and window.run("performance.now()") > begin + FADED_IN
+                and window.run("performance.now()") > begin + 4000.0  # ms
             )
         )
         cv2.imwrite(str(path), captured(window, None))

@@ -141,8 +141,11 @@ class NominalRobot:
             )
         start = self._checked(start)
         self.robot.model.push[:] = self.push
-        most = self._posture_friction if self.in_posture else math.inf
-        self.robot.model.friction[:] = min(self.friction, most)
+        self.robot.model.friction[:] = (
+            min(self.friction, self._posture_friction)
+            if self.in_posture
+            else self.friction
+        )
         count, stages = plans.shape[0], plans.shape[1] - 1
         found = Rollouts(
             np.empty((count, stages, 6)),

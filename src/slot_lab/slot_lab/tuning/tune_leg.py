@@ -43,7 +43,10 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     ]
     with mapper(options.scheduler, options.workers) as run_all:
         for name in missing:
-            tuning = Tuning(options.parse(_words(name)), progress)
+            gait = read_gaits().find(name)
+            height = (gait.height, "--height-range", *gait.height_range)
+            words = [name, "--height", *map(str, height)]  # its own
+            tuning = Tuning(options.parse(words), progress)
             tuning.searching = config.replace(
                 tuning.settings, SEARCH | {"evaluations": options.evaluations}
             )
@@ -65,10 +68,3 @@ def _complete(directory: Path) -> None:
         return {name for name in names if (copies / name).is_file()}
 
     shutil.copytree(ours, directory, ignore=there, dirs_exist_ok=True)
-
-
-def _words(name: str) -> list[str]:
-    """Arguments of `scripts/tune` for a stride at its own height; raises ConfigError."""
-    gait = read_gaits().find(name)
-    heights = map(str, (gait.height, "--height-range", *gait.height_range))
-    return [name, "--height", *heights]
