@@ -63,7 +63,6 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
             "load",
         ),
         "ablation": ("part", "row", "unit", "with", "without"),
-        "leg": ("leg", "v_x", "reached"),
     },
     "mpc": {
         "solver": (

@@ -32,6 +32,7 @@ from slot_core.recording.record_settings import (
 Types: TypeAlias = Typestore
 
 PACKAGE = "slot_msgs"
+CDR = "cdr"  # serialization of messages that are written and read
 
 
 def message_types() -> Types:
@@ -117,7 +118,7 @@ class MessageType:
     definition: str
     encoding: str = "ros2msg"
     digest: str = ""  # RIHS01 hash
-    serialization: str = "cdr"  # of its messages
+    serialization: str = CDR  # of its messages
 
 
 class BagWriter:

@@ -29,6 +29,7 @@ from rosbags.serde import SerdeError
 from slot_core import config
 from slot_core.clock import to_seconds
 from slot_core.recording.bag_writer import (
+    CDR,
     BagWriter,
     MessageType,
     Types,
@@ -50,7 +51,6 @@ __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 Stamps = NDArray[np.int64]
 STORAGES = (".mcap", ".db3")
 METADATA_MAX = 10_000_000  # bytes of metadata.yaml
-CDR = "cdr"  # serialization of messages that are read
 LANGUAGES = ("ros2msg", "ros2idl", "omgidl", "")  # of definitions
 _mcap: Any = storage_mcap
 # At every opening of a file the library parses a text of YAML for every topic.

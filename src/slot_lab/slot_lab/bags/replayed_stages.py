@@ -170,7 +170,7 @@ class RecordedStages:
         with self.bag.using(topic):
             return {decode.stamp(m): convert(m) for m in self.messages[topic]}
 
-    @property
+    @cached_property
     def policy(self) -> str:
         """Name of the policy, or file of a user's policy; the default if none is named.
 
