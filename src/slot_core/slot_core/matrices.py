@@ -71,7 +71,7 @@ def _multiply(a, b, out):
 
 
 @kernel
-def _invert(a, inverse):
+def invert(a, inverse):
     """Write the inverse of a symmetric positive definite a; a is overwritten, NaN if it is not."""
     cholesky(a)
     for j in range(a.shape[0]):
@@ -132,7 +132,7 @@ def sparse_product(matrix: Any, vector: Array) -> Array:
 def inverse(a: Array) -> Array:
     """Inverse of a symmetric positive definite matrix; NaN of another one."""
     out = np.empty_like(a)
-    _invert(np.array(a, dtype=float, order="C"), out)
+    invert(np.array(a, dtype=float, order="C"), out)
     return out
 
 

@@ -75,6 +75,7 @@ class UnaidedEstimator(StateEstimator):
         springs: LegSprings,
     ) -> None:
         self._robot, self._springs = robot, springs
+        rest_pose(robot, springs, np.zeros(4))  # compiles its kernels
         super().__init__(config.replace(settings, CHANGES))
 
     def _reset(self) -> None:

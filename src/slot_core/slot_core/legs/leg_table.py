@@ -26,9 +26,9 @@ import numpy as np
 from slot_core import config
 from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, kernel
-from slot_core.geometry import upward
+from slot_core.elementary import cos, sin
 from slot_core.legs.fingerprint import misfit
-from slot_core.matrices import interpolated, inverse, product
+from slot_core.matrices import interpolated, invert
 from slot_core.refusal import read_text
 from slot_core.robot import RobotParameters, read_robot
 
@@ -182,6 +182,7 @@ class LegSprings:
         """
         checked("table", table.table, (-1, -1, len(COLUMNS)))
         self._table, self._slope_min = table, slope_min
+        self.grid = table.angle, table.height, table.table
         self.at(np.zeros(1), np.zeros(1))  # compiles the kernel
 
     def at(self, angle: Array, height: Array, ratio: float = 1.0) -> Springs:
@@ -233,12 +234,29 @@ def drops(
 
     A foot at x outward is lower by x times the leg's slope than its clamp.
     """
-    up = upward(*pose[1:])
-    clamp, slope = robot.clamp_heights(*pose), product(robot.outward, up)
-    drop = clamp / up[2]
-    for _ in range(3):  # within 1 um
-        drop = (clamp + springs.at(angle, drop).contact * slope) / up[2]
-    return np.asarray(drop)
+    place = robot.clamps, robot.outward, np.asarray(angle, dtype=float)
+    drop, columns = np.empty(4), np.empty((4, len(COLUMNS)))
+    _set_drops(*springs.grid, *place, np.array(pose, float), drop, columns)
+    return drop
+
+
+@kernel
+def _set_drops(  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    grid, heights, table, clamps, outward, angle, pose, drop, columns
+):
+    """Write `drops` to drop (4,), and the columns of the table there."""
+    level = cos(pose[2])
+    up_x, up_y, up_z = -sin(pose[2]), level * sin(pose[1]), level * cos(pose[1])
+    for i in range(drop.size):
+        clamp = pose[0] + up_x * clamps[i, 0] + up_y * clamps[i, 1]
+        clamp += up_z * clamps[i, 2]
+        slope = outward[i, 0] * up_x + outward[i, 1] * up_y
+        drop[i] = clamp / up_z
+        at, down, row = angle[i : i + 1], drop[i : i + 1], columns[i : i + 1]
+        for _ in range(3):  # within 1 um
+            interpolate(grid, heights, table, at, down, row)
+            drop[i] = (clamp + columns[i, 3] * slope) / up_z
+        interpolate(grid, heights, table, at, down, row)
 
 
 def stiffness_ratio(
@@ -265,18 +283,51 @@ def rest_pose(
     own height above the floor; there it lies flat.
     """
     pose, lowest = np.array([0.06, 0.0, 0.0]), robot.torso.size[2] / 2
+    place = robot.clamps, robot.outward, np.asarray(angle, dtype=float)
+    shapes = 4, (4, len(COLUMNS)), (3, 4), 3, (3, 3), (3, 3)
+    work = map(np.empty, shapes)
+    _settle(*springs.grid, *place, robot.weight / ratio, pose, *work)
+    return pose if pose[0] > lowest else np.array([lowest, 0.0, 0.0])
+
+
+@kernel
+def _settle(  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    grid, heights, table, clamps, outward, angle, weight, pose,
+    drop, columns, lever, missing, matrix, inverse,
+):
+    """Move a pose (3,) to that of `rest_pose` by Newton's method; weight: m_0 g / kappa, N.
+
+    Written too: drops (4,), columns (4, c), levers (3, 4), missing (3,), matrix and inverse (3, 3).
+    """
     for _ in range(STEPS):
-        legs = springs.at(angle, drops(robot, springs, angle, pose))
-        x, y = (robot.clamps + legs.contact[:, None] * robot.outward).T[:2]
-        lever = np.array([np.ones_like(x), y, -x])  # force, M_x, M_y
-        missing = [robot.weight / ratio, 0.0, 0.0] - product(lever, legs.force)
-        stiffness = np.maximum(-legs.stiffness, STIFFNESS_MIN)
-        step = -product(inverse(product(lever * stiffness, lever.T)), missing)
-        size = np.abs(step).max()
-        pose = pose + step / max(1.0, size / STEP_MAX)
+        _set_drops(
+            grid, heights, table, clamps, outward, angle, pose, drop, columns
+        )
+        missing[:] = 0.0
+        matrix[:] = 0.0
+        for i in range(drop.size):
+            lever[0, i] = 1.0  # force, M_x, M_y
+            lever[1, i] = clamps[i, 1] + columns[i, 3] * outward[i, 1]
+            lever[2, i] = -(clamps[i, 0] + columns[i, 3] * outward[i, 0])
+            stiffness = max(-columns[i, 2], STIFFNESS_MIN)
+            for row in range(3):
+                missing[row] += lever[row, i] * columns[i, 0]
+                for column in range(3):
+                    part = lever[row, i] * stiffness * lever[column, i]
+                    matrix[row, column] += part
+        missing[0] -= weight
+        invert(matrix, inverse)
+        size = 0.0
+        for row in range(3):
+            step = 0.0
+            for column in range(3):
+                step += inverse[row, column] * missing[column]
+            lever[row, 0] = step
+            size = max(size, abs(step))
+        for row in range(3):
+            pose[row] += lever[row, 0] / max(1.0, size / STEP_MAX)
         if size < ROUNDING:
             break
-    return pose if pose[0] > lowest else np.array([lowest, 0.0, 0.0])
 
 
 def legs_message(ratio: float, stiffness: float, mass: float) -> str:
