@@ -22,7 +22,6 @@ from scipy.spatial.transform import Rotation
 from slot_core import config
 from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Validity
-from slot_core.estimation.sensor_agreement import STRAYS
 from slot_core.geometry import OPTICAL, wrapped
 from slot_core.robot import GRAVITY
 
@@ -237,10 +236,3 @@ def noisy_part(motion, rng):
         imu_messages(motion, 8.0, rng=rng),
         odometry_messages(motion, 8.0, rng=rng, noise=loud),
     )
-
-
-def test_a_clock_that_is_set_back_needs_some_stamps():
-    messages = noisy(REST, 1.0, 1)
-    assert STRAYS > 1
-    back = stamped("odometry", stamped("imu", messages, -5.0), -5.0)
-    assert run(messages + back, COMPARED)[0][-1].stamp < messages[0][1]

@@ -112,20 +112,6 @@ def test_the_tendons_reach_their_goals(control, direction):
     )
 
 
-def test_the_host_pid_has_no_droop_under_load_but_the_servos_p_gain_has():
-    torque = (0.3,) * 4
-    error = {}
-    for control in ("position", "pwm"):
-        rig = DriverRig({"control": control}, angles=(0.0,) * 4).start()
-        rig.run(3.0, (1.0,) * 4, torque)
-        error[control] = 1.0 - rig.legs.angles()[0]
-    servo_torque = 0.3 / 1.03199
-    gain = rig.driver.settings.gains.p / 128 / 885 / RAD_PER_COUNT
-    droop = servo_torque / 1.4 / gain / 1.03199
-    assert error["position"] == pytest.approx(droop, abs=2 * RAD_PER_COUNT)
-    assert abs(error["pwm"]) < 3 * RAD_PER_COUNT
-
-
 @pytest.mark.parametrize(
     "goals",
     [

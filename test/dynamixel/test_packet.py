@@ -7,7 +7,6 @@ Port of the driver: refusals, and a pseudo-terminal of emulated servos, which ta
 No damaged packet moves a servo, becomes a reading or ends the emulator or the driver.
 """
 
-import copy
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -41,7 +40,7 @@ from slot_core.dynamixel.packet import (
 )
 from slot_core.dynamixel.port import BaudRateError, SerialPort, check_latency
 from slot_core.dynamixel.settings import read_settings
-from slot_core.dynamixel.table import REGISTERS, TABLE, decode_span, span
+from slot_core.dynamixel.table import TABLE, decode_span, span
 from slot_core.faults import Fault
 from slot_core.servos.servo_bus import PortError
 
@@ -232,11 +231,6 @@ SDK = PacketHandler(2.0)
 BAUD = 1_000_000
 REACTION = 0.01  # s, in which a servo moves if it takes a damaged packet
 IDS = read_settings().joints.ids
-RANGES = [
-    r
-    for r in REGISTERS
-    if r.writable and r.name != "bus_watchdog" and r.address < 168
-]
 
 
 def written(name, value, *ids):
@@ -299,28 +293,13 @@ def registers(bus):
     return [dict(servo.memory._values) for servo in bus.servos]
 
 
-def obey(packet):
-    """Assert that the servos take a packet and keep their registers in range; then reset them."""
-    OBEYING.receive(packet, BAUD)
-    OBEYING.advance(0.001)
-    for servo in OBEYING.servos:
-        assert [
-            r.name
-            for r in RANGES
-            if not r.low <= servo.memory[r.name] <= r.high
-        ] == []
-    OBEYING.servos = copy.deepcopy(KEPT)
-
-
-HOLDING, OBEYING = holding_bus(), holding_bus()
-KEPT = copy.deepcopy(OBEYING.servos)
+HOLDING = holding_bus()
 
 
 @given(st.sampled_from(PACKETS).flatmap(spliced))
 @examples(1500)
 def test_no_damaged_packet_changes_or_moves_a_servo(data):
-    if valid(data):
-        return obey(data)
+    assume(not valid(data))
     angles, before = HOLDING.advance(0.0), registers(HOLDING)
     HOLDING.discard_partial()
     replies = HOLDING.receive(data, BAUD)
@@ -328,23 +307,6 @@ def test_no_damaged_packet_changes_or_moves_a_servo(data):
     assert all(p.parameters[0] & 0x7F == packet.Error.CRC for p in answers)
     assert registers(HOLDING) == before
     np.testing.assert_array_equal(HOLDING.advance(REACTION), angles)
-
-
-@given(
-    st.sampled_from([*IDS, BROADCAST]),
-    st.sampled_from([*Instruction]) | st.integers(0, 255),
-    st.binary(max_size=24)
-    | st.builds(
-        lambda register, more: register.address.to_bytes(2, "little") + more,
-        st.sampled_from(REGISTERS),
-        st.binary(max_size=20),
-    ),
-)
-@examples(1000)
-def test_no_instruction_leaves_a_register_beyond_its_range(
-    identity, instruction, parameters
-):
-    obey(build(identity, instruction, parameters))
 
 
 LINE = SimpleNamespace(

@@ -55,34 +55,6 @@ def test_cantilever_follows_the_elastica_to_third_order(p):
     assert np.log(errors[0] / errors[2]) / np.log(30 / 8) > 2.9
 
 
-FORCES = [
-    (0.0, 0.0, 3.0),
-    (0.5, 2.0, 2.0),
-    (-1.0, 1.0, 3.0),
-    (0.3, -2.5, 0.7),
-    (0.0, 2.0, 0.0),
-]
-
-
-@pytest.mark.parametrize("force", FORCES)
-@pytest.mark.parametrize("curvature", [0.0, 1.0])
-def test_tip_force_in_any_direction_bends_and_twists_as_in_cosserats_equations(
-    force, curvature
-):
-    geometry, loads = (
-        Geometry(1.0, OBLONG.section, curvature),
-        Loads(force=force),
-    )
-    tip, errors = exact.tip(UNIT, geometry, loads), []
-    for nodes in (16, 31, 61):
-        rod = CosseratRod(UNIT, geometry, nodes)
-        rod.solve_static(loads)
-        errors.append(error(rod, tip))
-    assert errors[2] < 1e-6
-    # third order gives 64; some errors are small throughout
-    assert errors[0] / errors[2] > 30
-
-
 @pytest.mark.parametrize(
     "loads",
     [
