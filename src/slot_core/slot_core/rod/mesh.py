@@ -14,26 +14,57 @@ t x d. That of an end's section has the same rows; t is its tangent, -d its widt
 Row N of the nodes and row N - 1 of the segments stand for the tip's section (above).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from slot_core.arrays import Array, one_buffer
-from slot_core.dynamics.rod import Sections, links, weights
+from slot_core.dynamics.rod import Sections, links, lumped, weights
 from slot_core.dynamics.spatial.strain import (
     Refinement,
     Segments,
     segments,
     tilts,
 )
-from slot_core.rod.model import Geometry, Material, Support, need, numbers
+from slot_core.rod.model import (
+    Geometry,
+    Material,
+    Plane,
+    Support,
+    Tendon,
+    need,
+    numbers,
+)
 
 
 class NoTendon(NamedTuple):
-    """Derivatives of a tendon's length, zero at all hinges and segments: a rod has no tendon."""
+    """A leg's tendon that does nothing: a rod's tendons are `Cables`."""
 
     around: Array  # (N,)
     along: Array  # (N,)
+
+
+class Cables(NamedTuple):
+    """The m tendons of a rod at its hinges; components along d and b of a section's frame."""
+
+    offset: Array  # (m, N, 2) m
+    rise: Array  # (m, N, 2) m, slope of the offset along the rod times the hinge's weight
+    share: Array  # (m, N) of a hinge's bending that lies before the tendon's end
+    along: Array  # (m, N) of a segment's extension that lengthens the tendon
+    stiffness: Array  # (m,) N/m
+    damping: Array  # (m,) N s/m
+
+
+class Walls(NamedTuple):
+    """The planes that a rod can touch."""
+
+    normal: Array  # (q, 3)
+    level: Array  # (q,) m, normal component of the centre line's place where it touches
+    stiffness: Array  # (q, N) N/m of the nodes
+    damping: Array  # (q, N) N s/m
+    friction: Array  # (q,)
+    creep: Array  # (q,) m/s
 
 
 class Mesh(NamedTuple):
@@ -58,6 +89,8 @@ class Mesh(NamedTuple):
     metric: Array  # (4 N + 7,) norm of the unknowns: masses, and of turns mass L^2 / 12
     held: Array  # (2, 6) bool, held components of position and rotation at base and tip
     none: NoTendon
+    cables: Cables
+    walls: Walls
     refinement: Refinement
     length: float  # m
     damping_time: float  # s
@@ -70,6 +103,8 @@ def build_mesh(  # noqa: PLR0917
     base: Support,
     tip: Support,
     refined: bool,
+    tendons: Sequence[Tendon],
+    planes: Sequence[Plane],
 ) -> Mesh:
     """Divide a rod into nodes - 1 segments of equal arc length; raises RodError below one.
 
@@ -106,6 +141,8 @@ def build_mesh(  # noqa: PLR0917
         held=np.array([[*end.position, *end.rotation] for end in (base, tip)]),
         refinement=_refinement(geometry, arc, refined),
         none=NoTendon(np.zeros(nodes), np.zeros(nodes)),
+        cables=_cables(tendons, arc, chain),
+        walls=_walls(planes, arc),
         length=length,
         damping_time=material.damping_time,
     )
@@ -130,6 +167,59 @@ def sections(material: Material, geometry: Geometry, s: Array) -> Sections:
         torsion=material.shear_modulus * over("torsion_constant"),
         mass=material.density * area,
         spin=material.density * (inner + outer),
+    )
+
+
+def _cables(
+    tendons: Sequence[Tendon], arc: Array, chain: dict[str, Array]
+) -> Cables:
+    """Tendons at hinges at arc lengths (N,), m; raises RodError for an offset of another shape.
+
+    One that ends at a node before the tip has half of this node's bending. Its stiffness is that of
+    the cable in series with the compliance p^2 / (4 B) of this node (`dynamics/rod.py`).
+    """
+    n, step, extent = len(arc), arc[1], weights(np.diff(arc))[:, None]
+    order = np.arange(n)
+    cables = Cables(
+        offset=np.zeros((len(tendons), n, 2)),
+        rise=np.zeros((len(tendons), n, 2)),
+        share=np.ones((len(tendons), n)),
+        along=np.zeros((len(tendons), n)),
+        stiffness=np.zeros(len(tendons)),
+        damping=np.array([tendon.damping for tendon in tendons], dtype=float),
+    )
+    for i, tendon in enumerate(tendons):
+        offset = -numbers("offset", tendon.offset, (n, 2))
+        slope = np.gradient(offset, arc, axis=0, edge_order=min(2, n - 1))
+        end = max(1, round(tendon.end * (n - 1)))
+        cables.offset[i], cables.rise[i] = offset, extent * slope
+        inclined = np.hypot(*np.diff(offset, axis=0).T) / step
+        cables.along[i, :end] = 1.0 / np.hypot(1.0, inclined[:end])
+        cables.share[i] = np.clip(end - order + 0.5, 0.0, 1.0)
+        cables.share[i, -1] = end == n - 1
+        across = offset[end] ** 2 / [chain["lateral"][end], chain["bending"][end]]
+        compliance = across.sum() / 4 * (end < n - 1)
+        cables.stiffness[i] = tendon.stiffness / (1 + tendon.stiffness * compliance)
+    return cables
+
+
+def _walls(planes: Sequence[Plane], arc: Array) -> Walls:
+    """Planes beside nodes at arc lengths (N,), m."""
+
+    def each(name: str) -> Array:
+        return np.array([getattr(plane, name) for plane in planes], dtype=float)
+
+    normal = each("normal").reshape(-1, 3)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    extent = lumped(np.ones(len(arc)), np.diff(arc))
+    point = each("point").reshape(-1, 3)
+    return Walls(
+        normal=normal,
+        level=(normal * point).sum(axis=1) + each("radius"),
+        stiffness=np.outer(each("stiffness"), extent),
+        damping=np.outer(each("damping"), extent),
+        friction=each("friction"),
+        creep=each("creep"),
     )
 
 
@@ -183,6 +273,13 @@ class RodWork(NamedTuple):
     last: Array  # (6, 7) the same of the last node and the tip's section
     gap: Array  # (2, 6) increments of the held unknowns
     change: Array  # (4 N + 7,) Newton increment
+    # (m, 4) of the tendons: pull (N), stiffness while taut (N/m), length (m), m/N of all
+    pull: Array
+    carried: Array  # (N,) N, axial force of the segments by the tendons' pull
+    # (m, N, 8) derivative of a tendon's length over (s, w) before, behind, by bending
+    reach: Array
+    gradient: Array  # (m, 4 N + 7) derivative of a tendon's length
+    response: Array  # (m, 4 N + 7) displacement by a unit force along it
     rotation: Array  # (3, 3) scratch
     # (1,) steps whose last increment was above the tolerance
     unconverged: Array
@@ -190,7 +287,7 @@ class RodWork(NamedTuple):
 
 def work_space(mesh: Mesh) -> RodWork:
     """Work arrays of a rod; `place` moves it to a pose."""
-    n = len(mesh.mass)
+    n, m = len(mesh.mass), len(mesh.cables.stiffness)
     posture, views = one_buffer(
         {
             "stage": (n + 1, 3),
@@ -225,6 +322,11 @@ def work_space(mesh: Mesh) -> RodWork:
         last=np.zeros((6, 7)),
         gap=np.zeros((2, 6)),
         change=np.zeros(4 * n + 7),
+        pull=np.zeros((m, 4)),
+        carried=np.zeros(n),
+        reach=np.zeros((m, n, 8)),
+        gradient=np.zeros((m, 4 * n + 7)),
+        response=np.zeros((m, 4 * n + 7)),
         rotation=np.zeros((3, 3)),
         unconverged=np.zeros(1, dtype=np.int64),
     )

@@ -41,6 +41,12 @@ def need_positive(name: str, *values: float) -> None:
     need(good, f"{name} {shown} must be above 0 and finite")
 
 
+def need_not_below_zero(name: str, value: float) -> None:
+    """Raise RodError for a value that is below 0 or not finite."""
+    good = 0.0 <= value < math.inf
+    need(good, f"{name} {value} must be finite and not below 0")
+
+
 def need_vector(name: str, values: Vector) -> None:
     """Raise RodError unless there are three finite numbers."""
     checked(name, values, (3,), error=RodError)
@@ -73,10 +79,7 @@ class Material:
     def __post_init__(self) -> None:
         for name in ("young_modulus", "shear_modulus", "density"):
             need_positive(name, getattr(self, name))
-        need(
-            0.0 <= self.damping_time < math.inf,
-            f"damping_time {self.damping_time} must be finite and not below 0",
-        )
+        need_not_below_zero("damping_time", self.damping_time)
 
 
 class Section(Protocol):
@@ -288,11 +291,78 @@ ROLLER = Support((False, True, True), NONE)  # slides along x
 
 
 @dataclass(frozen=True)
+class Tendon:
+    """A cable without friction from the base's section to an end, through holes in all sections.
+
+    At the offset p(s) in a section's axes the cable's tangent is g / |g| with
+
+        g = (1 + e) t + u x p + dp/ds,      l = int |g| ds,      T = max(0, pull + k (l - length)),
+
+    e the stretch, u = (twist, bending) the curvature and l the length of the path (Rucker and
+    Webster, IEEE Trans. Robotics 27, 2011). It pulls and never pushes. Its forces on the rod are
+    -T grad l, so along a curve it presses on the sections as Rucker and Webster's cable does. A
+    stretch e lengthens an inclined cable as at rest, by cos(inclination) e.
+
+    A constant offset at the end's distance `d` on the side of the normal bends a straight rod to
+    the curvature T d / EI. Beyond the end the tendon does nothing. The pull or the length is a part
+    of `Loads`.
+
+    Raises RodError for a stiffness or damping that is below 0 or not finite, an end outside of 0 ..
+    1; the rod raises it for an offset that is not of two numbers, or of two for each node.
+    """
+
+    offset: tuple[float, float] | Array  # (2,) or (N, 2) m along width and normal
+    stiffness: float = 0.0  # N/m, k of the whole cable; needed by a given length
+    damping: float = 0.0  # N s/m, times the rate of l, with a given length
+    end: float = 1.0  # share of the rod's length, at the nearest node
+
+    def __post_init__(self) -> None:
+        need_not_below_zero("stiffness", self.stiffness)
+        need_not_below_zero("damping", self.damping)
+        need(0.0 < self.end <= 1.0, f"end {self.end} must be above 0, at most 1")
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A wall or floor that the rod cannot enter; it touches the rod at the nodes.
+
+    At a node whose gap g = normal . (r - point) - radius is below 0 the force per length of the rod
+    is N n - f with the law of the robot's feet (`dynamics/contact.py`):
+
+        N = max(0, -stiffness g - damping dg/dt),      f = friction N v / sqrt(v^2 + creep^2),
+
+    v the velocity along the plane: Coulomb's friction, which creeps under a load at rest. Statics
+    has no friction. The force acts on the centre line: friction does not roll or twist the rod.
+
+    Raises RodError for a vector that is not of three finite numbers, a normal of length 0, a
+    stiffness or creep that is not above 0, other numbers below 0.
+    """
+
+    point: Vector  # m, of the plane
+    normal: Vector  # out of the wall, of any length
+    stiffness: float  # N/m^2: N/m per m of the rod
+    radius: float = 0.0  # m, from the centre line to the rod's surface
+    damping: float = 0.0  # N s/m^2
+    friction: float = 0.0
+    creep: float = 1e-3  # m/s
+
+    def __post_init__(self) -> None:
+        need_vector("point", self.point)
+        need_vector("normal", self.normal)
+        need(any(self.normal), f"normal {self.normal} must not be 0")
+        need_positive("stiffness", self.stiffness)
+        need_positive("creep", self.creep)
+        for name in ("radius", "damping", "friction"):
+            need_not_below_zero(name, getattr(self, name))
+
+
+@dataclass(frozen=True)
 class Loads:
-    """Dead loads, of fixed direction, and a follower force, which turns with the tip.
+    """Dead loads, of fixed direction, a follower force, which turns with the tip, and tendons.
 
     A dead moment in space has no potential. Raises RodError for a vector that is not of three
-    finite numbers.
+    finite numbers; the rod raises it for another number of tendons, a pull below 0, or a length
+    without a tendon that has a stiffness.
     """
 
     gravity: Vector = NOWHERE  # m/s^2
@@ -300,6 +370,10 @@ class Loads:
     moment: Vector = NOWHERE  # N m, at the tip
     # N, at the tip, along its section's tangent, width and normal
     follower: Vector = NOWHERE
+    line: Vector | Array = NOWHERE  # (3,) or (N, 3) N/m of the natural length
+    pull: tuple[float, ...] | None = None  # N, of each tendon; None: 0
+    # m, of each cable without pull (`Tendon`); None: they give way
+    length: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         for name in ("gravity", "force", "moment", "follower"):
@@ -359,7 +433,10 @@ class RodState:
 
 @dataclass(frozen=True)
 class Energy:
-    """Energies, J. The potential of gravity and dead forces is zero at the origin."""
+    """Energies, J. The potential of gravity and dead forces is zero at the origin.
+
+    That of a tendon is T l for a given pull, T^2 / (2 k) for a given length.
+    """
 
     kinetic: float
     elastic: float

@@ -96,11 +96,12 @@ class EquilibriumError(ArithmeticError):
 
 
 class RodLoads(NamedTuple):
-    """Dead forces at the nodes, dead moment and follower force at the tip."""
+    """Dead forces at the nodes, dead moment and follower force at the tip, and tendons."""
 
     dead: Array  # (N, 3) N
     moment: Array  # (3,) N m
     follower: Array  # (3,) N, along the axes of the tip's section
+    tendon: Array  # (m, 4) pull (N), length (m), stiffness (N/m), damping (N s/m)
 
     def toward(self, other: RodLoads, factor: float) -> RodLoads:
         """Linear interpolation: these loads at factor 0, the others at 1."""
@@ -234,6 +235,7 @@ class _Path:
         kernels.push_aside(
             mesh,
             work,
+            loads,
             self.settings.side * self.settings.largest_turn / 10 * shape,
         )
         shift = -20 * value
