@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from leg_energy import mass_matrix
+from leg_energy import mass_matrix, strains
 from scipy.integrate import solve_ivp
 from scipy.linalg import eigh
 
@@ -18,54 +18,10 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.robot import read_robot
 from slot_core.simulation.make_robot import make_robot
 from slot_core.simulation.rod_robot import RodRobot
-from slot_lab.leg_tests.leg_map import relax
-from slot_lab.leg_tests.level_leg import level_leg
 
 ROBOT = read_robot()
 ANCHOR = 2 / 3  # of the length
 LENGTH = 0.19
-SHORT = 1e-11  # s: within it a leg moves by its acceleration alone
-HIGH = 1.0  # m, above the floor
-
-
-class WeightlessLeg:
-    """An undamped leg on a rod, without weight and tendon, its clamp held."""
-
-    def __init__(self, rod):
-        model, self.leg = level_leg(ROBOT, len(rod.node), {})
-        self.rod = rod._replace(damping_time=0.0)
-        self.model = model._replace(rod=self.rod, gravity=np.zeros(3))
-        self.leg.field[3] = 0.0
-        self.leg.fault[1] = 0.0
-        self.mass = mass_matrix(rod)
-
-    def gradient(self, node):
-        """(N, 2) gradient of the energy by the nodes but the clamp: -M times the acceleration."""
-        self.leg.stage[:, ::2], self.leg.spin[:] = node, 0.0
-        relax(self.model, self.leg, HIGH, SHORT, 0.0, 1)
-        return -self.mass @ self.leg.velocity[:, ::2] / SHORT
-
-    def stiffness(self, node, step=1e-7):
-        """(2N-2, 2N-2) by central differences of the kernels' forces at the free nodes.
-
-        A force depends on nodes at most two apart: every fifth node is shifted at once.
-        """
-        count = len(node)
-        matrix = np.zeros((count, 2, count, 2))
-        for first, axis in np.ndindex(5, 2):
-            shift = np.zeros_like(node)
-            shift[first::5, axis] = step
-            change = self.gradient(node + shift) - self.gradient(node - shift)
-            for moved in range(first, count, 5):
-                near = slice(max(0, moved - 2), moved + 3)
-                matrix[near, :, moved, axis] = change[near] / (2 * step)
-        return matrix[1:, :, 1:].reshape(2 * count - 2, -1)
-
-
-def test_the_natural_shape_has_no_internal_force():
-    leg = WeightlessLeg(discretise(ROBOT.leg, 22, ANCHOR))
-    # Stiffest spring 6e5 N/m, positions rounded at 1e-17 m.
-    assert np.abs(leg.gradient(leg.rod.node)[1:]).max() < 1e-9
 
 
 def lowest_frequencies(nodes, count):
@@ -73,9 +29,15 @@ def lowest_frequencies(nodes, count):
     node = np.column_stack([np.linspace(0.0, LENGTH, nodes), np.zeros(nodes)])
     leg = dataclasses.replace(ROBOT.leg, young_modulus=1e7)
     rod = build(leg, node, node[:, 0], round((nodes - 1) * ANCHOR))
-    stiffness = WeightlessLeg(rod).stiffness(node)
+    springs = np.concatenate([rod.axial, rod.bending])
+
+    def both(shift):
+        return np.concatenate(strains(rod, node + shift), axis=-1)
+
+    step = 1e-7 * np.eye(2 * nodes)[2:].reshape(-1, nodes, 2)
+    change = (both(step) - both(-step)) / 2e-7
     mass = np.kron(mass_matrix(rod)[1:, 1:], np.eye(2))  # of the free nodes
-    values = eigh((stiffness + stiffness.T) / 2, mass, eigvals_only=True)
+    values = eigh((change * springs) @ change.T, mass, eigvals_only=True)
     return np.sqrt(values[:count]) / (2 * np.pi)
 
 

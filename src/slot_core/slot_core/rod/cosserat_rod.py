@@ -100,7 +100,7 @@ class CosseratRod:
             np.zeros((nodes, 3)),
             np.zeros(3),
             np.zeros(3),
-            np.zeros((len(tendons), 4)),
+            np.zeros((len(tendons), 3)),
         )
         self._no_record = np.zeros((0, 3))
         self._rest()
@@ -233,7 +233,10 @@ class CosseratRod:
         end = RodLoads(*(part.copy() for part in self._load))
         kernels.pose(self.mesh, self._work, begin)
         # a length is given by and by, from the present one; what is not given any more stays
-        for loose, present in ((begin, self._work.pull[:, 2]), (end, begin.tendon[:, 1])):
+        for loose, present in (
+            (begin, self._work.pull[:, 2]),
+            (end, begin.tendon[:, 1]),
+        ):
             free = loose.tendon[:, 2] == 0.0
             loose.tendon[free, 1] = present[free]
         reached = 1.0
@@ -250,7 +253,7 @@ class CosseratRod:
             )
 
     def energy(self, loads: Loads = NO_LOADS) -> Energy:
-        """Kinetic, elastic and potential energy of the present state under loads, J."""
+        """Kinetic, elastic and potential energy of the present state under loads, J (`Energy`)."""
         mesh, work, n = self.mesh, self._work, self.nodes
         v, spin = work.velocity[:n], work.swirl[: n - 1]
         kinetic = mesh.mass @ (v**2).sum(axis=1) + mesh.spin[:-1] @ (
@@ -259,17 +262,10 @@ class CosseratRod:
         kinetic -= mesh.coupling[:-1] @ (np.diff(v, axis=0) ** 2).sum(axis=1)
         nodal = self._nodal(loads)
         kernels.pose(mesh, work, nodal)
-        pull, _, length, _ = work.pull.T
-        stiffness = nodal.tendon[:, 2]
-        hung = np.where(stiffness == 0.0, pull * length, 0.0)
-        stretched = pull**2 / np.where(stiffness == 0.0, np.inf, stiffness)
-        depth = mesh.walls.normal @ work.node[:n].T - mesh.walls.level[:, None]
-        pressed = mesh.walls.stiffness * np.minimum(0.0, depth) ** 2
-        potential = hung.sum() + (stretched.sum() + pressed.sum()) / 2
         return Energy(
             kinetic=float(kinetic / 2),
             elastic=float(kernels.elastic_energy(mesh, work)),
-            potential=float(potential - (nodal.dead * work.node[:n]).sum()),
+            potential=-float((nodal.dead * work.node[:n]).sum()),
         )
 
     def momentum(self) -> tuple[Array, Array]:
@@ -387,22 +383,24 @@ class CosseratRod:
 
     def _nodal(self, loads: Loads) -> RodLoads:
         """Loads at the nodes, and of the tendons."""
-        mesh, cables = self.mesh, self.mesh.cables
+        mesh = self.mesh
         dead = mesh.mass[:, None] * np.asarray(loads.gravity, dtype=np.float64)
         line = numbers("line", loads.line, dead.shape)
         dead += lumped(line, np.full((1, 1), mesh.refinement.step))
         dead[-1] += loads.force
-        tendon = np.zeros((len(cables.stiffness), 4))
+        stiffness = mesh.cables.stiffness
+        tendon = np.zeros((len(stiffness), 3))
         for column, name in enumerate(("pull", "length")):
             given = getattr(loads, name)
             if given is not None:
-                shape = cables.stiffness.shape
-                tendon[:, column] = checked(name, given, shape, error=RodError)
-        pulls = (tendon[:, 0] >= 0.0).all()
-        need(pulls, f"pull {quoted(loads.pull)} must not be below 0: a tendon cannot push")
+                found = checked(name, given, stiffness.shape, error=RodError)
+                need(
+                    (found >= 0.0).all(), f"{name} {given} must not be below 0"
+                )
+                tendon[:, column] = found
         if loads.length is not None:
-            need(cables.stiffness.any(), "length needs a tendon with a stiffness above 0")
-            tendon[:, 2], tendon[:, 3] = cables.stiffness, cables.damping
+            need(stiffness.any(), "length needs a tendon's stiffness above 0")
+            tendon[:, 2] = stiffness
         return RodLoads(
             dead,
             np.array(loads.moment, float),

@@ -117,7 +117,7 @@ def hinge(mesh, work, k, inv, before, behind):
 
 @helper
 def _cable(mesh, s, i, k):
-    """Length (m) of tendon i at hinge k, over its weight, and the derivative by psi (`Tendon`)."""
+    """Length (m) of tendon i at hinge k and its derivative by psi (`model.Tendon`)."""
     p, rise = mesh.cables.offset[i, k], mesh.cables.rise[i, k]
     ahead = mesh.refinement.extent[k] + s.turn[k] * p[1] - s.side[k] * p[0]
     right, down = rise[0] - s.twist[k] * p[1], rise[1] + s.twist[k] * p[0]
@@ -127,92 +127,65 @@ def _cable(mesh, s, i, k):
 
 
 @helper
-def tighten(mesh, work, loads, inv):
-    """Write pull, stiffness and length of the tendons, and the axial force by them.
-
-    loads.tendon (m, 4); inv is 1 / (theta h), and 0 in statics.
-    """
-    s, cables = work.segments, mesh.cables
+def tighten(mesh, work, loads):
+    """Write pull, stiffness and length of the tendons, and the axial force by them."""
+    s, along = work.segments, mesh.cables.along
     work.carried[:] = 0.0
     for i in range(work.pull.shape[0]):
-        length, speed = 0.0, 0.0
-        for k in range(work.normal.size):
-            part, slope = _cable(mesh, s, i, k)
-            rate = (s.twist_rate[k], s.turn_rate[k], s.side_rate[k])
-            length += cables.share[i, k] * part
-            length += cables.along[i, k] * s.extension[k]
-            speed += cables.share[i, k] * dot(slope, rate)
-            speed += cables.along[i, k] * s.extension_rate[k]
         given, rest, stiffness = row(loads.tendon, i)
-        damping = loads.tendon[i, 3]
-        pull = given + stiffness * (length - rest) + damping * speed
-        taut = pull > 0.0
-        work.pull[i, 0] = max(0.0, pull)
-        work.pull[i, 1] = taut * (stiffness + damping * inv)
-        work.pull[i, 2] = length
+        length = 0.0
         for k in range(work.normal.size):
-            work.carried[k] += cables.along[i, k] * work.pull[i, 0]
+            part, _ = _cable(mesh, s, i, k)
+            length += part + along[i, k] * s.extension[k]
+        pull = max(0.0, given + stiffness * (length - rest))
+        put(work.pull, i, (pull, stiffness * (pull > 0.0), length))
+        for k in range(work.normal.size):
+            work.carried[k] += pull * along[i, k]
 
 
 @helper
 def _pulled(mesh, work, i, k, base, h, before, behind):
-    """The hinge with tendon i: moment T dl/dpsi, tangent T d2l/dpsi2; writes work.reach[i, k]."""
+    """The hinge with tendon i: moment T dl/dpsi, tangent T d2l/dpsi2; writes work.reach[i, k].
+
+    In fixed axes d2l/dpsi2 = (q q^T + p.p vt vt^T - g g^T) / l with g = dl/dpsi, q = p_b vd - p_d vb.
+    """
     s, p = work.segments, mesh.cables.offset[i, k]
     x, y, z = s.twist[k], s.turn[k], s.side[k]
-    length, r = _cable(mesh, s, i, k)
-    share = mesh.cables.share[i, k]
-    tension = share * work.pull[i, 0]
     vt, vd, vb = derivative(base, x, y, z, s.curl[k])
-    slope = combined(r[0], vt, r[1], vd, r[2], vb)
-    firm, cross_term = tension / length, -p[0] * p[1] - r[1] * r[2]
-    square = p[0] * p[0] + p[1] * p[1] - r[0] * r[0]
-    et = combined(square, vt, -r[0] * r[1], vd, -r[0] * r[2], vb)
-    inner, outer = p[1] * p[1] - r[1] * r[1], p[0] * p[0] - r[2] * r[2]
-    ed = combined(-r[0] * r[1], vt, inner, vd, cross_term, vb)
-    eb = combined(-r[0] * r[2], vt, cross_term, vd, outer, vb)
+    length, slope = _cable(mesh, s, i, k)
+    g = combined(slope[0], vt, slope[1], vd, slope[2], vb)
+    q = plus(scaled(p[1], vd), -p[0], vb)
+    firm = work.pull[i, 0] / length
+    around = scaled(p[0] * p[0] + p[1] * p[1], vt)
     stiffness = (
-        scaled(firm, combined(et[0], vt, ed[0], vd, eb[0], vb)),
-        scaled(firm, combined(et[1], vt, ed[1], vd, eb[1], vb)),
-        scaled(firm, combined(et[2], vt, ed[2], vd, eb[2], vb)),
+        scaled(firm, combined(q[0], q, around[0], vt, -g[0], g)),
+        scaled(firm, combined(q[1], q, around[1], vt, -g[1], g)),
+        scaled(firm, combined(q[2], q, around[2], vt, -g[2], g)),
     )
-    moment = scaled(tension, slope)
-    a, b = acting(before, slope), acting(behind, slope)
-    for c in range(4):
-        work.reach[i, k, c] = -share * a[c]
-        work.reach[i, k, 4 + c] = share * b[c]
+    moment = scaled(work.pull[i, 0], g)
     psi = combined(x, base[0], y, base[1], z, base[2])
     own = turned_tangent(stiffness, psi, moment)
-    return Hinge(
-        moment=add(h.moment, moment),
-        tangent=sum_of(h.tangent, own),
-        tendon=h.tendon,
-        bulge=h.bulge,
-    )
+    a, b = acting(before, g), acting(behind, g)
+    for c in range(4):
+        work.reach[i, k, c], work.reach[i, k, 4 + c] = -a[c], b[c]
+    return Hinge(add(h.moment, moment), sum_of(h.tangent, own), g, h.bulge)
 
 
 @helper
 def lengthen(mesh, work, i):
-    """Write the derivative of the length of tendon i to work.gradient[i]."""
-    g, last = work.gradient[i], work.normal.size - 1
+    """Write the derivative of the length of tendon i to work.gradient[i]; after `assemble`."""
+    g, Q, last = work.gradient[i], work.form, work.normal.size - 1
     g[:] = 0.0
     for k in range(last + 1):
-        along, at = mesh.cables.along[i, k], 4 * k + 4
-        for c in range(4):
-            a = work.reach[i, k, c] + along * work.stretch[k, c]
-            b = work.reach[i, k, 4 + c] + along * work.stretch[k, 4 + c]
-            if c == 3:
-                g[at - 1] += a
-                g[at + 3] += b
-            elif k == 0:
-                g[c] += a
-            else:
-                g[at - 4 + c] -= a
-                g[at + c] += a
-            if c < 3 and k < last:
-                g[at + c] -= b
-                g[at + 4 + c] += b
-            elif c < 3:
-                g[at + 3 + c] += b
+        for c in range(8):
+            along = mesh.cables.along[i, k] * work.stretch[k, c]
+            Q[c, 8] = work.reach[i, k, c] + along
+        if k == last:
+            spread_last(work.block, Q)
+        else:
+            spread(work.block, Q, 1.0 - 2.0 * (k > 0), 1.0 * (k > 0))
+        for c in range(11):
+            g[4 * k + c] += work.block[c, 11]
 
 
 @helper
@@ -222,27 +195,28 @@ def couple(mesh, work):
     With the gradient g and the stiffness k of a tendon the tangent is A + k g g^T (Sherman and
     Morrison). Returns the change of the number of negative pivots, 0 or less.
     """
-    negative, at = 0, 4 * work.normal.size
+    negative = 0
     for i in range(work.pull.shape[0]):
-        if work.pull[i, 1] == 0.0:
-            continue
-        lengthen(mesh, work, i)
-        x, g = work.response[i], work.gradient[i]
-        for c in range(x.size):
-            x[c] = g[c]
-        for c in range(3):
-            x[c] *= not mesh.held[0, 3 + c]
-            x[4 + c] *= not mesh.held[0, c]
-        for c in range(6):
-            x[at + c] *= not mesh.held[1, c]
-        _forward(work, x)
-        _back(work, x)
-        _restrain(work, x, i)
-        work.pull[i, 3] = 1.0 / work.pull[i, 1]
-        for c in range(x.size):
-            work.pull[i, 3] += g[c] * x[c]
-        negative -= work.pull[i, 3] < 0.0
+        if work.pull[i, 1] > 0.0:
+            lengthen(mesh, work, i)
+            x, g = work.response[i], work.gradient[i]
+            for c in range(x.size):
+                x[c] = g[c] * mesh.free[c]
+            _forward(work, x)
+            _back(work, x)
+            _restrain(work, x, i)
+            work.yielding[i] = 1.0 / work.pull[i, 1] + _product_of(g, x)
+            negative -= work.yielding[i] < 0.0
     return negative
+
+
+@helper
+def _product_of(a, b):
+    """Scalar product of two arrays."""
+    value = 0.0
+    for c in range(a.size):
+        value += a[c] * b[c]
+    return value
 
 
 @helper
@@ -250,10 +224,7 @@ def _restrain(work, x, count):
     """Correct a solution x (4 N + 7,) for the first `count` tendons."""
     for i in range(count):
         if work.pull[i, 1] > 0.0:
-            share = 0.0
-            for c in range(x.size):
-                share += work.gradient[i, c] * x[c]
-            share /= work.pull[i, 3]
+            share = _product_of(work.gradient[i], x) / work.yielding[i]
             for c in range(x.size):
                 x[c] -= share * work.response[i, c]
 
@@ -276,15 +247,16 @@ def _forward(work, x):
 @helper
 def touch(mesh, work, i, inv, F, at):
     """Force of the walls on node i, N; adds their tangent to the diagonal block of F at `at`."""
-    walls, force = mesh.walls, ZERO
+    walls, force, u = mesh.walls, ZERO, row(work.speed, i)
     for j in range(walls.level.size):
-        n, u = row(walls.normal, j), row(work.speed, i)
-        gap = dot(n, row(work.stage, i)) - walls.level[j]
+        n = row(walls.normal, j)
+        gap, vn = dot(n, row(work.stage, i)) - walls.level[j], dot(n, u)
         if gap < 0.0:
             stiffness, damping = walls.stiffness[j, i], walls.damping[j, i]
-            vn = dot(n, u)
-            normal = normal_force(stiffness, damping, gap, vn)
-            v = plus(u, -vn, n)
+            normal, v = (
+                normal_force(stiffness, damping, gap, vn),
+                plus(u, -vn, n),
+            )
             slip = math.sqrt(dot(v, v) + walls.creep[j] ** 2)
             drag = walls.friction[j] * normal / slip
             force = plus(plus(force, normal, n), -drag, v)
@@ -496,7 +468,7 @@ def eliminate(mesh, work, loads, inv, shift):
     loads: as in `statics.RodLoads`; shift: times the metric, added.
     """
     negative, count = 0, work.normal.size
-    tighten(mesh, work, loads, inv)
+    tighten(mesh, work, loads)
     assemble(mesh, work, inv)
     for k in range(count):
         F = work.factor[k]

@@ -325,7 +325,7 @@ def pose(mesh, work, loads):
 def relax(mesh, work, loads):
     """Set the independent axial forces from the strains and the tendons."""
     strain_posture(mesh, work)
-    tighten(mesh, work, loads, 0.0)
+    tighten(mesh, work, loads)
     for k in range(work.tension.size):
         force = mesh.axial[k] * work.segments.extension[k]
         work.tension[k] = force + work.carried[k]
@@ -378,7 +378,7 @@ def dense(mesh, work, loads, matrix):
     """Write the tangent of the posture to matrix (4 N + 7, 4 N + 7), held unknowns included."""
     matrix[:] = 0.0
     strain_posture(mesh, work)
-    tighten(mesh, work, loads, 0.0)
+    tighten(mesh, work, loads)
     assemble(mesh, work, 0.0)
     count = work.normal.size
     for i in range(work.pull.shape[0]):

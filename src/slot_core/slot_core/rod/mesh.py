@@ -50,10 +50,8 @@ class Cables(NamedTuple):
 
     offset: Array  # (m, N, 2) m
     rise: Array  # (m, N, 2) m, slope of the offset along the rod times the hinge's weight
-    share: Array  # (m, N) of a hinge's bending that lies before the tendon's end
     along: Array  # (m, N) of a segment's extension that lengthens the tendon
     stiffness: Array  # (m,) N/m
-    damping: Array  # (m,) N s/m
 
 
 class Walls(NamedTuple):
@@ -88,6 +86,7 @@ class Mesh(NamedTuple):
     torsion: Array
     metric: Array  # (4 N + 7,) norm of the unknowns: masses, and of turns mass L^2 / 12
     held: Array  # (2, 6) bool, held components of position and rotation at base and tip
+    free: Array  # (4 N + 7,) 1 for the unknowns that exist and that no support holds, else 0
     none: NoTendon
     cables: Cables
     walls: Walls
@@ -141,7 +140,8 @@ def build_mesh(  # noqa: PLR0917
         held=np.array([[*end.position, *end.rotation] for end in (base, tip)]),
         refinement=_refinement(geometry, arc, refined),
         none=NoTendon(np.zeros(nodes), np.zeros(nodes)),
-        cables=_cables(tendons, arc, chain),
+        free=_free(base, tip, nodes),
+        cables=_cables(tendons, arc),
         walls=_walls(planes, arc),
         length=length,
         damping_time=material.damping_time,
@@ -150,57 +150,55 @@ def build_mesh(  # noqa: PLR0917
 
 def sections(material: Material, geometry: Geometry, s: Array) -> Sections:
     """Sections at arc lengths s, m; raises RodError for values that are not above 0."""
-    fraction, section = s / geometry.length, geometry.section
-
-    def over(name: str) -> Array:
-        values = numbers(name, getattr(section, name)(fraction), s.shape)
-        need(
-            bool((values > 0.0).all()), f"{name} of the section must be above 0"
-        )
-        return values
-
-    area, inner, outer = map(over, ("area", "second_moment", "lateral_moment"))
+    parts = geometry.section.constants(s / geometry.length)
+    area, inner, outer, torsion = (
+        numbers("section", part, s.shape) for part in parts
+    )
+    above = min(area.min(), inner.min(), outer.min(), torsion.min()) > 0.0
+    need(above, "area and moments of the section must be above 0")
     return Sections(
         axial=material.young_modulus * area,
         bending=material.young_modulus * inner,
         lateral=material.young_modulus * outer,
-        torsion=material.shear_modulus * over("torsion_constant"),
+        torsion=material.shear_modulus * torsion,
         mass=material.density * area,
         spin=material.density * (inner + outer),
     )
 
 
-def _cables(
-    tendons: Sequence[Tendon], arc: Array, chain: dict[str, Array]
-) -> Cables:
-    """Tendons at hinges at arc lengths (N,), m; raises RodError for an offset of another shape.
-
-    One that ends at a node before the tip has half of this node's bending. Its stiffness is that of
-    the cable in series with the compliance p^2 / (4 B) of this node (`dynamics/rod.py`).
-    """
-    n, step, extent = len(arc), arc[1], weights(np.diff(arc))[:, None]
-    order = np.arange(n)
-    cables = Cables(
-        offset=np.zeros((len(tendons), n, 2)),
-        rise=np.zeros((len(tendons), n, 2)),
-        share=np.ones((len(tendons), n)),
-        along=np.zeros((len(tendons), n)),
-        stiffness=np.zeros(len(tendons)),
-        damping=np.array([tendon.damping for tendon in tendons], dtype=float),
+def _free(base: Support, tip: Support, nodes: int) -> Array:
+    """(4 N + 7,) 1 for the unknowns (`elimination.py`) that exist and that no support holds."""
+    free = np.ones(4 * nodes + 7)
+    free[[3, -1]] = 0.0
+    free[:3], free[4:7] = (
+        np.logical_not(base.rotation),
+        np.logical_not(base.position),
     )
-    for i, tendon in enumerate(tendons):
-        offset = -numbers("offset", tendon.offset, (n, 2))
-        slope = np.gradient(offset, arc, axis=0, edge_order=min(2, n - 1))
-        end = max(1, round(tendon.end * (n - 1)))
-        cables.offset[i], cables.rise[i] = offset, extent * slope
-        inclined = np.hypot(*np.diff(offset, axis=0).T) / step
-        cables.along[i, :end] = 1.0 / np.hypot(1.0, inclined[:end])
-        cables.share[i] = np.clip(end - order + 0.5, 0.0, 1.0)
-        cables.share[i, -1] = end == n - 1
-        across = offset[end] ** 2 / [chain["lateral"][end], chain["bending"][end]]
-        compliance = across.sum() / 4 * (end < n - 1)
-        cables.stiffness[i] = tendon.stiffness / (1 + tendon.stiffness * compliance)
-    return cables
+    free[-7:-1] = np.logical_not([*tip.position, *tip.rotation])
+    return free
+
+
+def _cables(tendons: Sequence[Tendon], arc: Array) -> Cables:
+    """Tendons at hinges at arc lengths (N,), m; raises RodError for an offset of another shape."""
+    n, step = len(arc), np.diff(arc)
+    shape, order = (len(tendons), n, 2), min(2, n - 1)
+    offset = np.zeros(shape)
+    for own, tendon in zip(offset, tendons):
+        given = np.shape(tendon.offset)
+        need(
+            given in {(2,), (n, 2)},
+            f"offset of shape {given} must be of shape (2,) or ({n}, 2)",
+        )
+        own[:] = -numbers("offset", tendon.offset, (n, 2))
+    rise = (
+        np.gradient(offset, arc, axis=1, edge_order=order)
+        * weights(step)[:, None]
+    )
+    slope = np.diff(offset, axis=1, append=0.0) / step[0]
+    along = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=2))
+    along[:, -1] = 0.0  # of the tip's section
+    stiffness = np.array([tendon.stiffness for tendon in tendons], dtype=float)
+    return Cables(offset, rise, along, stiffness)
 
 
 def _walls(planes: Sequence[Plane], arc: Array) -> Walls:
@@ -273,8 +271,11 @@ class RodWork(NamedTuple):
     last: Array  # (6, 7) the same of the last node and the tip's section
     gap: Array  # (2, 6) increments of the held unknowns
     change: Array  # (4 N + 7,) Newton increment
-    # (m, 4) of the tendons: pull (N), stiffness while taut (N/m), length (m), m/N of all
+    # (m, 3) of the tendons: pull (N), stiffness (N/m), 0 where the pull does not depend on the
+    # length (m), the last
     pull: Array
+    yielding: Array  # (m,) m/N, of a tendon and the rod
+    block: Array  # (11, 12) scratch
     carried: Array  # (N,) N, axial force of the segments by the tendons' pull
     # (m, N, 8) derivative of a tendon's length over (s, w) before, behind, by bending
     reach: Array
@@ -322,7 +323,9 @@ def work_space(mesh: Mesh) -> RodWork:
         last=np.zeros((6, 7)),
         gap=np.zeros((2, 6)),
         change=np.zeros(4 * n + 7),
-        pull=np.zeros((m, 4)),
+        pull=np.zeros((m, 3)),
+        yielding=np.zeros(m),
+        block=np.zeros((11, 12)),
         carried=np.zeros(n),
         reach=np.zeros((m, n, 8)),
         gradient=np.zeros((m, 4 * n + 7)),

@@ -18,6 +18,7 @@ from slot_core.refusal import InputError, quoted
 
 Vector = tuple[float, float, float]
 Components = tuple[bool, bool, bool]
+Constants = tuple[Array, Array, Array, Array]  # see `Section.constants`
 
 NOWHERE: Vector = (0.0, 0.0, 0.0)
 ALL_COMPONENTS: Components = (True, True, True)
@@ -85,17 +86,12 @@ class Material:
 class Section(Protocol):
     """Cross-section along the rod, over the fraction s / L. Its polar moment is the sum of both."""
 
-    def area(self, fraction: Array) -> Array:
-        """Area, m^2."""
+    def constants(self, fraction: Array) -> Constants:
+        """Constants of the sections at fractions (n,), each (n,).
 
-    def second_moment(self, fraction: Array) -> Array:
-        """Second moment of area for bending in the natural shape's plane, about the width, m^4."""
-
-    def lateral_moment(self, fraction: Array) -> Array:
-        """Second moment of area for bending sideways, m^4."""
-
-    def torsion_constant(self, fraction: Array) -> Array:
-        """Torsion constant J, m^4: torque = G J times twist per length."""
+        Area, m^2; second moments of area for bending in the natural shape's plane, about the width,
+        and sideways, m^4; torsion constant J, m^4: torque = G J times twist per length.
+        """
 
 
 @dataclass(frozen=True)
@@ -112,26 +108,14 @@ class Rectangle:
         need_positive("width", self.width)
         need_positive("thickness", *self.thickness)
 
-    def area(self, fraction: Array) -> Array:
-        """Area, m^2."""
-        return self.width * _linear(self.thickness, fraction)
-
-    def second_moment(self, fraction: Array) -> Array:
-        """Second moment of area about the width, m^4."""
-        return moments.second_moment(
-            self.width, _linear(self.thickness, fraction)
-        )
-
-    def lateral_moment(self, fraction: Array) -> Array:
-        """Second moment of area for bending sideways, m^4."""
-        return moments.second_moment(
-            _linear(self.thickness, fraction), self.width
-        )
-
-    def torsion_constant(self, fraction: Array) -> Array:
-        """Saint-Venant's torsion constant, m^4."""
-        return moments.torsion_constant(
-            self.width, _linear(self.thickness, fraction)
+    def constants(self, fraction: Array) -> Constants:
+        """Area, second moments, and Saint-Venant's torsion constant (`Section`)."""
+        width, thick = self.width, _linear(self.thickness, fraction)
+        return (
+            width * thick,
+            moments.second_moment(width, thick),
+            moments.second_moment(thick, width),
+            moments.torsion_constant(width, thick),
         )
 
 
@@ -147,19 +131,11 @@ class Circle:
     def __post_init__(self) -> None:
         need_positive("diameter", *self.diameter)
 
-    def area(self, fraction: Array) -> Array:
-        """Area, m^2."""
-        return math.pi / 4 * _linear(self.diameter, fraction) ** 2
-
-    def second_moment(self, fraction: Array) -> Array:
-        """Second moment of area, m^4."""
-        return math.pi / 64 * _linear(self.diameter, fraction) ** 4
-
-    lateral_moment = second_moment
-
-    def torsion_constant(self, fraction: Array) -> Array:
-        """Torsion constant, m^4."""
-        return 2 * self.second_moment(fraction)
+    def constants(self, fraction: Array) -> Constants:
+        """Area, second moments and torsion constant (`Section`)."""
+        diameter = _linear(self.diameter, fraction)
+        second = math.pi / 64 * diameter**4
+        return math.pi / 4 * diameter**2, second, second, 2 * second
 
 
 @dataclass(frozen=True)
@@ -179,21 +155,13 @@ class Uniform:
             "section", self.area_m2, self.inner, self.outer, self.torsion
         )
 
-    def area(self, fraction: Array) -> Array:
-        """Area, m^2."""
-        return np.full_like(fraction, self.area_m2)
-
-    def second_moment(self, fraction: Array) -> Array:
-        """Second moment of area about the width, m^4."""
-        return np.full_like(fraction, self.inner)
-
-    def lateral_moment(self, fraction: Array) -> Array:
-        """Second moment of area for bending sideways, m^4."""
-        return np.full_like(fraction, self.outer)
-
-    def torsion_constant(self, fraction: Array) -> Array:
-        """Torsion constant, m^4."""
-        return np.full_like(fraction, self.torsion)
+    def constants(self, fraction: Array) -> Constants:
+        """The four constants at all fractions (`Section`)."""
+        parts = (self.area_m2, self.inner, self.outer, self.torsion)
+        area, inner, outer, torsion = np.multiply.outer(
+            parts, np.ones_like(fraction)
+        )
+        return area, inner, outer, torsion
 
 
 def _linear(ends: tuple[float, float], fraction: Array) -> Array:
@@ -292,7 +260,7 @@ ROLLER = Support((False, True, True), NONE)  # slides along x
 
 @dataclass(frozen=True)
 class Tendon:
-    """A cable without friction from the base's section to an end, through holes in all sections.
+    """A cable without friction from the base's section to the tip's, through holes in all sections.
 
     At the offset p(s) in a section's axes the cable's tangent is g / |g| with
 
@@ -303,23 +271,23 @@ class Tendon:
     -T grad l, so along a curve it presses on the sections as Rucker and Webster's cable does. A
     stretch e lengthens an inclined cable as at rest, by cos(inclination) e.
 
-    A constant offset at the end's distance `d` on the side of the normal bends a straight rod to
-    the curvature T d / EI. Beyond the end the tendon does nothing. The pull or the length is a part
-    of `Loads`.
+    A constant offset d on the side of the normal bends a straight rod to the curvature T d / EI
+    towards the normal. Pull and length are a part of `Loads`. The error is of fourth order in the
+    length of a segment for a constant offset, else of second order.
 
-    Raises RodError for a stiffness or damping that is below 0 or not finite, an end outside of 0 ..
-    1; the rod raises it for an offset that is not of two numbers, or of two for each node.
+    Raises RodError for a stiffness that is below 0 or not finite; the rod raises it for an offset
+    that is not of two numbers, or of two for each node.
     """
 
-    offset: tuple[float, float] | Array  # (2,) or (N, 2) m along width and normal
-    stiffness: float = 0.0  # N/m, k of the whole cable; needed by a given length
-    damping: float = 0.0  # N s/m, times the rate of l, with a given length
-    end: float = 1.0  # share of the rod's length, at the nearest node
+    offset: (
+        tuple[float, float] | Array
+    )  # (2,) or (N, 2) m along width and normal
+    stiffness: float = (
+        0.0  # N/m, k of the whole cable; needed by a given length
+    )
 
     def __post_init__(self) -> None:
         need_not_below_zero("stiffness", self.stiffness)
-        need_not_below_zero("damping", self.damping)
-        need(0.0 < self.end <= 1.0, f"end {self.end} must be above 0, at most 1")
 
 
 @dataclass(frozen=True)
@@ -435,7 +403,7 @@ class RodState:
 class Energy:
     """Energies, J. The potential of gravity and dead forces is zero at the origin.
 
-    That of a tendon is T l for a given pull, T^2 / (2 k) for a given length.
+    Tendons and planes are not counted.
     """
 
     kinetic: float

@@ -101,7 +101,7 @@ class RodLoads(NamedTuple):
     dead: Array  # (N, 3) N
     moment: Array  # (3,) N m
     follower: Array  # (3,) N, along the axes of the tip's section
-    tendon: Array  # (m, 4) pull (N), length (m), stiffness (N/m), damping (N s/m)
+    tendon: Array  # (m, 3) pull (N), length (m), stiffness (N/m)
 
     def toward(self, other: RodLoads, factor: float) -> RodLoads:
         """Linear interpolation: these loads at factor 0, the others at 1."""
@@ -110,14 +110,7 @@ class RodLoads(NamedTuple):
 
 def free_unknowns(mesh: Mesh) -> NDArray[np.intp]:
     """Indices of the unknowns (`elimination.py`) that exist and that no support holds."""
-    free, tip = np.ones(len(mesh.metric), dtype=bool), len(mesh.metric) - 7
-    free[[3, -1]] = False
-    free[:3], free[4:7] = (
-        np.logical_not(mesh.held[0, 3:]),
-        np.logical_not(mesh.held[0, :3]),
-    )
-    free[tip : tip + 6] = np.logical_not(mesh.held[1])
-    return np.flatnonzero(free)
+    return np.flatnonzero(mesh.free)
 
 
 class _Path:
