@@ -18,7 +18,7 @@ OFFSET = np.column_stack([np.zeros(NODES), np.linspace(9e-3, 5e-3, NODES)])
 WALL = Plane(
     point=(0.0, 0.0, 0.04),
     normal=(0.0, 0.0, -1.0),
-    stiffness=2e4,
+    stiffness=1e6,
     radius=RADIUS,
     friction=0.3,
 )
