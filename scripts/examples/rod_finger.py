@@ -3,7 +3,7 @@
 import math
 
 from slot_core.rod.cosserat_rod import CosseratRod
-from slot_core.rod.model import Geometry, Loads, Material, Rectangle, Tendon
+from slot_core.rod.model import Geometry, Loads, Material, Rectangle, RodTendon
 
 LENGTH, WIDTH, THICKNESS, OFFSET = 0.1, 0.015, 8e-3, 5e-3  # m
 YOUNG, SHEAR, DENSITY, DAMPING = 2e6, 7e5, 1100.0, 5e-3  # Pa, Pa, kg/m^3, s
@@ -13,7 +13,7 @@ WEIGHT = (0.0, 0.0, -9.81)  # m/s^2
 finger = CosseratRod(
     Material(YOUNG, SHEAR, DENSITY, DAMPING),
     Geometry(LENGTH, Rectangle(WIDTH, (THICKNESS, THICKNESS))),
-    tendons=[Tendon(offset=(0.0, OFFSET), stiffness=2e4)],  # N/m
+    tendons=[RodTendon(offset=(0.0, OFFSET), stiffness=2e4)],  # N/m
 )
 print("pull    angle, rod   T d L / (E I)   cable drawn in")
 for pull in (0.5, 1.0, 2.0, 4.0):

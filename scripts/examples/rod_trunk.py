@@ -9,7 +9,7 @@ from slot_core.rod.model import (
     Loads,
     Material,
     Plane,
-    Tendon,
+    RodTendon,
 )
 
 NODES, RADIUS = 31, 6e-3  # m, of the trunk at its tip
@@ -25,7 +25,7 @@ WALL = Plane(
 
 shape = Geometry(0.3, Circle((20e-3, 2 * RADIUS)))
 rubber = Material(1e6, 3.3e5, 1100.0, 2e-2)  # Pa, Pa, kg/m^3, s
-tendons, pull = [Tendon(OFFSET)], Loads(pull=(3.0,))
+tendons, pull = [RodTendon(OFFSET)], Loads(pull=(3.0,))
 free = CosseratRod(rubber, shape, NODES, tendons=tendons)
 trunk = CosseratRod(rubber, shape, NODES, tendons=tendons, planes=[WALL])
 for rod in (free, trunk):

@@ -17,7 +17,7 @@ from slot_core.rod.model import (
     Loads,
     Material,
     Rectangle,
-    Tendon,
+    RodTendon,
     Uniform,
 )
 
@@ -79,14 +79,14 @@ TENDON_ROBOT = (
 )
 REACH, SIDEWAYS = 0.01506, (0.0, 9.81, 0.0)  # m, m/s^2
 TURN = np.linspace(0.0, 2 * math.pi, 31)
-HELIX = Tendon(REACH * np.column_stack([np.cos(TURN), np.sin(TURN)]))
+HELIX = RodTendon(REACH * np.column_stack([np.cos(TURN), np.sin(TURN)]))
 FOUR = [
-    Tendon((REACH * y, REACH * z), stiffness=2e4)
+    RodTendon((REACH * y, REACH * z), stiffness=2e4)
     for y, z in ((1, 0), (0, 1), (-1, 0), (0, -1))
 ]
 PULLED = Loads(gravity=SIDEWAYS, pull=(15.0,))
 TENDON_TIPS = [
-    ([Tendon((REACH, 0.0))], PULLED, (0.453229, 0.182212, 0.0), 1e-5),
+    ([RodTendon((REACH, 0.0))], PULLED, (0.453229, 0.182212, 0.0), 1e-5),
     ([HELIX], PULLED, (0.493348, 0.0122099, 0.0581888), 5e-5),
     (
         FOUR,

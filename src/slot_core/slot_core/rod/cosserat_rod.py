@@ -36,9 +36,9 @@ from slot_core.rod.model import (
     Pose,
     RodError,
     RodState,
+    RodTendon,
     Scheme,
     Support,
-    Tendon,
     need,
     numbers,
 )
@@ -83,7 +83,7 @@ class CosseratRod:
         pose: Pose = ORIGIN,
         scheme: Scheme = MIDPOINT,
         refined: bool = True,
-        tendons: Sequence[Tendon] = (),
+        tendons: Sequence[RodTendon] = (),
         planes: Sequence[Plane] = (),
     ) -> None:
         self.mesh = build_mesh(
@@ -395,11 +395,15 @@ class CosseratRod:
             if given is not None:
                 found = checked(name, given, stiffness.shape, error=RodError)
                 need(
-                    (found >= 0.0).all(), f"{name} {given} must not be below 0"
+                    bool((found >= 0.0).all()),
+                    f"{name} {given} must not be below 0",
                 )
                 tendon[:, column] = found
         if loads.length is not None:
-            need(stiffness.any(), "length needs a tendon's stiffness above 0")
+            need(
+                bool(stiffness.any()),
+                "length needs a tendon's stiffness above 0",
+            )
             tendon[:, 2] = stiffness
         return RodLoads(
             dead,

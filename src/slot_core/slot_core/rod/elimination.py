@@ -117,7 +117,7 @@ def hinge(mesh, work, k, inv, before, behind):
 
 @helper
 def _cable(mesh, s, i, k):
-    """Length (m) of tendon i at hinge k and its derivative by psi (`model.Tendon`)."""
+    """Length (m) of tendon i at hinge k and its derivative by psi (`model.RodTendon`)."""
     p, rise = mesh.cables.offset[i, k], mesh.cables.rise[i, k]
     ahead = mesh.refinement.extent[k] + s.turn[k] * p[1] - s.side[k] * p[0]
     right, down = rise[0] - s.twist[k] * p[1], rise[1] + s.twist[k] * p[0]

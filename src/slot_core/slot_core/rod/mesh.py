@@ -15,7 +15,7 @@ Row N of the nodes and row N - 1 of the segments stand for the tip's section (ab
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -31,8 +31,8 @@ from slot_core.rod.model import (
     Geometry,
     Material,
     Plane,
+    RodTendon,
     Support,
-    Tendon,
     need,
     numbers,
 )
@@ -102,7 +102,7 @@ def build_mesh(  # noqa: PLR0917
     base: Support,
     tip: Support,
     refined: bool,
-    tendons: Sequence[Tendon],
+    tendons: Sequence[RodTendon],
     planes: Sequence[Plane],
 ) -> Mesh:
     """Divide a rod into nodes - 1 segments of equal arc length; raises RodError below one.
@@ -178,11 +178,10 @@ def _free(base: Support, tip: Support, nodes: int) -> Array:
     return free
 
 
-def _cables(tendons: Sequence[Tendon], arc: Array) -> Cables:
+def _cables(tendons: Sequence[RodTendon], arc: Array) -> Cables:
     """Tendons at hinges at arc lengths (N,), m; raises RodError for an offset of another shape."""
     n, step = len(arc), np.diff(arc)
-    shape, order = (len(tendons), n, 2), min(2, n - 1)
-    offset = np.zeros(shape)
+    offset = np.zeros((len(tendons), n, 2))
     for own, tendon in zip(offset, tendons):
         given = np.shape(tendon.offset)
         need(
@@ -190,10 +189,9 @@ def _cables(tendons: Sequence[Tendon], arc: Array) -> Cables:
             f"offset of shape {given} must be of shape (2,) or ({n}, 2)",
         )
         own[:] = -numbers("offset", tendon.offset, (n, 2))
-    rise = (
-        np.gradient(offset, arc, axis=1, edge_order=order)
-        * weights(step)[:, None]
-    )
+    order: Literal[1, 2] = 2 if n > 2 else 1
+    rate: Any = np.gradient(offset, arc, axis=1, edge_order=order)
+    rise = rate * weights(step)[:, None]
     slope = np.diff(offset, axis=1, append=0.0) / step[0]
     along = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=2))
     along[:, -1] = 0.0  # of the tip's section

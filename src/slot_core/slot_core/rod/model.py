@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slot_core import section as moments
 from slot_core.arrays import Array, checked
@@ -53,7 +54,7 @@ def need_vector(name: str, values: Vector) -> None:
     checked(name, values, (3,), error=RodError)
 
 
-def numbers(name: str, values: float | Array, shape: tuple[int, ...]) -> Array:
+def numbers(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Finite numbers of a shape, a single one for all; raises RodError."""
     try:
         found = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
@@ -259,7 +260,7 @@ ROLLER = Support((False, True, True), NONE)  # slides along x
 
 
 @dataclass(frozen=True)
-class Tendon:
+class RodTendon:
     """A cable without friction from the base's section to the tip's, through holes in all sections.
 
     At the offset p(s) in a section's axes the cable's tangent is g / |g| with
@@ -340,7 +341,7 @@ class Loads:
     follower: Vector = NOWHERE
     line: Vector | Array = NOWHERE  # (3,) or (N, 3) N/m of the natural length
     pull: tuple[float, ...] | None = None  # N, of each tendon; None: 0
-    # m, of each cable without pull (`Tendon`); None: they give way
+    # m, of each cable without pull (`RodTendon`); None: they give way
     length: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:

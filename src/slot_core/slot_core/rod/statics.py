@@ -20,7 +20,7 @@ from scipy.linalg import eigh
 from slot_core.arrays import Array
 from slot_core.rod import kernels
 from slot_core.rod.mesh import Mesh, RodWork
-from slot_core.rod.model import need
+from slot_core.rod.model import need, need_positive
 
 # divisor of the first step, which measures the first rate of turn
 FIRST_PROBE = 64
@@ -62,12 +62,13 @@ class StaticSettings:
 
     def __post_init__(self) -> None:
         least, first = self.least_step, self.first_step
-        newton, critical = self.tolerance, self.critical_tolerance
+        tolerances = (self.tolerance, self.critical_tolerance)
         need(self.side in {-1, 1}, f"side {self.side} must be -1 or 1")
-        within = 0.0 < least <= first <= 1.0
-        need(within, f"steps {least}, {first} must be within 0 .. 1")
-        above = newton > 0.0 and critical > 0.0
-        need(above, f"tolerances {newton}, {critical} must be above 0")
+        need(
+            0.0 < least <= first <= 1.0,
+            f"steps {least}, {first} must be within 0 .. 1",
+        )
+        need_positive("tolerances", *tolerances)
 
 
 @dataclass(frozen=True)
