@@ -24,27 +24,16 @@ LARGEST_TAKEN_IN_WINDOW = 0.6
 ERRORS_OF_CODE = (AttributeError, ImportError, NameError, TypeError)
 
 
-@dataclass(frozen=True)
-class Cpu:
-    """CPU time since the machine's start, s: passed on all cores, spent, and spent by the test."""
-
-    passed: float
-    busy: float  # stolen time included
-    own: float
-
-
 @dataclass
 class Load:
-    """Samples of a test's time: lateness of each wake-up (s), and the CPU every WINDOW of them."""
+    """Samples of a test's time: lateness of each wake-up (s), and `read_cpu` every WINDOW of them."""
 
     late: list[float] = field(default_factory=list)
-    cpu: list[Cpu] = field(default_factory=list)
+    cpu: list[np.ndarray] = field(default_factory=list)
 
     def taken(self) -> np.ndarray:
         """Share of the CPU that others took or the host stole, in each window (n,)."""
-        passed, busy, own = np.diff(
-            [[c.passed, c.busy, c.own] for c in self.cpu], axis=0
-        ).T
+        passed, busy, own = np.diff(self.cpu, axis=0).T
         return np.clip((busy - own) / np.maximum(passed, 1e-9), 0.0, 1.0)
 
     def overload(self) -> str:
@@ -69,11 +58,14 @@ class Load:
 
 
 def read_cpu():
-    """The CPU times now, of the cores that this process may use."""
+    """CPU times (3,) since the start, s, of this process's cores: passed, spent, by the test.
+
+    Stolen time counts as spent.
+    """
     cores = [*os.sched_getaffinity(0)]
     # user nice system idle iowait irq softirq steal, s
     times = np.array(psutil.cpu_times(percpu=True))[cores, :8].sum(axis=0)
-    return Cpu(times.sum(), times.sum() - times[3] - times[4], own_cpu())
+    return np.array([times.sum(), times.sum() - times[3] - times[4], own_cpu()])
 
 
 def own_cpu():

@@ -6,7 +6,6 @@ import subprocess
 import time
 from collections import defaultdict
 
-import numpy as np
 import pytest
 import rclpy
 import yaml
@@ -24,7 +23,6 @@ from slot_core.config import build
 from slot_core.dynamixel.bus import Bus
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
-from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.messages import decode
 from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import State
@@ -52,10 +50,6 @@ NEXT_REQUEST = {
     State.READY: "stand",
     State.STANDING: "walk",
 }
-TICK = 0.033  # s, between two odometry readings
-# counts, largest motion under load when torque comes on: before, gearbox friction holds up to 0.1
-# of the stall torque (emulator.yaml); then the position loop, with p/128 of 885 steps a count.
-SAG = 1 + 0.1 * 885 * 128 / read_settings().gains.p
 
 
 def nodes_of(**changes):
@@ -112,10 +106,6 @@ class Rig:
     def publisher(self, kind, topic, profile):
         return self.node.create_publisher(kind, topic, profile)
 
-    def destroy_publisher(self, publisher):
-        """End a publisher of the test, and what it has latched."""
-        self.node.destroy_publisher(publisher)
-
     def every(self, period, action):
         """Call a function of the test with a period, s; returns a timer with `cancel`."""
         return self.node.create_timer(period, action)
@@ -127,13 +117,12 @@ class Rig:
             self._executor.spin_once(left)
 
     def _on_state(self, message):
-        now = (nanoseconds(message.since), State(message.state), message.reason)
+        now = (decode.time(message.since), State(message.state), message.reason)
         if not self.transitions or self.transitions[-1] != now:
             self.transitions.append(now)
 
     def start(self, *names, parameters=None, program=()):
         """Start nodes, also again; `parameters` and another `program` for this start only."""
-        environment = os.environ | {"SLOT_CONFIG": str(self.config)}
         for name in names:
             executable, *arguments = command_line(self.specs[name])
             values = {**self._parameters.get(name, {}), **(parameters or {})}
@@ -142,15 +131,20 @@ class Rig:
                 for key, value in values.items()
                 for w in ("-p", f"{key}:={value}")
             ]
-            with (self.directory / f"{name}.log").open("ab") as log:
-                self.children[name] = subprocess.Popen(
-                    [*TIED, *(program or [executable]), *arguments, *options],
-                    env=environment,
-                    stdout=log,
-                    stderr=log,
-                    start_new_session=True,
-                    cwd=self.directory,
-                )
+            self.spawn(name, [*(program or [executable]), *arguments, *options])
+
+    def spawn(self, name, command):
+        """Start a process; its output is the log of that name."""
+        environment = os.environ | {"SLOT_CONFIG": str(self.config)}
+        with (self.directory / f"{name}.log").open("ab") as log:
+            self.children[name] = subprocess.Popen(
+                [*TIED, *command],
+                env=environment,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                cwd=self.directory,
+            )
 
     def log(self, name):
         """Output of a node so far."""
@@ -160,12 +154,6 @@ class Rig:
     def log_lines(self, name):
         """Output of a node so far, by lines."""
         return self.log(name).splitlines()
-
-    def send_signal(self, name, number):
-        """Send a signal to a node; returns the time before it."""
-        now = self.now()
-        self.children[name].send_signal(number)
-        return now
 
     def runs(self, name):
         return name in self.children and self.children[name].poll() is None
@@ -241,10 +229,6 @@ class Rig:
         values = yaml.safe_load((self.config / "supervisor.yaml").read_text())
         return build(SupervisorSettings, values, "supervisor.yaml")
 
-    def limit(self, name):
-        """Limit of `timing` in supervisor.yaml in force, s."""
-        return getattr(self.supervisor_settings().timing, name)
-
     def wait_for_state(self, state, time, limit=WAIT_LIMIT):
         """Wait for a transition to `state` at or after `time`; returns (since, reason)."""
 
@@ -269,30 +253,6 @@ class Rig:
             what="torque stays on",
         )
         return found[0]
-
-    def wait_for_rest(self):
-        """Wait until no servo has moved for half a second; returns the tendon angles, rad."""
-        begin = self.now()
-
-        def still():
-            angles = [
-                m.position for m in self.since("/joint_states", begin)[-50:]
-            ]
-            return (
-                len(angles) == 50
-                and np.ptp(angles, axis=0).max() < 1.5 * RAD_PER_COUNT
-            )
-
-        self.wait_for(still, what="never at rest")
-        return np.array(self.last("/joint_states").position)
-
-    def moved(self, before, time):
-        """Least and largest distance of any servo from `before` (rad) since `time`, counts."""
-        angles = [
-            message.position for message in self.since("/joint_states", time)
-        ]
-        distances = (np.array(angles) - before) / RAD_PER_COUNT
-        return distances.min(), distances.max()
 
     def registers(self, name):
         """A register of every servo; the driver must have ended."""
@@ -321,7 +281,7 @@ class Rig:
     def stop(self, name):
         """Interrupt a node unless it has ended; returns its exit code."""
         if self.runs(name):
-            self.send_signal(name, signal.SIGINT)
+            self.children[name].send_signal(signal.SIGINT)
         return self.exit_code(name)
 
     def walk_steadily(self):
@@ -364,7 +324,3 @@ def maker(kind):
             rig.close()
 
     return make_rig
-
-
-def nanoseconds(stamp):
-    return stamp.sec * 1_000_000_000 + stamp.nanosec

@@ -45,9 +45,9 @@ class StubSupervisor:
 
     def close(self):
         self._timer.cancel()
-        self._rig.destroy_publisher(self._states)
-        self._rig.destroy_publisher(self._limits)
-        self._rig.destroy_publisher(self._commands)
+        self._rig.node.destroy_publisher(self._states)
+        self._rig.node.destroy_publisher(self._limits)
+        self._rig.node.destroy_publisher(self._commands)
 
     def move_to(self, angle):
         """Move all tendons to an angle, rad; again if a busy machine has caused a RELAX."""

@@ -112,7 +112,6 @@ class Walk:
     ] = ()  # ticks whose odometry the estimator rejected
     truth: bool = True  # ground truth is recorded
     voltage: float = 11.1  # V, as the servos report it; NaN: not
-    lockstep: bool = False  # /clock is recorded
     start: float = 100.0  # s, graph time of the first tick
 
     def position(self, t: float) -> Array:
@@ -146,8 +145,6 @@ def write_walk(path: Path, walk: Walk) -> Path:
     entries = [*_ticks(walk)]
     if walk.truth:
         entries += _truth(walk)
-    if walk.lockstep:
-        entries.append((WALL, "/clock", blank(TOPICS["/clock"])))
     return write_messages(path, sorted(entries, key=lambda entry: entry[0]))
 
 

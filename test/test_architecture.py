@@ -64,8 +64,8 @@ LAB = {
     "calibration": "leg_tests",
     "validation": "bags film",
     "twin": "bags calibration",
-    "tuning": "",
-    "learning": "",
+    "tuning": "leg_tests",
+    "learning": "report",
     "play": "",
 }
 IMPORT_ALL = """
@@ -245,13 +245,13 @@ def test_a_class_name_occurs_once():
 
 # Statements that each part of the repository may have. What goes beyond brings its own cut.
 BUDGET = {
-    "src/slot_core": 15_495,
-    "src/slot_lab": 6_285,
-    "src/slot_paper": 690,
+    "src/slot_core": 15_611,
+    "src/slot_lab": 6_335,
+    "src/slot_paper": 688,
     "src/slot_nodes": 2_170,
-    "slot_bringup": 2_860,
-    "scripts": 4_590,
-    "test": 16_120,
+    "slot_bringup": 2_886,
+    "scripts": 4_565,
+    "test": 15_950,
 }
 
 

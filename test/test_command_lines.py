@@ -16,7 +16,6 @@ from slot_core import config
 from slot_lab.bags import replay_command as replay
 from slot_lab.calibration import command as calibrate
 from slot_lab.film import calibrate_camera, print_command, track_command
-from slot_lab.leg_tests import tabulate_leg
 from slot_lab.report import compare, map_command
 from slot_lab.tuning import tune_command
 from slot_lab.twin import twin_command
@@ -114,15 +113,6 @@ REFUSED = {
             (["--bag", "x" * 300], "bag: File name too long"),
         ],
     ),
-    "calibrate --leg-map": (
-        tabulate_leg.main,
-        [
-            (
-                ["--out", "{}/nowhere/map.csv"],
-                "/map.csv: not a file in an existing directory",
-            ),
-        ],
-    ),
     "tune": (
         tune_command.main,
         [
@@ -137,6 +127,7 @@ REFUSED = {
                 "friction[0] = -1.0: outside [0.01, 2]",
             ),
             (["walk", "--seed", "0"], "argument --seed: 0 is below 1"),
+            (["leg", "/dev/null"], "/dev/null: File exists"),
         ],
     ),
     "view --map": (

@@ -2,7 +2,6 @@
 
 import base64
 import tempfile
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,17 +12,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slot_bringup.playing.page_server import address, start_server
-from slot_bringup.playing.play_page import PlayPage
-from slot_lab.play.played_robot import PlayedRobot
-
-PAGE, PANELS, VIEW = (1200, 560), (1200, 2400), (1000, 640)  # px
+PAGE, PANELS, VIEW = (1200, 560), (1200, 2190), (1000, 640)  # px
 MOMENT = 4.3  # s, of the run: after a push
-# px, of the panel Plots with its tabs, and of the other four
-FOUR_PLOTS, MORE = (835, 925)
+TABS = "Drive", "World", "Push", "Keys", "Plots"
 WALKED = 11.0  # s, so that the plots are full
-# Pixels of the robot; without a GPU they take the time.
-FAST, SHARP = "?fixedDpr=0.25", "?fixedDpr=1"
+# pixels of the robot
+SHARP = "?fixedDpr=1"
 TAB = "[...document.querySelectorAll('[role=tab]')].find(t => t.innerText == {!r})"
 SHOWN = """(() => {
   let panel = document.querySelector("[role=tab]");
@@ -38,30 +32,29 @@ Pixels = NDArray[np.uint8]
 def write_page(path: Path) -> None:
     """Write the page as it opens, with the robot halted in its walk."""
     with walking(PAGE) as window:
-        window.key("P")  # pause
+        window.key("p")  # pause
         browser.wait_for(lambda: "paused" in window.text())
         window.call("Page.navigate", url=window.run("location.origin") + SHARP)
         browser.wait_for(lambda: "paused" in window.text())
         window.run(f"{NOTICES}.forEach(button => button.click())")
-        browser.wait_for(lambda: not window.run(f"{NOTICES}.length"))
+        begin = window.run("performance.now()")
+        browser.wait_for(
+            lambda: (
+                not window.run(f"{NOTICES}.length")
+                and window.run("performance.now()") > begin + 4000.0  # ms
+            )
+        )
         cv2.imwrite(str(path), captured(window, None))
 
 
 def write_panels(path: Path) -> None:
-    """Write the panels beside and below each other."""
+    """Write the panels below each other, the plots beside them."""
     with walking(PANELS) as window:
-        shown = {
-            name: panel(window, name)
-            for name in ("Drive", "World", "Push", "Plots")
-        }
-    plots = shown["Plots"]
-    above = beside(np.vstack([shown["Drive"], shown["Push"]]), shown["World"])
-    cv2.imwrite(
-        str(path),
-        np.vstack(
-            [above, beside(plots[:FOUR_PLOTS], plots[FOUR_PLOTS:][:MORE])]
-        ),
-    )
+        *panels, plots = [panel(window, name) for name in TABS]
+    left = np.vstack(panels)
+    below = len(plots) - len(left)
+    left = np.pad(left, ((0, below), (0, 0), (0, 0)), constant_values=255)
+    cv2.imwrite(str(path), np.hstack([left, plots]))
 
 
 def write_view(page: Path, path: Path) -> None:
@@ -82,19 +75,6 @@ def panel(window: Any, name: str) -> Pixels:
         lambda: window.run(f"{TAB.format(name)}.ariaSelected") == "true"
     )
     return captured(window, window.run(SHOWN))
-
-
-def beside(left: Pixels, right: Pixels) -> Pixels:
-    """Two images beside each other, white below the shorter."""
-    height = max(len(left), len(right))
-    return np.hstack(
-        [
-            np.pad(
-                i, ((0, height - len(i)), (0, 0), (0, 0)), constant_values=255
-            )
-            for i in (left, right)
-        ]
-    )
 
 
 def captured(window: Any, clip: Any) -> Pixels:
@@ -120,21 +100,12 @@ def resize(window: Any, size: tuple[int, int]) -> None:
 @contextmanager
 def walking(size: tuple[int, int]) -> Iterator[Any]:
     """A window of a size, px, with the page, whose robot has walked for a while."""
-    ended, server = threading.Event(), start_server("127.0.0.1", 0, "")
-    with tempfile.TemporaryDirectory() as place:
-        page = PlayPage(server, PlayedRobot(), Path(place))
-        runner = threading.Thread(target=page.run, args=(ended.is_set,))
-        runner.start()
-        try:
-            site = address("127.0.0.1", server.get_port(), "")
-            with browser.Browser(Path(place), site + FAST) as window:
-                resize(window, size)
-                browser.wait_for(lambda: "yaw rate" in window.text())
-                for key in "GII":  # walk, twice faster
-                    window.key(key)
-                browser.wait_for(lambda: page.robot.time > WALKED)
-                yield window
-        finally:
-            ended.set()
-            runner.join()
-            server.stop()
+    with (
+        tempfile.TemporaryDirectory() as place,
+        browser.playing(Path(place)) as (page, _, window),
+    ):
+        resize(window, size)
+        for key in ("w", "ArrowUp", "ArrowUp"):
+            window.key(key)
+        browser.wait_for(lambda: page.robot.time > WALKED)
+        yield window

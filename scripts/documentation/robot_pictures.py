@@ -13,11 +13,16 @@ from matplotlib.lines import Line2D
 from slot_core.arrays import Array
 from slot_core.control.policy import TendonPlan
 from slot_core.drawing import palette
-from slot_core.drawing.shapes import FORCE_SCALE, bent_legs
+from slot_core.drawing.shapes import FORCE_SCALE
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import LEGS, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
-from slot_lab.report.robot_drawing import Snapshot, Viewpoint, draw_robot
+from slot_lab.report.robot_drawing import (
+    Snapshot,
+    Viewpoint,
+    draw_robot,
+    snapshot,
+)
 
 DT = read_gaits().dt  # s, between ticks
 SETTLED = 3.0  # s, before the first still
@@ -132,18 +137,8 @@ def _poses(still: Still, times: Sequence[float]) -> list[Snapshot]:
         loop.controller.scheduler.set_pose(np.array(still.pose))
     wanted = [round((SETTLED + time) / DT) for time in times]
     ticks = enumerate(loop.run(max(wanted) + 1))
-    found = {k: _snapshot(loop.plant.robot, k) for k, _ in ticks if k in wanted}
+    found = {k: snapshot(loop.plant.robot) for k, _ in ticks if k in wanted}
     return [found[k] for k in wanted]
-
-
-def _snapshot(sim: Any, tick: int) -> Snapshot:
-    return Snapshot(
-        tick * DT,
-        sim.position,
-        sim.quaternion,
-        bent_legs(sim.nodes, sim.directors, sim.quaternion, read_robot()),
-        sim.ground_force,
-    )
 
 
 def draw_prediction(path: Path) -> None:
@@ -154,7 +149,7 @@ def draw_prediction(path: Path) -> None:
         true.append(np.concatenate([sim.rpy, sim.position]))
         plans.append(tick.plan)
         if k == FIRST:
-            pose = _snapshot(sim, k)
+            pose = snapshot(sim)
     figure = Figure(figsize=(8.0, 7.2), layout="constrained")
     above, below = figure.subfigures(2, 1)
     ax = above.subplots()

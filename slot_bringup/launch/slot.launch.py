@@ -88,10 +88,10 @@ def _start_nodes(context: LaunchContext) -> list[Action]:
         argument.name: argument.parse(given[argument.name])
         for argument in GRAPH.arguments
     }
-    check(values)
+    remarks = check(values)
     require_no_other_graph(values["namespace"])
     values["composed"], choice = composition.choose(values)
-    said = [LogInfo(msg=choice)] if choice else []
+    said = [LogInfo(msg=line) for line in [*remarks, choice] if line]
     stock = (
         [_stock_recorder(values)]
         if given["recorder"] == "ros2bag" and values["bag"]

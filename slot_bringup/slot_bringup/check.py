@@ -22,9 +22,11 @@ from slot_core.control.policy import policy_class
 from slot_core.dynamics.scene import read_scene
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.faults import require_simulated_legs
-from slot_core.gait.gait import read_gaits
+from slot_core.gait.gait import gait_misfit, read_gaits
 from slot_core.gait.route import read_route
+from slot_core.legs.leg_table import require_own_leg_map
 from slot_core.refusal import quoted
+from slot_core.robot import read_robot
 from slot_core.ros_parameters import read_parameters
 from slot_core.safety.settings import read_supervisor
 from slot_core.servos.registry import read_brand
@@ -47,9 +49,12 @@ PRIORITY_MAX = os.sched_get_priority_max(os.SCHED_FIFO)
 DOMAIN_MAX = 232  # beyond it the ports of DDS, 7400 + 250 domain, exceed 65535
 
 
-def check(values: Mapping[str, Any]) -> None:
-    """Raise ConfigError for values of the graph's arguments, by name, that a node would refuse."""
-    gaits = read_gaits()
+def check(values: Mapping[str, Any]) -> list[str]:
+    """Remarks on values of the graph's arguments, by name, lines.
+
+    Raises ConfigError for those that a node would refuse.
+    """
+    gaits, robot = read_gaits(), read_robot()
     gait = gaits.find(values["gait"])
     v_x = gait.cruise if values["vx"] is None else values["vx"]
     velocity = np.array([v_x, values["vy"], values["yaw_rate"]])
@@ -93,6 +98,8 @@ def check(values: Mapping[str, Any]) -> None:
     _check_prefix(values["frame_prefix"])
     if values["bag"]:
         _check_new(Path(values["bag"]))
+    remarks = (require_own_leg_map(robot), gait_misfit(values["gait"], robot))
+    return [*filter(None, remarks)]
 
 
 def _check_nodes(without: str) -> None:

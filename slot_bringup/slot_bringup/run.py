@@ -39,7 +39,8 @@ TO_WALK = (
 def check_options(options: argparse.Namespace) -> None:
     """Refuse values that cannot be run: ends the program with code 2 and one line."""
     try:
-        check(vars(options))
+        for line in check(vars(options)):
+            progress(f"{PROGRAM}: {line}")
         if options.view:
             require_viser()
     except ConfigError as error:

@@ -19,30 +19,37 @@ from slot_core.robot import BASE_FRAME
 from slot_msgs.msg import GaitPreview
 from slot_nodes import messages, qos
 
-SPEED, YAW_RATE = 0.01, 0.025  # m/s, rad/s, of a key
-HEIGHT, TILT = 0.002, math.radians(1.0)  # m, rad, of a key
+VELOCITY_STEP = 0.01, 0.01, 0.025  # m/s, m/s, rad/s, of a key
+POSE_STEP = 0.002, math.radians(1.0), math.radians(1.0)  # m, rad, rad
 STOP = "0"
-Step = tuple[float, float, float]
-# steps of v_x, v_y, yaw rate; None: zero
-VELOCITY_KEYS: dict[str, Step | None] = {
-    "\x1b[A": (SPEED, 0.0, 0.0),
-    "\x1b[B": (-SPEED, 0.0, 0.0),
-    ",": (0.0, SPEED, 0.0),
-    ".": (0.0, -SPEED, 0.0),
-    "\x1b[D": (0.0, 0.0, YAW_RATE),
-    "\x1b[C": (0.0, 0.0, -YAW_RATE),
-    STOP: None,
+Step = tuple[int, int, int]
+# keys of the terminal and of the page: meaning, and sign of the step of v_x, v_y, yaw rate
+VELOCITY_KEYS: dict[str, tuple[str, Step]] = {
+    "arrowup": ("faster ahead", (1, 0, 0)),
+    "arrowdown": ("slower, then back", (-1, 0, 0)),
+    "arrowleft": ("turn left", (0, 0, 1)),
+    "arrowright": ("turn right", (0, 0, -1)),
+    ",": ("aside to the left", (0, 1, 0)),
+    ".": ("aside to the right", (0, -1, 0)),
+    STOP: ("no velocity", (0, 0, 0)),
 }
-# steps of height, roll, pitch
-POSE_KEYS: dict[str, Step] = {
-    "+": (HEIGHT, 0.0, 0.0),
-    "-": (-HEIGHT, 0.0, 0.0),
-    "l": (0.0, TILT, 0.0),
-    "j": (0.0, -TILT, 0.0),
-    "i": (0.0, 0.0, TILT),
-    "k": (0.0, 0.0, -TILT),
+# of height, roll, pitch
+POSE_KEYS: dict[str, tuple[str, Step]] = {
+    "u": ("higher", (1, 0, 0)),
+    "o": ("lower", (-1, 0, 0)),
+    "j": ("roll left", (0, -1, 0)),
+    "l": ("roll right", (0, 1, 0)),
+    "i": ("nose down", (0, 0, 1)),
+    "k": ("nose up", (0, 0, -1)),
 }
-HELP = f"arrows ahead, back, turn   , . aside   {STOP} stop   + - height   j l roll   i k pitch"
+# sent by a terminal
+ARROWS = {
+    "\x1b[A": "arrowup",
+    "\x1b[B": "arrowdown",
+    "\x1b[C": "arrowright",
+    "\x1b[D": "arrowleft",
+}
+HELP = f"arrows ahead, back, turn   , . aside   {STOP} stop   u o height   j l roll   i k pitch"
 
 
 class SteeringPublisher:
@@ -117,25 +124,29 @@ class SteeringKeys(SteeringPublisher):
 
     def press(self, key: str, commanded: GaitPreview | None) -> str:
         """Handle a key; return a line on the new command or its refusal, "" for another key."""
+        key = ARROWS.get(key, key)
         if key not in VELOCITY_KEYS and key not in POSE_KEYS:
             return ""
         if commanded is None:
             return "no gait_scheduler answers"
         try:
             if key in POSE_KEYS:
-                return self._lean(commanded, POSE_KEYS[key])
-            return self._steer(commanded, VELOCITY_KEYS[key])
+                return self._lean(commanded, POSE_KEYS[key][1])
+            return self._steer(commanded, VELOCITY_KEYS[key][1])
         except ConfigError as error:
             return str(error)
 
-    def _steer(self, commanded: GaitPreview, step: Step | None) -> str:
+    def _steer(self, commanded: GaitPreview, step: Step) -> str:
         before = (
             np.array(commanded.velocity)
             if self._velocity is None
             else self._velocity
         )
         remark = self.steer(
-            commanded, np.zeros(3) if step is None else before + step
+            commanded,
+            before + np.multiply(step, VELOCITY_STEP)
+            if any(step)
+            else np.zeros(3),
         )
         assert self._velocity is not None
         v_x, v_y, yaw_rate = self._velocity
@@ -147,7 +158,7 @@ class SteeringKeys(SteeringPublisher):
     def _lean(self, commanded: GaitPreview, step: Step) -> str:
         pose = (
             np.array(commanded.pose) if self._pose is None else self._pose
-        ) + step
+        ) + np.multiply(step, POSE_STEP)
         self.lean(commanded, pose)
         roll, pitch = np.degrees(pose[1:])
         return f"height {1e3 * pose[0]:.0f} mm, roll {roll:+.0f}, pitch {pitch:+.0f} deg"

@@ -22,10 +22,6 @@ BAGS = Path("bags")  # where scripts/run keeps them
 PAGE = "walk.html"  # in the bag's folder, beside walk.png
 
 
-class ViewError(InputError):
-    """A run cannot be shown; the message is one line."""
-
-
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     """Parse the command line; a wrong value exits with code 2 and one line."""
     parser = command_parser("view", __doc__)
@@ -94,14 +90,14 @@ def view(options: argparse.Namespace) -> None:
 
 
 def newest_bag(directory: Path) -> Path:
-    """The bag in a directory that was recorded last; raises ViewError if there is none."""
+    """The bag in a directory that was recorded last; raises InputError if there is none."""
     from slot_lab.bags.bag import STORAGES  # noqa: PLC0415 - heavy
 
     files = [
         path for suffix in STORAGES for path in directory.glob(f"*/*{suffix}")
     ]
     if not files:
-        raise ViewError(
+        raise InputError(
             f"no bag in {directory.absolute()}: name one, or make one by scripts/run"
         )
     return max(files, key=lambda path: path.stat().st_mtime).parent

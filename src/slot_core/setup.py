@@ -14,7 +14,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/slot_core"]),
         ("share/slot_core", ["package.xml"]),
     ],
-    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="SLOT maintainers",
     maintainer_email="slot@example.com",

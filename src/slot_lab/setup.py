@@ -11,7 +11,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/slot_lab"]),
         ("share/slot_lab", ["package.xml"]),
     ],
-    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="SLOT maintainers",
     maintainer_email="slot@example.com",

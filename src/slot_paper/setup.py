@@ -8,7 +8,6 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/slot_paper"]),
         ("share/slot_paper", ["package.xml"]),
     ],
-    extras_require={"test": ["pytest"]},
     zip_safe=False,
     maintainer="SLOT maintainers",
     maintainer_email="slot@example.com",

@@ -25,7 +25,7 @@ from synthetic_walk import (
 )
 
 from slot_core.messages import decode
-from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.bag_writer import BagWriter, MessageType
 from slot_core.recording.origin import Origin
 from slot_core.recording.record_settings import read_record_settings
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
@@ -162,6 +162,7 @@ def test_writer_refuses_a_second_type_an_unknown_type_and_a_bag_that_exists(
         ("notes.txt", b"no bag", "cannot be read"),
         ("foreign.mcap", b"\x89PNG\r\n\x1a\n" + bytes(100), "magic is invalid"),
         ("empty.mcap", b"", "seems to be empty"),
+        ("walk.mcap", b"version https://git-lfs.x", "a pointer of Git LFS"),
         (
             "bag/notes.txt",
             b"",
@@ -183,6 +184,52 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path, file, content, reason):
         list(Bag(bag).merged())
     assert str(bag) in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+class Binary(bytes):
+    """A definition that is no text."""
+
+    encode = bytes
+
+
+FOREIGN = {
+    "/gps": MessageType(
+        "a.Fix", Binary(b"\n\xc5\x01\xff"), "protobuf", "", "protobuf"
+    ),
+    "/plan": MessageType("Plan", "{}", "jsonschema", "", "json"),
+    "/scan": MessageType("a_msgs/Scan", "Header h", "ros1msg", "", "ros1"),
+    "/text": MessageType("", "", "", "", "json"),
+    "/service": MessageType("a_msgs/srv/Add_Event", "int8 a\n---\n"),
+    "/lidar": MessageType("a_msgs/msg/Lidar", "", "unknown"),
+}
+
+
+@pytest.mark.parametrize("finished", [True, False])
+def test_foreign_channels_are_skipped_and_named_where_they_are_needed(
+    walk_bag, tmp_path, finished
+):
+    """As a service that is introspected, Foxglove or a driver adds them."""
+    entries, file = list(Bag(walk_bag).raw()), tmp_path / "bag" / "bag.mcap"
+    with BagWriter(file.parent, SETTINGS) as out:
+        for topic, kind in FOREIGN.items():
+            out.add_topic(topic, kind)
+            out.write(topic, kind.name, WALL, b"{}")
+        for topic, time, data in entries:
+            out.write(topic, TOPICS[topic], time, data)
+    if not finished:
+        file.write_bytes(file.read_bytes()[:-9])
+    bag = Bag(file, remap={"/plan": "/odom"})
+    left = [topic for topic, _, _ in entries if topic != "/odom"]
+    assert [topic for topic, _, _ in bag.merged()] == left
+    asked = dict(FOREIGN) | {"/odom": FOREIGN["/plan"]}
+    for topic in asked.keys() - {"/plan"}:
+        held = asked[topic].serialization
+        reason = f"in '{held}', expected cdr"
+        reason = "no definition in ros2msg" if held == "cdr" else reason
+        with pytest.raises(BagError, match=f"{topic} holds .*{reason}"):
+            read_motion(bag, topic)
+    bag.save(tmp_path / "copy")
+    assert set(Bag(tmp_path / "copy").topics) == set(left)
 
 
 def test_a_bag_split_by_size_reads_as_one(walk_bag, tmp_path):
@@ -277,6 +324,10 @@ def test_equal_messages_of_one_stamp_count_once_and_lost_ones_not(written):
         (
             [(1.0, 0.0), (3.0, 0.1), (2.5, 0.2)],
             "time goes back by 0.5 s after message 1",
+        ),
+        (
+            [(1.0, 0.0), (2000.0, 0.1)],
+            "steps by 1999 s to 2000 s, limit 600 s: was the clock set",
         ),
         ([(1.0, 0.0), (1.0, 0.1)], "messages 0 and the next have one stamp"),
         ([(1.0, 0.0), (1.0, 0.0)], "1 samples, less than 2"),

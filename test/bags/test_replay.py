@@ -111,10 +111,10 @@ def test_the_first_difference_is_reported(own_config, capsys):
     assert " s: angle[" in line
 
 
-def part(path, *topics, name="walk", share=0.0, delays=(), origin=None):
+def part(path, *topics, name="walk", share=0.0, origin=None):
     """Copy of topics of a bag; of one after a share of its states, without records of the stages.
 
-    delays: ns, by topic; origin: default the bag's.
+    origin: default the bag's.
     """
     source = Bag(HERE / name)
     times = [time for time, _ in source.messages("/mpc_state")]
@@ -123,8 +123,7 @@ def part(path, *topics, name="walk", share=0.0, delays=(), origin=None):
     with BagWriter(path, read_record_settings(), origin) as bag:
         for topic, time, data in source.raw(*topics):
             if time >= begin and not (share and topic == RECORDS):
-                late = dict(delays).get(topic, 0)
-                bag.write(topic, source.topics[topic], time + late, data)
+                bag.write(topic, source.topics[topic], time, data)
     return path
 
 
@@ -168,18 +167,6 @@ def test_the_estimator_is_left_out_if_the_bag_lacks_a_sensor_that_it_has_taken(
     held = [name for name in (*STATES, "/gait_preview") if name != topic]
     (states, *_) = replay.check_bag(Bag(part(tmp_path / "bag", *held)), 0.0)
     assert states.why == f"the bag holds no {topic}"
-
-
-@pytest.mark.parametrize("delay", [-12_000_000, 12_000_000])
-@pytest.mark.parametrize("topic", ["/odom", "/joint_states"])
-def test_the_order_in_which_readings_were_recorded_changes_nothing(
-    tmp_path, topic, delay
-):
-    """The recorder receives a sensor 12 ms before or after the estimator did: its records count."""
-    path = part(tmp_path / "bag", *STATES, delays={topic: delay})
-    (states, *_) = replay.check_bag(Bag(path), replay_command.TOLERANCE)
-    assert states.compared == Bag(WALK).counts["/mpc_state"]
-    assert states.first is None
 
 
 @pytest.mark.parametrize(

@@ -286,8 +286,8 @@ def test_zero_is_repeated_until_it_is_commanded_then_another_may_steer():
 @pytest.mark.parametrize(
     ("pressed", "pose"),
     [
-        ("+", [0.062, 0.0, 0.0]),
-        ("--", [0.056, 0.0, 0.0]),
+        ("u", [0.062, 0.0, 0.0]),
+        ("oo", [0.056, 0.0, 0.0]),
         ("lli", [0.06, math.radians(2.0), math.radians(1.0)]),
         ("jk", [0.06, -math.radians(1.0), -math.radians(1.0)]),
     ],
@@ -315,7 +315,7 @@ def test_other_keys_do_not_steer_nor_any_without_a_gait_scheduler():
         "\x1b[5~",
     ):
         assert keys.press(key, commanded()) == ""
-    for key in (UP, "+", steering.STOP):
+    for key in (UP, "u", steering.STOP):
         assert keys.press(key, None) == "no gait_scheduler answers"
     assert not keys.published
 

@@ -5,6 +5,7 @@ End of the graph's processes.
 The recorder as a process: nothing is lost at its end, and little when it is killed.
 """
 
+import re
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
+from real_graph import set_values
 from rig import nodes_of
 from synthetic_walk import Walk, write_walk
 
@@ -78,6 +80,32 @@ def test_a_scene_with_a_servo_fault_is_refused_without_a_servo_bus(
     message = "fault 'silent': only the servos of hardware fake_bus can have it"
     assert refused("--scene", "mute") == f"scripts/run: {message}"
     run.check_options(parse(["--scene", "mute", "--hardware", "fake_bus"]))
+
+
+def test_a_run_refuses_the_leg_map_of_another_leg_and_warns_of_its_gait(
+    own_config, refused, capsys
+):
+    """Files that name no leg are taken, and that is said."""
+    azimuth = [60.0, -60.0, 120.0, -120.0]
+    set_values(own_config, {"robot": {"leg.azimuth_deg": azimuth}})
+    run.check_options(parse([]))
+    assert capsys.readouterr().err == (
+        "scripts/run: gait/walk.yaml was made for leg.azimuth_deg = 45 -45 135 -135 deg,"
+        " robot.yaml says 60 -60 120 -120 deg; scripts/tune leg makes it anew\n"
+    )
+    set_values(own_config, {"robot": {"leg.reach": 0.15}})
+    assert "leg_map.csv was made for leg.reach = 0.19 m, rob" in refused()
+    for file in ("leg_map.csv", "gait/walk.yaml"):
+        text = (own_config / file).read_text()
+        (own_config / file).write_text(
+            re.sub(
+                r"^# made_for.*\n|^made_for:\n(  .*\n)*", "", text, flags=re.M
+            )
+        )
+    run.check_options(parse([]))
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 2
+    assert all("does not say for which leg it was made; s" in x for x in said)
 
 
 @pytest.mark.parametrize(

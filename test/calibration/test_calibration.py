@@ -216,34 +216,6 @@ def test_known_parameters_are_recovered_within_their_intervals():
     assert low < found.chi_square < high
 
 
-def beam_problem(rng):
-    """Deflections w F / E + z of a straight cantilever: a logarithmic and a linear parameter."""
-    load, per_modulus, sigma = np.linspace(0.2, 2.0, 8), 3e5, 5e-4
-    parameters = (
-        Parameter("E", 1e7, 1e5, 1e9),
-        Parameter("z", 0.01, 0.0, 0.02),
-    )
-
-    def predict(values):
-        return per_modulus * load / values[0] + values[1]
-
-    truth = np.array([2e7, 0.006])
-    measured = predict(truth) + sigma * rng.standard_normal(len(load))
-    return FitProblem(
-        parameters, predict, measured, np.full(len(load), sigma)
-    ), truth
-
-
-def test_intervals_contain_the_truth_with_their_probability():
-    rng, inside = np.random.default_rng(1), []
-    for _ in range(400):
-        problem, truth = beam_problem(rng)
-        interval = estimate(problem, fit.fit(problem).values).interval
-        inside.append((interval[:, 0] < truth) & (truth < interval[:, 1]))
-    # 400 trials at 95 %: three standard deviations are 3.3 %.
-    assert np.mean(inside, axis=0) == pytest.approx(0.95, abs=0.033)
-
-
 def test_a_failed_prediction_is_an_error_at_the_start_and_rejected_in_a_trial():
     def predict(values):
         if values[0] > 0.5:
@@ -325,9 +297,9 @@ def test_a_fit_says_whether_a_start_that_was_stopped_matters(
     ]
     monkeypatch.setattr(fit, "_fit_from", lambda *_: results.pop(0))
     lines = []
-    fit.fit(
-        beam_problem(np.random.default_rng(1))[0], starts=2, say=lines.append
-    )
+    bounds = Parameter("E", 1e7, 1e5, 1e9), Parameter("z", 0.01, 0.0, 0.02)
+    problem = FitProblem(bounds, None, np.zeros(1), np.ones(1))
+    fit.fit(problem, starts=2, say=lines.append)
     verdict = "well" if converged[0] else "not well"
     assert [line.split(":")[0] for line in lines[2:]] == [verdict] * (
         not all(converged)

@@ -1,4 +1,7 @@
-"""State estimator: closed-form motion, chi-square statistics, order of arrival, validity."""
+"""State estimator: closed-form motion, chi-square statistics, order of arrival, validity.
+
+Messages are matched by their stamp.
+"""
 
 import dataclasses
 import itertools
@@ -34,6 +37,7 @@ from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Validity
 from slot_core.estimation.sensor_agreement import STRAYS
 from slot_core.estimation.state_estimator import StateEstimator
+from slot_core.estimation.time_synchronizer import TimeSynchronizer
 from slot_core.key_frame import capture
 from slot_core.robot import GRAVITY
 
@@ -602,3 +606,26 @@ def test_unpolled_and_unmatched_data_stay_within_the_buffers():
         for later in (1000, round(PERIOD / 2 * SECOND)):
             estimator.add_imu(stamp + later, [0, 0, 0], [0, 0, GRAVITY])
     assert [e.stamp for e in iter(estimator.poll, None)] == ticks[-5:]
+
+
+OLD = [("b", stamp) for stamp in range(100, 110)]
+# messages by topic and stamp, and which of them complete a set
+SETS = {
+    "in any order": ([("b", 7), ("a", 8), ("a", 7)], [2]),
+    "once": ([("a", 1), ("b", 1), ("b", 1)], [1]),
+    "a lost one costs its own set alone": (
+        [*OLD, ("a", 100), ("a", 109)],
+        [11],
+    ),
+    "a clock set back delays nothing": ([*OLD, ("a", 1), ("b", 1)], [11]),
+}
+
+
+@pytest.mark.parametrize("case", SETS)
+def test_a_set_is_returned_when_it_is_complete(case):
+    messages, complete = SETS[case]
+    synchronizer = TimeSynchronizer("a", "b", depth=3)
+    for number, (topic, stamp) in enumerate(messages):
+        found = synchronizer.add(topic, stamp, f"{topic}{stamp}")
+        expected = (f"a{stamp}", f"b{stamp}") if number in complete else None
+        assert found == expected

@@ -1,4 +1,7 @@
-"""Legs in space: equations of motion from an independent energy, conservation, torsion."""
+"""Legs in space: equations of motion from an independent energy, conservation, torsion.
+
+The torso compared with Euler's equations and NumPy's linear algebra.
+"""
 
 import numpy as np
 import pytest
@@ -10,9 +13,18 @@ from leg_energy import (
     robot_energy,
     robot_momentum,
 )
+from numba import njit
 from rod_robots import FLOATING, ROBOT, UNDAMPED, simulator
+from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from slot_core import config
+from slot_core.dynamics.algebra import rotation
+from slot_core.dynamics.model import build_floor
+from slot_core.dynamics.rod import discretise
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.torso import add_corners, box
+from slot_core.robot import GRAVITY
 from slot_core.section import torsion_constant
 
 PLACE = [0.04, -0.03, 0.05]  # m
@@ -140,3 +152,170 @@ def test_torsion_constants_of_rectangles_are_the_tabulated_ones(
     assert torsion_constant(thickness, width) == pytest.approx(
         torsion_constant(width, thickness)
     )
+
+
+ROD = discretise(ROBOT.leg, 10, 2 / 3)
+FLOOR = build_floor(read_scene("flat").floor, ROD, ROBOT.leg.contact_width)
+
+
+@njit
+def rotate(out, w):
+    rotation(out, w)
+
+
+@njit
+def corners(H, g, torso, floor, pose):
+    zero, held = np.zeros(3), (np.zeros((8, 3)), np.zeros(8), np.zeros((8, 2)))
+    add_corners(
+        H, g, torso, floor, 1.0, pose[0], pose[1], zero, zero, zero, held
+    )
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-6, 9e-3, 1.1e-2, 1.0, 3.0])
+def test_rotation_matches_scipy(size):
+    vector, out = size * np.array([2.0, -3.0, 6.0]) / 7.0, np.zeros((3, 3))
+    rotate(out, vector)
+    np.testing.assert_allclose(
+        out, Rotation.from_rotvec(vector).as_matrix(), atol=3e-16
+    )
+
+
+def test_corner_forces_act_at_the_corners():
+    """Force, moment and stiffness of a box with one edge below the floor, computed by hand."""
+    torso, floor = (
+        box(ROBOT.torso),
+        FLOOR._replace(corner_damping=0.0, corner_friction=0.0),
+    )
+    H, g = np.zeros((6, 6)), np.zeros(6)
+    pitch = 0.02
+    up, half = (
+        np.array([np.sin(-pitch), 0.0, np.cos(pitch)]),
+        np.array(ROBOT.torso.size) / 2,
+    )
+    height = half[2]
+    axes = np.array([np.cross([0.0, 1.0, 0.0], up), [0.0, 1.0, 0.0], up])
+    corners(H, g, torso, floor, (np.array([0.0, 0.0, height]), axes))
+    depth = -(height - np.sin(pitch) * half[0] - np.cos(pitch) * half[2])
+    force = 2 * 2e4 * depth  # two corners
+    np.testing.assert_allclose(-g[:3], force * up, rtol=1e-9)
+    lever = np.cross([half[0], 0.0, -half[2]], up)  # the corners' mean
+    np.testing.assert_allclose(-g[3:], force * lever, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(
+        H[:3, :3], 4e4 * np.outer(up, up), rtol=1e-9, atol=1e-9
+    )
+
+
+def spinning(angular_velocity, payload):
+    """A floating, spinning robot with the stiffest legs allowed after 1 s, its inertia (3, 3).
+
+    payload: mass, kg, and position, m.
+    """
+    robot = config.replace(ROBOT, {"leg.young_modulus": 1e9})
+    solver = {"solver__nodes": 10, "solver__step": 5e-4, "solver__theta": 0.5}
+    load = {"payload__mass": payload[0], "payload__place": payload[1:]}
+    sim = simulator(robot, **FLOATING, **solver, **load)
+    sim.set_motion(np.zeros(3), angular_velocity)
+    nodes = (sim.nodes - sim.position).reshape(-1, 3)
+    masses = np.append(np.tile(sim.model.rod.mass, 4), payload[0])
+    points = np.vstack([nodes, payload[1:]])
+    total, centre = ROBOT.torso.mass + masses.sum(), masses @ points
+    second = (masses * points.T) @ points - np.outer(centre, centre) / total
+    sim.advance(2000, np.zeros(4))
+    return sim, ROBOT.torso.inertia + np.trace(second) * np.eye(3) - second
+
+
+def euler(inertia, start, seconds):
+    """Orientation and angular velocity of a free rigid body, with a high-order integrator."""
+
+    def derivative(_, y):
+        spin = y[9:]
+        turn = y[:9].reshape(3, 3) @ np.cross(np.eye(3), spin)
+        return [
+            *turn.ravel(),
+            *np.linalg.solve(inertia, np.cross(inertia @ spin, spin)),
+        ]
+
+    y = solve_ivp(
+        derivative,
+        (0, seconds),
+        [*np.eye(3).ravel(), *start],
+        rtol=1e-11,
+        atol=1e-12,
+    )
+    return y.y[:9, -1].reshape(3, 3), y.y[9:, -1]
+
+
+LOAD = (0.8, *PLACE)  # mass, kg, and position, m
+
+
+@pytest.mark.parametrize("payload", [(0.0, 0.0, 0.0, 0.0), LOAD])
+def test_a_stiff_robot_tumbles_by_eulers_equations(payload):
+    # mostly about one axis; the others exchange spin
+    start = np.array([0.3, 4.0, 0.5])
+    sim, inertia = spinning(start, payload)
+    orientation, spin = euler(inertia, start, 1.0)
+    # Legs of 1e9 Pa still bend by some 1e-3 rad under the spin; the scheme adds (h w)^2 = 4e-6.
+    np.testing.assert_allclose(sim.angular_velocity, spin, atol=0.02)
+    np.testing.assert_allclose(sim.rotation, orientation, atol=0.01)
+
+
+def test_a_push_changes_momentum_and_angular_momentum_by_its_impulses():
+    """Its moment acts about odom's axes at any orientation; its force has a moment about odom."""
+    force, moment, errors = (
+        np.array([3.0, -4.0, 5.0]),
+        np.array([0.3, 0.2, -0.1]),
+        [],
+    )
+    for step in (2e-3, 1e-3):
+        solver = {
+            "solver__step": step,
+            "solver__theta": 0.5,
+            "solver__iterations": 6,
+        }
+        sim = simulator(**FLOATING, **solver)
+        sim.set_motion(np.zeros(3), np.array([1.0, 2.0, 3.0]))
+        (linear, angular), expected = robot_momentum(sim), np.zeros(3)
+        sim.push(force, moment)
+        for _ in range(round(0.2 / step)):
+            start = sim.position
+            sim.advance(1, np.full(4, 1.0))
+            expected += step * (
+                np.cross((start + sim.position) / 2, force) + moment
+            )
+        np.testing.assert_allclose(
+            robot_momentum(sim)[0] - linear, 0.2 * force, rtol=1e-12
+        )
+        errors.append(
+            np.linalg.norm(robot_momentum(sim)[1] - angular - expected)
+        )
+    assert errors[0] < 1e-5 * np.linalg.norm(expected)
+    # second order, with the middle of each step
+    assert np.log2(errors[0] / errors[1]) > 1.9
+
+
+def test_the_forces_of_the_feet_balance_an_eccentric_payload():
+    """Moments of the feet's forces about the centre of mass cancel; they act at the tips."""
+    mass, place = 0.5, np.array([-0.03, 0.02, 0.03])
+    # a tip is nearly one point
+    narrow = config.replace(ROBOT, {"leg.contact_width": 1e-4})
+    floor = {"floor__contact": "tip", "floor__friction_law": "bristle"}
+    load = {"payload__mass": mass, "payload__place": place.tolist()}
+    start = {"start__settle": 4.0, "start__tendon_angle_deg": 90.0}
+    sim = simulator(narrow, "pid", **floor, **load, **start)
+    sim.advance(6000, sim.tendon_angle)
+    masses, nodes, force = sim.model.rod.mass, sim.nodes, sim.ground_force
+    weight = sim.parameters.weight + mass * GRAVITY
+    # measured: 2.8e-4; the legs still oscillate
+    np.testing.assert_allclose(
+        force.sum(0), [0.0, 0.0, weight], atol=5e-4 * weight
+    )
+    centre = ROBOT.torso.mass * sim.position + np.einsum(
+        "n,lni->i", masses, nodes
+    )
+    centre += mass * (sim.position + sim.rotation @ place)
+    centre /= ROBOT.torso.mass + mass + 4 * masses.sum()
+    moment = np.cross(nodes[:, -1] - centre, force).sum(0)
+    # the weight on an arm of 0.1 m
+    np.testing.assert_allclose(moment, 0.0, atol=1e-5 * weight)
+    # the payload has an effect
+    assert np.abs(force[:, 2] - force[:, 2].mean()).max() > 0.3

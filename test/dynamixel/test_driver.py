@@ -24,54 +24,6 @@ def rig():
     return DriverRig()
 
 
-@pytest.mark.parametrize(
-    ("register", "value", "reason"),
-    [
-        (
-            "operating_mode",
-            16,
-            "servo RL (id 2): operating_mode is 16, expected 3",
-        ),
-        (
-            "max_position_limit",
-            4095,
-            "servo RL (id 2): max_position_limit is 4095, expected",
-        ),
-        ("shutdown", 52, "servo RL (id 2): shutdown is 52, expected 53"),
-        ("drive_mode", 8, "servo RL (id 2): drive_mode is 8, expected 0"),
-        (
-            "firmware_version",
-            37,
-            "servo RL (id 2): firmware 37, expected 38 or newer",
-        ),
-        (
-            "return_delay_time",
-            250,
-            "servo RL (id 2): return_delay_time is 250, expected 0",
-        ),
-        (
-            "pwm_limit",
-            300,
-            "servo RL (id 2): pwm_limit is 300, expected 885; scripts/servos prepare",
-        ),
-        (
-            "velocity_limit",
-            20,
-            "servo RL (id 2): velocity_limit is 20, expected 265",
-        ),
-    ],
-)
-def test_a_servo_with_a_wrong_register_is_refused_by_name(
-    rig, register, value, reason
-):
-    rig.bus.servos[2].memory[register] = value
-    with pytest.raises(RefusedError) as caught:
-        rig.driver.configure()
-    assert len(caught.value.reasons) == 1
-    assert caught.value.reasons[0].startswith(reason)
-    assert rig.torque() == [0] * 4
-
-
 def test_every_missing_servo_is_named_with_the_error_of_the_sdk(rig):
     rig.fault("silent", "FR")
     rig.fault("wrong_id", "RR", 9)
@@ -102,31 +54,6 @@ def test_activation_far_from_the_last_goal_is_without_motion(control):
     assert np.abs(rig.legs.angles() - before).max() < ONE_COUNT
     rig.run(0.3)
     assert np.abs(rig.legs.angles() - before).max() < 2 * ONE_COUNT
-
-
-def test_activation_outside_the_limits_is_refused():
-    rig = DriverRig(angles=(0.1, 0.2, -0.5, 0.4))
-    rig.driver.configure()
-    with pytest.raises(
-        RefusedError,
-        match=r"servo RL \(id 2\): stands at .* outside its limits",
-    ):
-        rig.driver.activate()
-    assert rig.torque() == [0] * 4
-
-
-def test_activation_with_a_hardware_error_is_refused_until_a_reboot(rig):
-    rig.driver.configure()
-    rig.fault("overload", "FR")
-    with pytest.raises(
-        RefusedError, match=r"servo FR \(id 4\): hardware error: overload"
-    ):
-        rig.driver.activate()
-    assert rig.torque() == [0] * 4
-    rig.driver.reboot("FR")
-    rig.legs.advance(0.5)
-    rig.driver.activate()
-    assert rig.torque() == [1] * 4
 
 
 def before_torque_on(rig, act):

@@ -164,13 +164,6 @@ def test_instructions_are_answered_as_in_the_manual(bus, exchanges):
         assert send(bus, identity, instruction, parameters) == answers
 
 
-def test_servos_at_another_baud_rate_do_not_answer(bus):
-    assert send(bus, 5, Instruction.PING, baud=1000000) == []
-    assert write(bus, "baud_rate", 3) == 0
-    assert send(bus, 5, Instruction.PING) == []
-    assert len(send(bus, 5, Instruction.PING, baud=1000000)) == 1
-
-
 @pytest.mark.parametrize(
     ("name", "value", "error"),
     [

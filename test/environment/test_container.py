@@ -1,5 +1,6 @@
-"""The container of the robot: its command as a shell makes it, and the revision in its bags."""
+"""The container of the robot: its commands as a shell makes them, and the revision in its bags."""
 
+import os
 import re
 import shlex
 import subprocess
@@ -9,6 +10,7 @@ import pytest
 import yaml
 
 from slot_bringup.graph import read_graph
+from slot_bringup.servos import main
 from slot_core.recording import origin
 
 ROOT = Path(__file__).parents[2]
@@ -35,6 +37,21 @@ def test_the_container_of_the_robot_records_to_the_host(service, record, bags):
         re.fullmatch(r"/slot/bags/robot_\d{8}_\d{6}", value) for value in found
     )
     assert "../bags:/slot/bags" in ROBOTS[service]["volumes"]
+
+
+def test_the_tools_of_the_servos_run_in_the_container(tmp_path, capsys):
+    """As the page has it, at the device that is passed in."""
+    (words,) = re.findall(
+        r"run --rm servos (.*)",
+        (ROOT / "slot_bringup/doc/hardware.md").read_text(),
+    )
+    service, port = COMPOSE["services"]["servos"], str(tmp_path / "ttyUSB0")
+    *programs, option, device = service["entrypoint"]
+    assert [os.access(ROOT / name, os.X_OK) for name in programs] == [True] * 2
+    assert [device] == service["devices"] == ROBOTS["robot"]["devices"]
+    assert "../config:/slot/config" in service["volumes"]
+    assert main([option, port, *words.split()]) == 1
+    assert capsys.readouterr().err.startswith(f"scripts/servos: {port}: ")
 
 
 def test_an_image_without_git_names_its_commit(monkeypatch, tmp_path):

@@ -1,8 +1,9 @@
-"""The examples run as they are written, and say what their texts promise."""
+"""The examples and the listings of the page `extend` run as written, and do what they promise."""
 
 import math
 import re
 import runpy
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,10 +11,18 @@ from pathlib import Path
 import pytest
 from recorded_run import record
 
+from slot_bringup.arguments import parse
+from slot_bringup.run import check_options
+from slot_core.safety.states import State
+from slot_core.simulation.supervised_loop import SupervisedLoop
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.check_bag import check_bag
+from slot_lab.bags.recorded_walk import read_motion
+from slot_lab.bags.topics import MOTION_TOPICS
 
-EXAMPLES = Path(__file__).parents[2] / "scripts" / "examples"
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "scripts" / "examples"
+EXTEND = (ROOT / "slot_bringup/doc/extend.md").read_text()
 OWN = str(EXAMPLES / "own_controller.py")
 
 
@@ -43,7 +52,7 @@ def numbers(pattern, text):
 
 
 def test_the_five_lines_of_the_readme(tmp_path):
-    readme = (EXAMPLES.parents[1] / "README.md").read_text()
+    readme = (ROOT / "README.md").read_text()
     (code,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
     (tmp_path / "five.py").write_text(code)
     command = [sys.executable, "five.py"]
@@ -136,3 +145,54 @@ def test_the_graph_walks_with_a_controller_of_ones_own_and_its_bag_replays(
     compared = {c.topic: c for c in check_bag(recorded, 0.0, OWN)}
     assert compared["/tendon_plan"].compared > 50
     assert [c.largest for c in compared.values()] == [0.0] * 4
+
+
+def test_gait_and_scene_of_the_page_run_as_its_commands_say(
+    own_config, monkeypatch
+):
+    listing = r"`config/(\S+\.yaml)`:\n\n```yaml\n(.*?)```"
+    for name, text in re.findall(listing, EXTEND, re.DOTALL):
+        (own_config / name).write_text(text)
+    monkeypatch.chdir(ROOT)
+    commands = re.findall(r"^scripts/run (.*)", EXTEND, re.MULTILINE)
+    given = [parse(words.split()) for words in commands]
+    for options in given:
+        check_options(options)
+    _, low, mine, _ = given
+    stands = SupervisedLoop(low.scene, low.gait, None, 0)
+    *_, last = stands.run(2.0)
+    assert last.state is State.WALKING  # in the gait that is a posture
+    assert stands.plant.robot.position[2] == pytest.approx(0.035, abs=2e-3)
+    walks = SupervisedLoop(mine.scene, mine.gait, None, 0)
+    *_, last = walks.run(3.0)
+    assert last.state is State.WALKING
+    assert walks.plant.robot.position[0] > 0.05
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        {
+            "mpc_controller": "my_controller.py",
+            "state_estimator": "my_estimator.py",
+        },
+        {"sim_robot": "my_simulator.py"},
+    ],
+)
+def test_the_graph_walks_with_the_nodes_of_the_page(tmp_path, own):
+    listings = re.findall(
+        r"`(my_\w+\.py)`, in place.*?```python\n(.*?)```", EXTEND, re.DOTALL
+    )
+    for name, code in listings:
+        (tmp_path / name).write_text(code)
+    commands = [[sys.executable, tmp_path / name] for name in own.values()]
+    nodes = [subprocess.Popen(command) for command in commands]
+    options = ("--lockstep", "--composed", "--duration", "2.5", "--without")
+    try:
+        bag = Bag(record(tmp_path / "bag", *options, ",".join(own)))
+    finally:
+        for node in nodes:
+            node.send_signal(signal.SIGINT)
+    assert not any(node.wait(60) for node in nodes)
+    motion = read_motion(bag, *MOTION_TOPICS)
+    assert motion.position[-1, 0] - motion.position[0, 0] > 0.04

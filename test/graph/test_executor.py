@@ -140,14 +140,12 @@ def test_exception_of_a_callback_is_raised_by_spin(node):
         spin_until(node, lambda: False)
 
 
-def test_spin_ends_with_its_context(node):
-    runtime.wall_timer(node, 0.001, node.context.try_shutdown)
-    rclpy.spin(node, node.executor)
-    assert not node.context.ok()
-
-
-def test_shutdown_from_another_thread_ends_the_wait(node):
-    threading.Timer(0.2, node.context.try_shutdown).start()
+@pytest.mark.parametrize("how", ["a timer", "another thread"])
+def test_spin_ends_with_its_context(node, how):
+    if how == "a timer":
+        runtime.wall_timer(node, 0.001, node.context.try_shutdown)
+    else:
+        threading.Timer(0.2, node.context.try_shutdown).start()
     with suppress(ExternalShutdownException):
         node.executor.spin()
     assert not node.context.ok()

@@ -90,28 +90,21 @@ def wait_for_commands(run, count=30, seconds=0.0):
             assert run.poll() is None, run.communicate()
 
 
-def test_an_interrupt_stops_every_process_without_a_fault_and_keeps_the_bag(
-    tmp_path,
+@pytest.mark.parametrize(
+    ("number", "composed"), [(signal.SIGINT, False), (signal.SIGTERM, True)]
+)
+def test_a_signal_stops_every_process_without_a_fault_and_keeps_the_bag(
+    tmp_path, number, composed
 ):
-    run, nodes = start(tmp_path)
+    run, nodes = start(tmp_path, composed)
     wait_for_commands(run)
-    assert_interrupted(run, nodes, tmp_path, signal.SIGINT)
-
-
-def test_sigterm_stops_every_process_and_keeps_the_bag(tmp_path):
-    run, nodes = start(tmp_path, composed=True)
-    wait_for_commands(run)
-    assert_interrupted(run, nodes, tmp_path, signal.SIGTERM)
-
-
-def assert_interrupted(run, nodes, directory, number):
     run.send_signal(number)
     _, errors = run.communicate()
     assert run.returncode == 130, errors
     assert "scripts/run: interrupted, all nodes stopped" in errors
     assert "ended with exit code" not in errors  # of a node at its end
     assert all_ended(nodes)
-    assert (directory / "bag" / "metadata.yaml").exists()
+    assert (tmp_path / "bag" / "metadata.yaml").exists()
 
 
 @pytest.fixture
@@ -135,21 +128,6 @@ def test_every_node_ends_without_a_fault_by_sigterm_when_its_run_is_killed(
     assert {name: node.wait() for name, node in nodes.items()} == dict.fromkeys(
         nodes, 0
     )
-
-
-def test_a_second_publisher_of_the_commands_ends_the_run_and_is_named(tmp_path):
-    """It need not send anything: DDS says that it is there."""
-    run, nodes = start(tmp_path, composed=True)
-    wait_for_commands(run)
-    with listener("intruder") as (node, _):
-        node.create_publisher(JointState, "desired_joint_angles", qos.CONTROL)
-        _, errors = run.communicate()
-    assert run.returncode == 1
-    assert (
-        "/desired_joint_angles has 2 publishers, limit 1: /force_mapper, "
-        in errors
-    )
-    assert all_ended(nodes)
 
 
 def test_the_robot_walks_on_without_its_recorder_but_not_without_another_node_and_both_are_named(
@@ -198,7 +176,7 @@ def test_every_thread_takes_the_priority_and_who_has_no_right_to_it_is_told(
     monkeypatch,
 ):
     taken, ended = [], threading.Event()
-    other = threading.Thread(target=ended.wait)
+    other = threading.Thread(target=ended.wait, daemon=True)
     other.start()
     monkeypatch.setattr(
         runtime.ctypes, "CDLL", lambda *_, **__: Mock(mlockall=lambda _: 0)
@@ -212,8 +190,10 @@ def test_every_thread_takes_the_priority_and_who_has_no_right_to_it_is_told(
     assert {threading.get_native_id(), other.native_id} <= {
         thread for thread, _, _ in taken
     }
+    runtime.take_priority("")  # nobody has asked for one: the default
     assert {(kind, given.sched_priority) for _, kind, given in taken} == {
-        (os.SCHED_FIFO, 20)
+        (os.SCHED_FIFO, 20),
+        (os.SCHED_FIFO, runtime.PRIORITY),
     }
     monkeypatch.setattr(
         runtime.os, "sched_setscheduler", Mock(side_effect=PermissionError)
@@ -222,23 +202,9 @@ def test_every_thread_takes_the_priority_and_who_has_no_right_to_it_is_told(
         ConfigError, match=r"^realtime = 20: no right to this priority"
     ):
         runtime.take_priority("20")
-    runtime.take_priority("")  # nobody has asked for one
+    runtime.take_priority("")  # without the right to it
     ended.set()
     other.join()
-
-
-def test_the_priority_is_taken_where_there_is_a_right_to_it(monkeypatch):
-    taken = set()
-    monkeypatch.setattr(
-        runtime.ctypes, "CDLL", lambda *_, **__: Mock(mlockall=lambda _: 0)
-    )
-    monkeypatch.setattr(
-        runtime.os,
-        "sched_setscheduler",
-        lambda *values: taken.add(values[2].sched_priority),
-    )
-    runtime.take_priority("")
-    assert taken == {runtime.PRIORITY}
 
 
 @pytest.mark.parametrize(

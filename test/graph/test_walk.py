@@ -1,28 +1,27 @@
 """The whole graph in lockstep, as processes and beside it, in a namespace, in one process.
 
+Also on emulated servos: driver and bus on the robot's clock.
+
 The bags are read with the mcap library where the recorder is under test.
 """
 
 import dataclasses
+from collections import defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from graph_bag import (
-    commands_of_core,
-    first_times,
-    read,
-    recorded_commands,
-    stamps,
-)
-from recorded_run import patient
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from recorded_run import patient, record
 
 from slot_bringup import monitor, run
 from slot_bringup.graph import read_graph
 from slot_core.clock import SECOND
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.messages import decode
+from slot_core.simulation.supervised_loop import SupervisedLoop
 from slot_lab.bags import check_bag as replay
 from slot_lab.bags.bag import Bag
 
@@ -78,7 +77,23 @@ def walk(bags):
 
 @pytest.fixture(scope="module")
 def messages(walk):
-    return read(walk)
+    """{topic: [(publishing time ns, message), ...]} in the order of publishing."""
+    found = defaultdict(list)
+    with next(walk.glob("*.mcap")).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, raw, message in reader.iter_decoded_messages():
+            found[channel.topic].append((raw.publish_time, message))
+    return found
+
+
+def stamps(rows):
+    """Header stamps in ns."""
+    return [stamp(message) for _, message in rows]
+
+
+def first_times(rows):
+    """{stamp: publishing time of the first message with it}, both in ns."""
+    return {s: time for (time, _), s in [*zip(rows, stamps(rows))][::-1]}
 
 
 def test_every_tick_of_the_imu_passes_the_chain_with_its_stamp(messages):
@@ -111,19 +126,65 @@ def test_no_output_precedes_its_input(messages):
     assert clock.max() >= max(stamps(messages["/odom"]))
 
 
-def test_graph_gives_the_commands_of_the_core_in_one_process(walk):
-    """Bit-equal, supervisor included: processes, DDS and the order of arrival have no effect."""
-    commands = commands_of_core(seed=3, seconds=4.6)
-    recorded = recorded_commands(walk)
-    assert len(commands) > 130
-    for stamp, command in commands.items():
-        assert np.array_equal(recorded[stamp], command), stamp
+def assert_that_of_the_core(bag, seed, seconds, hardware="sim"):
+    """Commands and states of a bag are bit-equal to those of the core in one process."""
+    loop = SupervisedLoop("flat", "walk", None, seed, hardware=hardware)
+    commands, offer = {}, loop.servos.offer
+
+    def keep(now, stamp, *command):
+        commands[stamp] = command
+        offer(now, stamp, *command)
+
+    loop.servos.offer = keep
+    reports = [(loop.plant.now, report) for report in loop.run(seconds)]
+    assert len(commands) > 25 * seconds
+    for sent in Bag(bag).messages("/desired_joint_angles"):
+        stamp, *command = decode.joint_command(sent[1])
+        if stamp in commands:
+            assert np.array_equal(command, commands.pop(stamp)), stamp
+    assert commands == {}
+    # a state is kept until the next: while the recorder is late, it may miss some
+    states = {decode.stamp(m): m for _, m in Bag(bag).messages("/robot_state")}
+    shared = [(states[now], r) for now, r in reports if now in states]
+    assert len(shared) > 0.8 * len(reports)
+    for sent, report in shared:
+        assert (sent.state, sent.reason) == (report.state, report.reason)
+        np.testing.assert_array_equal(sent.slack, report.slack)
+
+
+def test_graph_gives_the_commands_and_states_of_the_core_in_one_process(walk):
+    """Processes, DDS and the order of arrival have no effect."""
+    assert_that_of_the_core(walk, 3, 4.6)
     # the first stride needs no feedback
-    other = commands_of_core(seed=4, seconds=2.5)
-    assert any(
-        not np.array_equal(recorded[stamp], sent)
-        for stamp, sent in other.items()
-    )
+    with pytest.raises(AssertionError):
+        assert_that_of_the_core(walk, 4, 2.5)
+
+
+BUS = ("--lockstep", "--composed", "--hardware", "fake_bus", "--seed", "3")
+UNPLUGGED = """
+like: flat
+faults:
+  all: {kind: unplugged, leg: all, time: 0.5, duration: 0.0, value: 0.0}
+"""
+
+
+def test_on_emulated_servos_too_and_it_ends_with_torque_off(tmp_path):
+    bag = record(tmp_path / "bag", *BUS, "--duration", "2")
+    assert_that_of_the_core(bag, 3, 1.9, "fake_bus")
+    log = (bag / "log/controller.log").read_text()
+    assert "servos left under torque: none" in log
+
+
+def test_an_unplugged_bus_ends_the_run_as_its_driver_would(
+    tmp_path, own_config
+):
+    (own_config / "scene" / "unplugged.yaml").write_text(UNPLUGGED)
+    options = (*BUS, "--scene", "unplugged", "--duration", "5")
+    with pytest.raises(monitor.RunError, match="controller ended"):
+        record(tmp_path / "bag", *options)
+    log = (tmp_path / "bag/log/controller.log").read_text()
+    assert "their bus watchdogs stop the servos" in log
+    assert "Traceback" not in log
 
 
 def test_replay_of_the_bag_gives_bit_equal_results(walk):

@@ -54,6 +54,7 @@ SERVO = ServoSettings(
 )
 FULL_DEG = read_robot().tendon.angle_max_deg
 CONTACTS = 8  # two nodes per leg
+UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
 SLACK = {"start.tendon_angle_deg": 0.0}
 HALF_TURN = {"tendon.angle_max_deg": 180.0}
 
@@ -65,10 +66,6 @@ class Limits:
     gained: float  # J, energy beyond the initial one and the servos' work
     sunk: float  # mm, depth in the floor
     apart: float  # mm, between the answers at h and h/2, at any time
-
-
-def stay(_: RodRobot) -> None:
-    """Start as in the scene."""
 
 
 def hold(degrees: float) -> Callable[[float], Array]:
@@ -83,7 +80,8 @@ class StressCase:
     limits: Limits
     scene: Changes
     robot: Changes = field(default_factory=dict)
-    start: Callable[[RodRobot], None] = stay  # changes the initial state
+    # changes the initial state
+    start: Callable[[RodRobot], Any] = lambda _: None
     # (4,) rad at a time, s
     command: Callable[[float], Array] = hold(STANDING_DEG)
     seconds: float = 0.6
@@ -218,10 +216,6 @@ def wound(sim: RodRobot) -> None:
     sim.state.tendon_angle[:] = sim.parameters.tendon.angle_max
 
 
-def turned_over(sim: RodRobot) -> None:
-    sim.state.rotation[:] = np.diag([1.0, -1.0, -1.0])
-
-
 def wrung(sim: RodRobot) -> None:
     """Turn the legs about themselves by 200 deg from clamp to tip: 4 x 0.9 J."""
     state, part = sim.state, sim.model.rod.arc[1:] / sim.model.rod.arc[-1]
@@ -287,7 +281,7 @@ IMPACTS = {
     "flipped robot": StressCase(
         Limits(landing(1.6), bottom(1.6), 35.0),
         above(0.15),
-        start=turned_over,
+        start=lambda sim: np.copyto(sim.state.rotation, UPSIDE_DOWN),
         seconds=1.0,
     ),
 }

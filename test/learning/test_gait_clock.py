@@ -65,6 +65,7 @@ def test_gaps_are_those_of_the_stray_and_not_of_the_swing():
         state[:, PLACE[2]] += turn + 0.03 * swing + 2 * np.pi
         course.step(VELOCITY, state)
     assert course.place == pytest.approx(place, abs=1e-12)
-    assert course.faster == pytest.approx([faster] * 2, abs=1e-3)
-    assert course.aside == pytest.approx([aside] * 2)
-    assert course.turn == pytest.approx([turn] * 2, abs=1e-3)
+    assert course.stray[::2] == pytest.approx(
+        np.tile([[faster], [turn]], 2), abs=1e-3
+    )
+    assert course.stray[1] == pytest.approx([aside] * 2)

@@ -18,7 +18,7 @@ from slot_core.simulation.closed_loop import ClosedLoop
 for module in ("gymnasium", "onnxruntime"):
     pytest.importorskip(module, reason="needs scripts/setup --learn")
 onnx = pytest.importorskip("onnx", reason="needs scripts/setup --learn")
-from slot_lab.bags.bag import Bag, BagError  # noqa: E402
+from slot_lab.bags.bag import Bag  # noqa: E402
 from slot_lab.bags.check_bag import check_bag  # noqa: E402
 from slot_lab.learning.evolution import shape_of  # noqa: E402
 from slot_lab.learning.learned_walk import export  # noqa: E402
@@ -144,8 +144,41 @@ def test_a_file_that_is_no_network_of_one_robot_is_refused_in_one_line(
         assert "net.onnx" in refusal_of(file)
     file.unlink()
     assert "net.onnx" in refusal_of(file)
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    assert refusal_of(file).endswith("is missing; run scripts/setup --learn")
+    file, _ = network(tmp_path)
+    for library in ("onnxruntime", "onnx"):
+        monkeypatch.setitem(sys.modules, library, None)
+        said = f"{library} is missing; run scripts/setup --learn"
+        assert refusal_of(file).endswith(said)
+
+
+def changed(file, *nodes, **constants):
+    """Add nodes and truth values to the network in a file."""
+    model = onnx.load(file)
+    model.graph.node.extend(nodes)
+    model.graph.initializer.extend(
+        onnx.numpy_helper.from_array(np.array(value), name)
+        for name, value in constants.items()
+    )
+    onnx.save(model, file)
+
+
+NOISE = onnx.helper.make_node("RandomNormalLike", ["sum"], ["noise"])
+DROPOUT = onnx.helper.make_node("Dropout", ["sum", "", "training"], ["kept"])
+
+
+def test_a_network_that_draws_at_random_is_refused_by_the_name_of_its_node(
+    tmp_path,
+):
+    file, _ = network(tmp_path)
+    changed(file, DROPOUT, training=False)
+    policy_class(f"onnx:{file}").read_settings(f"onnx:{file}")
+    file, _ = network(tmp_path)
+    changed(file, DROPOUT, training=True)
+    assert "Dropout in training mode draws at random" in refusal_of(file)
+    file, _ = network(tmp_path)
+    inside = onnx.helper.make_graph([NOISE], "branch", [], [])
+    changed(file, onnx.helper.make_node("If", ["wet"], [], then_branch=inside))
+    assert "RandomNormalLike draws at random" in refusal_of(file)
 
 
 def test_a_policy_that_sees_the_servos_is_not_exported(tmp_path):
@@ -157,7 +190,16 @@ def test_a_policy_that_sees_the_servos_is_not_exported(tmp_path):
 
 
 def test_the_graph_walks_with_a_network_and_its_bag_replays(tmp_path):
+    """With its weights in a file of their own, as torch exports them; from the bag alone."""
     file, _ = network(tmp_path)
+    inside, data = file.read_bytes(), tmp_path / "net.onnx.data"
+    onnx.save(
+        onnx.load(file),
+        file,
+        save_as_external_data=True,
+        location=data.name,
+        size_threshold=0,
+    )
     policy = f"onnx:{file}"
     options = (
         "--lockstep",
@@ -168,11 +210,11 @@ def test_the_graph_walks_with_a_network_and_its_bag_replays(tmp_path):
         "4",
     )
     recorded = Bag(record(tmp_path / "bag", *options))
-    assert recorded.origin.files["policy.onnx"] == file.read_bytes()
-    compared = {c.topic: c for c in check_bag(recorded, 0.0, policy)}
+    data.unlink()
+    assert "weights are in net.onnx.data beside it: File" in refusal_of(file)
+    file.write_bytes(recorded.origin.files["policy.onnx"])
+    assert len(inside) <= file.stat().st_size < len(inside) + 200
+    file.unlink()
+    compared = {c.topic: c for c in check_bag(recorded, 0.0)}
     assert compared["/tendon_plan"].compared > 100
     assert [c.largest for c in compared.values()] == [0.0] * 4
-    with pytest.raises(
-        BagError, match=r"its policy is a file, net\.onnx: add --policy"
-    ):
-        check_bag(recorded, 0.0)

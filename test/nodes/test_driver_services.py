@@ -28,30 +28,26 @@ def switch(rig, on):
 
 
 @pytest.mark.parametrize(
-    ("parameter", "value", "reason"),
+    ("parameters", "reason"),
     [
-        ("joints.ids", "[5, 4, 2, 9]", "servo RR (id 9): ping: "),
+        ({"joints.ids": "[5, 4, 2, 9]"}, "servo RR (id 9): ping: "),
         (
-            "servo.firmware_min",
-            46,
+            {"servo.firmware_min": 46},
             "servo FL (id 5): firmware 45, expected 46 or newer",
+        ),
+        (
+            {"wait_for_port": 0.5, "bus.port": "/nowhere/servos"},
+            "/nowhere/servos: ",
         ),
     ],
 )
-def test_unexpected_servos_are_refused_in_one_line(
-    rig, parameter, value, reason
+def test_unexpected_servos_and_a_port_that_does_not_appear_are_refused_in_one_line(
+    rig, parameters, reason
 ):
-    rig.start(DRIVER, parameters={parameter: value})
+    rig.start(DRIVER, parameters=parameters)
     assert rig.exit_code(DRIVER) == 1
     assert f"servos refused: {reason}" in rig.log_lines(DRIVER)[-1]
     assert rig.registers("torque_enable") == [0] * 4
-
-
-def test_a_port_that_does_not_appear_is_named(rig):
-    missing = rig.directory / "missing"
-    rig.start(DRIVER, parameters={"wait_for_port": 0.5, "bus.port": missing})
-    assert rig.exit_code(DRIVER) == 1
-    assert f"servos refused: {missing}: " in rig.log_lines(DRIVER)[-1]
 
 
 def test_the_torque_service_switches_torque_off_after_a_ramp_and_on_again(

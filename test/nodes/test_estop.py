@@ -15,20 +15,37 @@ STEP = 0.021  # s, between two steps of the supervisor, with the latency of a me
 
 class Source:
     def __init__(self, rig, name):
-        self._out = rig.publisher(EmergencyStop, "estop", qos.SENSOR)
-        self._rig, self._message = rig, EmergencyStop(source=name)
-        self._timer = rig.every(
-            PERIOD, lambda: self._out.publish(self._message)
-        )
+        self.out = rig.publisher(EmergencyStop, "estop", qos.SENSOR)
+        self._message = EmergencyStop(source=name)
+        self.timer = rig.every(PERIOD, lambda: self.out.publish(self._message))
 
     def send(self, **fields):
         """Send a state, and repeat it."""
         self._message = EmergencyStop(source=self._message.source, **fields)
-        self._out.publish(self._message)
+        self.out.publish(self._message)
 
-    def lose(self):
-        self._timer.cancel()
-        self._rig.destroy_publisher(self._out)
+
+def test_in_lockstep_an_estop_is_released_by_the_source_that_has_pressed_it_alone(
+    simulate,
+):
+    """None is missed: they send in real time, which has no meaning on the robot's clock."""
+    rig = simulate(lockstep=True)
+    estop = rig.publisher(EmergencyStop, "estop", qos.SENSOR)
+
+    def send(source, pressed):
+        estop.publish(EmergencyStop(source=source, pressed=pressed))
+        rig.run(0.01)
+
+    send("terminal", pressed=False)
+    rig.wait_for(lambda: rig.state is State.WALKING)
+    send("button", pressed=True)
+    send("terminal", pressed=False)
+    rig.wait_for(lambda: rig.state is State.ESTOP)
+    assert "e-stop pressed at button" in rig.request("reset")
+    send("button", pressed=False)
+    assert rig.request("reset") == ""
+    assert rig.wait_for(lambda: rig.state is State.IDLE)
+    rig.close()
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +61,8 @@ def sources(walking):
     yield made
     for source in made:
         source.send(leaving=True)
-        source.lose()
+        source.timer.cancel()
+        walking.node.destroy_publisher(source.out)
     walking.run(PERIOD)
 
 

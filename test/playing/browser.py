@@ -4,11 +4,17 @@ import itertools
 import json
 import shutil
 import subprocess
+import threading
 import time
 import urllib.request
+from contextlib import contextmanager
 from pathlib import Path
 
 from websockets.sync.client import connect
+
+from slot_bringup.playing.page_server import address, start_server
+from slot_bringup.playing.play_page import PlayPage
+from slot_lab.play.played_robot import PlayedRobot
 
 NAMES = "chromium", "google-chrome", "chromium-browser"
 PROGRAM = next(filter(None, map(shutil.which, NAMES)), "")
@@ -25,6 +31,7 @@ OPTIONS = (
     "--no-proxy-server",
 )
 DEADLINE = 60.0  # s
+COARSE = "?fixedDpr=0.25"  # fewer pixels of the robot, which take most of the time without a GPU
 
 
 class Browser:
@@ -110,13 +117,29 @@ class Browser:
             x, y = (a + (b - a) * k / steps for a, b in zip(begin, end))
             self.mouse("mouseMoved", x, y)
 
-    def key(self, letter, shift=False):
-        """Press a key, with Shift or without."""
-        key = letter if shift else letter.lower()
-        code = {"code": f"Key{letter}", "key": key, "modifiers": 8 * shift}
-        number = {"windowsVirtualKeyCode": ord(letter)}
+    def key(self, key):
+        """Press a key, by its name in an event of the browser."""
+        code = "Space" if key == " " else key
         for kind in ("rawKeyDown", "keyUp"):
-            self.call("Input.dispatchKeyEvent", type=kind, **code, **number)
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, code=code)
+
+
+@contextmanager
+def playing(place: Path):
+    """The page of scripts/play, which runs, its server and a browser that shows it."""
+    ended, server = threading.Event(), start_server("127.0.0.1", 0, "")
+    page = PlayPage(server, PlayedRobot(), place)
+    runner = threading.Thread(target=page.run, args=(ended.is_set,))
+    runner.start()
+    try:
+        site = address("127.0.0.1", server.get_port(), "") + COARSE
+        with Browser(place, site) as browser:
+            wait_for(lambda: "yaw rate" in browser.text(), browser.text)
+            yield page, server, browser
+    finally:
+        ended.set()
+        runner.join()
+        server.stop()
 
 
 MIDDLE = """element => {

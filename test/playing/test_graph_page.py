@@ -17,7 +17,9 @@ from std_srvs.srv import Trigger
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from slot_bringup.operator_screen import KEYS
 from slot_bringup.playing import play_page
+from slot_bringup.playing.controls import RED
 from slot_bringup.playing.graph_page import GraphPage
 from slot_bringup.playing.graph_robot import TRIES, WAIT, GraphRobot
 from slot_bringup.playing.main_page import main
@@ -260,20 +262,47 @@ def test_after_an_emergency_stop_only_the_reset_resets_and_standing_up_does_not_
 
     graph.preview()
     press("gait", "walk", State.WALKING)
-    assert press("operator", "e-stop", State.ESTOP) == ["estop"]
+    assert press("E-STOP (SPACE)", True, State.ESTOP) == ["estop"]
     moves = {"v_x (m/s)": -0.01, "height (mm)": 50.0, "gait": "crawl"}
     for label, value in moves.items():
         assert {"reset", "ready"}.isdisjoint(press(label, value, State.ESTOP))
-    press("operator", "stand up", State.ESTOP)
+    press("operator", "stand up (S)", State.ESTOP)
     assert "STAND refused in ESTOP: reset first" in page._text.content
-    assert press("operator", "relax", State.ESTOP) == ["relax"]
-    reset = "after a stop", "reset e-stop or fault"
+    assert press("operator", "relax (X)", State.ESTOP) == ["relax"]
+    reset = "after a stop", "reset e-stop or fault (Shift+R)"
     assert press(*reset, State.ESTOP, State.IDLE) == ["reset"]
     press("gait", "walk")
     rise = State.IDLE, State.READY, State.STANDING, State.STANDING
-    assert press("operator", "stand up", *rise)[-2:] == ["ready", "stand"]
+    assert press("operator", "stand up (S)", *rise)[-2:] == ["ready", "stand"]
     assert control(page, "gait").value == "stand"
     assert press("gait", "walk", State.STANDING) == ["set_gait", "walk"]
+
+
+def test_the_e_stop_is_at_the_top_and_red_and_every_key_that_is_bound_is_listed(
+    graph, page
+):
+    """A key of the terminal makes the same request on the page."""
+    gui = page.server.gui
+    containers = gui._container_handle_from_uuid
+    top = min(containers["root"]._children.values(), key=lambda c: c.order)
+    assert (top.label, top.color) == ("E-STOP (SPACE)", RED)
+    texts = (
+        getattr(child, "content", "")
+        for container in containers.values()
+        for child in container._children.values()
+    )
+    (listed,) = (text for text in texts if "<kbd>" in text)
+    commands = gui._command_handle_from_uuid.values()
+    assert listed.count("<tr>") == len(commands)
+    for command in commands:
+        assert f"<td>{command.label}</td>" in listed
+    bound = {(c.hotkey, c.modifier): c._impl.trigger_cb for c in commands}
+    assert {("W", None), ("S", None)} < set(bound)
+    for key in ("space", None), ("X", None), ("R", "shift"):
+        bound[key][0](None)
+    run(page)
+    asked = [f"supervisor/{KEYS[key]}" for key in " xR"]
+    assert graph.names == asked
 
 
 def test_the_page_says_state_silence_and_which_message_is_refused(graph, page):
@@ -282,7 +311,8 @@ def test_the_page_says_state_silence_and_which_message_is_refused(graph, page):
         return page._text.content
 
     graph.report(State.HOLD, "slack or broken <tendon> FL")
-    assert "<b>HOLD</b> slack or broken &lt;tendon&gt; FL" in said()
+    reason = "until the reason is gone: slack or broken &lt;tendon&gt; FL"
+    assert reason in said()
     graph.inputs["gait_preview"](GaitPreview(stages=3))
     assert "a message is refused: " in said()
     silent = said(4.0)

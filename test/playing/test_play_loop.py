@@ -5,7 +5,8 @@ import pytest
 
 from slot_bringup.playing.page_server import start_server
 from slot_bringup.playing.play_page import PlayPage
-from slot_core.safety.states import State
+from slot_bringup.playing.robot_display import PLANNED
+from slot_core.safety.states import Request, State
 from slot_lab.play.played_robot import FRAME, PlayedRobot
 
 
@@ -60,7 +61,7 @@ def test_slow_motion_pause_and_steps(played):
     played.page.do(lambda _: played.page._set_speed(0.25))
     played.page.do(lambda r: r.change({"scene.payload.mass": 0.2}))
     played.run(2.0)
-    played.page._on_time("pause")
+    played.page._on_time("pause or go on")
     place = [0.02, 0.01, 0.03]
     played.page.do(lambda r: r.change({"scene.payload.place": place}))
     assert "paused" in played.run(1.0)
@@ -71,9 +72,23 @@ def test_slow_motion_pause_and_steps(played):
         played.page._on_time("step")
     played.run(1.0)
     assert played.robot.time == pytest.approx(before + 3 * FRAME, abs=1e-6)
-    played.page._on_time("go on")
+    played.page._on_time("pause or go on")
     played.run(1.0)
     assert played.robot.time > before + 0.2
+
+
+def test_where_no_policy_acts_there_is_no_plan_and_no_arrow_of_a_force(played):
+    """The feet keep their names."""
+    view = played.page.display.view
+    assert "the plan follows its model" in played.run(1.0)
+    forces = {"ground_forces", "demanded_forces", "predicted_path"}
+    assert forces < set(view._shown)
+    played.page.do(lambda r: r.request(Request.ESTOP))
+    text = played.run(0.5)
+    assert "no torque until it is reset: " in text
+    assert set(PLANNED).isdisjoint(view._shown)
+    assert "plan" not in text
+    assert set(view._labels) == {"FL", "FR", "RL", "RR"}
 
 
 CONTROLS = [

@@ -8,13 +8,11 @@ import time
 
 import numpy as np
 import pytest
-from browser import PROGRAM, Browser, wait_for
+from browser import PROGRAM, playing, wait_for
 from scipy.spatial.transform import Rotation
 
-from slot_bringup.playing.page_server import address, start_server
-from slot_bringup.playing.play_page import PlayPage
 from slot_core.safety.states import State
-from slot_lab.play.played_robot import PlayedRobot, Wishes
+from slot_lab.play.played_robot import Wishes
 
 pytestmark = [
     pytest.mark.skipif(
@@ -25,7 +23,6 @@ pytestmark = [
 ROW = "[...document.querySelectorAll('label')].find(l => l.innerText == {label!r})"
 ROW += ".closest('div').parentElement"
 TAB = "[...document.querySelectorAll('[role=tab]')].find(t => t.innerText == {!r})"
-COARSE = "?fixedDpr=0.25"  # fewer pixels of the robot, which take most of the time without a GPU
 OPTION = "[...document.querySelectorAll('[role=option]')].find(o => o.innerText == {!r})"
 
 
@@ -94,21 +91,8 @@ class Hand:
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory):
     """The page and a browser that shows it; it runs until the end of the module."""
-    ended = threading.Event()
-    server = start_server("127.0.0.1", 0, "")
-    page = PlayPage(server, PlayedRobot(), tmp_path_factory.mktemp("bags"))
-    runner = threading.Thread(target=page.run, args=(ended.is_set,))
-    runner.start()
-    try:
-        place = address("127.0.0.1", server.get_port(), "") + COARSE
-        with Browser(tmp_path_factory.mktemp("chromium"), place) as browser:
-            hand = Hand(page, server, browser)
-            hand.see(lambda h: "yaw rate" in h.browser.text())
-            yield hand
-    finally:
-        ended.set()
-        runner.join()
-        server.stop()
+    with playing(tmp_path_factory.mktemp("page")) as shown:
+        yield Hand(*shown)
 
 
 @pytest.fixture
@@ -129,25 +113,30 @@ def hand(shared):
 
 
 def test_a_slider_and_keys_act_and_a_dropdown_gives_the_keys_back(hand):
+    """The key of the e-stop acts in a field of a number, too."""
     hand.open("Drive")
     hand.choose("gait", "walk")
     hand.slide("v_x (m/s)", 0.05)
     hand.see(lambda h: h.robot.truth.odometry.position[0] > 0.02)
     for key, axis, sign in (
-        ("J", 2, 1),
-        ("U", 1, 1),
-        ("O", 1, -1),
-        ("L", 2, -1),
+        ("ArrowLeft", 2, 1),
+        (",", 1, 1),
+        (".", 1, -1),
+        ("ArrowRight", 2, -1),
     ):
         before = hand.robot.wishes.velocity[axis]
         hand.browser.key(key)
         hand.see(lambda h: sign * (h.robot.wishes.velocity[axis] - before) > 0)  # noqa: B023
-    hand.browser.key("M")
+    hand.browser.key("0")
     hand.see(lambda h: not h.ahead.any())
-    hand.browser.key("U", shift=True)
+    hand.browser.key("u")
     hand.see(lambda h: h.robot.wishes.pose is not None)
-    hand.browser.key("H")
+    hand.browser.key("s")
     hand.see(lambda h: h.robot.loop.report.state is State.STANDING)
+    field = f"{ROW.format(label='v_x (m/s)')}.querySelector('input[inputmode]')"
+    hand.browser.run(f"{field}.focus()")
+    hand.browser.key(" ")
+    hand.see(lambda h: h.robot.loop.report.state is State.ESTOP)
 
 
 GAMEPAD = "[{{connected: true, mapping: 'standard', axes: {axes}, buttons: [{{pressed: {a}}}]}}]"

@@ -5,8 +5,6 @@ process each, best effort, as those of a camera's driver.
 """
 
 import dataclasses
-import os
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -14,7 +12,6 @@ from pathlib import Path
 import pytest
 from rig import nodes_of
 
-from slot_bringup.graph import TIED
 from slot_bringup.processes import command_line
 from slot_core.estimation.estimate import Validity
 from slot_lab.bags.bag import Bag
@@ -56,7 +53,7 @@ class Robot:
 
     def start_sensors(self, *topics):
         for topic in topics or SENSORS:
-            self._start(topic, [sys.executable, str(RELAY), topic])
+            self.rig.spawn(topic, [sys.executable, str(RELAY), topic])
 
     def start_graph(self):
         self.rig.start(*self.graph)
@@ -71,18 +68,8 @@ class Robot:
             word.replace("__node:=recorder", f"__node:={name}")
             for word in command_line(spec)
         ]
-        self._start(name, command)
+        self.rig.spawn(name, command)
         return bag
-
-    def _start(self, name, command):
-        with (self.rig.directory / f"{name}.log").open("ab") as log:
-            self.rig.children[name] = subprocess.Popen(
-                [*TIED, *command],
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-                env=os.environ | {"SLOT_CONFIG": str(self.rig.config)},
-            )
 
     def walk(self):
         self.rig.walk_steadily()

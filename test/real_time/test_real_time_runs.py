@@ -5,20 +5,18 @@ The driver's process: torque is off and read back at each of its ends; lifecycle
 Real time: signals end the process, and rclpy serves the lifecycle.
 """
 
+import math
 import signal
 import subprocess
 import sys
 
 import pytest
-import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.signals import SignalHandlerOptions
 from rig import TOPICS
 from stub_supervisor import DRIVER, powered, start_driver
 
+from slot_bringup.monitor import listener
 from slot_core.safety.states import Action, State
 from slot_lab.bags.bag import Bag
 
@@ -84,25 +82,14 @@ def test_robot_walks_with_the_real_driver_which_leaves_no_torque(
 
 def join_and_leave():
     """Take part in the graph until a message of every topic HEARD has come."""
-    context = Context()
-    rclpy.init(
-        args=[], context=context, signal_handler_options=SignalHandlerOptions.NO
-    )
-    executor = SingleThreadedExecutor(context=context)
-    try:
-        node = rclpy.create_node("passer_by", context=context)
-        executor.add_node(node)
-        heard = set()
+    heard = set()
+    with listener("passer_by") as (node, executor):
         for topic in HEARD:
             kind, profile = TOPICS[topic]
             node.create_subscription(
                 kind, topic, lambda _, t=topic: heard.add(t), profile
             )
-        while heard != HEARD:
-            executor.spin_once()
-    finally:
-        executor.shutdown()
-        context.try_shutdown()
+        executor.spin_until(lambda: heard == HEARD, math.inf)
 
 
 def test_participants_that_join_and_leave_do_not_stop_a_walking_robot(make_rig):
@@ -162,7 +149,7 @@ def test_the_driver_reads_torque_off_back_before_it_ends(rig, stub, end):
         stub.permission = Action.HOLD
     else:
         stub.move_to(PULLED)
-        rig.send_signal(DRIVER, end)
+        rig.children[DRIVER].send_signal(end)
     assert rig.exit_code(DRIVER) == int(broken)
     log = "".join(rig.log_lines(DRIVER)[before:])
     assert "torque on" in log

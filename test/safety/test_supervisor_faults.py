@@ -297,12 +297,17 @@ def test_the_end_of_a_recorder_is_said_while_the_robot_walks_on(walking):
         assert (report.state, report.warnings) == (State.WALKING, said)
 
 
-def test_hold_lasts_while_its_reason_recurs(walking):
+def test_hold_lasts_while_its_reason_recurs_within_the_time_of_recovery(
+    walking,
+):
     good = walking.command
-    for k in range(20):
-        walking.command = good if k % 2 else np.full(4, math.nan)
+    for _ in range(10):
+        walking.command = np.full(4, math.nan)
         walking.run(CYCLE)
-    assert {r.state for r in walking.reports[-50:]} == {State.HOLD}
+        walking.command = good
+        walking.run(TIMING.recovery - CYCLE)
+    assert {r.state for r in walking.reports[-150:]} == {State.HOLD}
+    assert walking.run(2 * CYCLE).state is State.WALKING
 
 
 def test_a_goal_that_the_rate_limit_holds_back_is_warned_of(walking):

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from faulty_loop import BEGIN, FaultyLoop
 from real_graph import changed_config
 from supervisor_bench import HEIGHT, LOAD, ROBOT
 
@@ -154,8 +153,8 @@ def test_legs_that_are_all_softer_or_stiffer_are_no_torn_tendons_but_a_torn_one_
 )
 def test_commands_of_an_undamaged_walk_pass_unchanged_without_an_alarm(scene):
     """The push is at 5 s. Largest slack inferred in 22 s: 0.57 mm, and 0.66 mm at 20 deg."""
-    loop = FaultyLoop(scene=scene)
-    list(loop.run(BEGIN))
+    loop = SupervisedLoop(scene, "walk", None, 0)
+    list(loop.run(1.0))
     for report in loop.run(7.0):
         assert report.state is State.WALKING
         # of the payload's scene: it is no alarm
@@ -191,7 +190,7 @@ def test_a_robot_that_is_told_of_its_broken_tendon_walks_on_three_legs(
         "scene/tendon_breaks": {"faults.fl.time": 0.0},
     }
     monkeypatch.setenv("SLOT_CONFIG", str(changed_config(tmp_path, changes)))
-    loop = FaultyLoop(scene="tendon_breaks")
+    loop = SupervisedLoop("tendon_breaks", "walk", None, 0)
     for report in loop.run(12.0):
         assert report.state is not State.HOLD, report.reason
     assert report.state is State.WALKING
@@ -201,9 +200,9 @@ def test_a_robot_that_is_told_of_its_broken_tendon_walks_on_three_legs(
 @pytest.mark.parametrize("begin", [3.0, 3.26, 3.312, 3.572])
 def test_a_walk_that_goes_on_after_a_short_hold_raises_no_alarm(begin):
     """The torso tilts by up to 19 deg while the legs return to the gait at a limited rate."""
-    loop = FaultyLoop()
+    loop = SupervisedLoop("flat", "walk", None, 0)
     list(loop.run(begin))
-    loop.kill("force_mapper")
+    loop.running.remove("force_mapper")
     list(loop.run(0.13))
     loop.running.add("force_mapper")
     states = [report.state for report in loop.run(4.0)]

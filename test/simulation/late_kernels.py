@@ -1,4 +1,4 @@
-"""Process for test_warm_up.py: prints the kernels that a walk is the first to call.
+"""Process for test_rod_robot.py: prints the kernels that a walk is the first to call.
 
 usage: late_kernels.py warm_up | robot | servos SCENE
     warm_up   those that the walk or its start call after scripts/setup has compiled the kernels

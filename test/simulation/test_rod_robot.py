@@ -1,6 +1,8 @@
 """The robot on rods: conservation, an independent solver of its equations, standing, refusals.
 
 No kernel is compiled while the robot moves, in whatever install and with whatever cache.
+
+Many robots on threads of one process: each moves as it does alone.
 """
 
 import os
@@ -22,6 +24,8 @@ from slot_core.dynamics import observe
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.robot import GRAVITY
+from slot_core.simulation.make_robot import make_robot
+from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.leg_tests.level_leg import at_nodes
 
@@ -89,10 +93,10 @@ class VerticalDrop:
 DROP = {"height": 0.05, "speed": -0.4, "angle": 1.2}
 
 
-def drop_errors(steps, seconds, theta):
+def drop_errors(steps, seconds, theta, rtol):
     """Largest distance of a node from the solution of Radau's method, m, for each time step.
 
-    Also the nodes (N, 2), m, and the normal force, N, of that solution.
+    Also the nodes (N, 2), m, and the normal force, N, of that solution, of the tolerance `rtol`.
     """
     sims = []
     for step in steps:
@@ -113,7 +117,7 @@ def drop_errors(steps, seconds, theta):
     falling = np.tile([0.0, DROP["speed"]], (len(begin), 1))
     y0, options = (
         np.concatenate([begin, falling]).ravel(),
-        {"rtol": 1e-7, "atol": 1e-10},
+        {"rtol": rtol, "atol": 1e-3 * rtol},
     )
     y = solve_ivp(exact.rate, (0, seconds), y0, method="Radau", **options).y[
         :, -1
@@ -129,7 +133,7 @@ def drop_errors(steps, seconds, theta):
 
 
 def test_suddenly_taut_legs_agree_with_an_independent_solver_to_second_order():
-    errors, _, force = drop_errors((1e-4, 2.5e-5), 2e-3, 0.5)
+    errors, _, force = drop_errors((1e-4, 2.5e-5), 2e-3, 0.5, 1e-7)
     assert force == 0.0  # still in the air
     assert errors[1] < 3e-7  # m; they move by 0.5 mm
     assert np.log2(errors[0] / errors[1]) / 2 > 1.8
@@ -137,7 +141,7 @@ def test_suddenly_taut_legs_agree_with_an_independent_solver_to_second_order():
 
 def test_landing_agrees_with_an_independent_solver():
     """Taut legs hit the floor at 0.9 m/s and slide apart; state 80 ms after the start."""
-    errors, node, force = drop_errors([2.5e-5], 0.08, 0.55)
+    errors, node, force = drop_errors([2.5e-5], 0.08, 0.55, 1e-6)
     assert force > 1.0  # N: it has landed
     # contact of the torso is not in the reference
     assert node[0, 1] > ROBOT.torso.size[2] / 2
@@ -250,3 +254,75 @@ def test_an_installed_copy_uses_the_kernels_that_the_setup_has_compiled(
     assert cache == str(
         observe.points._cache.path((), observe.points.targetctx)
     )
+
+
+# rad: robots, goals, legs
+GOALS = np.linspace(0.9, 1.6, 3 * 2 * 4).reshape(3, 2, 4)
+FRICTION = (0.2, 0.4, 0.7)
+
+
+def robot(level="map", **changes):
+    solver = {
+        f"solver.{name}": v
+        for name, v in config.load(f"solver/{level}").items()
+    }
+    return make_robot(
+        ROBOT,
+        config.replace(read_scene("flat"), solver | changes),
+        read_servo(),
+    )
+
+
+def robots(level):
+    return [robot(level, **{"floor.friction": [mu] * 4}) for mu in FRICTION]
+
+
+@pytest.mark.parametrize("level", ["map", "coarse"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_each_robot_moves_to_the_last_bit_as_it_does_alone(level, threads):
+    alone, together = robots(level), ManyRobots(robots(level), threads)
+    for row, one, goals in zip(together.advance(GOALS, 10), alone, GOALS):
+        for goal in goals:
+            one.advance(10, goal)
+        turning = one.rotation @ one.angular_velocity
+        expected = np.concatenate(
+            [one.rpy, one.position, turning, one.velocity]
+        )
+        assert row[STATE] == pytest.approx(expected, rel=1e-13, abs=1e-15)
+        assert row[3:6].tolist() == one.position.tolist()
+        assert row[ANGLE].tolist() == one.tendon_angle.tolist()
+        assert row[TENSION].tolist() == one.tension.tolist()
+
+
+@pytest.mark.parametrize("level", ["map", "coarse"])
+def test_a_robot_that_diverged_is_nan_until_it_is_replaced_and_the_others_go_on(
+    level,
+):
+    together, lost = ManyRobots(robots(level)), robot(level)
+    together.replace(1, lost)
+    lost.push(np.array([0.0, 0.0, 1e7]), np.zeros(3))
+    for _ in range(2):
+        finite = np.isfinite(together.advance(GOALS, 5)).all(axis=1)
+        assert finite.tolist() == [True, False, True]
+    together.replace(1, robot(level))
+    assert np.isfinite(together.advance(GOALS, 5)).all()
+
+
+@pytest.mark.parametrize(
+    ("goals", "named"),
+    [
+        (GOALS[:2], "goals: shape"),
+        (np.full((3, 1, 4), np.nan), "not finite"),
+        (np.full((3, 1, 4), 9.0), r"not in \[0, "),
+    ],
+)
+def test_goals_that_no_servo_can_take_and_robots_on_other_legs_are_refused(
+    goals, named
+):
+    together = ManyRobots(robots("map"))
+    before = together.motion.copy()
+    with pytest.raises(ValueError, match=named):
+        together.advance(goals, 5)
+    assert (together.motion == before).all()
+    with pytest.raises(ValueError, match="robot 1: legs of another model"):
+        ManyRobots([robot("map"), robot("coarse")])

@@ -32,6 +32,7 @@ from slot_lab.twin.twin_fit import (
     parameter,
     places,
 )
+from slot_lab.validation import validate
 from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED
 from slot_lab.workers import serially
 
@@ -100,6 +101,18 @@ def test_a_recorded_walk_is_predicted_from_its_own_angles(angles, source):
     assert off[inside].max() < 3e-3
 
 
+def test_topics_of_a_bag_are_taken_by_their_new_names(refusal):
+    renamed = {"/ground_truth/odom": "/odom"}
+    found = read_recorded(WALK, motion="/odom", remap=renamed).motion
+    assert found.source == "/odom"
+    assert (found.position == read_recorded(WALK).motion.position).all()
+    wrong = ["--remap", "/pose:=/odom"]
+    assert "no topic /pose" in refusal(twin_command.main, WALK, *wrong)
+    assert "no topic /pose" in refusal(validate.main, WALK, WALK, *wrong)
+    wrong[0] = "--remap-measured"
+    assert "no topic /pose" in refusal(validate.main, WALK, WALK, *wrong)
+
+
 def write_walk(path, recorded):
     """The recorded walk as a CSV file: angles and poses in rows of their own."""
     angles = [
@@ -125,7 +138,7 @@ def test_a_csv_file_is_the_walk_that_it_holds_and_is_compared(
     assert found.angles.angle == pytest.approx(recorded.angles.angle)
     assert found.motion.pose == pytest.approx(recorded.motion.pose)
     with pytest.raises(
-        config.ConfigError, match="--namespace and --motion are of bags"
+        config.ConfigError, match="--motion and --remap are of bags"
     ):
         read_recorded(walk, motion="/odom")
     out = ["--out", str(tmp_path / "out")]
@@ -158,8 +171,8 @@ def test_a_csv_file_is_the_walk_that_it_holds_and_is_compared(
             [
                 ",".join(COLUMNS),
                 "0,1,1,1,1,,,,,,",
-                "1,1,1,1,1,0,0,0,0,0,0",
-                "2,,,,,0,0,0,0,0,0",
+                "0.1,1,1,1,1,0,0,0,0,0,0",
+                "0.2,,,,,0,0,0,0,0,0",
             ],
             "FL, FR, RL, RR and x .. yaw do not overlap",
         ),

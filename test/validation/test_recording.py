@@ -20,6 +20,7 @@ from slot_lab.verdict import EXPLAINED, NOT_EXPLAINED, Verdict
 EXAMPLE = Path(__file__).parents[2] / "slot_bringup" / "example"
 ROWS = [f"{n / 30:.4f},0.1,0.0,{0.01 * n}" for n in range(10)]
 HEAD = "time,x,y,z"
+TUM = [f"{1.7e9 + n / 30:.4f} 0.1 0 {0.01 * n}" for n in range(10)]
 
 
 @pytest.fixture
@@ -42,6 +43,19 @@ def test_a_table_is_the_torso_and_its_yaw_unwrapped(csv):
     assert track.t[-1] == pytest.approx(0.3)
     assert track.position[3] == pytest.approx([0.1, 0.0, 0.03])
     assert track.rpy[3] == pytest.approx([0.0, 0.1, 2 * np.pi - 3.0])
+
+
+def test_a_trajectory_of_tum_is_the_torso(csv):
+    turned = [
+        f"{row} 0 0 {math.sin(0.4 * n)} {math.cos(0.4 * n)}"
+        for n, row in enumerate(TUM)
+    ]
+    track = read_recording(csv("# time x y z qx qy qz qw", *turned)).points[
+        "torso"
+    ]
+    assert track.t == pytest.approx(np.arange(10) / 30, abs=1e-4)
+    assert track.position[3] == pytest.approx([0.1, 0.0, 0.03])
+    assert track.rpy[:, 2] == pytest.approx(0.8 * np.arange(10))
 
 
 @pytest.mark.parametrize(
@@ -71,6 +85,30 @@ def test_a_table_is_the_torso_and_its_yaw_unwrapped(csv):
         (
             ["time,point,x,y,z", "0,nose,1,2,3"],
             r"line 2, point: 'nose' is unknown",
+        ),
+        (
+            [HEAD, *(f"{1763600000000 + 33 * n},0,0,0" for n in range(10))],
+            "line 2, time: median step 33, so likely in ms; expected s",
+        ),
+        (
+            [HEAD, *(f"{1.7636e18 + 33e6 * n:.0f},0,0,0" for n in range(10))],
+            "likely in ns",
+        ),
+        (
+            [HEAD, *ROWS, "1.7e9,0,0,0"],
+            r"time: steps by 1.7e\+09 s to 1700000000 s, limit 600 s: was the",
+        ),
+        (
+            [HEAD, *(f"{n // 2 * 400 + n % 2 / 99},0,0,0" for n in range(80))],
+            r"time: spans 1.56e\+04 s, limit 14400 s: cut the recording",
+        ),
+        (
+            [f"{row} 0 0 0.6 0" for row in TUM],
+            "qx qy qz qw of sample 0 have the length 0.6, expected 1",
+        ),
+        (
+            ["version https://git-lfs.github.com/spec/v1", "size 9"],
+            "m.csv: a pointer of Git LFS in place of the file: git lfs pull",
         ),
     ],
 )

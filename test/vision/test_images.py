@@ -40,7 +40,7 @@ def image(pixels, encoding="mono8", **changes):
     return message
 
 
-def test_images_of_every_encoding_are_grey_and_depth_is_in_millimetres():
+def test_images_of_every_encoding_are_grey():
     colour = np.zeros((2, 3, 3), np.uint8)
     colour[..., 2] = 200  # red of BGR
     assert set(np.unique(image_message.grey(image(colour, "bgr8")))) == {60}
@@ -50,10 +50,6 @@ def test_images_of_every_encoding_are_grey_and_depth_is_in_millimetres():
     np.testing.assert_array_equal(
         image_message.grey(image(np.pad(grey, ((0, 0), (0, 5))), width=4)), grey
     )
-    depth = np.array([[800, 1], [2, 65535]], np.uint16)
-    for big, order in ((0, "<u2"), (1, ">u2")):
-        message = image(depth.astype(order), "16UC1", is_bigendian=big)
-        np.testing.assert_array_equal(image_message.depth(message), depth)
 
 
 @pytest.mark.parametrize(
@@ -74,20 +70,16 @@ def test_a_image_with_missing_bytes_is_refused(changes, reason):
         image_message.grey(image(np.zeros((3, 4), np.uint8), **changes))
 
 
-def write_bag(path, images, depths=(), k=CAMERA.matrix):
-    """A bag with images and depth images as (stamp in ms, array)."""
+def write_bag(path, images, k=CAMERA.matrix):
+    """A bag with images as (stamp in ms, array)."""
     info = blank("sensor_msgs/msg/CameraInfo")
     info.height, info.width, info.distortion_model = 720, 1280, "plumb_bob"
     info.d, info.k = CAMERA.distortion, k.ravel()
     entries = [(0, "/camera/camera_info", info)]
-    for topic, encoding, frames in (
-        ("/camera/image_raw", "mono8", images),
-        ("/camera/depth", "16UC1", depths),
-    ):
-        for ms, pixels in frames:
-            message = image(pixels, encoding)
-            message.header.stamp.nanosec = ms * 1_000_000
-            entries.append((ms * 1_000_000, topic, message))
+    for ms, pixels in images:
+        message = image(pixels)
+        message.header.stamp.nanosec = ms * 1_000_000
+        entries.append((ms * 1_000_000, "/camera/image_raw", message))
     with BagWriter(path, read_record_settings()) as bag:
         for time, topic, message in entries:
             kind = message.__msgtype__
@@ -95,20 +87,12 @@ def write_bag(path, images, depths=(), k=CAMERA.matrix):
     return path
 
 
-def test_a_bag_gives_its_images_with_stamps_camera_and_the_nearest_depth(
-    tmp_path,
-):
+def test_a_bag_gives_its_images_with_stamps_and_camera(tmp_path):
     images = [(ms, np.full((2, 3), ms, np.uint8)) for ms in (10, 43, 76)]
-    depths = [(ms, np.full((2, 3), ms, np.uint16)) for ms in (12, 40, 100)]
-    bag = write_bag(tmp_path / "bag", images, depths)
-    frames = list(read_film(bag, depth="/camera/depth"))
+    bag = write_bag(tmp_path / "bag", images)
+    frames = list(read_film(bag))
     assert [f.time for f in frames] == pytest.approx([0.010, 0.043, 0.076])
     assert [f.grey[0, 0] for f in frames] == [10, 43, 76]
-    assert [f.depth is not None and f.depth[0, 0] for f in frames] == [
-        12,
-        40,
-        False,
-    ]
     assert bag_camera(bag, "/camera/image_raw").equals(CAMERA)
     bare = write_bag(tmp_path / "bare", [], k=np.zeros((3, 3)))
     with pytest.raises(FilmError, match="no topic /camera/image_raw"):
@@ -204,6 +188,27 @@ INFO = {
         ),
         ({"d": [0.0] * 4}, "D has 4 values, plumb_bob has 5"),
         ({"d": [float("inf")] * 5}, "not finite"),
+        (
+            {"k": [900.0, 40.0, *INFO["k"][2:]]},
+            r"K\[1\] = 40, .* without skew",
+        ),
+        (
+            {"k": np.reshape(INFO["k"], (3, 3)).T},
+            r"K\[6:9\] = 640, 360, 1: transposed\?, expected 0, 0, 1",
+        ),
+        (
+            {"k": [0.7, 0, 0.5, 0, 1.3, 0.5, 0, 0, 1]},
+            "f_x = 0.7 px, a field of view of 180 deg on 1280 px, .*normalised",
+        ),
+        ({"k": [9e5, *INFO["k"][1:]]}, "a field of view of 0.0815 deg"),
+        (
+            {"height": 300},
+            r"c_y = 360 px: outside of the image, \[0, 300\]",
+        ),
+        (
+            {"model": "equidistant", "d": []},
+            "distortion_model 'equidistant': .* rectify the images of a fish",
+        ),
         ({"k": [1e308, *INFO["k"][1:]]}, "above 1e\\+06"),
         ({"k": [10**400] * 9}, "K = .*: expected numbers"),
         ({"d": {"a": 1}}, "D = .*: expected numbers"),
@@ -231,7 +236,7 @@ def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
         camera = Camera(
             640,
             360,
-            CAMERA.matrix / 2,
+            np.diag([0.5, 0.5, 1.0]) @ CAMERA.matrix,
             np.linspace(-0.01, 0.02, size),
             covariance,
         )
@@ -247,6 +252,8 @@ def test_a_calibration_file_gives_the_same_camera_back(tmp_path, size):
         ("", "not subscriptable"),
         ("image_width: 3", "image_height is missing"),
         ("[", "expected the node content|while parsing"),
+        ("%YAML:1.0\n---\nK: !!opencv-matrix\n", "a file of OpenCV"),
+        ("version https://git-lfs.github.com/spec", "a pointer of Git LFS"),
         (known([1.0] * 3), "intrinsics_covariance has 3 values, expected 81"),
         (known(np.tri(9).ravel().tolist()), "not symmetric and positive"),
         (known((-np.eye(9)).ravel().tolist()), "not symmetric and positive"),

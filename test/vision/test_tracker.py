@@ -34,36 +34,32 @@ LOOK = Transform.of((0, 0, 0), VISION.film_camera.rpy).rotation[:, 0]
 
 @pytest.fixture(scope="module")
 def shots():
-    """Image, depth image and true plates of COUNT poses."""
+    """Image and true plates of COUNT poses."""
     result = []
     for k in range(COUNT):
         base = Transform.of((0.01 * k, 0.0, 0.045), (0.02, 0.03 * k, 0.0))
         at = natural_robot(base)
         surfaces = stage().surfaces(at)
-        images = synthetic().image(surfaces), synthetic().depth(surfaces, 0.002)
-        result.append((*images, stage().plates(at)))
+        result.append((synthetic().image(surfaces), stage().plates(at)))
     return result
 
 
 @pytest.fixture
 def folder(tmp_path, shots):
-    """Folders of the images and the depth images, and the calibration."""
-    for name in ("film", "depth"):
-        (tmp_path / name).mkdir()
-    for number, (image, depth, _) in enumerate(shots):
+    """Folder of the images, and the calibration."""
+    (tmp_path / "film").mkdir()
+    for number, (image, _) in enumerate(shots):
         cv2.imwrite(str(tmp_path / "film" / f"{number:03d}.png"), image)
-        cv2.imwrite(str(tmp_path / "depth" / f"{number:03d}.png"), depth)
     (tmp_path / "camera.yaml").write_text(camera_text(CAMERA))
     return tmp_path
 
 
-@pytest.mark.parametrize("with_depth", [False, True])
 def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(
-    shots, with_depth
+    shots,
 ):
     tracker = Tracker(VISION, CAMERA)
-    for number, (image, depth, _) in enumerate(shots):
-        tracker.add(float(number), image, depth if with_depth else None)
+    for number, (image, _) in enumerate(shots):
+        tracker.add(float(number), image)
     tracks = tracker.tracks()
     assert tracks.frame == "odom"
     assert tracks.camera_motion < 1.0
@@ -72,7 +68,7 @@ def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(
     )
     errors = np.array(
         [
-            s.position - shots[int(s.time)][2][s.point].position
+            s.position - shots[int(s.time)][1][s.point].position
             for s in tracks.samples
         ]
     )
@@ -80,7 +76,7 @@ def test_tracks_are_within_a_millimetre_in_the_image_plane_and_three_in_depth(
     depth_error = errors @ LOOK
     across = np.linalg.norm(errors - depth_error[:, None] * LOOK, axis=1)
     assert np.sqrt(np.mean(across**2)) < 1e-3
-    assert np.sqrt(np.mean(depth_error**2)) < (2e-3 if with_depth else 3e-3)
+    assert np.sqrt(np.mean(depth_error**2)) < 3e-3
 
 
 def test_without_a_board_the_tracks_are_in_the_axes_of_the_camera_which_may_move(
@@ -116,12 +112,7 @@ def test_the_csv_has_a_row_for_every_marker_that_a_image_shows(folder, capsys):
         "--rate",
         "25",
     ]
-    assert (
-        track_command.main(
-            [str(folder / "film"), *place, "--depth", str(folder / "depth")]
-        )
-        == 0
-    )
+    assert track_command.main([str(folder / "film"), *place]) == 0
     found = rows(out)
     assert list(found[0]) == ["time", "point", "x", "y", "z"]
     assert {r["point"] for r in found} == set(POINTS)
@@ -147,7 +138,7 @@ def test_a_damaged_video_is_tracked_as_far_as_it_can_be_read_and_named(
     film = tmp_path / "film.avi"
     coding = cv2.VideoWriter.fourcc(*"MJPG")
     video = cv2.VideoWriter(str(film), coding, 30.0, (1280, 720), isColor=False)
-    for image, _, _ in shots:
+    for image, _ in shots:
         video.write(image)
     video.release()
     assert (
@@ -184,10 +175,11 @@ def test_an_unreadable_film_is_refused_in_one_line(
 
 
 def test_films_that_do_not_fit_are_refused(folder, refusal):
-    film, depth = folder / "film", folder / "depth"
-    half = Camera(640, 360, CAMERA.matrix / 2, CAMERA.distortion)
+    film = folder / "film"
+    half = Camera(
+        640, 360, np.diag([0.5, 0.5, 1.0]) @ CAMERA.matrix, CAMERA.distortion
+    )
     (folder / "half.yaml").write_text(camera_text(half))
-    (depth / "005.png").unlink()
     for name in ("none", "blank"):
         (folder / name).mkdir()
     grey = np.full((720, 1280), 90, np.uint8)
@@ -198,8 +190,6 @@ def test_films_that_do_not_fit_are_refused(folder, refusal):
             [film, "--camera", folder / "half.yaml"],
             "calibrated at 640 x 360 px",
         ),
-        ([film, "--depth", film], "expected one 16-bit channel"),
-        ([film, "--depth", depth], "5 depth images, fewer than images"),
         (
             [folder / "blank"],
             "(ids 40 to 56 of DICT_4X4_100; the first shows no marker",

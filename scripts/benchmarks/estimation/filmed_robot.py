@@ -26,7 +26,6 @@ from slot_core.vision.settings import TrackedMarkers, VisionSettings
 from slot_core.vision.synthetic_camera import Surface
 
 BOARD = "film"
-DEPTH_NOISE = 0.002  # m, of a pixel of a RealSense D435 at 0.8 m
 SKIN = np.full((4, 4), 60, np.uint8)  # of the robot's body
 
 

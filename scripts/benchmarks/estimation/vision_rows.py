@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from benchmarks.estimation.filmed_robot import (
-    DEPTH_NOISE,
     FilmedRobot,
     Stage,
     filmed,
@@ -73,7 +72,7 @@ def draw_film(path: Path) -> None:
 def tracker_rows(
     settings: VisionSettings, walk: list[FilmedRobot]
 ) -> list[dict[str, Any]]:
-    """Errors and CPU time of the tracker without and with the depth channel.
+    """Errors and CPU time of the tracker.
 
     Errors are across and along the camera's line of sight.
     """
@@ -81,7 +80,7 @@ def tracker_rows(
     synthetic = SyntheticCamera(
         camera, Imperfections(), np.random.default_rng(0)
     )
-    trackers = {depth: Tracker(settings, camera) for depth in (False, True)}
+    tracker = Tracker(settings, camera)
     plain, truth, times = (
         cv2.aruco.ArucoDetector(
             cv2.aruco.getPredefinedDictionary(settings.dictionary_number)
@@ -91,46 +90,31 @@ def tracker_rows(
     )
     for number, (now, soon) in enumerate(pairwise(walk)):
         surfaces = stage.surfaces(now, (soon, PERIOD))
-        image, depth = (
-            synthetic.image(surfaces),
-            synthetic.depth(surfaces, DEPTH_NOISE),
-        )
+        image = synthetic.image(surfaces)
         truth.append(stage.plates(now))
         plain_time = timed(plain.detectMarkers, image)[1]
-        times.append(
-            (timed(trackers[False].add, float(number), image)[1], plain_time)
-        )
-        trackers[True].add(float(number), image, depth)
+        times.append((timed(tracker.add, float(number), image)[1], plain_time))
     look = Transform.of((0, 0, 0), settings.film_camera.rpy).rotation[:, 0]
-    found: list[dict[str, Any]] = []
-    for depth, tracker in trackers.items():
-        samples = tracker.tracks().samples
-        off = np.array(
-            [
-                s.position - truth[round(s.time)][s.point].position
-                for s in samples
-            ]
-        )
-        along = off @ look
-        across = np.linalg.norm(off - along[:, None] * look, axis=1)
-        found.append(
-            {
-                "kind": "tracker",
-                "depth_channel": depth,
-                "images": len(truth),
-                "samples": len(along),
-                "depth_mm": 1e3 * np.sqrt(np.mean(along**2)),
-                "image_plane_mm": 1e3 * np.sqrt(np.mean(across**2)),
-            }
-        )
+    samples = tracker.tracks().samples
+    off = np.array(
+        [s.position - truth[round(s.time)][s.point].position for s in samples]
+    )
+    along = off @ look
+    across = np.linalg.norm(off - along[:, None] * look, axis=1)
     cpu, stock = np.median(times, axis=0)
-    found[0] |= {
-        "cpu_ms": 1e3 * cpu,
-        "plain_ms": 1e3 * stock,
-        "images_per_s": 1 / cpu,
-        "ratio": np.median([own / other for own, other in times]),
-    }
-    return found
+    return [
+        {
+            "kind": "tracker",
+            "images": len(truth),
+            "samples": len(along),
+            "depth_mm": 1e3 * np.sqrt(np.mean(along**2)),
+            "image_plane_mm": 1e3 * np.sqrt(np.mean(across**2)),
+            "cpu_ms": 1e3 * cpu,
+            "plain_ms": 1e3 * stock,
+            "images_per_s": 1 / cpu,
+            "ratio": np.median([own / other for own, other in times]),
+        }
+    ]
 
 
 def walk_row(scene: str, duration: float) -> Row:
@@ -163,16 +147,13 @@ def walk_row(scene: str, duration: float) -> Row:
 
 def checks(rows: list[Row]) -> list[Check]:
     """Figures of these rows that have a goal."""
-    image, deep = (r for r in rows if r["kind"] == "tracker")
+    image = next(r for r in rows if r["kind"] == "tracker")
     stock, seen = (r for r in rows if r["kind"] == "images")
     return [
         at_most(
             "tracker, image plane at 0.8 m", image["image_plane_mm"], 1.0, "mm"
         ),
         at_most("tracker, depth at 0.8 m", image["depth_mm"], 3.0, "mm"),
-        at_most(
-            "tracker, depth with the depth channel", deep["depth_mm"], 2.0, "mm"
-        ),
         at_most("tracker, CPU over that of detectMarkers", image["ratio"], 3.0),
         at_most(
             "v_x through images",

@@ -20,6 +20,7 @@ UPHILL, SLOPE = (
 )
 STANDING = "standing, roll and pitch of 5 deg: angles"
 LOADED = "standing, payload .5 kg: height"
+HEIGHTS = "standing, heights .030 to .060: height"
 GRIPS, TILT = "friction 1: speed missed", "tilt of the walk, RMS"
 ABLATIONS: Mapping[str, tuple[Changes, Sequence[str]]] = {
     "damping of the step": ((("policy.cost.change", 100.0),), (CORNER, TILT)),
@@ -50,6 +51,10 @@ ABLATIONS: Mapping[str, tuple[Changes, Sequence[str]]] = {
     "friction that grips": (
         (("policy.observer.misfit_max", 1e3),),
         (GRIPS,),
+    ),
+    "friction of a posture": (
+        (("policy.nominal.posture_friction", 0.4),),
+        (HEIGHTS,),
     ),
     "robot that is simulated": (
         (("policy.limits.deviation", 0.0),),

@@ -37,7 +37,7 @@ from benchmarks.locomotion.cases import (
 )
 from benchmarks.locomotion.rows import LocomotionRow, ratio, rows
 
-REQUIRES = ("onnxruntime",)
+REQUIRES = ("onnx", "onnxruntime")
 SEEDS = {
     **{column: (1,) if column in PAPERS else (1, 2) for column in COLUMNS},
     DEFAULT: (1, 2, 3, 4, 5),

@@ -419,7 +419,7 @@ def _standing() -> list[LocomotionRow]:
 
 
 def _stand(pose: Vector3, changes: Changes = ()) -> Case:
-    return Case(4.0, gait="stand", pose=pose, changes=changes)
+    return Case(12.0, gait="stand", pose=pose, changes=changes)
 
 
 def _disturbed() -> list[LocomotionRow]:

@@ -8,12 +8,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from functools import partial
+from html import escape
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 import viser
 
+from slot_bringup.operator_screen import KEYS
 from slot_bringup.playing.graph_robot import GraphRobot
+from slot_bringup.steering import POSE_KEYS, VELOCITY_KEYS, Step
 from slot_core.arrays import Array
 from slot_core.control.policies import POLICIES
 from slot_core.dynamics.scene import read_scene
@@ -33,10 +36,70 @@ STEEPEST = 15.0  # deg
 LARGEST_PAYLOAD = 1.0  # kg
 PAYLOAD_RADIUS = 0.012  # m
 KEY_SHARE = 0.25  # of a slider's half range, per key
+KEY_OF = {request: key for key, request in KEYS.items()}
+ARROWS = {
+    "arrowup": "\u2191",
+    "arrowdown": "\u2193",
+    "arrowleft": "\u2190",
+    "arrowright": "\u2192",
+}
+RED = 200, 16, 16
+TABLE = "font-size:0.875em;line-height:1.6em;margin:0.5em 1em;border-spacing:0.7em 0"
+# The button keeps its place at the top while the panel is scrolled.
+LARGE = """<style>
+button[id="ID"] { height: 3.2em !important; font-size: 1.3em; font-weight: bold; }
+div:has(> button[id="ID"]) { position: sticky; top: 0; z-index: 9; padding-top: 0.5em; }
+</style>"""
+
+
+class Keys:
+    """Keys of the page, named as those of the operator's terminal; `show` lists all that are bound."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._gui = gui
+        self._meanings: dict[str, str] = {}
+
+    def bind(self, key: str, meaning: str, act: Callable[[], None]) -> str:
+        """Bind a key, with Shift if it is an upper-case letter; returns the name that is shown."""
+        name: Any = {" ": "space"}.get(key, key)
+        shift = len(key) == 1 and key.isupper()
+        self._gui.add_command(
+            meaning,
+            hotkey=name.upper() if len(key) == 1 and key.isalpha() else name,
+            modifier="shift" if shift else None,
+        ).on_trigger(lambda _: act())
+        shown = ARROWS.get(name, f"Shift+{key}" if shift else name.upper())
+        self._meanings[shown] = meaning
+        return shown
+
+    def show(self) -> None:
+        """List the keys, one a line."""
+        rows = "".join(
+            f"<tr><td><kbd>{escape(key)}</kbd></td><td>{escape(meaning)}</td></tr>"
+            for key, meaning in self._meanings.items()
+        )
+        self._gui.add_html(f'<table style="{TABLE}">{rows}</table>')
+
+
+def add_estop(gui: viser.GuiApi, do: Do[DrivableRobot]) -> Keys:
+    """The e-stop, above all else and larger, whose key acts wherever the focus is.
+
+    Returns the keys of the page.
+    """
+    keys = Keys(gui)
+
+    def stop() -> None:
+        do(lambda r: r.request(Request.ESTOP))
+
+    shown = keys.bind(KEY_OF["estop"], "e-stop", stop)
+    button = gui.add_button(f"E-STOP ({shown})", color=RED, order=-1.0)
+    button.on_click(lambda _: stop())
+    gui.add_html(LARGE.replace("ID", button._impl.uuid))
+    return keys
 
 
 def add_drive(
-    gui: viser.GuiApi, do: Do[DrivableRobot], start: str = STAND
+    gui: viser.GuiApi, do: Do[DrivableRobot], keys: Keys, start: str = STAND
 ) -> None:
     """Gait, of which `start` is the present one, velocity, pose; requests to the supervisor."""
     gaits = read_gaits()
@@ -44,6 +107,34 @@ def add_drive(
         "gait", tuple(gaits.gaits), initial_value=start
     )
     _bind(do, gait, lambda r, name: r.set_gait(name))
+
+    def walk() -> None:
+        if gait.value == STAND:
+            gait.value = "walk"
+        else:
+            do(lambda r: r.set_gait(gait.value))
+
+    def stand_up() -> None:
+        # a gait that is chosen again makes the robot walk again
+        gait.value = STAND
+        do(lambda r: r.stand_up())
+
+    acts: dict[str, Callable[[], None]] = {}
+    for name, label, act in (
+        ("walk", "walk", walk),
+        ("stand", "stand up", stand_up),
+        ("relax", "relax", lambda: do(lambda r: r.request(Request.RELAX))),
+        (
+            "reset",
+            "reset e-stop or fault",
+            lambda: do(lambda r: r.request(Request.RESET)),
+        ),
+    ):
+        acts[f"{label} ({keys.bind(KEY_OF[name], label, act)})"] = act
+    *moves, reset = acts
+    for label, options in ("operator", moves), ("after a stop", [reset]):
+        asked = gui.add_button_group(label, options)
+        asked.on_click(lambda event: acts[event.target.value]())
     most = np.max([each.speeds for each in gaits.gaits.values()], axis=0)
     speeds = [
         _slider(gui, label, (-top, top), 0.005, 0.0)
@@ -52,105 +143,38 @@ def add_drive(
             np.ceil(200 * most) / 200,
         )
     ]
-
-    def drive(_: object) -> None:
-        do(lambda r: r.set_velocity(_values(speeds)))
-
     for speed in speeds:
-        speed.on_update(drive)
+        speed.on_update(lambda _: do(lambda r: r.set_velocity(_values(speeds))))
     pose = _add_pose(gui, do)
-    _add_keys(gui, speeds, pose)
-    for key, name in {"G": "walk", "H": STAND}.items():
-        add_key(gui, key, f"gait {name}", partial(setattr, gait, "value", name))
-    asked = gui.add_button_group("operator", tuple(REQUESTS))
-
-    def ask(_: object) -> None:
-        if asked.value == STAND_UP:
-            # a gait that is chosen again makes the robot walk again
-            gait.value = STAND
-        do(REQUESTS[asked.value])
-
-    asked.on_click(ask)
-    add_key(gui, "X", "e-stop", lambda: do(REQUESTS["e-stop"]))
-    reset = gui.add_button_group("after a stop", (RESET,))
-    reset.on_click(lambda _: do(lambda r: r.request(Request.RESET)))
+    for sliders, bound in (speeds, VELOCITY_KEYS), (pose, POSE_KEYS):
+        for key, (meaning, step) in bound.items():
+            keys.bind(key, meaning, partial(_nudge, sliders, step))
 
 
-STAND_UP, RESET = "stand up", "reset e-stop or fault"
-REQUESTS: dict[str, Act[DrivableRobot]] = {
-    STAND_UP: lambda r: r.stand_up(),
-    "relax": lambda r: r.request(Request.RELAX),
-    "e-stop": lambda r: r.request(Request.ESTOP),
-}
-
-
-def add_policy(gui: viser.GuiApi, do: Do[PlayedRobot], start: str) -> None:
-    """The policy, which a key changes too."""
-    policy = gui.add_dropdown("policy", tuple(POLICIES), initial_value=start)
-    _bind(do, policy, lambda r, name: r.set_policy(name))
-    add_key(gui, "Y", "next policy", partial(_next, policy))
-
-
-# Sliders of SPEED_KEYS: v_x, v_y, yaw rate; of POSE_KEYS, with Shift: height, roll, pitch.
-SPEED_KEYS = {
-    "I": (0, 1, "faster forward"),
-    "K": (0, -1, "slower, back"),
-    "U": (1, 1, "to the left"),
-    "O": (1, -1, "to the right"),
-    "J": (2, 1, "turn left"),
-    "L": (2, -1, "turn right"),
-}
-POSE_KEYS = {
-    "I": (2, 1, "nose down"),
-    "K": (2, -1, "nose up"),
-    "U": (0, 1, "higher"),
-    "O": (0, -1, "lower"),
-    "J": (1, -1, "roll left"),
-    "L": (1, 1, "roll right"),
-}
-
-
-def _add_keys(
-    gui: viser.GuiApi, speeds: Sequence[Any], pose: Sequence[Any]
-) -> None:
-    """Keys that move the sliders of velocity and, with Shift, of the pose."""
-    for sliders, keys, modifier in (
-        (speeds, SPEED_KEYS, None),
-        (pose, POSE_KEYS, "shift"),
-    ):
-        for key, (index, sign, label) in keys.items():
-            add_key(
-                gui, key, label, partial(_nudge, sliders[index], sign), modifier
-            )
-
-    def stop() -> None:
-        for slider in speeds:
+def _nudge(sliders: Sequence[Any], step: Step) -> None:
+    """Move the slider that has a sign by a share of its range; all to zero if none has."""
+    for slider, sign in zip(sliders, step):
+        wanted = slider.value + sign * KEY_SHARE * (slider.max - slider.min) / 2
+        if not any(step):
             slider.value = 0.0
-
-    add_key(gui, "M", "no velocity", stop)
-
-
-def _nudge(slider: Any, sign: int) -> None:
-    wanted = slider.value + sign * KEY_SHARE * (slider.max - slider.min) / 2
-    slider.value = min(max(wanted, slider.min), slider.max)
+        elif sign:
+            slider.value = min(max(wanted, slider.min), slider.max)
 
 
-def _next(dropdown: Any) -> None:
-    options = dropdown.options
-    dropdown.value = options[(options.index(dropdown.value) + 1) % len(options)]
-
-
-def add_key(
-    gui: viser.GuiApi,
-    key: Any,
-    label: str,
-    act: Callable[[], None],
-    modifier: Any = None,
+def add_policy(
+    gui: viser.GuiApi, do: Do[PlayedRobot], keys: Keys, start: str
 ) -> None:
-    """A key of the keyboard, which the list of commands names too."""
-    gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(
-        lambda _: act()
+    """The policy, which a key changes too."""
+    policy: Any = gui.add_dropdown(
+        "policy", tuple(POLICIES), initial_value=start
     )
+    _bind(do, policy, lambda r, name: r.set_policy(name))
+    following = dict(zip(policy.options, policy.options[1:]))
+
+    def change() -> None:
+        policy.value = following.get(policy.value, policy.options[0])
+
+    keys.bind("y", "next policy", change)
 
 
 def _add_pose(gui: viser.GuiApi, do: Do[DrivableRobot]) -> tuple[Any, Any, Any]:
@@ -178,14 +202,11 @@ def _add_pose(gui: viser.GuiApi, do: Do[DrivableRobot]) -> tuple[Any, Any, Any]:
             None if own.value else np.array([1e-3 * z, *np.radians(tilts)])
         )
 
-    def pose(_: object) -> None:
+    def moved(_: object) -> None:
+        own.value = False
         do(take)
 
-    def moved(event: object) -> None:
-        own.value = False
-        pose(event)
-
-    own.on_update(pose)
+    own.on_update(lambda _: do(take))
     for slider in (height, roll, pitch):
         slider.on_update(moved)
     return height, roll, pitch
@@ -200,12 +221,14 @@ def add_world(
         _slider(gui, f"friction {leg}", (0.0, 1.5), 0.05, mu)
         for leg, mu in zip(LEGS, scene.floor.friction)
     ]
-
-    def rub(robot: PlayedRobot, _: float) -> None:
-        robot.change({"scene.floor.friction": _values(friction).tolist()})
-
     for slider in friction:
-        _bind(do, slider, rub)
+        _bind(
+            do,
+            slider,
+            lambda r, _: r.change(
+                {"scene.floor.friction": _values(friction).tolist()}
+            ),
+        )
     # Pa, of a percent
     modulus = read_robot(scene.parameters).leg.young_modulus / 100
     slope = math.degrees(math.atan2(-scene.gravity[0], -scene.gravity[2]))

@@ -26,13 +26,16 @@ class GraphPage(Page[GraphRobot]):
         super().__init__(server, robot)
         self._pace = Speed(WINDOW)
         self._heard = 0.0  # time of the last state, s
+        keys = controls.add_estop(server.gui, self.do)
         tabs = server.gui.add_tab_group()
         with tabs.add_tab("Drive"):
-            controls.add_drive(server.gui, self.do, robot.gait)
+            controls.add_drive(server.gui, self.do, keys, robot.gait)
         with tabs.add_tab("Faults"):
             controls.add_faults(server.gui, self.do)
         with tabs.add_tab("Plots"):
             self.display.add_plots()
+        with tabs.add_tab("Keys"):
+            keys.show()
 
     def run(
         self,

@@ -1,6 +1,5 @@
 """A running graph as the page drives it: its newest messages, its topics and services."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -159,31 +158,24 @@ class GraphRobot:
         if request is None:
             self._to = {}
         else:
-            self._call(_name(request), Trigger.Request(), self._tried)
+            self._call(_name(request), Trigger.Request(), tries=self._tries)
 
-    def _call(
-        self,
-        name: str,
-        request: Any,
-        answered: Callable[[Future], None] | None = None,
-    ) -> None:
+    def _call(self, name: str, request: Any, tries: int = 1) -> None:
+        """Call a service, whose request may be made a number of times if it is refused."""
         client = self._clients[name]
         if not client.service_is_ready():
             self.said, self._to = f"{name}: nothing answers", {}
             return
-        client.call_async(request).add_done_callback(answered or self._answered)
+        client.call_async(request).add_done_callback(
+            partial(self._answered, tries - 1)
+        )
 
-    def _answered(self, answer: Future) -> None:
+    def _answered(self, tries: int, answer: Future) -> None:
+        """Make a refused request again after a while, if tries are left."""
         self.said = answer.result().message
         if not answer.result().success:
-            self._to = {}
-
-    def _tried(self, answer: Future) -> None:
-        """Try a request again after a while if it is refused, a few times."""
-        self.said = answer.result().message
-        if not answer.result().success:
-            self._tries, self._wait = self._tries - 1, WAIT
-            if not self._tries:
+            self._tries, self._wait = tries, WAIT
+            if not tries:
                 self._to = {}
 
 

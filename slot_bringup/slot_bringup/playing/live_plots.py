@@ -36,39 +36,48 @@ class LivePlots:
     """Curves of `traces.PLOTS` over the last seconds."""
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        self._plots: dict[str, _LivePlot] = {}
+        # rows of a curve by `plot/curve`; row 0: time, s
+        self._rows: dict[str, slice] = {}
+        self._plots: list[tuple[Any, slice]] = []
         # ns, first stamp; a graph's clock may count from 1970
         self._start: int | None = None
-        shown = ""
+        shown, end = "", 1
         for name in SHOWN:
             # the same holds for those below
             if shown != (shown := legend(traces.PLOTS[name])):
                 gui.add_html(shown)
-            self._plots[name] = _LivePlot(gui, name)
+            begin = end
+            for key, curve in traces.PLOTS[name].curves.items():
+                self._rows[f"{name}/{key}"] = slice(end, end + len(curve.names))
+                end += len(curve.names)
+            rows = slice(begin, end)
+            self._plots.append((_add_plot(gui, traces.PLOTS[name]), rows))
+        self._now: Array = np.full(end, np.nan)
+        self._table = np.zeros((end, 0))
 
     def receive(self, topic: str, message: Any) -> None:
         """Take the values of a message."""
         for name, values in traces.values(topic, message).items():
-            plot, _, curve = name.partition("/")
-            if plot in self._plots:
-                self._plots[plot].set(curve, values)
+            if name in self._rows:
+                self._now[self._rows[name]] = values
 
     def advance(self, stamp: int) -> None:
         """Add a point at `stamp` (ns) of the values taken since the last."""
         self._start = stamp if self._start is None else self._start
-        for plot in self._plots.values():
-            plot.advance(to_seconds(stamp - self._start))
+        self._now[0] = time = to_seconds(stamp - self._start)
+        if not self._table.shape[1] or time > self._table[0, -1]:
+            table = np.column_stack([self._table, self._now])
+            self._table = table[:, table[0] > time - SPAN][:, -POINTS * 2 :]
 
     def show(self) -> None:
         """Show the added points."""
-        for plot in self._plots.values():
-            plot.show()
+        if self._table.shape[1] > 1:
+            for handle, rows in self._plots:
+                handle.data = (self._table[0], *self._table[rows])
 
     def clear(self) -> None:
         """Forget all values: time begins anew."""
-        self._start = None
-        for plot in self._plots.values():
-            plot.clear()
+        self._start, self._table = None, self._table[:, :0]
 
 
 def legend(plot: traces.Plot) -> str:
@@ -85,45 +94,18 @@ def legend(plot: traces.Plot) -> str:
     return f'<div style="{LEGEND}">{"".join(names)}</div>'
 
 
-class _LivePlot:
-    def __init__(self, gui: viser.GuiApi, name: str) -> None:
-        plot = traces.PLOTS[name]
-        self._rows: dict[str, slice] = {}
-        curves: list[tuple[str, str]] = []
-        for key, curve in plot.curves.items():
-            self._rows[key] = slice(
-                1 + len(curves), 1 + len(curves) + len(curve.names)
-            )
-            curves += list(zip(curve.names, curve.colours))
-        self._now: Array = np.full(len(curves), np.nan)
-        self._table = np.zeros((1 + len(curves), 0))  # row 0: time, s
-        series = [
-            uplot.Series(label="s"),
-            *(uplot.Series(label=n, stroke=c) for n, c in curves),
-        ]
-        self._handle = gui.add_uplot(
-            tuple(np.zeros((1 + len(curves), 2))),
-            tuple(series),
-            title=plot.title,
-            height=HEIGHT,
-            scales={"x": uplot.Scale(time=False)},
-            legend=uplot.Legend(show=False),
-            axes=(uplot.Axis(), uplot.Axis(size=AXIS)),
-        )
-
-    def set(self, curve: str, values: Array) -> None:
-        rows = self._rows[curve]
-        self._now[rows.start - 1 : rows.stop - 1] = values
-
-    def advance(self, time: float) -> None:
-        if self._table.shape[1] and time <= self._table[0, -1]:
-            return
-        table = np.column_stack([self._table, np.append(time, self._now)])
-        self._table = table[:, table[0] > time - SPAN][:, -POINTS * 2 :]
-
-    def show(self) -> None:
-        if self._table.shape[1] > 1:
-            self._handle.data = tuple(self._table)
-
-    def clear(self) -> None:
-        self._table = self._table[:, :0]
+def _add_plot(gui: viser.GuiApi, plot: traces.Plot) -> Any:
+    curves = [
+        uplot.Series(label=name, stroke=colour)
+        for curve in plot.curves.values()
+        for name, colour in zip(curve.names, curve.colours)
+    ]
+    return gui.add_uplot(
+        tuple(np.zeros((1 + len(curves), 2))),
+        (uplot.Series(label="s"), *curves),
+        title=plot.title,
+        height=HEIGHT,
+        scales={"x": uplot.Scale(time=False)},
+        legend=uplot.Legend(show=False),
+        axes=(uplot.Axis(), uplot.Axis(size=AXIS)),
+    )

@@ -10,6 +10,7 @@ import hmac
 import http
 import io
 import ipaddress
+import json
 import logging
 import secrets
 import socket
@@ -22,15 +23,26 @@ import viser
 from viser import _messages  # viser has no other way to a script
 from websockets.asyncio import server as websocket_server
 
+from slot_bringup.playing.scene_view import legend
+
 COOKIE = "slot_token"
 Answer: TypeAlias = Callable[[Any, Any], Any]
 """Response to a request on a connection; None: the websocket is opened."""
 
-# The field of a dropdown keeps the focus, and with it the keys, when an option has been chosen.
-GIVE_KEYS_BACK = """
+# What was clicked gives the keys back, unless text is typed there; a dropdown, too, once an option is chosen.
+# SPACE is a key of the page wherever the focus is. The camera, which viser moves by keys, is the mouse's.
+KEYBOARD = """
 document.addEventListener("click", event => {
-  if (event.target.closest("[role=option]")) document.activeElement.blur();
+  const active = document.activeElement;
+  if (event.target.closest("[role=option]") || !active.matches("input, textarea")) active.blur();
 });
+for (const kind of ["keydown", "keyup"]) window.addEventListener(kind, event => {
+  if (event.code != "Space" || !event.isTrusted || event.target.closest("[class*=Spotlight]")) return;
+  event.preventDefault();
+  event.stopImmediatePropagation();
+  if (kind == "keydown") document.body.dispatchEvent(new KeyboardEvent(kind, {key: " ", code: "Space", bubbles: true}));
+}, true);
+document.documentElement.addEventListener("keydown", event => event.stopPropagation());
 """
 # On a page as narrow as a phone (36 em) viser's panel is 20 em wide, at its right side.
 WIDE_ON_A_PHONE = """
@@ -38,19 +50,23 @@ document.head.insertAdjacentHTML("beforeend", `<style>@media (max-width: 36em) {
   [style*="width: 20em"] { width: 100% !important; }
 }</style>`);
 """
-# A stick beyond its half repeats a key, and presses M when it is let go; a button acts once.
+LEGEND = f"""
+document.getElementById("slot_legend")?.remove();
+document.body.insertAdjacentHTML("beforeend", {json.dumps(legend())});
+"""
+# A stick beyond its half repeats a key, and presses 0 when it is let go; a button acts once.
 # Numbers of axes and buttons: https://w3c.github.io/gamepad/#remapping
 GAMEPAD = """
 window.slot_gamepad ??= setInterval((state => () => {
-  const sticks = [[1, -1, "i"], [1, 1, "k"], [0, -1, "u"], [0, 1, "o"], [2, -1, "j"], [2, 1, "l"]];
-  const buttons = [[0, "g"], [3, "h"], [1, "x"]];
-  const press = key => document.body.dispatchEvent(new KeyboardEvent("keydown",
-    {key, code: "Key" + key.toUpperCase(), bubbles: true}));
+  const sticks = [[1, -1, "ArrowUp"], [1, 1, "ArrowDown"], [0, -1, ","], [0, 1, "."],
+    [2, -1, "ArrowLeft"], [2, 1, "ArrowRight"]];
+  const buttons = [[0, "w"], [3, "s"], [1, " "]];
+  const press = key => document.body.dispatchEvent(new KeyboardEvent("keydown", {key, code: key, bubbles: true}));
   const pad = navigator.getGamepads().find(p => p?.connected && p.mapping == "standard");
   const held = pad ? sticks.filter(([axis, sign]) => sign * pad.axes[axis] > 0.5) : [];
   const pressed = pad ? buttons.filter(([button]) => pad.buttons[button]?.pressed) : [];
   held.forEach(([,, key]) => press(key));
-  if (state.held.length && !held.length) press("m");
+  if (state.held.length && !held.length) press("0");
   pressed.filter(([, key]) => !state.keys.includes(key)).forEach(([, key]) => press(key));
   Object.assign(state, {held, keys: pressed.map(([, key]) => key)});
 })({held: [], keys: []}), 200);
@@ -88,7 +104,7 @@ def start_server(host: str, port: int, token: str) -> viser.ViserServer:
     server.gui.configure_theme(
         show_share_button=False, show_logo=False, control_width="large"
     )
-    for script in (GIVE_KEYS_BACK, GAMEPAD, WIDE_ON_A_PHONE):
+    for script in (KEYBOARD, GAMEPAD, WIDE_ON_A_PHONE, LEGEND):
         server._websock_server.queue_message(
             _messages.RunJavascriptMessage(source=script)
         )

@@ -18,12 +18,13 @@ from scipy.spatial.transform import Rotation
 
 from slot_bringup.playing import controls
 from slot_bringup.playing.robot_display import PLOTTED, WINDOW, Named, Page
+from slot_bringup.playing.scene_view import PUSHED
 from slot_bringup.playing.status_text import Costs, of_speed, strong
 from slot_core.clock import LOCKSTEP_START
 from slot_core.control.controller import Tick
 from slot_core.control.pace import Pace, Speed
 from slot_core.drawing import palette
-from slot_core.drawing.shapes import FORCE_SCALE, Arrows, rgb
+from slot_core.drawing.shapes import force_arrows, rgb
 from slot_core.recording.bag_writer import BagWriter, message_types
 from slot_core.recording.origin import origin_here
 from slot_core.recording.record_settings import BagError, read_record_settings
@@ -40,9 +41,15 @@ from slot_lab.play.played_robot import FRAME, Happened, PlayedRobot
 from slot_nodes import messages
 
 SPEEDS = {"real time": 1.0, "1/2": 0.5, "1/4": 0.25, "1/10": 0.1}
+# the first word names the method
+TIME_KEYS = {
+    "p": "pause or go on",
+    "n": "step",
+    "backspace": "restart",
+    "b": "save",
+}
 LATE = 0.25  # s behind the wall clock from which the robot's clock falls behind
 PULL, PULL_MAX = 60.0, 20.0  # N per m of the mouse, N
-PUSHED, PUSH_WIDTH = rgb("#C00000"), 0.006  # m
 PAYLOAD = "/robot/torso/payload"
 
 
@@ -89,9 +96,8 @@ class PlayPage(Page[PlayedRobot]):
 
     def _build(self) -> None:
         gui = self.server.gui
-        run = gui.add_button_group(
-            "time", ("pause", "go on", "step", "reset", "save")
-        )
+        keys = controls.add_estop(gui, self.do)
+        run = gui.add_button_group("time", tuple(TIME_KEYS.values()))
         run.on_click(lambda _: self._on_time(run.value))
         speed = gui.add_dropdown(
             "speed", tuple(SPEEDS), initial_value="real time"
@@ -101,34 +107,29 @@ class PlayPage(Page[PlayedRobot]):
         )
         tabs = gui.add_tab_group()
         with tabs.add_tab("Drive"):
-            controls.add_policy(gui, self.do, self.robot.policy)
-            controls.add_drive(gui, self.do)
+            controls.add_policy(gui, self.do, keys, self.robot.policy)
+            controls.add_drive(gui, self.do, keys)
         with tabs.add_tab("World"):
             controls.add_world(gui, self.robot, self.do)
         with tabs.add_tab("Push"):
             controls.add_push(gui, self.do)
         with tabs.add_tab("Plots"):
             self.display.add_plots()
-        controls.add_key(gui, "P", "pause, or go on", self._toggle)
-        for key, what in {"N": "step", "R": "reset", "B": "save"}.items():
-            controls.add_key(gui, key, what, partial(self._on_time, what))
-
-    def _toggle(self) -> None:
-        self._on_time("go on" if self._paused else "pause")
+        for key, what in TIME_KEYS.items():
+            keys.bind(key, what, partial(self._on_time, what))
+        with tabs.add_tab("Keys"):
+            keys.show()
 
     def _on_time(self, what: str) -> None:
-        self.do(getattr(self, f"_{what.replace(' ', '_')}"))
+        self.do(getattr(self, f"_{what.partition(' ')[0]}"))
 
     def _pause(self, _: PlayedRobot) -> None:
-        self._paused = True
-
-    def _go_on(self, _: PlayedRobot) -> None:
-        self._paused = False
+        self._paused = not self._paused
 
     def _step(self, _: PlayedRobot) -> None:
         self._paused, self._steps = True, self._steps + 1
 
-    def _reset(self, robot: PlayedRobot) -> None:
+    def _restart(self, robot: PlayedRobot) -> None:
         robot.reset()
         self.display.clear()
         self._pace = Speed(WINDOW)
@@ -167,18 +168,9 @@ class PlayPage(Page[PlayedRobot]):
             self.display.view,
         )
         push = np.array([model.push[:3]])
-        if push.any():
-            view.update(
-                {
-                    "push": Arrows(
-                        position[None],
-                        FORCE_SCALE * push,
-                        PUSHED[None],
-                        PUSH_WIDTH,
-                    )
-                }
-            )
-        view.show("push", visible=bool(push.any()))
+        view.update(
+            {"push": force_arrows(position[None], push, rgb(PUSHED)[None])}
+        )
         if self._payload is None:
             self._payload = self._add_payload()
         self._payload.visible = bool(model.payload[0])
@@ -228,7 +220,7 @@ class PlayPage(Page[PlayedRobot]):
 
     def _of_speed(self, now: float) -> str:
         if self.robot.ended:
-            return strong(f"{self.robot.ended}: reset")
+            return strong(f"{self.robot.ended}: restart")
         speed = (
             "paused"
             if self._paused
@@ -253,36 +245,35 @@ def of_frame(happened: Iterable[Happened]) -> Iterator[Named]:
             yield from _ENCODE[kind](*newest[kind])
 
 
-def _of_truth(_: int, truth: TrueState) -> Iterator[Named]:
-    yield "/ground_truth/odom", messages.odometry_to_msg(truth.odometry)
-    yield "/ground_truth/legs", messages.legs_to_msg(truth)
-
-
-def _of_tick(_: int, tick: Tick) -> Iterator[Named]:
-    stamp, command = tick.estimate.stamp, tick.command
-    yield "/mpc_state", messages.state_to_msg(tick.estimate)
-    yield "/gait_preview", messages.preview_to_msg(tick.preview)
-    yield (
-        "/tendon_plan",
-        messages.plan_to_msg(tick.plan, tick.preview, 0.0, PACE),
-    )
-    yield (
-        "/desired_joint_angles",
-        messages.command_to_msg(stamp, command.angle, command.rate),
-    )
-    yield "/force_map/status", messages.map_status_to_msg(stamp, command)
-
-
-def _of_health(stamp: int, report: StampedHealth) -> Iterator[Named]:
-    if report.health is not None:
-        yield "/servo_health", messages.health_to_msg(stamp, report.health)
-
-
 # messages of a reading, tick or report at a stamp (ns) on the robot's clock
 _ENCODE: dict[type, Callable[[int, Any], Iterable[Named]]] = {
-    TrueState: _of_truth,
-    Tick: _of_tick,
-    StampedHealth: _of_health,
+    TrueState: lambda _, truth: [
+        ("/ground_truth/odom", messages.odometry_to_msg(truth.odometry)),
+        ("/ground_truth/legs", messages.legs_to_msg(truth)),
+    ],
+    Tick: lambda _, tick: [
+        ("/mpc_state", messages.state_to_msg(tick.estimate)),
+        ("/gait_preview", messages.preview_to_msg(tick.preview)),
+        (
+            "/tendon_plan",
+            messages.plan_to_msg(tick.plan, tick.preview, 0.0, PACE),
+        ),
+        (
+            "/desired_joint_angles",
+            messages.command_to_msg(
+                tick.estimate.stamp, tick.command.angle, tick.command.rate
+            ),
+        ),
+        (
+            "/force_map/status",
+            messages.map_status_to_msg(tick.estimate.stamp, tick.command),
+        ),
+    ],
+    StampedHealth: lambda stamp, report: [
+        ("/servo_health", messages.health_to_msg(stamp, health))
+        for health in (report.health,)
+        if health is not None
+    ],
     OdometryReading: lambda _, odom: [
         ("/odom", messages.odometry_to_msg(odom))
     ],

@@ -9,19 +9,29 @@ import viser
 
 from slot_bringup.playing.live_plots import LivePlots
 from slot_bringup.playing.scene_view import SceneView
-from slot_bringup.playing.status_text import StatusText, block
+from slot_bringup.playing.status_text import StatusText, acts, block
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.drawing.drawing import Drawing
-from slot_core.drawing.shapes import Shape
+from slot_core.drawing.shapes import Bars, Shape
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
-from slot_core.robot import read_robot
+from slot_core.robot import LEGS, read_robot
 from slot_lab.report import traces
 
 Robot = TypeVar("Robot")
 WINDOW = 2.0  # s, over which the speed is measured
 PLOTTED, WRITTEN = 6, 3  # frames between two updates of the plots, of the text
+# shapes of a policy that acts: its plan, and the forces
+PLANNED = (
+    "reference",
+    "reference_path",
+    "horizon",
+    "predicted_path",
+    "predicted_feet",
+    "demanded_forces",
+    "ground_forces",
+)
 Named: TypeAlias = tuple[str, Any]  # topic and message
 TOPICS = tuple(dict.fromkeys((*Drawing.TOPICS, *traces.TOPICS)))
 View: TypeAlias = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -54,12 +64,17 @@ class RobotDisplay:
                 shapes |= self._drawing.receive(topic, message)
                 if self._plots is not None:
                     self._plots.receive(topic, message)
-                    if (
-                        topic == "/mpc_state"
-                    ):  # at its stamps the plots get points
-                        self._plots.advance(decode.stamp(message))
                 self.newest[topic] = message
+            # its stamps are the points of the plots, once the rest of the frame is there
+            if self._plots is not None and "/mpc_state" in self.newest:
+                self._plots.advance(decode.stamp(self.newest["/mpc_state"]))
+            if not acts(self.newest):
+                shapes = {n: s for n, s in shapes.items() if n not in PLANNED}
+                self.view.remove(*PLANNED)
             self.view.update(shapes)
+            if isinstance(legs := shapes.get("legs"), Bars):
+                tips = legs.corners[:, -1].mean(axis=1)
+                self.view.label(dict(zip(LEGS, tips)))
             if (position := self.position) is not None:
                 self.view.centre(position)
             if plots and self._plots is not None:

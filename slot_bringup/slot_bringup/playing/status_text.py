@@ -14,10 +14,29 @@ from slot_core.control.policy import Status
 from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_core.rollout_mpc.settings import read_rollout_mpc
+from slot_core.safety.states import RELEASED, Action, State
 from slot_lab.play.played_robot import FRAME
 
 SMOOTHING = 0.1  # weight of the newest cost
-STYLE = "height:13em;overflow:auto;font-size:0.875em;line-height:1.4em;padding:0.5em"
+STYLE = "height:15em;overflow:auto;font-size:0.875em;line-height:1.4em;padding:0.5em"
+ALARM = "color:#C00000"  # of a state in which the tendons are slack for a fault or a request
+STATES = {
+    State.IDLE: "no torque",
+    State.READY: "under torque, at rest",
+    State.STANDING: "follows the policy",
+    State.WALKING: "follows the policy",
+    State.HOLD: "the legs keep their angles until the reason is gone",
+    State.RELAX: "the tendons slacken",
+    State.ESTOP: "no torque until it is reset",
+    State.FAULT: "no torque until it is reset",
+}
+PLANS = {
+    Status.SOLVED: "the plan follows its model",
+    Status.NOT_SOLVED: "no plan was found, the last one goes on",
+    Status.LATE: "the plan came too late, the last one goes on",
+    Status.REJECTED: "the input of the plan is refused, the last one goes on",
+    Status.STOPPED: "no plan that may be followed",
+}
 SLOW = 0.95  # share of the wanted speed below which the page says so
 
 
@@ -58,13 +77,18 @@ class StatusText:
         lines = []
         if (state := newest.get("/robot_state")) is not None:
             _, name, _, reason = decode.robot_state(state)
-            lines.append(f"{strong(name.name)} {escape(reason)}")
+            style = ALARM if name in RELEASED else ""
+            said = f"{STATES[name]}: {reason}".removesuffix(": ")
+            lines.append(
+                f'<span style="{style}">{strong(name.name)} {escape(said)}</span>'
+            )
         if position is not None:
             x, y, z = position
             lines.append(f"x {x:.3f} m, y {y:.3f} m, height {1e3 * z:.1f} mm")
-        if (plan := newest.get("/tendon_plan")) is not None:
+        if (plan := newest.get("/tendon_plan")) is not None and acts(newest):
+            said = f"{PLANS[Status(plan.status)]}; {plan.message}"
             lines += [
-                escape(f"{Status(plan.status).name} {plan.message}"),
+                escape(said.removesuffix("; ")),
                 self.of_disturbances(plan.mass, plan.wrench, plan.drift),
             ]
             remarks = [plan.remark, *remarks]
@@ -87,6 +111,12 @@ class StatusText:
             f"disturbances: payload {mass - self._mass:+.2f} kg,"
             f" tilt {roll:+.1f}, {pitch:+.1f} deg, slip {x:+.0f}, {y:+.0f} mm/s"
         )
+
+
+def acts(newest: Mapping[str, Any]) -> bool:
+    """Whether a policy moves the legs, by the newest state of the supervisor; unknown: no."""
+    state = newest.get("/robot_state")
+    return state is not None and decode.robot_state(state)[2] is Action.PASS
 
 
 def block(lines: list[str]) -> str:

@@ -48,14 +48,13 @@ IMPORT = re.compile(
 class KernelCache(NullCache):
     """Cache of one kernel, in the form that Numba's dispatcher asks for."""
 
-    # Of all kernels of this process: whether it was said that they are compiled; why one could not be kept.
-    told = False
+    # Of all kernels of this process: when the first began to compile, s; why one could not be kept.
+    began: float | None = None
     lost: OSError | None = None
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self.name = f"{function.__module__}.{function.__qualname__}"
         self._function = function
-        self._start = 0.0
 
     def path(self, signature: tuple[types.Type, ...], target: Any) -> Path:
         """File of the kernel for types of arguments, on the processor of a target."""
@@ -94,7 +93,6 @@ class KernelCache(NullCache):
         except OSError:
             pass
         self._announce()
-        self._start = time.perf_counter()
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -116,19 +114,21 @@ class KernelCache(NullCache):
             prune(path.parent)
         except OSError as error:  # read-only or full, as _announce says
             KernelCache.lost = error
-        seconds = time.perf_counter() - self._start
-        if seconds > 1.0:
-            _say(f"compiled {self.name} in {seconds:.0f} s")
 
     def _announce(self) -> None:
-        if not KernelCache.told:
-            KernelCache.told = True
+        """Say what is compiled: some ten kernels of a walk, a minute or two in all."""
+        now = time.perf_counter()
+        if KernelCache.began is None:
+            KernelCache.began = now
             kept = (
-                f"kept in {folder()}"
+                f"once; kept in {folder()}"
                 if _writable(folder())
                 else f"{folder()} cannot be written, so every start does"
             )
-            _say(f"compiling kernels for this processor ({kept})")
+            _say(
+                f"compiling kernels for this processor, a minute or two ({kept})"
+            )
+        _say(f"compiling {self.name}, after {now - KernelCache.began:.0f} s")
 
 
 def folder() -> Path:

@@ -17,6 +17,7 @@ from typing import Any
 LINE_MAX = 300  # characters of a message
 VALUE_MAX = 80  # characters of a quoted value
 CUT = " ... "
+LFS_POINTER = b"version https://git-lfs"  # begin of such a file
 
 
 class InputError(ValueError):
@@ -91,9 +92,17 @@ def _cut(text: str, most: int) -> str:
 
 
 def require_regular(path: Path) -> None:
-    """Raise ValueError for a directory, a device or a pipe, OSError if there is nothing."""
+    """Raise ValueError for a directory, a device, a pipe or a Git LFS pointer.
+
+    Raises OSError if there is nothing to read.
+    """
     if not stat.S_ISREG(path.stat().st_mode):
         raise ValueError("not a regular file")
+    with path.open("rb") as stream:
+        if stream.read(len(LFS_POINTER)) == LFS_POINTER:
+            raise ValueError(
+                "a pointer of Git LFS in place of the file: git lfs pull"
+            )
 
 
 def read_bytes(path: Path, most: int) -> bytes:

@@ -26,6 +26,8 @@ def load_plain(text: str) -> Any:
 
 def _require_plain(text: str) -> None:
     """Raise ValueError for aliases, tags and deep nesting; raises yaml.YAMLError."""
+    if text.startswith("%YAML:") or "opencv-matrix" in text:
+        raise ValueError("a file of OpenCV (cv::FileStorage), expected YAML")
     depth = 0
     for event in yaml.parse(text, yaml.CSafeLoader):
         depth += isinstance(event, yaml.CollectionStartEvent)

@@ -1,6 +1,7 @@
 """CSV files of measurements: a line of column names, then rows.
 
-Lines that begin with # are comments. Errors name file, line, column and cause.
+Lines that begin with # are comments. Errors name file, line, column and cause. A trajectory in
+the format of TUM has no line of names: time x y z qx qy qz qw, separated by spaces.
 """
 
 import csv
@@ -11,11 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from slot_core.arrays import Array
+from slot_core.clock import time_fault, unit_of
 from slot_core.refusal import InputError, quoted, read_text
 from slot_core.robot import POINT_COLUMNS
 
 PointRow = tuple[float, str, Array]  # time, s; name of a point; place (3,), m
 SIZE_MAX = 200_000_000  # bytes of a file
+TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 class TableError(InputError):
@@ -57,9 +60,10 @@ class Table:
 def increasing_numbers(
     rows: Sequence[CsvRow], names: Sequence[str], hint: str = ""
 ) -> Array:
-    """Numbers (n, m) of the columns `names`, the first of which has to increase.
+    """Numbers (n, m) of the columns `names`, the first of which is a time in s.
 
-    Raises TableError for another order, and for a cell without a finite number.
+    Raises TableError for a time that does not increase, is in another unit or has been set, and
+    for a cell without a finite number.
     """
     values = np.reshape(
         [[row.number(name, hint) for name in names] for row in rows],
@@ -70,6 +74,13 @@ def increasing_numbers(
             raise TableError(
                 f"{row.where}, {names[0]}: does not increase after line {before.line}"
             )
+    if (unit := unit_of(values[:, 0])) != "s":
+        raise TableError(
+            f"{rows[0].where}, {names[0]}: median step {np.median(np.diff(values[:, 0])):.4g}, so"
+            f" likely in {unit}; expected s, steps of 1e-05 to 0.5"
+        )
+    if fault := time_fault(values[:, 0]):
+        raise TableError(f"{rows[0].where}, {names[0]}: {fault}")
     return values
 
 
@@ -91,6 +102,11 @@ def read_table(path: Path) -> Table:
     lines = list(_lines(path, text))
     if not lines:
         raise TableError(f"{path}: is empty: no line of column names")
+    if len(lines[0][2]) == 1 and len(lines[0][2][0].split()) == len(TUM):
+        lines = [
+            (n, where, " ".join(cells).split()) for n, where, cells in lines
+        ]
+        lines.insert(0, (0, lines[0][1], [*TUM]))
     (_, head, columns), *data = lines
     rows = []
     for number, where, cells in data:

@@ -6,8 +6,6 @@ are not to be corrected, the plan is the gait's. So it is, with a status that sa
 or an action that is not finite. It runs on one thread, so that equal inputs give equal actions.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -34,10 +32,10 @@ from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, read_gaits
 from slot_core.key_frame import StateParts
 from slot_core.names import ONNX
-from slot_core.refusal import quoted, read_bytes
+from slot_core.network_file import read_network, refused
+from slot_core.refusal import quoted
 from slot_core.robot import RobotParameters
 
-SIZE_MAX = 10_000_000  # bytes
 STATE_MAX = 1e6  # SI, of an element of the state
 GAIT, KIND = "gait", "actions"  # keys of the metadata
 
@@ -143,17 +141,14 @@ def _loaded(file: Path) -> tuple[Any, str, str]:
 
 def _session(file: Path) -> Any:
     """The network, ready to run; raises ConfigError."""
-    try:
+    content = read_network(file)
+    with refused(file):
         import onnxruntime  # noqa: PLC0415 - not installed with the robot
-    except ModuleNotFoundError:
-        raise ConfigError(
-            f"policy {file}: onnxruntime is missing; run scripts/setup --learn"
-        ) from None
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    with _refused(file):
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
         return onnxruntime.InferenceSession(
-            read_bytes(file, SIZE_MAX), options, ["CPUExecutionProvider"]
+            content, options, ["CPUExecutionProvider"]
         )
 
 
@@ -169,20 +164,8 @@ def _require_sizes(file: Path, session: Any, expected: tuple[int, int]) -> None:
             f"policy {file}: the network maps {found[0]} values to {found[1]}, expected"
             f" {expected[0]} to {expected[1]}"
         )
-    with _refused(file):
+    with refused(file):
         session.run(
             None,
             {ports[0][0].name: np.zeros((1, expected[0]), dtype=np.float32)},
         )
-
-
-@contextmanager
-def _refused(file: Path) -> Iterator[None]:
-    """Convert exceptions of the runtime to ConfigError."""
-    try:
-        yield
-    except Exception as error:
-        line = " ".join(str(error).split())[:200]
-        raise ConfigError(
-            f"policy {file}: {type(error).__name__}: {line}"
-        ) from None

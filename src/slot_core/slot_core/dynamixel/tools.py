@@ -113,8 +113,14 @@ def info(settings: DynamixelSettings, options: argparse.Namespace) -> int:
             )
             print(
                 f"{joint.name}: model {found.model}, firmware {found.firmware}\n"
-                f"  {_state(joint, values)}"
+                f"  tendon {math.degrees(joint.tendon(values['present_position'])):z.1f} deg, "
+                f"{values['present_input_voltage'] * VOLTAGE_UNIT:.1f} V, "
+                f"{values['present_temperature']} degC, "
+                f"torque {'on' if values['torque_enable'] else 'off'}, "
+                f"hardware errors: {hardware_errors(values['hardware_error_status'])}"
             )
+            # limits and direction of another tool would misplace it
+            reasons = reasons or misplaced(joint, values["present_position"])
             reasons += _complaints(settings, joint, values)
         for reason in reasons:
             print(f"  {reason}")
@@ -148,12 +154,13 @@ def assign(settings: DynamixelSettings, options: argparse.Namespace) -> int:
 
 
 def prepare(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Write the configuration into the servos' EEPROM, where it differs; torque off."""
-    bus = _open(settings)
+    """Write the configuration into the EEPROM of the servos there, where it differs; torque off."""
+    bus, absent = _open(settings), list[str]()
     for joint in joints(settings.joints):
-        found, reasons = examine(bus, settings, joint)
+        found, _ = examine(bus, settings, joint)
         if found is None:
-            raise RefusedError(reasons)
+            absent.append(joint.name)
+            continue
         bus.write_verified(joint.id, "torque_enable", 0)
         for name, value in expected(settings, joint).items():
             if found.values[name] != value:
@@ -162,7 +169,11 @@ def prepare(settings: DynamixelSettings, options: argparse.Namespace) -> int:
         _, remaining = examine(bus, settings, joint)
         if remaining:
             raise RefusedError(remaining)
-    return 0
+    if absent:
+        print(
+            f"no answer: {', '.join(absent)}; prepare again once they are there"
+        )
+    return FAILED if len(absent) == len(LEGS) else 0
 
 
 def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
@@ -224,19 +235,8 @@ def move(settings: DynamixelSettings, options: argparse.Namespace) -> int:
 
 
 def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
-    """Emulate four configured servos with relaxed tendons on a pseudo-terminal."""
-    latency = options.usb_latency
-    changes = {} if latency is None else {"usb_latency": latency}
-    servos = EmulatedDynamixels(
-        settings, config.replace(read_emulator(), changes)
-    )
-    for leg, servo in zip(LEGS, servos.bus.servos):
-        if options.new == leg:
-            servo.memory = Memory()
-        elif options.new:
-            servos.set_fault(Fault("silent", leg, 0.0, 0.0, 0.0), on=True)
-    for text in options.fault:
-        disturb(servos, text)
+    """Serve emulated servos on a pseudo-terminal until interrupted."""
+    servos = emulated(settings, options)
     # a shell's `&` makes SIGINT ignored
     for end in (signal.SIGINT, signal.SIGTERM):
         signal.signal(end, signal.default_int_handler)
@@ -251,6 +251,25 @@ def emulate(settings: DynamixelSettings, options: argparse.Namespace) -> int:
                 last = now
         except KeyboardInterrupt:
             return 0
+
+
+def emulated(
+    settings: DynamixelSettings, options: argparse.Namespace
+) -> EmulatedDynamixels:
+    """Four configured servos with relaxed tendons, new and with faults as the options say."""
+    latency = options.usb_latency
+    changes = {} if latency is None else {"usb_latency": latency}
+    servos = EmulatedDynamixels(
+        settings, config.replace(read_emulator(), changes)
+    )
+    for leg, servo in zip(LEGS, servos.bus.servos):
+        if options.new == leg:
+            servo.memory = Memory()
+        elif options.new:
+            servos.set_fault(Fault("silent", leg, 0.0, 0.0, 0.0), on=True)
+    for text in options.fault:
+        disturb(servos, text)
+    return servos
 
 
 def disturb(servos: EmulatedDynamixels, text: str) -> None:
@@ -280,16 +299,6 @@ def disturb(servos: EmulatedDynamixels, text: str) -> None:
         )
 
 
-def _state(joint: Joint, values: Mapping[str, int]) -> str:
-    return (
-        f"tendon {math.degrees(joint.tendon(values['present_position'])):z.1f} deg, "
-        f"{values['present_input_voltage'] * VOLTAGE_UNIT:.1f} V, "
-        f"{values['present_temperature']} degC, "
-        f"torque {'on' if values['torque_enable'] else 'off'}, "
-        f"hardware errors: {hardware_errors(values['hardware_error_status'])}"
-    )
-
-
 def _complaints(
     settings: DynamixelSettings, joint: Joint, values: Mapping[str, int]
 ) -> Iterator[str]:
@@ -300,7 +309,6 @@ def _complaints(
     low, high = settings.servo.voltage_min, settings.servo.voltage_max
     if not low <= voltage <= high:
         yield f"{joint.name}: {voltage:.1f} V, limits [{low:g}, {high:g}] V: check supply and cable"
-    yield from misplaced(joint, values["present_position"])
 
 
 def _open(settings: DynamixelSettings, baud: int | None = None) -> Bus:

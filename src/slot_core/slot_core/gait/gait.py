@@ -35,8 +35,10 @@ from slot_core.arrays import Array
 from slot_core.config import choice, flag, quantity
 from slot_core.elementary import cos, sin
 from slot_core.geometry import rotate, wrapped
+from slot_core.legs.fingerprint import misfit
 from slot_core.matrices import norm
 from slot_core.refusal import quoted
+from slot_core.robot import RobotParameters
 
 STAND = "stand"  # name of the posture at the start
 Harmonics = tuple[float, float, float, float, float]
@@ -533,12 +535,25 @@ def read_gaits() -> GaitSettings:
             raise config.ConfigError(
                 f"gait/{path.name}: kind = {quoted(kind)}: expected one of {', '.join(found)}"
             )
+        gait.pop("made_for", None)
         found[kind][path.stem] = gait
     return config.build(
         GaitSettings,
         settings | {"postures": found["posture"], "strides": found["stride"]},
         where="gait.yaml",
     )
+
+
+def gait_misfit(name: str, robot: RobotParameters) -> str:
+    """One line on a stride that was made for another robot, or does not say for which, or "".
+
+    It walks, on the leg map of the robot, but with other speeds, forces and sway than its tables
+    say. Raises ConfigError.
+    """
+    gait = config.load(f"gait/{name}")
+    if gait.get("kind") == "posture":
+        return ""
+    return misfit(gait.get("made_for"), robot, f"gait/{name}.yaml")
 
 
 def moved(place: Array, velocity: Array, dt: float) -> Array:

@@ -1,6 +1,7 @@
 """Tabulated statics of a leg, `config/leg_map.csv`: reader and bilinear interpolation.
 
-`scripts/calibrate --leg-map` writes the file; `slot_lab.leg_tests.leg_map` defines its columns.
+`scripts/tune leg` writes the file; `slot_lab.leg_tests.leg_map` defines its columns. A first line
+`MADE_FOR` names the leg (`fingerprint.py`): the table of another leg is refused.
 
 Legs as springs: normal force of a leg at rest over tendon angle and clamp height.
 
@@ -18,7 +19,7 @@ kappa by 4 % after standing up and by 17 % after the torso was lowered.
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,10 +27,13 @@ from slot_core import config
 from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, kernel
 from slot_core.geometry import upward
+from slot_core.legs.fingerprint import misfit
 from slot_core.matrices import interpolated, inverse, product
 from slot_core.refusal import read_text
-from slot_core.robot import RobotParameters
+from slot_core.robot import RobotParameters, read_robot
 
+FILE = "leg_map.csv"
+MADE_FOR = "# made_for: "  # begins the line of a table that names its leg
 SIZE_MAX = 10_000_000  # bytes of the file
 
 
@@ -69,12 +73,13 @@ class LegTable:
 
 
 def read_leg_table(columns: Sequence[str]) -> LegTable:
-    """Columns of `config/leg_map.csv`; raises ConfigError if it is missing or not a grid."""
+    """Columns of `config/leg_map.csv`.
+
+    Raises ConfigError if it is missing, not a grid, or was made for another leg.
+    """
     names = ("theta_deg", "height_m", *columns)
     try:
-        lines = read_text(
-            config.config_dir() / "leg_map.csv", SIZE_MAX
-        ).splitlines()
+        lines = (line for line in _lines() if not line.startswith("#"))
         rows = [
             [float(row[name]) for name in names]
             for row in csv.DictReader(lines)
@@ -84,13 +89,40 @@ def read_leg_table(columns: Sequence[str]) -> LegTable:
         table = np.array(values).T.reshape(
             len(angles), len(heights), len(columns)
         )
-        return LegTable(
+        found = LegTable(
             np.radians(angles), heights, np.ascontiguousarray(table)
         )
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise config.ConfigError(
-            f"leg_map.csv: no table of {names}: {error}"
+            f"{FILE}: no table of {names}: {error}"
         ) from None
+    require_own_leg_map(read_robot())
+    return found
+
+
+def require_own_leg_map(robot: RobotParameters) -> str:
+    """Remark on a `config/leg_map.csv` that does not name its leg, or "".
+
+    Raises ConfigError for a table of another leg than the robot's.
+    """
+    made_for = leg_map_made_for()
+    line = misfit(made_for, robot, FILE)
+    if line and made_for is not None:
+        raise config.ConfigError(line)
+    return line
+
+
+def leg_map_made_for() -> Any:
+    """Fingerprint in `config/leg_map.csv`; None without one or without a file."""
+    try:
+        marked = [line for line in _lines() if line.startswith(MADE_FOR)]
+    except (OSError, ValueError):
+        return None  # who reads the table says so
+    return config.parse(marked[0].removeprefix(MADE_FOR)) if marked else None
+
+
+def _lines() -> list[str]:
+    return read_text(config.config_dir() / FILE, SIZE_MAX).splitlines()
 
 
 @kernel

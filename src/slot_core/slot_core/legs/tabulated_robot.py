@@ -49,7 +49,7 @@ to the torso, with the centre of mass at the torso's.
 The table is interpolated bilinearly. Below the lowest and above the highest height, force and
 tension are extrapolated linearly from the cell at the edge, down to zero; the other columns are
 constant there. The table belongs to the robot of `config/robot.yaml`: after a change there run
-`scripts/calibrate --leg-map`.
+`scripts/tune leg`.
 """
 
 from operator import attrgetter

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import functools
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -31,6 +32,7 @@ from slot_core.recording.record_settings import (
 Types: TypeAlias = Typestore
 
 PACKAGE = "slot_msgs"
+CDR = "cdr"  # serialization of messages that are written and read
 
 
 def message_types() -> Types:
@@ -53,12 +55,17 @@ def add_installed(types: Types) -> None:
 
 @functools.lru_cache(maxsize=8)
 def types_inside(definitions: tuple[tuple[str, str], ...]) -> Types:
-    """The types of Jazzy and the (type name, definition) pairs of a bag.
+    """The types of Jazzy and the (type name, definition) pairs of a bag that can be parsed.
 
     Kept, as the library compiles the decoder of every type anew for each store.
     """
     types = get_typestore(Stores.ROS2_JAZZY)
-    add_definitions(types, dict(definitions))
+    try:
+        add_definitions(types, dict(definitions))
+    except Exception:  # for one that is no message's, as a service event's
+        for pair in definitions:
+            with suppress(Exception):
+                add_definitions(types, dict([pair]))
     return types
 
 
@@ -111,6 +118,7 @@ class MessageType:
     definition: str
     encoding: str = "ros2msg"
     digest: str = ""  # RIHS01 hash
+    serialization: str = CDR  # of its messages
 
 
 class BagWriter:
@@ -249,7 +257,7 @@ class BagWriter:
                 "topic_metadata": {
                     "name": topic,
                     "type": kind.name,
-                    "serialization_format": "cdr",
+                    "serialization_format": kind.serialization,
                     "offered_qos_profiles": self._qos(topic),
                     "type_description_hash": kind.digest,
                 },
@@ -309,7 +317,7 @@ class _File:
             )
         self._channels[topic] = self._writer.register_channel(
             topic,
-            "cdr",
+            kind.serialization,
             self._schemas[kind.name],
             {
                 "offered_qos_profiles": yaml.safe_dump(qos, sort_keys=False),

@@ -12,6 +12,7 @@ from typing import Any
 
 from slot_core import config
 from slot_core.names import ONNX
+from slot_core.network_file import read_network
 from slot_core.recording.record_settings import BagError
 from slot_core.refusal import printable, read_bytes
 
@@ -25,7 +26,7 @@ FILES = {
     "params_file": "params.yaml",
 }
 """Attachments by the argument that names their file."""
-NETWORK = "policy.onnx"  # attachment of a policy that is a network
+NETWORK = "policy.onnx"  # attachment of a policy that is a network, with all its weights
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,9 @@ def origin_here(arguments: Mapping[str, Any]) -> Origin:
     about = {name: str(value) for name, value in arguments.items()}
     about |= {name: Path(file).name for name, file in named.items()}
     files = {
-        attached[name]: read_bytes(Path(file), ARCHIVE_MAX)
+        attached[name]: read_network(Path(file))
+        if attached[name] == NETWORK
+        else read_bytes(Path(file), ARCHIVE_MAX)
         for name, file in named.items()
     }
     return Origin(

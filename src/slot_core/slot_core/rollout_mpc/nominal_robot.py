@@ -52,7 +52,7 @@ class Rollouts(NamedTuple):
 class NominalRobot:
     """Rollouts of plans of tendon angles; it knows no payload, slope or damage but the wrench."""
 
-    STATE = StateParts("push", "stiffness", "gravity", "friction")
+    STATE = StateParts("push", "stiffness", "gravity", "friction", "in_posture")
 
     def __init__(
         self, robot: RobotParameters, settings: NominalSettings, dt: float
@@ -68,6 +68,8 @@ class NominalRobot:
         self._table = self.robot.legs.table.copy()
         self._stiffness = 1.0
         self.friction = settings.friction  # of the floor
+        self.in_posture = False  # on a level floor, where the feet slip earlier
+        self._posture_friction = settings.posture_friction
         self.push = np.zeros(6)  # N, N m, force and moment on the torso
         self._angle_max = robot.tendon.angle_max
         self._initial = self.robot.state.buffer.copy()
@@ -139,7 +141,11 @@ class NominalRobot:
             )
         start = self._checked(start)
         self.robot.model.push[:] = self.push
-        self.robot.model.friction[:] = self.friction
+        self.robot.model.friction[:] = (
+            min(self.friction, self._posture_friction)
+            if self.in_posture
+            else self.friction
+        )
         count, stages = plans.shape[0], plans.shape[1] - 1
         found = Rollouts(
             np.empty((count, stages, 6)),

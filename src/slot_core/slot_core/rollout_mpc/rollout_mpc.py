@@ -10,6 +10,10 @@ A turn in place lies on its belly for a part of the stride, which the nominal ro
 level floor its plan is therefore that of `place`, with the wrench carried: the gait's angles, with
 the amplitude from the error of the yaw. The observer keeps its disturbances meanwhile.
 
+In a posture the feet stick, and a leg that is released with its foot stuck lifts the torso. As a plan
+sees nothing beyond such a dead band, each of its steps pulls, and the torso rises. On a level floor the
+nominal robot therefore has less friction in a posture than in a walk (`nominal.posture_friction`).
+
 While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
 is tried first whether the next one could be solved. A cycle without a new plan moves the last one on and
 lets its deviations from the gait decay; after `limits.cycles` such cycles in a row the status is
@@ -164,7 +168,9 @@ class RolloutMpc(Policy):
         self._take_stiffness(preview.leg_stiffness)
         if self._settings.nominal.slope:
             self._model.gravity = estimate.gravity
-        turns = preview.in_place and norm(self._model.gravity[:2]) < LEVEL
+        is_level = norm(self._model.gravity[:2]) < LEVEL
+        self._model.in_posture = is_level and not preview.velocity_ahead.any()
+        turns = preview.in_place and is_level
         if turns:
             self.observer.forget()
             preview = replace(

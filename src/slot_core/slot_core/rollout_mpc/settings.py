@@ -13,6 +13,12 @@ class NominalSettings:
     """The robot that the policy simulates."""
 
     friction: float = quantity("friction coefficient of the floor", "", 0.01, 2)
+    posture_friction: float = quantity(
+        "largest friction coefficient of a level floor in a posture",
+        "",
+        0.01,
+        2,
+    )
     broken: tuple[bool, bool, bool, bool] = flag(
         "whether a tendon FL FR RL RR carries nothing"
     )

@@ -25,7 +25,9 @@ from slot_core.vision.settings import Intrinsics
 # coefficients by name in ROS
 MODELS = {"plumb_bob": 5, "rational_polynomial": 8}
 SIZE_MAX = 100_000  # bytes of a calibration file
+NO_MODEL = ("", "none", "pinhole")  # names beside those, without coefficients
 PIXELS_MAX, LARGEST = 2**15, 1e6  # of an image's side; of K and D
+FIELDS = (2.0, 170.0)  # deg, of view along an image's side
 ACCURATE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-9)
 
 
@@ -133,13 +135,14 @@ def _require_last(name: str, values: Array, size: int) -> None:
 
 
 def nominal(settings: Intrinsics) -> Camera:
-    """The camera of `config/vision.yaml`."""
+    """The camera of `config/vision.yaml`; raises CameraError."""
     (f_x, f_y), (c_x, c_y) = settings.focal, settings.centre
-    return Camera(
+    return from_camera_info(
         settings.width,
         settings.height,
-        np.array([[f_x, 0.0, c_x], [0.0, f_y, c_y], [0.0, 0.0, 1.0]]),
-        np.array(settings.distortion),
+        "plumb_bob",
+        settings.distortion,
+        [f_x, 0.0, c_x, 0.0, f_y, c_y, 0.0, 0.0, 1.0],
     )
 
 
@@ -149,7 +152,8 @@ def from_camera_info(  # noqa: PLR0917
     """The camera of a sensor_msgs/CameraInfo: its size, distortion model, D and K.
 
     covariance: of the calibration, if it is known. Raises CameraError if it is not calibrated
-    (K = 0), for an unknown model and for bad values.
+    (K = 0), for an unknown model, for values that are not finite, and for a K that is not that of
+    an image of this size, such as one with skew.
     """
     for name, size in (("image_width", width), ("image_height", height)):
         if type(size) is not int or not 1 <= size <= PIXELS_MAX:
@@ -163,21 +167,19 @@ def from_camera_info(  # noqa: PLR0917
         raise CameraError(
             "K[0] = 0: the camera is not calibrated, see scripts/calibrate --camera"
         )
-    if not distortion.size:
+    if not distortion.size and model in (*NO_MODEL, *MODELS):
         distortion, model = np.zeros(5), "plumb_bob"
     if not isinstance(model, str) or model not in MODELS:
         raise CameraError(
-            f"distortion_model {quoted(model)}: expected one of {', '.join(MODELS)}"
+            f"distortion_model {quoted(model)}: expected one of {', '.join(MODELS)}; rectify the"
+            " images of a fisheye first"
         )
     if distortion.size != MODELS[model]:
         raise CameraError(
             f"D has {distortion.size} values, {model} has {MODELS[model]}"
         )
     matrix = matrix.reshape(3, 3)
-    if min(matrix[0, 0], matrix[1, 1]) <= 0:
-        raise CameraError(
-            f"f = {matrix[0, 0]:g}, {matrix[1, 1]:g} px: expected > 0"
-        )
+    _require_pinhole(matrix, width, height)
     return Camera(
         width,
         height,
@@ -187,6 +189,44 @@ def from_camera_info(  # noqa: PLR0917
         if covariance is None
         else _checked(covariance, 4 + distortion.size),
     )
+
+
+def _require_pinhole(matrix: Array, width: int, height: int) -> None:
+    """Raise CameraError unless K = [f_x 0 c_x; 0 f_y c_y; 0 0 1] px suits an image of this size."""
+    (f_x, skew, c_x), (below, f_y, c_y), last = matrix.tolist()
+    turned = ": transposed?" if c_x == c_y == 0.0 else ""
+    sides = ("x", f_x, c_x, width), ("y", f_y, c_y, height)
+    field = [2 * np.degrees(np.arctan2(n / 2, f)) for _, f, _, n in sides]
+    normalised = ": normalised? K is in px" if f_x < 10.0 else ""
+    for unsuitable, fault in (
+        (
+            last != [0.0, 0.0, 1.0],
+            f"K[6:9] = {', '.join(f'{v:g}' for v in last)}{turned}, expected 0, 0, 1",
+        ),
+        (
+            skew or below,
+            f"K[1] = {skew:g}, K[3] = {below:g}: expected 0, a camera without skew; calibrate it"
+            " by scripts/calibrate --camera",
+        ),
+        (min(f_x, f_y) <= 0, f"f = {f_x:g}, {f_y:g} px: expected > 0"),
+        *(
+            (
+                not FIELDS[0] <= angle <= FIELDS[1],
+                f"f_{axis} = {f:g} px, a field of view of {angle:.3g} deg on {size} px, expected"
+                f" {FIELDS[0]:g} to {FIELDS[1]:g}{normalised}",
+            )
+            for (axis, f, _, size), angle in zip(sides, field)
+        ),
+        *(
+            (
+                not 0.0 <= c <= size,
+                f"c_{axis} = {c:g} px: outside of the image, [0, {size}]; K of another size?",
+            )
+            for axis, _, c, size in sides
+        ),
+    ):
+        if unsuitable:
+            raise CameraError(fault)
 
 
 def _numbers(name: str, values: Any) -> Array:

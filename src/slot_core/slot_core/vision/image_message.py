@@ -1,6 +1,6 @@
 """Grey images from sensor_msgs/Image messages, received or read from a bag."""
 
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,7 +25,6 @@ TO_GREY = {
     "bgra8": cv2.COLOR_BGRA2GRAY,
     "rgba8": cv2.COLOR_RGBA2GRAY,
 }
-DEPTHS = ("16UC1", "mono16")
 
 
 def grey(message: Any) -> GreyImage:
@@ -34,7 +33,7 @@ def grey(message: Any) -> GreyImage:
         raise ValueError(
             f"encoding {quoted(message.encoding)}: expected one of {', '.join(CHANNELS)}"
         )
-    pixels = _pixels(message, CHANNELS[message.encoding], np.dtype(np.uint8))
+    pixels = _pixels(message, CHANNELS[message.encoding])
     if message.encoding in TO_GREY:
         return np.asarray(
             cv2.cvtColor(pixels, TO_GREY[message.encoding]), np.uint8
@@ -42,30 +41,14 @@ def grey(message: Any) -> GreyImage:
     return np.ascontiguousarray(pixels[..., 0])
 
 
-def depth(message: Any) -> NDArray[np.uint16]:
-    """Depth (h, w), mm, of an Image; raises ValueError for other encodings, missing bytes."""
-    if message.encoding not in DEPTHS:
-        raise ValueError(
-            f"encoding {quoted(message.encoding)}: expected one of {', '.join(DEPTHS)}"
-        )
-    order: Literal["<", ">"] = ">" if message.is_bigendian else "<"
-    return _pixels(message, 1, np.dtype(np.uint16).newbyteorder(order))[
-        ..., 0
-    ].astype(np.uint16)
-
-
-def _pixels(message: Any, channels: int, kind: np.dtype[Any]) -> NDArray[Any]:
+def _pixels(message: Any, channels: int) -> NDArray[np.uint8]:
     """Pixels (h, w, channels), without the bytes at the end of the rows."""
     height, width, step = message.height, message.width, message.step
-    data = np.frombuffer(message.data, np.uint8)
-    row = width * channels * kind.itemsize
+    data, row = np.frombuffer(message.data, np.uint8), width * channels
     if step < row or len(data) != height * step or not height or not width:
         raise ValueError(
             f"{len(data)} bytes in rows of {step}: {width} x {height} px of"
             f" {message.encoding} have {height} rows of {row} bytes at least"
         )
-    return (
-        np.ascontiguousarray(data.reshape(height, step)[:, :row])
-        .view(kind)
-        .reshape(height, width, channels)
-    )
+    pixels = data.reshape(height, step)[:, :row]
+    return np.ascontiguousarray(pixels).reshape(height, width, channels)

@@ -109,12 +109,6 @@ class DetectionSettings:
         1,
         100,
     )
-    depth_noise: float = quantity(
-        "standard deviation of a marker's depth in a depth image, with its bias",
-        "m",
-        1e-4,
-        1,
-    )
     memory: float = quantity(
         "time for which the last pose decides between two solutions", "s", 0, 10
     )

@@ -76,36 +76,6 @@ class SyntheticCamera:
         noise = self._noise[y : y + size[1], x : x + size[0]]
         return np.asarray(cv2.add(image, noise, dtype=cv2.CV_8U), np.uint8)
 
-    def depth(self, surfaces: list[Surface], noise: float) -> np.ndarray:
-        """Depth along the optical axis as a RealSense gives it, uint16 (h, w), mm; zero: none.
-
-        noise: standard deviation, m, of every pixel.
-        """
-        depth = np.zeros((self.camera.height, self.camera.width))
-        rays = self._rays[::SAMPLES, ::SAMPLES]
-        for surface in surfaces:
-            if not surface.faces_camera:
-                continue
-            outline = np.round(self.camera.project(surface.corners)).astype(
-                np.int32
-            )
-            low = np.maximum(outline.min(axis=0), 0)
-            part = (
-                slice(low[1], outline[:, 1].max() + 1),
-                slice(low[0], outline[:, 0].max() + 1),
-            )
-            mask = np.zeros(depth[part].shape, np.uint8)
-            if not mask.size:
-                continue
-            cv2.fillConvexPoly(mask, outline - low.astype(np.int32), 1)
-            a, b, _, d = surface.corners
-            normal = np.cross(b - a, d - a)
-            along = rays[part] @ normal[:2] + normal[2]
-            depth[part] = np.where(mask > 0, normal @ a / along, depth[part])
-        seen = depth > 0
-        depth[seen] += noise * self._rng.standard_normal(int(seen.sum()))
-        return np.clip(np.round(1e3 * depth), 0, 65535).astype(np.uint16)
-
     def _paint(self, canvas: GreyImage, surface: Surface) -> None:
         """Paint a surface on the canvas of samples, and blur it by its motion."""
         edge = np.linspace(0, 1, 9)[:-1, None]

@@ -29,6 +29,7 @@ from rosbags.serde import SerdeError
 from slot_core import config
 from slot_core.clock import to_seconds
 from slot_core.recording.bag_writer import (
+    CDR,
     BagWriter,
     MessageType,
     Types,
@@ -43,16 +44,25 @@ from slot_core.recording.record_settings import (
     read_record_settings,
     root_of,
 )
-from slot_core.refusal import one_line, read_text, require_regular
+from slot_core.refusal import one_line, quoted, read_text, require_regular
 
 __all__ = ["Bag", "BagError", "NoFieldError", "Series", "Stamps"]
 
 Stamps = NDArray[np.int64]
 STORAGES = (".mcap", ".db3")
 METADATA_MAX = 10_000_000  # bytes of metadata.yaml
-# At every opening of a file the library parses a text of YAML for every topic.
+LANGUAGES = ("ros2msg", "ros2idl", "omgidl", "")  # of definitions
 _mcap: Any = storage_mcap
+# At every opening of a file the library parses a text of YAML for every topic.
 _mcap.parse_qos = functools.lru_cache(64)(_mcap.parse_qos)
+# It refuses a file for a schema of Protobuf, which is no text, or in another language.
+_mcap.read_string = lambda stream: _mcap.read_bytes(stream).decode(
+    errors="replace"
+)
+_message_definition = _mcap.get_msgdef
+_mcap.get_msgdef = lambda schema: _message_definition(
+    schema if schema and schema.encoding in LANGUAGES else None
+)
 SPARE = 64  # bytes at the end of a message, beyond its own, at most
 MAGIC = b"\x89MCAP0\r\n"  # at both ends of a whole file
 
@@ -77,6 +87,7 @@ class Bag:
 
     With a `namespace` only its topics are read, named without it: /fred/odom of `fred` is /odom.
     `remap` names topics of the bag (in full) otherwise; a topic that has the new name is left out.
+    `foreign` are topics that cannot be decoded, by reason; they are skipped unless asked for.
     Raises BagError, also while reading, if the bag is missing, damaged or not a bag.
     """
 
@@ -105,6 +116,7 @@ class Bag:
             connections = [
                 (r, *entry) for r in readers for entry in self._connections(r)
             ]
+            connections.sort(key=lambda entry: _serialization(entry[2]) == CDR)
             self.topics = {topic: c.msgtype for _, topic, c in connections}
             self.counts = dict.fromkeys(self.topics, 0)
             for _, topic, connection in connections:
@@ -121,6 +133,9 @@ class Bag:
             self.end_ns = max((last for _, last in spans), default=0)
             _require_time(self.end_ns)
             self._types = self._read_types(readers)
+            # by topic, the last of whose connections is the best
+            faults = {topic: self._fault(c) for _, topic, c in connections}
+            self.foreign = {t: fault for t, fault in faults.items() if fault}
         for topic in self._remap:
             if topic not in self._known:
                 raise self._unknown(topic)
@@ -141,7 +156,7 @@ class Bag:
         return [*self.origin.lines(), *filter(None, [self.remark])]
 
     def save(self, path: Path) -> None:
-        """Write the readable part of the bag as a new, whole bag; raises BagError."""
+        """Write the readable part of the bag, without `foreign`, as a whole bag; raises BagError."""
         with BagWriter(path, read_record_settings(), self.origin) as copy:
             with self._open() as readers:
                 kinds = {
@@ -149,12 +164,14 @@ class Bag:
                     for reader in readers
                     for t, c in self._connections(reader)
                 }
-            for topic, c in kinds.items():
+            held = [topic for topic in kinds if topic not in self.foreign]
+            for topic in held:
+                c = kinds[topic]
                 copy.add_topic(
                     topic,
                     MessageType(c.msgtype, c.msgdef.data, digest=c.digest),
                 )
-            for topic, time, data in self.raw():
+            for topic, time, data in self.raw(*held) if held else ():
                 copy.write(topic, self.topics[topic], time, data)
 
     @property
@@ -177,7 +194,7 @@ class Bag:
         names = {
             c.id: t
             for t, c in self._connections(reader)
-            if not topics or t in topics
+            if (not topics or t in topics) and _serialization(c) == CDR
         }
         wanted = [c for c in reader.connections if c.id in names]
         if wanted:
@@ -186,10 +203,14 @@ class Bag:
                 yield names[connection.id], time, bytes(data)
 
     def merged(self, *topics: str) -> Iterator[tuple[str, int, Any]]:
-        """Yield (topic, time in ns, message) of these topics (default: all), ordered by time."""
+        """Yield (topic, time in ns, message) of these topics (default: all), ordered by time.
+
+        By default topics of `foreign` are skipped; raises BagError for one that is asked for.
+        """
         self.require_types(*topics)
         for topic, time, data in self.raw(*topics):
-            yield topic, time, self.decode(topic, data)
+            if topic not in self.foreign:
+                yield topic, time, self.decode(topic, data)
 
     @functools.cached_property
     def _known_topics(self) -> Mapping[str, RecordedTopic]:
@@ -197,8 +218,10 @@ class Bag:
         return read_record_settings().topics
 
     def require_types(self, *topics: str) -> None:
-        """Raise BagError for a topic of the graph whose messages have another type in the bag."""
+        """Raise BagError for a topic in `foreign`, and one of the graph that has another type."""
         for topic in topics:
+            if topic in self.foreign:
+                raise BagError(f"{self.path}: {topic} {self.foreign[topic]}")
             known, kind = self._known_topics.get(topic), self.topics.get(topic)
             if known is not None and kind not in (None, known.type):
                 raise BagError(
@@ -340,6 +363,17 @@ class Bag:
             add_installed(types)
         return types
 
+    def _fault(self, connection: Connection) -> str:
+        """Reason why messages of a connection cannot be decoded; else empty."""
+        found, kind = _serialization(connection), connection.msgtype
+        if found != CDR:
+            return f"holds {kind} in {quoted(found)}, expected {CDR}, as ROS 2 records"
+        if kind not in self._types.fielddefs:
+            return (
+                f"holds {kind}, of which the bag has no definition in ros2msg"
+            )
+        return ""
+
     def _connections(self, reader: Reader) -> list[tuple[str, Connection]]:
         """Name within the namespace, and connection, of every topic in the namespace."""
         named = [(c, self._remap.get(c.topic)) for c in reader.connections]
@@ -375,6 +409,12 @@ class Bag:
             # On a damaged file the libraries also raise struct, zstd, assertion and type errors.
             reason = one_line(error) or type(error).__name__
             raise BagError(f"{self.path}: cannot be read: {reason}") from error
+
+
+def _serialization(connection: Connection) -> str:
+    """How the messages of a connection are encoded."""
+    ext: Any = connection.ext
+    return str(ext.serialization_format)
 
 
 def _require_time(time: int) -> None:
@@ -426,7 +466,7 @@ def repaired(file: Path, directory: Path) -> Path:
         return _mended_database(file, directory)
     with BagWriter(directory, read_record_settings(), read_origin(file)) as bag:
         topics: dict[int, tuple[str, str]] = {}
-        schemas: dict[int, Schema] = {}
+        schemas = {0: Schema(id=0, name="", encoding="", data=b"")}
         for record in _whole_records(file):
             if isinstance(record, Schema):
                 schemas[record.id] = record
@@ -434,9 +474,10 @@ def repaired(file: Path, directory: Path) -> Path:
                 schema = schemas[record.schema_id]
                 kind = MessageType(
                     schema.name,
-                    schema.data.decode(),
+                    schema.data.decode(errors="replace"),
                     schema.encoding,
                     record.metadata.get("topic_type_hash", ""),
+                    record.message_encoding,
                 )
                 topics[record.id] = record.topic, kind.name
                 bag.add_topic(record.topic, kind)

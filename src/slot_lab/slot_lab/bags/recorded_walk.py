@@ -16,7 +16,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.spatial.transform import Rotation
 
 from slot_core.arrays import Array
-from slot_core.clock import SECOND, to_seconds
+from slot_core.clock import SECOND, time_fault, to_seconds
 from slot_core.geometry import matrix_of_quaternion, rotate, rpy_of
 from slot_core.robot import LEGS, TENDON_JOINTS
 from slot_lab.bags.bag import Bag, BagError, Stamps
@@ -249,8 +249,8 @@ def read_legs(bag: Bag) -> tuple[Array, Array]:
 def _sound(where: str, stamps: Stamps, values: Array) -> tuple[Stamps, Array]:
     """Stamps (n,) and values (n, m) without the repetitions of equal samples.
 
-    Raises BagError for a value that is not finite, a stamp before the one before it, two
-    different samples of one stamp, and fewer than two samples.
+    Raises BagError for a value that is not finite, a stamp before the one before it or far after
+    it, two different samples of one stamp, and fewer than two samples.
     """
     bad = ~np.isfinite(values).all(axis=1)
     if bad.any():
@@ -273,6 +273,8 @@ def _sound(where: str, stamps: Stamps, values: Array) -> tuple[Stamps, Array]:
     )
     if keep.sum() < 2:
         raise BagError(f"{where}: {keep.sum()} samples, less than 2")
+    if fault := time_fault(seconds(stamps)):
+        raise BagError(f"{where}: {fault}")
     return stamps[keep], values[keep]
 
 

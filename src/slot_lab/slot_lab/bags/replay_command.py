@@ -55,13 +55,20 @@ def add_bag_arguments(parser: argparse.ArgumentParser) -> None:
         help="directory of the bag, or one .mcap or .db3 file",
     )
     add("--namespace", default="", metavar="NAME", help="of the recorded graph")
-    add(
-        "--remap",
+    add_remap(parser)
+
+
+def add_remap(
+    parser: argparse.ArgumentParser, option: str = "--remap", whose: str = ""
+) -> None:
+    """Add the option of new names of a bag's topics, a list of pairs."""
+    parser.add_argument(
+        option,
         type=_renaming,
         action="append",
         default=[],
         metavar="OLD:=NEW",
-        help="read the bag's topic OLD as NEW, for example /camera/odom:=/odom; may be"
+        help=f"read the {whose}bag's topic OLD as NEW, for example /camera/odom:=/odom; may be"
         " repeated",
     )
 
@@ -117,7 +124,10 @@ def _replay(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     bag = Bag(options.bag, options.namespace, dict(options.remap))
     if options.mend:
         bag.save(options.mend)
-        return [f"wrote {options.mend}"], 0
+        left_out = [
+            f"without {t}, which {why}" for t, why in bag.foreign.items()
+        ]
+        return [f"wrote {options.mend}", *left_out], 0
     chosen = options.only, options.skip
     try:
         comparisons = check_bag(

@@ -35,6 +35,7 @@ from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.gait.route import KEPT, Route, read_route
 from slot_core.key_frame import restore
 from slot_core.messages import decode
+from slot_core.names import ONNX
 from slot_core.recording.origin import FILES, NETWORK
 from slot_core.recording.record_settings import root_of
 from slot_core.robot import read_robot
@@ -70,8 +71,8 @@ class RecordedStages:
     """The stages in a bag, read once."""
 
     def __init__(self, bag: Bag, own_policy: str = "") -> None:
-        """own_policy: file of the policy, needed if the bag's policy is a file."""
-        self.own_policy = own_policy
+        """own_policy: file of the policy, needed if the bag's policy is a file of Python."""
+        self.own_policy, self._scratch = own_policy, TemporaryDirectory()
         self.bag, self.origin, self.robot = bag, bag.origin, read_robot()
         # messages in their order, by topic and stamp (ns)
         self.sensors: defaultdict[tuple[str, int], list[Any]] = defaultdict(
@@ -169,15 +170,19 @@ class RecordedStages:
         with self.bag.using(topic):
             return {decode.stamp(m): convert(m) for m in self.messages[topic]}
 
-    @property
+    @cached_property
     def policy(self) -> str:
         """Name of the policy, or file of a user's policy; the default if none is named.
 
-        Raises BagError for a user's policy whose file is not given.
+        A network is taken from the bag. Raises BagError for a policy of Python whose file is not
+        given: a replay executes no code of a bag.
         """
         named = self.origin.about.get("policy", DEFAULT_POLICY)
-        is_file = named.endswith(".py") or NETWORK in self.origin.files
-        if is_file and not self.own_policy:
+        if NETWORK in self.origin.files and not self.own_policy:
+            file = Path(self._scratch.name, NETWORK)
+            file.write_bytes(self.origin.files[NETWORK])
+            return f"{ONNX}{file}"
+        if named.endswith(".py") and not self.own_policy:
             raise BagError(
                 f"{self.bag.path}: its policy is a file, {named}: add --policy FILE"
             )

@@ -7,7 +7,6 @@ config/parameters/paper_single_leg.csv is an example.
 With another first word, each with a --help:
   --camera    calibrates a camera from images of the chessboard
   --print     writes the boards and markers to print
-  --leg-map   writes config/leg_map.csv: force and stiffness of one leg at rest
 """
 
 import sys

@@ -7,7 +7,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from slot_core.clock import to_seconds
 from slot_core.messages.decode import stamp
@@ -18,9 +17,7 @@ from slot_core.vision.camera import Camera, CameraError, from_camera_info
 from slot_lab.bags.bag import STORAGES, Bag, BagError
 from slot_lab.bags.topics import IMAGES
 
-Depth = NDArray[np.uint16]
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-SYNCHRONOUS = 0.017  # s, largest distance of a depth image from the image
 
 
 class FilmError(InputError):
@@ -29,31 +26,27 @@ class FilmError(InputError):
 
 @dataclass(frozen=True)
 class Frame:
-    """An image and, if there is one, its depth."""
+    """An image of a film."""
 
     time: float  # s
     grey: GreyImage  # (h, w)
-    depth: Depth | None = None  # (h, w) mm
 
 
 def read_film(
-    path: Path, rate: float | None = None, depth: str = "", topic: str = IMAGES
+    path: Path, rate: float | None = None, topic: str = IMAGES
 ) -> Iterator[Frame]:
     """Frames of a video, a folder or a bag; raises FilmError.
 
-    rate: images per s of a video (default: its own) or a folder (default: 30). depth: folder of
-    16-bit images in mm, one for each image, or a topic of the bag. topic: of its images.
+    rate: images per s of a video (default: its own) or a folder (default: 30). topic: of the
+    bag's images.
     """
     if is_bag(path):
-        return _of_bag(path, topic, depth)
+        return _of_bag(path, topic)
     if not path.exists():
         raise FilmError(f"{path}: does not exist")
-    frames = (
-        _of_folder(path, rate or 30.0)
-        if path.is_dir()
-        else _of_video(path, rate)
-    )
-    return _with_depth(frames, _files(Path(depth)), depth) if depth else frames
+    if path.is_dir():
+        return _of_folder(path, rate or 30.0)
+    return _of_video(path, rate)
 
 
 def silence_opencv() -> None:
@@ -120,47 +113,17 @@ def _opened(path: Path) -> cv2.VideoCapture:
 
 def _of_folder(path: Path, rate: float) -> Iterator[Frame]:
     for number, file in enumerate(_files(path)):
-        yield Frame(number / rate, _grey(_read(file, cv2.IMREAD_COLOR)))
+        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        if image is None:
+            raise FilmError(f"{file}: no image that OpenCV can read")
+        yield Frame(number / rate, _grey(image))
 
 
-def _with_depth(
-    frames: Iterator[Frame], depths: list[Path], name: str
-) -> Iterator[Frame]:
-    """The frames with the depth images of a folder, in order."""
-    for number, frame in enumerate(frames):
-        if number >= len(depths):
-            raise FilmError(
-                f"{name}: {len(depths)} depth images, fewer than images"
-            )
-        depth = _read(depths[number], cv2.IMREAD_UNCHANGED)
-        if depth.dtype != np.uint16 or depth.ndim != 2:
-            raise FilmError(
-                f"{depths[number]}: {depth.dtype}, expected one 16-bit channel in mm"
-            )
-        yield Frame(frame.time, frame.grey, depth.astype(np.uint16))
-
-
-def _of_bag(path: Path, topic: str, depth_topic: str) -> Iterator[Frame]:
+def _of_bag(path: Path, topic: str) -> Iterator[Frame]:
     try:
-        bag = Bag(path)
-        found = bag.messages(depth_topic) if depth_topic else ()
-        depths = (
-            (to_seconds(stamp(m)), image_message.depth(m)) for _, m in found
-        )
-        before, after = None, next(depths, None)
-        for _, message in bag.messages(topic):
+        for _, message in Bag(path).messages(topic):
             time = to_seconds(stamp(message))
-            while after is not None and after[0] < time:
-                before, after = after, next(depths, None)
-            near = [
-                d
-                for d in (before, after)
-                if d is not None and abs(d[0] - time) < SYNCHRONOUS
-            ]
-            nearest = (
-                min(near, key=lambda d: abs(d[0] - time))[1] if near else None
-            )
-            yield Frame(time, image_message.grey(message), nearest)
+            yield Frame(time, image_message.grey(message))
     except (BagError, ValueError, AttributeError) as error:
         raise FilmError(f"{path}: {topic}: {error}") from None
 
@@ -177,12 +140,6 @@ def _files(path: Path) -> list[Path]:
             f"{path}: a folder without images ({', '.join(SUFFIXES)})"
         )
     return files
-
-
-def _read(file: Path, mode: int) -> NDArray[Any]:
-    if (image := cv2.imread(str(file), mode)) is None:
-        raise FilmError(f"{file}: no image that OpenCV can read")
-    return np.asarray(image)
 
 
 def _grey(image: Any) -> GreyImage:

@@ -36,13 +36,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     add("--leg", choices=LEGS, help="write the torso and this leg only")
     add(
-        "--depth",
-        default="",
-        metavar="DIR|NAME",
-        help="folder of 16-bit depth images (mm) registered to the images, or topic of"
-        " the bag",
-    )
-    add(
         "--topic",
         default=IMAGES,
         metavar="NAME",

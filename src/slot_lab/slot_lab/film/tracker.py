@@ -1,10 +1,8 @@
 """Marker tracker: 3-D tracks of the markers on torso and legs, seen by a camera at rest.
 
-A point is the middle of its marker. Its place along the line of sight is given by the marker's pose
-or, with a depth image, by the mean of both weighted by their variances. Where a board of
-`config/vision.yaml` that is fixed in odom is seen, the tracks are in odom; the pose of the camera
-then comes from the board's median corners over all images. Else they are in camera_link, z up if
-the camera is level.
+A point is the middle of its marker, by the marker's pose. Where a board of `config/vision.yaml` that
+is fixed in odom is seen, the tracks are in odom; the pose of the camera then comes from the board's
+median corners over all images. Else they are in camera_link, z up if the camera is level.
 """
 
 import argparse
@@ -40,7 +38,6 @@ from slot_lab.bags.topics import IMAGES
 from slot_lab.csv_table import write_points
 from slot_lab.desk_command import Outcome
 from slot_lab.film.images import (
-    Depth,
     FilmError,
     bag_camera,
     claimed_length,
@@ -49,9 +46,7 @@ from slot_lab.film.images import (
     silence_opencv,
 )
 
-DEPTH_PIXELS = 9  # fewest in a marker for its depth to count
 FEWEST = 2  # markers of a board that place the camera
-GROSS = 5.0  # standard deviations, beyond which the depth is another object's
 CAMERA = "camera_link"
 MOVED = 1.0  # px, of the board before a camera that stands still
 # images that a video says over those read: some estimate their length
@@ -109,16 +104,11 @@ class Tracker:
         self._duplicates: set[int] = set()
         self._unusual = ""  # warning about the board's reprojection error
 
-    def add(
-        self, time: float, image: GreyImage, depth: Depth | None = None
-    ) -> list[MarkerSample]:
+    def add(self, time: float, image: GreyImage) -> list[MarkerSample]:
         """Add the grey image (h, w) of a time (s); its points in the optical frame.
 
-        depth: (h, w) mm along the optical axis, registered to the image; zero: unknown. Raises
-        CameraError for another size.
+        Raises CameraError for another size.
         """
-        if depth is not None:
-            self._camera.require_size(depth.shape[1], depth.shape[0])
         found = self._detector.find(image)
         self._images += 1
         self._duplicates |= set(found.duplicates)
@@ -128,7 +118,7 @@ class Tracker:
                 self._rays.setdefault(number, []).append(found.rays[index])
             if number not in self._names:
                 continue
-            if (place := self._locate(found, index, depth)) is not None:
+            if (place := self._locate(found, index)) is not None:
                 new.append(MarkerSample(time, self._names[number], place))
         self._seen += new
         return new
@@ -157,9 +147,7 @@ class Tracker:
             )
         return Tracks(frame, samples, self._images, motion, notes)
 
-    def _locate(
-        self, found: Detection, index: int, depth: Depth | None
-    ) -> Array | None:
+    def _locate(self, found: Detection, index: int) -> Array | None:
         """Middle of a marker (3,) m in the optical frame; None without a pose."""
         pose = board_poses(
             self._marker, found.rays[index], self._noise, self._camera
@@ -169,18 +157,7 @@ class Tracker:
             or pose.error * self._camera.focal > self._settings.error_max
         ):
             return None
-        place = pose.transform.position
-        if depth is None:
-            return place
-        measured = _depth(depth, found.pixels[index])
-        variance = float(pose.covariance[2, 2] + pose.calibration[2, 2])
-        noise = self._settings.depth_noise**2
-        if measured is None or (measured - place[2]) ** 2 > GROSS**2 * (
-            variance + noise
-        ):
-            return place
-        z = (place[2] * noise + measured * variance) / (noise + variance)
-        return np.asarray(place * (z / place[2]), float)
+        return pose.transform.position
 
     def _camera_in_odom(self) -> Transform | None:
         """Optical frame in odom, from the median rays of the board with most markers; or None."""
@@ -216,22 +193,6 @@ class Tracker:
         return board.pose @ pose.transform.inverse
 
 
-def _depth(depth: Depth, corners: Array) -> float | None:
-    """Median depth, m, within a marker's corners (4, 2) px; None if too few pixels have one."""
-    middle = corners.mean(axis=0)
-    inner = np.round(middle + 0.8 * (corners - middle)).astype(np.int32)
-    low = np.maximum(inner.min(axis=0), 0)
-    part = depth[low[1] : inner[:, 1].max() + 1, low[0] : inner[:, 0].max() + 1]
-    if not part.size:
-        return None
-    mask = np.zeros(part.shape, np.uint8)
-    cv2.fillConvexPoly(mask, inner - low.astype(np.int32), 1)
-    values = part[(mask > 0) & (part > 0)]
-    return (
-        1e-3 * float(np.median(values)) if len(values) >= DEPTH_PIXELS else None
-    )
-
-
 def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     """Track a film and write the tracks; returns lines on them.
 
@@ -245,7 +206,6 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
         _camera(options, settings, progress),
         settings,
         rate=options.rate,
-        depth=options.depth,
         topic=options.topic,
         tell=partial(progress, f"tracking {options.film}"),
     )
@@ -282,18 +242,17 @@ def track_film(
     settings: VisionSettings,
     *,
     rate: float | None = None,
-    depth: str = "",
     topic: str = IMAGES,
     tell: Tell = untold,
 ) -> Tracks:
     """Tracks of the markers of a film, as for `read_film`; raises FilmError, CameraError."""
-    frames = read_film(film, rate, depth, topic)
+    frames = read_film(film, rate, topic)
     first = next(frames, None)
     if first is None:
         raise FilmError(f"{film}: no image on {topic}")
     tracker, claimed = Tracker(settings, camera), claimed_length(film)
     for number, frame in enumerate(itertools.chain([first], frames)):
-        tracker.add(frame.time, frame.grey, frame.depth)
+        tracker.add(frame.time, frame.grey)
         tell(min(1.0, number / claimed) if claimed else 0.0)
     tracks = tracker.tracks()
     if claimed > COMPLETE * tracks.images:

@@ -18,7 +18,6 @@ has fallen gets zero.
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,29 +45,23 @@ WEIGHTS = {
 }
 
 
-class Transition(NamedTuple):
-    """One step of M robots, as the reward needs it."""
+def reward_terms(
+    state: Array, stray: Array, tilt: Array, torque: Array, change: Array
+) -> dict[str, Array]:
+    """Terms (M,) by name of a step of M robots; a robot that has fallen gives zeros.
 
-    state: Array  # (M, 12) as in `Estimate`
-    faster: Array  # (M,) m/s, than the course
-    aside: Array  # (M,) m, from the course
-    turn: Array  # (M,) rad, from the course
-    tilt: Array  # (M, 2) roll and pitch of the gait, rad
-    torque: Array  # (M, 4) N m, of the servos
-    change: Array  # (M, n) of the action
-
-
-def reward_terms(step: Transition) -> dict[str, Array]:
-    """Terms (M,) by name; a robot that has fallen gives zeros."""
-    state = step.state
+    state: (M, 12) as in `Estimate`; stray: (3, M) as `Course.stray`; tilt: (M, 2) roll and pitch
+    of the gait, rad; torque: (M, 4) N m, of the servos; change: (M, n) of the action.
+    """
+    faster, aside, turn = stray
     terms = {
         "walking": np.ones(len(state)),
-        "speed": -((step.faster / SPEED) ** 2),
-        "aside": -((step.aside / ASIDE) ** 2),
-        "yaw": -((step.turn / TURN) ** 2),
-        "tilt": -((state[:, :2] - step.tilt) ** 2).sum(axis=1) / TILT**2,
-        "load": -((step.torque.mean(axis=1) / LOAD) ** 2),
-        "change": -np.abs(step.change).mean(axis=1),
+        "speed": -((faster / SPEED) ** 2),
+        "aside": -((aside / ASIDE) ** 2),
+        "yaw": -((turn / TURN) ** 2),
+        "tilt": -((state[:, :2] - tilt) ** 2).sum(axis=1) / TILT**2,
+        "load": -((torque.mean(axis=1) / LOAD) ** 2),
+        "change": -np.abs(change).mean(axis=1),
     }
     up = ~fallen(state)
     return {
@@ -115,17 +108,17 @@ class Course:
         )
 
     @property
-    def aside(self) -> Array:
-        """(M,) m, of the robots from the course to the left."""
-        return np.asarray(self._gaps[-1, :, 1])
+    def stray(self) -> Array:
+        """(3, M) of the robots from the course.
 
-    @property
-    def turn(self) -> Array:
-        """(M,) rad, of the robots from the course, mean of the last stride."""
-        return np.asarray(self._gaps[1:, :, 2].mean(axis=0))
-
-    @property
-    def faster(self) -> Array:
-        """(M,) m/s along the course, of the robots less the course, mean of the last stride."""
+        Speed along it less its own, m/s, and the turn of the heading, rad, are means of the last
+        stride; between them stands the distance to the left, m.
+        """
         gained = self._gaps[-1, :, 0] - self._gaps[0, :, 0]
-        return np.asarray(gained / (self._dt * (len(self._gaps) - 1)))
+        return np.stack(
+            [
+                gained / (self._dt * (len(self._gaps) - 1)),
+                self._gaps[-1, :, 1],
+                self._gaps[1:, :, 2].mean(axis=0),
+            ]
+        )

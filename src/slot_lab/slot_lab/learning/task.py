@@ -13,14 +13,16 @@ from typing import Any
 
 import numpy as np
 from gymnasium.spaces import Box
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from slot_core import config
-from slot_core.arrays import Array
+from slot_core.arrays import Array, checked
 from slot_core.config import ConfigError
 from slot_core.control.walk_actions import ACTIONS, CLIP, observation_size
 from slot_core.dynamics.scene import Scene, level_changes, read_scene
 from slot_core.dynamics.servo import ServoSettings, read_servo
+from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.gait.gait import LEFT_RIGHT, GaitSettings, Stride, read_gaits
 from slot_core.refusal import quoted
 from slot_core.robot import LEGS, RobotParameters, read_robot
@@ -36,6 +38,7 @@ HALF_STRIDE = -np.ones(2)
 VELOCITY = "velocity"
 LONGEST = 3600.0  # s, of an episode
 SEEN = ("estimated", "true")  # kinds of observations
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 30}
 DRAWN = ("scene", "servo")  # in the order of `Task._base`
 Vector3 = tuple[float, float, float]
 Range = tuple[Any, Any]  # both ends, numbers or lists
@@ -105,7 +108,10 @@ class Task:
 
     def draw(self, rng: np.random.Generator) -> dict[str, Any]:
         """Values by dotted name, drawn between their ends."""
-        return {name: _drawn(rng, *ends) for name, ends in self.drawn}
+        return {
+            name: np.asarray(rng.uniform(*ends)).tolist()
+            for name, ends in self.drawn
+        }
 
     def commanded(self, values: Mapping[str, Any]) -> Array:
         """Velocity (3,) among drawn values, or the task's; raises ConfigError out of reach."""
@@ -149,11 +155,6 @@ def make_task(
     return Task(drawn=ends, **arguments)
 
 
-def _drawn(rng: np.random.Generator, low: Any, high: Any) -> Any:
-    found = rng.uniform(low, high)
-    return found.tolist() if np.ndim(found) else float(found)
-
-
 def _plain(end: Any) -> Any:
     """A number, or a tuple of numbers, which can be hashed."""
     return tuple(map(float, end)) if np.ndim(end) else float(end)
@@ -164,6 +165,36 @@ def _require(name: str, value: str, known: Any) -> None:
         raise ConfigError(
             f"{name} = {quoted(value)}: expected one of {', '.join(known)}"
         )
+
+
+def require_render_mode(mode: str | None) -> str | None:
+    """Return the mode of `render`; raises ConfigError for another one than METADATA has."""
+    if mode is not None:
+        _require("render_mode", mode, METADATA["render_modes"])
+    return mode
+
+
+def taken_action(action: Any, shape: tuple[int, ...]) -> Array:
+    """Return an action within [-1, 1].
+
+    Raises ValueError for another shape, what is no real number, NaN and infinity.
+    """
+    given = checked("action", action, shape, finite=False)
+    if (kind := np.asarray(action).dtype).kind not in "fiu":
+        raise ValueError(f"action: {kind} values, expected real numbers")
+    if odd := np.argwhere(~np.isfinite(given)).tolist():
+        raise ValueError(f"action{odd[0]} = {given[tuple(odd[0])]}: not finite")
+    return np.clip(given, -1.0, 1.0)
+
+
+def frame(robot: SimulatedRobot) -> NDArray[np.uint8]:
+    """Image (h, w, 3) of a robot from the side."""
+    from slot_lab.report.robot_drawing import (  # noqa: PLC0415 - half a second
+        draw_frame,
+        snapshot,
+    )
+
+    return np.asarray(draw_frame(snapshot(robot), robot.parameters))
 
 
 def observation_space(task: Task) -> Box:

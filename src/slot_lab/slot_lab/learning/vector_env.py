@@ -28,17 +28,20 @@ from slot_core.simulation.many_robots import ANGLE, STATE, TENSION, ManyRobots
 from slot_lab.learning.gait_clock import GaitClock
 from slot_lab.learning.rewards import (
     Course,
-    Transition,
     fallen,
     reward_terms,
     total,
 )
 from slot_lab.learning.task import (
+    METADATA,
     Task,
     action_space,
+    frame,
     make_task,
     observation_space,
+    require_render_mode,
     servo_error,
+    taken_action,
 )
 
 Flags = NDArray[np.bool_]
@@ -49,7 +52,7 @@ ESTIMATE_NOISE = np.repeat([1e-3, 4e-4, 0.01, 2e-3], 3)  # rad, m, rad/s, m/s
 class WalkVectorEnv(VectorEnv[Any, Any, Any]):
     """M robots; the next step resets a robot that has fallen or walked its time."""
 
-    metadata = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012 - of the base class
+    metadata = METADATA | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
         self,
@@ -58,12 +61,14 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         *,
         threads: int = 1,
         step: float = 0.0,
+        render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
         """Take a task, or its values. step: longest time step, s; 0: the level's.
 
-        Raises ConfigError.
+        render_mode: None or rgb_array. Raises ConfigError.
         """
+        self.render_mode = require_render_mode(render_mode)
         self.task = task or make_task(**arguments)
         self.num_envs = num_envs
         self.single_observation_space = observation_space(self.task)
@@ -92,12 +97,15 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self,
         *,
-        seed: int | list[int | None] | None = None,
+        seed: Any = None,  # an integer, or one for each robot
         options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
-        """Draw and build all robots anew."""
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        seeds = seed if isinstance(seed, list) else [None] * self.num_envs
+        """Draw and build all robots anew; raises ValueError for another number of seeds."""
+        count, one = self.num_envs, not np.ndim(seed)
+        seeds = [None] * count if one else list(seed)
+        if len(seeds) != count:
+            raise ValueError(f"seed: {len(seeds)} values, expected {count}")
+        super().reset(seed=seed if one else None)
         streams = self.np_random.spawn(self.num_envs)
         self._streams = [
             stream if given is None else np.random.default_rng(given)
@@ -109,12 +117,13 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
     def step(
         self, actions: Array
     ) -> tuple[Array, Array, Flags, Flags, dict[str, Any]]:
-        """Step all robots by the time between two stages of the gait."""
+        """Step all robots by the time between two stages of the gait.
+
+        Raises ValueError as `taken_action` does, before a robot moves.
+        """
         task, clock, course = self.task, self._clock, self._course
-        if (robots := self._robots) is None:
-            raise gymnasium.error.ResetNeeded("step before reset")
-        again = np.flatnonzero(self._ended)
-        action = np.clip(np.asarray(actions, dtype=float), -1.0, 1.0)
+        robots, again = self._many, np.flatnonzero(self._ended)
+        action = taken_action(actions, self._action.shape)
         angles = np.stack(
             [
                 angle + deviation(task.actions, action, task.stride, *ahead)
@@ -132,17 +141,7 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         state = motion[:, STATE]
         torque = motion[:, TENSION] * task.robot.tendon.spool_radius
         tilt, change = clock.reference[:, :2], action - self._action
-        terms = reward_terms(
-            Transition(
-                state,
-                course.faster,
-                course.aside,
-                course.turn,
-                tilt,
-                torque,
-                change,
-            )
-        )
+        terms = reward_terms(state, course.stray, tilt, torque, change)
         self._action = action
         self._ticks += 1
         terminated, truncated = fallen(state), self._ticks >= self._limit
@@ -160,11 +159,22 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
             terms,
         )
 
+    def render(self) -> Any:
+        """Images (h, w, 3) of the robots, uint8, one each; None without a render mode."""
+        return (
+            tuple(map(frame, self._many.robots)) if self.render_mode else None
+        )
+
     @property
     def places(self) -> Array:
         """(M, 2) m, true x and y of the robots in odom."""
-        assert self._robots is not None
-        return self._robots.motion[:, 3:5].copy()
+        return self._many.motion[:, 3:5].copy()
+
+    @property
+    def _many(self) -> ManyRobots:
+        if self._robots is None:
+            raise gymnasium.error.ResetNeeded("reset comes first")
+        return self._robots
 
     def _restart(self, which: NDArray[np.int64]) -> None:
         """Draw and build these robots anew, at rest."""
@@ -204,8 +214,7 @@ class WalkVectorEnv(VectorEnv[Any, Any, Any]):
         return robot
 
     def _observed(self) -> Array:
-        assert self._robots is not None
-        motion = np.nan_to_num(self._robots.motion)
+        motion = np.nan_to_num(self._many.motion)
         state = motion[:, STATE]
         if self.task.observations == "estimated":
             noise = np.array(

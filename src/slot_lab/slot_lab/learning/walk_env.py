@@ -1,10 +1,11 @@
 """Environment `SLOT-Walk-v0`: the simulated robot with its sensors, estimator and gait.
 
-    gymnasium.make("slot_lab.learning.walk_env:SLOT-Walk-v0", level="standard", scene="slope5")
+    gymnasium.make("slot_lab.learning:SLOT-Walk-v0", level="standard", scene="slope5")
 
 Between two actions lies the controller of the robot as it is: sensors on their own clocks, state
 estimator, gait scheduler, force map and servos. The arguments are `Task`'s. An
-episode ends when the robot has fallen, or after `duration`.
+episode ends when the robot has fallen, or after `duration`. With `render_mode="rgb_array"`
+`render` draws the robot from the side.
 """
 
 from typing import Any
@@ -24,29 +25,37 @@ from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.closed_loop import SENSORS, ClosedLoop
 from slot_lab.learning.rewards import (
     Course,
-    Transition,
     fallen,
     reward_terms,
     total,
 )
 from slot_lab.learning.task import (
+    METADATA,
     Task,
     action_space,
+    frame,
     make_task,
     observation_space,
+    require_render_mode,
     servo_error,
+    taken_action,
 )
-
-NAME = "SLOT-Walk-v0"
 
 
 class WalkEnv(gymnasium.Env[Any, Any]):
     """One robot at any level of accuracy; equal seeds and actions give equal episodes."""
 
-    metadata = {"render_modes": []}  # noqa: RUF012 - of the base class
+    metadata = METADATA
 
-    def __init__(self, task: Task | None = None, **arguments: Any) -> None:
-        """Take a task, or its values; raises ConfigError."""
+    def __init__(
+        self,
+        task: Task | None = None,
+        *,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        """Take a task, or its values. render_mode: None or rgb_array. Raises ConfigError."""
+        self.render_mode = require_render_mode(render_mode)
         self.task = task or make_task(**arguments)
         self.observation_space = observation_space(self.task)
         self.action_space = action_space(self.task)
@@ -83,9 +92,12 @@ class WalkEnv(gymnasium.Env[Any, Any]):
     def step(
         self, action: Array
     ) -> tuple[Array, float, bool, bool, dict[str, Any]]:
-        """Walk to the next estimate of the state, some 33 ms."""
+        """Walk to the next estimate of the state, some 33 ms.
+
+        Raises ValueError as `taken_action` does, before the robot moves.
+        """
         plant, task, preview = self._loop.plant, self.task, self._preview
-        taken = np.clip(np.asarray(action, dtype=float), -1.0, 1.0)[None]
+        taken = taken_action(action, self._action.shape[1:])[None]
         change = deviation(
             task.actions,
             taken,
@@ -108,17 +120,12 @@ class WalkEnv(gymnasium.Env[Any, Any]):
             diverged = True
         state = self._true_state()
         self._course.step(self._preview.velocity_ahead[:1], state)
-        course = self._course
         found = reward_terms(
-            Transition(
-                state,
-                course.faster,
-                course.aside,
-                course.turn,
-                self._preview.reference[:1, :2],
-                plant.robot.servo_torque[None],
-                taken - self._action,
-            )
+            state,
+            self._course.stray,
+            self._preview.reference[:1, :2],
+            plant.robot.servo_torque[None],
+            taken - self._action,
         )
         self._action, self._ticks = taken, self._ticks + 1
         down = diverged or bool(fallen(state)[0])
@@ -131,10 +138,14 @@ class WalkEnv(gymnasium.Env[Any, Any]):
             {name: float(value[0]) for name, value in found.items()},
         )
 
+    def render(self) -> Any:
+        """Image (h, w, 3) of the robot, uint8; None without a render mode."""
+        return frame(self._loop.plant.robot) if self.render_mode else None
+
     @property
     def _loop(self) -> ClosedLoop:
         if self._made is None:
-            raise gymnasium.error.ResetNeeded("step before reset")
+            raise gymnasium.error.ResetNeeded("reset comes first")
         return self._made
 
     def _advance(self) -> None:
@@ -185,10 +196,3 @@ class WalkEnv(gymnasium.Env[Any, Any]):
                 [seen, servo_error(self._commanded, self._angle)[None]]
             )
         return seen[0].astype(np.float32)
-
-
-gymnasium.register(
-    NAME,
-    entry_point=WalkEnv,
-    vector_entry_point="slot_lab.learning.vector_env:WalkVectorEnv",
-)

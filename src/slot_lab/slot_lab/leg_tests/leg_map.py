@@ -10,6 +10,7 @@ displacements of the foot along the leg, sideways, and its turn (`foot_stiffness
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
 import csv
+import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,8 @@ from slot_core.command_line import Tell, untold
 from slot_core.compiled import kernel
 from slot_core.config import quantity
 from slot_core.dynamics.spatial.elimination import follow
+from slot_core.legs.fingerprint import LEG, fingerprint
+from slot_core.legs.leg_table import MADE_FOR
 from slot_core.matrices import product
 from slot_core.robot import RobotParameters
 from slot_lab.leg_tests.level_leg import (
@@ -247,9 +250,10 @@ def _rows_at_height(
     return np.array(rows)
 
 
-def write(path: Path, table: Array) -> None:
-    """Write the map as CSV with a line of column names; raises OSError."""
+def write(path: Path, table: Array, robot: RobotParameters) -> None:
+    """Write the map as CSV with the robot's fingerprint and column names; raises OSError."""
     with path.open("w", newline="") as file:
+        file.write(f"{MADE_FOR}{json.dumps(fingerprint(robot, LEG))}\n")
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         writer.writerows([f"{value:.6g}" for value in row] for row in table)

@@ -27,12 +27,13 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.spatial.elimination import couple, eliminate, substitute
 from slot_core.dynamics.spatial.leg import SpatialLeg, hold_clamp, load_leg
 from slot_core.dynamics.spatial.strain import point_along
+from slot_core.refusal import InputError
 from slot_core.robot import RobotParameters
 
 HELD = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # increments of the torso
 
 
-class NoEquilibriumError(RuntimeError):
+class NoEquilibriumError(InputError):
     """No equilibrium was found; the message gives tendon angle and height."""
 
 

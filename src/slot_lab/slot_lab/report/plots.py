@@ -81,7 +81,13 @@ def dashboard_figure(bag: Bag, metrics: WalkMetrics) -> Figure:
     )
     draw_path(path, motion, motion.between(motion.t[0] + metrics.warm_up))
     draw_states(state, bag, motion.t[0], motion.t[-1])
-    draw_height(height, motion, metrics.warm_up)
+    height.plot(
+        motion.t - motion.t[0],
+        1e3 * motion.position[:, 2],
+        color=palette.TRUE,
+        lw=1,
+    )
+    _over_time(height, motion, metrics.warm_up, "height of base_link", "z (mm)")
     draw_speed(speed, motion, stride_period(bag), metrics.warm_up)
     draw_tilt(tilt, motion, metrics.warm_up)
 
@@ -164,17 +170,6 @@ def draw_states(ax: Axes, bag: Bag, start: float, end: float) -> None:
                 )
     ax.set(xlim=(0.0, end - start), ylim=(0.0, 1.0), xticks=[], yticks=[])
     ax.spines[:].set_visible(False)
-
-
-def draw_height(ax: Axes, motion: TorsoTrack, warm_up: float) -> None:
-    """Height of the torso's centre."""
-    ax.plot(
-        motion.t - motion.t[0],
-        1e3 * motion.position[:, 2],
-        color=palette.TRUE,
-        lw=1,
-    )
-    _over_time(ax, motion, warm_up, "height of base_link", "z (mm)")
 
 
 def draw_speed(

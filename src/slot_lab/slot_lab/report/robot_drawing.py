@@ -12,7 +12,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -22,6 +21,7 @@ from slot_core.command_line import Tell, untold
 from slot_core.drawing import palette
 from slot_core.drawing.drawing import NATURAL_NODES
 from slot_core.drawing.shapes import (
+    CORNERS,
     FORCE_SCALE,
     LEAST_FORCE,
     Legs,
@@ -29,7 +29,9 @@ from slot_core.drawing.shapes import (
     leg_bars,
     natural_legs,
     normals,
+    rgb,
 )
+from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.messages import decode
 from slot_core.refusal import InputError
 from slot_core.robot import LEGS, RobotParameters, read_robot
@@ -70,7 +72,6 @@ SUFFIXES = (".gif", ".png", ".webp")
 class Snapshot:
     """Torso pose, leg shapes and ground forces at one time, in odom."""
 
-    t: float  # s since the start
     position: Array  # (3,) m
     quaternion: Array  # (4,) x y z w
     legs: Legs
@@ -107,12 +108,10 @@ class Viewpoint:
 SIDE = Viewpoint(azimuth=np.radians(-90.0), elevation=np.radians(11.0))
 
 
-@dataclass(frozen=True)
-class Solid:
-    """Flat faces of one colour, corners counter-clockwise seen from outside."""
-
-    faces: Array  # (m, 4, 3) m
-    colour: str
+def snapshot(sim: SimulatedRobot) -> Snapshot:
+    """A simulated robot as it is now."""
+    legs = bent_legs(sim.nodes, sim.directors, sim.quaternion, sim.parameters)
+    return Snapshot(sim.position, sim.quaternion, legs, sim.ground_force)
 
 
 def draw_robot(
@@ -124,46 +123,40 @@ def draw_robot(
     in odom and labelled with their x.
     """
     centre = np.array([pose.position[0], pose.position[1], 0.0])
-    solids = [torso_solid(pose, robot), *leg_solids(pose, robot)]
+    faces, colours = _solid_faces(pose, robot)
     _draw_ground(ax, centre, camera)
-    shadow = np.concatenate([solid.faces for solid in solids]) * [1.0, 1.0, 0.0]
+    shadow = faces * [1.0, 1.0, 0.0]
     ax.add_collection(
         PolyCollection(
             list(camera.project(shadow - centre)), color=SHADOW, zorder=2
         )
     )
-    _draw_solids(ax, solids, centre, camera)
+    _draw_solids(ax, faces, colours, centre, camera)
     _draw_forces(ax, pose, centre, camera)
     ax.set_aspect("equal")
     ax.set_axis_off()
 
 
-def torso_solid(pose: Snapshot, robot: RobotParameters) -> Solid:
-    """The torso's box."""
-    signs = np.array(
-        [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-    )
+def _solid_faces(pose: Snapshot, robot: RobotParameters) -> tuple[Array, Array]:
+    """Faces (k, 4, 3) m of torso and legs, counter-clockwise outside; colours (k, 3)."""
     corners = Rotation.from_quat(pose.quaternion).apply(
-        signs * np.array(robot.torso.size) / 2
+        CORNERS * robot.torso.size
     )
-    return Solid((pose.position + corners)[np.array(BOX_FACES)], palette.TORSO)
-
-
-def leg_solids(pose: Snapshot, robot: RobotParameters) -> list[Solid]:
-    """The legs, with their width and their taper."""
-    return [
-        Solid(faces, palette.LEG_COLOURS[leg])
-        for leg, faces in zip(LEGS, leg_bars(pose.legs, robot).faces)
-    ]
+    legs = leg_bars(pose.legs, robot)
+    torso = (pose.position + corners)[np.array(BOX_FACES)]
+    faces = np.concatenate([torso, *legs.faces])
+    colours = np.concatenate(
+        [
+            np.tile(rgb(palette.TORSO), (len(torso), 1)),
+            np.repeat(legs.colours, legs.faces.shape[1], axis=0),
+        ]
+    )
+    return faces, colours
 
 
 def _draw_solids(
-    ax: Axes, solids: list[Solid], centre: Array, camera: Viewpoint
+    ax: Axes, faces: Array, colours: Array, centre: Array, camera: Viewpoint
 ) -> None:
-    faces = np.concatenate([solid.faces for solid in solids])
-    colours = np.concatenate(
-        [[to_rgb(s.colour)] * len(s.faces) for s in solids]
-    )
     normal = normals(faces)
     seen = normal @ camera.toward > 0
     light = AMBIENT + (1 - AMBIENT) * (normal @ SUN).clip(min=0.0)
@@ -219,17 +212,13 @@ def _draw_forces(
             ax.annotate("", head, tail, zorder=4, arrowprops=arrow)
 
 
-class AnimationError(InputError):
-    """An animation cannot be made; the message is one line."""
-
-
 def animate(bag: Bag, path: Path, tell: Tell = untold) -> None:
     """Write the last STRIDES of a walk as a GIF, PNG or WebP that moves, in a loop.
 
-    Raises AnimationError for another suffix, BagError if the bag holds no leg shapes, OSError.
+    Raises InputError for another suffix, BagError if the bag holds no leg shapes, OSError.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise AnimationError(
+        raise InputError(
             f"{path}: expected a name that ends in {', '.join(SUFFIXES)}"
         )
     times, robot = frame_times(bag), read_robot()
@@ -252,12 +241,12 @@ def animate(bag: Bag, path: Path, tell: Tell = untold) -> None:
 def frame_times(bag: Bag) -> Array:
     """Graph times (n,) s of the leg shapes in the last STRIDES; a loop repeats no frame.
 
-    Without a stride, of the last SHOWN_WITHOUT_STRIDE. Raises AnimationError for less than
+    Without a stride, of the last SHOWN_WITHOUT_STRIDE. Raises InputError for less than
     two.
     """
     t = seconds(bag.series(LEG_STATES).stamp)
     if len(t) < 2:
-        raise AnimationError(
+        raise InputError(
             f"{bag.path}: {LEG_STATES} holds {len(t)} messages, less than 2"
         )
     length = STRIDES * (stride_period(bag) or SHOWN_WITHOUT_STRIDE / STRIDES)
@@ -282,10 +271,9 @@ def read_poses(
 
     Without recorded leg states it has stress-free legs and no forces.
     """
-    motion, states = read_motion(bag), []
-    if bag.counts.get(LEG_STATES):
-        states = [message for _, message in bag.messages(LEG_STATES)]
-        t = seconds(np.array([decode.stamp(message) for message in states]))
+    motion, found = read_motion(bag), bag.counts.get(LEG_STATES)
+    states = [m for _, m in bag.messages(LEG_STATES)] if found else []
+    t = seconds(np.array([decode.stamp(message) for message in states]))
     poses = []
     for time in times:
         if states:
@@ -299,5 +287,5 @@ def read_poses(
         else:
             force = np.zeros((len(LEGS), 3))
             legs = natural_legs(*place, robot, NATURAL_NODES)
-        poses.append(Snapshot(float(time - motion.t[0]), *place, legs, force))
+        poses.append(Snapshot(*place, legs, force))
     return poses

@@ -26,6 +26,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.gait.gait import Pattern, Stride
+from slot_core.robot import read_robot
 from slot_lab.tuning import identification
 from slot_lab.tuning.identification import FREE_LEGS, NUMBERS, numbers
 from slot_lab.tuning.settings import TuningSettings
@@ -174,7 +175,7 @@ class PatternSearch:
             "seed": seed,
             "start": start.tolist(),
             "cma": cma.__version__,
-            "settings": repr((settings, goal, stride)),
+            "settings": repr((settings, goal, stride, read_robot())),
         }
         options: dict[str, Any] = {
             "seed": seed,

@@ -18,7 +18,7 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.gait.gait import Stride, mean_velocity
 from slot_core.refusal import DivergenceError
-from slot_core.robot import RobotParameters, read_robot
+from slot_core.robot import RobotParameters
 from slot_core.simulation.make_robot import make_robot
 from slot_lab.tuning.settings import TuningSettings
 
@@ -63,13 +63,15 @@ Outcome = StrideMotion | None  # None: the simulation diverged
 RunAll = Callable[[Sequence[Job]], Iterable[Outcome]]
 
 
-def simulate(job: Job, settings: TuningSettings) -> Outcome:
+def simulate(
+    job: Job, settings: TuningSettings, robot: RobotParameters
+) -> Outcome:
     """Run a job; None if the simulation diverges. Raises ConfigError."""
     floor = config.replace(
         read_scene(settings.scene), {"floor.friction": [job.friction] * 4}
     )
     try:
-        return _Run(job, settings, read_robot(), floor).motion()
+        return _Run(job, settings, robot, floor).motion()
     except DivergenceError:
         return None
 

@@ -3,19 +3,23 @@
 import argparse
 import dataclasses
 import functools
+import json
+import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from slot_core import config
 from slot_core.command_line import ProgressLine
 from slot_core.config import ConfigError
 from slot_core.control.force_map import read_springs
 from slot_core.gait.gait import Pattern, Steering, Stride, read_gaits
+from slot_core.legs.fingerprint import fingerprint
 from slot_core.refusal import quoted
 from slot_core.robot import read_robot
 from slot_lab.desk_command import Outcome
@@ -34,6 +38,8 @@ from slot_lab.workers import mapper
 RECORDS = Path("results", "tune")
 QUICK = {"friction": [0.4], "strides": 3, "evaluations": 32, "population": 8}
 LEAST_SPEED = 1e-3  # m/s, rad/s, of a pattern
+# of the forward speed at amplitude one that a stride is asked for by default: the policy has a rest
+CRUISE_SHARE = 0.8
 COMMENT_WIDTH = 98
 DECIMALS = 9  # of written values; smaller ones are zero
 
@@ -43,27 +49,23 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
 
     Raises ConfigError, IdentificationError, ModuleNotFoundError, OSError.
     """
-    options.out = (
-        options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
-    )
-    tuning = _Tuning(options, progress)
-    call = functools.partial(simulate, settings=tuning.settings)
+    tuning = Tuning(options, progress)
     with mapper(options.scheduler, options.workers) as run_all:
-        notes = tuning.run(functools.partial(run_all, call))
-    write_gait(options.out, tuning.stride, [options.command, *notes])
-    tuning.forget()
-    return [*notes, str(options.out)], 0
+        return tuning.write(run_all), 0
 
 
-class _Tuning:
+class Tuning:
     """Search by `scripts/tune`: its options, settings and stages."""
 
     def __init__(
         self, options: argparse.Namespace, progress: ProgressLine
     ) -> None:
         """Read the configuration; raises ConfigError."""
-        self._options = options
-        self.settings = _settings(options)
+        self._options, self._robot = options, read_robot()
+        self._out: Path = (
+            options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
+        )
+        self.settings = self.searching = _settings(options)
         self.stride = _start(options)
         seed = options.seed if options.scratch else None
         self._starts = {  # before the first search: a later one may be refused
@@ -73,17 +75,29 @@ class _Tuning:
         }
         self._progress = progress
 
-    def run(self, run_all: RunAll) -> list[str]:
-        """Run the stages and return their figures, lines of text."""
+    def write(self, run_all: Callable[..., list[Any]]) -> list[str]:
+        """Run the stages and write the stride; returns their figures, lines of text.
+
+        run_all: of `mapper`. Raises IdentificationError, OSError.
+        """
+        simulated = functools.partial(
+            run_all,
+            functools.partial(
+                simulate, settings=self.settings, robot=self._robot
+            ),
+        )
         notes: list[str] = []
         for stage in self._options.stages:
-            notes += getattr(self, f"_{stage}")(run_all)
-        return notes
-
-    def forget(self) -> None:
-        """Remove the records of searches that are written."""
+            notes += getattr(self, f"_{stage}")(simulated)
+        write_gait(
+            self._out,
+            self.stride,
+            [self._options.command, *notes],
+            fingerprint(self._robot),
+        )
         for kind in identification.NUMBERS:
             self._record(kind).unlink(missing_ok=True)
+        return [*notes, str(self._out)]
 
     def _forward(self, run_all: RunAll) -> list[str]:
         pattern, note = self._search("forward", run_all)
@@ -107,7 +121,7 @@ class _Tuning:
             self.stride,
             Goal(kind, self._options.top),
             self._starts[kind],
-            self.settings,
+            self.searching,
             self._options.seed,
         )
         found = search.run(run_all, self._record(kind), self._progress)
@@ -118,8 +132,8 @@ class _Tuning:
         tried: Pattern = getattr(trial(self.stride, kind, found.x), kind)
         pattern = replace(tried, speed=float(np.mean(found.speed)))
         speeds = ", ".join(f"{v:.4f}" for v in found.speed)
-        friction = ", ".join(f"{value:g}" for value in self.settings.friction)
-        return pattern, f"{kind}: {speeds} at friction {friction}, open loop"
+        note = f"{kind}: {speeds} at {_floors(self.searching)}, open loop"
+        return pattern, note
 
     def _steering(self, run_all: RunAll) -> list[str]:
         steering, change = identification.find_steering(
@@ -148,14 +162,29 @@ class _Tuning:
         tables: dict[str, Any] = identification.tabulate(
             self.stride, self.settings, run_all
         )
-        self.stride = replace(self.stride, **tables)
-        speeds = ", ".join(
-            f"{name} {getattr(self.stride, name).speed:.4f}" for name in tables
+        for name, pattern in tables.items():
+            if pattern.speed < LEAST_SPEED:
+                raise IdentificationError(
+                    f"{name}: {pattern.speed:.4f}, does not move on these legs"
+                )
+        most = math.floor(1e3 * CRUISE_SHARE * tables["forward"].speed) / 1e3
+        self.stride = replace(
+            self.stride, **tables, cruise=min(self.stride.cruise, most)
         )
-        return [f"speeds at amplitude one: {speeds}"]
+        speeds = ", ".join(
+            f"{name} {pattern.speed:.4f}" for name, pattern in tables.items()
+        )
+        return [
+            f"speeds at amplitude one, scene {self.settings.scene},"
+            f" {_floors(self.settings)}: {speeds}; cruise {self.stride.cruise:g}"
+        ]
 
     def _record(self, kind: str) -> Path:
-        return RECORDS / f"{self._options.out.stem}.{kind}.jsonl"
+        return RECORDS / f"{self._out.stem}.{kind}.jsonl"
+
+
+def _floors(settings: TuningSettings) -> str:
+    return "friction " + ", ".join(f"{value:g}" for value in settings.friction)
 
 
 def _settings(options: argparse.Namespace) -> TuningSettings:
@@ -188,6 +217,7 @@ def _start(options: argparse.Namespace) -> Stride:
         angle = read_springs().angle(np.array([share]), np.array([height]))[0]
         changes |= {
             "height": height,
+            "centre_force": share,
             "centre_deg": [round(float(np.degrees(angle)), 1)] * 4,
             "height_range": options.height_range or [height] * 2,
         }
@@ -197,38 +227,28 @@ def _start(options: argparse.Namespace) -> Stride:
     return config.replace(stride, given, where="scripts/tune")
 
 
-def write_gait(path: Path, stride: Stride, head: Sequence[str]) -> None:
-    """Write a stride; head: lines of the comment before it. Raises OSError."""
+def write_gait(
+    path: Path,
+    stride: Stride,
+    head: Sequence[str],
+    made_for: Mapping[str, Any],
+) -> None:
+    """Write a stride; head: lines of the comment before it; made_for: its fingerprint.
+
+    Raises OSError.
+    """
     lines = [
         f"# {part}"
         for line in head
         for part in textwrap.wrap(line, COMMENT_WIDTH) or [""]
     ]
-    path.write_text("\n".join([*lines, *_lines(stride, "")]) + "\n")
-
-
-def _lines(settings: Any, indent: str) -> Iterator[str]:
-    """Lines of a settings object: values first, then nested objects, rows of matrices in a line."""
-    values = [
-        (f.name, getattr(settings, f.name))
-        for f in dataclasses.fields(settings)
-    ]
-    for name, value in sorted(
-        values, key=lambda item: dataclasses.is_dataclass(item[1])
-    ):
-        if dataclasses.is_dataclass(value):
-            yield f"{indent}{name}:"
-            yield from _lines(value, indent + "  ")
-        elif isinstance(value, tuple) and isinstance(value[0], tuple):
-            yield f"{indent}{name}:"
-            yield from (f"{indent}  - {_text(row)}" for row in value)
-        else:
-            yield f"{indent}{name}: {_text(value)}"
-
-
-def _text(value: Any) -> str:
-    if isinstance(value, tuple):
-        return "[" + ", ".join(map(_text, value)) + "]"
-    if isinstance(value, float):
-        return f"{round(value, DECIMALS) + 0.0:.4g}"
-    return str(value)
+    values = json.loads(
+        json.dumps(dataclasses.asdict(stride)),
+        parse_float=lambda text: float(f"{round(float(text), DECIMALS):.4g}"),
+    )
+    ordered = sorted(values.items(), key=lambda item: isinstance(item[1], dict))
+    content = {**dict(ordered), "made_for": {**made_for}}
+    text = yaml.safe_dump(
+        content, sort_keys=False, default_flow_style=None, width=COMMENT_WIDTH
+    )
+    path.write_text("\n".join([*lines, text]))

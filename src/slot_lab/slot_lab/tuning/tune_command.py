@@ -8,6 +8,8 @@ The stages, in this order (default: all):
     identify  speeds, normal forces and sway of every pattern
 
 An interrupted search continues when the same command is given again.
+
+scripts/tune leg makes leg map and strides for another leg; it has a --help of its own.
 """
 
 import argparse
@@ -23,11 +25,32 @@ from slot_lab.desk_command import run_command
 from slot_lab.workers import add_worker_options
 
 STAGES = ("forward", "turn", "steering", "identify")
+GAITS = ("walk", "crawl")  # that `tune leg` makes, within 10 minutes
+LEG = """Makes the leg map and the strides for the leg of a robot.yaml.
+
+DIR gets what it lacks of config/, then leg_map.csv, and each stride: a short search of its patterns
+from those that are there, its steering, its speeds, loads and sway on these legs, and a cruise speed
+that it reaches. SLOT_CONFIG=DIR scripts/run takes it.
+
+What is made for the robot already stays, so that the same command continues after an interrupt.
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Command line of `scripts/tune`; returns the exit code."""
     words = sys.argv[1:] if arguments is None else arguments
+    if words[:1] == ["leg"]:
+        return _tune_leg(words[1:])
+    parser, options = parse(words)
+    from slot_lab.tuning.tune import run  # noqa: PLC0415 - heavy
+
+    return run_command(parser, options, run, resumable=True)
+
+
+def parse(
+    words: Sequence[str],
+) -> tuple[argparse.ArgumentParser, argparse.Namespace]:
+    """Parser of `scripts/tune NAME`, and the options that words give."""
     parser = command_parser("tune", __doc__)
     add = parser.add_argument
     add("gait", metavar="NAME", help="name of the stride that is written")
@@ -108,7 +131,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
         stage for stage in STAGES if stage in (options.stages or STAGES)
     ]
     options.command = f"scripts/tune {shlex.join(words)}"
-    from slot_lab.tuning.tune import run  # noqa: PLC0415 - heavy
+    return parser, options
+
+
+def _tune_leg(words: Sequence[str]) -> int:
+    """Command line of `scripts/tune leg`; returns the exit code."""
+    parser = command_parser("tune leg", LEG)
+    add = parser.add_argument
+    add(
+        "directory",
+        nargs="?",
+        type=Path,
+        metavar="DIR",
+        help="with your robot.yaml (default: config/)",
+    )
+    add(
+        "--gaits",
+        nargs="+",
+        metavar="NAME",
+        default=GAITS,
+        help=f"strides (default: {' '.join(GAITS)})",
+    )
+    add(
+        "--evaluations",
+        type=positive_integer,
+        default=160,
+        metavar="N",
+        help="candidates of a search (default: %(default)s)",
+    )
+    add_worker_options(parser)
+    options = parser.parse_args(words)
+    options.parse = lambda words: parse(words)[1]
+    from slot_lab.tuning.tune_leg import run  # noqa: PLC0415 - heavy
 
     return run_command(parser, options, run, resumable=True)
 

@@ -20,7 +20,7 @@ R = Rz(yaw) Ry(pitch) Rx(roll). A row holds the angles, the pose or both; the ot
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -68,24 +68,30 @@ class BagRecording:
 
 
 def read_recorded(
-    path: Path, namespace: str = "", angles: str = "", motion: str = ""
+    path: Path,
+    namespace: str = "",
+    angles: str = "",
+    motion: str = "",
+    remap: Mapping[str, str] | None = None,
 ) -> BagRecording:
     """Angles and motion of a bag, from the topics named or the first that are recorded, or of CSV.
 
-    The angles of a CSV file are measured ones, unless `angles` names the topic of commands. Raises
-    BagError or TableError if they are not there or not sound, ConfigError if they do not overlap or
-    if a CSV file is given with a namespace or a topic of the motion.
+    The angles of a CSV file are measured ones, unless `angles` names the topic of commands. remap:
+    new names of a bag's topics. Raises BagError or TableError if they are not there or not sound,
+    ConfigError if they do not overlap or if a CSV file is given with an option of bags.
     """
     if path.is_dir() or path.suffix in STORAGES:
-        bag = Bag(path, namespace)
+        bag = Bag(path, namespace, remap)
         found = BagRecording(
             path.name,
             tendon_angles(bag, *filter(None, [angles])),
             read_motion(bag, *([motion] if motion else MOTION_TOPICS)),
             stride_period(bag),
         )
-    elif namespace or motion:
-        raise ConfigError(f"{path}: --namespace and --motion are of bags")
+    elif namespace or motion or remap:
+        raise ConfigError(
+            f"{path}: --namespace, --motion and --remap are of bags"
+        )
     else:
         found = _from_table(path, measured=angles != COMMANDED)
     begin, end = found.span

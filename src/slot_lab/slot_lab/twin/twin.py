@@ -83,7 +83,11 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     start = parts.scene.parameters or load("robot")["parameters"]
     progress(f"reading {options.recording}")
     recorded = read_recorded(
-        options.recording, options.namespace, options.angles, options.motion
+        options.recording,
+        options.namespace,
+        options.angles,
+        options.motion,
+        dict(options.remap),
     )
     strides = find_strides(recorded, settings, options.period)
     out = options.out or Path("results", "twin", recorded.name)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from slot_core.command_line import command_parser, positive_integer, within
+from slot_lab.bags.replay_command import add_remap
 from slot_lab.bags.topics import COMMANDED, MEASURED, MOTION_TOPICS
 from slot_lab.desk_command import run_command
 from slot_lab.verdict import EXIT_CODES
@@ -48,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="motion that is compared",
     )
     add("--namespace", metavar="NAME", default="", help="of the recorded graph")
+    add_remap(parser)
     add(
         "--period",
         type=within(0.05, 60.0, "s"),

@@ -7,18 +7,22 @@ headers:
     time,point,x,y,z               one point a row, as above; of a single leg without `FL_`
     time,x,y,z[,roll,pitch,yaw]    the torso
 
+and a trajectory of TUM, time x y z qx qy qz qw without a header, is the torso's.
+
 The markers of a video are tracked as by scripts/validate --track, with its defaults; it also takes
-folders of images, bags with images, and depth.
+folders of images and bags with images.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.command_line import Tell, untold
+from slot_core.geometry import matrix_of_quaternion, rpy_of
 from slot_core.refusal import InputError, quoted
 from slot_core.robot import (
     BODY_POINTS,
@@ -32,9 +36,10 @@ from slot_core.robot import (
     at_shares,
 )
 from slot_lab.bags.bag import STORAGES, Bag
-from slot_lab.bags.recorded_walk import read_legs, read_motion
+from slot_lab.bags.recorded_walk import LENGTH_ERROR, read_legs, read_motion
 from slot_lab.bags.topics import LEG_STATES, MOTION_TOPICS
 from slot_lab.csv_table import (
+    TUM,
     CsvRow,
     TableError,
     increasing_numbers,
@@ -74,14 +79,15 @@ class PointRecording:
 
 def read_recording(
     path: Path,
-    namespace: str = "",
     camera: Path | None = None,
     motion: str = "",
     tell: Tell = untold,
+    **names: Any,
 ) -> PointRecording:
     """A recording from a bag, a CSV file, or a video and its camera's file.
 
-    motion: topic of a bag, by default the first of MOTION_TOPICS that is recorded. Raises
+    motion: topic of a bag, by default the first of MOTION_TOPICS that is recorded. names:
+    `namespace` and `remap` of a bag. Raises
     TableError for a CSV file, BagError for a bag, RecordingError for a video, and ConfigError for
     the settings of the tracker.
     """
@@ -89,7 +95,7 @@ def read_recording(
         return _from_video(path, camera, tell)
     if path.is_dir() or path.suffix in STORAGES:
         return _from_bag(
-            Bag(path, namespace), [motion] if motion else MOTION_TOPICS
+            Bag(path, **names), [motion] if motion else MOTION_TOPICS
         )
     return _from_csv(path)
 
@@ -155,10 +161,10 @@ def _from_video(path: Path, camera: Path | None, tell: Tell) -> PointRecording:
 def _from_csv(path: Path) -> PointRecording:
     table = read_table(path)
     columns = table.columns
-    if columns not in (POINT_COLUMNS, WIDE, WIDE + ATTITUDE):
+    if columns not in (POINT_COLUMNS, WIDE, WIDE + ATTITUDE, TUM):
         raise TableError(
             f"{table.head}: columns {','.join(columns)[:80]}: expected {','.join(POINT_COLUMNS)}"
-            f" or {','.join(WIDE)}[,{','.join(ATTITUDE)}]"
+            f" or {','.join(WIDE)}[,{','.join(ATTITUDE)}], or a trajectory of TUM"
         )
     parts: dict[str, list[CsvRow]] = {}
     for row in table.rows:
@@ -180,11 +186,24 @@ def _from_csv(path: Path) -> PointRecording:
                 f"{path}: {name} has {len(values)} samples, less than {LEAST_SAMPLES}"
             )
         t, position, rpy = np.split(values, [1, 4], axis=1)
+        if columns == TUM:
+            rpy = _rpy(path, rpy)
         attitude = np.unwrap(rpy, axis=0) if rpy.size else None
         tracks[name] = PointTrack(t[:, 0], position, attitude)
     frames = [c for c in table.comments if c.startswith(POINT_FRAME)]
     tilted = frames[:1] not in ([], [f"{POINT_FRAME}{ODOM_FRAME}"])
     return _since_first(path.name, tracks, tilted=tilted)
+
+
+def _rpy(path: Path, quaternion: Array) -> Array:
+    """Roll, pitch, yaw (n, 3) of x y z w (n, 4); raises TableError unless their length is 1."""
+    length = np.linalg.norm(quaternion, axis=1)
+    if (off := np.abs(length - 1.0)).max() > LENGTH_ERROR:
+        k = int(np.argmax(off))
+        raise TableError(
+            f"{path}: qx qy qz qw of sample {k} have the length {length[k]:.4g}, expected 1"
+        )
+    return rpy_of(matrix_of_quaternion(quaternion))
 
 
 def _since_first(

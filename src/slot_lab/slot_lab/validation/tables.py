@@ -44,7 +44,16 @@ def report(comparison: Comparison, frame: str) -> list[str]:
     for leg, points in paper_points(comparison).items():
         lines += ["", *leg_table(comparison, leg, points)]
     if (TORSO, "x") in comparison.series:
-        lines += ["", *torso_table(comparison)]
+        # the paper's table of the whole body
+        x, z = (
+            _with_interval(comparison.series[TORSO, axis], axis, "rmse")
+            for axis in "xz"
+        )
+        lines += [
+            "",
+            f"{'whole body':<14}{'RMSE in x':>26}{'RMSE in z':>26}",
+            f"{'torso':<14}{x:>26}{z:>26}",
+        ]
     return lines
 
 
@@ -105,18 +114,6 @@ def leg_table(
         cells = (f"{_with_interval(each, 'z', name):>26}" for each in series)
         lines.append(TITLES[name].ljust(len(title)) + "".join(cells))
     return lines
-
-
-def torso_table(comparison: Comparison) -> list[str]:
-    """The paper's table of the whole body: RMSE of x and z of the torso."""
-    x, z = (
-        _with_interval(comparison.series[TORSO, axis], axis, "rmse")
-        for axis in "xz"
-    )
-    return [
-        f"{'whole body':<14}{'RMSE in x':>26}{'RMSE in z':>26}",
-        f"{'torso':<14}{x:>26}{z:>26}",
-    ]
 
 
 def write_csv(comparison: Comparison, path: Path) -> None:

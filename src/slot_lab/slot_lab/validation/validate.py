@@ -1,9 +1,9 @@
 """Compares a run with a measurement: aligned in time and space, with the paper's error metrics.
 
 RUN and MEASUREMENT are each a bag, a CSV file with the header time,point,x,y,z (m, s) or
-time,x,y,z[,roll,pitch,yaw], or a video, whose markers are tracked as by scripts/validate --track
-(see its --help). MEASUREMENT is the reference: errors are RUN minus MEASUREMENT. The intervals are
-95 % of a block bootstrap.
+time,x,y,z[,roll,pitch,yaw], a trajectory of TUM (time x y z qx qy qz qw, no header), or a video,
+whose markers are tracked as by scripts/validate --track (see its --help). MEASUREMENT is the
+reference: errors are RUN minus MEASUREMENT. The intervals are 95 % of a block bootstrap.
 """
 
 import argparse
@@ -15,6 +15,7 @@ from pathlib import Path
 
 from slot_core.command_line import ProgressLine, command_parser, within
 from slot_core.names import LEGS
+from slot_lab.bags.replay_command import add_remap
 from slot_lab.bags.topics import MOTION_TOPICS
 from slot_lab.desk_command import Outcome, run_command
 from slot_lab.verdict import EXIT_CODES
@@ -86,6 +87,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="calibration of a video's camera",
     )
     add("--namespace", metavar="NAME", default="", help="of the run's bag")
+    add_remap(parser)
+    add_remap(parser, "--remap-measured", "measurement's ")
     add(
         "--motion",
         default="",
@@ -104,16 +107,18 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
     progress(f"reading {options.run}", 0.0)
     run = read_recording(
         options.run,
-        options.namespace,
         options.camera,
         options.motion,
         partial(progress, f"reading {options.run}"),
+        namespace=options.namespace,
+        remap=dict(options.remap),
     )
     progress(f"reading {options.measurement}", 0.0)
     measured = read_recording(
         options.measurement,
-        camera=options.camera,
+        options.camera,
         tell=partial(progress, f"reading {options.measurement}"),
+        remap=dict(options.remap_measured),
     )
     for recording in (run, measured):
         if recording.tilted and options.frame != "rigid":
