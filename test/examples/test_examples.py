@@ -100,6 +100,21 @@ def test_rod_bends(output):
     ]
 
 
+def test_rod_finger(output):
+    text = output("rod_finger.py")
+    for rod, theory in re.findall(r"([\d.]+) deg +([\d.]+) deg", text):
+        assert float(rod) == pytest.approx(float(theory), abs=0.02)
+    assert numbers(r"held at ([\d.]+)", text)[0] == pytest.approx(92.0, abs=0.2)
+    assert numbers(r"hangs at (-[\d.]+)", text)[0] < -10.0
+
+
+def test_rod_trunk(output):
+    text = output("rod_trunk.py")
+    free, held = numbers(r"tip, mm: \[.* ([\d.]+) *\]", text)
+    (wall,) = numbers(r"wall: ([\d.]+)", text)
+    assert wall < held < wall + 2.0 < free - 20.0
+
+
 def test_servo_bus_moves_one_tendon_to_its_goal_and_ends_with_torque_off(
     capsys,
 ):

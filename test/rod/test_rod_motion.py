@@ -24,9 +24,11 @@ from slot_core.rod.model import (
     Geometry,
     Loads,
     Material,
+    Plane,
     Pose,
     Rectangle,
     RodState,
+    RodTendon,
     Scheme,
     Support,
     Uniform,
@@ -75,47 +77,18 @@ def test_tumbling_twisting_flight_conserves_momentum_and_bounds_the_energy():
 class Independent:
     """Second implementation of a chain of 4 nodes: derivatives of strains by differences.
 
-    A coordinate is a displacement of a node (9) or the turn of a segment about itself (3).
+    A coordinate is a displacement of a node (9) or the turn of a segment about itself (3). The
+    numbers of the chain are the rod's.
     """
 
-    def __init__(self, material, geometry):
-        h, f, section = (
-            geometry.length / 3,
-            np.linspace(0, 1, 4),
-            geometry.section,
-        )
-        young, shear = material.young_modulus, material.shear_modulus
-        m, w = (f[1:] + f[:-1]) / 2, np.array([3 / 8, 9 / 8, 9 / 8]) * h
-        hinges = [
-            shear * section.torsion_constant(f),
-            young * section.second_moment(f),
-            young * section.lateral_moment(f),
-        ]
-        axial = young * section.area(m) / h
-        self.stiffness = np.array(
-            [axial, *(hinge[:-1] / w for hinge in hinges)]
-        ).ravel()
-        a, mu = (
-            material.density * h * section.area(f) / 6,
-            material.density * h / 6,
-        )
-        # linear course of the mass, coupling of its middle
-        mass = np.append(2 * a[:-1] + a[1:], 0.0) + np.append(
-            0.0, a[:-1] + 2 * a[1:]
-        )
-        self.rod = SimpleNamespace(
-            rest_length=np.full(3, h),
-            rest_angle=np.zeros(3),
-            shortening=h**3 / (24 * w**2),
-            mass=mass,
-            coupling=mu * section.area(m),
-        )
+    def __init__(self, mesh):
+        names = ("rest_length", "rest_angle", "shortening", "coupling")
+        parts = {name: getattr(mesh, name)[:3] for name in names}
+        self.rod = SimpleNamespace(mass=mesh.mass, **parts)
+        springs = (mesh.axial, mesh.torsion, mesh.bending, mesh.lateral)
+        self.stiffness = np.concatenate([spring[:3] for spring in springs])
         self.mass = mass_matrix(self.rod)[1:, 1:]  # node 0 is held
-        polar = section.second_moment(m) + section.lateral_moment(m)
-        self.spin, self.beta = (
-            material.density * polar * h,
-            material.damping_time,
-        )
+        self.spin, self.beta = mesh.spin[:3], mesh.damping_time
 
     def slope(self, y, load):
         """Derivative of (nodes, directors, velocities, spins)."""
@@ -156,7 +129,8 @@ class Independent:
 
 def test_motion_converges_to_an_independent_integration_with_second_order():
     end, force = 0.02, np.array([0.0, 0.6, -0.5])
-    own, rod = Independent(TPU, LEG), CosseratRod(TPU, LEG, 4, refined=False)
+    rod = CosseratRod(TPU, LEG, 4, refined=False)
+    own = Independent(rod.mesh)
     state, spin = rod.state, np.array([0.0, 60.0, -90.0])  # twists the leg
     start = [
         state.position[1:].ravel(),
@@ -236,6 +210,57 @@ def test_damped_rod_on_a_turned_clamp_settles_at_its_static_equilibrium():
         moved.state.director, solved.state.director, atol=1e-7
     )
     np.testing.assert_allclose(moved.state.ends, solved.state.ends, atol=1e-7)
+
+
+def test_a_damped_rod_with_tendons_settles_against_a_wall_at_its_equilibrium():
+    """One tendon of a given length, one that becomes slack, and its weight across."""
+    tendons = [
+        RodTendon((0.0, 6e-3), stiffness=2e4),
+        RodTendon((3e-3, -6e-3), stiffness=2e4),
+    ]
+    wall = Plane((0.0, 0.0, 0.03), (0.0, 0.2, -1.0), 2e4, 5e-3, damping=50.0)
+    material = Material(1e6, 3.3e5, 1100.0, 2e-2)
+    moved, solved = (
+        CosseratRod(
+            material,
+            LEG,
+            13,
+            scheme=Scheme(1.0),
+            tendons=tendons,
+            planes=[wall],
+        )
+        for _ in range(2)
+    )
+    for drawn in np.linspace(0.0, 0.01, 101)[1:]:
+        loads = Loads(gravity=(0.0, 2.0, 0.0), length=(0.19 - drawn, 0.2))
+        moved.step(5e-3, loads)
+    moved.run(5e-3, 500, loads)
+    solved.solve_static(loads)
+    (pull, length), (slack, _) = solved.tendons
+    assert pull > 0.5
+    assert pull == pytest.approx(2e4 * (length - 0.18), rel=1e-6)
+    assert slack == 0.0
+    assert solved.tip.position[2] > 0.025
+    np.testing.assert_allclose(
+        moved.state.position, solved.state.position, atol=1e-7
+    )
+
+
+def test_a_rod_that_slides_on_a_floor_is_braked_by_coulombs_law():
+    floor = Plane((0.0,) * 3, (0.0, 0.0, 1.0), 1e4, friction=0.3)
+    geometry = Geometry(0.2, Circle((0.01, 0.01)))
+    weight = TPU.density * math.pi / 4 * 1e-4 * 9.81  # N/m
+    start = Pose((0.0, 0.0, -weight / 1e4))
+    rod = CosseratRod(TPU, geometry, 9, FREE, pose=start, planes=[floor])
+    state, h = rod.state, 1e-3
+    velocity = np.tile([0.3, 0.4, 0.0], (9, 1))
+    rod.state = RodState(
+        state.position, state.director, velocity, state.swirl, state.ends
+    )
+    rod.run(h, 100, Loads(gravity=(0.0, 0.0, -9.81)))
+    slower = (0.5 - 0.3 * 9.81 * 100 * h) * np.array([0.6, 0.8, 0.0])
+    moved = np.broadcast_to(slower, (9, 3))
+    np.testing.assert_allclose(rod.state.velocity, moved, atol=1e-4)
 
 
 @pytest.mark.parametrize("turns", [0.55, 1.2])

@@ -10,11 +10,16 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.linalg import eigh
-from scipy.optimize import brentq
-from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from slot_core.arrays import Array
-from slot_core.rod.model import Geometry, Loads, Material, Rectangle, Uniform
+from slot_core.rod.model import (
+    Geometry,
+    Loads,
+    Material,
+    Rectangle,
+    RodTendon,
+    Uniform,
+)
 
 LEG = Geometry(0.19, Rectangle(0.02, (0.0135, 0.0035)))
 TPU = Material(1e7, 1e7 / 3, 1200.0, 5e-4)
@@ -63,21 +68,33 @@ PRINCETON_TIPS = {
 }
 
 
-def elastica(p: float) -> Array:
-    """Tip (x, z) of the inextensible cantilever under the dead load p (Bisshopp, Drucker 1945)."""
-
-    def excess(angle: float) -> float:
-        m = (1 + math.sin(angle)) / 2
-        return float(
-            ellipk(m) - ellipkinc(math.asin(math.sqrt(0.5 / m)), m)
-        ) - math.sqrt(p)
-
-    angle = brentq(excess, 1e-12, math.pi / 2 - 1e-12, xtol=1e-14)
-    m = (1 + math.sin(angle)) / 2
-    second = ellipe(m) - ellipeinc(math.asin(math.sqrt(0.5 / m)), m)
-    return np.array(
-        [math.sqrt(2 * math.sin(angle) / p), 1 - 2 * second / math.sqrt(p)]
-    )
+# A steel rod with tendons under its weight, by Till's programs of Rucker and Webster's equations
+# (github.com/JohnDTill/ContinuumRobotExamples, 05_Tendon_Robot, 06_Tendon_Robot_Variants): one
+# straight tendon of 15 N, one on a helix, and four of which one is drawn in and one let out by 5 mm.
+# Shear, which they have, is below 1e-5 of the length. Tendons, loads, tip (m), error of the rod.
+WIRE = math.pi * 1e-6  # m^2
+TENDON_ROBOT = (
+    Material(200e9, 80e9, 8000.0, 0.0),
+    Geometry(0.5, Uniform(WIRE, WIRE / 4e6, WIRE / 4e6, WIRE / 2e6)),
+)
+REACH, SIDEWAYS = 0.01506, (0.0, 9.81, 0.0)  # m, m/s^2
+TURN = np.linspace(0.0, 2 * math.pi, 31)
+HELIX = RodTendon(REACH * np.column_stack([np.cos(TURN), np.sin(TURN)]))
+FOUR = [
+    RodTendon((REACH * y, REACH * z), stiffness=2e4)
+    for y, z in ((1, 0), (0, 1), (-1, 0), (0, -1))
+]
+PULLED = Loads(gravity=SIDEWAYS, pull=(15.0,))
+TENDON_TIPS = [
+    ([RodTendon((REACH, 0.0))], PULLED, (0.453229, 0.182212, 0.0), 1e-5),
+    ([HELIX], PULLED, (0.493348, 0.0122099, 0.0581888), 5e-5),
+    (
+        FOUR,
+        Loads(gravity=SIDEWAYS, length=(0.495, 0.5, 0.505, 0.5)),
+        (0.491303, 0.0814279, 0.0),
+        2e-6,
+    ),
+]
 
 
 def axes(q: Array) -> Array:
@@ -103,21 +120,15 @@ def slope(
 
     with kappa = B^-1 R^T m + kappa0 and t the first axis.
     """
-    q, force, section, f = (
-        y[3:7],
-        y[7:10],
-        geometry.section,
-        s / geometry.length,
+    q, force = y[3:7], y[7:10]
+    area, inner, outer, torsion = geometry.section.constants(
+        s / geometry.length
     )
     frame, young = axes(q), material.young_modulus
-    stiffness = [
-        material.shear_modulus * section.torsion_constant(f),
-        young * section.second_moment(f),
-        young * section.lateral_moment(f),
-    ]
+    shear = material.shear_modulus
+    stiffness = [shear * torsion, young * inner, young * outer]
     kappa = np.einsum("ijk,ik->jk", frame, y[10:]) / stiffness
     kappa[1] -= geometry.curvature_at(s)
-    area = section.area(f)
     tangent = frame[:, 0] * (
         1 + (frame[:, 0] * force).sum(axis=0) / (young * area)
     )
@@ -188,34 +199,23 @@ def tip(material: Material, geometry: Geometry, loads: Loads) -> Array:
     return collocation(material, geometry, loads)[:3]
 
 
-def thin(loads: Loads) -> Array:
-    """Tip (x, z) of the thin rod that represents the elastica, with its stretch."""
-    return tip(
-        THIN_MATERIAL, Geometry(1.0, Rectangle(1.0, (THIN, THIN))), loads
-    )[[0, 2]]
-
-
 def sideways(material: Material, geometry: Geometry, count: int) -> Array:
     """Lowest frequencies (count,), Hz, of a straight cantilever that bends sideways (`_ritz`)."""
-    section, speed = (
-        geometry.section,
-        math.sqrt(material.young_modulus / material.density),
+    constants = geometry.section.constants
+    speed = math.sqrt(material.young_modulus / material.density)
+    found = speed * _ritz(
+        lambda f: constants(f)[2], lambda f: constants(f)[0], 2
     )
-    found = speed * _ritz(section.lateral_moment, section.area, 2)
     return found[:count] / (2 * math.pi * geometry.length**2)
 
 
 def twisting(material: Material, geometry: Geometry, count: int) -> Array:
     """Lowest frequencies (count,), Hz, of a straight cantilever that twists (`_ritz`)."""
-    section, speed = (
-        geometry.section,
-        math.sqrt(material.shear_modulus / material.density),
+    constants = geometry.section.constants
+    speed = math.sqrt(material.shear_modulus / material.density)
+    found = speed * _ritz(
+        lambda f: constants(f)[3], lambda f: sum(constants(f)[1:3]), 1
     )
-
-    def polar(f: Array) -> Array:
-        return section.second_moment(f) + section.lateral_moment(f)
-
-    found = speed * _ritz(section.torsion_constant, polar, 1)
     return found[:count] / (2 * math.pi * geometry.length)
 
 

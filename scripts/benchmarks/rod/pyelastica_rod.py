@@ -211,9 +211,7 @@ def straight_rod(cells: Cells) -> Any:
 
 def sections(s: Array) -> tuple[Array, Array, Array, Array]:
     """Area, second moments and torsion constant at arc lengths s (m); constant behind the clamp."""
-    f, section = np.clip(s / LEG.length, 0.0, 1.0), LEG.section
-    inner, outer = section.second_moment(f), section.lateral_moment(f)
-    return section.area(f), inner, outer, section.torsion_constant(f)
+    return LEG.section.constants(np.clip(s / LEG.length, 0.0, 1.0))
 
 
 def fill(matrices: Array, *diagonal: Array) -> None:

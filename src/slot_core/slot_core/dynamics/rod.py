@@ -157,11 +157,11 @@ def sections(leg: Leg, fraction: Array) -> Sections:
 
 
 def lumped(per_length: Array, step: Array) -> Array:
-    """(N,) kg, the masses of segments of `step` (m) at their ends, for a linear course between.
+    """(N, ...) kg, the masses of segments of `step` (m) at their ends, for a linear course between.
 
     Total and centre of mass stay the same.
     """
-    mass = np.zeros(len(per_length))
+    mass = np.zeros_like(per_length)
     mass[:-1] += step / 6 * (2 * per_length[:-1] + per_length[1:])
     mass[1:] += step / 6 * (per_length[:-1] + 2 * per_length[1:])
     return mass

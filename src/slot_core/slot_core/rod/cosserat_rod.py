@@ -13,12 +13,14 @@ one plane. Tangent and elimination are in `elimination.py`.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from slot_core.arrays import Array, checked
+from slot_core.dynamics.rod import lumped
 from slot_core.refusal import DivergenceError, quoted
 from slot_core.rod import kernels
 from slot_core.rod.mesh import build_mesh, frame_rows, place, work_space
@@ -30,12 +32,15 @@ from slot_core.rod.model import (
     Geometry,
     Loads,
     Material,
+    Plane,
     Pose,
     RodError,
     RodState,
+    RodTendon,
     Scheme,
     Support,
     need,
+    numbers,
 )
 from slot_core.rod.statics import (
     Equilibrium,
@@ -60,6 +65,8 @@ class CosseratRod:
     refined: with the correction of the hinges where bending and twist meet, which makes the error
         of third order in any direction (`dynamics/spatial/strain.py`). Newton's method then needs
         more iterations; on a strip that is hundreds of times as stiff sideways it may fail.
+    tendons: cables along it, whose pull or length `Loads` sets.
+    planes: walls that it cannot enter; it begins outside of them.
 
     The rod starts at rest in its natural shape. A step allocates no memory.
 
@@ -76,8 +83,12 @@ class CosseratRod:
         pose: Pose = ORIGIN,
         scheme: Scheme = MIDPOINT,
         refined: bool = True,
+        tendons: Sequence[RodTendon] = (),
+        planes: Sequence[Plane] = (),
     ) -> None:
-        self.mesh = build_mesh(material, geometry, nodes, base, tip, refined)
+        self.mesh = build_mesh(
+            material, geometry, nodes, base, tip, refined, tendons, planes
+        )
         self.scheme = scheme
         self.time = 0.0  # s
         self._work = work_space(self.mesh)
@@ -85,7 +96,12 @@ class CosseratRod:
         place(self.mesh, self._work, np.asarray(pose.position), axes)
         self._target = np.zeros((2, 4, 3))
         self._loads: Loads | None = None
-        self._load = RodLoads(np.zeros((nodes, 3)), np.zeros(3), np.zeros(3))
+        self._load = RodLoads(
+            np.zeros((nodes, 3)),
+            np.zeros(3),
+            np.zeros(3),
+            np.zeros((len(tendons), 3)),
+        )
         self._no_record = np.zeros((0, 3))
         self._rest()
 
@@ -109,6 +125,12 @@ class CosseratRod:
         """Pose of the tip's section."""
         turn = Rotation.from_matrix(_axes(self._work.frame[1])).as_rotvec()
         return Pose(tuple(self._work.node[self.nodes - 1]), tuple(turn))
+
+    @property
+    def tendons(self) -> Array:
+        """(m, 2) pull (N) and length (m) of each tendon at rest, in the present state and loads."""
+        kernels.pose(self.mesh, self._work, self._load)
+        return self._work.pull[:, [0, 2]].copy()
 
     @property
     def state(self) -> RodState:
@@ -209,7 +231,14 @@ class CosseratRod:
         begin = RodLoads(*(part.copy() for part in self._load))
         self._apply(loads)
         end = RodLoads(*(part.copy() for part in self._load))
-        kernels.pose(self.mesh, self._work)
+        kernels.pose(self.mesh, self._work, begin)
+        # a length is given by and by, from the present one; what is not given any more stays
+        for loose, present in (
+            (begin, self._work.pull[:, 2]),
+            (end, begin.tendon[:, 1]),
+        ):
+            free = loose.tendon[:, 2] == 0.0
+            loose.tendon[free, 1] = present[free]
         reached = 1.0
         try:
             return follow(self.mesh, self._work, begin, end, settings)
@@ -224,18 +253,19 @@ class CosseratRod:
             )
 
     def energy(self, loads: Loads = NO_LOADS) -> Energy:
-        """Kinetic, elastic and potential energy of the present state under loads, J."""
+        """Kinetic, elastic and potential energy of the present state under loads, J (`Energy`)."""
         mesh, work, n = self.mesh, self._work, self.nodes
         v, spin = work.velocity[:n], work.swirl[: n - 1]
         kinetic = mesh.mass @ (v**2).sum(axis=1) + mesh.spin[:-1] @ (
             spin**2
         ).sum(axis=1)
         kinetic -= mesh.coupling[:-1] @ (np.diff(v, axis=0) ** 2).sum(axis=1)
-        kernels.pose(mesh, work)
+        nodal = self._nodal(loads)
+        kernels.pose(mesh, work, nodal)
         return Energy(
             kinetic=float(kinetic / 2),
             elastic=float(kernels.elastic_energy(mesh, work)),
-            potential=-float((self._nodal(loads).dead * work.node[:n]).sum()),
+            potential=-float((nodal.dead * work.node[:n]).sum()),
         )
 
     def momentum(self) -> tuple[Array, Array]:
@@ -257,9 +287,10 @@ class CosseratRod:
 
         Antisymmetric parts that vanish in equilibrium are left out.
         """
-        kernels.pose(self.mesh, self._work)
+        nodal = self._nodal(loads)
+        kernels.pose(self.mesh, self._work, nodal)
         matrix = np.zeros((len(self.mesh.metric), len(self.mesh.metric)))
-        kernels.dense(self.mesh, self._work, self._nodal(loads), matrix)
+        kernels.dense(self.mesh, self._work, nodal, matrix)
         return matrix
 
     def mass_matrix(self) -> Array:
@@ -316,7 +347,7 @@ class CosseratRod:
 
     def _rest(self) -> None:
         """Let the supports stay where they are; the axial forces follow from the strains."""
-        kernels.pose(self.mesh, self._work)
+        kernels.pose(self.mesh, self._work, self._load)
         for end, node in ((0, 0), (1, self.nodes - 1)):
             self._target[end, 0] = self._work.node[node]
             self._target[end, 1:] = self._work.frame[end]
@@ -351,13 +382,34 @@ class CosseratRod:
             self._set(self._nodal(loads), loads)
 
     def _nodal(self, loads: Loads) -> RodLoads:
-        """Loads at the nodes."""
-        dead = self.mesh.mass[:, None] * np.asarray(
-            loads.gravity, dtype=np.float64
-        )
+        """Loads at the nodes, and of the tendons."""
+        mesh = self.mesh
+        dead = mesh.mass[:, None] * np.asarray(loads.gravity, dtype=np.float64)
+        line = numbers("line", loads.line, dead.shape)
+        dead += lumped(line, np.full((1, 1), mesh.refinement.step))
         dead[-1] += loads.force
+        stiffness = mesh.cables.stiffness
+        tendon = np.zeros((len(stiffness), 3))
+        for column, name in enumerate(("pull", "length")):
+            given = getattr(loads, name)
+            if given is not None:
+                found = checked(name, given, stiffness.shape, error=RodError)
+                need(
+                    bool((found >= 0.0).all()),
+                    f"{name} {given} must not be below 0",
+                )
+                tendon[:, column] = found
+        if loads.length is not None:
+            need(
+                bool(stiffness.any()),
+                "length needs a tendon's stiffness above 0",
+            )
+            tendon[:, 2] = stiffness
         return RodLoads(
-            dead, np.array(loads.moment, float), np.array(loads.follower, float)
+            dead,
+            np.array(loads.moment, float),
+            np.array(loads.follower, float),
+            tendon,
         )
 
     def _set(self, nodal: RodLoads, loads: Loads | None) -> None:

@@ -44,7 +44,16 @@ from slot_core.dynamics.algebra import (
     row,
     scaled,
 )
-from slot_core.dynamics.spatial.hinge import bend, between, rows
+from slot_core.dynamics.contact import normal_force
+from slot_core.dynamics.spatial.elimination import sum_of
+from slot_core.dynamics.spatial.hinge import (
+    Hinge,
+    bend,
+    between,
+    derivative,
+    rows,
+    turned_tangent,
+)
 from slot_core.dynamics.spatial.strain import frame_before, growth
 
 
@@ -89,8 +98,11 @@ def hinge(mesh, work, k, inv, before, behind):
     s, beta, tension = work.segments, mesh.damping_time, work.tension[k]
     viscous = 1.0 + beta * inv
     normal = mesh.axial[k] * (s.extension[k] + beta * s.extension_rate[k])
+    normal += work.carried[k]
     base = frame_before(s, k, work.stage_frame[0])
     h = bend(mesh, s, k, base, viscous, tension, mesh.none, 0.0)
+    for i in range(work.pull.shape[0]):
+        h = _pulled(mesh, work, i, k, base, h, before, behind)
     m = plus(h.moment, normal - tension, h.bulge)
     m = minus(m, _refined(mesh, s, k, base))
     work.normal[k] = normal
@@ -101,6 +113,159 @@ def hinge(mesh, work, k, inv, before, behind):
     _gradient(Q, m, normal, before, behind)
     axial = viscous * mesh.axial[k]
     _stretch(work.stretch[k], Q, h.bulge, before, behind, axial)
+
+
+@helper
+def _cable(mesh, s, i, k):
+    """Length (m) of tendon i at hinge k and its derivative by psi (`model.RodTendon`)."""
+    p, rise = mesh.cables.offset[i, k], mesh.cables.rise[i, k]
+    ahead = mesh.refinement.extent[k] + s.turn[k] * p[1] - s.side[k] * p[0]
+    right, down = rise[0] - s.twist[k] * p[1], rise[1] + s.twist[k] * p[0]
+    length = math.sqrt(ahead * ahead + right * right + down * down)
+    slope = (down * p[0] - right * p[1], ahead * p[1], -ahead * p[0])
+    return length, scaled(1.0 / length, slope)
+
+
+@helper
+def tighten(mesh, work, loads):
+    """Write pull, stiffness and length of the tendons, and the axial force by them."""
+    s, along = work.segments, mesh.cables.along
+    work.carried[:] = 0.0
+    for i in range(work.pull.shape[0]):
+        given, rest, stiffness = row(loads.tendon, i)
+        length = 0.0
+        for k in range(work.normal.size):
+            part, _ = _cable(mesh, s, i, k)
+            length += part + along[i, k] * s.extension[k]
+        pull = max(0.0, given + stiffness * (length - rest))
+        put(work.pull, i, (pull, stiffness * (pull > 0.0), length))
+        for k in range(work.normal.size):
+            work.carried[k] += pull * along[i, k]
+
+
+@helper
+def _pulled(mesh, work, i, k, base, h, before, behind):
+    """The hinge with tendon i: moment T dl/dpsi, tangent T d2l/dpsi2; writes work.reach[i, k].
+
+    In fixed axes d2l/dpsi2 = (q q^T + p.p vt vt^T - g g^T) / l with g = dl/dpsi, q = p_b vd - p_d vb.
+    """
+    s, p = work.segments, mesh.cables.offset[i, k]
+    x, y, z = s.twist[k], s.turn[k], s.side[k]
+    vt, vd, vb = derivative(base, x, y, z, s.curl[k])
+    length, slope = _cable(mesh, s, i, k)
+    g = combined(slope[0], vt, slope[1], vd, slope[2], vb)
+    q = plus(scaled(p[1], vd), -p[0], vb)
+    firm = work.pull[i, 0] / length
+    around = scaled(p[0] * p[0] + p[1] * p[1], vt)
+    stiffness = (
+        scaled(firm, combined(q[0], q, around[0], vt, -g[0], g)),
+        scaled(firm, combined(q[1], q, around[1], vt, -g[1], g)),
+        scaled(firm, combined(q[2], q, around[2], vt, -g[2], g)),
+    )
+    moment = scaled(work.pull[i, 0], g)
+    psi = combined(x, base[0], y, base[1], z, base[2])
+    own = turned_tangent(stiffness, psi, moment)
+    a, b = acting(before, g), acting(behind, g)
+    for c in range(4):
+        work.reach[i, k, c], work.reach[i, k, 4 + c] = -a[c], b[c]
+    return Hinge(add(h.moment, moment), sum_of(h.tangent, own), g, h.bulge)
+
+
+@helper
+def lengthen(mesh, work, i):
+    """Write the derivative of the length of tendon i to work.gradient[i]; after `assemble`."""
+    g, Q, last = work.gradient[i], work.form, work.normal.size - 1
+    g[:] = 0.0
+    for k in range(last + 1):
+        for c in range(8):
+            along = mesh.cables.along[i, k] * work.stretch[k, c]
+            Q[c, 8] = work.reach[i, k, c] + along
+        if k == last:
+            spread_last(work.block, Q)
+        else:
+            spread(work.block, Q, 1.0 - 2.0 * (k > 0), 1.0 * (k > 0))
+        for c in range(11):
+            g[4 * k + c] += work.block[c, 11]
+
+
+@helper
+def couple(mesh, work):
+    """Write the response to each taut tendon of a given length, by the factorised tangent.
+
+    With the gradient g and the stiffness k of a tendon the tangent is A + k g g^T (Sherman and
+    Morrison). Returns the change of the number of negative pivots, 0 or less.
+    """
+    negative = 0
+    for i in range(work.pull.shape[0]):
+        if work.pull[i, 1] > 0.0:
+            lengthen(mesh, work, i)
+            x, g = work.response[i], work.gradient[i]
+            for c in range(x.size):
+                x[c] = g[c] * mesh.free[c]
+            _forward(work, x)
+            _back(work, x)
+            _restrain(work, x, i)
+            work.yielding[i] = 1.0 / work.pull[i, 1] + _product_of(g, x)
+            negative -= work.yielding[i] < 0.0
+    return negative
+
+
+@helper
+def _product_of(a, b):
+    """Scalar product of two arrays."""
+    value = 0.0
+    for c in range(a.size):
+        value += a[c] * b[c]
+    return value
+
+
+@helper
+def _restrain(work, x, count):
+    """Correct a solution x (4 N + 7,) for the first `count` tendons."""
+    for i in range(count):
+        if work.pull[i, 1] > 0.0:
+            share = _product_of(work.gradient[i], x) / work.yielding[i]
+            for c in range(x.size):
+                x[c] -= share * work.response[i, c]
+
+
+@helper
+def _forward(work, x):
+    """Eliminate a right-hand side x (4 N + 7,) as the tangent was; held entries are 0."""
+    F, at = work.last, 4 * work.normal.size
+    for k in range(work.normal.size):
+        for i in range(4):
+            value = x[4 * k + i] * work.factor[k, i, i]
+            for r in range(i + 1, 11):
+                x[4 * k + r] -= work.factor[k, i, r] * value
+    for i in range(6):
+        value = x[at + i] * F[i, i]
+        for r in range(i + 1, 6):
+            x[at + r] -= F[r, i] * value
+
+
+@helper
+def touch(mesh, work, i, inv, F, at):
+    """Force of the walls on node i, N; adds their tangent to the diagonal block of F at `at`."""
+    walls, force, u = mesh.walls, ZERO, row(work.speed, i)
+    for j in range(walls.level.size):
+        n = row(walls.normal, j)
+        gap, vn = dot(n, row(work.stage, i)) - walls.level[j], dot(n, u)
+        if gap < 0.0:
+            stiffness, damping = walls.stiffness[j, i], walls.damping[j, i]
+            normal, v = (
+                normal_force(stiffness, damping, gap, vn),
+                plus(u, -vn, n),
+            )
+            slip = math.sqrt(dot(v, v) + walls.creep[j] ** 2)
+            drag = walls.friction[j] * normal / slip
+            force = plus(plus(force, normal, n), -drag, v)
+            firm = (normal > 0.0) * (stiffness + damping * inv - drag * inv)
+            for c in range(3):
+                F[at + c, at + c] += drag * inv
+                for e in range(3):
+                    F[at + c, at + e] += firm * n[c] * n[e]
+    return force
 
 
 @helper
@@ -266,15 +431,16 @@ def assemble(mesh, work, inv):
 
 @helper
 def node(mesh, work, dead, i, inv, F, at):
-    """Add inertia and dead load of node i to the diagonal and the last column of F.
+    """Add inertia, dead load and contact of node i to the diagonal and the last column of F.
 
     dead (N, 3): forces, N; at: row of F of the node's displacement along x.
     """
     mass = mesh.mass[i] * inv
+    pushed = touch(mesh, work, i, inv, F, at)
     for c in range(3):
         F[at + c, at + c] += mass * inv
         force = dead[i, c] - mass * (work.speed[i, c] - work.before[i, c])
-        F[at + c, F.shape[1] - 1] += force
+        F[at + c, F.shape[1] - 1] += force + pushed[c]
 
 
 @helper
@@ -299,9 +465,10 @@ def prescribe(held, gap, F, rows):
 def eliminate(mesh, work, loads, inv, shift):
     """Factorise the tangent; returns the number of negative pivots.
 
-    loads: (dead (N, 3) N, moment (3,) N m, follower (3,) N); shift: times the metric, added.
+    loads: as in `statics.RodLoads`; shift: times the metric, added.
     """
     negative, count = 0, work.normal.size
+    tighten(mesh, work, loads)
     assemble(mesh, work, inv)
     for k in range(count):
         F = work.factor[k]
@@ -316,7 +483,8 @@ def eliminate(mesh, work, loads, inv, shift):
         elif k == 1:
             prescribe(mesh.held[0, :3], work.gap[0, :3], F, 11)
         negative += reduce(F)
-    return negative + _last(mesh, work, loads, inv, shift)
+    negative += _last(mesh, work, loads, inv, shift)
+    return negative + couple(mesh, work)
 
 
 @helper
@@ -395,23 +563,36 @@ def load_tip(work, loads, F):
 @helper
 def substitute(mesh, work):
     """Write the Newton increment to work.change; returns its largest entry, rad or rod lengths."""
-    x, F, count = work.change, work.last, work.normal.size
+    x, count = work.change, work.normal.size
+    for i in range(6):
+        x[4 * count + i] = work.last[i, 6]
+    for k in range(count):
+        for i in range(4):
+            x[4 * k + i] = work.factor[k, i, 11]
+    _back(work, x)
+    _restrain(work, x, work.pull.shape[0])
+    return _largest(mesh, work)
+
+
+@helper
+def _back(work, x):
+    """Replace a right-hand side x (4 N + 7,), eliminated, by the solution."""
+    F, count = work.last, work.normal.size
     at = 4 * count
-    x[3] = x[at + 6] = 0.0
+    x[at + 6] = 0.0
     for i in range(5, -1, -1):
-        value = F[i, 6]
+        value = x[at + i]
         for j in range(i + 1, 6):
             value -= F[i, j] * x[at + j]
         x[at + i] = value * F[i, i]
     for k in range(count - 1, -1, -1):
         F = work.factor[k]
         for i in range(3, -1, -1):
-            value = F[i, 11]
+            value = x[4 * k + i]
             # the newest entry last: it is available last
             for j in range(10, i, -1):
                 value -= F[i, j] * x[4 * k + j]
             x[4 * k + i] = value * F[i, i]
-    return _largest(mesh, work)
 
 
 @helper

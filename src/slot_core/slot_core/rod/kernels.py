@@ -37,9 +37,12 @@ from slot_core.dynamics.spatial.strain import (
 from slot_core.rod.elimination import (
     assemble,
     eliminate,
+    lengthen,
     load_tip,
     pull,
     substitute,
+    tighten,
+    touch,
 )
 
 # rod lengths and rad; a step that ends with more has diverged
@@ -304,8 +307,8 @@ def strain_posture(mesh, work):
 
 
 @kernel
-def pose(mesh, work):
-    """Set the posture to the state, with the axial forces of its strains."""
+def pose(mesh, work, loads):
+    """Set the posture to the state, with the axial forces of its strains and of the tendons."""
     n = work.spin.size
     copy(work.stage, work.node)
     for end in range(2):
@@ -314,16 +317,18 @@ def pose(mesh, work):
     point_along(work.segments, work.stage)
     copy(work.begin, work.segments.direction)
     copy(work.from_director, work.director)
-    relax(mesh, work)
+    relax(mesh, work, loads)
     work.tension[n - 1] = 0.0
 
 
 @helper
-def relax(mesh, work):
-    """Set the independent axial forces from the strains."""
+def relax(mesh, work, loads):
+    """Set the independent axial forces from the strains and the tendons."""
     strain_posture(mesh, work)
+    tighten(mesh, work, loads)
     for k in range(work.tension.size):
-        work.tension[k] = mesh.axial[k] * work.segments.extension[k]
+        force = mesh.axial[k] * work.segments.extension[k]
+        work.tension[k] = force + work.carried[k]
 
 
 @kernel
@@ -340,10 +345,10 @@ def settle(work):
 
 
 @kernel
-def push_aside(mesh, work, change):
+def push_aside(mesh, work, loads, change):
     """Displace the posture by an increment (4 N + 7,), with the axial forces of its strains."""
     displace(work, change)
-    relax(mesh, work)
+    relax(mesh, work, loads)
 
 
 @kernel
@@ -373,9 +378,17 @@ def dense(mesh, work, loads, matrix):
     """Write the tangent of the posture to matrix (4 N + 7, 4 N + 7), held unknowns included."""
     matrix[:] = 0.0
     strain_posture(mesh, work)
+    tighten(mesh, work, loads)
     assemble(mesh, work, 0.0)
     count = work.normal.size
+    for i in range(work.pull.shape[0]):
+        lengthen(mesh, work, i)
+        for r in range(4 * count + 7):
+            share = work.pull[i, 1] * work.gradient[i, r]
+            for c in range(4 * count + 7):
+                matrix[r, c] += share * work.gradient[i, c]
     for k in range(count):
+        touch(mesh, work, k, 0.0, matrix, 4 * k + 4)
         for i in range(11):
             for j in range(11):
                 matrix[4 * k + i, 4 * k + j] += work.factor[

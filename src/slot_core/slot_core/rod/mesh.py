@@ -14,26 +14,55 @@ t x d. That of an end's section has the same rows; t is its tangent, -d its widt
 Row N of the nodes and row N - 1 of the segments stand for the tip's section (above).
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from slot_core.arrays import Array, one_buffer
-from slot_core.dynamics.rod import Sections, links, weights
+from slot_core.dynamics.rod import Sections, links, lumped, weights
 from slot_core.dynamics.spatial.strain import (
     Refinement,
     Segments,
     segments,
     tilts,
 )
-from slot_core.rod.model import Geometry, Material, Support, need, numbers
+from slot_core.rod.model import (
+    Geometry,
+    Material,
+    Plane,
+    RodTendon,
+    Support,
+    need,
+    numbers,
+)
 
 
 class NoTendon(NamedTuple):
-    """Derivatives of a tendon's length, zero at all hinges and segments: a rod has no tendon."""
+    """A leg's tendon that does nothing: a rod's tendons are `Cables`."""
 
     around: Array  # (N,)
     along: Array  # (N,)
+
+
+class Cables(NamedTuple):
+    """The m tendons of a rod at its hinges; components along d and b of a section's frame."""
+
+    offset: Array  # (m, N, 2) m
+    rise: Array  # (m, N, 2) m, slope of the offset along the rod times the hinge's weight
+    along: Array  # (m, N) of a segment's extension that lengthens the tendon
+    stiffness: Array  # (m,) N/m
+
+
+class Walls(NamedTuple):
+    """The planes that a rod can touch."""
+
+    normal: Array  # (q, 3)
+    level: Array  # (q,) m, normal component of the centre line's place where it touches
+    stiffness: Array  # (q, N) N/m of the nodes
+    damping: Array  # (q, N) N s/m
+    friction: Array  # (q,)
+    creep: Array  # (q,) m/s
 
 
 class Mesh(NamedTuple):
@@ -57,7 +86,10 @@ class Mesh(NamedTuple):
     torsion: Array
     metric: Array  # (4 N + 7,) norm of the unknowns: masses, and of turns mass L^2 / 12
     held: Array  # (2, 6) bool, held components of position and rotation at base and tip
+    free: Array  # (4 N + 7,) 1 for the unknowns that exist and that no support holds, else 0
     none: NoTendon
+    cables: Cables
+    walls: Walls
     refinement: Refinement
     length: float  # m
     damping_time: float  # s
@@ -70,6 +102,8 @@ def build_mesh(  # noqa: PLR0917
     base: Support,
     tip: Support,
     refined: bool,
+    tendons: Sequence[RodTendon],
+    planes: Sequence[Plane],
 ) -> Mesh:
     """Divide a rod into nodes - 1 segments of equal arc length; raises RodError below one.
 
@@ -106,6 +140,9 @@ def build_mesh(  # noqa: PLR0917
         held=np.array([[*end.position, *end.rotation] for end in (base, tip)]),
         refinement=_refinement(geometry, arc, refined),
         none=NoTendon(np.zeros(nodes), np.zeros(nodes)),
+        free=_free(base, tip, nodes),
+        cables=_cables(tendons, arc),
+        walls=_walls(planes, arc),
         length=length,
         damping_time=material.damping_time,
     )
@@ -113,23 +150,72 @@ def build_mesh(  # noqa: PLR0917
 
 def sections(material: Material, geometry: Geometry, s: Array) -> Sections:
     """Sections at arc lengths s, m; raises RodError for values that are not above 0."""
-    fraction, section = s / geometry.length, geometry.section
-
-    def over(name: str) -> Array:
-        values = numbers(name, getattr(section, name)(fraction), s.shape)
-        need(
-            bool((values > 0.0).all()), f"{name} of the section must be above 0"
-        )
-        return values
-
-    area, inner, outer = map(over, ("area", "second_moment", "lateral_moment"))
+    parts = geometry.section.constants(s / geometry.length)
+    area, inner, outer, torsion = (
+        numbers("section", part, s.shape) for part in parts
+    )
+    above = min(area.min(), inner.min(), outer.min(), torsion.min()) > 0.0
+    need(above, "area and moments of the section must be above 0")
     return Sections(
         axial=material.young_modulus * area,
         bending=material.young_modulus * inner,
         lateral=material.young_modulus * outer,
-        torsion=material.shear_modulus * over("torsion_constant"),
+        torsion=material.shear_modulus * torsion,
         mass=material.density * area,
         spin=material.density * (inner + outer),
+    )
+
+
+def _free(base: Support, tip: Support, nodes: int) -> Array:
+    """(4 N + 7,) 1 for the unknowns (`elimination.py`) that exist and that no support holds."""
+    free = np.ones(4 * nodes + 7)
+    free[[3, -1]] = 0.0
+    free[:3], free[4:7] = (
+        np.logical_not(base.rotation),
+        np.logical_not(base.position),
+    )
+    free[-7:-1] = np.logical_not([*tip.position, *tip.rotation])
+    return free
+
+
+def _cables(tendons: Sequence[RodTendon], arc: Array) -> Cables:
+    """Tendons at hinges at arc lengths (N,), m; raises RodError for an offset of another shape."""
+    n, step = len(arc), np.diff(arc)
+    offset = np.zeros((len(tendons), n, 2))
+    for own, tendon in zip(offset, tendons):
+        given = np.shape(tendon.offset)
+        need(
+            given in {(2,), (n, 2)},
+            f"offset of shape {given} must be of shape (2,) or ({n}, 2)",
+        )
+        own[:] = -numbers("offset", tendon.offset, (n, 2))
+    order: Literal[1, 2] = 2 if n > 2 else 1
+    rate: Any = np.gradient(offset, arc, axis=1, edge_order=order)
+    rise = rate * weights(step)[:, None]
+    slope = np.diff(offset, axis=1, append=0.0) / step[0]
+    along = 1.0 / np.sqrt(1.0 + (slope**2).sum(axis=2))
+    along[:, -1] = 0.0  # of the tip's section
+    stiffness = np.array([tendon.stiffness for tendon in tendons], dtype=float)
+    return Cables(offset, rise, along, stiffness)
+
+
+def _walls(planes: Sequence[Plane], arc: Array) -> Walls:
+    """Planes beside nodes at arc lengths (N,), m."""
+
+    def each(name: str) -> Array:
+        return np.array([getattr(plane, name) for plane in planes], dtype=float)
+
+    normal = each("normal").reshape(-1, 3)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    extent = lumped(np.ones(len(arc)), np.diff(arc))
+    point = each("point").reshape(-1, 3)
+    return Walls(
+        normal=normal,
+        level=(normal * point).sum(axis=1) + each("radius"),
+        stiffness=np.outer(each("stiffness"), extent),
+        damping=np.outer(each("damping"), extent),
+        friction=each("friction"),
+        creep=each("creep"),
     )
 
 
@@ -183,6 +269,16 @@ class RodWork(NamedTuple):
     last: Array  # (6, 7) the same of the last node and the tip's section
     gap: Array  # (2, 6) increments of the held unknowns
     change: Array  # (4 N + 7,) Newton increment
+    # (m, 3) of the tendons: pull (N), stiffness (N/m), 0 where the pull does not depend on the
+    # length (m), the last
+    pull: Array
+    yielding: Array  # (m,) m/N, of a tendon and the rod
+    block: Array  # (11, 12) scratch
+    carried: Array  # (N,) N, axial force of the segments by the tendons' pull
+    # (m, N, 8) derivative of a tendon's length over (s, w) before, behind, by bending
+    reach: Array
+    gradient: Array  # (m, 4 N + 7) derivative of a tendon's length
+    response: Array  # (m, 4 N + 7) displacement by a unit force along it
     rotation: Array  # (3, 3) scratch
     # (1,) steps whose last increment was above the tolerance
     unconverged: Array
@@ -190,7 +286,7 @@ class RodWork(NamedTuple):
 
 def work_space(mesh: Mesh) -> RodWork:
     """Work arrays of a rod; `place` moves it to a pose."""
-    n = len(mesh.mass)
+    n, m = len(mesh.mass), len(mesh.cables.stiffness)
     posture, views = one_buffer(
         {
             "stage": (n + 1, 3),
@@ -225,6 +321,13 @@ def work_space(mesh: Mesh) -> RodWork:
         last=np.zeros((6, 7)),
         gap=np.zeros((2, 6)),
         change=np.zeros(4 * n + 7),
+        pull=np.zeros((m, 3)),
+        yielding=np.zeros(m),
+        block=np.zeros((11, 12)),
+        carried=np.zeros(n),
+        reach=np.zeros((m, n, 8)),
+        gradient=np.zeros((m, 4 * n + 7)),
+        response=np.zeros((m, 4 * n + 7)),
         rotation=np.zeros((3, 3)),
         unconverged=np.zeros(1, dtype=np.int64),
     )

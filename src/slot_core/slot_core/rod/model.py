@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slot_core import section as moments
 from slot_core.arrays import Array, checked
@@ -18,6 +19,7 @@ from slot_core.refusal import InputError, quoted
 
 Vector = tuple[float, float, float]
 Components = tuple[bool, bool, bool]
+Constants = tuple[Array, Array, Array, Array]  # see `Section.constants`
 
 NOWHERE: Vector = (0.0, 0.0, 0.0)
 ALL_COMPONENTS: Components = (True, True, True)
@@ -41,12 +43,18 @@ def need_positive(name: str, *values: float) -> None:
     need(good, f"{name} {shown} must be above 0 and finite")
 
 
+def need_not_below_zero(name: str, value: float) -> None:
+    """Raise RodError for a value that is below 0 or not finite."""
+    good = 0.0 <= value < math.inf
+    need(good, f"{name} {value} must be finite and not below 0")
+
+
 def need_vector(name: str, values: Vector) -> None:
     """Raise RodError unless there are three finite numbers."""
     checked(name, values, (3,), error=RodError)
 
 
-def numbers(name: str, values: float | Array, shape: tuple[int, ...]) -> Array:
+def numbers(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Array:
     """Finite numbers of a shape, a single one for all; raises RodError."""
     try:
         found = np.broadcast_to(np.asarray(values, dtype=np.float64), shape)
@@ -73,26 +81,18 @@ class Material:
     def __post_init__(self) -> None:
         for name in ("young_modulus", "shear_modulus", "density"):
             need_positive(name, getattr(self, name))
-        need(
-            0.0 <= self.damping_time < math.inf,
-            f"damping_time {self.damping_time} must be finite and not below 0",
-        )
+        need_not_below_zero("damping_time", self.damping_time)
 
 
 class Section(Protocol):
     """Cross-section along the rod, over the fraction s / L. Its polar moment is the sum of both."""
 
-    def area(self, fraction: Array) -> Array:
-        """Area, m^2."""
+    def constants(self, fraction: Array) -> Constants:
+        """Constants of the sections at fractions (n,), each (n,).
 
-    def second_moment(self, fraction: Array) -> Array:
-        """Second moment of area for bending in the natural shape's plane, about the width, m^4."""
-
-    def lateral_moment(self, fraction: Array) -> Array:
-        """Second moment of area for bending sideways, m^4."""
-
-    def torsion_constant(self, fraction: Array) -> Array:
-        """Torsion constant J, m^4: torque = G J times twist per length."""
+        Area, m^2; second moments of area for bending in the natural shape's plane, about the width,
+        and sideways, m^4; torsion constant J, m^4: torque = G J times twist per length.
+        """
 
 
 @dataclass(frozen=True)
@@ -109,26 +109,14 @@ class Rectangle:
         need_positive("width", self.width)
         need_positive("thickness", *self.thickness)
 
-    def area(self, fraction: Array) -> Array:
-        """Area, m^2."""
-        return self.width * _linear(self.thickness, fraction)
-
-    def second_moment(self, fraction: Array) -> Array:
-        """Second moment of area about the width, m^4."""
-        return moments.second_moment(
-            self.width, _linear(self.thickness, fraction)
-        )
-
-    def lateral_moment(self, fraction: Array) -> Array:
-        """Second moment of area for bending sideways, m^4."""
-        return moments.second_moment(
-            _linear(self.thickness, fraction), self.width
-        )
-
-    def torsion_constant(self, fraction: Array) -> Array:
-        """Saint-Venant's torsion constant, m^4."""
-        return moments.torsion_constant(
-            self.width, _linear(self.thickness, fraction)
+    def constants(self, fraction: Array) -> Constants:
+        """Area, second moments, and Saint-Venant's torsion constant (`Section`)."""
+        width, thick = self.width, _linear(self.thickness, fraction)
+        return (
+            width * thick,
+            moments.second_moment(width, thick),
+            moments.second_moment(thick, width),
+            moments.torsion_constant(width, thick),
         )
 
 
@@ -144,19 +132,11 @@ class Circle:
     def __post_init__(self) -> None:
         need_positive("diameter", *self.diameter)
 
-    def area(self, fraction: Array) -> Array:
-        """Area, m^2."""
-        return math.pi / 4 * _linear(self.diameter, fraction) ** 2
-
-    def second_moment(self, fraction: Array) -> Array:
-        """Second moment of area, m^4."""
-        return math.pi / 64 * _linear(self.diameter, fraction) ** 4
-
-    lateral_moment = second_moment
-
-    def torsion_constant(self, fraction: Array) -> Array:
-        """Torsion constant, m^4."""
-        return 2 * self.second_moment(fraction)
+    def constants(self, fraction: Array) -> Constants:
+        """Area, second moments and torsion constant (`Section`)."""
+        diameter = _linear(self.diameter, fraction)
+        second = math.pi / 64 * diameter**4
+        return math.pi / 4 * diameter**2, second, second, 2 * second
 
 
 @dataclass(frozen=True)
@@ -176,21 +156,13 @@ class Uniform:
             "section", self.area_m2, self.inner, self.outer, self.torsion
         )
 
-    def area(self, fraction: Array) -> Array:
-        """Area, m^2."""
-        return np.full_like(fraction, self.area_m2)
-
-    def second_moment(self, fraction: Array) -> Array:
-        """Second moment of area about the width, m^4."""
-        return np.full_like(fraction, self.inner)
-
-    def lateral_moment(self, fraction: Array) -> Array:
-        """Second moment of area for bending sideways, m^4."""
-        return np.full_like(fraction, self.outer)
-
-    def torsion_constant(self, fraction: Array) -> Array:
-        """Torsion constant, m^4."""
-        return np.full_like(fraction, self.torsion)
+    def constants(self, fraction: Array) -> Constants:
+        """The four constants at all fractions (`Section`)."""
+        parts = (self.area_m2, self.inner, self.outer, self.torsion)
+        area, inner, outer, torsion = np.multiply.outer(
+            parts, np.ones_like(fraction)
+        )
+        return area, inner, outer, torsion
 
 
 def _linear(ends: tuple[float, float], fraction: Array) -> Array:
@@ -288,11 +260,78 @@ ROLLER = Support((False, True, True), NONE)  # slides along x
 
 
 @dataclass(frozen=True)
+class RodTendon:
+    """A cable without friction from the base's section to the tip's, through holes in all sections.
+
+    At the offset p(s) in a section's axes the cable's tangent is g / |g| with
+
+        g = (1 + e) t + u x p + dp/ds,      l = int |g| ds,      T = max(0, pull + k (l - length)),
+
+    e the stretch, u = (twist, bending) the curvature and l the length of the path (Rucker and
+    Webster, IEEE Trans. Robotics 27, 2011). It pulls and never pushes. Its forces on the rod are
+    -T grad l, so along a curve it presses on the sections as Rucker and Webster's cable does. A
+    stretch e lengthens an inclined cable as at rest, by cos(inclination) e.
+
+    A constant offset d on the side of the normal bends a straight rod to the curvature T d / EI
+    towards the normal. Pull and length are a part of `Loads`. The error is of fourth order in the
+    length of a segment for a constant offset, else of second order.
+
+    Raises RodError for a stiffness that is below 0 or not finite; the rod raises it for an offset
+    that is not of two numbers, or of two for each node.
+    """
+
+    offset: (
+        tuple[float, float] | Array
+    )  # (2,) or (N, 2) m along width and normal
+    stiffness: float = (
+        0.0  # N/m, k of the whole cable; needed by a given length
+    )
+
+    def __post_init__(self) -> None:
+        need_not_below_zero("stiffness", self.stiffness)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A wall or floor that the rod cannot enter; it touches the rod at the nodes.
+
+    At a node whose gap g = normal . (r - point) - radius is below 0 the force per length of the rod
+    is N n - f with the law of the robot's feet (`dynamics/contact.py`):
+
+        N = max(0, -stiffness g - damping dg/dt),      f = friction N v / sqrt(v^2 + creep^2),
+
+    v the velocity along the plane: Coulomb's friction, which creeps under a load at rest. Statics
+    has no friction. The force acts on the centre line: friction does not roll or twist the rod.
+
+    Raises RodError for a vector that is not of three finite numbers, a normal of length 0, a
+    stiffness or creep that is not above 0, other numbers below 0.
+    """
+
+    point: Vector  # m, of the plane
+    normal: Vector  # out of the wall, of any length
+    stiffness: float  # N/m^2: N/m per m of the rod
+    radius: float = 0.0  # m, from the centre line to the rod's surface
+    damping: float = 0.0  # N s/m^2
+    friction: float = 0.0
+    creep: float = 1e-3  # m/s
+
+    def __post_init__(self) -> None:
+        need_vector("point", self.point)
+        need_vector("normal", self.normal)
+        need(any(self.normal), f"normal {self.normal} must not be 0")
+        need_positive("stiffness", self.stiffness)
+        need_positive("creep", self.creep)
+        for name in ("radius", "damping", "friction"):
+            need_not_below_zero(name, getattr(self, name))
+
+
+@dataclass(frozen=True)
 class Loads:
-    """Dead loads, of fixed direction, and a follower force, which turns with the tip.
+    """Dead loads, of fixed direction, a follower force, which turns with the tip, and tendons.
 
     A dead moment in space has no potential. Raises RodError for a vector that is not of three
-    finite numbers.
+    finite numbers; the rod raises it for another number of tendons, a pull below 0, or a length
+    without a tendon that has a stiffness.
     """
 
     gravity: Vector = NOWHERE  # m/s^2
@@ -300,6 +339,10 @@ class Loads:
     moment: Vector = NOWHERE  # N m, at the tip
     # N, at the tip, along its section's tangent, width and normal
     follower: Vector = NOWHERE
+    line: Vector | Array = NOWHERE  # (3,) or (N, 3) N/m of the natural length
+    pull: tuple[float, ...] | None = None  # N, of each tendon; None: 0
+    # m, of each cable without pull (`RodTendon`); None: they give way
+    length: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         for name in ("gravity", "force", "moment", "follower"):
@@ -359,7 +402,10 @@ class RodState:
 
 @dataclass(frozen=True)
 class Energy:
-    """Energies, J. The potential of gravity and dead forces is zero at the origin."""
+    """Energies, J. The potential of gravity and dead forces is zero at the origin.
+
+    Tendons and planes are not counted.
+    """
 
     kinetic: float
     elastic: float

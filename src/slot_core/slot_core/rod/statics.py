@@ -20,7 +20,7 @@ from scipy.linalg import eigh
 from slot_core.arrays import Array
 from slot_core.rod import kernels
 from slot_core.rod.mesh import Mesh, RodWork
-from slot_core.rod.model import need
+from slot_core.rod.model import need, need_positive
 
 # divisor of the first step, which measures the first rate of turn
 FIRST_PROBE = 64
@@ -62,12 +62,13 @@ class StaticSettings:
 
     def __post_init__(self) -> None:
         least, first = self.least_step, self.first_step
-        newton, critical = self.tolerance, self.critical_tolerance
+        tolerances = (self.tolerance, self.critical_tolerance)
         need(self.side in {-1, 1}, f"side {self.side} must be -1 or 1")
-        within = 0.0 < least <= first <= 1.0
-        need(within, f"steps {least}, {first} must be within 0 .. 1")
-        above = newton > 0.0 and critical > 0.0
-        need(above, f"tolerances {newton}, {critical} must be above 0")
+        need(
+            0.0 < least <= first <= 1.0,
+            f"steps {least}, {first} must be within 0 .. 1",
+        )
+        need_positive("tolerances", *tolerances)
 
 
 @dataclass(frozen=True)
@@ -96,11 +97,12 @@ class EquilibriumError(ArithmeticError):
 
 
 class RodLoads(NamedTuple):
-    """Dead forces at the nodes, dead moment and follower force at the tip."""
+    """Dead forces at the nodes, dead moment and follower force at the tip, and tendons."""
 
     dead: Array  # (N, 3) N
     moment: Array  # (3,) N m
     follower: Array  # (3,) N, along the axes of the tip's section
+    tendon: Array  # (m, 3) pull (N), length (m), stiffness (N/m)
 
     def toward(self, other: RodLoads, factor: float) -> RodLoads:
         """Linear interpolation: these loads at factor 0, the others at 1."""
@@ -109,14 +111,7 @@ class RodLoads(NamedTuple):
 
 def free_unknowns(mesh: Mesh) -> NDArray[np.intp]:
     """Indices of the unknowns (`elimination.py`) that exist and that no support holds."""
-    free, tip = np.ones(len(mesh.metric), dtype=bool), len(mesh.metric) - 7
-    free[[3, -1]] = False
-    free[:3], free[4:7] = (
-        np.logical_not(mesh.held[0, 3:]),
-        np.logical_not(mesh.held[0, :3]),
-    )
-    free[tip : tip + 6] = np.logical_not(mesh.held[1])
-    return np.flatnonzero(free)
+    return np.flatnonzero(mesh.free)
 
 
 class _Path:
@@ -234,6 +229,7 @@ class _Path:
         kernels.push_aside(
             mesh,
             work,
+            loads,
             self.settings.side * self.settings.largest_turn / 10 * shape,
         )
         shift = -20 * value

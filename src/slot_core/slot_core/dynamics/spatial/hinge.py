@@ -47,7 +47,7 @@ def rows(a):
 
 
 @helper
-def _derivative(before, x, y, z, c):
+def derivative(before, x, y, z, c):
     """Columns of V = (t, d, b) (1 + [psi] / 2 + c [psi]^2) for psi = (x, y, z) behind a frame."""
     t, d, b = before
     xy = c * x * y
@@ -77,7 +77,7 @@ def bend(rod, s, k, before, viscous, normal, tendon, tension):
     correction c_k of the segment's length adds the axial force to both bending stiffnesses.
     """
     x, y, z = s.twist[k], s.turn[k], s.side[k]
-    vt, vd, vb = _derivative(before, x, y, z, s.curl[k])
+    vt, vd, vb = derivative(before, x, y, z, s.curl[k])
     bent = y - rod.rest_angle[k]
     shorter = -2.0 * rod.shortening[k]
     geometric = shorter * normal
@@ -102,7 +102,7 @@ def bend(rod, s, k, before, viscous, normal, tendon, tension):
     bulge = combined(like(0.0, x), vt, shorter * bent, vd, shorter * z, vb)
     return Hinge(
         moment=moment,
-        tangent=_tangent(stiffness, combined(x, t, y, d, z, b), moment),
+        tangent=turned_tangent(stiffness, combined(x, t, y, d, z, b), moment),
         tendon=plus(scaled(around, vd), along, bulge),
         bulge=bulge,
     )
@@ -120,7 +120,7 @@ def between(k, m):
 
 
 @helper
-def _tangent(k, psi, m):
+def turned_tangent(k, psi, m):
     """K = V B V^T + (m psi^T + psi m^T - 2 (psi.m) 1) / 12; k: the three rows of V B V^T."""
     level = -dot(psi, m) / 6.0
     x, y, z = psi[0] / 12.0, psi[1] / 12.0, psi[2] / 12.0
