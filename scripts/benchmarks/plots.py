@@ -1,14 +1,11 @@
-"""Plots that several benchmarks share: error over cost, and the share of what takes longer."""
+"""Plot that several benchmarks share: error over cost."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slot_core.arrays import Array
 from slot_core.drawing import palette
 
 
@@ -48,19 +45,3 @@ def draw_error_over_cost(
     ax.grid(color=palette.PALE, lw=0.5)
     ax.legend(frameon=False, fontsize=9)
     figure.savefig(path, dpi=130)
-
-
-def draw_longer(ax: Axes, curves: Mapping[str, Array]) -> None:
-    """Share of events that take longer than a time, by name: values (n,), ms.
-
-    An event without an end, as a tick without a command, is infinite or NaN; its curve ends above
-    zero.
-    """
-    colours = (*palette.STAGE_COLOURS, palette.INK, palette.TRUE)
-    for (name, values), colour in zip(curves.items(), colours):
-        ended = np.sort(values[np.isfinite(values)])
-        longer = 1.0 - np.arange(len(ended)) / len(values)
-        ax.step(ended, longer, where="pre", color=colour, label=name)
-    ax.set(xscale="log", yscale="log", ylabel="share that took longer")
-    ax.grid(color=palette.PALE, lw=0.5)
-    ax.legend(frameon=False, fontsize=8)

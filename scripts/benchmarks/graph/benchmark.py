@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from rclpy.serialization import deserialize_message, serialize_message
 
 from benchmarks.graph.measured_walk import (
@@ -38,13 +37,10 @@ from benchmarks.harness import (
     cpu_time,
     timed,
 )
-from benchmarks.plots import draw_longer
 from slot_bringup.graph import CONTROLLER, read_graph
-from slot_core.arrays import Array
 from slot_core.control.pace import Pace
 from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.control.policy import make_policy
-from slot_core.drawing import palette
 from slot_core.gait.gait import read_gaits
 from slot_core.messages import decode
 from slot_core.robot import read_robot
@@ -109,7 +105,7 @@ QUICK, FULL = Plan(1, 10.0, 10.0, 5, 0.0), Plan(3, 60.0, 30.0, 20, 3600.0)
 
 
 def run(quick: bool, out: Path, progress: Progress) -> Outcome:
-    """Run the graph as `QUICK` or `FULL` plans; the plot goes to `out/graph.png`."""
+    """Run the graph as `QUICK` or `FULL` plans."""
     plan = QUICK if quick else FULL
     graph = read_graph()
     values = {argument.name: argument.default for argument in graph.arguments}
@@ -148,8 +144,6 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
                 name, measure_walk, graph, chosen, plan.duration
             ):
                 walks[mode].append(one)
-    if walks[SEPARATE] and walks[COMPOSED]:
-        draw(walks[SEPARATE], walks[COMPOSED], out / "graph.png")
     of_walks = [
         row
         for mode, some in walks.items()
@@ -170,33 +164,6 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         *endurance_checks(rows),
         *attempts.checks,
     ]
-
-
-def draw(walks: Sequence[Walk], composed: Sequence[Walk], path: Path) -> None:
-    """Write the plot: share of ticks whose latency exceeds a time, by stage and from end to end."""
-    curves = dict(
-        zip(STAGES, np.concatenate([walk.ticks.latency for walk in walks]).T)
-    )
-    curves |= {END_TO_END: due(walks), f"{END_TO_END}, composed": due(composed)}
-    figure = Figure(figsize=(8.5, 5.0), layout="constrained")
-    ax = figure.subplots()
-    draw_longer(ax, {name: 1e3 * values for name, values in curves.items()})
-    period = 1e3 * walks[0].ticks.period
-    ax.axvline(period, color=palette.INK, ls=":", lw=1)
-    ax.text(period, 1.0, "control period ", va="top", ha="right", fontsize=8)
-    ax.set(xlabel="latency, ms", title="Ticks that took longer than a time")
-    figure.savefig(path, dpi=130)
-
-
-def due(walks: Sequence[Walk]) -> Array:
-    """Latencies from a sensor's message to the command, of all that were due, s."""
-    ticks = [walk.ticks for walk in walks]
-    return np.concatenate(
-        [
-            one.end_to_end[one.time[:, 0] + one.period <= one.end]
-            for one in ticks
-        ]
-    )
 
 
 def cycle_row(ticks: int) -> dict[str, Any]:
@@ -261,8 +228,6 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
         "period_ms": 1e3 * m.period,
         **{name: getattr(m, name) for name in WALK_FIGURES},
         "tilt_max_rad": m.tilt_max,
-        # how loaded the machine was
-        "waiting_for_a_core_percent": one.waited,
         "replay_cpu_s_per_s": one.replay_cpu,
         "replay_differences": one.replay_differences,
     }

@@ -16,16 +16,13 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from matplotlib.figure import Figure
 from nav_msgs.msg import Odometry
 
 from benchmarks.harness import BenchmarkError, Check, Row, at_most
-from benchmarks.plots import draw_longer
 from slot_bringup.graph import read_graph
 from slot_bringup.monitor import START_TIMEOUT, listener
 from slot_bringup.run import started
 from slot_core.arrays import Array
-from slot_core.drawing import palette
 from slot_core.messages import decode
 from slot_core.recording.record_settings import read_record_settings
 from slot_msgs.msg import ServoHealth
@@ -144,20 +141,3 @@ def checks(rows: Sequence[Row]) -> list[Check]:
             f"age of a command, {BUSY}, p99", busy["p99_ms"], BUSY_GOAL, "ms"
         ),
     ]
-
-
-def draw(ages: Mapping[str, Array], path: Path) -> None:
-    """Write the plot: share of the commands older than an age, by the nodes of the walk."""
-    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
-    axes = figure.subplots()
-    draw_longer(axes, {nodes: 1e3 * found for nodes, found in ages.items()})
-    axes.plot(
-        GOALS.values(),
-        GOALS.keys(),
-        "x",
-        color=palette.SECONDARY,
-        label="goals, composed",
-    )
-    axes.set(xlabel="from odometry published to goals written, ms")
-    axes.legend(frameon=False, fontsize=8)
-    figure.savefig(path, dpi=130)

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from benchmarks.harness import Attempts, Outcome, Progress, Row, at_least
 from benchmarks.servo import age
@@ -32,14 +31,11 @@ from slot_core.simulation.plant import CYCLE
 
 STEP = (0.5, 1.5)  # rad
 LOADS = (0.0, 0.3)  # N m on the tendon's angle
-STYLES = {
-    "position": ("C0", "servo's own loop"),
-    "pwm": ("C1", "loop on the host, PWM mode"),
-}
+CONTROLS = ("position", "pwm")  # the servo's own loop, one on the host
 
 
 def run(quick: bool, out: Path, progress: Progress) -> Outcome:
-    """Run all parts; plots: servo_step.png and servo_age.png in `out`."""
+    """Run all parts."""
     progress("bus cycles")
     cycles = list(cycle_rows(200 if quick else 2000))
     fast, plain = (row["rate_hz"] for row in cycles[:2])
@@ -48,15 +44,13 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         "rate with fast sync read over that without", fast / plain, 1.0
     )
     progress("step responses")
-    steps = list(step_rows(out / "servo_step.png"))
-    ages, attempts = {}, Attempts()
+    steps = list(step_rows())
+    aged, attempts = list[Row](), Attempts()
     for nodes in age.NODES:
         progress(name := f"age of a command, in real time, nodes {nodes}")
         found = attempts.run(name, age.walk, 6.0 if quick else 60.0, nodes)
         if found is not None:
-            ages[nodes] = found
-    age.draw(ages, out / "servo_age.png")
-    aged = [age.row(found, nodes) for nodes, found in ages.items()]
+            aged.append(age.row(found, nodes))
     return [*cycles, *steps, *aged, *attempts.rows], [
         rate,
         *age.checks(aged),
@@ -89,31 +83,15 @@ def cycle_rows(count: int) -> Iterator[Row]:
         }
 
 
-def step_rows(path: Path) -> Iterator[Row]:
-    """Responses to a step, and their plot: sampled every 10 ms, without and with load, N m."""
-    figure = Figure(figsize=(7.0, 3.6), layout="constrained")
-    axes = figure.add_subplot()
-    for (control, (colour, name)), load in itertools.product(
-        STYLES.items(), LOADS
-    ):
-        trace = step_response(control, load)
+def step_rows() -> Iterator[Row]:
+    """Responses to a step, sampled every 10 ms, without and with load, N m."""
+    for control, load in itertools.product(CONTROLS, LOADS):
         yield {
             "kind": "step",
             "control": control,
             "load": load,
-            **measures(trace),
+            **measures(step_response(control, load)),
         }
-        times, style = (
-            1e3 * CYCLE * np.arange(len(trace)),
-            "--" if load else "-",
-        )
-        axes.plot(
-            times, trace, style, color=colour, label=f"{name}, {load:g} N m"
-        )
-    axes.set(xlabel="time, ms", ylabel="tendon angle, rad", xlim=(0.0, 600.0))
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
-    figure.savefig(path, dpi=150)
 
 
 def step_response(control: str, load: float) -> list[float]:
