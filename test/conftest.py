@@ -16,7 +16,6 @@ LARGEST_TICK = 9.0
 # the quickest batch counts: what else runs on the host comes and goes
 BATCHES, TICKS = (5, 60)
 LOAD = pytest.StashKey[machine_load.Load]()
-JUDGE = machine_load.Judge()
 
 # A process started in the background of a script ignores SIGINT, and so do its children; those that
 # the tests interrupt must receive it.
@@ -84,7 +83,7 @@ def pytest_runtest_makereport(item, call):
     """Report a failure on a machine that did not keep up as skipped."""
     report = yield
     if LOAD in item.stash and call.excinfo is not None:
-        JUDGE.judge(
+        machine_load.judge(
             report, item.location[:2], call.excinfo.value, item.stash[LOAD]
         )
     return report

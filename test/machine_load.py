@@ -101,24 +101,18 @@ def measured():
         thread.join()
 
 
-class Judge:
-    """Excuses the failures of tests on a machine that did not keep up.
+EXCUSED = []  # exceptions with their reasons
+
+
+def judge(report, where, error, load):
+    """Change the report of a failure with its exception if the machine did not keep up.
 
     A fixture of a module fails once, and every test that uses it gets the same exception later.
     """
-
-    def __init__(self):
-        self._excused = []  # exceptions with their reasons
-
-    def judge(self, report, where, error, load):
-        """Change the report of a failure with its exception if the load excuses it."""
-        if not report.failed or isinstance(error, ERRORS_OF_CODE):
-            return
-        known = next(
-            (reason for excused, reason in self._excused if excused is error),
-            "",
-        )
-        if reason := known or load.overload():
-            self._excused.append((error, reason))
-            report.outcome = "skipped"
-            report.longrepr = (*where, f"Skipped: machine too slow: {reason}")
+    if not report.failed or isinstance(error, ERRORS_OF_CODE):
+        return
+    known = next((why for excused, why in EXCUSED if excused is error), "")
+    if reason := known or load.overload():
+        EXCUSED.append((error, reason))
+        report.outcome = "skipped"
+        report.longrepr = (*where, f"Skipped: machine too slow: {reason}")

@@ -45,9 +45,8 @@ class StubSupervisor:
 
     def close(self):
         self._timer.cancel()
-        self._rig.node.destroy_publisher(self._states)
-        self._rig.node.destroy_publisher(self._limits)
-        self._rig.node.destroy_publisher(self._commands)
+        for made in (self._states, self._limits, self._commands):
+            self._rig.node.destroy_publisher(made)
 
     def move_to(self, angle):
         """Move all tendons to an angle, rad; again if a busy machine has caused a RELAX."""

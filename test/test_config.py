@@ -220,9 +220,6 @@ def test_a_file_that_cannot_be_a_configuration_is_one_line(
     assert str(refusal.value).startswith(message)
 
 
-PUSH = "pushes: {left: {time: %s, duration: 1, force: [0, 0, 0], moment: [0, 0, 0]}}"
-
-
 @pytest.fixture
 def scenes(tmp_path, monkeypatch):
     """A temporary configuration directory; returns a function that adds a scene."""
@@ -281,7 +278,11 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
             "like: flat\nfloor.friction_varies: 1\n",
             r"friction_varies = 1: expected text",
         ),
-        (f"like: flat\n{PUSH % -1}\n", r"pushes\.left\.time = -1\.0: outside"),
+        (
+            "like: flat\npushes: {left: {time: -1, duration: 1, force: [0, 0, 0],"
+            " moment: [0, 0, 0]}}\n",
+            r"pushes\.left\.time = -1\.0: outside",
+        ),
         (
             "like: flat\npushes: {left: {time: 1}}\n",
             r"pushes\.left\.duration is missing",

@@ -110,11 +110,11 @@ def reader_of(path):
     return (lambda: folder(path.stem)) if folder else FILES.get(path.stem)
 
 
-PATHS = [
+READ = sorted(
     path.relative_to(config.config_dir())
     for path in config.config_dir().rglob("*.yaml")
-]
-READ = sorted(path for path in PATHS if reader_of(path))
+    if reader_of(path)
+)
 
 
 def changed_text(text):

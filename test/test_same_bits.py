@@ -293,12 +293,17 @@ def walked(name):
     ).stdout.splitlines()
 
 
-SLOW = pytest.mark.slow, pytest.mark.timeout(900)  # compiles all kernels anew
-
-
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=SLOW if "plain" in n else ()) for n in PROCESSORS],
+    [
+        pytest.param(
+            name,  # a plain processor compiles all kernels anew
+            marks=(pytest.mark.slow, pytest.mark.timeout(900))
+            if "plain" in name
+            else (),
+        )
+        for name in PROCESSORS
+    ],
 )
 def test_every_processor_gives_the_same_walk_to_the_last_bit(name):
     here = walked("as it is")

@@ -29,7 +29,7 @@ a goal that is missed is in bold. Pictures are of the last full run.
 SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
     "estimation": {
         "delay": ("method", "delay_ms", "position_mm", "velocity_mm_s"),
-        "tracker": ("depth_channel", "image_plane_mm", "depth_mm"),
+        "tracker": ("image_plane_mm", "depth_mm"),
         "cpu": ("imu_us", "odometry_us"),
     },
     "graph": {
@@ -180,8 +180,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     options = parser.parse_args(arguments)
     return write_page(
-        parser.prog,
-        options.out,
+        parser,
+        options,
         lambda: page(
             options.results,
             options.out.read_text() if options.out.is_file() else "",

@@ -18,11 +18,11 @@ from typing import Any
 
 from benchmarks.harness import COURSES
 from documentation import DOC, ROOT
-from documentation.results import ReportError, read_result
-from slot_core.command_line import command_parser, progress, refuse
+from documentation.results import read_result
+from slot_core.command_line import command_parser, progress
 from slot_core.refusal import InputError, quoted
+from slot_lab.desk_command import Outcome, run_command
 
-CANNOT_DRAW = 2  # exit code
 Rows = Sequence[Mapping[str, Any]]
 
 
@@ -197,32 +197,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for name, picture in PICTURES.items():
             print(f"{name:<26}{picture.source}")
         return 0
-    try:
-        draw(options.names or [*PICTURES], options.results, options.out)
-    except (PictureError, ReportError) as error:
-        refuse(parser.prog, error)
-        return CANNOT_DRAW
-    return 0
+    return run_command(parser, options, draw)
 
 
-def draw(names: Sequence[str], results: Path, out: Path) -> None:
+def draw(options: Any, *_: object) -> Outcome:
     """Draw pictures; raises PictureError and ReportError, before the work where that is known."""
+    names, out = options.names or [*PICTURES], options.out
     if unknown := [name for name in names if name not in PICTURES]:
         raise PictureError(f"no picture {quoted(unknown[0])} (see --list)")
     if not out.is_dir():
         raise PictureError(f"--out {out}: not a directory")
     for name in names:
-        needed = PICTURES[name].needs(results)
+        needed = PICTURES[name].needs(options.results)
         if needed and not needed.is_file():
             raise PictureError(
                 f"{name}: {needed}: missing; scripts/bench"
                 f" {PICTURES[name].benchmark} writes it"
             )
     for name in names:
-        PICTURES[name].make(results, out / name)
+        PICTURES[name].make(options.results, out / name)
         if name.endswith(".png"):
             shrink(out / name)
         progress(str(out / name))
+    return (), 0
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from documentation.results import write_page  # noqa: PLC0415 - heavy
 
     return write_page(
-        parser.prog, options.out, lambda: page(options.results, options.out)
+        parser, options, lambda: page(options.results, options.out)
     )
 
 

@@ -10,10 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import Check
-from slot_core.command_line import refuse
 from slot_core.refusal import InputError, quoted
-
-CANNOT_WRITE = 2  # exit code
+from slot_lab.desk_command import Outcome, run_command
 
 
 class ReportError(InputError):
@@ -63,17 +61,16 @@ def read_result(directory: Path, name: str) -> Result | None:
         ) from None
 
 
-def write_page(program: str, out: Path, make: Callable[[], str]) -> int:
-    """Write a page and print its path; returns the exit code, 2 with one line for a bad input."""
-    try:
+def write_page(parser: Any, options: Any, make: Callable[[], str]) -> int:
+    """Write a page to `options.out` and print its path; returns the exit code of the command."""
+
+    def write(*_: object) -> Outcome:
         page = make()
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(page, encoding="utf-8", errors="replace")
-    except (ReportError, OSError) as error:
-        refuse(program, error)
-        return CANNOT_WRITE
-    print(out)
-    return 0
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        options.out.write_text(page, encoding="utf-8", errors="replace")
+        return [str(options.out)], 0
+
+    return run_command(parser, options, write)
 
 
 def number(value: Any) -> float | None:

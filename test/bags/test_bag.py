@@ -33,7 +33,6 @@ from slot_lab.bags.recorded_walk import read_motion, tendon_angles
 from slot_lab.bags.topics import LEG_STATES
 
 SETTINGS = read_record_settings()
-LISTED = (Path(__file__).parent / "walk" / "metadata.yaml").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +170,11 @@ def test_writer_refuses_a_second_type_an_unknown_type_and_a_bag_that_exists(
         ("bag/metadata.yaml", b"", "cannot be read"),
         ("bag/metadata.yaml", b"a: [", "cannot be read"),
         ("bag/metadata.yaml", b"a: 1", "read: 'rosbag2_bagfile_information'"),
-        ("bag/metadata.yaml", LISTED, r"/walk\.mcap: does not exist"),
+        (
+            "bag/metadata.yaml",
+            (Path(__file__).parent / "walk" / "metadata.yaml").read_bytes(),
+            r"/walk\.mcap: does not exist",
+        ),
     ],
 )
 def test_what_is_no_bag_is_refused_in_one_line(tmp_path, file, content, reason):

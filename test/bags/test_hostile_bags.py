@@ -66,13 +66,6 @@ READERS = [
 """Functions that read the bag at a path."""
 
 
-def require_readable(path):
-    """Assert that everything that reads bags reads this one, or refuses it."""
-    for read in READERS:
-        with refusable():
-            read(path)
-
-
 @given(spliced((WALK / "walk.mcap").read_bytes()))
 @examples(100)
 def test_a_damaged_file_of_a_bag_is_read_or_refused(tmp_path, data):
@@ -87,10 +80,12 @@ PART = [entry for entry in BAG.raw() if entry[1] < BAG.start_ns + 500_000_000]
 ESCAPE = "\x1b]0;x\x07"
 
 
-def write_part(path, topic="", changes=(), *, late=0, text=None, origin=None):
+def write_part(
+    path, topic="", changes=(), *, part=PART, late=0, text=None, origin=None
+):
     """Write the begin of the walk with fields of a topic changed, or texts in their place."""
     with BagWriter(path, read_record_settings(), origin) as out:
-        for name, time, data in PART:
+        for name, time, data in part:
             kind, message = BAG.topics[name], BAG.decode(name, data)
             if name == topic and text is not None:
                 kind = "std_msgs/msg/String"
@@ -119,12 +114,6 @@ def archive(encrypted=False, size=1000, begin=0):
     return bytes(data[begin:])
 
 
-ARCHIVES = {
-    "none": b"no zip",
-    "encrypted": archive(encrypted=True),
-    "4 GB": archive(size=2**32 - 2),
-    "cut": archive(begin=40),
-}
 ABOUT = {"revision": ESCAPE, "gait": "x" * 100_000, "policy": "gait_alone"}
 PLAN, PREVIEW, STATE, TRUTH = (
     "/tendon_plan",
@@ -132,24 +121,21 @@ PLAN, PREVIEW, STATE, TRUTH = (
     "/mpc_state",
     "/ground_truth/odom",
 )
-SLACKS = [
-    "normal_min",
-    "friction",
-    "angle",
-    "rate",
-    "normal_max",
-    "total",
-    "balance",
-]
 BAGS = {
     **{
         f"archive: {name}": {"origin": Origin(ABOUT, {CONFIGURATION: data})}
-        for name, data in ARCHIVES.items()
+        for name, data in {
+            "none": b"no zip",
+            "encrypted": archive(encrypted=True),
+            "4 GB": archive(size=2**32 - 2),
+            "cut": archive(begin=40),
+        }.items()
     },
     "path of noise": {
         "origin": Origin({"path": "path.csv"}, {"path.csv": b"\xff\x00\x1b[2J"})
     },
     "policy that is none": {"origin": Origin({"policy": ESCAPE}, {})},
+    "no message": {"part": ()},
     "late": {"late": 2**63},
     **{
         f"text on {topic[1:]}": {"topic": topic, "text": ESCAPE}
@@ -170,7 +156,18 @@ BAGS = {
     },
     "slacks of NaN": {
         "topic": PLAN,
-        "changes": [(f"slack_{name}", math.nan) for name in SLACKS],
+        "changes": [
+            (f"slack_{name}", math.nan)
+            for name in [
+                "normal_min",
+                "friction",
+                "angle",
+                "rate",
+                "normal_max",
+                "total",
+                "balance",
+            ]
+        ],
     },
     "slacks of 1e308": {
         "topic": PLAN,
@@ -221,10 +218,8 @@ BAGS = {
 
 @pytest.mark.parametrize("kind", BAGS)
 def test_a_hostile_bag_is_read_or_refused(tmp_path, kind):
+    """By everything that reads bags."""
     write_part(tmp_path / "walk", **BAGS[kind])
-    require_readable(tmp_path / "walk")
-
-
-def test_a_bag_without_a_message_is_read_or_refused(tmp_path):
-    BagWriter(tmp_path / "walk", read_record_settings()).close()
-    require_readable(tmp_path / "walk")
+    for read in READERS:
+        with refusable():
+            read(tmp_path / "walk")

@@ -36,7 +36,6 @@ from slot_msgs.msg import StageRecord
 from slot_nodes import messages
 
 HERE = Path(__file__).parent
-BAGS = ["walk", "turn", "path", "fault", "lost_odometry"]
 WALK = HERE / "walk"
 SIZE_MAX = 700_000  # bytes of a bag in the repository
 STATES = [*SENSORS, "/mpc_state", RECORDS]  # what the first stage needs
@@ -55,7 +54,9 @@ def first_differences(path=WALK):
     }
 
 
-@pytest.mark.parametrize("name", BAGS)
+@pytest.mark.parametrize(
+    "name", ["walk", "turn", "path", "fault", "lost_odometry"]
+)
 def test_a_recorded_bag_is_small_and_replays(name):
     assert (
         sum(file.stat().st_size for file in (HERE / name).iterdir()) < SIZE_MAX
@@ -305,11 +306,6 @@ def test_the_order_in_which_the_estimator_took_its_readings_is_replayed(
     found = states(path)
     assert found.compared == Bag(path).counts["/mpc_state"] > 40
     assert found.largest == 0.0
-    without = recording.bag(
-        tmp_path / "old", lambda _, e: e[1] != "/stage_record"
-    )
-    with pytest.raises(replay.BagError, match="no record of state_estimator"):
-        states(without)
 
 
 def test_the_estimator_without_odometry_is_replayed_without_it(tmp_path):
@@ -332,9 +328,6 @@ def test_a_bag_begun_in_mid_run_is_compared_from_its_first_key_frame_on(
     assert found.compared > 4
     assert (found.largest, found.gaps) == (0.0, 0)
     assert f", from {to_seconds(found.begin):.3f} s on" in str(found)
-    bare = Recording(1)
-    with pytest.raises(replay.BagError, match="begins mid-run"):
-        states(bare.bag(tmp_path / "bare", lambda _, entry: entry[0] >= begin))
 
 
 @pytest.mark.parametrize("topic", [*SENSORS, "/stage_record"])

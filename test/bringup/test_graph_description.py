@@ -35,7 +35,7 @@ from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 
 PARAMETERS = Path(__file__).parent / "params.yaml"
-SHARE = Path(__file__).parents[2] / "slot_bringup"
+SHARE = Path(__file__).resolve().parents[2] / "slot_bringup"
 
 
 @pytest.fixture
@@ -386,58 +386,66 @@ def run_launch_file(monkeypatch, name, **stubs):
     return runpy.run_path(str(path))["generate_launch_description"]()["args"][0]
 
 
-REFUSED_BY_LAUNCH = [
-    (
-        "slot",
-        {},
-        ["gaits:=walk"],
-        "'gaits' (similar: gait; --show-args lists all)",
-    ),
-    (
-        "d435_rtabmap",
-        {},
-        ["imu:=x"],
-        "'imu' (similar: none; --show-args lists all)",
-    ),
-    ("slot", {}, ["gait:=walk", "recorder:=slot", "launch-prefix:=gdb"], ""),
-    # of a user's own, which includes ours
-    (
-        "whole_fleet",
-        {},
-        ["robots:=3"],
-        "",
-    ),
-    ("slot", {"vx": "9"}, [], "v_x = 9: gait walk reaches"),
-    ("slot", {"bag": "~"}, [], "exists already"),
-    ("slot", {"markers": "true"}, [], "markers: the scene flat has no camera"),
-    (
-        "slot",
-        {"calibration": "no.yaml"},
-        [],
-        "calibration no.yaml: No such file",
-    ),
-    (
-        "slot",
-        {"odometry_topic": "a b"},
-        [],
-        "odometry_topic = 'a b': Invalid topic",
-    ),
-    ("slot", {"imu_topic": ""}, [], "imu_topic = '': Invalid topic name"),
-    ("slot", {"realtime": "100"}, [], "realtime = 100: outside [0, 99]"),
-    ("slot", {"vx": "fast"}, [], "vx = 'fast': expected a number"),
-    ("slot", {"seed": "1.5"}, [], "seed = '1.5': expected a whole number"),
-    ("slot", {"seed": ""}, [], "seed = '': expected a whole number"),
-    (
-        "slot",
-        {"lockstep": "perhaps"},
-        [],
-        "lockstep = 'perhaps': expected true or f",
-    ),
-]
-
-
 @pytest.mark.parametrize(
-    ("program", "given", "words", "fault"), REFUSED_BY_LAUNCH
+    ("program", "given", "words", "fault"),
+    [
+        (
+            "slot",
+            {},
+            ["gaits:=walk"],
+            "'gaits' (similar: gait; --show-args lists all)",
+        ),
+        (
+            "d435_rtabmap",
+            {},
+            ["imu:=x"],
+            "'imu' (similar: none; --show-args lists all)",
+        ),
+        (
+            "slot",
+            {},
+            ["gait:=walk", "recorder:=slot", "launch-prefix:=gdb"],
+            "",
+        ),
+        # of a user's own, which includes ours
+        (
+            "whole_fleet",
+            {},
+            ["robots:=3"],
+            "",
+        ),
+        ("slot", {"vx": "9"}, [], "v_x = 9: gait walk reaches"),
+        ("slot", {"bag": "~"}, [], "exists already"),
+        (
+            "slot",
+            {"markers": "true"},
+            [],
+            "markers: the scene flat has no camera",
+        ),
+        (
+            "slot",
+            {"calibration": "no.yaml"},
+            [],
+            "calibration no.yaml: No such file",
+        ),
+        (
+            "slot",
+            {"odometry_topic": "a b"},
+            [],
+            "odometry_topic = 'a b': Invalid topic",
+        ),
+        ("slot", {"imu_topic": ""}, [], "imu_topic = '': Invalid topic name"),
+        ("slot", {"realtime": "100"}, [], "realtime = 100: outside [0, 99]"),
+        ("slot", {"vx": "fast"}, [], "vx = 'fast': expected a number"),
+        ("slot", {"seed": "1.5"}, [], "seed = '1.5': expected a whole number"),
+        ("slot", {"seed": ""}, [], "seed = '': expected a whole number"),
+        (
+            "slot",
+            {"lockstep": "perhaps"},
+            [],
+            "lockstep = 'perhaps': expected true or f",
+        ),
+    ],
 )
 def test_the_launch_file_refuses_what_scripts_run_refuses_and_unknown_arguments(
     monkeypatch, program, given, words, fault
@@ -598,10 +606,11 @@ def test_the_load_is_the_cpu_time_of_the_ticks_over_their_period(monkeypatch):
     assert load == pytest.approx(0.004 / 0.033, rel=0.02)
 
 
-FILE = Path(__file__).parents[2] / "slot_bringup/nav2/nav2_params.yaml"
 NODES = {
     name: content.get("ros__parameters") or content[name]["ros__parameters"]
-    for name, content in yaml.safe_load(FILE.read_text()).items()
+    for name, content in yaml.safe_load(
+        (SHARE / "nav2/nav2_params.yaml").read_text()
+    ).items()
 }
 FOLLOW, BEHAVIOR = (
     NODES["controller_server"]["FollowPath"],
@@ -642,11 +651,10 @@ def test_the_footprint_holds_the_feet_of_straight_legs(costmap):
     assert (np.abs(tips) < corners.max(axis=0)).all()
 
 
-ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = (
-    ROOT / "src" / "slot_core",
-    ROOT / "src" / "slot_nodes",
-    ROOT / "slot_bringup",
+    SHARE.parent / "src" / "slot_core",
+    SHARE.parent / "src" / "slot_nodes",
+    SHARE,
 )
 
 

@@ -285,17 +285,14 @@ def test_without_a_graph_or_a_terminal_one_line_says_so(
     assert capsys.readouterr().err == f"scripts/operate: {message}\n"
 
 
-ROOT = Path(__file__).parents[2]
-SHARE = ROOT / "slot_bringup"
+SHARE = Path(__file__).parents[2] / "slot_bringup"
 URDF = ET.parse(SHARE / "urdf/slot.urdf").getroot()
-SIDES = "child", "parent"
 MESSAGES = {
     "mpc_state": MpcState,
     "tendon_plan": TendonPlan,
     "desired_joint_angles": JointState,
 }
 ROBOT = read_robot()
-WRITTEN = {"rtol": 1e-5, "atol": 1e-9}  # the URDF is written with six digits
 
 
 TORSO = "link[@name='torso_link']"
@@ -330,8 +327,9 @@ def tabled():
 
 @pytest.mark.parametrize(("path", "attribute", "expected"), [*tabled()])
 def test_a_number_is_that_of_the_robot(path, attribute, expected):
+    # the URDF is written with six digits
     np.testing.assert_allclose(
-        numbers(URDF, path, attribute), expected, **WRITTEN
+        numbers(URDF, path, attribute), expected, rtol=1e-5, atol=1e-9
     )
 
 
@@ -358,7 +356,11 @@ def test_a_spool_turns_about_its_drum_at_the_clamp_of_its_leg(leg):
     names = f"{leg}_clamp", f"{leg}_tendon"
     clamp, tendon = (URDF.find(f"joint[@name='{name}']") for name in names)
     assert (clamp.get("type"), tendon.get("type")) == ("fixed", "revolute")
-    ends = [j.find(end).get("link") for j in (clamp, tendon) for end in SIDES]
+    ends = [
+        joint.find(end).get("link")
+        for joint in (clamp, tendon)
+        for end in ("child", "parent")
+    ]
     link, spool = f"leg_{leg}_link", f"{leg}_spool_link"
     assert ends == [link, BASE_FRAME, spool, link]
     assert tendon.find("origin") is None

@@ -36,11 +36,6 @@ KEEP = QoSProfile(depth=2000)  # all messages: they are taken after the play
 WALK = Path(__file__).parents[1] / "bags" / "walk"
 
 
-def wait(executor, reached):
-    while not reached():
-        executor.spin_once(timeout_sec=0.1)
-
-
 def test_every_sensor_message_arrives_as_it_was_recorded_with_the_clock_of_its_graph():
     bag, arrived, clock = Bag(WALK), defaultdict(list), []
     with monitor.listener("listener") as (node, executor):
@@ -51,10 +46,14 @@ def test_every_sensor_message_arrives_as_it_was_recorded_with_the_clock_of_its_g
         node.create_subscription(Clock, "/clock", clock.append, qos.CLOCK)
         with monitor.listener("player") as (other, _):
             player = play.Player(other, bag)
-            wait(executor, lambda: all(map(other.count_subscribers, arrived)))
+            executor.spin_until(
+                lambda: all(map(other.count_subscribers, arrived)), math.inf
+            )
             player.wait_for_nodes()
             count, span = player.play(play.entries(bag, 0.0), rate=100.0)
-            wait(executor, lambda: sum(map(len, arrived.values())) >= count)
+            executor.spin_until(
+                lambda: sum(map(len, arrived.values())) >= count, math.inf
+            )
     recorded = defaultdict(list)
     for topic, _, data in bag.raw(*arrived):
         recorded[topic].append(data)
@@ -119,7 +118,9 @@ def test_a_bag_is_not_played_where_nothing_uses_it_or_a_robot_runs(
         player = play.Player(node, real_time_bag)
         recorder = Node("recorder", context=node.context)
         recorder.create_subscription(kind, "/odom", print, qos.SENSOR)
-        wait(executor, lambda: node.count_subscribers("/odom") == 1)
+        executor.spin_until(
+            lambda: node.count_subscribers("/odom") == 1, math.inf
+        )
         with pytest.raises(
             play.PlayError, match="no node subscribes to /odom within"
         ):
@@ -128,7 +129,9 @@ def test_a_bag_is_not_played_where_nothing_uses_it_or_a_robot_runs(
         monkeypatch.setattr(play, "SEARCH_TIME", 10.0)
         player.wait_for_nodes()
         node.create_publisher(kind, "/odom", qos.SENSOR)
-        wait(executor, lambda: node.count_publishers("/odom") >= 2)
+        executor.spin_until(
+            lambda: node.count_publishers("/odom") >= 2, math.inf
+        )
         with pytest.raises(
             play.PlayError, match="a robot publishes /odom already"
         ):

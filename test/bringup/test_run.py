@@ -35,7 +35,6 @@ from slot_nodes import qos
 from slot_nodes.messages import header
 
 DOMAIN = "ROS_DOMAIN_ID"
-SECURITY = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
 
 
 @pytest.fixture
@@ -57,7 +56,11 @@ def refused(refusal):
             f"{DOMAIN} = '233': expected a number within [0, 232]",
         ),
         (
-            SECURITY | {"ROS_SECURITY_KEYSTORE": "/nowhere"},
+            {
+                "ROS_SECURITY_ENABLE": "true",
+                "ROS_SECURITY_STRATEGY": "Enforce",
+                "ROS_SECURITY_KEYSTORE": "/nowhere",
+            },
             "ROS_SECURITY_KEYSTORE = '/nowhere'",
         ),
     ],

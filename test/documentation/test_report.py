@@ -45,35 +45,26 @@ def test_ours_stand_beside_the_papers_with_verdict_and_origin(results):
     assert "| graph | missing: `scripts/bench graph` |" in page
 
 
-NONSENSE = {
-    "not JSON": b"{",
-    "no mapping": b"[1, 2]",
-    "another name": result("rod").encode(),
-    "no checks": b'{"name": "mpc", "quick": false}',
-    "text": result("mpc", ["a"]).encode(),
-    "no revision": result("mpc", revision=None).encode(),
-    "nested": b"[" * 100_000,
-    "bytes": b"\xff\xfe\x00",
-}
-
-
-TABLE = b"point,axis,rmse\nbase,z,much\n"
-REFUSED = [
-    *(
-        ("mpc/mpc.json", text, "mpc/mpc.json: not ")
-        for text in NONSENSE.values()
-    ),
-    ("single_leg/errors.csv", TABLE, "errors.csv: not a table of"),
-]
-
-
-@pytest.mark.parametrize(("file", "content", "said"), REFUSED)
+@pytest.mark.parametrize(
+    ("file", "content"),
+    [
+        ("mpc/mpc.json", b"{"),
+        ("mpc/mpc.json", b"[1, 2]"),
+        ("mpc/mpc.json", result("rod").encode()),  # another name
+        ("mpc/mpc.json", b'{"name": "mpc", "quick": false}'),  # no checks
+        ("mpc/mpc.json", result("mpc", ["a"]).encode()),
+        ("mpc/mpc.json", result("mpc", revision=None).encode()),
+        ("mpc/mpc.json", b"[" * 100_000),
+        ("mpc/mpc.json", b"\xff\xfe\x00"),
+        ("single_leg/errors.csv", b"point,axis,rmse\nbase,z,much\n"),
+    ],
+)
 def test_a_file_that_is_no_result_is_refused_in_one_line(
-    results, refusal, file, content, said
+    results, refusal, file, content
 ):
     (results / file).write_bytes(content)
     line = refusal(main, "--results", results, "--out", results / "page.md")
-    assert said in line
+    assert f"{file}: not " in line
     assert not (results / "page.md").exists()
 
 

@@ -16,10 +16,11 @@ import pytest
 from real_graph import process_domain
 from sourced import ROOT, environment
 
-SLOT = str(ROOT / ".slot") + "/"
-SHELL = "#!/usr/bin/env bash"
-FILES = [path for path in (ROOT / "scripts").iterdir() if path.is_file()]
-PROGRAMS = [path for path in FILES if path.read_text().startswith(SHELL)]
+PROGRAMS = [
+    path
+    for path in (ROOT / "scripts").iterdir()
+    if path.is_file() and path.read_text().startswith("#!/usr/bin/env bash")
+]
 MODULES = (
     "argparse",
     "json",
@@ -89,7 +90,7 @@ def test_a_program_runs_the_python_of_the_repository_with_packages_of_ros_worksp
         "PYTHONPATH": ":".join([kept[0], "/home/own", kept[1]]),
     }
     variables = environment("--isolated", given)
-    assert variables["PATH"].startswith(f"{SLOT}venv/bin:")
+    assert variables["PATH"].startswith(f"{ROOT}/.slot/venv/bin:")
     path = variables["PYTHONPATH"].split(":")
     assert [entry for entry in path if not entry.startswith(f"{ROOT}/")] == kept
 

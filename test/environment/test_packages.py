@@ -14,8 +14,10 @@ import yaml
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = [*(ROOT / "src").iterdir(), ROOT / "slot_bringup"]
-PACKAGES = {folder.name: folder for folder in FOLDERS}
+PACKAGES = {
+    folder.name: folder
+    for folder in (*(ROOT / "src").iterdir(), ROOT / "slot_bringup")
+}
 # Keys of rosdep by what is imported; other names are those of ROS packages.
 KEYS = {
     "clarabel": "python3-clarabel-pip",

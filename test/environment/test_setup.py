@@ -34,7 +34,6 @@ folder.mkdir(parents=True, exist_ok=True)
 APT_GET = """echo "apt-get $*" >> "$STUBS/calls"
 case " $* " in *" install "*" cmake"*) ln -sf /bin/true "$STUBS/bin/cmake" ;; esac
 """
-NO_ROOT = "echo 1000\n"
 SUDO = '[ -e "$STUBS/sudoer" ] || exit 1\nshift\nexec "$@"\n'
 
 
@@ -116,7 +115,7 @@ class Copy:
                 shutil.which(tool, path=os.defpath) or tool
             )
         for name, text in {
-            "id": NO_ROOT,
+            "id": "echo 1000\n",  # no root
             "sudo": SUDO,
             "apt-get": APT_GET,
         }.items():
@@ -142,17 +141,6 @@ def until_build(copy: Copy) -> None:
     """Wait until the workspace is being built."""
     while copy.calls != ["build"]:
         time.sleep(0.02)
-
-
-def test_a_second_setup_prints_and_does_nothing(ready):
-    builds = ready.calls
-    stamps = {
-        path: path.stat().st_mtime_ns for path in ready.home.glob("*/.stamp")
-    }
-    assert len(stamps) == 2  # the venv and the workspace
-    assert ready.setup() == (0, "")
-    assert ready.calls == builds
-    assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
 
 
 def test_an_interrupted_setup_continues_with_the_interrupted_phase(copy):
@@ -338,10 +326,9 @@ def test_full_disk_is_named_in_the_last_line(copy, place):
     assert all(phase.endswith(" s)") for phase in phases)
 
 
-CUTS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]
-
-
-@pytest.mark.parametrize("cut", CUTS)
+@pytest.mark.parametrize(
+    "cut", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]
+)
 def test_no_process_goes_on_after_a_signal_on_a_terminal(copy, cut):
     """Nor the bar's: the terminal is free and the lock, else this would not end."""
     (copy.stubs / "hold").touch()

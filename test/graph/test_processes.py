@@ -30,7 +30,6 @@ from slot_core.config import ConfigError
 from slot_nodes import qos, runtime
 from slot_nodes.supervisor_node import NODES_PERIOD
 
-NODES = nodes_of(bag="bag")
 # A run that does not end by itself.
 RUN = [
     sys.executable,
@@ -163,7 +162,7 @@ def test_the_robot_walks_on_without_its_recorder_but_not_without_another_node_an
 def test_invalid_parameter_is_refused_in_one_line(
     tmp_path, name, parameter, message
 ):
-    command = [*command_line(NODES[name]), "-p", parameter]
+    command = [*command_line(nodes_of(bag="bag")[name]), "-p", parameter]
     done = subprocess.run(
         command, cwd=tmp_path, capture_output=True, text=True, check=False
     )

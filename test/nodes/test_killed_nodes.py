@@ -21,12 +21,6 @@ TIMING = read_supervisor().timing
 TICK = 0.033  # s, between two odometry readings
 V_X = 9  # in the state of a reference
 STEP = 0.021  # s, between two steps of the supervisor, with the latency of a message
-CONTROLLER = (
-    "state_estimator",
-    "gait_scheduler",
-    "mpc_controller",
-    "force_mapper",
-)
 
 
 @pytest.fixture(scope="module")
@@ -39,22 +33,27 @@ def rig(simulate):
     return made
 
 
-def seconds_to(rig, state, begin):
-    """Wait for a state; returns the seconds since `begin`."""
-    return (rig.wait_for_state(state, begin)[0] - begin) * 1e-9
-
-
 def is_slack(rig):
     return max(rig.last("/joint_states").position) < 0.05
 
 
-@pytest.mark.parametrize("name", [*CONTROLLER, "sim_robot"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "state_estimator",
+        "gait_scheduler",
+        "mpc_controller",
+        "force_mapper",
+        "sim_robot",
+    ],
+)
 def test_a_killed_node_ends_in_hold_then_relax_and_the_robot_walks_again_with_a_new_one(
     walking, name
 ):
     begin = walking.kill(name)
     hold, relax = (
-        seconds_to(walking, s, begin) for s in (State.HOLD, State.RELAX)
+        (walking.wait_for_state(state, begin)[0] - begin) * 1e-9
+        for state in (State.HOLD, State.RELAX)
     )
     assert hold < TIMING.command_hold + TICK + STEP
     assert relax < TIMING.command_lost + TICK + STEP

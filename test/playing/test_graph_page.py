@@ -221,23 +221,25 @@ def run(page, seconds=0.2):
     )
 
 
-CONTROLS = {
-    "gait": ("walk", lambda g: g.called[0][1].gait == "walk"),
-    "v_x (m/s)": (
-        0.03,
-        lambda g: decode.velocity(g.published[-1][1])[1][0] == 0.03,
-    ),
-    "fault": (
-        "clear",
-        lambda g: (g.names, g.called[0][1].clear) == (INJECTED, True),
-    ),
-}
-INJECTED = ["sim_robot/inject"]
-
-
-@pytest.mark.parametrize("label", CONTROLS)
-def test_a_control_of_the_page_reaches_the_graph(graph, page, label):
-    value, reached = CONTROLS[label]
+@pytest.mark.parametrize(
+    ("label", "value", "reached"),
+    [
+        ("gait", "walk", lambda g: g.called[0][1].gait == "walk"),
+        (
+            "v_x (m/s)",
+            0.03,
+            lambda g: decode.velocity(g.published[-1][1])[1][0] == 0.03,
+        ),
+        (
+            "fault",
+            "clear",
+            lambda g: g.names == ["sim_robot/inject"] and g.called[0][1].clear,
+        ),
+    ],
+)
+def test_a_control_of_the_page_reaches_the_graph(
+    graph, page, label, value, reached
+):
     graph.preview()
     run(page)
     control(page, label).value = value

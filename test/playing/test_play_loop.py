@@ -91,31 +91,39 @@ def test_where_no_policy_acts_there_is_no_plan_and_no_arrow_of_a_force(played):
     assert set(view._labels) == {"FL", "FR", "RL", "RR"}
 
 
-CONTROLS = [
-    ("gait", "walk", lambda r: r.wishes.gait),
-    ("v_x (m/s)", 0.05, lambda r: r.wishes.velocity[0]),
-    ("v_y (m/s)", 0.02, lambda r: r.wishes.velocity[1]),
-    ("yaw rate (rad/s)", 0.01, lambda r: r.wishes.velocity[2]),
-    ("height (mm)", 50.0, lambda r: 1e3 * r.wishes.pose[0]),
-    ("roll (deg)", 4.0, lambda r: np.degrees(r.wishes.pose[1])),
-    ("pitch (deg)", -3.0, lambda r: np.degrees(r.wishes.pose[2])),
-    ("the gait's own height and tilt", False, lambda r: r.wishes.pose is None),
-    ("policy", "gait_alone", lambda r: r.policy),
-    ("friction RL", 0.2, lambda r: r.model.friction[0, 2]),
-    ("slope (deg)", 10.0, lambda r: slope(r.changes["scene.gravity"])),
-    ("payload (kg)", 0.5, lambda r: r.model.payload[0]),
-    ("supply voltage (V)", 9.5, lambda r: r.changes["scene.supply_voltage"]),
-    ("tendon FR broken", True, lambda r: r.model.fault[1, 1] == 0.0),
-    ("push to", "left", lambda r: "left" if r.model.push[1] > 5.0 else ""),
-    ("push to", "back", lambda r: "back" if r.model.push[0] < -5.0 else ""),
-]
-
-
 def slope(gravity):
     return np.degrees(np.arctan2(-gravity[0], -gravity[2]))
 
 
-@pytest.mark.parametrize(("label", "value", "found"), CONTROLS)
+@pytest.mark.parametrize(
+    ("label", "value", "found"),
+    [
+        ("gait", "walk", lambda r: r.wishes.gait),
+        ("v_x (m/s)", 0.05, lambda r: r.wishes.velocity[0]),
+        ("v_y (m/s)", 0.02, lambda r: r.wishes.velocity[1]),
+        ("yaw rate (rad/s)", 0.01, lambda r: r.wishes.velocity[2]),
+        ("height (mm)", 50.0, lambda r: 1e3 * r.wishes.pose[0]),
+        ("roll (deg)", 4.0, lambda r: np.degrees(r.wishes.pose[1])),
+        ("pitch (deg)", -3.0, lambda r: np.degrees(r.wishes.pose[2])),
+        (
+            "the gait's own height and tilt",
+            False,
+            lambda r: r.wishes.pose is None,
+        ),
+        ("policy", "gait_alone", lambda r: r.policy),
+        ("friction RL", 0.2, lambda r: r.model.friction[0, 2]),
+        ("slope (deg)", 10.0, lambda r: slope(r.changes["scene.gravity"])),
+        ("payload (kg)", 0.5, lambda r: r.model.payload[0]),
+        (
+            "supply voltage (V)",
+            9.5,
+            lambda r: r.changes["scene.supply_voltage"],
+        ),
+        ("tendon FR broken", True, lambda r: r.model.fault[1, 1] == 0.0),
+        ("push to", "left", lambda r: "left" if r.model.push[1] > 5.0 else ""),
+        ("push to", "back", lambda r: "back" if r.model.push[0] < -5.0 else ""),
+    ],
+)
 def test_a_control_reaches_the_robot(played, label, value, found):
     handles = played.page.server.gui._gui_input_handle_from_uuid.values()
     control = next(

@@ -331,7 +331,6 @@ def test_the_command_draws_a_bag_and_its_exit_code_reports_violations(
     assert main([str(slipping)]) == 1
     assert (tmp_path / "slipping_constraints.png").exists()
     assert "-0.2500 N" in capsys.readouterr().out
-    assert main([str(tmp_path / "nothing")]) == 2
 
 
 PLOTTED = Walk(duration=5.0, course=0.02, roll=0.1, bounce=0.004, late=(50,))

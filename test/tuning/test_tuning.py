@@ -24,9 +24,8 @@ from slot_lab.tuning.tune import write_gait
 
 STRIDES, ROBOT = read_gaits().strides, read_robot()
 WALK = STRIDES["walk"]
-SHIPPED = read_tuning()
 SETTINGS = config.replace(
-    SHIPPED,
+    read_tuning(),
     {"friction": [0.4], "strides": 3, "settling_strides": 4, "population": 4},
 )
 PHASES = np.arange(20) / 20

@@ -8,7 +8,6 @@ of the last way, at the ticks.
 Vision, on rendered images: `vision_rows.py`.
 """
 
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from benchmarks.harness import (
     at_least,
     at_most,
     cpu_time,
+    timed,
 )
 from slot_core.arrays import Array
 from slot_core.clock import SECOND
@@ -191,11 +191,7 @@ def cpu_times(
     times: dict[type, list[float]] = {ImuReading: [], OdometryReading: []}
     estimator = StateEstimator(settings)
     for _, r in arrivals:
-        start = time.process_time()
-        methods.add_to(estimator, r)
-        while estimator.poll() is not None:
-            pass
-        times[type(r)].append(time.process_time() - start)
+        times[type(r)].append(timed(methods.taken, estimator, r)[1])
     return tuple(float(np.median(each)) for each in times.values())
 
 

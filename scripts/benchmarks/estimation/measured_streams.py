@@ -18,7 +18,6 @@ from slot_core.simulation.readings import ImuReading, OdometryReading, Reading
 _SENSORS = read_scene("flat").sensors
 PERIOD, IMU_PERIOD = _SENSORS.odometry.period, _SENSORS.imu.period  # s
 WARM_UP = 2.0  # s, until the robot walks and the biases are known
-ARRIVAL_ORDER = {ImuReading: 0, OdometryReading: 1}
 Arrival = tuple[int, ImuReading | OdometryReading]
 
 
@@ -124,6 +123,6 @@ class Slam:
             if self.gap[0] < since < self.gap[1]:
                 continue
             result.append((r.stamp + to_ns(max(late, 0.0)), r))
-        return sorted(
-            result, key=lambda item: (item[0], ARRIVAL_ORDER[type(item[1])])
+        return sorted(  # of one time the sample of the IMU first
+            result, key=lambda item: (item[0], type(item[1]) is OdometryReading)
         )

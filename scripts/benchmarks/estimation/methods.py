@@ -82,20 +82,22 @@ def estimates(
     """(time of arrival in ns, estimate) of the estimates after the initial readings."""
     estimator = StateEstimator(settings)
     for time, r in arrivals:
-        add_to(estimator, r)
-        while (estimate := estimator.poll()) is not None:
+        for estimate in taken(estimator, r):
             if estimate.validity in USABLE:
                 yield time, estimate
 
 
-def add_to(estimator: StateEstimator, r: ImuReading | OdometryReading) -> None:
-    """Pass a reading to the estimator."""
+def taken(
+    estimator: StateEstimator, r: ImuReading | OdometryReading
+) -> list[Estimate]:
+    """Estimates that follow from a reading, once the estimator has taken it."""
     if isinstance(r, ImuReading):
         estimator.add_imu(r.stamp, r.angular_velocity, r.specific_force)
     else:
         estimator.add_odometry(
             r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity
         )
+    return list(iter(estimator.poll, None))
 
 
 def plain_step() -> tuple[Rotation, Array]:

@@ -261,8 +261,6 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
         "period_ms": 1e3 * m.period,
         **{name: getattr(m, name) for name in WALK_FIGURES},
         "tilt_max_rad": m.tilt_max,
-        # how loaded the machine was
-        "waiting_for_a_core_percent": one.waited,
         "replay_cpu_s_per_s": one.replay_cpu,
         "replay_differences": one.replay_differences,
     }

@@ -5,7 +5,6 @@ node and of the machine's shared memory; the growth is from the first tenth afte
 last tenth.
 """
 
-import math
 import tempfile
 import threading
 import time
@@ -51,7 +50,6 @@ class Walk:
     nodes: Sequence[str]
     cpu: Array  # (nodes,) percent of one core
     pss: Array  # (nodes,) MB, proportional set at the end
-    waited: float  # % of the time in which any program on the machine waited for a core
     replay_cpu: float  # s of CPU to replay a second of the bag
     replay_differences: int  # stages that are not replayed within `TOLERANCE`
 
@@ -61,9 +59,7 @@ def measure_walk(
 ) -> Walk:
     """Run the graph for `duration` (s) after the warm-up; raises BenchmarkError if it fails."""
     warm_up = read_record_settings().warm_up
-    samples: list[
-        list[float]
-    ] = []  # wall time, CPU of each node, time waited, s
+    samples: list[list[float]] = []  # wall time, CPU of each node, s
     with tempfile.TemporaryDirectory() as scratch:
         directory = Path(scratch, "bag")
         values = {**values, "bag": str(directory)}
@@ -93,14 +89,12 @@ def measure_walk(
     at, *columns = np.array(samples).T
     span = np.clip(span, at[0], at[-1])
     used = [np.diff(np.interp(span, at, column))[0] for column in columns]
-    *cpu, waited = 100 * np.array(used) / np.diff(span)
     return Walk(
         metrics,
         ticks,
         list(nodes),
-        np.array(cpu),
+        100 * np.array(used) / np.diff(span),
         np.array(pss),
-        waited,
         replay_cpu,
         sum(stage.first is not None for stage in replayed),
     )
@@ -225,15 +219,6 @@ def in_background(
 
 
 def cpu_of(nodes: Mapping[str, psutil.Process]) -> list[float]:
-    """Wall time, CPU time of each node and time waited, s; raises psutil.Error without a node."""
+    """Wall time and CPU time of each node, s; raises psutil.Error without a node."""
     cpu = [sum(process.cpu_times()[:2]) for process in nodes.values()]
-    return [time.time(), *cpu, time_waited()]
-
-
-def time_waited() -> float:
-    """Time in which any program waited for a core, s; NaN if the kernel does not count it."""
-    try:
-        counted = Path("/proc/pressure/cpu").read_text()
-    except OSError:
-        return math.nan
-    return int(counted.partition("total=")[2].split()[0]) / 1e6
+    return [time.time(), *cpu]

@@ -20,7 +20,6 @@ from benchmarks.harness import (
     Row,
     at_least,
     at_most,
-    mark_front,
     timed,
 )
 from benchmarks.mpc.cases import Case, hard_cases, random_case, stretched
@@ -70,7 +69,6 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     for tolerance in TOLERANCES:
         progress(f"tolerance {tolerance:g}")
         rows.append(solver_row(settings, tolerance, solved, of_hard))
-    mark_front(rows, "median_ms", worst)
     progress("horizons")
     rows += horizon_rows(settings, walk[: 20 if quick else 100])
     progress("CVXPY")

@@ -1,7 +1,7 @@
 """Runs of the supervised loop whose readings pass through drivers, and how they end."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -102,7 +102,7 @@ def run_set(
         "set": one.name,
         "gait": column,
         "seed": seed,
-        "states": short(states),
+        "states": [state.name for state in states],
         "moved": moving in states,
         "ended": states[-1].name,
         "holds": states.count(State.HOLD),
@@ -126,11 +126,3 @@ def measured(whole: WalkMotion, stands: bool) -> dict[str, float]:
         "tilt": DEG * float(settled.tilt.max()),
         "height": MM * float(late.position[:, 2].mean()),
     }
-
-
-def short(states: Sequence[State]) -> str:
-    """Initials of the states passed, R for READY and X for RELAX; repeats are counted."""
-    letters = "".join("X" if s is State.RELAX else s.name[0] for s in states)
-    return re.sub(
-        r"((?:HW|HS){2,})", lambda m: f"({m[0][:2]}){len(m[0]) // 2}", letters
-    )
