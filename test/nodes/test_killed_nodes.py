@@ -1,8 +1,7 @@
-"""Each node of a walking graph is killed or slowed down: which limit stops the robot, how soon.
+"""Each node of a walking graph is killed or slowed down, and comes back: the robot walks again.
 
-Faults that are injected into the robot stop it too, or are refused.
-
-Times are those of the messages' stamps.
+Limits and times of the table of faults are tested in test/simulation/test_fault_table.py. An
+injected fault that cannot be is refused.
 """
 
 import numpy as np
@@ -12,7 +11,7 @@ from simulated_rig import SOLVE_TIME
 
 from slot_core.messages import decode
 from slot_core.safety.settings import read_supervisor
-from slot_core.safety.states import Action, State
+from slot_core.safety.states import State
 from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
 from slot_msgs.srv import InjectFault, SetGait
 from slot_nodes import qos
@@ -20,7 +19,6 @@ from slot_nodes import qos
 TIMING = read_supervisor().timing
 TICK = 0.033  # s, between two odometry readings
 V_X = 9  # in the state of a reference
-STEP = 0.021  # s, between two steps of the supervisor, with the latency of a message
 
 
 @pytest.fixture(scope="module")
@@ -47,17 +45,10 @@ def is_slack(rig):
         "sim_robot",
     ],
 )
-def test_a_killed_node_ends_in_hold_then_relax_and_the_robot_walks_again_with_a_new_one(
+def test_a_killed_node_lets_the_servos_go_and_the_robot_walks_again_with_a_new_one(
     walking, name
 ):
-    begin = walking.kill(name)
-    hold, relax = (
-        (walking.wait_for_state(state, begin)[0] - begin) * 1e-9
-        for state in (State.HOLD, State.RELAX)
-    )
-    assert hold < TIMING.command_hold + TICK + STEP
-    assert relax < TIMING.command_lost + TICK + STEP
-    walking.wait_for_state(State.FAULT, begin)
+    walking.wait_for_state(State.FAULT, walking.kill(name))
     if name != "sim_robot":  # the servos end with it
         walking.wait_for(lambda: is_slack(walking))
     walking.start(name)
@@ -76,12 +67,6 @@ def test_a_killed_supervisor_ends_in_relax_and_a_new_one_waits_for_an_operator(
     walking.kill("supervisor")
     walking.run(2.0)
     assert is_slack(walking)
-    obeyed = [
-        decode.ACTION_NUMBERS[m.action]
-        for m in walking.since("/servo_health", begin)
-        if m.reason.startswith("no message of the supervisor")
-    ]
-    assert {Action.HOLD, Action.RELAX} <= {*obeyed} or stopped
     begin = walking.now()
     walking.start("supervisor")
     walking.run(3.0)

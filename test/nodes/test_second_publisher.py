@@ -109,6 +109,18 @@ def test_two_controllers_let_a_walking_robot_relax_and_are_named(walking):
     assert f"RELAX: {line}" in walking.log_lines("supervisor")
 
 
+def test_a_forged_permission_brings_no_torque_in_estop(walking, intruder):
+    forged = walking.last("/robot_state")
+    walking.request("estop")
+    walking.wait_for_torque_off(walking.now())
+    begin = walking.now()
+    intruder("robot_state", forged)
+    walking.run(1.0)
+    reports = walking.since("/servo_health", begin)
+    assert len(reports) > 10
+    assert not any(any(report.torque) for report in reports)
+
+
 def test_an_estop_switches_torque_off_beside_a_second_publisher(
     walking, intruder
 ):

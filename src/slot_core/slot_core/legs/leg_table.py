@@ -284,16 +284,28 @@ def rest_pose(
     """
     pose, lowest = np.array([0.06, 0.0, 0.0]), robot.torso.size[2] / 2
     place = robot.clamps, robot.outward, np.asarray(angle, dtype=float)
-    shapes = 4, (4, len(COLUMNS)), (3, 4), 3, (3, 3), (3, 3)
-    work = map(np.empty, shapes)
+    shapes = (4,), (4, len(COLUMNS)), (3, 4), (3,), (3, 3), (3, 3)
+    work = (np.empty(shape) for shape in shapes)
     _settle(*springs.grid, *place, robot.weight / ratio, pose, *work)
     return pose if pose[0] > lowest else np.array([lowest, 0.0, 0.0])
 
 
 @kernel
 def _settle(  # type: ignore[no-untyped-def]  # noqa: PLR0917
-    grid, heights, table, clamps, outward, angle, weight, pose,
-    drop, columns, lever, missing, matrix, inverse,
+    grid,
+    heights,
+    table,
+    clamps,
+    outward,
+    angle,
+    weight,
+    pose,
+    drop,
+    columns,
+    lever,
+    missing,
+    matrix,
+    inverse,
 ):
     """Move a pose (3,) to that of `rest_pose` by Newton's method; weight: m_0 g / kappa, N.
 
