@@ -220,7 +220,10 @@ class FloorObserver:
         self._robot, self._springs, self._settings = robot, springs, settings
         self._tension = read_leg_table(("tension_N",))
         self._lowest = robot.torso.size[2] / 2  # m, height of a torso that lies
-        rest_pose(robot, springs, np.zeros(4))  # compiles its kernels
+        # compiles the kernels
+        drops(
+            robot, springs, np.zeros(4), rest_pose(robot, springs, np.zeros(4))
+        )
         self.reset()
 
     def reset(self) -> None:
