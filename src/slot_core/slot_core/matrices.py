@@ -40,6 +40,15 @@ def set_product_transposed(out, a, b):
 
 
 @helper
+def inner(a, b):
+    """Scalar product of two arrays (n,), summed from the first element on."""
+    value = 0.0
+    for i in range(a.size):
+        value += a[i] * b[i]
+    return value
+
+
+@helper
 def cholesky(a):
     """Replace the lower triangle of a by its Cholesky factor L, a = L L^T; NaN if there is none."""
     for j in range(a.shape[0]):

@@ -55,6 +55,7 @@ from slot_core.dynamics.spatial.hinge import (
     turned_tangent,
 )
 from slot_core.dynamics.spatial.strain import frame_before, growth
+from slot_core.matrices import inner
 
 
 class Lever(NamedTuple):
@@ -205,18 +206,9 @@ def couple(mesh, work):
             _forward(work, x)
             _back(work, x)
             _restrain(work, x, i)
-            work.yielding[i] = 1.0 / work.pull[i, 1] + _product_of(g, x)
+            work.yielding[i] = 1.0 / work.pull[i, 1] + inner(g, x)
             negative -= work.yielding[i] < 0.0
     return negative
-
-
-@helper
-def _product_of(a, b):
-    """Scalar product of two arrays."""
-    value = 0.0
-    for c in range(a.size):
-        value += a[c] * b[c]
-    return value
 
 
 @helper
@@ -224,7 +216,7 @@ def _restrain(work, x, count):
     """Correct a solution x (4 N + 7,) for the first `count` tendons."""
     for i in range(count):
         if work.pull[i, 1] > 0.0:
-            share = _product_of(work.gradient[i], x) / work.yielding[i]
+            share = inner(work.gradient[i], x) / work.yielding[i]
             for c in range(x.size):
                 x[c] -= share * work.response[i, c]
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, kernel
-from slot_core.matrices import cholesky, solve_cholesky
+from slot_core.matrices import cholesky, inner, solve_cholesky
 
 PARALLEL = 1e-11  # share of a normal outside of those in force, below which it depends on them
 STEPS_MAX = 400  # changes of the set of limits in force
@@ -81,7 +81,7 @@ def _minimise(work, inverse, slope, rows, low, high, slack, x):
     for _ in range(STEPS_MAX):
         row, side = _most_violated(rows, low, high, slack, x)
         if side == 0.0:
-            return _dot(x, x) < math.inf  # a number is not finite
+            return inner(x, x) < math.inf  # a number is not finite
         for i in range(x.size):
             work.goal[i] = side * rows[row, i]
         bound = low[row] if side > 0.0 else -high[row]
@@ -119,7 +119,7 @@ def _add(work, inverse, bound, count, x):
                 and work.multiplier[k] < first * work.change[k]
             ):
                 first, dropped = work.multiplier[k] / work.change[k], k
-        missing = bound - _dot(work.goal, x)
+        missing = bound - inner(work.goal, x)
         full = missing / free if free > PARALLEL * whole else math.inf
         step = min(first, full)
         if not step < math.inf:
@@ -154,17 +154,17 @@ def _add(work, inverse, bound, count, x):
 def _direction(work, inverse, count):
     """Write way and change towards the goal; goal' way, and goal' H^-1 goal."""
     _image(inverse, work.goal, work.way)
-    whole = _dot(work.goal, work.way)
+    whole = inner(work.goal, work.way)
     for k in range(count):
-        work.change[k] = _dot(work.normal[k], work.way)
+        work.change[k] = inner(work.normal[k], work.way)
         for j in range(k + 1):
-            work.factor[k, j] = _dot(work.normal[k], work.image[j])
+            work.factor[k, j] = inner(work.normal[k], work.image[j])
     cholesky(work.factor[:count, :count])
     solve_cholesky(work.factor[:count, :count], work.change[:count])
     for k in range(count):
         for i in range(work.way.size):
             work.way[i] -= work.change[k] * work.image[k, i]
-    return _dot(work.goal, work.way), whole
+    return inner(work.goal, work.way), whole
 
 
 @helper
@@ -175,12 +175,3 @@ def _image(inverse, vector, out):
     for k in range(out.size):
         for i in range(out.size):
             out[i] += inverse[k, i] * vector[k]
-
-
-@helper
-def _dot(a, b):
-    """Scalar product."""
-    value = 0.0
-    for i in range(a.size):
-        value += a[i] * b[i]
-    return value
