@@ -1,18 +1,15 @@
-"""Motion of the Cosserat rod: conservation, an independent integration, supports and hard cases.
+"""Motion of the Cosserat rod: conservation, supports and hard cases.
 
 Natural frequencies of the Cosserat rod against closed forms and Ritz's method.
 """
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from leg_energy import chain_strains, directions, mass_matrix
+from leg_energy import directions
 from rods import OBLONG, UNIT, slender
-from scipy.integrate import solve_ivp
 from scipy.linalg import eig
-from scipy.spatial.transform import Rotation
 
 from benchmarks.rod import exact
 from benchmarks.rod.exact import LEG, TPU
@@ -72,92 +69,6 @@ def test_tumbling_twisting_flight_conserves_momentum_and_bounds_the_energy():
     rod.run(1e-3, 100, Loads(gravity=tuple(gravity)))
     impulse = rod.momentum()[0] - now
     np.testing.assert_allclose(impulse, gravity * rod.mass * 0.1, rtol=1e-9)
-
-
-class Independent:
-    """Second implementation of a chain of 4 nodes: derivatives of strains by differences.
-
-    A coordinate is a displacement of a node (9) or the turn of a segment about itself (3). The
-    numbers of the chain are the rod's.
-    """
-
-    def __init__(self, mesh):
-        names = ("rest_length", "rest_angle", "shortening", "coupling")
-        parts = {name: getattr(mesh, name)[:3] for name in names}
-        self.rod = SimpleNamespace(mass=mesh.mass, **parts)
-        springs = (mesh.axial, mesh.torsion, mesh.bending, mesh.lateral)
-        self.stiffness = np.concatenate([spring[:3] for spring in springs])
-        self.mass = mass_matrix(self.rod)[1:, 1:]  # node 0 is held
-        self.spin, self.beta = mesh.spin[:3], mesh.damping_time
-
-    def slope(self, y, load):
-        """Derivative of (nodes, directors, velocities, spins)."""
-        r, v = (
-            np.vstack([np.zeros(3), y[k : k + 9].reshape(3, 3)])
-            for k in (0, 18)
-        )
-        d, spin, t = y[9:18].reshape(3, 3), y[27:], directions(r)
-
-        def strains(x):
-            shift = np.vstack([np.zeros(3), x[:9].reshape(3, 3)])
-            return chain_strains(
-                self.rod, Rotation.identity(), r, d, r + shift, x[9:]
-            )[0].ravel()
-
-        here = strains(np.zeros(12))
-        b = np.array([strains(1e-7 * e) - here for e in np.eye(12)]).T / 1e-7
-        force = -b.T @ (self.stiffness * (here + self.beta * b @ y[18:]))
-        force[6:9] += load
-        # The spin's angular momentum turns with the segment: a moment on it, carried by its nodes.
-        length = np.linalg.norm(np.diff(r, axis=0), axis=1)[:, None]
-        rate = np.cross(t, np.diff(v, axis=0)) / length
-        couple = (
-            np.cross((self.spin * spin)[:, None] * np.cross(rate, t), t)
-            / length
-        )
-        nodes = force[:9].reshape(3, 3) - couple
-        nodes[:-1] += couple[1:]
-        return np.concatenate(
-            [
-                y[18:27],
-                np.cross(rate + spin[:, None] * t, d).ravel(),
-                np.linalg.solve(self.mass, nodes).ravel(),
-                force[9:] / self.spin,
-            ]
-        )
-
-
-def test_motion_converges_to_an_independent_integration_with_second_order():
-    end, force = 0.02, np.array([0.0, 0.6, -0.5])
-    rod = CosseratRod(TPU, LEG, 4, refined=False)
-    own = Independent(rod.mesh)
-    state, spin = rod.state, np.array([0.0, 60.0, -90.0])  # twists the leg
-    start = [
-        state.position[1:].ravel(),
-        state.director.ravel(),
-        np.zeros(9),
-        spin,
-    ]
-    exact = solve_ivp(
-        lambda t, y: own.slope(y, force),
-        (0, end),
-        np.concatenate(start),
-        method="Radau",
-        rtol=1e-6,
-        atol=1e-8,
-    ).y[:, -1]
-    swirl, errors, turns = spin[:, None] * [1.0, 0.0, 0.0], [], []
-    for steps in (20, 40, 80):
-        rod.state = RodState(
-            state.position, state.director, state.velocity, swirl, state.ends
-        )
-        rod.run(end / steps, steps, Loads(force=tuple(force)))
-        errors.append(math.dist(rod.state.position[-1], exact[6:9]))
-        turns.append(np.abs(rod.state.director.ravel() - exact[9:18]).max())
-    assert errors[0] / errors[2] > 12  # pure second order gives 16
-    assert errors[2] < 2e-5  # m, of a motion of some centimetres
-    assert turns[0] / turns[2] > 12
-    assert turns[2] < 2e-3
 
 
 def test_accelerated_clamp_is_equivalent_to_gravity():

@@ -26,7 +26,7 @@ ABLATIONS: Mapping[str, tuple[Changes, Sequence[str]]] = {
     "damping of the step": ((("policy.cost.change", 100.0),), (CORNER, TILT)),
     "drift": ((("policy.observer.drift_gain", 0.0),), (CORNER, FLOORS)),
     "wrench": ((("policy.observer.wrench_gain", 0.0),), (PAYLOAD, LOADED)),
-    "cost of the swing": ((("policy.cost.swing", 0.5),), (TILT, STANDING)),
+    "cost of the swing": ((("policy.cost.swing", 0.5),), (UPHILL, TILT)),
     "two thirds of the horizon": (
         (("policy.stages", 7), ("policy.knots", (0, 2, 4, 6))),
         (CORNER, FLOORS),
@@ -42,7 +42,7 @@ ABLATIONS: Mapping[str, tuple[Changes, Sequence[str]]] = {
     ),
     "width of the feet": (
         (("policy.nominal.width", 0.01),),
-        (CIRCLE, SPLIT, FLOORS),
+        (UPHILL, CIRCLE, SPLIT, FLOORS),
     ),
     "gravity of the floor": (
         (("policy.nominal.slope", False),),

@@ -10,7 +10,7 @@ be an array (3,). Sums run from left to right: their order decides the last bit.
 import math
 
 from slot_core.compiled import helper
-from slot_core.dynamics.lanes import all_lanes
+from slot_core.dynamics.lanes import all_lanes, where
 from slot_core.elementary import cos, sin
 
 
@@ -142,14 +142,15 @@ def rotation(out, w):
     """
     x, y, z = w[0], w[1], w[2]
     square = x * x + y * y + z * z
-    if all_lanes(square < 1e-4):  # series, exact to double precision
-        a = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
-        b = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
-    else:
+    # series, exact to double precision
+    a = 1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0))
+    b = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
+    small = square < 1e-4
+    if not all_lanes(small):
         square = max(1e-12, square)  # no 0 / 0 in a lane at rest
         angle = math.sqrt(square)
-        a = sin(angle) / angle
-        b = (1.0 - cos(angle)) / square
+        a = where(small, a, sin(angle) / angle)
+        b = where(small, b, (1.0 - cos(angle)) / square)
     put(
         out,
         0,
@@ -182,11 +183,14 @@ def cosine_sine(angle):
 
 @helper
 def solve(H, g):
-    """Solve H x = -g in place by LDL^T (x replaces g); False when a pivot is not positive."""
+    """Solve H x = -g in place by LDL^T (x replaces g); False when a pivot is not positive.
+
+    Of Lanes four systems; False when a pivot of one of them is not positive.
+    """
     definite = True
     n = g.size
     for k in range(n):
-        definite = definite and H[k, k] > 0.0
+        definite = definite and all_lanes(H[k, k] > 0.0)
         for i in range(k + 1, n):
             factor = H[i, k] / H[k, k]
             for j in range(k, n):

@@ -1,9 +1,9 @@
-"""SIMD vectors of four float64 for the kernels: one value for each leg, FL FR RL RR.
+"""SIMD vectors of four float64 for the kernels: of the legs FL FR RL RR, or of four plans.
 
 `Lanes` is a type of the kernels: +, -, *, /, comparison, max, min and sqrt work lane by lane, and a
 plain number stands for four equal ones. A kernel written for numbers therefore serves for one leg
-(numbers) and for four (Lanes); where the two differ it uses the functions below. LLVM compiles
-Lanes to the vector registers of the processor: one of AVX, two of NEON.
+or plan (numbers) and for four (Lanes); where the two differ it uses the functions below. LLVM
+compiles Lanes to the vector registers of the processor: one of AVX, two of NEON.
 
 Outside the kernels Lanes are the last axis (4,) of an array; `in_lanes` gives the kernels' view.
 """
@@ -317,12 +317,12 @@ def _atan2(y, x):
 def _part(kind):
     """Type of the view `in_lanes` of a (nested) named tuple of arrays (..., 4)."""
     if isinstance(kind, types.Array):
-        if kind.layout != "C" or kind.dtype != types.float64:
+        if kind.layout == "F" or kind.dtype != types.float64:
             raise TypingError(
-                f"{kind} has no lanes: they are the last axis of a contiguous array"
+                f"{kind} has no lanes: they are float64, the last axis of an array"
             )
         # not aligned: NumPy aligns to 16 bytes, a vector needs 32
-        return types.Array(LANES, kind.ndim - 1, "C", aligned=False)
+        return types.Array(LANES, kind.ndim - 1, kind.layout, aligned=False)
     parts = [_part(part) for part in kind.types]
     if all(part == parts[0] for part in parts):
         return types.NamedUniTuple(parts[0], len(parts), kind.instance_class)
@@ -354,7 +354,8 @@ def _convert(context, builder, kind, out, value):
 def in_lanes(typingctx, arrays):
     """View of a (nested) named tuple of arrays (..., 4): arrays (...) of Lanes.
 
-    The view does not keep the memory alive: the caller of the kernel must.
+    The four numbers of the last axis must be neighbours in memory. The view does not keep the
+    memory alive: the caller of the kernel must.
     """
     out = _part(arrays)
 

@@ -96,11 +96,12 @@ LEG_STATE = (
 
 
 def state_space(
-    nodes: int, points: int, relaxes: bool = False
+    nodes: int, points: int, relaxes: bool = False, lanes: tuple[int, ...] = ()
 ) -> MechanicalState:
     """A state with N nodes and `points` contact points per leg, all zero; legs last in memory.
 
-    relaxes: whether the legs have Maxwell branches.
+    relaxes: whether the legs have Maxwell branches. lanes: (4,) for four states side by side, then
+    every array has that axis at its end.
     """
     n = nodes - 1
     shapes: dict[str, tuple[int, ...]] = {
@@ -121,10 +122,10 @@ def state_space(
         "corner_bristle": (8, 3),
         "memory": (n if relaxes else 0, 4, 2, 4),
     }
-    buffer, views = one_buffer(shapes)
+    buffer, views = one_buffer({name: s + lanes for name, s in shapes.items()})
     for name in LEG_STATE:
-        views[name] = np.moveaxis(views[name], -1, 0)
-    return MechanicalState(buffer, **views)
+        views[name] = np.moveaxis(views[name], -1 - len(lanes), 0)
+    return MechanicalState(buffer.reshape(-1, *lanes), **views)
 
 
 def spatial_leg(
@@ -196,20 +197,21 @@ def leg_lanes(model: Model, state: MechanicalState) -> SpatialLeg:
     )
 
 
-def work_space() -> Work:
-    """Scratch space for the torso."""
-    return Work(
-        matrix=np.zeros((6, 6)),
-        vector=np.zeros(6),
-        turn=np.zeros((3, 3)),
-        next=np.zeros((3, 3)),
-        rotation=np.zeros((3, 3)),
-        motion=np.zeros((5, 3)),
-        field=np.zeros((4, 3)),
-        limit=np.zeros(8),
-        slope=np.zeros((8, 2)),
-        counter=np.zeros(3),
-    )
+def work_space(lanes: tuple[int, ...] = ()) -> Work:
+    """Scratch space for the torso, or for those of four states with the axis `lanes` = (4,)."""
+    shapes: dict[str, tuple[int, ...]] = {
+        "matrix": (6, 6),
+        "vector": (6,),
+        "turn": (3, 3),
+        "next": (3, 3),
+        "rotation": (3, 3),
+        "motion": (5, 3),
+        "field": (4, 3),
+        "limit": (8,),
+        "slope": (8, 2),
+        "counter": (3,),
+    }
+    return Work(**{name: np.zeros(s + lanes) for name, s in shapes.items()})
 
 
 def clamp_maps(axes: Array, root: Array) -> Array:

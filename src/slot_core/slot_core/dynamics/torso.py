@@ -33,6 +33,7 @@ from slot_core.dynamics.contact import (
     normal_force,
     tangential,
 )
+from slot_core.dynamics.lanes import all_lanes, any_lane, like, where
 from slot_core.robot import Torso
 
 
@@ -110,7 +111,7 @@ def add_corners(H, g, torso, floor, inv, place, axes, v, w, turn, held):
             limit[k] = 0.0
             slope[k, 0] = below.slope_x
             slope[k, 1] = below.slope_y
-        if gap >= 0.0:
+        if all_lanes(gap >= 0.0):
             continue
         u = at(v, w, p)
         vn = dot(up, u)
@@ -123,12 +124,14 @@ def add_corners(H, g, torso, floor, inv, place, axes, v, w, turn, held):
         hold = friction_force(
             floor, most, 1.0 / inv, stiffness, damping, stuck, u
         )
-        if normal > 0.0:
+        if any_lane(normal > 0.0):
             f = minus(
                 minus(scaled(normal, up), scaled(hold.drag, u)), hold.held
             )
             drag = hold.drag * inv
-            _add_point(H, g, p, f, stiffness + damping * inv - drag, drag, up)
+            stiff = stiffness + damping * inv - drag
+            stiff = where(normal > 0.0, stiff, like(0.0, normal))
+            _add_point(H, g, p, f, stiff, drag, up)
 
 
 @helper

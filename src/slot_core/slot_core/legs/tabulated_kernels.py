@@ -6,8 +6,10 @@
 import math
 from typing import NamedTuple
 
+from numba.extending import overload
+
 from slot_core.arrays import Array
-from slot_core.compiled import helper, kernel
+from slot_core.compiled import OPTIONS, helper, kernel
 from slot_core.dynamics.algebra import (
     combined,
     cross,
@@ -34,6 +36,7 @@ from slot_core.dynamics.integrator import (
     predict_torso,
     start_torso,
 )
+from slot_core.dynamics.lanes import LANES, join, lane, like, where
 from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.torso import at, subtract_force
 
@@ -206,7 +209,8 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     )
     radius, rate = model.tendon.spool_radius, state.tendon_rate[k]
     angle = state.tendon_angle[k] + tau * rate - model.fault[0, k] / radius
-    rate *= model.fault[1, k] * (angle > 0.0)
+    none = like(0.0, angle)
+    rate *= where(angle > 0.0, like(model.fault[1, k], angle), none)
     angle = model.fault[1, k] * max(0.0, angle)
     here, foot = _contact_point(legs, state, feet, work, k, place, angle, tau)
     # rate of the drop, and slip, of a foot without displacements against its leg's equilibrium
@@ -220,11 +224,11 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     force_slope = min(0.0, here.force_h)
     force_rate = force_slope * drop_rate + here.force_a * rate
     leg_force = max(0.0, here.force + beta * force_rate)
-    leg_force *= here.force > 0.0
+    leg_force = where(here.force > 0.0, leg_force, none)
     mu = coefficient(
         model.floor,
-        model.friction[0, k],
-        model.friction[1, k],
+        like(model.friction[0, k], angle),
+        like(model.friction[1, k], angle),
         state.tendon_rate[k],
         dot(slip, a),
         dot(slip, slip),
@@ -247,8 +251,9 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     f = combined(
         grip.force[0], foot.along, grip.force[1], foot.aside, normal, foot.up
     )
-    stiffness = -force_slope * (1.0 + beta * inv) / foot.normal_per_drop**2
-    stiffness *= leg_force > 0.0
+    stiffness = -force_slope * (1.0 + beta * inv)
+    stiffness /= foot.normal_per_drop * foot.normal_per_drop
+    stiffness = where(leg_force > 0.0, stiffness, none)
     subtract_force(work.vector, foot.place, f)
     turning = foot.lever * grip.force[2]
     for i in range(3):
@@ -259,7 +264,7 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
         - here.x_a * dot(f, a) / radius
         + beta * (here.tension_h * drop_rate + here.tension_a * rate)
     )
-    state.tension[k] = max(0.0, tension) * (here.tension > 0.0)
+    state.tension[k] = where(here.tension > 0.0, max(0.0, tension), none)
     put(state.node_velocity[k], YIELD, rate_of)
     put(feet.force, k, times(axes, f))
     if model.floor.bristle > 0.0:
@@ -283,7 +288,7 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
     up = row(work.rotation, 2)
     p = plus(root, node[PLACE, 0], a)
     drop = plus_dot(place[2], up, at(p, work.motion[2], p)) / up[2]
-    here = _interpolate(legs, angle, drop)
+    here = interpolate(legs, angle, drop)
     x = here.x + node[YIELD, 0] + tau * moved[0]
     put(node, PLACE, (x, y, -drop))
     slope, tilt = dot(up, a), up[0] * b[0] + up[1] * b[1]
@@ -318,8 +323,46 @@ def _contact_point(legs, state, feet, work, k, place, angle, tau):
     )
 
 
+def interpolate(legs, angle, height):
+    """Response of a leg at numbers or Lanes; can be called in kernels only."""
+    raise NotImplementedError("only in kernels")
+
+
+@overload(interpolate, jit_options=OPTIONS)  # type: ignore[arg-type]
+def _overload_interpolate(legs, angle, height):
+    if angle != LANES:
+        return _interpolate_one.py_func
+
+    def each(legs, angle, height):
+        a, b, c, d = (
+            _interpolate_one(legs, lane(angle, 0), lane(height, 0)),
+            _interpolate_one(legs, lane(angle, 1), lane(height, 1)),
+            _interpolate_one(legs, lane(angle, 2), lane(height, 2)),
+            _interpolate_one(legs, lane(angle, 3), lane(height, 3)),
+        )
+        return LegResponse(
+            force=join(a.force, b.force, c.force, d.force),
+            force_h=join(a.force_h, b.force_h, c.force_h, d.force_h),
+            force_a=join(a.force_a, b.force_a, c.force_a, d.force_a),
+            x=join(a.x, b.x, c.x, d.x),
+            x_h=join(a.x_h, b.x_h, c.x_h, d.x_h),
+            x_a=join(a.x_a, b.x_a, c.x_a, d.x_a),
+            tension=join(a.tension, b.tension, c.tension, d.tension),
+            tension_h=join(a.tension_h, b.tension_h, c.tension_h, d.tension_h),
+            tension_a=join(a.tension_a, b.tension_a, c.tension_a, d.tension_a),
+            spring=(
+                join(a.spring[0], b.spring[0], c.spring[0], d.spring[0]),
+                join(a.spring[1], b.spring[1], c.spring[1], d.spring[1]),
+                join(a.spring[2], b.spring[2], c.spring[2], d.spring[2]),
+                join(a.spring[3], b.spring[3], c.spring[3], d.spring[3]),
+            ),
+        )
+
+    return each
+
+
 @helper
-def _interpolate(legs, angle, height):
+def _interpolate_one(legs, angle, height):
     """Bilinear; force and tension are extrapolated beyond the heights, and at least zero."""
     table = legs.table
     place = angle / legs.angle_step
@@ -382,7 +425,8 @@ def _grip(
     """
     floor, half = model.floor, 0.5 * mu
     stiffness, damping = floor.stiffness[-1], floor.damping[-1]
-    bent_left = bent_right = (0.0, 0.0, 0.0)
+    none = like(0.0, leg_force)
+    bent_left = bent_right = (none, none, none)
     if floor.bristle > 0.0:
         bent_left = _in_floor(axes, state.bristle[k, 0], foot)
         bent_right = _in_floor(axes, state.bristle[k, 1], foot)
@@ -397,15 +441,15 @@ def _grip(
     )
     rate, normal = row(state.node_velocity[k], YIELD), per * leg_force
     z = _slip(start, foot.drive, lever, rate)
-    force, drag, uneven = (0.0, 0.0, 0.0), 0.0, 0.0
-    inverse = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    force, drag, uneven = (none, none, none), none, none
+    inverse = (none, none, none, none, none, none)
     for _ in range(ITERATIONS):
         limit = half * normal
-        v = (z[0] - z[2], z[1], 0.0)
+        v = (z[0] - z[2], z[1], none)
         left = friction_force(
             floor, limit, tau, stiffness, damping, bent_left, v
         )
-        v = (z[0] + z[2], z[1], 0.0)
+        v = (z[0] + z[2], z[1], none)
         right = friction_force(
             floor, limit, tau, stiffness, damping, bent_right, v
         )
@@ -451,7 +495,7 @@ def _grip(
 def _in_floor(axes, bristle, foot):
     """A bristle (3,), odom, over the unit vectors e_1 and e_2 in the floor, and zero."""
     v = times_transposed(axes, bristle)
-    return dot(v, foot.along), dot(v, foot.aside), 0.0
+    return dot(v, foot.along), dot(v, foot.aside), like(0.0, v[0])
 
 
 @helper
@@ -502,7 +546,8 @@ def _add_stiffness(H, foot, stiffness, grip, inv):
     e_2 = (*foot.aside, *cross(foot.place, foot.aside))
     r_1 = _add_rows(e_1, dot(m, foot.along) * per, n)
     r_2 = _add_rows(e_2, dot(m, foot.aside) * per, n)
-    r_3 = (0.0, 0.0, 0.0, lever * up[0], lever * up[1], lever * up[2])
+    none = like(0.0, lever)
+    r_3 = (none, none, none, *scaled(lever, up))
     # rows of M W
     (a1, a2, b1, b2), drag, uneven = (
         foot.drive,
@@ -510,7 +555,7 @@ def _add_stiffness(H, foot, stiffness, grip, inv):
         inv * grip.uneven,
     )
     v_1 = (grip.drag * a1, grip.drag * b1, grip.uneven * lever)
-    v_2 = (grip.drag * a2, grip.drag * b2, 0.0)
+    v_2 = (grip.drag * a2, grip.drag * b2, none)
     v_3 = (grip.uneven * a1, grip.uneven * b1, grip.drag * lever)
     back = scaled(inv, _image(grip.yielding, v_1))
     c_11, c_12, c_13 = (

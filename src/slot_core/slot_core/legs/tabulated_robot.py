@@ -60,6 +60,8 @@ from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
+    MechanicalState,
+    Work,
     build_model,
     build_scheme,
     state_space,
@@ -130,25 +132,16 @@ class TabulatedRobot(KernelRobot):
             0.0,
             -scene.start.height,
         )
-        self.feet = Feet(
-            command=np.zeros(4),
-            force=np.zeros((4, 3)),
-            limit=np.zeros(4),
-            slip=np.zeros((4, 2, 3)),
-            flat=np.zeros(2),
-        )
-        self._work = work_space()
-        self.handle = Handle(
-            (
-                self.model,
-                self.legs,
-                self.state,
-                self.feet,
-                self._work,
-                build_scheme(scene.solver, self.model.floor),
-            )
-        )
+        self.feet, self._work = feet_space(), work_space()
+        self.handle = self.handle_of(self.state, self.feet, self._work)
         self._settle()
+
+    def handle_of(
+        self, state: MechanicalState, feet: Feet, work: Work
+    ) -> Handle:
+        """Arguments of the kernels for variables of this robot."""
+        scheme = build_scheme(self.scene.solver, self.model.floor)
+        return Handle((self.model, self.legs, state, feet, work, scheme))
 
     def advance(self, steps: int, command: Array) -> None:
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
@@ -193,6 +186,17 @@ class TabulatedRobot(KernelRobot):
     def ground_force(self) -> Array:
         """(4, 3) N in odom, force of the floor on each foot, at the stage of the last step."""
         return self.feet.force.copy()
+
+
+def feet_space(lanes: tuple[int, ...] = ()) -> Feet:
+    """Variables of the feet, zero; of four states with the axis `lanes` = (4,)."""
+    return Feet(
+        command=np.zeros((4, *lanes)),
+        force=np.zeros((4, 3, *lanes)),
+        limit=np.zeros((4, *lanes)),
+        slip=np.zeros((4, 2, 3, *lanes)),
+        flat=np.zeros((2, *lanes)),
+    )
 
 
 def _require_tabulated(scene: Scene) -> None:

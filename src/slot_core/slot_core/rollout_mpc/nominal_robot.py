@@ -18,7 +18,10 @@ import numpy as np
 from slot_core import config
 from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, kernel
+from slot_core.dynamics.algebra import dot
 from slot_core.dynamics.handle import contents
+from slot_core.dynamics.lanes import COUNT, in_lanes, like, where
+from slot_core.dynamics.model import state_space, work_space
 from slot_core.dynamics.scene import (
     NO_SENSORS,
     Scene,
@@ -29,8 +32,17 @@ from slot_core.dynamics.servo import read_servo
 from slot_core.elementary import atan2
 from slot_core.geometry import matrix_of_rpy, roll_pitch_yaw, rotate
 from slot_core.key_frame import StateParts
-from slot_core.legs.tabulated_kernels import PLACE, divergence_of, one_step
-from slot_core.legs.tabulated_robot import COLUMNS, SPRINGS, TabulatedRobot
+from slot_core.legs.tabulated_kernels import (
+    COS_TILT_MAX,
+    PLACE,
+    one_step,
+)
+from slot_core.legs.tabulated_robot import (
+    COLUMNS,
+    SPRINGS,
+    TabulatedRobot,
+    feet_space,
+)
 from slot_core.matrices import product
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.rollout_mpc.settings import NominalSettings
@@ -73,9 +85,14 @@ class NominalRobot:
         self.push = np.zeros(6)  # N, N m, force and moment on the torso
         self._angle_max = robot.tendon.angle_max
         self._initial = self.robot.state.buffer.copy()
+        self._four = self.robot.handle_of(  # robots side by side
+            state_space(2, 2, lanes=(COUNT,)),
+            feet_space((COUNT,)),
+            work_space((COUNT,)),
+        )
         # compile the kernels
         self.measured(self._initial, np.zeros(12))
-        self.after(self._initial, np.zeros((2, len(LEGS))))
+        self.roll_out(self._initial, np.zeros((1 + COUNT, 2, len(LEGS))))
 
     @property
     def gravity(self) -> Array:
@@ -151,15 +168,24 @@ class NominalRobot:
             np.empty((count, stages, 6)),
             *np.empty((2, count, stages, len(LEGS), 3)),
         )
+        settings = self._angle_max, self._cycles, self._steps
+        some = count % COUNT
         roll_out(
             self.robot.handle,
             start,
-            plans,
-            self._angle_max,
-            self._cycles,
-            self._steps,
-            *found,
+            plans[:some],
+            *settings,
+            *(values[:some] for values in found),
         )
+        # the others four at a time, which takes as long as two alone
+        groups = [
+            values[some:].reshape(-1, COUNT, *values.shape[1:])
+            for values in (plans, *found)
+        ]
+        lanes = [np.moveaxis(values, 1, -1).copy() for values in groups]
+        roll_out_in_lanes(self._four, start, lanes[0], *settings, *lanes[1:])
+        for values, written in zip(groups[1:], lanes[1:], strict=True):
+            values[:] = np.moveaxis(written, -1, 1)
         return found
 
     def after(self, start: Array, plan: Array) -> Array:
@@ -191,15 +217,7 @@ def nominal_scene(settings: NominalSettings, step: float) -> Scene:
 
 @kernel
 def roll_out(
-    machine,
-    start,
-    plans,
-    angle_max,
-    cycles,
-    steps,
-    pose,
-    force,
-    foot,
+    machine, start, plans, angle_max, cycles, steps, pose, force, foot
 ):
     """Simulate every plan from the state `start` (m,).
 
@@ -209,35 +227,72 @@ def roll_out(
     the feet and foot (P, n, 4, 3), m, their places, in odom; they are NaN from a divergence on. The
     state after the last plan stays.
     """
-    model, legs, state, feet, work, scheme = contents(machine)
     for p in range(plans.shape[0]):
-        for i in range(start.size):
-            state.buffer[i] = start[i]
-        diverged = False
-        for k in range(plans.shape[1] - 1):
-            for c in range(cycles):
-                for leg in range(4):
-                    here, there = plans[p, k, leg], plans[p, k + 1, leg]
-                    goal = here + c / cycles * (there - here)
-                    feet.command[leg] = min(max(goal, 0.0), angle_max)
-                for _ in range(steps):
-                    if not diverged:
-                        one_step(model, legs, state, feet, work, scheme)
-                        diverged = divergence_of(state, model.speed_limit) >= 0
-            _record(
-                pose[p, k], force[p, k], foot[p, k], legs, state, feet, diverged
-            )
+        _follow(
+            contents(machine),
+            (start, angle_max, cycles, steps),
+            plans[p],
+            pose[p],
+            force[p],
+            foot[p],
+        )
+
+
+@kernel
+def roll_out_in_lanes(
+    machine, start, plans, angle_max, cycles, steps, pose, force, foot
+):
+    """As `roll_out`, four plans at a time: all arrays but `start` have the axis (4,) at their end."""
+    model, legs, state, feet, work, scheme = contents(machine)
+    four = (
+        model,
+        legs,
+        in_lanes(state),
+        in_lanes(feet),
+        in_lanes(work),
+        scheme,
+    )
+    for g in range(plans.shape[0]):
+        _follow(
+            four,
+            (start, angle_max, cycles, steps),
+            in_lanes(plans[g]),
+            in_lanes(pose[g]),
+            in_lanes(force[g]),
+            in_lanes(foot[g]),
+        )
 
 
 @helper
-def _record(pose, force, foot, legs, state, feet, diverged):
-    """Write pose, forces and places of the feet, or NaN."""
-    r, nan = state.rotation, math.nan
-    pose[0], pose[1], pose[2] = (
-        (nan, nan, nan) if diverged else roll_pitch_yaw(r)
-    )
+def _follow(machine, settings, plan, pose, force, foot):
+    """Simulate a plan, or four in lanes; the velocity of a robot that diverges becomes NaN."""
+    model, legs, state, feet, work, scheme = machine
+    start, angle_max, cycles, steps = settings
+    v, w, most = state.velocity, state.rate, model.speed_limit**2
+    for i in range(start.size):
+        state.buffer[i] = start[i]
+    for k in range(plan.shape[0] - 1):
+        for c in range(cycles):
+            for leg in range(4):
+                here, there = plan[k, leg], plan[k + 1, leg]
+                goal = here + c / cycles * (there - here)
+                feet.command[leg] = min(max(goal, 0.0), angle_max)
+            for _ in range(steps):
+                one_step(model, legs, state, feet, work, scheme)
+                slow = (dot(v, v) < most) & (dot(w, w) < most)
+                sound = slow & (state.rotation[2, 2] > COS_TILT_MAX)
+                v[0] = where(sound, v[0], like(math.nan, v[0]))
+        _record(pose[k], force[k], foot[k], legs, state, feet)
+
+
+@helper
+def _record(pose, force, foot, legs, state, feet):
+    """Write pose, forces and places of the feet, or NaN for a velocity that is NaN."""
+    r, none = state.rotation, 0.0 * state.velocity[0]
+    pose[0], pose[1], pose[2] = roll_pitch_yaw(r)
     for i in range(3):
-        pose[3 + i] = nan if diverged else state.position[i]
+        pose[i] += none
+        pose[3 + i] = state.position[i] + none
     for leg in range(4):
         c, a, b, node = (
             legs.clamps[leg],
@@ -252,5 +307,5 @@ def _record(pose, force, foot, legs, state, feet, diverged):
         )
         for i in range(3):
             place = state.position[i] + r[i, 0] * x + r[i, 1] * y + r[i, 2] * z
-            foot[leg, i] = nan if diverged else place
-            force[leg, i] = nan if diverged else feet.force[leg, i]
+            foot[leg, i] = place + none
+            force[leg, i] = feet.force[leg, i] + none
