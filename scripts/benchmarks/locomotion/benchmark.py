@@ -38,10 +38,7 @@ from benchmarks.locomotion.cases import (
 from benchmarks.locomotion.rows import LocomotionRow, ratio, rows
 
 REQUIRES = ("onnx", "onnxruntime")
-SEEDS = {
-    **{column: (1,) if column in PAPERS else (1, 2) for column in COLUMNS},
-    DEFAULT: (1, 2, 3, 4, 5),
-}
+SEEDS = {**dict.fromkeys(COLUMNS, (1,)), DEFAULT: (1, 2, 3, 4, 5)}
 QUICK = {ALONE: (1,), DEFAULT: (1,)}
 """Seeds of the columns that are run."""
 Seeds = Mapping[str, Sequence[int]]
