@@ -30,7 +30,7 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
     "estimation": {
         "delay": ("method", "delay_ms", "position_mm", "velocity_mm_s"),
         "tracker": ("image_plane_mm", "depth_mm"),
-        "cpu": ("imu_us", "odometry_us"),
+        "cpu": ("sample_us", "plain_step_us"),
     },
     "graph": {
         "closed loop": ("cpu_s_per_s", "speed"),
