@@ -2,12 +2,9 @@
 
 Messages of refusals are one line, short and printable.
 
-Falls, pulls, ends of ranges, folds, time steps: finite, no energy gain, same result at h/2.
-
 Functions before kernels, and others of the core, refuse arrays that a kernel could not read.
 """
 
-import dataclasses
 import datetime
 import math
 import os
@@ -17,15 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from rod_robots import ROBOT, simulator
-from stress_cases import (
-    FOLDS,
-    IMPACTS,
-    IN_SPACE,
-    PARAMETERS,
-    PULLS,
-    STEPS,
-    examine,
-)
 
 from slot_core import config
 from slot_core.control.force_map import make_force_map, read_force_map
@@ -257,30 +245,6 @@ def test_only_regular_files_are_read_and_only_so_far(tmp_path, name, reason):
     with pytest.raises((ValueError, OSError), match=reason):
         read_bytes(tmp_path / name, 10)
     assert read_bytes(tmp_path / "long", 11) == bytes(11)
-
-
-CONVERGED = {**PULLS, **PARAMETERS, **STEPS}  # in every step
-CASES = {**IMPACTS, **FOLDS, **IN_SPACE, **CONVERGED}
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_a_hard_case_stays_within_its_limits(name):
-    record = examine(CASES[name])
-    assert record.holds(CASES[name].limits), record
-    assert not (name in CONVERGED and record.unconverged)
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["full pull within one step, in the air", "contact of 1e7 N/m", "EA x 100"],
-)
-def test_the_case_diverges_without_halving(name):
-    case = CASES[name]
-    assert examine(case).halvings > 0
-    whole = dataclasses.replace(
-        case, scene={**case.scene, "solver.halvings": 0}
-    )
-    assert "beyond 100.0 m/s" in examine(whole).lost
 
 
 NODES, DT = 8, 1 / 30

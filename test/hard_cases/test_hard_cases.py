@@ -22,6 +22,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import pytest
 from leg_energy import robot_energy
 
 from slot_core import config
@@ -397,9 +398,29 @@ STEPS = {
     )
     for step, apart in (
         (5e-4, 1.6),
-        (1e-3, 3.0),
         (2e-3, 7.0),
         (5e-3, 7.0),
         (1e-2, 13.0),
     )
 }
+
+CONVERGED = {**PULLS, **PARAMETERS, **STEPS}  # in every step
+CASES = {**IMPACTS, **FOLDS, **IN_SPACE, **CONVERGED}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_hard_case_stays_within_its_limits(name):
+    record = examine(CASES[name])
+    assert record.holds(CASES[name].limits), record
+    assert not (name in CONVERGED and record.unconverged)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["full pull within one step, in the air", "contact of 1e7 N/m", "EA x 100"],
+)
+def test_the_case_diverges_without_halving(name):
+    case = CASES[name]
+    assert examine(case).halvings > 0
+    whole = replace(case, scene={**case.scene, "solver.halvings": 0})
+    assert "beyond 100.0 m/s" in examine(whole).lost
