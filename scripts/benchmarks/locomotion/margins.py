@@ -134,7 +134,7 @@ def draw(found: Sequence[dict[str, Any]], path: Path) -> None:
             if label := values["with"]:
                 ax.plot(values["friction"], values[name], "x", label=label)
         ax.set_title(f"{name}, {unit}", fontsize=10, loc="left")
-        ax.set(xlabel="friction", xticks=FRICTION)
+        ax.set(xlabel="friction", xticks=FRICTION[1:])
         ax.set_ylim(bottom=0.0)
         ax.grid(color=palette.PALE, lw=0.4)
     rest.set_axis_off()

@@ -85,7 +85,7 @@ class ObserverSettings:
         "largest wrench: F_z, M_x, M_y", "N, N m, N m", 0, 100
     )
     misfit_gain: float = quantity(
-        "gain of the misfit, the error that they leave over", "", 0, 1
+        "gain of the misfit, the error of height, roll and pitch", "", 0, 1
     )
     misfit_max: float = quantity(
         "misfit beyond which the floor is taken to grip, in scales",
