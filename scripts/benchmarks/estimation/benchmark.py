@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from benchmarks.estimation import methods, vision_rows
 from benchmarks.estimation.measured_streams import (
     WARM_UP,
-    Arrival,
     Slam,
     Streams,
     record,
@@ -38,7 +37,7 @@ from slot_core.arrays import Array
 from slot_core.clock import SECOND
 from slot_core.drawing import palette
 from slot_core.estimation.inertial_filter import EstimatorSettings
-from slot_core.estimation.state_estimator import StateEstimator, read_estimator
+from slot_core.estimation.state_estimator import read_estimator
 from slot_core.geometry import wrapped
 from slot_core.simulation.readings import ImuReading
 
@@ -170,7 +169,7 @@ def cpu_row(walk: Streams, settings: EstimatorSettings) -> Row:
     samples = sum(isinstance(reading, ImuReading) for _, reading in arrivals)
     passes = np.empty((PASSES, 2))
     for figures in passes:
-        _, used = timed(estimated, arrivals, settings)
+        _, used = timed(list, methods.predicted(arrivals, settings))
         figures[:] = (
             used / samples,
             cpu_time(methods.plain_step, 1, PLAIN_STEPS),
@@ -182,13 +181,6 @@ def cpu_row(walk: Streams, settings: EstimatorSettings) -> Row:
         "plain_step_us": plain,
         "ratio": np.median(passes[:, 0] / passes[:, 1]),
     }
-
-
-def estimated(arrivals: Sequence[Arrival], settings: EstimatorSettings) -> None:
-    """Give all readings to a new estimator."""
-    estimator = StateEstimator(settings)
-    for _, reading in arrivals:
-        methods.taken(estimator, reading)
 
 
 def closed_loop_rows(seeds: Sequence[int], progress: Progress) -> list[Row]:

@@ -142,12 +142,17 @@ def advance(machine, steps):
 
 
 @helper
+def is_slow(state, limit):
+    """Whether the torso's speeds are below the limit, m/s and rad/s; a mask for Lanes."""
+    return (dot(state.velocity, state.velocity) < limit * limit) & (
+        dot(state.rate, state.rate) < limit * limit
+    )
+
+
+@helper
 def divergence_of(state, limit):
     """Kind of divergence of the torso, or -1; limit: m/s and rad/s."""
-    if not (
-        dot(state.velocity, state.velocity) < limit * limit
-        and dot(state.rate, state.rate) < limit * limit
-    ):
+    if not is_slow(state, limit):
         return TOO_FAST
     return -1 if state.rotation[2, 2] > COS_TILT_MAX else TOO_TILTED
 
@@ -251,8 +256,11 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     f = combined(
         grip.force[0], foot.along, grip.force[1], foot.aside, normal, foot.up
     )
-    stiffness = -force_slope * (1.0 + beta * inv)
-    stiffness /= foot.normal_per_drop * foot.normal_per_drop
+    stiffness = (
+        -force_slope
+        * (1.0 + beta * inv)
+        / (foot.normal_per_drop * foot.normal_per_drop)
+    )
     stiffness = where(leg_force > 0.0, stiffness, none)
     subtract_force(work.vector, foot.place, f)
     turning = foot.lever * grip.force[2]

@@ -18,7 +18,6 @@ import numpy as np
 from slot_core import config
 from slot_core.arrays import Array, checked
 from slot_core.compiled import helper, kernel
-from slot_core.dynamics.algebra import dot
 from slot_core.dynamics.handle import contents
 from slot_core.dynamics.lanes import COUNT, in_lanes, like, where
 from slot_core.dynamics.model import state_space, work_space
@@ -35,6 +34,7 @@ from slot_core.key_frame import StateParts
 from slot_core.legs.tabulated_kernels import (
     COS_TILT_MAX,
     PLACE,
+    is_slow,
     one_step,
 )
 from slot_core.legs.tabulated_robot import (
@@ -268,7 +268,6 @@ def _follow(machine, settings, plan, pose, force, foot):
     """Simulate a plan, or four in lanes; the velocity of a robot that diverges becomes NaN."""
     model, legs, state, feet, work, scheme = machine
     start, angle_max, cycles, steps = settings
-    v, w, most = state.velocity, state.rate, model.speed_limit**2
     for i in range(start.size):
         state.buffer[i] = start[i]
     for k in range(plan.shape[0] - 1):
@@ -279,9 +278,11 @@ def _follow(machine, settings, plan, pose, force, foot):
                 feet.command[leg] = min(max(goal, 0.0), angle_max)
             for _ in range(steps):
                 one_step(model, legs, state, feet, work, scheme)
-                slow = (dot(v, v) < most) & (dot(w, w) < most)
-                sound = slow & (state.rotation[2, 2] > COS_TILT_MAX)
-                v[0] = where(sound, v[0], like(math.nan, v[0]))
+                sound = is_slow(state, model.speed_limit) & (
+                    state.rotation[2, 2] > COS_TILT_MAX
+                )
+                v_x = state.velocity[0]
+                state.velocity[0] = where(sound, v_x, like(math.nan, v_x))
         _record(pose[k], force[k], foot[k], legs, state, feet)
 
 
