@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from slot_bringup.graph import read_graph
+
 DOMAINS = 100  # above 101 the ports of DDS lie in the range that Linux assigns dynamically
 SLOW_MPC = {"acceptance.time_budget": 0.2}  # s, on a busy machine
 # Time limits that hold on a busy machine, where processes wait longer than on a robot. Without
@@ -33,6 +35,9 @@ PATIENT = {
 }
 
 
+_claims = []
+
+
 def claim_domain():
     """A ROS domain, 1 .. DOMAINS, that no other test process of this machine has claimed.
 
@@ -40,29 +45,26 @@ def claim_domain():
     """
     for number in range(os.getpid(), os.getpid() + DOMAINS):
         domain = str(1 + number % DOMAINS)
-        claim = socket.socket(socket.AF_UNIX)
+        _claims.append(socket.socket(socket.AF_UNIX))
         with contextlib.suppress(OSError):  # has been claimed
-            claim.bind(f"\0slot_test_domain_{domain}")
-            _claims.append(claim)
+            _claims[-1].bind(f"\0slot_test_domain_{domain}")
             return domain
-        claim.close()
     raise RuntimeError(f"all {DOMAINS} ROS domains of the tests are claimed")
-
-
-_claims = []
-
-
-@functools.cache
-def process_domain():
-    return claim_domain()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def domain():
     """Separate ROS domain for every test process, so that graphs do not communicate."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", process_domain())
+        patch.setenv("ROS_DOMAIN_ID", claim_domain())
         yield
+
+
+def nodes_of(**changes):
+    """Nodes of the graph by name, with changed values of its arguments."""
+    graph = read_graph()
+    values = {a.name: a.default for a in graph.arguments} | changes
+    return {spec.name: spec for spec in graph.nodes(values)}
 
 
 def changed_config(directory, changes):

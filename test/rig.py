@@ -1,37 +1,63 @@
-"""The running graph under test: processes, their messages and services, faults, recovery."""
+"""The graph under test in one process on simulated time: its nodes, on rclpy, with a stepped clock.
 
-import os
-import signal
-import subprocess
-import time
+One executor serves them while the time stands still. Then the time advances: by LATENCY if
+something was served, else by IDLE_STEP. So what the robot does in seconds takes only its computation,
+and no limit depends on the load of the machine.
+"""
+
+import dataclasses
+import functools
+import itertools
+import traceback
+import types
 from collections import defaultdict
 
 import pytest
 import rclpy
-import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Odometry
+from rclpy.clock import ROSClock
 from rclpy.context import Context
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from real_graph import PATIENT, changed_config
+from rclpy.time import Time
+from real_graph import changed_config, nodes_of
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from slot_bringup.graph import TIED, read_graph
 from slot_bringup.processes import command_line
-from slot_core.config import build
-from slot_core.dynamixel.bus import Bus
-from slot_core.dynamixel.port import SerialPort
-from slot_core.dynamixel.settings import read_settings
+from slot_core.clock import SECOND
+from slot_core.dynamixel.brand import DYNAMIXEL
+from slot_core.dynamixel.driver import Driver
+from slot_core.dynamixel.emulator.emulated_legs import MemoryPort
 from slot_core.messages import decode
-from slot_core.safety.settings import SupervisorSettings
 from slot_core.safety.states import State
-from slot_msgs.msg import LegStates, RobotState, ServoHealth
+from slot_core.servos import registry
+from slot_core.simulation import simulated_servos
+from slot_msgs.msg import RobotState, ServoHealth
 from slot_msgs.srv import InjectFault
-from slot_nodes import qos
-from slot_nodes.process.executor import DirectExecutor
+from slot_nodes import (
+    dynamixel_driver_node,
+    mpc_controller_node,
+    qos,
+    runtime,
+    sim_robot_node,
+)
+from slot_nodes.process.composed import node_class
+from slot_nodes.process.executor import KINDS, DirectExecutor
 
-WAIT_LIMIT = 60.0  # s, of any wait on a busy machine
+START = 1_700_000_000 * SECOND  # ns
+LATENCY = 200_000  # ns, of a message
+IDLE_STEP = 2_000_000  # ns
+WAIT_LIMIT = 60.0  # s, of any wait
+SOLVE_TIME = 5e-4  # s, of a cycle of the MPC
+SLEEPERS = {  # modules that use a clock of the machine, with their nodes
+    dynamixel_driver_node: "dynamixel_driver",
+    mpc_controller_node: "mpc_controller",
+    sim_robot_node: "sim_robot",
+    simulated_servos: "sim_robot",
+}
 TOPICS = {
     "/robot_state": (RobotState, qos.STATE),
     "/servo_health": (ServoHealth, qos.SENSOR),
@@ -39,8 +65,6 @@ TOPICS = {
     "/joint_states": (JointState, qos.SENSOR),
     "/desired_joint_angles": (JointState, qos.CONTROL),
     "/odom": (Odometry, qos.SENSOR),
-    "/ground_truth/odom": (Odometry, qos.SENSOR),
-    "/ground_truth/legs": (LegStates, qos.SENSOR),
 }
 # Request that leads towards WALKING, by state.
 NEXT_REQUEST = {
@@ -52,50 +76,206 @@ NEXT_REQUEST = {
 }
 
 
-def nodes_of(**changes):
-    """Nodes of the graph by name, with changed values of its arguments."""
-    graph = read_graph()
-    values = {a.name: a.default for a in graph.arguments} | changes
-    return {spec.name: spec for spec in graph.nodes(values)}
+class NotingExecutor(DirectExecutor):
+    """Executor that notes whether something was ready, and leaves events of topics out."""
+
+    def _collect_entities(self):
+        super()._collect_entities()
+        self._waitables = []
+
+    def _wait(self, timeout_sec):
+        super()._wait(timeout_sec)
+        ready = self._wait_set.get_ready_entities
+        self.served = any(
+            ready(kind) for kind in KINDS if kind != "guard_condition"
+        )
 
 
 class Rig:
     """A graph with its messages, requests and faults. Times are ns of the messages' clock."""
 
-    def __init__(
-        self, directory, config=PATIENT, parameters=None, only=None, **arguments
-    ):
-        """`config`: as for `changed_config`; `parameters`: by node; `only`: nodes to
-        start now, else all; `arguments`: of the graph."""
-        self.directory, self.bus = directory, directory / "bus"
-        self.config = changed_config(directory, config)
-        self._parameters = parameters or {}
-        values = {"hardware": "fake_bus"} | arguments
-        if values["hardware"] == "fake_bus":
-            values["port"] = str(self.bus)
-        self.specs = nodes_of(**values)
-        self.children = {}
+    def __init__(self, directory, config=None, only=None, **arguments):
+        """`config`: as for `changed_config`; `only`: nodes to start now, else all;
+        `arguments`: of the graph."""
+        self.config = changed_config(directory, config or {})
+        self._port = str(directory / "bus")
+        given = {"hardware": "sim", "port": self._port} | arguments
+        self.specs = nodes_of(**given)
+        self.nodes, self.exit_codes = {}, {}  # by name
+        self.logs = defaultdict(list)
         self.messages = defaultdict(list)
         self.transitions = []  # (since, State, reason)
-        self._clients = {}
+        self.solve_time = SOLVE_TIME
+        self._clients, self._arguments = {}, []
+        self._clock = ROSClock()
+        self._clock._set_ros_time_is_active(True)
+        self._set_time(START)
+        self._patch = pytest.MonkeyPatch()
         self._open_node()
         self.start(*(self.specs if only is None else only))
 
-    def _open_node(self, executor=DirectExecutor):
+    def _open_node(self):
         """Make the node of the test, and subscribe to TOPICS."""
         self.context = Context()
         no_handlers = SignalHandlerOptions.NO
         rclpy.init(
             args=[], context=self.context, signal_handler_options=no_handlers
         )
+        self._replace()
         self.node = rclpy.create_node("tester", context=self.context)
-        self._executor = executor(context=self.context)
+        self._executor = NotingExecutor(context=self.context)
         self._executor.add_node(self.node)
         for topic, (kind, profile) in TOPICS.items():
             self.subscribe(topic, kind, profile)
         self.node.create_subscription(
             RobotState, "/robot_state", self._on_state, qos.STATE
         )
+
+    def _replace(self):
+        """Replace the clocks of the nodes, their logs, and the device of the servos."""
+        patch, make_node = self._patch.setattr, Node.__init__
+        self._patch.setenv("SLOT_CONFIG", str(self.config))
+
+        def make(node, name, **options):
+            given = {"context": self.context, "cli_args": self._arguments}
+            # nobody asks for parameters, whose services are the half of all that is waited for
+            make_node(
+                node,
+                name,
+                **given | options | {"start_parameter_services": False},
+            )
+
+        def log(logger, message, severity, **_):
+            self.logs[logger.name.split(".")[0]].append(message)
+
+        patch(Node, "__init__", make)
+        patch(Node, "get_clock", lambda _: self._clock)
+        patch(runtime, "Clock", lambda clock_type: self._clock)
+        patch(RcutilsLogger, "log", log)
+        ticks = itertools.count()
+        clock = {
+            "monotonic": self.seconds,
+            "monotonic_ns": self.now,
+            "perf_counter": lambda: next(ticks) * self.solve_time,
+        }
+        for module, name in SLEEPERS.items():
+            sleep = functools.partial(self._sleep, name)
+            patch(module, "time", types.SimpleNamespace(**clock, sleep=sleep))
+        brand = dataclasses.replace(DYNAMIXEL, make_bus=self._make_bus)
+        self._patch.setitem(registry.BRANDS, "dynamixel", lambda: brand)
+
+    def _make_bus(self, settings):
+        """Driver of the emulated servos; at another port, of none."""
+        if settings.bus.port != self._port:
+            return DYNAMIXEL.make_bus(settings)
+        port = MemoryPort(self._bus(), settings.bus.baud, self.seconds)
+        port.port_name = settings.bus.port
+        return Driver(port, settings, self.seconds)
+
+    def _bus(self):
+        return self.nodes["sim_robot"]._plant.emulated.bus
+
+    # time
+
+    def now(self):
+        """Present time of the messages' clock."""
+        return self._time
+
+    def seconds(self):
+        return self._time / SECOND
+
+    def _set_time(self, time):
+        self._time = time
+        self._clock.set_ros_time_override(
+            Time(nanoseconds=time, clock_type=self._clock.clock_type)
+        )
+
+    def run(self, seconds):
+        """Let the graph run, and receive its messages."""
+        end = self._time + round(seconds * SECOND)
+        while self._time < end:
+            try:
+                self._executor.spin_once(0.0)
+            except SystemExit as raised:
+                *_, (frame, _) = traceback.walk_tb(raised.__traceback__)
+                module = frame.f_globals["__name__"].split(".")[-1]
+                self.stop(module.removesuffix("_node"), int(raised.code or 0))
+            step = LATENCY if self._executor.served else IDLE_STEP
+            self._set_time(min(end, self._time + step))
+
+    def _sleep(self, name, seconds):
+        """A node sleeps within a callback: the others go on."""
+        self.pause(name)
+        self.run(seconds)
+        self.resume(name)
+
+    def every(self, period, action):
+        """Call a function of the test with a period, s; returns a timer with `cancel`."""
+        return self.node.create_timer(period, action, clock=self._clock)
+
+    def wait_for(self, condition, limit=WAIT_LIMIT):
+        """Wait until a condition is true, at most `limit` s; returns its value."""
+        end = self._time + limit * SECOND
+        while not (value := condition()):
+            assert self._time < end, (self.transitions[-12:], self.logs)
+            self.run(0.01)
+        return value
+
+    # nodes
+
+    def start(self, *names, parameters=()):
+        """Start nodes, also again; `parameters` for this start only."""
+        for name in names:
+            options = [
+                f"{key}:={value}" for key, value in dict(parameters).items()
+            ]
+            self._arguments = command_line(self.specs[name])[1:]
+            for option in options:
+                self._arguments += ["-p", option]
+            self.exit_codes.pop(name, None)
+            self.nodes[name] = node_class(name)()
+            self._executor.add_node(self.nodes[name])
+        self._arguments = []
+
+    def stop(self, name, code=0):
+        """End a node as SIGINT does, or with another exit code."""
+        runtime.close([self.nodes[name]])
+        self.kill(name)
+        self.exit_codes[name] = code
+
+    def kill(self, name):
+        """End a node at once, as SIGKILL does; returns the time."""
+        self.nodes[name].destroy_node()
+        self._executor.remove_node(self.nodes.pop(name))
+        return self._time
+
+    def pause(self, name):
+        """Suspend a node, as SIGSTOP does; returns the time."""
+        self._executor.remove_node(self.nodes[name])
+        return self._time
+
+    def resume(self, name):
+        """Continue a suspended node."""
+        self._executor.add_node(self.nodes[name])
+
+    def log(self, name):
+        """Output of a node so far."""
+        return "\n".join(self.logs[name])
+
+    def registers(self, name):
+        """A register of every emulated servo."""
+        return [servo.memory[name] for servo in self._bus().servos]
+
+    def close(self):
+        """Remove every node, and the replacements."""
+        for name in [*self.nodes]:
+            self.kill(name)
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+        self._patch.undo()
+
+    # messages and services
 
     def subscribe(self, topic, kind, profile):
         """Keep the messages of a topic."""
@@ -106,88 +286,26 @@ class Rig:
     def publisher(self, kind, topic, profile):
         return self.node.create_publisher(kind, topic, profile)
 
-    def every(self, period, action):
-        """Call a function of the test with a period, s; returns a timer with `cancel`."""
-        return self.node.create_timer(period, action)
+    def publisher_of(self, topic):
+        """Publisher of the node that publishes a topic."""
+        found = (p for node in self.nodes.values() for p in node.publishers)
+        return next(p for p in found if p.topic_name == topic)
 
-    def run(self, seconds):
-        """Let the graph run, and receive its messages."""
-        end = time.monotonic() + seconds
-        while (left := end - time.monotonic()) > 0.0:
-            self._executor.spin_once(left)
+    def last(self, topic):
+        return self.messages[topic][-1]
 
-    def _on_state(self, message):
-        now = (decode.time(message.since), State(message.state), message.reason)
-        if not self.transitions or self.transitions[-1] != now:
-            self.transitions.append(now)
-
-    def start(self, *names, parameters=None, program=()):
-        """Start nodes, also again; `parameters` and another `program` for this start only."""
-        for name in names:
-            executable, *arguments = command_line(self.specs[name])
-            values = {**self._parameters.get(name, {}), **(parameters or {})}
-            options = [
-                w
-                for key, value in values.items()
-                for w in ("-p", f"{key}:={value}")
-            ]
-            self.spawn(name, [*(program or [executable]), *arguments, *options])
-
-    def spawn(self, name, command):
-        """Start a process; its output is the log of that name."""
-        environment = os.environ | {"SLOT_CONFIG": str(self.config)}
-        with (self.directory / f"{name}.log").open("ab") as log:
-            self.children[name] = subprocess.Popen(
-                [*TIED, *command],
-                env=environment,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-                cwd=self.directory,
-            )
-
-    def log(self, name):
-        """Output of a node so far."""
-        log = self.directory / f"{name}.log"
-        return log.read_text(errors="replace") if log.exists() else ""
-
-    def log_lines(self, name):
-        """Output of a node so far, by lines."""
-        return self.log(name).splitlines()
-
-    def runs(self, name):
-        return name in self.children and self.children[name].poll() is None
-
-    def exit_code(self, name):
-        """Exit code of a node; waits until it ends by itself."""
-        self.wait_for(lambda: not self.runs(name), what=f"{name} does not end")
-        return self.children[name].returncode
-
-    def now(self):
-        """Present time of the messages' clock."""
-        return time.time_ns()
-
-    def wait_for(self, condition, limit=WAIT_LIMIT, what="condition not met"):
-        """Wait until a condition is true, at most `limit` s; returns its value."""
-        end = self.now() + limit * 1e9
-        while not (value := condition()):
-            assert self.now() < end, f"{what}: {self.recent_events()}"
-            self.run(0.01)
-        return value
-
-    def recent_events(self):
-        """Last transitions and the ends of all logs, for the message of a failure."""
-        logs = [f"{name}:\n{self.log(name)[-2000:]}" for name in self.specs]
-        return "\n".join([*map(str, self.transitions[-12:]), *logs])
+    def since(self, topic, time):
+        """Messages of a topic stamped at or after a time."""
+        return [m for m in self.messages[topic] if decode.stamp(m) >= time]
 
     def call(self, kind, service, /, **request):
         """Call a service; returns its answer."""
         if service not in self._clients:
             self._clients[service] = self.node.create_client(kind, service)
         client = self._clients[service]
-        self.wait_for(client.service_is_ready, what=f"no service {service}")
+        self.wait_for(client.service_is_ready)
         answer = client.call_async(kind.Request(**request))
-        self.wait_for(answer.done, what=f"no answer of {service}")
+        self.wait_for(answer.done)
         return answer.result()
 
     def request(self, name):
@@ -196,131 +314,51 @@ class Rig:
 
     def inject(self, kind, leg="all", clear=False, **values):
         """Inject a fault into the simulated robot, or clear it; returns the time before it."""
-        now = self.now()
+        begin, values = self._time, values | {"leg": leg, "clear": clear}
         answer = self.call(
-            InjectFault,
-            "/sim_robot/inject",
-            kind=kind,
-            leg=leg,
-            clear=clear,
-            **values,
+            InjectFault, "/sim_robot/inject", kind=kind, **values
         )
         assert answer.success, answer.message
-        return now
+        return begin
+
+    # state of the supervisor
+
+    def _on_state(self, message):
+        now = (decode.time(message.since), State(message.state), message.reason)
+        if not self.transitions or self.transitions[-1] != now:
+            self.transitions.append(now)
 
     @property
     def state(self):
         """State of the supervisor in its newest message; None without one."""
         return self.transitions[-1][1] if self.transitions else None
 
-    def last(self, topic):
-        return self.messages[topic][-1]
-
-    def since(self, topic, time):
-        """Messages of a topic stamped at or after a time."""
-        return [
-            message
-            for message in list(self.messages[topic])
-            if decode.stamp(message) >= time
-        ]
-
-    def supervisor_settings(self):
-        """Settings of supervisor.yaml in force."""
-        values = yaml.safe_load((self.config / "supervisor.yaml").read_text())
-        return build(SupervisorSettings, values, "supervisor.yaml")
-
-    def wait_for_state(self, state, time, limit=WAIT_LIMIT):
+    def wait_for_state(self, state, time):
         """Wait for a transition to `state` at or after `time`; returns (since, reason)."""
 
         def found():
-            later = (
-                t
-                for t in list(self.transitions)
-                if t[0] >= time and t[1] is state
-            )
-            return next(((since, reason) for since, _, reason in later), None)
+            later = (t for t in self.transitions if t[0] >= time)
+            return next((t[::2] for t in later if t[1] is state), None)
 
-        return self.wait_for(found, limit, f"never {state.name}")
+        return self.wait_for(found)
 
     def wait_for_torque_off(self, time):
         """Wait for a health report since `time` with every torque off; returns the first."""
-        found = self.wait_for(
-            lambda: [
-                m
-                for m in self.since("/servo_health", time)
-                if not any(m.torque)
-            ],
-            what="torque stays on",
-        )
-        return found[0]
 
-    def registers(self, name):
-        """A register of every servo; the driver must have ended."""
-        settings = read_settings()
-        port = SerialPort(str(self.bus), settings.bus.baud, 0.5)
-        port.open()
-        try:
-            bus = Bus(port, settings.bus)
-            return [
-                bus.read(identity, name)[name]
-                for identity in settings.joints.ids
-            ]
-        finally:
-            port.close()
+        def found():
+            reports = self.since("/servo_health", time)
+            return next((m for m in reports if not any(m.torque)), None)
+
+        return self.wait_for(found)
 
     def walk(self):
-        """Bring the robot to WALKING from any state, by the requests of an operator."""
-        end = self.now() + WAIT_LIMIT * 1e9
-        refusal = ""
-        while self.state is not State.WALKING:
-            assert self.now() < end, f"{refusal}: {self.recent_events()}"
+        """Let the robot walk for half a second, from any state, by the requests of an operator."""
+
+        def walks():
             if self.state in NEXT_REQUEST:
-                refusal = self.request(NEXT_REQUEST[self.state])
-            self.run(0.05)
+                self.request(NEXT_REQUEST[self.state])
+            return self.state is State.WALKING and (
+                self._time - self.transitions[-1][0] >= SECOND // 2
+            )
 
-    def stop(self, name):
-        """Interrupt a node unless it has ended; returns its exit code."""
-        if self.runs(name):
-            self.children[name].send_signal(signal.SIGINT)
-        return self.exit_code(name)
-
-    def walk_steadily(self):
-        """Bring the robot to WALKING, and wait until it has walked for half a second."""
-        while (
-            self.state is not State.WALKING
-            or self.now() - self.transitions[-1][0] < 5e8
-        ):
-            self.walk()
-            self.run(0.05)
-
-    def close(self):
-        """End every node; returns the exit codes."""
-        for child in self.children.values():
-            if child.poll() is None:
-                child.send_signal(signal.SIGINT)
-        for child in self.children.values():
-            try:
-                child.wait(10)
-            except subprocess.TimeoutExpired:
-                os.killpg(child.pid, signal.SIGKILL)
-                child.wait()
-        self.context.try_shutdown()
-        return {name: child.returncode for name, child in self.children.items()}
-
-
-def maker(kind):
-    """A fixture: a function that makes rigs of a kind; their nodes end with the module."""
-
-    @pytest.fixture(scope="module")
-    def make_rig(tmp_path_factory):
-        made = []
-
-        def make(**options):
-            made.append(kind(tmp_path_factory.mktemp("rig"), **options))
-            return made[-1]
-
-        yield make
-        for rig in made:
-            rig.close()
-
-    return make_rig
+        self.wait_for(walks)

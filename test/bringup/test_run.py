@@ -19,8 +19,7 @@ import numpy as np
 import pytest
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
-from real_graph import set_values
-from rig import nodes_of
+from real_graph import nodes_of, set_values
 from synthetic_walk import Walk, write_walk
 
 from slot_bringup import monitor, processes, run

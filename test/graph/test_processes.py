@@ -17,11 +17,12 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from itertools import product
 from unittest.mock import Mock
 
 import psutil
 import pytest
-from rig import nodes_of
+from real_graph import nodes_of
 from sensor_msgs.msg import JointState
 
 from slot_bringup.monitor import listener
@@ -258,6 +259,7 @@ class Interrupted(Node):
 
     def work(self):
         self.raise_signal("callback")
+        1 / (place != "fault")
 
     def close(self):
         print("closed", flush=True)
@@ -266,17 +268,42 @@ runtime.run(Interrupted)
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("place", ["make", "library", "import", "callback"])
+def run_node(number, place):
+    """The ended process of a node that sends itself a signal at a place, or has a fault."""
+    # a signal that the caller of the tests ignores (nohup) would be ignored here too
+    program = ["env", "--default-signal=HUP", sys.executable, "-c", NODE]
+    return subprocess.run(
+        [*program, str(int(number)), place],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(
+    ("number", "place"),
+    [
+        *product(
+            (signal.SIGINT, signal.SIGTERM),
+            ("make", "library", "import", "callback"),
+        ),
+        (signal.SIGHUP, "callback"),  # a lost connection to `ros2 launch`
+    ],
+)
 def test_a_preparation_is_interrupted_at_once_and_a_callback_is_not(
     number, place
 ):
     """A node that sends itself the signal at that place ends without a fault."""
-    command = [sys.executable, "-c", NODE, str(int(number)), place]
-    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    ended = run_node(number, place)
     assert (ended.returncode, ended.stderr) == (0, "")
     printed = ["end of callback", "closed"] if place == "callback" else []
     assert ended.stdout.splitlines() == printed
+
+
+def test_a_node_whose_callback_fails_is_closed_and_ends_with_exit_code_1():
+    ended = run_node(signal.SIGTERM, "fault")
+    assert (ended.returncode, ended.stdout) == (1, "closed\n")
+    assert "ZeroDivisionError" in ended.stderr
 
 
 # Fast DDS waits for ever: a call into C that keeps Python's lock, as rclpy's does.

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from real_graph import changed_config, claim_domain
-from rig import nodes_of
+from real_graph import changed_config, claim_domain, nodes_of
 
 from slot_bringup import monitor
 from slot_bringup.processes import Processes

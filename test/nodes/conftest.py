@@ -1,15 +1,25 @@
 """Fixtures of tests of the graph on simulated time."""
 
 import pytest
-from rig import maker
-from simulated_rig import SimulatedRig
-from stub_supervisor import stub  # noqa: F401 - a fixture
+from rig import Rig
 
-simulate = maker(SimulatedRig)  # one at a time
+
+@pytest.fixture(scope="module")
+def simulate(tmp_path_factory):
+    """A function that makes rigs, one at a time; their nodes end with the module."""
+    made = []
+
+    def make(**options):
+        made.append(Rig(tmp_path_factory.mktemp("rig"), **options))
+        return made[-1]
+
+    yield make
+    for rig in made:
+        rig.close()
 
 
 @pytest.fixture
 def walking(rig):
     """The rig of the module, whose robot walks."""
-    rig.walk_steadily()
+    rig.walk()
     return rig

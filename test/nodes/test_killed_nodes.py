@@ -7,7 +7,7 @@ injected fault that cannot be is refused.
 import numpy as np
 import pytest
 from geometry_msgs.msg import Vector3
-from simulated_rig import SOLVE_TIME
+from rig import SOLVE_TIME
 
 from slot_core.messages import decode
 from slot_core.safety.settings import read_supervisor

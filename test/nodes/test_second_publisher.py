@@ -91,7 +91,7 @@ def test_a_second_publisher_lets_the_robot_relax_by_name_and_stand_up_no_more(
     walking.wait_for_torque_off(begin)
     walking.run(0.1)
     fault = f"FAULT: slack after: servos: {line}"
-    assert fault in walking.log_lines("supervisor")
+    assert fault in walking.logs["supervisor"]
     walking.wait_for(lambda: not walking.request("reset"))
     walking.run(0.5)
     begin = walking.now()
@@ -106,7 +106,7 @@ def test_two_controllers_let_a_walking_robot_relax_and_are_named(walking):
     walking.wait_for_torque_off(begin)
     walking.node.destroy_publisher(second)
     line = "/tendon_plan has 2 publishers, limit 1: /mpc_controller, /tester"
-    assert f"RELAX: {line}" in walking.log_lines("supervisor")
+    assert f"RELAX: {line}" in walking.logs["supervisor"]
 
 
 def test_a_forged_permission_brings_no_torque_in_estop(walking, intruder):

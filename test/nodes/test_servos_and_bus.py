@@ -40,7 +40,7 @@ def test_the_robot_is_ready_again_with_a_new_driver(rig, fault):
         begin = rig.kill(DRIVER)
     else:
         begin = rig.inject("unplugged", duration=0.5)
-        assert rig.exit_code(DRIVER) == 1
+        assert rig.wait_for(lambda: rig.exit_codes.get(DRIVER)) == 1
         assert "their bus watchdogs stop the servos" in rig.log(DRIVER)
     rig.wait_for_state(State.FAULT, begin)
     rig.run(1.0)

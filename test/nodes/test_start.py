@@ -62,7 +62,7 @@ def test_a_robot_that_is_still_frozen_obeys_off(rig):
     """Its first command has not arrived when the e-stop is pressed: the tendons unwind."""
     while rig.state is not State.STANDING:
         rig.run(0.0002)
-    assert rig.node_of("sim_robot")._frozen
+    assert rig.nodes["sim_robot"]._frozen
     assert rig.request("estop") == ""
     rig.run(1.5)
     assert rig.state is State.ESTOP

@@ -38,7 +38,7 @@ def rig(simulate):
 
 def set_parameters(rig, *wanted):
     """The answer of mpc_controller to `ros2 param set`."""
-    return rig.node_of("mpc_controller").set_parameters_atomically(list(wanted))
+    return rig.nodes["mpc_controller"].set_parameters_atomically(list(wanted))
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_a_weight_set_while_standing_acts_and_the_bag_replays_it(rig, tmp_path):
     assert rig.last("/tendon_plan").settings == '{"cost.height": 0.003}'
     assert rig.last("/tendon_plan").status == TendonPlan.SOLVED
     rig.wait_for(lambda: not rig.request("walk"))
-    rig.walk_steadily()
+    rig.walk()
     rig.run(2.0)
     refused = set_parameters(rig, Parameter("cost.height", value=0.002))
     assert (

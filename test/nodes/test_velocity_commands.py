@@ -63,5 +63,5 @@ def test_a_publisher_of_the_other_type_is_named(walking):
             lambda: list(walking.last("/robot_state").warnings) == [line]
         )
     # once; DDS may tell the name of a new node a moment after its publisher
-    assert walking.log_lines("gait_scheduler").count(line) == 1
+    assert walking.logs["gait_scheduler"].count(line) == 1
     walking.wait_for(lambda: not walking.last("/robot_state").warnings)

@@ -1,13 +1,9 @@
-"""Fixtures of tests in real time: a graph as processes, and limits that hold on a busy machine."""
+"""Limits of tests in real time that hold on a busy machine."""
 
 import os
 
 import pytest
 from real_graph import PATIENT, changed_config
-from rig import Rig, maker
-from stub_supervisor import stub  # noqa: F401 - a fixture
-
-make_rig = maker(Rig)
 
 
 @pytest.fixture(scope="session")

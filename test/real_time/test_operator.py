@@ -15,7 +15,7 @@ import time
 from contextlib import contextmanager, suppress
 
 import pytest
-from rig import nodes_of
+from real_graph import nodes_of
 
 from slot_bringup.processes import Processes
 

@@ -1,30 +1,36 @@
-"""Runs at the pace of the wall clock: scripts/run, the real driver, participants that join.
-
-The driver's process: torque is off and read back at each of its ends; lifecycle services.
-
-Real time: signals end the process, and rclpy serves the lifecycle.
-"""
+"""Runs at the pace of the wall clock: scripts/run, the real driver, participants that join."""
 
 import math
-import signal
 import subprocess
 import sys
+import time
 
 import pytest
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
-from rig import TOPICS
-from stub_supervisor import DRIVER, powered, start_driver
+from nav_msgs.msg import Odometry
+from real_graph import nodes_of
+from sensor_msgs.msg import JointState
+from test_operator import operate
 
 from slot_bringup.monitor import listener
-from slot_core.safety.states import Action, State
+from slot_bringup.processes import Processes
+from slot_core.safety.states import State
 from slot_lab.bags.bag import Bag
+from slot_lab.bags.check_bag import check_bag
+from slot_nodes import qos
 
 pytestmark = pytest.mark.real_time
 
 RUN = [sys.executable, "-m", "slot_bringup"]
-JOINS = 10
-HEARD = {"/odom", "/desired_joint_angles"}  # of two nodes
+JOINS = 5
+CONFIRMED = "torque off, confirmed by every servo"
+OUTPUTS = [
+    "/mpc_state",
+    "/gait_preview",
+    "/tendon_plan",
+    "/desired_joint_angles",
+]
+# s of walking; at least so many ticks are compared, of 30 a second
+WALK, TICKS = (5.0, 30)
 
 
 def run(*arguments, **options):
@@ -51,151 +57,77 @@ def test_run_in_real_time_keeps_its_pace_and_prints_a_summary(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_robot_walks_with_the_real_driver_which_leaves_no_torque(
-    environment, tmp_path
-):
-    """At a pseudo-terminal. Measured: 44 mm/s on average; half of it shows that it walks."""
-    bag = tmp_path / "bag"
-    run(
-        "--hardware",
-        "fake_bus",
-        "--duration",
-        "5",
-        "--bag",
-        str(bag),
-        env=environment,
-    )
-    place = Bag(bag).series("/ground_truth/odom", "pose.pose.position")
-    walked = place["pose.pose.position"][:, 0]
-    assert (walked[-1] - walked[0]) / (
-        place.stamp[-1] - place.stamp[0]
-    ) * 1e9 > 0.02
-    assert (
-        "torque off, confirmed by every servo"
-        in (bag / "log/dynamixel_driver.log").read_text()
-    )
-    assert (
-        "servos left under torque: none"
-        in (bag / "log/sim_robot.log").read_text()
-    )
-
-
-def join_and_leave():
-    """Take part in the graph until a message of every topic HEARD has come."""
-    heard = set()
+def join_and_leave(graph):
+    """Take part in a graph until messages of two nodes have come; whether they have."""
+    heard = []
     with listener("passer_by") as (node, executor):
-        for topic in HEARD:
-            kind, profile = TOPICS[topic]
-            node.create_subscription(
-                kind, topic, lambda _, t=topic: heard.add(t), profile
-            )
-        executor.spin_until(lambda: heard == HEARD, math.inf)
-
-
-def test_participants_that_join_and_leave_do_not_stop_a_walking_robot(make_rig):
-    """As `ros2 topic echo` does; what DDS does in other processes takes real time."""
-    rig = make_rig(hardware="sim")
-    rig.walk_steadily()
-    walking = rig.transitions[-1]
-    for _ in range(JOINS):
-        join_and_leave()
-    assert rig.transitions[-1] == walking, rig.recent_events()
-    assert rig.state is State.WALKING
-
-
-PULLED = 1.5  # rad
-DRIVER_PROGRAM = (
-    "from slot_nodes import dynamixel_driver_node, runtime\n"
-    "runtime.run(dynamixel_driver_node.DynamixelDriverNode)"
-)
-# Raises ZeroDivisionError in its first diagnostics under torque.
-BROKEN_DRIVER = """
-from slot_nodes import diagnostics, dynamixel_driver_node, runtime
-original = diagnostics.of_servos
-def of_servos(stamp, session, *rest):
-    return original(stamp // (not session.bus.active), session, *rest)
-diagnostics.of_servos = of_servos
-runtime.run(dynamixel_driver_node.DynamixelDriverNode)
-"""
+        for topic, kind, profile in (
+            ("/odom", Odometry, qos.SENSOR),
+            ("/desired_joint_angles", JointState, qos.CONTROL),
+        ):
+            heard.append([])
+            node.create_subscription(kind, topic, heard[-1].append, profile)
+        executor.spin_until(
+            lambda: all(heard) or graph.poll() is not None, math.inf
+        )
+    return all(heard)
 
 
 @pytest.fixture(scope="module")
-def bench(make_rig):
-    return make_rig(only=["sim_robot"])
+def walked(environment, tmp_path_factory):
+    """Bag of a run on the real driver, at a pseudo-terminal, while participants come and go."""
+    bag, joined = tmp_path_factory.mktemp("run") / "bag", 0
+    options = ["--hardware", "fake_bus", "--duration", "12", "--bag", str(bag)]
+    graph = subprocess.Popen([*RUN, *options], env=environment)
+    while graph.poll() is None:
+        joined += join_and_leave(graph)
+    assert graph.returncode == 0
+    assert joined >= JOINS
+    return bag
 
 
-@pytest.fixture
-def rig(bench):
-    """Emulated servos without a driver; a driver that the test starts ends with it."""
-    bench.wait_for(bench.bus.exists)
-    yield bench
-    if DRIVER in bench.children:
-        bench.stop(DRIVER)
+def test_robot_walks_with_the_real_driver_which_leaves_no_torque(walked):
+    """Measured: 44 mm/s on average; half of it shows that it walks."""
+    place = Bag(walked).series("/ground_truth/odom", "pose.pose.position")
+    x, seconds = place["pose.pose.position"][:, 0], place.stamp * 1e-9
+    assert (x[-1] - x[0]) / (seconds[-1] - seconds[0]) > 0.02
+    log = walked / "log"
+    assert CONFIRMED in (log / "dynamixel_driver.log").read_text()
+    left = "servos left under torque: none"
+    assert left in (log / "sim_robot.log").read_text()
 
 
-@pytest.mark.parametrize(
-    "end", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, "exception"]
-)
-def test_the_driver_reads_torque_off_back_before_it_ends(rig, stub, end):
-    """SIGHUP comes when the connection to a terminal with `ros2 launch` is lost."""
-    before = len(rig.log_lines(DRIVER))
-    broken = end == "exception"
-    code = BROKEN_DRIVER if broken else DRIVER_PROGRAM
-    # a signal that the caller of the tests ignores (nohup) would be ignored here too
-    start_driver(
-        rig, program=["env", "--default-signal=HUP", sys.executable, "-c", code]
-    )
-    if broken:
-        stub.permission = Action.HOLD
-    else:
-        stub.move_to(PULLED)
-        rig.children[DRIVER].send_signal(end)
-    assert rig.exit_code(DRIVER) == int(broken)
-    log = "".join(rig.log_lines(DRIVER)[before:])
-    assert "torque on" in log
-    assert "torque off, confirmed by every servo" in log
-    assert rig.registers("torque_enable") == [0] * 4
+def test_participants_that_join_and_leave_do_not_stop_a_walking_robot(walked):
+    """As `ros2 topic echo` does; what DDS does in other processes takes real time."""
+    states = Bag(walked).series("/robot_state", "state")["state"]
+    begin = list(states).index(State.WALKING)
+    assert set(states[begin:]) == {State.WALKING}
 
 
-@pytest.fixture
-def change(rig):
-    """Request a transition of the driver; returns whether it succeeded."""
-
-    def request(transition):
-        goal = Transition(id=transition)
-        return rig.call(
-            ChangeState, f"/{DRIVER}/change_state", transition=goal
-        ).success
-
-    return request
-
-
-def test_the_driver_follows_lifecycle_transitions_by_service(rig, stub, change):
-    rig.start(DRIVER, parameters={"autostart": False})
-    begin = rig.now()
-    assert not change(Transition.TRANSITION_ACTIVATE)  # it is not configured
-    assert change(Transition.TRANSITION_CONFIGURE)
-    rig.wait_for(lambda: rig.since("/joint_states", begin))
-    assert not change(Transition.TRANSITION_ACTIVATE)  # nothing permits it
-    stub.permission = Action.HOLD
-    powered(rig, begin)
-    end = rig.now()
-    assert change(Transition.TRANSITION_DEACTIVATE)
-    rig.wait_for_torque_off(end)
-    assert "torque off, confirmed by every servo" in rig.log_lines(DRIVER)[-1]
-    on = rig.now()
-    assert change(Transition.TRANSITION_ACTIVATE)
-    powered(rig, on)
-    assert change(Transition.TRANSITION_DEACTIVATE)
-    assert change(Transition.TRANSITION_CLEANUP)
-    # the driver has closed the port
-    assert rig.registers("torque_enable") == [0] * 4
-    again = rig.now()
-    assert change(Transition.TRANSITION_CONFIGURE)
-    rig.wait_for(lambda: rig.since("/joint_states", again))
-    assert change(Transition.TRANSITION_ACTIVATE)
-    powered(rig, again)
-    assert change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
-    assert rig.registers("torque_enable") == [0] * 4
-    # it is finalized, and still answers
-    assert not change(Transition.TRANSITION_CONFIGURE)
+def test_a_bag_of_a_real_robot_replays_to_the_last_bit(environment, tmp_path):
+    """The robot, simulated, is a process of its own at a pseudo-terminal, there before the graph."""
+    port, bag = tmp_path / "servos", tmp_path / "bag"
+    robot = nodes_of(hardware="fake_bus", port=str(port))["sim_robot"]
+    graph = nodes_of(hardware="real", port=str(port), bag=str(bag))
+    graph["supervisor"].parameters["estop_required"] = False
+    processes = Processes(tmp_path / "log", environment)
+    try:
+        processes.start([robot])
+        while not port.exists():
+            time.sleep(0.05)
+        processes.start(graph.values())
+        for request in ("ready", "stand", "walk"):
+            while operate(environment, request)[0]:
+                time.sleep(0.1)
+        time.sleep(WALK)
+        assert processes.failed() is None
+    finally:
+        processes.stop(last="recorder")
+    comparisons = check_bag(Bag(bag), 0.0)
+    assert [c.topic for c in comparisons] == OUTPUTS
+    for comparison in comparisons:
+        line = str(comparison)
+        assert not comparison.why, line
+        assert comparison.first is None, comparison.first
+        assert comparison.largest == 0.0, line
+        assert comparison.compared >= TICKS, line

@@ -7,9 +7,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+from rig import Rig
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image
-from simulated_rig import SimulatedRig
 from views import CAMERA, MOUNT, VISION, board, image_from_torso, synthetic
 
 from slot_core import config
@@ -225,9 +225,7 @@ CALIBRATION = messages.camera_to_msg(1, CAMERA)
 
 @pytest.fixture
 def rig(tmp_path):
-    made = SimulatedRig(
-        tmp_path, only=["marker_localizer"], scene="marker_camera"
-    )
+    made = Rig(tmp_path, only=["marker_localizer"], scene="marker_camera")
     yield made
     made.close()
 
@@ -250,7 +248,7 @@ def test_images_become_odometry_or_lost_odometry_or_say_why_not(rig):
         image_from_torso(BASE), CameraInfo(width=1280, height=720)
     )
     assert not odometry
-    log = "\n".join(rig.log_lines("marker_localizer"))
+    log = "\n".join(rig.logs["marker_localizer"])
     assert (
         "camera/camera_info refused: K[0] = 0: the camera is not calibrated"
         in log
@@ -273,4 +271,4 @@ def test_images_become_odometry_or_lost_odometry_or_say_why_not(rig):
     _, _, quaternion, *_, variance = decode.odometry(odometry)
     assert not quaternion.any()
     assert set(variance) == {9999.0}
-    assert "no marker of DICT_4X4_100" in rig.log_lines("marker_localizer")[-1]
+    assert "no marker of DICT_4X4_100" in rig.logs["marker_localizer"][-1]

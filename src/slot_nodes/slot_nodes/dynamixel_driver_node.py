@@ -79,7 +79,10 @@ class DynamixelDriverNode(LifecycleNode):
             self, "autostart", True, "configure at start"
         )
         self._session = ServoSession(
-            brand.make_bus(settings), read_robot().tendon.angle_max, 1.0 / rate
+            brand.make_bus(settings),
+            read_robot().tendon.angle_max,
+            1.0 / rate,
+            time.sleep,
         )
         self._port = self._session.bus.facts.port
         self._servo = read_servo()

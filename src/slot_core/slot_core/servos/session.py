@@ -8,7 +8,6 @@ Times are on the bus's clock, which never goes back, ns.
 """
 
 import math
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -60,7 +59,7 @@ class ServoSession:
         bus: ServoBus,
         angle_max: float,
         period: float,
-        sleep: Callable[[float], None] = time.sleep,
+        sleep: Callable[[float], None],
     ) -> None:
         """Commands within [0, `angle_max`] (rad); `period` (s) between steps; `stop` uses `sleep`.
 

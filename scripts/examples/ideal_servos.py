@@ -1,4 +1,8 @@
-"""A brand of servos in one file: in memory, with a lag and nothing else."""
+"""A brand of servos in one file: in memory, with a lag and nothing else.
+
+A line with `make_brand` in `BRANDS` of slot_core/servos/registry.py makes it known. The servos answer in
+their own process alone: `EmulatedServos.serve`, a device for a driver in another one, is left out.
+"""
 
 import dataclasses
 import math
@@ -43,39 +47,43 @@ class IdealServos:
     def __init__(self, angles=(0.0,) * 4, voltage=11.1):
         self.angle, self.voltage = np.array(angles), voltage
         self.goal, self.torque = self.angle.copy(), np.zeros(4, dtype=bool)
-        # N m; a share
-        self.stall, self.load = (
-            read_servo().tendon_stall(voltage),
-            np.zeros(4),
-        )
-        # the legs that do not answer
-        self.silent, self.unplugged = (set(), False)
+        self.stall = read_servo().tendon_stall(voltage)  # N m
+        self.load = np.zeros(4)  # share of it
+        self.silent = set()  # the legs that do not answer
+        self.unplugged = False
 
     def advance(self, dt, torques=(0.0,) * 4):
+        """Advance by dt, s, under torques of the tendons, N m."""
         self.load = np.asarray(torques) / self.stall
         share = np.where(self.torque, dt / (dt + LAG), 0.0)
         self.angle = self.angle + share * (self.goal - self.angle)
         return self.angle
 
     def angles(self):
+        """Present angles of the tendons, rad."""
         return self.angle
 
     def powered(self):
+        """Legs whose servos have torque on."""
         return tuple(leg for leg, on in zip(LEGS, self.torque) if on)
 
     def driven(self):
+        """Whether torque is on with a goal away from where a servo is."""
         return bool((self.torque & (self.goal != self.angle)).any())
 
     def watchdog_left(self):
+        """Time until a watchdog stops them: there is none."""
         return math.inf
 
     def set_fault(self, fault, on):
+        """Unplug the bus, or let servos be silent; for ever."""
         if fault.kind == "unplugged":
             self.unplugged = True
         else:
             self.silent |= {*fault.legs}
 
     def connect(self, clock):
+        """Bus to these servos."""
         return IdealBus(self, clock)
 
 
@@ -92,6 +100,7 @@ class IdealBus:
         )
 
     def configure(self):
+        """Refuse servos that do not answer; torque is off then."""
         self._require_port()
         if not (off := self.torque_off()).complete:
             raise RefusedError(list(off.reasons))
@@ -99,6 +108,7 @@ class IdealBus:
         return tuple(f"{servo.leg} id {servo.id}" for servo in self.health)
 
     def activate(self):
+        """Torque on, without motion."""
         if self.active:
             raise RefusedError(["torque is on already"])
         self.servos.goal, self.active = self.servos.angle.copy(), True
@@ -106,6 +116,7 @@ class IdealBus:
         self._update()
 
     def command(self, angles):
+        """Set the goals, rad."""
         goal = np.asarray(angles, dtype=float)
         inside = (goal >= self.facts.low) & (goal <= self.facts.high)
         if not self.active or goal.shape != (len(LEGS),) or not inside.all():
@@ -115,9 +126,11 @@ class IdealBus:
         self.servos.goal = goal.copy()
 
     def goals(self):
+        """Goals, rad."""
         return self.servos.goal.copy()
 
     def cycle(self):
+        """Readings of the servos that answer."""
         self._require_port()
         self._update()
         now = self.clock()
@@ -132,6 +145,7 @@ class IdealBus:
         return Cycle(0.0, now, tuple(readings))
 
     def torque_off(self):
+        """Switch torque off; servos that do not answer are named."""
         self.active = False
         if not self.servos.unplugged:
             self.servos.torque[:] = False
@@ -143,7 +157,7 @@ class IdealBus:
         return TorqueOff(tuple(leg not in lost for leg in LEGS), missing)
 
     def close(self):
-        pass
+        """Close the port: there is none."""
 
     def _require_port(self):
         if self.servos.unplugged:
