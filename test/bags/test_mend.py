@@ -6,6 +6,7 @@ import shutil
 import sqlite3
 
 import pytest
+from rclpy.serialization import serialize_message
 from rosbags.rosbag2 import (
     CompressionFormat,
     CompressionMode,
@@ -13,7 +14,7 @@ from rosbags.rosbag2 import (
     StoragePlugin,
     Writer,
 )
-from synthetic_walk import TOPICS, WALL, Walk, encode, message, write_walk
+from synthetic_walk import TOPICS, WALL, Walk, message, write_walk
 
 from slot_core.recording.bag_writer import BagWriter, message_types
 from slot_core.recording.origin import Origin
@@ -30,7 +31,7 @@ ORIGIN = Origin(
 
 
 def odometry(n):
-    return encode("/odom", message("/odom", 0.01 * n))
+    return serialize_message(message("/odom", 0.01 * n))
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,6 @@ import pytest
 from rclpy.serialization import serialize_message
 from real_graph import set_values
 from std_msgs.msg import String
-from synthetic_walk import TYPES
 
 from slot_core import config
 from slot_core.clock import to_seconds
@@ -23,7 +22,7 @@ from slot_core.estimation.state_estimator import read_estimator
 from slot_core.estimation.unaided_estimator import make_estimator
 from slot_core.key_frame import capture
 from slot_core.messages import decode
-from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.bag_writer import BagWriter, message_types
 from slot_core.recording.origin import FILES, Origin, origin_here
 from slot_core.recording.record_settings import read_record_settings
 from slot_core.robot import read_robot
@@ -35,7 +34,7 @@ from slot_lab.bags.topics import SENSORS
 from slot_msgs.msg import StageRecord
 from slot_nodes import messages
 
-HERE = Path(__file__).parent
+HERE, TYPES = Path(__file__).parent, message_types()
 WALK = HERE / "walk"
 SIZE_MAX = 700_000  # bytes of a bag in the repository
 STATES = [*SENSORS, "/mpc_state", RECORDS]  # what the first stage needs

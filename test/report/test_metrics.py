@@ -313,7 +313,7 @@ def test_a_single_violated_cycle_shows_in_a_long_walk(tmp_path, monkeypatch):
 def test_fields_missing_from_older_messages_are_listed_and_left_out(tmp_path):
     plan = message(PLANS, 1.0, **cycle())
     found = constraint_map.read_map(
-        Bag(write_old(tmp_path / "older", PLANS, plan, "slack_balance"))
+        Bag(write_old(tmp_path / "older", PLANS, plan))
     )
     assert "slack_balance" in found.missing
     assert not any("balance" in name for name in found.constraints)

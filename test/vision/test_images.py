@@ -8,9 +8,10 @@ import sys
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
 from scipy import stats
 from scipy.spatial.transform import Rotation
-from synthetic_walk import TYPES, blank
+from sensor_msgs.msg import CameraInfo, Image
 from views import CAMERA, VISION, board, image_from_torso, seen_from_torso
 
 from slot_core.geometry import Transform
@@ -31,10 +32,10 @@ from slot_lab.film.images import FilmError, bag_camera, read_film
 
 def image(pixels, encoding="mono8", **changes):
     """A message of an image, with fields changed."""
-    message = blank("sensor_msgs/msg/Image")
+    message = Image()
     message.height, message.width = pixels.shape[:2]
     message.encoding, message.step = encoding, pixels[0].nbytes
-    message.data = np.frombuffer(pixels.tobytes(), np.uint8)
+    message.data = pixels.tobytes()
     for name, value in changes.items():
         setattr(message, name, value)
     return message
@@ -72,8 +73,7 @@ def test_a_image_with_missing_bytes_is_refused(changes, reason):
 
 def write_bag(path, images, k=CAMERA.matrix):
     """A bag with images as (stamp in ms, array)."""
-    info = blank("sensor_msgs/msg/CameraInfo")
-    info.height, info.width, info.distortion_model = 720, 1280, "plumb_bob"
+    info = CameraInfo(height=720, width=1280, distortion_model="plumb_bob")
     info.d, info.k = CAMERA.distortion, k.ravel()
     entries = [(0, "/camera/camera_info", info)]
     for ms, pixels in images:
@@ -82,8 +82,8 @@ def write_bag(path, images, k=CAMERA.matrix):
         entries.append((ms * 1_000_000, "/camera/image_raw", message))
     with BagWriter(path, read_record_settings()) as bag:
         for time, topic, message in entries:
-            kind = message.__msgtype__
-            bag.write(topic, kind, time, TYPES.serialize_cdr(message, kind))
+            kind = f"sensor_msgs/msg/{type(message).__name__}"
+            bag.write(topic, kind, time, serialize_message(message))
     return path
 
 
