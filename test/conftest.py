@@ -65,8 +65,11 @@ def pytest_runtest_protocol(item):
     if not item.get_closest_marker("real_time"):
         return (yield)
     tick_time()  # not part of any test
-    with machine_load.measured() as item.stash[LOAD]:
+    item.stash[LOAD] = machine_load.Load()
+    try:
         return (yield)
+    finally:
+        item.stash[LOAD].end()
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -82,8 +85,10 @@ def pytest_runtest_setup(item):
 def pytest_runtest_makereport(item, call):
     """Report a failure on a machine that did not keep up as skipped."""
     report = yield
-    if LOAD in item.stash and call.excinfo is not None:
-        machine_load.judge(
-            report, item.location[:2], call.excinfo.value, item.stash[LOAD]
-        )
+    if LOAD in item.stash and call.excinfo is not None and report.failed:
+        reason = item.stash[LOAD].excuse(call.excinfo.value)
+        if reason:
+            report.outcome = "skipped"
+            text = f"Skipped: machine too slow: {reason}"
+            report.longrepr = (*item.location[:2], text)
     return report

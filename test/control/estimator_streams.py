@@ -1,6 +1,7 @@
 """Streams of IMU and odometry readings of closed-form motions, and the estimator run on them."""
 
 import numpy as np
+from same_bits import content
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
@@ -18,6 +19,17 @@ SETTINGS = config.replace(
 )
 GYRO_BIAS = np.array([0.02, -0.015, 0.01])
 GYRO_NOISE, FORCE_NOISE = 0.01, 0.3  # of one sample at 200 Hz, as in MATCHED
+IMU_NOISE = np.repeat([[GYRO_NOISE], [FORCE_NOISE]], 3, axis=1)
+ODOMETRY_NOISE = np.repeat(
+    [
+        [SETTINGS.odometry.angle_noise],
+        [SETTINGS.odometry.position_noise],
+        [SETTINGS.odometry.velocity_noise],
+        [SETTINGS.odometry.rate_noise],
+    ],
+    3,
+    axis=1,
+)
 MATCHED = config.replace(
     SETTINGS,
     {
@@ -77,45 +89,32 @@ class Walk:
         return state, attitude, attitude.inv().apply(omega), force
 
 
-def spin():
-    """Constant rotation about an axis that is tilted in base_link, sinusoidal translation."""
-    motion = Walk(turn=1.7)
-    motion.amplitude[:3] = 0.0
-    motion.offset[:2] = 0.5, -0.6
-    return motion
-
-
 def imu_messages(motion, duration, rate=200, rng=None, bias=0.0):
     messages = []
     for k in range(round(duration * rate) + 1):
-        _, _, w, f = motion.at(k / rate)
-        if rng is not None:
-            w, f = (
-                w + rng.normal(0, GYRO_NOISE, 3),
-                f + rng.normal(0, FORCE_NOISE, 3),
-            )
+        w, f = np.array(motion.at(k / rate)[2:]) + drawn(rng, IMU_NOISE)
         messages.append(("imu", k * SECOND // rate, (w + bias, f)))
     return messages
 
 
-def odometry_messages(
-    motion, duration, rate=30, rng=None, noise=SETTINGS.odometry
-):
+def odometry_messages(motion, duration, rate=30, rng=None, loud=1.0):
+    """Messages of odometry, with `loud` times the noise of SETTINGS."""
     messages = []
     for k in range(round(duration * rate)):
         stamp = k * SECOND // rate
         state, attitude, w, _ = motion.at(stamp / SECOND)
-        p, v = state[3:6], attitude.inv().apply(state[9:])
-        if rng is not None:
-            attitude = (
-                Rotation.from_rotvec(rng.normal(0, noise.angle_noise, 3))
-                * attitude
-            )
-            p = p + rng.normal(0, noise.position_noise, 3)
-            v = v + rng.normal(0, noise.velocity_noise, 3)
-            w = w + rng.normal(0, noise.rate_noise, 3)
+        turn, *shift = drawn(rng, loud * ODOMETRY_NOISE)
+        p, v, w = (
+            np.array([state[3:6], attitude.inv().apply(state[9:]), w]) + shift
+        )
+        attitude = Rotation.from_rotvec(turn) * attitude
         messages.append(("odometry", stamp, (p, attitude.as_quat(), v, w)))
     return messages
+
+
+def drawn(rng, noise):
+    """Noise of one reading; zero without a generator."""
+    return 0.0 * noise if rng is None else rng.normal(0.0, noise)
 
 
 def arrivals(*streams):
@@ -185,20 +184,12 @@ def validities(estimates):
 
 def same(*streams):
     """Whether estimates are equal to the last bit."""
-    a, b = (
-        [
-            (
-                e.stamp,
-                e.lead,
-                e.validity,
-                e.state.tobytes(),
-                e.covariance.tobytes(),
-            )
-            for e in stream
-        ]
+    names = ("stamp", "lead", "validity", "state", "covariance")
+    first, second = (
+        [[content(getattr(e, name)) for name in names] for e in stream]
         for stream in streams
     )
-    return a == b
+    return first == second
 
 
 def arriving(messages, delay):

@@ -226,13 +226,7 @@ def test_odometry_of_three_times_the_noise_contradicts_no_imu(seed, tilt):
 
 def noisy_part(motion, rng):
     """Eight seconds of readings, of the odometry with three times its noise."""
-    names = ("angle", "position", "velocity", "rate")
-    noise = {
-        f"odometry.{n}_noise": 3.0 * getattr(SETTINGS.odometry, f"{n}_noise")
-        for n in names
-    }
-    loud = config.replace(SETTINGS, noise).odometry
     return arrivals(
         imu_messages(motion, 8.0, rng=rng),
-        odometry_messages(motion, 8.0, rng=rng, noise=loud),
+        odometry_messages(motion, 8.0, rng=rng, loud=3.0),
     )

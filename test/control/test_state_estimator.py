@@ -24,7 +24,6 @@ from estimator_streams import (
     odometry_messages,
     run,
     same,
-    spin,
     validities,
     with_jump,
     without,
@@ -342,7 +341,10 @@ def test_the_present_state_follows_every_imu_sample():
 
 def test_an_imu_mounted_elsewhere_gives_the_same_estimates():
     """Turned by 90 deg, 0.1 m off the centre; the rotation is constant: no angular acceleration."""
-    messages, r = clean(spin(), 2.0), np.array([0.1, -0.05, 0.03])
+    motion, r = Walk(turn=1.7), np.array([0.1, -0.05, 0.03])
+    motion.amplitude[:3] = 0.0
+    motion.offset[:2] = 0.5, -0.6
+    messages = clean(motion, 2.0)
     rpy = 0.0, 0.3, np.pi / 2
     turn = Rotation.from_euler("xyz", rpy).inv()
     mounted = [

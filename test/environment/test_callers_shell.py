@@ -13,7 +13,6 @@ from ipaddress import ip_address
 from pathlib import Path
 
 import pytest
-from real_graph import process_domain
 from sourced import ROOT, environment
 
 PROGRAMS = [
@@ -120,7 +119,7 @@ def test_a_graph_walks_in_a_folder_with_modules_of_the_callers_own(own, python):
     kept = {"PATH", "HOME", "XDG_CACHE_HOME"} & set(os.environ)
     given = python | {
         **{name: os.environ[name] for name in kept},
-        "ROS_DOMAIN_ID": process_domain(),
+        "ROS_DOMAIN_ID": os.environ["ROS_DOMAIN_ID"],
         "ROS_SECURITY_ENABLE": "true",
         "CDPATH": "/",
     }
@@ -194,7 +193,7 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> str:
     Those of the network, and those that open a file, as shared memory is.
     """
     folder = tmp_path_factory.mktemp("trace")
-    variables = environment() | {"ROS_DOMAIN_ID": process_domain()}
+    variables = environment() | {"ROS_DOMAIN_ID": os.environ["ROS_DOMAIN_ID"]}
 
     def start(role: str) -> subprocess.Popen[str]:
         tracer = ["strace", "-ff", "-yy", "-e", "trace=network,openat", "-o"]

@@ -42,7 +42,7 @@ class Browser:
             PROGRAM,
             *OPTIONS,
             f"--user-data-dir={directory}",
-            "about:blank",
+            address,
         ]
         self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
         file = directory / "DevToolsActivePort"
@@ -54,8 +54,6 @@ class Browser:
             page["webSocketDebuggerUrl"], max_size=None, proxy=None
         )
         self._number = itertools.count(1)
-        self.call("Page.enable")
-        self.call("Page.navigate", url=address)
 
     def __enter__(self):
         return self

@@ -7,13 +7,15 @@ import clarabel
 import cvxpy as cp
 import numpy as np
 import pytest
-from nominal_walk import ROBOT, SETTINGS
 from scipy import sparse
 
+from slot_core.robot import read_robot
 from slot_core.rollout_mpc.active_set import ActiveSet
 from slot_core.rollout_mpc.problem import PlanProblem
+from slot_core.rollout_mpc.settings import read_rollout_mpc
 
-ANGLE_MAX, DT = ROBOT.tendon.angle_max, 0.033
+SETTINGS = read_rollout_mpc()
+ANGLE_MAX, DT = read_robot().tendon.angle_max, 0.033
 K = SETTINGS.stages
 
 

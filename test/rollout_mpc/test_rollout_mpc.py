@@ -10,20 +10,38 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from nominal_walk import ROBOT, SETTINGS, WALK, torso_of
 
 from slot_core.control.force_map import read_springs
 from slot_core.control.policy import Status
 from slot_core.dynamics.servo import read_servo
 from slot_core.gait.route import Route
+from slot_core.geometry import rpy_of
 from slot_core.legs.tabulated_robot import TabulatedRobot
+from slot_core.robot import read_robot
 from slot_core.rollout_mpc.disturbance_observer import DisturbanceObserver
 from slot_core.rollout_mpc.nominal_robot import NominalRobot, nominal_scene
 from slot_core.rollout_mpc.rollout_mpc import RolloutMpc
+from slot_core.rollout_mpc.settings import read_rollout_mpc
 from slot_core.simulation.closed_loop import ClosedLoop
 
+ROBOT, SETTINGS = read_robot(), read_rollout_mpc()
+WALK = np.array([0.05, 0.0, 0.0])
 LIMITS, STAGES = SETTINGS.limits, SETTINGS.stages
 OBSERVER = SETTINGS.observer
+
+
+@pytest.fixture(scope="module")
+def walking():
+    """Ticks of a robot that starts to walk from the posture `stand`."""
+    return list(ClosedLoop("flat", "walk", WALK, 1, "rollout_mpc").run(60))
+
+
+def torso_of(model, start):
+    """State (12,) of the torso of a nominal robot, as of an estimate."""
+    torso = model.robot.state
+    torso.buffer[:] = start
+    rpy, omega = rpy_of(torso.rotation), torso.rotation @ torso.rate
+    return np.concatenate([rpy, torso.position, omega, torso.velocity])
 
 
 def follow(policy, ticks):

@@ -5,6 +5,7 @@ import functools
 import numpy as np
 
 from benchmarks.estimation.filmed_robot import Stage, filmed
+from slot_core.drawing.shapes import natural_legs
 from slot_core.geometry import Transform, optical
 from slot_core.robot import read_robot
 from slot_core.vision.board import make_board, print_of
@@ -51,11 +52,8 @@ def image_from_torso(base, name="wall", settings=None, **made):
 def natural_robot(base):
     """The robot with stress-free legs and its torso at `base`."""
     robot = read_robot()
-    x = np.linspace(0.0, robot.leg.reach, 21)
-    drop = robot.leg.shape(x) - robot.leg.shape(0.0)
-    legs = robot.clamps[:, None] + x[:, None] * robot.outward[:, None]
-    legs[..., 2] += drop
-    return filmed(robot, base, base.apply(legs), np.zeros((4, 0, 3)))
+    legs = natural_legs(base.position, base.quaternion, robot, 21)
+    return filmed(robot, base, legs.nodes, np.zeros((4, 0, 3)))
 
 
 @functools.cache
