@@ -22,27 +22,24 @@ from slot_core.simulation.many_robots import ManyRobots
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.leg_tests.held_leg import HeldLeg
 
-ROBOT = read_robot()
-NO_STEP = 0
+ROBOT, SERVO, NO_STEP = read_robot(), read_servo(), 0
+FLAT, MAP = (
+    config.replace(read_scene(name), {"start.settle": 0.0})
+    for name in ("flat", "map")
+)
 
 
 def compile_robot():
     """A robot on rods, in lanes and leg by leg."""
-    rods = RodRobot(
-        ROBOT,
-        config.replace(read_scene("flat"), {"start.settle": 0.0}),
-        read_servo(),
-    )
+    rods = RodRobot(ROBOT, FLAT, SERVO)
     rods.snapshot()
     advance_one_by_one(rods, NO_STEP)
 
 
 def compile_many(kind, scene):
     """Many robots with a model of the legs."""
-    start = config.replace(read_scene(scene), {"start.settle": 0.0})
-    ManyRobots([kind(ROBOT, start, read_servo())]).advance(
-        np.zeros((1, 1, 4)), NO_STEP
-    )
+    many = ManyRobots([kind(ROBOT, scene, SERVO)])
+    many.advance(np.zeros((1, 1, 4)), NO_STEP)
 
 
 def compile_others():
@@ -61,7 +58,7 @@ def compile_others():
 
 if __name__ == "__main__":
     many = [
-        (compile_many, (RodRobot, "flat")),
-        (compile_many, (TabulatedRobot, "map")),
+        (compile_many, (RodRobot, FLAT)),
+        (compile_many, (TabulatedRobot, MAP)),
     ]
     warm_up.run([(compile_robot, ()), *many, (compile_others, ())])

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from leg_energy import leg_energy
+from rod_robots import ROBOT, UNDAMPED
 from scipy.optimize import minimize
 
 from slot_core import config
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.legs.leg_table import read_leg_table
-from slot_core.robot import read_robot
 from slot_core.simulation.rod_robot import RodRobot
 from slot_lab.leg_tests.held_leg import HeldLeg
 from slot_lab.leg_tests.leg_map import (
@@ -20,11 +20,6 @@ from slot_lab.leg_tests.leg_map import (
 )
 from slot_lab.leg_tests.level_leg import NoEquilibriumError, at_nodes
 
-ROBOT = read_robot()
-# Without damping, a slowly moving leg has the forces of a leg at rest.
-UNDAMPED = config.replace(
-    ROBOT, {"leg.damping_time": 0.0, "tendon.cable_damping": 0.0}
-)
 HEIGHT, RATE = 0.09, np.radians(20.0)
 
 
