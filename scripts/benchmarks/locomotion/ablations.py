@@ -56,6 +56,10 @@ ABLATIONS: Mapping[str, tuple[Changes, Sequence[str]]] = {
         (("policy.nominal.posture_friction", 0.4),),
         (HEIGHTS,),
     ),
+    "feedback of a posture": (
+        (("policy.posture.stiffness", (0.0, 0.0, 0.0)),),
+        (STANDING, LOADED),
+    ),
     "robot that is simulated": (
         (("policy.limits.deviation", 0.0),),
         (CORNER, PAYLOAD, STANDING),

@@ -13,6 +13,8 @@ the amplitude from the error of the yaw. The observer keeps its disturbances mea
 In a posture the feet stick, and a leg that is released with its foot stuck lifts the torso. As a plan
 sees nothing beyond such a dead band, each of its steps pulls, and the torso rises. On a level floor the
 nominal robot therefore has less friction in a posture than in a walk (`nominal.posture_friction`).
+Once the reference rests and the torso is near it, the plan is that of `posture_feedback.py`. A slope and a leg without a
+tendon are the nominal robot's affair.
 
 While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
 is tried first whether the next one could be solved. A cycle without a new plan moves the last one on and
@@ -51,9 +53,11 @@ from slot_core.matrices import inverse, norm, product
 from slot_core.robot import GRAVITY, LEGS, RobotParameters
 from slot_core.rollout_mpc.disturbance_observer import (
     PLACE,
+    TILTS,
     DisturbanceObserver,
 )
 from slot_core.rollout_mpc.nominal_robot import NominalRobot, Rollouts
+from slot_core.rollout_mpc.posture_feedback import PostureFeedback
 from slot_core.rollout_mpc.problem import Linearisation, PlanProblem
 from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
 
@@ -61,6 +65,7 @@ MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
 LEAST_SPEED = 0.01  # m/s, of a walk
 LEVEL = 0.35  # m/s^2, gravity along a floor of 2 deg
+STILL = 1e-4  # m, rad within which a reference rests
 # m, rad beyond the nominal robot's motion: the odometry has jumped
 JUMP, TURN = 0.05, 0.2
 
@@ -86,6 +91,7 @@ class RolloutMpc(Policy):
         "stage_time",
         "_model",
         "observer",
+        "_posture",
         "_plan",
         "_next",
         "_state",
@@ -136,6 +142,7 @@ class RolloutMpc(Policy):
         self.observer = DisturbanceObserver(
             self._model, settings.observer, self._problem.scale, dt
         )
+        self._posture = PostureFeedback(settings.posture, self._shares)
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
         # (12,) that the plan is for; None after a fallback and in a turn in place
@@ -170,6 +177,7 @@ class RolloutMpc(Policy):
             self._model.gravity = estimate.gravity
         is_level = norm(self._model.gravity[:2]) < LEVEL
         self._model.in_posture = is_level and not preview.velocity_ahead.any()
+        rests = self._rests(state, preview)
         turns = preview.in_place and is_level
         if turns:
             self.observer.forget()
@@ -177,7 +185,14 @@ class RolloutMpc(Policy):
                 preview, tendon_angle=self._place.step(estimate, preview).angle
             )
         ready = self._ready(estimate.time, state, preview)
-        plan, rollout, fault = self._improved(ready, state, preview, turns)
+        if turns:
+            decayed = limits.decay * ready.deviation
+            ready = replace(ready, deviation=decayed)
+        elif rests:
+            ready = self._kept(ready, state, preview)
+        plan, rollout, fault = self._improved(
+            ready, state, preview, turns or rests
+        )
         cause = Status.NOT_SOLVED if fault else Status.LATE
         if fault := fault or time_fault(
             self._timer() - begin, limits.time_budget
@@ -255,6 +270,35 @@ class RolloutMpc(Policy):
         nominal, sag = self._nominal(preview)
         return replace(found, time=time, start=start, nominal=nominal, sag=sag)
 
+    def _rests(self, state: Array, preview: GaitPreview) -> bool:
+        """Whether the robot keeps a posture by feedback, on a level floor and four tendons."""
+        rows = np.asarray(preview.reference, dtype=float)
+        rows = rows[: self._settings.stages + 2, :6]
+        still = (np.abs(rows - rows[0]) < STILL).all()
+        whole = not any(self._settings.nominal.broken)
+        error = state[TILTS] - rows[0, TILTS]
+        if (
+            still
+            and whole
+            and self._model.in_posture
+            and self._posture.reaches(error, float(state[11]))
+        ):
+            return True
+        self._posture.forget()
+        return False
+
+    def _kept(self, plan: _Plan, state: Array, preview: GaitPreview) -> _Plan:
+        """The plan with the angles that keep the posture."""
+        carried = plan.nominal[0]
+        angle = self._posture.angle(
+            state[TILTS] - preview.reference[0, TILTS],
+            preview.tendon_angle[0],
+            carried,
+            carried if self._plan is None else self._angles(self._plan)[1],
+            self._stiffness,
+        )
+        return replace(plan, deviation=angle - plan.nominal[:-1])
+
     def _found(self, time: int, state: Array) -> _Plan | None:
         """The prepared plan at `time`; None if there is none, or if the robot is elsewhere."""
         if self._plan is None:
@@ -326,11 +370,11 @@ class RolloutMpc(Policy):
         return replace(plan, linear=self._problem.linearised(slopes))
 
     def _improved(
-        self, plan: _Plan, state: Array, preview: GaitPreview, turns: bool
+        self, plan: _Plan, state: Array, preview: GaitPreview, fixed: bool
     ) -> tuple[_Plan, Rollouts, str]:
         """The plan after a step of the problem and its rollout, or the fault.
 
-        In a turn in place its deviation from the gait decays instead.
+        fixed: without the step, in a turn in place and in a posture that is kept.
         """
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
@@ -339,9 +383,8 @@ class RolloutMpc(Policy):
         error = problem.errors(before.pose, wanted, yaw)[0]
         if not np.isfinite(error).all():
             return plan, before, "the rollout diverges"
-        if turns:
-            decayed = self._settings.limits.decay * plan.deviation
-            return replace(plan, deviation=decayed), before, ""
+        if fixed:
+            return plan, before, ""
         assert plan.linear is not None
         change = problem.change(
             error, plan.linear, plan.deviation, plan.nominal[:-1]

@@ -102,6 +102,35 @@ class ObserverSettings:
 
 
 @dataclass(frozen=True)
+class PostureSettings:
+    """Feedback of a posture that is kept; the gains are per tick."""
+
+    reach: Vector3 = quantity(
+        "errors of height, roll and pitch below which it acts",
+        "m, rad, rad",
+        0,
+        10,
+    )
+    rise_max: float = quantity(
+        "largest speed of the height at which it begins", "m/s", 0, 10
+    )
+    filter: float = quantity("gain of the filtered error", "", 0, 1)
+    gain: float = quantity("gain of the sum of the errors", "", 0, 1)
+    stiffness: Vector3 = quantity(
+        "wrench per error of height, roll and pitch",
+        "N/m, N m/rad, N m/rad",
+        0,
+        1e4,
+    )
+    correction_max: float = quantity(
+        "largest correction of a tendon angle", "rad", 0, 3
+    )
+    decay: float = quantity(
+        "factor of what the last command has beyond the correction", "", 0, 1
+    )
+
+
+@dataclass(frozen=True)
 class LimitSettings:
     """Limits of the plan, and of how long one is used without a new one."""
 
@@ -131,6 +160,7 @@ class RolloutMpcSettings:
     nominal: NominalSettings
     cost: CostSettings
     observer: ObserverSettings
+    posture: PostureSettings
     limits: LimitSettings
     stages: int = quantity("stages of the horizon", "", 2, 99)
     knots: tuple[int, ...] = quantity(
