@@ -53,6 +53,17 @@ def test_the_robot_is_ready_again_with_a_new_driver(rig, fault):
     rig.wait_for(lambda: all(rig.last("/servo_health").torque))
 
 
+def test_in_lockstep_an_unplugged_bus_ends_the_robot_as_its_driver_would(
+    simulate,
+):
+    rig = simulate(hardware="fake_bus", lockstep=True)
+    rig.wait_for(lambda: rig.state is State.WALKING)
+    rig.inject("unplugged")
+    assert rig.exit_code("sim_robot") == 1
+    assert "their bus watchdogs stop the servos" in rig.log("sim_robot")
+    rig.close()
+
+
 def test_the_driver_rejects_commands_stamped_by_another_clock(rig):
     """Commands do not pass through the supervisor: the driver checks the stamps itself."""
     foreign = copy.deepcopy(rig.last("/desired_joint_angles"))
