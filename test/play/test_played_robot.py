@@ -94,14 +94,11 @@ def test_what_cannot_change_is_refused_and_nothing_changes(change):
     assert robot.changes == {}
 
 
-@pytest.mark.parametrize("leg", ["FL", "RR"])
-def test_once_a_broken_tendon_is_mended_and_the_robot_reset_it_walks(
-    walking, leg
-):
-    walking.set_tendon(leg, broken=True)
+def test_once_a_broken_tendon_is_mended_and_the_robot_reset_it_walks(walking):
+    walking.set_tendon("RR", broken=True)
     assert state(walking, 1.0) is not State.WALKING
     for _ in range(2):  # the second time it is mended already
-        walking.set_tendon(leg, broken=False)
+        walking.set_tendon("RR", broken=False)
     run(walking, 8.0)
     walking.request(Request.RESET)
     walking.wishes.up = True
