@@ -251,7 +251,7 @@ BUDGET = {
     "src/slot_nodes": 2_169,
     "slot_bringup": 2_886,
     "scripts": 4_562,
-    "test": 15_641,
+    "test": 15_622,
 }
 
 
