@@ -14,6 +14,7 @@ from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from slot_bringup.graph import END, GO_ON, REFUSED, RESTART, NodeSpec
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
 from slot_core.recording.record_settings import BagError
+from slot_core.safety.states import RELEASED
 from slot_lab.bags.bag import Bag
 from slot_msgs.msg import MpcState, RobotState, TendonPlan
 from slot_nodes import qos
@@ -172,6 +174,24 @@ def test_a_warning_of_the_walk_is_told_once_whatever_its_numbers():
         for state in (RobotState.STANDING, RobotState.WALKING):
             progress.update_robot(RobotState(state=state, warnings=warnings))
     assert progress.news == ["slides 20 mm/s right"]
+
+
+@pytest.mark.parametrize("attended", [False, True])
+@pytest.mark.parametrize("state", RELEASED)
+def test_a_robot_that_goes_slack_ends_a_run_without_an_operator_in_one_line(
+    state, attended
+):
+    progress = monitor.Progress(supervised=True)
+    reason = "roll +0.510 rad, limit 0.5 rad"
+    progress.update_robot(RobotState(state=state.value, reason=reason))
+    processes, line = Mock(), f"the robot is in {state.name}: {reason}"
+    processes.failed.return_value = None
+    with (
+        nullcontext()
+        if attended
+        else pytest.raises(monitor.RunError, match=re.escape(line))
+    ):
+        monitor._check(progress, processes, attended)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import shutil
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -137,9 +138,21 @@ def ready(tmp_path_factory: pytest.TempPathFactory) -> Copy:
     return copy
 
 
-def until_build(copy: Copy) -> None:
-    """Wait until the workspace is being built."""
-    while copy.calls != ["build"]:
+@pytest.fixture
+def unbuilt(ready: Copy) -> Iterator[Copy]:
+    """The ready copy, but for its workspace, whose build a test may spoil."""
+    stamp = ready.home / "install/.stamp"
+    stamp.unlink()
+    yield ready
+    for left in (stamp, ready.stubs / "hold"):
+        left.unlink(missing_ok=True)
+    ready.tool("colcon", COLCON)
+    assert ready.setup()[0] == 0
+
+
+def until_build(copy: Copy, builds: int = 0) -> None:
+    """Wait until the workspace is being built, after so many builds."""
+    while len(copy.calls) == builds:
         time.sleep(0.02)
 
 
@@ -317,31 +330,32 @@ FULL = {
 
 
 @pytest.mark.parametrize("place", FULL)
-def test_full_disk_is_named_in_the_last_line(copy, place):
-    copy.tool("colcon", FULL[place])
-    status, output = copy.setup()
+def test_full_disk_is_named_in_the_last_line(unbuilt, place):
+    unbuilt.tool("colcon", FULL[place])
+    status, output = unbuilt.setup()
     assert status == 1
     *phases, last = output.splitlines()
-    assert last.startswith(f"setup: no space left in {copy.home}")
+    assert last.startswith(f"setup: no space left in {unbuilt.home}")
     assert all(phase.endswith(" s)") for phase in phases)
 
 
 @pytest.mark.parametrize(
     "cut", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL]
 )
-def test_no_process_goes_on_after_a_signal_on_a_terminal(copy, cut):
+def test_no_process_goes_on_after_a_signal_on_a_terminal(unbuilt, cut):
     """Nor the bar's: the terminal is free and the lock, else this would not end."""
-    (copy.stubs / "hold").touch()
+    (unbuilt.stubs / "hold").touch()
+    builds = len(unbuilt.calls)
     terminal, other = os.openpty()
-    process, text = copy.start(stderr=other), ""
+    process, text = unbuilt.start(stderr=other), ""
     os.close(other)
-    until_build(copy)
+    until_build(unbuilt, builds)
     while "building" not in text:  # the bar, which ends the job, is there
         text += os.read(terminal, 4096).decode()
     process.send_signal(cut)
     assert process.wait() == (130 if cut != signal.SIGKILL else -cut)
     subprocess.run(
-        ["flock", "-w", "10", copy.home / "lock", "true"], check=True
+        ["flock", "-w", "10", unbuilt.home / "lock", "true"], check=True
     )
     with suppress(OSError):  # until no process has it any more
         while data := os.read(terminal, 4096):

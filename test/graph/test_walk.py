@@ -130,11 +130,6 @@ def test_graph_gives_the_commands_and_states_of_the_core_in_one_process(walk):
 
 
 BUS = ("--lockstep", "--composed", "--hardware", "fake_bus", "--seed", "3")
-UNPLUGGED = """
-like: flat
-faults:
-  all: {kind: unplugged, leg: all, time: 0.5, duration: 0.0, value: 0.0}
-"""
 
 
 def test_on_emulated_servos_too_and_it_ends_with_torque_off(tmp_path):
@@ -142,18 +137,6 @@ def test_on_emulated_servos_too_and_it_ends_with_torque_off(tmp_path):
     assert_that_of_the_core(bag, 3, 1.9, "fake_bus")
     log = (bag / "log/controller.log").read_text()
     assert "servos left under torque: none" in log
-
-
-def test_an_unplugged_bus_ends_the_run_as_its_driver_would(
-    tmp_path, own_config
-):
-    (own_config / "scene" / "unplugged.yaml").write_text(UNPLUGGED)
-    options = (*BUS, "--scene", "unplugged", "--duration", "5")
-    with pytest.raises(monitor.RunError, match="controller ended"):
-        record(tmp_path / "bag", *options)
-    log = (tmp_path / "bag/log/controller.log").read_text()
-    assert "their bus watchdogs stop the servos" in log
-    assert "Traceback" not in log
 
 
 def test_replay_of_the_bag_gives_bit_equal_results(walk):

@@ -250,8 +250,8 @@ def stretch_stiff(sim: RodRobot) -> None:
 
 
 def there_and_back(time: float) -> Array:
-    """(4,) rad: 90 deg to 116 deg in 5 s and back."""
-    return np.full(4, math.radians(116.0 - 26.0 * abs(time - 5.0) / 5.0))
+    """(4,) rad: 100 deg to 116 deg in 3 s and back."""
+    return np.full(4, math.radians(116.0 - 16.0 * abs(time - 3.0) / 3.0))
 
 
 # From 30 mm the legs fall 8 mm and the underside 13 mm, which adds 0.25 m^2/s^2 to speed squared.
@@ -359,17 +359,17 @@ PARAMETERS = {
 }
 
 # Slowly through the fold near 110 deg and back, with friction 0.4 and without friction.
-BENT = {"start.tendon_angle_deg": 90.0}
+BENT = {"start.tendon_angle_deg": 100.0}
 FOLDS = {
     "snap-through": StressCase(
-        Limits(1e-4, 0.5, 0.1), BENT, command=there_and_back, seconds=10.0
+        Limits(1e-4, 0.5, 0.1), BENT, command=there_and_back, seconds=6.0
     ),
     # Without friction it snaps to one side or the other.
     "snap-through without friction": StressCase(
         Limits(1e-4, 0.5, 120.0),
         {**BENT, "floor.friction": [0.0] * 4, "floor.torso_friction": 0.0},
         command=there_and_back,
-        seconds=10.0,
+        seconds=6.0,
     ),
 }
 

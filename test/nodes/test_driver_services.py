@@ -115,7 +115,6 @@ def switch(rig, on):
 @pytest.mark.parametrize(
     ("parameters", "reason"),
     [
-        ({"joints.ids": "[5, 4, 2, 9]"}, "servo RR (id 9): ping: "),
         (
             {"servo.firmware_min": 46},
             "servo FL (id 5): firmware 45, expected 46 or newer",

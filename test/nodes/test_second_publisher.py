@@ -100,6 +100,8 @@ def test_a_second_publisher_lets_the_robot_relax_by_name_and_stand_up_no_more(
     assert not any(walking.since("/servo_health", begin)[-1].torque)
 
 
+# the supervisor sees it, whatever the servos are
+@pytest.mark.parametrize("rig", ["sim"], indirect=True)
 def test_two_controllers_let_a_walking_robot_relax_and_are_named(walking):
     begin = walking.now()
     second = walking.publisher(TendonPlan, "tendon_plan", qos.CONTROL)

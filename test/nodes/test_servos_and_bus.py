@@ -10,6 +10,17 @@ from slot_core.safety.states import State
 DRIVER = "dynamixel_driver"
 
 
+def test_in_lockstep_an_unplugged_bus_ends_the_robot_as_its_driver_would(
+    simulate,
+):
+    rig = simulate(hardware="fake_bus", lockstep=True)
+    rig.wait_for(lambda: rig.state is State.WALKING)
+    rig.inject("unplugged")
+    rig.wait_for(lambda: rig.exit_codes == {"sim_robot": 1})
+    assert "their bus watchdogs stop the servos" in rig.log("sim_robot")
+    rig.close()
+
+
 @pytest.fixture(scope="module")
 def graph(simulate):
     return simulate(hardware="fake_bus")

@@ -48,11 +48,11 @@ def test_it_walks_where_it_is_wished_to_and_turns(walking):
     ):
         walking.wishes.velocity = np.array(velocity, dtype=float)
         before = run(walking, 2.0).position
-        way = run(walking, 4.0).position - before
-        assert way[axis] == pytest.approx(4.0 * velocity[axis], rel=0.4)
+        way = run(walking, 2.0).position - before
+        assert way[axis] == pytest.approx(2.0 * velocity[axis], rel=0.4)
     walking.wishes.velocity = np.array([0.0, 0.0, 0.1])
     before = run(walking, 2.0).quaternion[2]
-    assert run(walking, 4.0).quaternion[2] - before > 0.5 * np.sin(0.2)
+    assert run(walking, 2.0).quaternion[2] - before > 0.5 * np.sin(0.1)
 
 
 def test_it_walks_on_after_it_had_to_stand(walking):
@@ -94,14 +94,11 @@ def test_what_cannot_change_is_refused_and_nothing_changes(change):
     assert robot.changes == {}
 
 
-@pytest.mark.parametrize("leg", ["FL", "RR"])
-def test_once_a_broken_tendon_is_mended_and_the_robot_reset_it_walks(
-    walking, leg
-):
-    walking.set_tendon(leg, broken=True)
+def test_once_a_broken_tendon_is_mended_and_the_robot_reset_it_walks(walking):
+    walking.set_tendon("RR", broken=True)
     assert state(walking, 1.0) is not State.WALKING
     for _ in range(2):  # the second time it is mended already
-        walking.set_tendon(leg, broken=False)
+        walking.set_tendon("RR", broken=False)
     run(walking, 8.0)
     walking.request(Request.RESET)
     walking.wishes.up = True

@@ -154,7 +154,7 @@ def test_keys_start_a_walk_and_the_command_line_ends_it(environment):
 
 
 @pytest.mark.usefixtures("graph")
-@pytest.mark.parametrize("end", ["closed", "interrupted", "suspended"])
+@pytest.mark.parametrize("end", ["closed", "interrupted"])
 def test_end_of_the_terminal_stops_the_robot_until_a_reset_at_another(
     environment, end
 ):
@@ -163,10 +163,8 @@ def test_end_of_the_terminal_stops_the_robot_until_a_reset_at_another(
         live.press_until("r", "READY")
         if end == "closed":
             live.close()
-        elif end == "interrupted":
-            live.press(CTRL_C)
         else:
-            live.process.send_signal(signal.SIGSTOP)
+            live.press(CTRL_C)
         while not (stopped := pattern.search(operate(environment, "state")[1])):
             pass
         code, _, refusal = operate(environment, "reset")

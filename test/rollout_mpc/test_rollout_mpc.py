@@ -20,6 +20,7 @@ from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.robot import read_robot
 from slot_core.rollout_mpc.disturbance_observer import DisturbanceObserver
 from slot_core.rollout_mpc.nominal_robot import NominalRobot, nominal_scene
+from slot_core.rollout_mpc.posture_feedback import PostureFeedback
 from slot_core.rollout_mpc.rollout_mpc import RolloutMpc
 from slot_core.rollout_mpc.settings import read_rollout_mpc
 from slot_core.simulation.closed_loop import ClosedLoop
@@ -203,6 +204,36 @@ def test_on_a_floor_that_grips_it_walks_and_the_model_learns_of_it():
             assert last.plan.message == (said if learned else "")
     without, with_it = (np.mean(found) for found in ways.values())
     assert with_it > 1.3 * without
+
+
+def test_the_feedback_of_a_posture_begins_at_the_last_command_and_adds_up_the_error():
+    """Against the closed form of the filtered error, f_n = e (1 - (1 - filter)^n)."""
+    posture = replace(SETTINGS.posture, decay=0.0)
+    shares, stiffness = np.arange(12.0).reshape(4, 3) / 10, np.full(4, 5.0)
+    feedback = PostureFeedback(posture, shares)
+    error, gait = np.array([-1e-3, 2e-3, 1e-3]), np.full(4, 1.2)
+    carried, uneven = gait + 0.05, np.array([0.02, -0.02, 0.01, -0.01])
+    last = carried + 0.1 + uneven
+    for _ in range(20):
+        last = feedback.angle(error, gait, carried, last, stiffness)
+    seen = 1.0 - (1.0 - posture.filter) ** np.arange(1, 21)
+    wrench = error * posture.stiffness
+    wrench *= posture.gain * seen.sum() + seen[-1]
+    expected = carried + uneven - shares @ wrench / stiffness
+    assert last == pytest.approx(expected, abs=1e-12)
+    feedback.forget()
+    again = feedback.angle(np.zeros(3), gait, gait, gait, stiffness)
+    assert again == pytest.approx(gait, abs=1e-15)
+
+
+def test_the_feedback_of_a_posture_leaves_a_torso_that_rises_or_is_far_to_the_plan():
+    feedback = PostureFeedback(SETTINGS.posture, np.ones((4, 3)))
+    far, still = np.array(SETTINGS.posture.reach), np.zeros(3)
+    assert not feedback.reaches(still, 2 * SETTINGS.posture.rise_max)
+    assert not feedback.reaches(-far, 0.0)
+    assert feedback.reaches(0.9 * far, 0.0)
+    feedback.angle(still, *np.ones((4, 4)))
+    assert feedback.reaches(still, 2 * SETTINGS.posture.rise_max)
 
 
 DT, ANGLE = 0.033, 1.3

@@ -237,9 +237,7 @@ def test_backlash_is_refused():
 def test_servos_measure_the_scenes_voltage_and_the_torque_of_the_tendons(scene):
     plant = make(scene)
     driver = plant.emulated.connect(lambda: plant.now * 1e-9)
-    session = ServoSession(
-        driver, ROBOT.tendon.angle_max, 0.01, lambda _: None
-    )
+    session = ServoSession(driver, ROBOT.tendon.angle_max, 0.01, lambda _: None)
     driver.configure()
     driver.activate()
     plant.start(0)

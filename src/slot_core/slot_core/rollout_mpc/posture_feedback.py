@@ -67,9 +67,7 @@ class PostureFeedback:
             uneven = last - carried
             present = carried - gait + uneven - uneven.mean()
         self._error = before + s.filter * (error - before)
-        wrench = self._stiffness * (
-            s.gain * self._error + self._error - before
-        )
+        wrench = self._stiffness * (s.gain * self._error + self._error - before)
         moved = present - product(self._shares, wrench) / stiffness
         self._correction = np.clip(moved, -s.correction_max, s.correction_max)
         return np.asarray(
