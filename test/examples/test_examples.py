@@ -196,5 +196,5 @@ def test_the_graph_walks_with_the_nodes_of_the_page(tmp_path, own):
         for node in nodes:
             node.send_signal(signal.SIGINT)
     assert not any(node.wait(60) for node in nodes)
-    motion = read_motion(bag, *MOTION_TOPICS)
-    assert motion.position[-1, 0] - motion.position[0, 0] > 0.04
+    # the robot begins at zero, which the bag need not hold: this simulator waits for no recorder
+    assert read_motion(bag, *MOTION_TOPICS).position[-1, 0] > 0.04
