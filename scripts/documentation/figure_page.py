@@ -38,6 +38,9 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
         "latency": ("nodes", "stage", "p50_ms", "p99_ms", "max_ms"),
         "node": ("nodes", "node", "cpu_percent", "pss_mb"),
     },
+    "held_out": {
+        "": ("row", "unit", "goal", "rods", "mujoco", "mujoco, gait alone")
+    },
     "learning": {
         "throughput": ("level", "step", "threads", "steps_per_s"),
         "level": ("level", "step", "friction", "mm_per_s", "error"),

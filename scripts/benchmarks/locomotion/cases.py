@@ -18,7 +18,8 @@ from slot_core.gait.route import Route
 from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY, read_robot
 from slot_core.safety.settings import read_supervisor
-from slot_core.simulation.closed_loop import ClosedLoop
+from slot_core.simulation.closed_loop import ClosedLoop, PlantMaker
+from slot_core.simulation.plant import RobotSimulator
 
 DT = read_gaits().dt  # s, between ticks
 STRIDES = read_gaits().strides
@@ -140,8 +141,10 @@ def read_motion(fields: Mapping[str, Any]) -> WalkMotion:
     return WalkMotion(**(dict(fields) | arrays))
 
 
-def run_case(case: Case, column: str, seed: int) -> WalkMotion:
-    """Run a case with the controller of a column."""
+def run_case(
+    case: Case, column: str, seed: int, make: PlantMaker = RobotSimulator
+) -> WalkMotion:
+    """Run a case with the controller of a column; `make` builds the robot."""
     path = Route(np.array(case.path), case.heading) if case.path else None
     changes = {
         name: value
@@ -157,6 +160,7 @@ def run_case(case: Case, column: str, seed: int) -> WalkMotion:
         changes=changes,
         path=path,
         lost_odometry=case.lost_odometry,
+        make=make,
     )
     scheduler, sim, rows, fallen = (
         loop.controller.scheduler,

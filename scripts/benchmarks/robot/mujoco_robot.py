@@ -21,7 +21,6 @@ the contact that is let through: the softness of normal forces. Along the floor 
 `TANGENTIAL`; sticking points creep by what is left.
 """
 
-import math
 from typing import Any, NamedTuple
 
 import mujoco
@@ -279,6 +278,7 @@ class MujocoRobot(SimulatedRobot):
         self._data.qpos[2] = scene.start.height
         self._angle, self._speed = np.zeros(4), np.zeros(4)
         self._tip_force = np.zeros((4, 3))
+        self._acceleration = -self._model.opt.gravity  # m/s^2, beyond gravity
         mujoco.mj_forward(self._model, self._data)
         self._settle()
 
@@ -293,7 +293,10 @@ class MujocoRobot(SimulatedRobot):
         arm = self.nodes[:, -1] - data.xipos[last]
         data.xfrc_applied[last, :3] = self._tip_force
         data.xfrc_applied[last, 3:] = np.cross(arm, self._tip_force)
-        for _ in range(steps * round(self.scene.solver.step / h)):
+        last_steps = round(self.scene.solver.step / h)
+        for left in range(steps * last_steps, 0, -1):
+            if left == last_steps:
+                before = data.qvel[:3].copy()
             torque = -self._radius * data.actuator_force
             error = command - self._angle
             self._speed = motor_speed(self._law, self._speed, error, torque, h)
@@ -301,6 +304,9 @@ class MujocoRobot(SimulatedRobot):
             ahead = self._angle + self._delay * self._speed
             data.ctrl[:] = self._slack - self._radius * ahead
             mujoco.mj_step(self._model, data)
+        if steps:
+            change = (data.qvel[:3] - before) / self.scene.solver.step
+            self._acceleration = change - self._model.opt.gravity
         self.steps += steps
         # the engine has started anew
         if any(warning.number for warning in data.warning):
@@ -321,14 +327,15 @@ class MujocoRobot(SimulatedRobot):
 
     @property
     def state(self) -> MujocoMotion:  # type: ignore[override]
-        """Motion of the torso; the specific force is not measured, NaN."""
+        """Motion of the torso; the specific force is the mean over the last step of the scene."""
         place, velocity = self._data.qpos[:7], self._data.qvel[:6]
+        turned = Rotation.from_quat(place[3:], scalar_first=True).as_matrix()
         return MujocoMotion(
             place[:3],
-            Rotation.from_quat(place[3:], scalar_first=True).as_matrix(),
+            turned,
             velocity[:3],
             velocity[3:],
-            np.full(3, math.nan),
+            turned.T @ self._acceleration,
         )
 
     @property

@@ -64,6 +64,8 @@ class RobotSimulator:
     their shafts. They take commands from the bus, `command` only checks; their driver reads them.
     """
 
+    make_robot = staticmethod(make_robot)  # a subclass may have another
+
     def __init__(
         self,
         robot: RobotParameters,
@@ -77,7 +79,7 @@ class RobotSimulator:
         driven = (
             servo if emulate is None else ideal_servo(servo, scene.solver.step)
         )
-        self.robot = make_robot(robot, scene, driven)
+        self.robot = self.make_robot(robot, scene, driven)
         bring_to_rest(self.robot)
         self.emulated: EmulatedServos | None = (
             None
