@@ -88,7 +88,9 @@ def test_a_controller_slower_than_its_period_skips_states_without_a_queue(
     walking.run(0.2)  # six states
     newest = decode.stamp(walking.last("/mpc_state"))
     walking.resume("mpc_controller")
-    walking.run(TICK)
+    walking.wait_for(
+        lambda: decode.stamp(walking.last("/tendon_plan")) >= newest
+    )
     plans = walking.since("/tendon_plan", 0)
     before, after = [p for p in plans if decode.stamp(p) <= newest][-2:]
     assert decode.stamp(after) == newest
