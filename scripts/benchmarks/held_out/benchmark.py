@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.harness import Outcome, Progress, Row, at_most, resumed
 from benchmarks.locomotion import cases
-from benchmarks.locomotion.cases import ALONE, DEFAULT, Case, WalkMotion
+from benchmarks.locomotion.cases import ALONE, DEFAULT, Job, WalkMotion
 from benchmarks.locomotion.rows import rows
 from benchmarks.robot.mujoco_robot import MujocoRobot
 from slot_core.drawing import palette
@@ -27,9 +27,7 @@ ROWS = (
     "circle of 1 m radius, RMS",
     "standing, heights .030 to .060: height",
 )
-NODES = (
-    14  # of a leg in MuJoCo, where the default number takes three times as long
-)
+NODES = 14  # of a leg in MuJoCo: the default number takes thrice as long
 SEEDS = (1, 2, 3)
 # columns of the results: policy and engine
 COLUMNS = {
@@ -39,7 +37,6 @@ COLUMNS = {
 }
 MARKS = dict(zip(COLUMNS, "os^"))
 COLOURS = dict(zip(COLUMNS, (palette.TRUE, palette.SECONDARY, palette.INK)))
-Job = tuple[Case, str, int]  # case, column, seed
 
 
 class MujocoSimulator(RobotSimulator):
