@@ -7,10 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import browser  # of test/playing
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from documentation import browser
 
 PAGE, PANELS, VIEW = (1200, 560), (1200, 2190), (1000, 640)  # px
 MOMENT = 4.3  # s, of the run: after a push

@@ -8,9 +8,9 @@ import time
 
 import numpy as np
 import pytest
-from browser import PROGRAM, playing, wait_for
 from scipy.spatial.transform import Rotation
 
+from documentation.browser import PROGRAM, playing, wait_for
 from slot_core.safety.states import State
 from slot_lab.play.played_robot import Wishes
 

@@ -84,6 +84,7 @@ class Browser:
         return found["result"].get("value")
 
     def text(self):
+        """Text that the page shows."""
         return self.run("document.body ? document.body.innerText : ''")
 
     def click(self, script):
