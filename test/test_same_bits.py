@@ -1,7 +1,12 @@
-"""Same bits everywhere: the control path and the plant call nothing that differs by processor."""
+"""Same bits everywhere: the control path and the plant call nothing that differs by processor.
+
+usage: test_same_bits.py prints digests of state, preview, plan and command of walks.
+"""
 
 import ast
+import dataclasses
 import functools
+import hashlib
 import importlib
 import os
 import pkgutil
@@ -280,12 +285,46 @@ HERE = {
 TICKS = 100
 
 
+# m/s, m/s, rad/s: forward, sideways, turning
+VELOCITY = np.array([0.03, 0.01, 0.05])
+
+
+def content(value):
+    """Bytes of a number, text or array, or of all those in a dataclass."""
+    if dataclasses.is_dataclass(value):
+        fields = (
+            getattr(value, field.name) for field in dataclasses.fields(value)
+        )
+        return b"".join(content(part) for part in fields)
+    if isinstance(value, np.ndarray):
+        return value.tobytes()
+    return repr(value).encode()
+
+
+def print_digests():
+    """Walk with each policy and print, after every tenth tick, the digest of each stage up to there."""
+    for policy in POLICIES:
+        stages = {
+            name: hashlib.sha256()
+            for name in ("estimate", "preview", "plan", "command")
+        }
+        loop = ClosedLoop("flat", "walk", VELOCITY, seed=3, policy=policy)
+        for k, tick in enumerate(loop.run(TICKS)):
+            for name, digest in stages.items():
+                digest.update(content(getattr(tick, name)))
+            if k % 10 == 9:
+                print(
+                    policy,
+                    k + 1,
+                    *(f"{n} {d.hexdigest()[:16]}" for n, d in stages.items()),
+                )
+
+
 @functools.cache
 def walked(name):
-    """Lines of `same_bits.py` on a processor by its name, or on this one as it is."""
-    program = Path(__file__).with_name("same_bits.py")
+    """Lines of `print_digests` on a processor by its name, or on this one as it is."""
     return subprocess.run(
-        [sys.executable, program, str(TICKS), *POLICIES],
+        [sys.executable, __file__],
         env=HERE | PROCESSORS.get(name, {}),
         capture_output=True,
         text=True,
@@ -309,3 +348,7 @@ def test_every_processor_gives_the_same_walk_to_the_last_bit(name):
     here = walked("as it is")
     assert len(here) == len(POLICIES) * TICKS // 10
     assert walked(name) == here
+
+
+if __name__ == "__main__":
+    print_digests()

@@ -1,7 +1,6 @@
 """Streams of IMU and odometry readings of closed-form motions, and the estimator run on them."""
 
 import numpy as np
-from same_bits import content
 from scipy.spatial.transform import Rotation
 
 from slot_core import config
@@ -184,9 +183,17 @@ def validities(estimates):
 
 def same(*streams):
     """Whether estimates are equal to the last bit."""
-    names = ("stamp", "lead", "validity", "state", "covariance")
     first, second = (
-        [[content(getattr(e, name)) for name in names] for e in stream]
+        [
+            (
+                e.stamp,
+                e.lead,
+                e.validity,
+                e.state.tobytes(),
+                e.covariance.tobytes(),
+            )
+            for e in stream
+        ]
         for stream in streams
     )
     return first == second

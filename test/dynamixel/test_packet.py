@@ -15,7 +15,6 @@ import dynamixel_easy_sdk
 import numpy as np
 import pytest
 from damage import examples, spliced
-from driver_rig import DriverRig
 from dynamixel_sdk import PacketHandler
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -150,14 +149,14 @@ def test_a_span_is_decoded_in_twos_complement_without_registers_partly_covered()
 @pytest.fixture
 def rig(tmp_path):
     """Driver and emulated servos behind a pseudo-terminal."""
-    rig = DriverRig()
-    rig.terminal = PseudoTerminal(rig.bus, tmp_path / "servos")
+    bus = EmulatedDynamixels(read_settings(), read_emulator()).bus
+    terminal = PseudoTerminal(bus, tmp_path / "servos")
     # longer than on the robot: a busy machine delays the emulator's thread
-    port = SerialPort(rig.terminal.name, 1000000, 1.0)
-    rig.driver = Driver(port, rig.driver.settings, lambda: rig.time)
-    yield rig
-    rig.driver.close()
-    rig.terminal.close()
+    port = SerialPort(terminal.name, 1000000, 1.0)
+    driver = Driver(port, read_settings(), lambda: 0.0)
+    yield SimpleNamespace(bus=bus, terminal=terminal, driver=driver)
+    driver.close()
+    terminal.close()
 
 
 def test_a_baud_rate_that_the_port_does_not_support_is_refused(tmp_path):
@@ -212,8 +211,9 @@ def test_a_released_port_that_no_driver_has_opened_is_not_in_use(rig):
 
 
 def test_a_driver_can_configure_again_after_a_replug(rig, tmp_path):
-    rig.start()
-    rig.fault("unplugged")
+    unplugged = Fault("unplugged", "all", 0, 0, 0)
+    rig.driver.configure()
+    rig.bus.set_fault(unplugged, True)
     link = tmp_path / "servos"
     wait_for(lambda: not link.exists())
     with pytest.raises(PortError):
@@ -221,10 +221,12 @@ def test_a_driver_can_configure_again_after_a_replug(rig, tmp_path):
     rig.driver.close()
     with pytest.raises(PortError, match="servos"):
         rig.driver.configure()
-    rig.bus.set_fault(Fault("unplugged", "all", 0, 0, 0), False)
+    rig.bus.set_fault(unplugged, False)
     wait_for(link.exists)
-    rig.start()
-    assert rig.run(0.02)[-1].complete
+    rig.driver.configure()
+    rig.driver.activate()
+    rig.driver.cycle()
+    assert rig.driver.cycle().complete
 
 
 SDK = PacketHandler(2.0)

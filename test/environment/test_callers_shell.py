@@ -13,8 +13,8 @@ from ipaddress import ip_address
 from pathlib import Path
 
 import pytest
-from sourced import ROOT, environment
 
+ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS = [
     path
     for path in (ROOT / "scripts").iterdir()
@@ -33,6 +33,24 @@ MODULES = (
     "slot_core",
     "yaml",
 )
+
+
+def environment(mode="", given=None, times=1):
+    """Variables in a shell that has only `given` ones and sources scripts/env in a mode.
+
+    mode: "": as in a shell of the caller.
+    """
+    shell = subprocess.run(
+        ["bash", "-c", f". scripts/env {mode} && " * times + "env -0"],
+        cwd=ROOT,
+        env={"PATH": os.defpath} | (given or {}),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return dict(
+        entry.split("=", 1) for entry in shell.stdout.split("\0") if entry
+    )
 
 
 @pytest.fixture
@@ -145,7 +163,51 @@ def test_a_relative_path_is_not_looked_up_in_cdpath(tmp_path):
     )
 
 
-PEER = Path(__file__).with_name("loopback_peer.py")
+@pytest.mark.parametrize(
+    "name", ["ROS_LOG_DIR", "MPLCONFIGDIR", "COLCON_LOG_PATH", "XDG_CACHE_HOME"]
+)
+def test_logs_and_caches_go_below_the_repository_where_the_home_cannot_be_written(
+    name,
+):
+    path = environment(given={"HOME": "/proc/nowhere"})[name]
+    assert path.startswith(f"{ROOT}/.slot/")
+
+
+def test_sourcing_the_environment_twice_changes_nothing():
+    changes = environment().items() ^ environment(times=2).items()
+    assert {name for name, _ in changes} <= {"_"}
+
+
+# Program that publishes questions over DDS, or answers until it is ended.
+PEER = """
+import sys
+from contextlib import suppress
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from std_msgs.msg import String
+
+PERIOD = 0.02  # s between two questions
+rclpy.init()
+role = sys.argv[1]
+node, heard = rclpy.create_node(role), []
+told, other = (
+    ("question", "answer") if role == "ask" else ("answer", "question")
+)
+publisher = node.create_publisher(String, told, 10)
+node.create_subscription(String, other, heard.append, 10)
+if role == "ask":
+    node.create_timer(
+        PERIOD, lambda: publisher.publish(String(data="are you there?"))
+    )
+with suppress(KeyboardInterrupt, ExternalShutdownException):
+    while role == "answer" or not heard:
+        rclpy.spin_once(node)
+        if role == "answer" and heard:
+            publisher.publish(String(data="yes"))
+    print(heard[0].data)
+rclpy.try_shutdown()
+"""
 
 # Variables of a caller, each of which would let DDS use other interfaces or transports.
 HOSTILE = {
@@ -198,7 +260,7 @@ def trace(tmp_path_factory: pytest.TempPathFactory) -> str:
     def start(role: str) -> subprocess.Popen[str]:
         tracer = ["strace", "-ff", "-yy", "-e", "trace=network,openat", "-o"]
         return subprocess.Popen(
-            [*tracer, str(folder / role), "python", str(PEER), role],
+            [*tracer, str(folder / role), "python", "-c", PEER, role],
             env=variables,
             stdout=subprocess.PIPE,
             text=True,

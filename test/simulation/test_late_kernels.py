@@ -1,14 +1,16 @@
-"""Process for test_rod_robot.py: prints the kernels that a walk is the first to call.
+"""No kernel is compiled while the robot moves: a process prints those that a walk is the first to call.
 
-usage: late_kernels.py warm_up | robot | servos SCENE
-    warm_up   those that the walk or its start call after scripts/setup has compiled the kernels
-    robot     those that the walk calls after its start
+usage: test_late_kernels.py warm_up | robot | servos SCENE
+    warm_up   kernels that the walk or its start call after scripts/setup has compiled them
+    robot     kernels that the walk calls after its start
     servos    the same with the supervisor and emulated servos
 """
 
+import subprocess
 import sys
 from collections import deque
 
+import pytest
 from numba.core.dispatcher import Dispatcher
 
 from slot_core.simulation import warm_up
@@ -54,6 +56,25 @@ def main(what, scene):
     assert before
     for name, types in sorted(loaded() - before, key=str):
         print(f"{name}{types}"[:300])
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("robot", "flat"),
+        ("robot", "map"),
+        ("servos", "flat"),
+        ("warm_up", "flat"),
+    ],
+)
+def test_every_kernel_of_a_walk_is_compiled_before_the_first_reading(arguments):
+    """On rods, a table and emulated servos; and those of a default run by scripts/setup.
+
+    In a process of its own: in this one, other tests may have called the kernels.
+    """
+    command = [sys.executable, __file__, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """The robot on rods: conservation, an independent solver of its equations, standing, refusals.
 
-No kernel is compiled while the robot moves, in whatever install and with whatever cache.
+An installed copy uses the kernels of the repository's cache.
 
 Many robots on threads of one process: each moves as it does alone.
 """
@@ -203,38 +203,6 @@ def test_a_change_in_a_run_ends_where_a_robot_with_those_parameters_does():
     assert sim.position[2] == pytest.approx(wanted.position[2], abs=2e-4)
 
 
-# In a process of its own: in this one, other tests may have called the kernels.
-LATE_KERNELS = Path(__file__).with_name("late_kernels.py")
-
-
-def output(*command, **variables):
-    result = subprocess.run(
-        [sys.executable, *map(str, command)],
-        env=os.environ | variables,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert result.returncode == 0, result.stderr
-    return result.stdout
-
-
-@pytest.mark.parametrize(
-    ("what", "scene"),
-    [
-        ("robot", "flat"),
-        ("robot", "map"),
-        ("servos", "flat"),
-        ("warm_up", "flat"),
-    ],
-)
-def test_every_kernel_of_a_walk_is_compiled_before_the_first_reading(
-    what, scene
-):
-    """On rods, a table and emulated servos; and those of a default run by scripts/setup."""
-    assert output(LATE_KERNELS, what, scene) == ""
-
-
 def test_an_installed_copy_uses_the_kernels_that_the_setup_has_compiled(
     tmp_path,
 ):
@@ -249,7 +217,14 @@ def test_an_installed_copy_uses_the_kernels_that_the_setup_has_compiled(
         print(observe.__file__, observe.points._cache.path((), observe.points.targetctx))
     """
     path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
-    file, cache = output("-c", script, PYTHONPATH=path).split()
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        env=os.environ | {"PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    file, cache = done.stdout.split()
     assert Path(file).is_relative_to(tmp_path)
     assert cache == str(
         observe.points._cache.path((), observe.points.targetctx)
