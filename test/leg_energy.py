@@ -29,22 +29,6 @@ def mass_matrix(rod):
     return mass
 
 
-def leg_energy(model, node, angle, height):
-    """Energy of rod, cable, floor and weight of a leg with a routed tendon, J.
-
-    node: (N, 2) m from the clamp, which is at a height (m); angle: of the tendon, rad.
-    """
-    rod, still = model.rod, np.zeros(len(node) - 1)
-    extension, bend = strains(rod, node)
-    stored = elastic_energy(model, angle, extension, still, bend, still)
-    ends = np.column_stack(
-        [node[:-1, 1], node[1:, 1]]
-    ).ravel()  # of the segments
-    depth = np.minimum(0.0, height + np.repeat(ends, 2))  # both edges touch
-    floor = model.floor.stiffness @ depth**2 / 2
-    return stored + floor - model.gravity[2] * rod.mass @ node[:, 1]
-
-
 def elastic_energy(  # noqa: PLR0917
     model, angle, stretch, twist, bend, side, fault=(0.0, 1.0)
 ):
@@ -89,19 +73,6 @@ def masses(sim):
         np.vstack([*nodes, sim.position, sim.position + arm]),
         np.vstack([*velocity, sim.velocity, carried]),
     )
-
-
-def robot_momentum(sim):
-    """Momentum, kg m/s, and angular momentum about odom's origin, kg m^2/s, of a robot (2, 3)."""
-    rod, (mass, place, velocity) = sim.model.rod, masses(sim)
-    angular = mass @ np.cross(place, velocity)
-    angular += sim.rotation @ sim.model.torso.inertia @ sim.angular_velocity
-    nodes, moving = sim._observe()
-    arms = np.cross(np.diff(nodes, axis=1), np.diff(moving, axis=1))
-    angular -= (rod.coupling @ arms).sum(axis=0)
-    for swirl, axes in zip(sim.state.swirl, sim.model.axes):
-        angular += sim.rotation @ axes.T @ (rod.spin @ swirl)
-    return np.array([mass @ velocity, angular])
 
 
 def robot_energy(sim):

@@ -250,8 +250,8 @@ BUDGET = {
     "src/slot_paper": 688,
     "src/slot_nodes": 2_169,
     "slot_bringup": 2_886,
-    "scripts": 4_735,
-    "test": 15_259,
+    "scripts": 4_834,
+    "test": 15_159,
 }
 
 

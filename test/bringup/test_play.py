@@ -18,12 +18,12 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from bag_messages import message, write_old
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
-from synthetic_walk import Walk, message, write_old, write_walk
 
 from slot_bringup import monitor, operator_screen, play, steering, view
 from slot_bringup.playing import main_page
@@ -84,11 +84,9 @@ def test_a_message_of_before_its_last_field_arrives_in_a_form_that_nodes_can_rea
 
 
 @pytest.fixture(scope="module")
-def real_time_bag(tmp_path_factory):
+def real_time_bag():
     """A bag without /clock, of a robot whose clock is the wall's."""
-    return Bag(
-        write_walk(tmp_path_factory.mktemp("bags") / "walk", Walk(duration=1.0))
-    )
+    return Bag(Path(__file__).parents[2] / "slot_bringup" / "example" / "walk")
 
 
 def test_without_a_recorded_clock_the_time_of_the_bag_is_the_clock(
@@ -169,7 +167,8 @@ def test_a_run_is_written_into_its_folder_and_opened(
     line = refusal(view.main)
     assert line.startswith("scripts/view: no bag in /")
     assert "/bags: name one, or make one by scripts/run" in line
-    bag = write_walk(Path("bags/walk"), Walk(duration=1.0))
+    bag = Path("bags/walk")
+    Bag(WALK).save(bag)
     page = bag.absolute() / view.PAGE
     for words in ([], ["--no-browser"], ["--html", "other.html"]):
         assert view.main(words) == 0

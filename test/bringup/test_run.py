@@ -21,14 +21,14 @@ import pytest
 from nav_msgs.msg import Odometry
 from rclpy.duration import Duration
 from real_graph import nodes_of, set_values
-from synthetic_walk import Walk, write_walk
 
 from slot_bringup import monitor, processes, run
 from slot_bringup.arguments import parse
 from slot_bringup.graph import END, GO_ON, REFUSED, RESTART, NodeSpec
 from slot_bringup.monitor import listener
 from slot_bringup.processes import command_line
-from slot_core.recording.record_settings import BagError
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.record_settings import BagError, read_record_settings
 from slot_core.safety.states import RELEASED
 from slot_lab.bags.bag import Bag
 from slot_msgs.msg import MpcState, RobotState, TendonPlan
@@ -36,6 +36,7 @@ from slot_nodes import qos
 from slot_nodes.messages import header
 
 DOMAIN = "ROS_DOMAIN_ID"
+EXAMPLE = Path(__file__).parents[2] / "slot_bringup" / "example" / "walk"
 
 
 @pytest.fixture
@@ -123,7 +124,7 @@ def test_a_run_fails_without_its_recorder_or_where_its_summary_cannot_be_printed
     said = [f"{name} ended; the robot goes on without it" for name in missing]
 
     def started(graph, values, logs):
-        write_walk(logs.parent, Walk(truth=False))
+        Bag(EXAMPLE).save(logs.parent)
         return nullcontext(SimpleNamespace(remarks=said, missing={*missing}))
 
     monkeypatch.setattr(run, "started", started)
@@ -142,7 +143,7 @@ def test_a_run_that_never_stood_says_just_that(monkeypatch, capsys):
     """An operator who has asked for nothing."""
 
     def made(options, graph, directory, remarks):
-        write_walk(directory, Walk(duration=0.0, truth=False, lost=(0,)))
+        BagWriter(directory, read_record_settings()).close()
         raise KeyboardInterrupt
 
     monkeypatch.setattr(run, "run", made)

@@ -7,7 +7,6 @@ from slot_core import config
 from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Estimate
 from slot_core.estimation.state_estimator import StateEstimator, read_estimator
-from slot_core.geometry import wrapped
 from slot_core.robot import GRAVITY
 
 # without the prediction beyond the newest sample and the agreement of the sensors, which have tests
@@ -28,18 +27,6 @@ ODOMETRY_NOISE = np.repeat(
     ],
     3,
     axis=1,
-)
-MATCHED = config.replace(
-    SETTINGS,
-    {
-        "imu.gyro_noise": GYRO_NOISE / 200**0.5,
-        "imu.acceleration_noise": FORCE_NOISE / 200**0.5,
-        "imu.acceleration_bias": 0.1,
-        "imu.angular_acceleration_step": 1.0,  # of the sinusoids: 0.22 rad (2 pi / 0.7 s)^3 5 ms
-    },
-)
-EXACT = config.replace(
-    SETTINGS, {"imu.gyro_bias": 0.0, "imu.acceleration_bias": 0.0}
 )
 
 
@@ -133,24 +120,11 @@ def run(messages, settings=SETTINGS, estimator=None):
     return estimates, estimator
 
 
-def error(estimate, motion):
-    """Estimate minus truth (12,), angles wrapped."""
-    difference = estimate.state - motion.at(estimate.time / SECOND)[0]
-    difference[:3] = wrapped(difference[:3])
-    return difference
-
-
 def noisy(motion, duration, seed, bias=0.0):
     rng = np.random.default_rng(seed)
     return arrivals(
         imu_messages(motion, duration, rng=rng, bias=bias),
         odometry_messages(motion, duration, rng=rng),
-    )
-
-
-def clean(motion, duration):
-    return arrivals(
-        imu_messages(motion, duration), odometry_messages(motion, duration)
     )
 
 
@@ -170,11 +144,6 @@ def changed(messages, readings, change):
         (kind, t, change(*v) if kind == "odometry" and t in stamps else v)
         for kind, t, v in messages
     ]
-
-
-def with_jump(messages, readings, shift):
-    """The messages with odometry positions shifted by `shift` m."""
-    return changed(messages, readings, lambda p, *rest: (p + shift, *rest))
 
 
 def validities(estimates):

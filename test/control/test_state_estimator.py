@@ -9,23 +9,20 @@ import itertools
 import numpy as np
 import pytest
 from estimator_streams import (
-    EXACT,
+    FORCE_NOISE,
     GYRO_BIAS,
-    MATCHED,
+    GYRO_NOISE,
     SETTINGS,
     Walk,
     arrivals,
     arriving,
     changed,
-    clean,
-    error,
     imu_messages,
     noisy,
     odometry_messages,
     run,
     same,
     validities,
-    with_jump,
     without,
 )
 from scipy import stats
@@ -37,11 +34,44 @@ from slot_core.estimation.estimate import Validity
 from slot_core.estimation.sensor_agreement import STRAYS
 from slot_core.estimation.state_estimator import StateEstimator
 from slot_core.estimation.time_synchronizer import TimeSynchronizer
+from slot_core.geometry import wrapped
 from slot_core.key_frame import capture
 from slot_core.robot import GRAVITY
 
 PERIOD = SETTINGS.timing.period  # s
 UNTIL_VALID = 13  # ticks: 0.3 s, and two readings more after a rejection
+
+MATCHED = config.replace(
+    SETTINGS,
+    {
+        "imu.gyro_noise": GYRO_NOISE / 200**0.5,
+        "imu.acceleration_noise": FORCE_NOISE / 200**0.5,
+        "imu.acceleration_bias": 0.1,
+        "imu.angular_acceleration_step": 1.0,  # of the sinusoids: 0.22 rad (2 pi / 0.7 s)^3 5 ms
+    },
+)
+EXACT = config.replace(
+    SETTINGS, {"imu.gyro_bias": 0.0, "imu.acceleration_bias": 0.0}
+)
+
+
+def error(estimate, motion):
+    """Estimate minus truth (12,), angles wrapped."""
+    difference = estimate.state - motion.at(estimate.time / SECOND)[0]
+    difference[:3] = wrapped(difference[:3])
+    return difference
+
+
+def clean(motion, duration):
+    return arrivals(
+        imu_messages(motion, duration), odometry_messages(motion, duration)
+    )
+
+
+def with_jump(messages, readings, shift):
+    """The messages with odometry positions shifted by `shift` m."""
+    return changed(messages, readings, lambda p, *rest: (p + shift, *rest))
+
 
 # --- accuracy ---
 

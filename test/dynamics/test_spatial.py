@@ -10,8 +10,8 @@ from leg_energy import (
     directions,
     elastic_energy,
     mass_matrix,
+    masses,
     robot_energy,
-    robot_momentum,
 )
 from numba import njit
 from rod_robots import FLOATING, ROBOT, UNDAMPED, simulator
@@ -27,6 +27,19 @@ from slot_core.robot import GRAVITY
 from slot_core.section import torsion_constant
 
 PLACE = [0.04, -0.03, 0.05]  # m
+
+
+def robot_momentum(sim):
+    """Momentum, kg m/s, and angular momentum about odom's origin, kg m^2/s, of a robot (2, 3)."""
+    rod, (mass, place, velocity) = sim.model.rod, masses(sim)
+    angular = mass @ np.cross(place, velocity)
+    angular += sim.rotation @ sim.model.torso.inertia @ sim.angular_velocity
+    nodes, moving = sim._observe()
+    arms = np.cross(np.diff(nodes, axis=1), np.diff(moving, axis=1))
+    angular -= (rod.coupling @ arms).sum(axis=0)
+    for swirl, axes in zip(sim.state.swirl, sim.model.axes):
+        angular += sim.rotation @ axes.T @ (rod.spin @ swirl)
+    return np.array([mass @ velocity, angular])
 
 
 def kicked(robot=ROBOT, **changes):

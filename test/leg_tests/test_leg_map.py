@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from leg_energy import leg_energy
+from leg_energy import elastic_energy, strains
 from rod_robots import ROBOT, UNDAMPED
 from scipy.optimize import minimize
 
@@ -21,6 +21,22 @@ from slot_lab.leg_tests.leg_map import (
 from slot_lab.leg_tests.level_leg import NoEquilibriumError, at_nodes
 
 HEIGHT, RATE = 0.09, np.radians(20.0)
+
+
+def leg_energy(model, node, angle, height):
+    """Energy of rod, cable, floor and weight of a leg with a routed tendon, J.
+
+    node: (N, 2) m from the clamp, which is at a height (m); angle: of the tendon, rad.
+    """
+    rod, still = model.rod, np.zeros(len(node) - 1)
+    extension, bend = strains(rod, node)
+    stored = elastic_energy(model, angle, extension, still, bend, still)
+    ends = np.column_stack(
+        [node[:-1, 1], node[1:, 1]]
+    ).ravel()  # of the segments
+    depth = np.minimum(0.0, height + np.repeat(ends, 2))  # both edges touch
+    floor = model.floor.stiffness @ depth**2 / 2
+    return stored + floor - model.gravity[2] * rod.mass @ node[:, 1]
 
 
 def pulled(nodes, angle, height, steps=20):

@@ -1,32 +1,22 @@
 """Drawing and curves of a run: what each message of the graph changes."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from bag_messages import message
 from scipy.spatial.transform import Rotation
-from synthetic_walk import (
-    ROBOT,
-    STRIDE,
-    Walk,
-    angles,
-    leg_nodes,
-    message,
-    write_walk,
-)
 
 from slot_core.drawing import shapes
 from slot_core.drawing.drawing import Drawing
-from slot_core.robot import TENDON_JOINTS
+from slot_core.robot import TENDON_JOINTS, read_robot
 from slot_lab.bags.bag import Bag
 from slot_lab.report import traces
 
-WALK = Walk(duration=0.8, roll=0.1, bounce=0.004, yaw_rate=0.1)
+WALK = Path(__file__).parents[1] / "bags" / "walk"
+ROBOT = read_robot()
 TORQUE = 1.4  # N m
 STAGES = 3
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    return Bag(write_walk(tmp_path_factory.mktemp("bags") / "walk", WALK))
 
 
 def preview():
@@ -47,15 +37,18 @@ def preview():
     )
 
 
-def legs(nodes, stamp=1.0, director=()):
+def legs():
+    """Four legs of 22 nodes, without stress."""
+    drawn = shapes.natural_legs(
+        np.zeros(3), Rotation.identity().as_quat(), ROBOT, 22
+    )
     return message(
         "/ground_truth/legs",
-        stamp,
+        1.0,
         tension=np.array([0.0, 70.0, 140.0, 9.0]),
         ground_force=np.tile([0.0, 0.0, 5.0], (4, 1)),
-        nodes=nodes.shape[1],
-        position=nodes,
-        director=director,
+        nodes=22,
+        position=drawn.nodes,
     )
 
 
@@ -85,12 +78,11 @@ def test_legs_reach_from_the_clamps_to_the_feet_with_their_tendons_below():
     assert share == pytest.approx(ROBOT.tendon.end_fraction, abs=1.5 / 30)
 
 
-def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
-    drawing, seen = Drawing(ROBOT, TORQUE), {}
-    for topic, _, received in bag.merged(
-        *set(Drawing.TOPICS) & set(bag.topics) - {"/gait_preview"}
-    ):
+def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were():
+    drawing, seen, last, bag = Drawing(ROBOT, TORQUE), {}, {}, Bag(WALK)
+    for topic, _, received in bag.merged(*Drawing.TOPICS):
         seen |= drawing.receive(topic, received)
+        last[topic] = received
     assert set(seen) == {
         "torso",
         "path",
@@ -98,15 +90,22 @@ def test_a_simulated_walk_is_drawn_with_its_bent_legs_where_they_were(bag):
         "tendons",
         "ground_forces",
         "demanded_forces",
+        "predicted_path",
+        "predicted_feet",
+        "horizon",
+        "reference",
+        "reference_path",
     }
-    end = WALK.duration
-    assert np.allclose(seen["torso"].centre, WALK.position(end))
+    place = last["/ground_truth/odom"].pose.pose.position
+    end = np.array([place.x, place.y, place.z])
+    assert np.allclose(seen["torso"].centre, end)
     middles = seen["legs"].corners.mean(axis=2)
-    assert np.allclose(middles, leg_nodes(WALK, end), atol=1e-6)  # float32
+    nodes = last["/ground_truth/legs"].position.reshape(middles.shape)
+    assert np.allclose(middles, nodes, atol=1e-6)  # float32
     assert np.allclose(seen["ground_forces"].tail, middles[:, -1])
     (path,) = seen["path"].points
     assert np.linalg.norm(np.diff(path, axis=0), axis=1).min() >= 0.005
-    assert np.linalg.norm(path[-1] - WALK.position(end)) < 0.005
+    assert np.linalg.norm(path[-1] - end) < 0.005
 
 
 def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_the_servos():
@@ -132,7 +131,7 @@ def test_without_a_simulator_the_legs_are_drawn_as_without_stress_and_loaded_by_
         loaded["tendons"].colours[[0, 2, 3]],
         [shapes.SLACK, *2 * [shapes.LOADED]],
     )
-    drawing.receive("/ground_truth/legs", legs(leg_nodes(WALK, 0.0)))
+    drawing.receive("/ground_truth/legs", legs())
     assert drawing.receive("/mpc_state", state) == {}  # the exact pose counts
 
 
@@ -155,7 +154,7 @@ def test_a_message_that_does_not_fit_is_refused_with_its_reason(
     topic, broken, reason
 ):
     received = {
-        "/ground_truth/legs": legs(leg_nodes(WALK, 0.0)),
+        "/ground_truth/legs": legs(),
         "/gait_preview": preview(),
         "/mpc_state": message("/mpc_state", 1.0, position=[np.nan, 0.0, 0.0]),
     }[topic]
@@ -165,25 +164,24 @@ def test_a_message_that_does_not_fit_is_refused_with_its_reason(
         Drawing(ROBOT, TORQUE).receive(topic, received)
 
 
-def test_curves_of_the_torso_are_along_its_heading_in_the_units_of_their_plots(
-    bag,
-):
-    seen = {}
-    for topic in ("/ground_truth/odom", "/mpc_state"):
-        for _, received in bag.messages(topic):
-            seen |= traces.values(topic, received)
-    end = WALK.duration
-    roll, pitch, _ = np.degrees(WALK.rpy(end))
+def test_curves_of_the_torso_are_along_its_heading_in_the_units_of_their_plots():
+    rpy, place = np.array([0.1, -0.05, 0.4]), [0.3, -0.2, 0.06]
+    turn, velocity = Rotation.from_euler("xyz", rpy), [0.05, 0.02, 0.01]
+    truth = {
+        "pose__pose__position": place,
+        "pose__pose__orientation": turn.as_quat(),
+        "twist__twist__linear": turn.inv().apply(velocity),
+    }
+    state = {"rpy": rpy, "position": place, "linear_velocity": velocity}
+    seen = traces.values(
+        "/ground_truth/odom", message("/ground_truth/odom", 1.0, **truth)
+    ) | traces.values("/mpc_state", message("/mpc_state", 1.0, **state))
+    ahead = 0.05 * np.cos(0.4) + 0.02 * np.sin(0.4)
     for source in ("true", "estimated"):
-        # the walk's course turns half as fast as its heading, by less than 0.1 rad
-        assert seen[f"velocity/{source}"] == pytest.approx(
-            [WALK.speed], abs=2e-3
-        )
-        assert seen[f"height/{source}"] == pytest.approx(
-            [1e3 * WALK.position(end)[2]]
-        )
-        assert seen[f"roll/{source}"] == pytest.approx([roll], abs=1e-6)
-        assert seen[f"pitch/{source}"] == pytest.approx([pitch], abs=1e-6)
+        assert seen[f"velocity/{source}"] == pytest.approx([ahead])
+        assert seen[f"height/{source}"] == pytest.approx([60.0])
+        assert seen[f"roll/{source}"] == pytest.approx([np.degrees(0.1)])
+        assert seen[f"pitch/{source}"] == pytest.approx([-np.degrees(0.05)])
     reference = traces.values("/gait_preview", preview())
     assert reference["velocity/reference"] == pytest.approx([0.05])
     assert reference["height/reference"] == pytest.approx([60.0])
@@ -199,19 +197,14 @@ def test_states_are_named_and_disturbances_in_a_users_units():
     assert seen == pytest.approx([1.0, 2.0, -1.0, 1.0])  # 100 g, cm/s, deg/s
 
 
-def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message(
-    bag,
-):
-    for topic, curve, rate, gain, late in (
-        ("/joint_states", "angle/measured", 120, 0.97, 0.04),
-        ("/desired_joint_angles", "angle/commanded", 30, 1.0, 0.0),
+def test_curves_of_the_legs_are_in_their_order_whatever_that_of_the_message():
+    given = {"name": TENDON_JOINTS[::-1], "position": [0.4, 0.3, 0.2, 0.1]}
+    for topic, curve in (
+        ("/joint_states", "angle/measured"),
+        ("/desired_joint_angles", "angle/commanded"),
     ):
-        seen = [
-            traces.values(topic, received)[curve]
-            for _, received in bag.messages(topic)
-        ]
-        k = round(STRIDE * rate)
-        assert np.allclose(seen[k], gain * np.degrees(angles(k / rate - late)))
-    truth = traces.values("/ground_truth/legs", legs(leg_nodes(WALK, 0.0)))
+        seen = traces.values(topic, message(topic, 1.0, **given))[curve]
+        assert seen == pytest.approx(np.degrees([0.1, 0.2, 0.3, 0.4]))
+    truth = traces.values("/ground_truth/legs", legs())
     assert np.array_equal(truth["tension/simulated"], [0.0, 70.0, 140.0, 9.0])
     assert np.array_equal(truth["force/ground"], np.full(4, 5.0))

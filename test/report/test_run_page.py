@@ -6,19 +6,17 @@ import re
 import shutil
 import subprocess
 import zlib
+from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_walk import (
-    NODES,
-    ROBOT,
-    Walk,
-    leg_nodes,
-    normal_forces,
-    write_walk,
-)
+from bag_messages import message
+from rclpy.serialization import serialize_message
 
 from slot_core.drawing.drawing import NATURAL_NODES
+from slot_core.recording.bag_writer import BagWriter
+from slot_core.recording.record_settings import read_record_settings
+from slot_core.robot import read_robot
 from slot_lab.bags.bag import Bag
 from slot_lab.report.run_page import run_page
 from slot_lab.report.run_page.run_page import (
@@ -30,18 +28,29 @@ from slot_lab.report.run_page.run_page import (
     write_page,
 )
 
-WALK = Walk(duration=1.0, roll=0.1, bounce=0.004, speed=0.2)
+WALK = Path(__file__).parents[1] / "bags" / "walk"
+ROBOT = read_robot()
 CHROMIUM = shutil.which("chromium") or ""
 
 
 @pytest.fixture(scope="module")
-def bag(tmp_path_factory):
-    return Bag(write_walk(tmp_path_factory.mktemp("bags") / "walk", WALK))
+def bag():
+    return Bag(WALK)
 
 
 @pytest.fixture(scope="module")
 def frames(bag):
     return read_frames(bag, ROBOT)
+
+
+def copy_of(bag, path, *topics, since=0, **changed):
+    """A bag of topics of another since a time, ns, some of which have other data."""
+    with BagWriter(path, read_record_settings(), bag.origin) as out:
+        for topic, time, data in bag.raw(*topics):
+            if time >= since:
+                kind = bag.topics[topic]
+                out.write(topic, kind, time, changed.get(topic, data))
+    return Bag(path)
 
 
 def inside(text, name):
@@ -73,23 +82,28 @@ def decoded(run):
     return found
 
 
-def test_frames_are_the_recorded_states_of_the_legs(frames):
-    t = frames.columns["t"][:, 0]
-    assert frames.count == 31  # the legs' states come at 30 Hz
-    assert t == pytest.approx(np.arange(31) / 30, abs=1e-8)
-    place = np.array([WALK.position(time) for time in t])
+def test_frames_are_the_recorded_states_of_the_legs(bag, frames):
+    legs = bag.series("/ground_truth/legs", "position", "ground_force")
+    truth = bag.series("/ground_truth/odom", "pose.pose.position")
+    assert frames.count == len(legs) > 40
+    assert (legs.stamp == truth.stamp).all()
+    t = (legs.stamp - legs.stamp[0]) * 1e-9
+    assert frames.columns["t"][:, 0] == pytest.approx(t, abs=1e-8)
+    place = truth["pose.pose.position"]
     assert frames.columns["position"] == pytest.approx(place, abs=1e-9)
-    nodes = (
-        frames.columns["nodes"].reshape(-1, 4, NODES, 3) + place[:, None, None]
-    )
+    nodes = frames.columns["nodes"].reshape(frames.count, -1, 3)
     # single precision
-    assert nodes[7] == pytest.approx(leg_nodes(WALK, t[7]), abs=1e-6)
-    force = frames.columns["force"].reshape(-1, 4, 3)[:, :, 2]
-    assert force[9] == pytest.approx(1.05 * normal_forces(t[9] - 0.03))
+    assert (nodes + place[:, None]).ravel() == pytest.approx(
+        legs["position"].ravel(), abs=1e-6
+    )
+    assert frames.columns["force"].ravel() == pytest.approx(
+        legs["ground_force"].ravel(), abs=1e-6
+    )
     assert frames.columns["height/true"][:, 0] == pytest.approx(
         1e3 * place[:, 2]
     )
-    assert frames.states["MPC"] == [(0.0, "SOLVED")]
+    (state,) = frames.states["MPC"]
+    assert state[1] == "SOLVED"
 
 
 def test_a_page_holds_every_column_to_half_a_step(frames):
@@ -110,20 +124,22 @@ def test_a_value_that_is_not_finite_or_too_large_is_no_value(value):
 def test_thinned_frames_and_curves_that_cannot_be_read_are_said(
     bag, tmp_path, monkeypatch
 ):
-    """The previews of the synthetic walk have no stages."""
+    """Previews without stages."""
+    empty = {"/gait_preview": serialize_message(message("/gait_preview", 1.0))}
+    odd = copy_of(bag, tmp_path / "walk", **empty)
     monkeypatch.setattr(run_page, "MOST_FRAMES", 10)
-    first, second = write_page([bag], tmp_path / "walk.html")
-    assert re.search(r"walk\.html: walk 8 frames \(one of 4\), \d+ kB$", first)
+    first, second = write_page([odd], tmp_path / "walk.html")
+    assert re.search(r"walk\.html: walk 10 frames \(one of 5\), \d+ kB$", first)
     assert second.startswith(
-        f"left out: {bag.path}: /gait_preview cannot be used: "
+        f"left out: {odd.path}: /gait_preview cannot be used: "
     )
 
 
-def test_legs_of_unknown_shape_are_those_without_stress(tmp_path):
-    blind = Bag(write_walk(tmp_path / "blind", Walk(duration=0.3, truth=False)))
-    frames = read_frames(blind, ROBOT)
+def test_legs_of_unknown_shape_are_those_without_stress(bag, tmp_path):
+    frames = read_frames(copy_of(bag, tmp_path / "blind", "/mpc_state"), ROBOT)
+    count = len(set(bag.series("/mpc_state", "validity").stamp))
     assert not frames.known
-    assert frames.columns["nodes"].shape == (10, 4 * NATURAL_NODES * 3)
+    assert frames.columns["nodes"].shape == (count, 4 * NATURAL_NODES * 3)
     assert not frames.columns["force"].any()
 
 
@@ -186,26 +202,40 @@ def browsed(path, place, tmp_path):
     "/snap/" in CHROMIUM, reason="Chromium is a snap, which cannot read /tmp"
 )
 def test_a_browser_shows_the_values_of_both_runs_and_how_far_they_are_apart(
-    bag, tmp_path
+    bag, frames, tmp_path
 ):
-    other = Walk(duration=0.8, roll=0.1, bounce=0.004, speed=0.23)
-    second = Bag(write_walk(tmp_path / "second", other))
-    write_page([bag, second], tmp_path / "both.html")
+    """Between two frames the values are interpolated."""
+    since = bag.series("/ground_truth/legs", "nodes").time[12]
+    other = copy_of(bag, tmp_path / "later", since=since)
+    write_page([bag, other], tmp_path / "both.html")
     text = browsed(tmp_path / "both.html", "t=0.75&layout=over", tmp_path)
-    assert 'data-ready="31 25"' in text
+    runs = frames, read_frames(other, ROBOT)
+    assert f'data-ready="{runs[0].count} {runs[1].count}"' in text
     assert "data-error" not in text
     words = re.sub(r"<[^>]+>", "", text.partition("<script")[0])
-    assert "0.75 of 1.00 s" in words
-    assert "first: MPC SOLVED" in words
-    # between two frames the values are interpolated: in 33 ms the sine of 0.72 s turns by 0.29 rad
-    assert [
-        float(x) for x in re.findall(r"true ([\d.]+) \| ([\d.]+)", words)[0]
-    ] == [
-        0.2,
-        0.23,
+    end = float(re.search(r"0\.75 of ([\d.]+) s", words)[1])
+    assert end == pytest.approx(frames.columns["t"][-1, 0], abs=0.01)
+    assert re.search("first: .*MPC SOLVED", words)
+
+    def at(run, name):
+        rows = run.columns[name].T
+        return np.array(
+            [np.interp(0.75, run.columns["t"][:, 0], r) for r in rows]
+        )
+
+    shown = re.findall(r"true (-?[\d.]+) \| (-?[\d.]+)", words)[0]
+    speeds = [at(run, "velocity/true")[0] for run in runs]
+    assert [*map(float, shown)] == pytest.approx(speeds, abs=1e-3)
+    places = [at(run, "position") for run in runs]
+    feet = [
+        place + at(run, "nodes").reshape(4, -1, 3)[:, -1]
+        for run, place in zip(runs, places)
     ]
-    apart, feet = re.search(
+    said = re.search(
         r"torsos ([\d.]+) mm apart, feet at most ([\d.]+) mm", words
     ).groups()
-    assert float(apart) == pytest.approx(1e3 * 0.03 * 0.75, abs=0.1)
-    assert float(feet) == pytest.approx(1e3 * 0.03 * 0.75, abs=0.2)
+    apart = [
+        np.linalg.norm(np.subtract(*both), axis=-1) for both in (places, feet)
+    ]
+    assert float(said[0]) == pytest.approx(1e3 * apart[0], abs=0.1)
+    assert float(said[1]) == pytest.approx(1e3 * apart[1].max(), abs=0.2)

@@ -4,11 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from rods import OBLONG, UNIT, slender
+from scipy.linalg import eig
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
 from benchmarks.rod import exact
+from benchmarks.rod.exact import THIN, THIN_MATERIAL, UNIT
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import (
     PINNED,
@@ -32,6 +33,15 @@ from slot_core.rod.statics import (
     StaticSettings,
     free_unknowns,
 )
+
+STRIP = Geometry(1.0, Rectangle(1.0, (THIN, THIN)))
+# L = EI = rho A = 1, EI sideways 2, GJ 0.8; it stretches by 1e-6 under a unit force.
+OBLONG = Geometry(1.0, Uniform(1e6, 1.0, 2.0, 0.8))
+
+
+def slender(nodes=31, **options):
+    """Rod with L = EI = rho A = 1 in the plane, strain 1e-7 under a unit force, stiff sideways."""
+    return CosseratRod(THIN_MATERIAL, STRIP, nodes, **options)
 
 
 def place(rod):
@@ -217,6 +227,22 @@ def test_column_becomes_unstable_at_its_critical_load(
     found = column().solve_static(Loads(**{kind: (-1.2 * load, 0.0, 0.0)}))
     assert (found.branch, found.negative_pivots) == (Branch.UNSTABLE, planes)
     assert found.critical[0] * 1.2 == pytest.approx(1.0, rel=1e-4)
+
+
+@pytest.mark.parametrize(("load", "flutters"), [(19.95, False), (20.15, True)])
+def test_column_under_a_follower_force_flutters_beyond_becks_load(
+    load, flutters
+):
+    """Beck (1952): P L^2/(EI) = 20.05; sideways the rod is stiffer."""
+    rod, loads = slender(), Loads(follower=(-load, 0.0, 0.0))
+    rod.solve_static(loads)
+    free = np.ix_(free_unknowns(rod.mesh), free_unknowns(rod.mesh))
+    flexibility = eig(
+        rod.mass_matrix()[free], rod.tangent(loads)[free], right=False
+    )
+    # 1 / omega^2; 0 without mass
+    lowest = flexibility[np.argsort(-np.abs(flexibility))[:2]]
+    assert (np.abs(lowest.imag).max() > 1e-3 * np.abs(lowest).max()) == flutters
 
 
 @pytest.mark.parametrize("side", [1, -1])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_walk import message, write_messages
+from bag_messages import message, write_messages
 
 from slot_lab.bags.topics import ESTIMATE, LEG_STATES
 from slot_lab.csv_table import TableError, write_points

@@ -4,15 +4,19 @@ Prints have their true size and can be read; a calibration finds the camera that
 """
 
 import csv
+import functools
 import re
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from views import CAMERA, VISION, natural_robot, stage, synthetic
+from views import CAMERA, VISION, synthetic
 
+from benchmarks.estimation.filmed_robot import Stage, filmed
+from slot_core.drawing.shapes import natural_legs
 from slot_core.geometry import Transform
+from slot_core.robot import read_robot
 from slot_core.vision.board import SQUARE
 from slot_core.vision.camera import (
     Camera,
@@ -30,6 +34,18 @@ COUNT = 6
 POINTS = ["torso", "FR_base", "FR_third", "FR_two_thirds", "FR_tip"]
 # of the film's camera
 LOOK = Transform.of((0, 0, 0), VISION.film_camera.rpy).rotation[:, 0]
+
+
+def natural_robot(base):
+    """The robot with stress-free legs and its torso at `base`."""
+    robot = read_robot()
+    legs = natural_legs(base.position, base.quaternion, robot, 21)
+    return filmed(robot, base, legs.nodes, np.zeros((4, 0, 3)))
+
+
+@functools.cache
+def stage():
+    return Stage(VISION, read_robot())
 
 
 @pytest.fixture(scope="module")

@@ -1,13 +1,10 @@
-"""Rendered views of boards and of the robot for the tests of vision."""
+"""Rendered views of boards for the tests of vision."""
 
 import functools
 
 import numpy as np
 
-from benchmarks.estimation.filmed_robot import Stage, filmed
-from slot_core.drawing.shapes import natural_legs
 from slot_core.geometry import Transform, optical
-from slot_core.robot import read_robot
 from slot_core.vision.board import make_board, print_of
 from slot_core.vision.camera import nominal
 from slot_core.vision.settings import read_vision
@@ -47,15 +44,3 @@ def image_from_torso(base, name="wall", settings=None, **made):
     corners = seen_from_torso(base, name).apply(shown.outline)
     sheet = print_of(shown, vision.dictionary_number)
     return synthetic(**made).image([Surface(sheet, corners)])
-
-
-def natural_robot(base):
-    """The robot with stress-free legs and its torso at `base`."""
-    robot = read_robot()
-    legs = natural_legs(base.position, base.quaternion, robot, 21)
-    return filmed(robot, base, legs.nodes, np.zeros((4, 0, 3)))
-
-
-@functools.cache
-def stage():
-    return Stage(VISION, read_robot())
