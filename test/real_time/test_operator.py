@@ -92,13 +92,17 @@ class Terminal:
             time.sleep(0.5)
         pytest.fail("\n".join((f"{key}: no {state} in 30 s", *self.lines)))
 
+    def reset(self):
+        """Accept that the last terminal is gone."""
+        self.press("R")
+        self.press_until("R", "IDLE")
+
     def quit(self):
         """Quit, so that the supervisor does not miss this source of the e-stop seconds later."""
-        if self.process.poll() is None:
-            self.press("x")
-            self.wait_for("IDLE", "ESTOP", "FAULT")
-            self.press("q")
-            self.process.wait(20)
+        self.press("x")
+        self.wait_for("IDLE", "ESTOP", "FAULT")
+        self.press("q")
+        assert self.process.wait(20) == 0
 
     def close(self):
         """Close the terminal, as its window's button does."""
@@ -113,14 +117,11 @@ class Terminal:
 
 @contextmanager
 def terminal(environment):
-    """A terminal, once the robot is in IDLE."""
+    """A terminal, once it shows a robot without torque."""
     opened = Terminal(environment)
     try:
         opened.wait_for("IDLE", "ESTOP", "FAULT")
-        opened.press("R")  # accepts that the last terminal is gone
-        opened.press_until("R", "IDLE")
         yield opened
-        opened.quit()
     finally:
         if opened.process.poll() is None:
             opened.process.send_signal(signal.SIGKILL)
@@ -140,8 +141,13 @@ def operate(environment, *arguments):
 
 
 @pytest.mark.usefixtures("graph")
-def test_keys_start_a_walk_and_the_command_line_ends_it(environment):
+def test_keys_start_a_walk_the_command_line_ends_it_and_the_terminal_is_as_before(
+    environment,
+):
     with terminal(environment) as live:
+        settings = termios.tcgetattr(live.end)
+        assert not settings[3] & (termios.ECHO | termios.ICANON)
+        live.reset()
         for key, state in (("r", "READY"), ("s", "STANDING"), ("w", "WALKING")):
             live.press_until(key, state)
         code, output, _ = operate(environment, "state")
@@ -151,6 +157,11 @@ def test_keys_start_a_walk_and_the_command_line_ends_it(environment):
         )
         assert operate(environment, "relax") == (0, "relax: granted\n", "")
         assert "relax requested by the operator" in live.wait_for("IDLE")[0]
+        live.quit()
+        settings = termios.tcgetattr(live.end)
+        assert settings[3] & termios.ECHO
+        assert settings[3] & termios.ICANON
+    assert live.output_bytes.endswith(b"\x1b[?25h\x1b[?1049l")
 
 
 @pytest.mark.usefixtures("graph")
@@ -158,40 +169,25 @@ def test_keys_start_a_walk_and_the_command_line_ends_it(environment):
 def test_end_of_the_terminal_stops_the_robot_until_a_reset_at_another(
     environment, end
 ):
-    pattern = re.compile("^(ESTOP|FAULT).*$", re.M)
     with terminal(environment) as live:
+        live.reset()
         live.press_until("r", "READY")
         if end == "closed":
             live.close()
         else:
             live.press(CTRL_C)
-        while not (stopped := pattern.search(operate(environment, "state")[1])):
-            pass
-        code, _, refusal = operate(environment, "reset")
-        live.process.kill()
-        live.process.wait(20)
-    assert code == 1
-    assert re.match(
-        r"ESTOP for .*: e-stop source \S+ silent for .* s, limit 2 s",
-        stopped[0],
-    )
+            live.process.wait(20)
+    while "in ESTOP" not in (refused := operate(environment, "reset"))[2]:
+        pass
+    assert refused[0] == 1
     assert re.match(
         "scripts/operate: RESET refused in ESTOP: e-stop source .* silent",
-        refusal,
+        refused[2],
     )
     with terminal(environment) as another:
-        another.wait_for("IDLE")
-
-
-@pytest.mark.usefixtures("graph")
-def test_terminal_settings_are_restored_at_the_end(environment):
-    with terminal(environment) as live:
-        settings = termios.tcgetattr(live.end)
-        assert not settings[3] & (termios.ECHO | termios.ICANON)
-        live.press("q")
-        live.process.wait(20)
-        assert live.process.returncode == 0
-        settings = termios.tcgetattr(live.end)
-        assert settings[3] & termios.ECHO
-        assert settings[3] & termios.ICANON
-    assert live.output_bytes.endswith(b"\x1b[?25h\x1b[?1049l")
+        assert re.match(
+            r"ESTOP for .*: e-stop source \S+ silent for .* s, limit 2 s",
+            another.lines[0],
+        )
+        another.reset()
+        another.quit()
