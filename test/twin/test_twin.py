@@ -38,9 +38,16 @@ from slot_lab.workers import serially
 
 SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
 PARTS = read_parts("flat")
+SOLVER = config.load("solver/coarse")  # of the synthetic recording
+COARSE = dataclasses.replace(
+    PARTS,
+    scene=config.replace(
+        PARTS.scene, {f"solver.{name}": v for name, v in SOLVER.items()}
+    ),
+)
 MODULUS = 0.85 * 2.6e7  # Pa
 OTHER = changed(
-    PARTS, ["scene.floor.friction", "robot.leg.young_modulus"], [0.3, MODULUS]
+    COARSE, ["scene.floor.friction", "robot.leg.young_modulus"], [0.3, MODULUS]
 )
 WALK = Path(__file__).parents[1] / "bags" / "walk"
 SECONDS, SPEED = 10.0, 0.021  # s, m/s
@@ -259,7 +266,7 @@ def test_known_changes_of_the_robot_are_found_and_hold_for_unseen_strides(
     recorded, strides
 ):
     names = places(["friction", "young_modulus"])
-    found = fit_twin(recorded, PARTS, names, strides, SETTINGS)
+    found = fit_twin(recorded, COARSE, names, strides, SETTINGS)
     friction, modulus = found.estimate.values
     assert friction == pytest.approx(0.3, rel=0.05)
     assert modulus == pytest.approx(MODULUS, rel=0.05)
@@ -275,7 +282,7 @@ def test_the_verdict_knows_the_robot_that_walked_from_another(
 ):
     """The noise of the recording is the uncertainty of the settings."""
     measured = recorded.motion
-    tracks = [predict(recorded, parts, SETTINGS) for parts in (OTHER, PARTS)]
+    tracks = [predict(recorded, parts, SETTINGS) for parts in (OTHER, COARSE)]
     same, other = (
         twin.judge(track, measured, strides, SETTINGS) for track in tracks
     )

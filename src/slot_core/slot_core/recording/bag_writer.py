@@ -261,7 +261,9 @@ class BagWriter:
                     "offered_qos_profiles": self._qos(topic),
                     "type_description_hash": kind.digest,
                 },
-                "message_count": sum(file.counts.get(topic, 0) for file in files),
+                "message_count": sum(
+                    file.counts.get(topic, 0) for file in files
+                ),
             }
             for topic, kind in self._topics.items()
         ]

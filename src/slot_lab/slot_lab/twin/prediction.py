@@ -118,15 +118,15 @@ def predict(
 ) -> TorsoTrack:
     """The predicted motion after each hold; raises as `simulate`."""
     rows = [
-        (t, *sim.position, *sim.velocity, *sim.rpy)
+        (t, *sim.position, *sim.velocity, *sim.rotation.ravel())
         for t, sim in simulate(recorded, parts, settings, tell)
     ]
-    t, position, velocity, rpy = np.split(np.array(rows), [1, 4, 7], axis=1)
+    t, position, velocity, turn = np.split(np.array(rows), [1, 4, 7], axis=1)
     return TorsoTrack(
         "prediction",
         t[:, 0],
         position,
-        Rotation.from_euler("xyz", rpy).as_quat(),
+        Rotation.from_matrix(turn.reshape(-1, 3, 3)).as_quat(),
         velocity,
     )
 
