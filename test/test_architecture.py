@@ -251,7 +251,7 @@ BUDGET = {
     "src/slot_nodes": 2_169,
     "slot_bringup": 2_886,
     "scripts": 4_834,
-    "test": 15_159,
+    "test": 15_158,
 }
 
 

@@ -196,8 +196,7 @@ def test_known_parameters_are_recovered_within_their_intervals():
         for t in (0.0, 90.0)
         for w in (0.2, 0.5, 1.0, 2.0)
     ]
-    fast = {"pull_time": 0.8, "pull_rate_deg": 240.0}
-    quick = dataclasses.replace(SETTINGS, **fast)
+    quick = dataclasses.replace(SETTINGS, pull_time=0.8, pull_rate_deg=240.0)
     fine = dataclasses.replace(quick, nodes=31)
     exact = experiments.predict(config.replace(ROBOT, truth), rows, fine)
     noise = np.random.default_rng(3).standard_normal(len(rows))

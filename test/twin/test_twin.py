@@ -38,11 +38,11 @@ from slot_lab.workers import serially
 
 SETTINGS = config.replace(read_twin(), {"held_out": 0.5})
 PARTS = read_parts("flat")
-SOLVER = config.load("solver/coarse")  # of the synthetic recording
-COARSE = dataclasses.replace(
+COARSE = dataclasses.replace(  # of the synthetic recording
     PARTS,
     scene=config.replace(
-        PARTS.scene, {f"solver.{name}": v for name, v in SOLVER.items()}
+        PARTS.scene,
+        {f"solver.{k}": v for k, v in config.load("solver/coarse").items()},
     ),
 )
 MODULUS = 0.85 * 2.6e7  # Pa
