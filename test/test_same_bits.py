@@ -282,7 +282,7 @@ HERE = {
     for key in os.environ
     if key not in LIBRARIES_OF_OTHERS | PLAIN
 }
-TICKS = 100
+TICKS = 60
 
 
 # m/s, m/s, rad/s: forward, sideways, turning
