@@ -142,7 +142,9 @@ class RolloutMpc(Policy):
         self.observer = DisturbanceObserver(
             self._model, settings.observer, self._problem.scale, dt
         )
-        self._posture = PostureFeedback(settings.posture, self._shares)
+        self._posture = PostureFeedback(
+            settings.posture, settings.limits, self._shares
+        )
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
         # (12,) that the plan is for; None after a fallback and in a turn in place

@@ -122,12 +122,6 @@ class PostureSettings:
         0,
         1e4,
     )
-    correction_max: float = quantity(
-        "largest correction of a tendon angle", "rad", 0, 3
-    )
-    decay: float = quantity(
-        "factor of what the last command has beyond the correction", "", 0, 1
-    )
 
 
 @dataclass(frozen=True)
@@ -150,7 +144,9 @@ class LimitSettings:
     cycles: int = quantity(
         "largest number of cycles in a row without a new plan", "", 0, 1000
     )
-    decay: float = quantity("factor of the deviations per such cycle", "", 0, 1)
+    decay: float = quantity(
+        "factor per cycle of deviations that no plan renews", "", 0, 1
+    )
 
 
 @dataclass(frozen=True)
