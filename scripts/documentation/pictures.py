@@ -124,6 +124,7 @@ PICTURES = {
     "compare.png": Picture(
         commands=[WALK, SLOPE, COMPARED], file="compare.png"
     ),
+    "legs.png": Picture("benchmarks.legs.benchmark:draw", "legs", kind="leg"),
     "locomotion_table.png": Picture(
         f"{PLOTS}:draw_table", "locomotion", kind=None
     ),

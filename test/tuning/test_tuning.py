@@ -128,7 +128,11 @@ def test_a_search_finds_the_pattern_and_its_record_is_of_no_other(tmp_path):
 
 
 def test_an_interrupted_search_continues_where_it_ended(tmp_path):
-    whole = search(40).run(parabola, tmp_path / "whole", print)
+    shares = []
+    whole = search(38).run(  # in whole generations: 40
+        parabola, tmp_path / "whole", lambda _, share: shares.append(share)
+    )
+    assert max(shares) == 1.0
     calls = []
 
     def interrupted(jobs):

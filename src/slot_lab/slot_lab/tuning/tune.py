@@ -136,6 +136,7 @@ class Tuning:
         return pattern, note
 
     def _steering(self, run_all: RunAll) -> list[str]:
+        self._progress("steering")
         steering, change = identification.find_steering(
             self.stride, self.settings, run_all
         )
@@ -172,10 +173,12 @@ class Tuning:
             self.stride, **tables, cruise=min(self.stride.cruise, most)
         )
         speeds = ", ".join(
-            f"{name} {pattern.speed:.4f}" for name, pattern in tables.items()
+            f"{name} {pattern.speed:.4f}"
+            f" at {self.stride.height + pattern.height[0]:.3f} m"
+            for name, pattern in tables.items()
         )
         return [
-            f"speeds at amplitude one, scene {self.settings.scene},"
+            f"speeds and heights at amplitude one, scene {self.settings.scene},"
             f" {_floors(self.settings)}: {speeds}; cruise {self.stride.cruise:g}"
         ]
 
