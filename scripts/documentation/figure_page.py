@@ -50,7 +50,7 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
         "leg": (
             "leg",
             "wall_s",
-            "cpu_s",
+            "cpu_s_per_core",
             "cruise_mm_s",
             "reached_mm_s",
             "tilt_deg",
