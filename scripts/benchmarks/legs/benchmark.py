@@ -1,4 +1,4 @@
-"""Other legs of a lab: `scripts/tune leg`, and the walk at the cruise speed that it finds.
+"""Other legs of a lab: scripts/tune leg, and the walk at the cruise speed that it finds.
 
 A directory of the results gets a robot.yaml with the leg, and `scripts/tune leg` makes leg map, walk
 and crawl there. The default policy then walks with that configuration, on its own leg: the values
@@ -127,9 +127,9 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     left.axvline(TUNED, color=palette.INK, lw=0.8)
     left.set(xlabel="tuning, s: wall, pale, and CPU per core")
     left.invert_yaxis()
-    for key, mark in (("cruise", "|"), ("reached", "o")):
+    for key, mark, size in (("reached", "o", 9), ("cruise", "k|", 20)):
         speeds = [row[f"{key}_mm_s"] for row in rows]
-        right.plot(speeds, names, mark, ms=9, label=key)
+        right.plot(speeds, names, mark, ms=size, label=key)
     right.set(xlabel="speed, mm/s", xlim=(0, 60))
     right.legend(frameon=False, fontsize=9)
     figure.savefig(path, dpi=130)

@@ -18,6 +18,7 @@ from slot_lab.tuning.identification import IdentificationError
 from slot_lab.tuning.tune import Tuning
 from slot_lab.workers import mapper
 
+SHORTER = "--evaluations 1 stays near its patterns"
 SEARCH = {"friction": [0.4], "settling_strides": 3, "strides": 3}
 
 
@@ -60,7 +61,7 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
             try:
                 lines = tuning.write(run_all)
             except IdentificationError as error:
-                lines, code = [f"stays as it was: {error}"], 1
+                lines, code = [f"stays as it was: {error}; {SHORTER}"], 1
             for line in lines:
                 progress.say(f"{name}: {line}")
     return [f"SLOT_CONFIG={directory} scripts/run"], code
