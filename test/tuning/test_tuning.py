@@ -1,6 +1,7 @@
 """Search and identification of strides: symmetries, search, record, tables and the file."""
 
 import dataclasses
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -206,6 +207,10 @@ def test_another_leg_gets_map_and_gait_that_a_run_takes_and_nothing_is_made_twic
     (legs / "scene" / "quick.yaml").write_text("like: flat\nsolver: coarse\n")
     monkeypatch.setenv("SLOT_CONFIG", str(legs))
     words = f"leg {legs} --gaits walk --evaluations 4 --workers 1".split()
+    with monkeypatch.context() as changed:  # what fails keeps no other search
+        failing = Mock(side_effect=identification.IdentificationError("none"))
+        changed.setattr(identification, "find_steering", failing)
+        assert tune_command.main([*words, "--evaluations", "5"]) == 1
     assert tune_command.main(words) == 0
     robot, gaits = read_robot(), read_gaits()
     assert require_own_leg_map(robot) == gait_misfit("walk", robot) == ""

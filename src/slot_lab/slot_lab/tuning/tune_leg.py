@@ -15,10 +15,10 @@ from slot_core.robot import read_robot
 from slot_lab.desk_command import Outcome
 from slot_lab.leg_tests.leg_map import LegMapSettings, tabulate, write
 from slot_lab.tuning.identification import IdentificationError
-from slot_lab.tuning.tune import Tuning
+from slot_lab.tuning.tune import RECORDS, Tuning
 from slot_lab.workers import mapper
 
-SHORTER = "--evaluations 1 stays near its patterns"
+MEND = "other --evaluations find other patterns"
 SEARCH = {"friction": [0.4], "settling_strides": 3, "strides": 3}
 
 
@@ -55,13 +55,15 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
                 f"scripts/tune leg --evaluations {options.evaluations}"
             )
             tuning = Tuning(given, progress)
+            tuning.records = (options.directory or Path()) / RECORDS
             tuning.searching = config.replace(
                 tuning.settings, SEARCH | {"evaluations": options.evaluations}
             )
             try:
                 lines = tuning.write(run_all)
             except IdentificationError as error:
-                lines, code = [f"stays as it was: {error}; {SHORTER}"], 1
+                lines, code = [f"stays as it was: {error}; {MEND}"], 1
+                tuning.forget()
             for line in lines:
                 progress.say(f"{name}: {line}")
     return [f"SLOT_CONFIG={directory} scripts/run"], code
