@@ -74,6 +74,12 @@ class ObserverSettings:
     drift_max: Vector3 = quantity(
         "largest drift of x, y and yaw", "m/s, m/s, rad/s", 0, 1
     )
+    drift_taken: Vector3 = quantity(
+        "largest drift of x, y and yaw that the plan takes",
+        "m/s, m/s, rad/s",
+        0,
+        1,
+    )
     wrench_gain: float = quantity("gain of the wrench on the torso", "", 0, 1)
     stiffness: Vector3 = quantity(
         "wrench per error of height, roll and pitch",
