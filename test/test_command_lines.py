@@ -127,7 +127,7 @@ REFUSED = {
                 "friction[0] = -1.0: outside [0.01, 2]",
             ),
             (["walk", "--seed", "0"], "argument --seed: 0 is below 1"),
-            (["leg", "/dev/null"], "/dev/null: File exists"),
+            (["leg", "/dev/null"], "/dev/null: no robot.yaml there"),
         ],
     ),
     "view --map": (

@@ -46,6 +46,18 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
         "level": ("level", "step", "friction", "mm_per_s", "error"),
         "peer": ("name", "speed"),
     },
+    "legs": {
+        "leg": (
+            "leg",
+            "wall_s",
+            "cpu_s_per_core",
+            "cruise_mm_s",
+            "reached_mm_s",
+            "tilt_deg",
+            "height_mm",
+            "falls",
+        )
+    },
     "locomotion": {
         "": (
             "row",

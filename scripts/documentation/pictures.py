@@ -135,6 +135,7 @@ PICTURES = {
         "benchmarks.locomotion.margins:draw", "locomotion", kind="margin"
     ),
     "mpc_solvers.png": Picture("benchmarks.mpc.benchmark:draw", "mpc"),
+    "legs.png": Picture("benchmarks.legs.benchmark:draw", "legs", kind="leg"),
     "robot_cost.png": Picture("benchmarks.robot.benchmark:draw", "robot"),
     "other_engine.png": Picture(
         "benchmarks.robot.other_engine:draw_engines", "robot", kind="replay"

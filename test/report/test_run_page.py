@@ -205,8 +205,8 @@ def test_a_browser_shows_the_values_of_both_runs_and_how_far_they_are_apart(
     bag, frames, tmp_path
 ):
     """Between two frames the values are interpolated."""
-    since = bag.series("/ground_truth/legs", "nodes").time[12]
-    other = copy_of(bag, tmp_path / "later", since=since)
+    legs = bag.series("/ground_truth/legs", "nodes")
+    other = copy_of(bag, tmp_path / "later", since=legs.time[12])
     write_page([bag, other], tmp_path / "both.html")
     text = browsed(tmp_path / "both.html", "t=0.75&layout=over", tmp_path)
     runs = frames, read_frames(other, ROBOT)

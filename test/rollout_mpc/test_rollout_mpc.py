@@ -208,9 +208,9 @@ def test_on_a_floor_that_grips_it_walks_and_the_model_learns_of_it():
 
 def test_the_feedback_of_a_posture_begins_at_the_last_command_and_adds_up_the_error():
     """Against the closed form of the filtered error, f_n = e (1 - (1 - filter)^n)."""
-    posture = replace(SETTINGS.posture, decay=0.0)
+    posture, limits = SETTINGS.posture, replace(SETTINGS.limits, decay=0.0)
     shares, stiffness = np.arange(12.0).reshape(4, 3) / 10, np.full(4, 5.0)
-    feedback = PostureFeedback(posture, shares)
+    feedback = PostureFeedback(posture, limits, shares)
     error, gait = np.array([-1e-3, 2e-3, 1e-3]), np.full(4, 1.2)
     carried, uneven = gait + 0.05, np.array([0.02, -0.02, 0.01, -0.01])
     last = carried + 0.1 + uneven
@@ -227,7 +227,9 @@ def test_the_feedback_of_a_posture_begins_at_the_last_command_and_adds_up_the_er
 
 
 def test_the_feedback_of_a_posture_leaves_a_torso_that_rises_or_is_far_to_the_plan():
-    feedback = PostureFeedback(SETTINGS.posture, np.ones((4, 3)))
+    feedback = PostureFeedback(
+        SETTINGS.posture, SETTINGS.limits, np.ones((4, 3))
+    )
     far, still = np.array(SETTINGS.posture.reach), np.zeros(3)
     assert not feedback.reaches(still, 2 * SETTINGS.posture.rise_max)
     assert not feedback.reaches(-far, 0.0)
@@ -285,6 +287,7 @@ def test_a_wrench_and_a_drift_in_the_heading_frame_are_found(wrench, drift):
     found = Watch(drift, wrench).go_on(300 if wrench is WRENCH else 120)
     assert found.wrench == pytest.approx(wrench, rel=0.1, abs=1e-9)
     assert found.drift == pytest.approx(drift, abs=1e-3)
+    assert found.taken == pytest.approx((0.0, *drift[1:]), abs=1e-3)
 
 
 def test_where_the_torso_is_lifted_and_not_where_it_is_turned_the_floor_grips():

@@ -8,15 +8,16 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from slot_bringup.servos import main
 from slot_core.config import ConfigError
 from slot_core.dynamixel import tools
-from slot_core.dynamixel.checks import write_zero
+from slot_core.dynamixel.checks import expected, write_zero
 from slot_core.dynamixel.emulator.emulated_legs import MemoryPort
 from slot_core.dynamixel.settings import read_settings
-from slot_core.dynamixel.table import TABLE
+from slot_core.dynamixel.table import TABLE, Mode
 
 PAGE = (Path(__file__).parents[2] / "slot_bringup/doc/hardware.md").read_text()
 # command, and the lines below it
@@ -63,6 +64,18 @@ def test_the_weekend_goes_as_its_page_says(bench):
         assert bench(words) == (0, lines.splitlines()), words
 
 
+IN_RAM = (
+    "goal_pwm",
+    "profile_velocity",
+    "profile_acceleration",
+    "position_p_gain",
+    "position_i_gain",
+    "position_d_gain",
+    "feedforward_1st_gain",
+    "feedforward_2nd_gain",
+    "status_return_level",
+    "bus_watchdog",
+)
 OTHERS = [  # registers
     ("operating_mode:FL:16", "operating_mode is 16, expected 3"),
     ("max_position_limit:FL:4095", "max_position_limit is 4095, expected"),
@@ -92,6 +105,36 @@ def test_a_leg_moves_whatever_another_tool_has_left_in_ram(bench):
         [
             "servo FR (id 4): there: at 20.0 deg, goal 20.0 deg",
             "servo FR (id 4): back: at 0.0 deg, goal 0.0 deg",
+        ],
+    )
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_any_registers_are_named_and_mended(bench, seed):
+    draw, memory = np.random.default_rng(seed), bench.legs.bus.servos[0].memory
+    wanted = expected(read_settings(), bench.legs.joints[0])
+    # a servo of another rate or protocol does not answer
+    shaping = [*(wanted.keys() - {"baud_rate", "protocol_type"}), *IN_RAM]
+    for name in sorted(shaping):
+        register = TABLE[name]
+        memory[name] = draw.integers(register.low, register.high + 1)
+    memory["operating_mode"] = draw.choice([*Mode])
+    found = {name: memory[name] for name in wanted}
+    code, said = bench("info")
+    assert code == 1
+    assert set(
+        re.findall(r"(\w+ is -?\d+, expected -?\d+);", "\n".join(said))
+    ) == {
+        f"{name} is {found[name]}, expected {value}"
+        for name, value in wanted.items()
+        if found[name] != value
+    }
+    assert bench("prepare")[0] == bench("info")[0] == 0
+    assert bench("move FL 20 --rate 60") == (
+        0,
+        [
+            "servo FL (id 5): there: at 20.0 deg, goal 20.0 deg",
+            "servo FL (id 5): back: at 0.0 deg, goal 0.0 deg",
         ],
     )
 

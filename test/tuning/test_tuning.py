@@ -1,6 +1,7 @@
 """Search and identification of strides: symmetries, search, record, tables and the file."""
 
 import dataclasses
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -128,7 +129,11 @@ def test_a_search_finds_the_pattern_and_its_record_is_of_no_other(tmp_path):
 
 
 def test_an_interrupted_search_continues_where_it_ended(tmp_path):
-    whole = search(40).run(parabola, tmp_path / "whole", print)
+    shares = []
+    whole = search(38).run(  # in whole generations: 40
+        parabola, tmp_path / "whole", lambda _, share: shares.append(share)
+    )
+    assert max(shares) == 1.0
     calls = []
 
     def interrupted(jobs):
@@ -202,11 +207,17 @@ def test_another_leg_gets_map_and_gait_that_a_run_takes_and_nothing_is_made_twic
     (legs / "scene" / "quick.yaml").write_text("like: flat\nsolver: coarse\n")
     monkeypatch.setenv("SLOT_CONFIG", str(legs))
     words = f"leg {legs} --gaits walk --evaluations 4 --workers 1".split()
+    with monkeypatch.context() as changed:  # what fails keeps no other search
+        failing = Mock(side_effect=identification.IdentificationError("none"))
+        changed.setattr(identification, "find_steering", failing)
+        assert tune_command.main([*words, "--evaluations", "5"]) == 1
     assert tune_command.main(words) == 0
     robot, gaits = read_robot(), read_gaits()
     assert require_own_leg_map(robot) == gait_misfit("walk", robot) == ""
     walk = gaits.strides["walk"]
     gaits.require_velocity("walk", np.array([walk.cruise, 0.0, 0.0]))
+    text = (legs / "gait" / "walk.yaml").read_text()
+    assert text.startswith("# scripts/tune leg --evaluations 4\n")
     made = {path: path.stat().st_mtime_ns for path in legs.rglob("*")}
     assert tune_command.main(words) == 0
     assert made == {path: path.stat().st_mtime_ns for path in legs.rglob("*")}

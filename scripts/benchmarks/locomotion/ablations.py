@@ -12,6 +12,9 @@ SEEDS = (1, 2, 3)
 WORTH = 1.2  # least mean error without a part over that with it, in the row where it is worth most
 CORNER, CIRCLE = "corner by path, RMS", "circle of 1 m radius, RMS"
 SPLIT = "lateral error, split friction"
+TURNED = "heading, split friction"
+STEP = "velocity .02 to .06: to a tenth"
+PUSHED = "push of .83 N s aside: recovery"
 PAYLOAD = "payload .3 kg off centre, at once: place lost"
 FLOORS = "friction .5 left, .3 right, at once: place lost"
 UPHILL, SLOPE = (
@@ -24,7 +27,11 @@ HEIGHTS = "standing, heights .030 to .060: height"
 GRIPS, TILT = "friction 1: speed missed", "tilt of the walk, RMS"
 ABLATIONS: Mapping[str, tuple[Changes, Sequence[str]]] = {
     "damping of the step": ((("policy.cost.change", 100.0),), (CORNER, TILT)),
-    "drift": ((("policy.observer.drift_gain", 0.0),), (CORNER, FLOORS)),
+    "drift": ((("policy.observer.drift_gain", 0.0),), (TURNED, UPHILL)),
+    "bound of the drift": (
+        (("policy.observer.drift_taken", (0.05, 0.05, 0.1)),),
+        (STEP, PUSHED),
+    ),
     "wrench": ((("policy.observer.wrench_gain", 0.0),), (PAYLOAD, LOADED)),
     "cost of the swing": ((("policy.cost.swing", 0.5),), (UPHILL, TILT)),
     "two thirds of the horizon": (

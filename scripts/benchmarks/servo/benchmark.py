@@ -1,8 +1,10 @@
-"""The servo bus: rate, step responses of both control loops, age of a command.
+"""The servo bus: rate, step responses of both control loops, registers of another tool, age of a command.
 
 The servos are emulated behind a pseudo-terminal in a separate process, with the transmission time
 of the bytes at 1 Mbaud. The rate is the median cycle's, because
-other processes share the machine. Step responses run in the emulated servos' time.
+other processes share the machine. Step responses run in the emulated servos' time. Another tool has left
+the least or the largest value in a register of servo FL: it is named and mended by `prepare`, or the step
+is as without it.
 """
 
 import contextlib
@@ -19,18 +21,30 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.harness import Attempts, Outcome, Progress, Row, at_least
+from benchmarks.harness import (
+    Attempts,
+    Outcome,
+    Progress,
+    Row,
+    at_least,
+    at_most,
+)
 from benchmarks.servo import age
 from slot_core import config
+from slot_core.dynamixel.checks import expected
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.table import TABLE
 from slot_core.robot import LEGS
+from slot_core.servos.servo_bus import RefusedError
 from slot_core.simulation.plant import CYCLE
 
 STEP = (0.5, 1.5)  # rad
+# registers with which a servo is found, or that another program would not leave for long
+ADDRESSING = ("id", "baud_rate", "torque_enable")
 LOADS = (0.0, 0.3)  # N m on the tendon's angle
 STYLES = {
     "position": ("C0", "servo's own loop"),
@@ -49,6 +63,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     )
     progress("step responses")
     steps = list(step_rows(out / "servo_step.png"))
+    progress("registers of another tool")
+    registers = list(register_rows())
+    changed = max(row["step_changed_deg"] for row in registers)
     ages, attempts = {}, Attempts()
     for nodes in age.NODES:
         progress(name := f"age of a command, in real time, nodes {nodes}")
@@ -57,8 +74,11 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
             ages[nodes] = found
     age.draw(ages, out / "servo_age.png")
     aged = [age.row(found, nodes) for nodes, found in ages.items()]
-    return [*cycles, *steps, *aged, *attempts.rows], [
+    return [*cycles, *steps, *registers, *aged, *attempts.rows], [
         rate,
+        at_most(
+            "step changed by a register of another tool", changed, 0.0, "deg"
+        ),
         *age.checks(aged),
         *attempts.checks,
     ]
@@ -116,12 +136,61 @@ def step_rows(path: Path) -> Iterator[Row]:
     figure.savefig(path, dpi=150)
 
 
+def register_rows() -> Iterator[Row]:
+    """Whether the driver names a register, and the change of the step response with it or once mended."""
+    settings = config.replace(read_settings(), {"control": "position"})
+    sound = step_response("position", 0.0)
+    for register in TABLE.values():
+        if (
+            not register.writable
+            or register.name in ADDRESSING
+            or register.name.startswith("indirect")
+        ):
+            continue
+        for value in (register.low, register.high):
+            servos = EmulatedDynamixels(settings, read_emulator(), STEP[:1] * 4)
+            memory = servos.bus.servos[0].memory
+            memory[register.name] = value
+            driver = servos.connect(lambda servos=servos: servos.bus.time)
+            reasons: list[str] = []
+            try:
+                driver.configure()
+            except RefusedError as error:
+                reasons = error.reasons
+                driver = servos.connect(lambda servos=servos: servos.bus.time)
+                # as scripts/servos prepare does
+                for name, wanted in expected(
+                    settings, servos.joints[0]
+                ).items():
+                    driver.bus.write_verified(servos.joints[0].id, name, wanted)
+                driver.configure()
+            trace = stepped(servos, driver, 0.0)
+            yield {
+                "kind": "register",
+                "register": register.name,
+                "value": value,
+                "named": any(
+                    f"{register.name} is {value}," in r for r in reasons
+                ),
+                "step_changed_deg": math.degrees(
+                    np.abs(np.subtract(trace, sound)).max()
+                ),
+            }
+
+
 def step_response(control: str, load: float) -> list[float]:
     """Angles after a step, rad; `load`: torque on the tendon angles, N m."""
     settings = config.replace(read_settings(), {"control": control})
-    servos = EmulatedDynamixels(settings, read_emulator(), (STEP[0],) * 4)
+    servos = EmulatedDynamixels(settings, read_emulator(), STEP[:1] * 4)
     driver = servos.connect(lambda: servos.bus.time)
     driver.configure()
+    return stepped(servos, driver, load)
+
+
+def stepped(
+    servos: EmulatedDynamixels, driver: Driver, load: float
+) -> list[float]:
+    """Angles of servo FL, rad, after a step that a configured driver commands."""
     driver.activate()
     for goal in STEP:
         trace: list[float] = []

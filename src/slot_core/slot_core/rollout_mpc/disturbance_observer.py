@@ -8,7 +8,9 @@ repeated motion change at every tick
     wrench w += gain K (e_z, e_roll, e_pitch)   F_z, M_x, M_y on the torso, N and N m
 
 The wrench acts in the rollouts; the drift moves their poses on. Hence a payload of m kg is a wrench
-F_z = -m g, and a foot that slips more than expected is a drift.
+F_z = -m g, and a foot that slips more than expected is a drift. The plan takes no more of the drift
+than `drift_taken`. After a step of the velocity and in a push, too, the model misses the motion along and
+aside for a second, and a plan that takes that for a drift swings about its way.
 
 The misfit is the root mean square, over some 20 ticks, of the errors of height, roll and pitch, in
 units of the cost's scales. It is 0.4 to 1.2 in a walk, and 2.6 to 4 where feet stick that slip in
@@ -65,8 +67,11 @@ class DisturbanceObserver:
         """scale: (6,) errors of roll, pitch, yaw, x, y, z that cost as much as one another."""
         self._scale = scale[TILTS]
         self._model, self._settings, self._dt = model, settings, dt
-        self._stiffness, self._drift_max, self._wrench_max = np.array(
-            [settings.stiffness, settings.drift_max, settings.wrench_max]
+        self._stiffness, self._wrench_max = np.array(
+            [settings.stiffness, settings.wrench_max]
+        )
+        self._drift_max, self._drift_taken = np.array(
+            [settings.drift_max, settings.drift_taken]
         )
         self.drift = np.zeros(3)  # v_x, v_y m/s, yaw rate rad/s, heading frame
         self.wrench = np.zeros(3)  # F_z N, M_x, M_y N m, heading frame
@@ -120,6 +125,11 @@ class DisturbanceObserver:
         self._misfit += s.misfit_gain * (square - self._misfit)
         if self.misfit > s.misfit_max:
             self._model.friction = s.friction
+
+    @property
+    def taken(self) -> Array:
+        """Drift (3,) as the plan takes it."""
+        return _bounded(self.drift, self._drift_taken)
 
     @property
     def misfit(self) -> float:

@@ -20,7 +20,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.key_frame import StateParts
 from slot_core.matrices import product
-from slot_core.rollout_mpc.settings import PostureSettings
+from slot_core.rollout_mpc.settings import LimitSettings, PostureSettings
 
 
 class PostureFeedback:
@@ -28,9 +28,12 @@ class PostureFeedback:
 
     STATE = StateParts("_error", "_correction")
 
-    def __init__(self, settings: PostureSettings, shares: Array):
+    def __init__(
+        self, settings: PostureSettings, limits: LimitSettings, shares: Array
+    ):
         """shares: B+ (4, 3), forces of the legs for F_z (N), M_x and M_y (N m)."""
-        self._settings, self._shares = settings, shares
+        self._settings, self._limits = settings, limits
+        self._shares = shares
         self._stiffness = np.array(settings.stiffness)
         self.forget()
 
@@ -61,7 +64,7 @@ class PostureFeedback:
         gait: the gait's angles; carried: these, turned on to carry the wrench; last: the last
         command, all (4,), rad; stiffness: of the legs (4,), N/rad.
         """
-        s, before = self._settings, self._error
+        s, limits, before = self._settings, self._limits, self._error
         present = self._correction
         if present is None:
             uneven = last - carried
@@ -69,7 +72,7 @@ class PostureFeedback:
         self._error = before + s.filter * (error - before)
         wrench = self._stiffness * (s.gain * self._error + self._error - before)
         moved = present - product(self._shares, wrench) / stiffness
-        self._correction = np.clip(moved, -s.correction_max, s.correction_max)
+        self._correction = np.clip(moved, -limits.deviation, limits.deviation)
         return np.asarray(
-            gait + self._correction + s.decay * (last - gait - present)
+            gait + self._correction + limits.decay * (last - gait - present)
         )

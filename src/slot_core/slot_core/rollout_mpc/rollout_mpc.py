@@ -142,7 +142,9 @@ class RolloutMpc(Policy):
         self.observer = DisturbanceObserver(
             self._model, settings.observer, self._problem.scale, dt
         )
-        self._posture = PostureFeedback(settings.posture, self._shares)
+        self._posture = PostureFeedback(
+            settings.posture, settings.limits, self._shares
+        )
         self._plan: _Plan | None = None  # that is executed
         self._next: _Plan | None = None  # a stage later, prepared
         # (12,) that the plan is for; None after a fallback and in a turn in place
@@ -202,7 +204,7 @@ class RolloutMpc(Policy):
         if not preview.corrected:
             return self._gait_plan(preview)
         pose, force, foot = (values[0] for values in rollout)
-        moved = self._problem.moved(self.observer.drift, float(state[2]))
+        moved = self._problem.moved(self.observer.taken, float(state[2]))
         pose[:, PLACE] += moved
         foot[..., :2] += moved[:, None, :2]
         # forces at stage 0: as predicted a stage before
@@ -378,7 +380,7 @@ class RolloutMpc(Policy):
         """
         problem, observer, place = self._problem, self.observer, state[PLACE]
         rows, yaw = np.asarray(preview.reference, dtype=float), float(state[2])
-        wanted = problem.reference(rows, place, observer.drift, plan.sag)
+        wanted = problem.reference(rows, place, observer.taken, plan.sag)
         before = self._model.roll_out(plan.start, self._angles(plan)[None])
         error = problem.errors(before.pose, wanted, yaw)[0]
         if not np.isfinite(error).all():

@@ -74,6 +74,12 @@ class ObserverSettings:
     drift_max: Vector3 = quantity(
         "largest drift of x, y and yaw", "m/s, m/s, rad/s", 0, 1
     )
+    drift_taken: Vector3 = quantity(
+        "largest drift of x, y and yaw that the plan takes",
+        "m/s, m/s, rad/s",
+        0,
+        1,
+    )
     wrench_gain: float = quantity("gain of the wrench on the torso", "", 0, 1)
     stiffness: Vector3 = quantity(
         "wrench per error of height, roll and pitch",
@@ -122,12 +128,6 @@ class PostureSettings:
         0,
         1e4,
     )
-    correction_max: float = quantity(
-        "largest correction of a tendon angle", "rad", 0, 3
-    )
-    decay: float = quantity(
-        "factor of what the last command has beyond the correction", "", 0, 1
-    )
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,9 @@ class LimitSettings:
     cycles: int = quantity(
         "largest number of cycles in a row without a new plan", "", 0, 1000
     )
-    decay: float = quantity("factor of the deviations per such cycle", "", 0, 1)
+    decay: float = quantity(
+        "factor per cycle of deviations that no plan renews", "", 0, 1
+    )
 
 
 @dataclass(frozen=True)

@@ -215,11 +215,13 @@ class PatternSearch:
                 self._generation(candidates, recorded, run_all, record),
             )
             self.done += len(candidates)
+            # whole generations: the last may go beyond the evaluations
+            most = max(self.done, self._settings.evaluations)
             speeds = " ".join(f"{v:.4f}" for v in self.best.speed)
             progress(
-                f"{self._goal.kind}: {self.done} of {self._settings.evaluations}, "
+                f"{self._goal.kind}: {self.done} of {most}, "
                 f"cost {self.best.cost:.3f}, speed {speeds}",
-                self.done / self._settings.evaluations,
+                self.done / most,
             )
         return self.best
 

@@ -62,6 +62,7 @@ class Tuning:
     ) -> None:
         """Read the configuration; raises ConfigError."""
         self._options, self._robot = options, read_robot()
+        self.records = RECORDS
         self._out: Path = (
             options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
         )
@@ -95,9 +96,13 @@ class Tuning:
             [self._options.command, *notes],
             fingerprint(self._robot),
         )
+        self.forget()
+        return [*notes, str(self._out)]
+
+    def forget(self) -> None:
+        """Remove the records of the searches."""
         for kind in identification.NUMBERS:
             self._record(kind).unlink(missing_ok=True)
-        return [*notes, str(self._out)]
 
     def _forward(self, run_all: RunAll) -> list[str]:
         pattern, note = self._search("forward", run_all)
@@ -136,6 +141,7 @@ class Tuning:
         return pattern, note
 
     def _steering(self, run_all: RunAll) -> list[str]:
+        self._progress("steering")
         steering, change = identification.find_steering(
             self.stride, self.settings, run_all
         )
@@ -172,15 +178,17 @@ class Tuning:
             self.stride, **tables, cruise=min(self.stride.cruise, most)
         )
         speeds = ", ".join(
-            f"{name} {pattern.speed:.4f}" for name, pattern in tables.items()
+            f"{name} {pattern.speed:.4f}"
+            f" at {self.stride.height + pattern.height[0]:.3f} m"
+            for name, pattern in tables.items()
         )
         return [
-            f"speeds at amplitude one, scene {self.settings.scene},"
+            f"speeds and heights at amplitude one, scene {self.settings.scene},"
             f" {_floors(self.settings)}: {speeds}; cruise {self.stride.cruise:g}"
         ]
 
     def _record(self, kind: str) -> Path:
-        return RECORDS / f"{self._out.stem}.{kind}.jsonl"
+        return self.records / f"{self._out.stem}.{kind}.jsonl"
 
 
 def _floors(settings: TuningSettings) -> str:
