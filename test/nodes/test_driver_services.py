@@ -13,7 +13,7 @@ from slot_core.dynamixel.table import RAD_PER_COUNT
 from slot_core.messages import decode
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import Action, State
-from slot_core.servos import registry
+from slot_core.servos import registry, session
 from slot_msgs.msg import RobotState, ServoLimits
 from slot_nodes import messages, qos
 
@@ -113,21 +113,25 @@ def switch(rig, on):
 
 
 @pytest.mark.parametrize(
-    ("parameters", "reason"),
+    ("parameters", "configure", "reason"),
     [
         (
             {"servo.firmware_min": 46},
+            session.ServoSession.configure,
             "servo FL (id 5): firmware 45, expected 46 or newer",
         ),
         (
             {"wait_for_port": 0.5, "bus.port": "/nowhere/servos"},
+            session.ServoSession.configure,
             "/nowhere/servos: ",
         ),
+        ({}, lambda self: self.nothing, "AttributeError("),  # of a brand
     ],
 )
-def test_unexpected_servos_and_a_port_that_does_not_appear_are_refused_in_one_line(
-    rig, parameters, reason
+def test_unexpected_servos_a_port_that_does_not_appear_and_an_error_are_refused_in_one_line(
+    rig, monkeypatch, parameters, configure, reason
 ):
+    monkeypatch.setattr(session.ServoSession, "configure", configure)
     rig.start(DRIVER, parameters=parameters)
     assert rig.wait_for(lambda: rig.exit_codes.get(DRIVER)) == 1
     assert f"servos refused: {reason}" in rig.logs[DRIVER][-1]
@@ -226,8 +230,9 @@ def test_the_driver_node_drives_servos_of_another_brand(tmp_path, monkeypatch):
         tmp_path, {"servo_bus": {"brand": "ideal"}}, only=[], hardware="real"
     )
     servos = IdealServos()
-    brand = make_brand(servos, rig.seconds)
-    monkeypatch.setitem(registry.BRANDS, "ideal", lambda: brand)
+    monkeypatch.setitem(
+        registry.BRANDS, "ideal", lambda: make_brand(servos, rig.seconds)
+    )
     rig.every(0.01, lambda: servos.advance(0.01))
     start_driver(rig)
     stub = StubSupervisor(rig)

@@ -154,9 +154,9 @@ class DynamixelDriverNode(LifecycleNode):
         """Open the port and check every servo."""
         try:
             servos = self._session.configure()
-        except ServoError as error:
+        except Exception as error:  # rclpy would discard one of the brand
             self._session.bus.close()
-            return self._refuse(f"servos refused: {error}")
+            return self._refuse("servos refused", error)
         self._open = True
         self.get_logger().info(f"servos on {self._port}: {', '.join(servos)}")
         self._timer = runtime.wall_timer(self, self._session.period, self._step)
@@ -166,8 +166,8 @@ class DynamixelDriverNode(LifecycleNode):
         """Switch torque on at the present angles."""
         try:
             self._session.start()
-        except ServoError as error:
-            return self._refuse(f"torque refused: {error}")
+        except Exception as error:
+            return self._refuse("torque refused", error)
         self._active = True
         self.get_logger().info("torque on")
         return SUCCESS
@@ -351,12 +351,19 @@ class DynamixelDriverNode(LifecycleNode):
     def _zero(self, leg: str) -> str:
         return self._maintenance().zero(leg, time.sleep)
 
-    def _refuse(self, reason: str) -> TransitionCallbackReturn:
-        self._refusal = reason
+    def _refuse(self, what: str, error: Exception) -> TransitionCallbackReturn:
+        self._refusal = (
+            f"{what}: {error if isinstance(error, ServoError) else repr(error)}"
+        )
         # else it is logged when the node ends
         if self._cycle is not None or not self._autostart:
-            self.get_logger().error(reason, throttle_duration_sec=5.0)
-        return FAILURE
+            self.get_logger().error(self._refusal, throttle_duration_sec=5.0)
+        # of an error of the brand's code ERROR, which switches torque off
+        return (
+            FAILURE
+            if isinstance(error, ServoError)
+            else TransitionCallbackReturn.ERROR
+        )
 
     def _stop_cycles(self) -> None:
         if self._timer is not None:
