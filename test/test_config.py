@@ -248,7 +248,7 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
     ("text", "message"),
     [
         ("like: moon\n", r"no configuration 'scene/moon' \(known: bad, flat\)"),
-        ("like: bad\n", r"scene/bad\.yaml: like is not a setting"),
+        ("like: bad\n", r"bad\.yaml: like = 'bad': .* scene without `like`"),
         (
             "like: flat\nfloor.colour: 1\n",
             r"scene/bad\.yaml: floor\.colour is not a setting",

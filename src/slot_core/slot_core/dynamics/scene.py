@@ -321,11 +321,13 @@ def read_scene(name: str) -> Scene:
     mapping, where = _load(name), f"scene/{name}.yaml"
     if not isinstance(mapping, dict) or "like" not in mapping:
         return config.build(Scene, mapping, where)
-    if not isinstance(other := mapping.pop("like"), str):
+    if not isinstance(other := mapping.pop("like"), str) or (
+        isinstance(whole := _load(other), dict) and "like" in whole
+    ):
         raise ConfigError(
-            f"{where}: like = {quoted(other)}: expected the name of a scene"
+            f"{where}: like = {quoted(other)}: expected the name of a scene without `like`"
         )
-    base = config.build(Scene, _load(other), f"scene/{other}.yaml")
+    base = config.build(Scene, whole, f"scene/{other}.yaml")
     identified = mapping.get("parameters")
     if isinstance(identified, str) and identified:
         mapping = read_parameters(identified, "scene") | mapping
