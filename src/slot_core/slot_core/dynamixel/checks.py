@@ -117,7 +117,8 @@ def prepare_torque(bus: Bus, settings: DynamixelSettings, joint: Joint) -> int:
     if error:
         raise RefusedError(
             [
-                f"{joint.name}: hardware error: {hardware_errors(error)}; reboot it"
+                f"{joint.name}: hardware error: {hardware_errors(error)};"
+                f" scripts/operate reboot {joint.leg}, or the supply off and on"
             ]
         )
     bus.write_verified(joint.id, "torque_enable", 0)
@@ -194,4 +195,4 @@ def write_zero(leg: str, zero_deg: float) -> Path:
         config.build(DynamixelSettings, config.parse(changed), path.name).joints
     )
     path.write_text(changed)
-    return path
+    return path.resolve()  # `config/` by its own name

@@ -183,6 +183,7 @@ def zero(settings: DynamixelSettings, options: argparse.Namespace) -> int:
     print(
         f"{joint.name}: zero at {angle:.2f} deg,"
         f" {math.degrees(joint.zero):.2f} deg before"
+        f"{'' if options.write else '; not written without --write'}"
     )
     if options.write:
         print(
