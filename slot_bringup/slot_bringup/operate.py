@@ -330,7 +330,7 @@ def act(options: argparse.Namespace, program: str) -> int:
     if options.action is None:
         if not (sys.stdin.isatty() and sys.stdout.isatty()):
             raise OperateError(
-                "the live display needs a terminal, scripts/operate state none"
+                "the live display needs a terminal; `scripts/operate state` does not"
             )
         live(options.namespace)
     elif options.action == "state":

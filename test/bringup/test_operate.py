@@ -277,7 +277,9 @@ def test_without_a_graph_or_a_terminal_one_line_says_so(
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
     assert operate_command.main(arguments) == 1
     place = f"ROS domain {os.environ['ROS_DOMAIN_ID']}, namespace /"
-    message = "the live display needs a terminal, scripts/operate state none"
+    message = (
+        "the live display needs a terminal; `scripts/operate state` does not"
+    )
     if who:
         message = (
             f"no {who} answers in {place} within 0.2 s: does scripts/run run?"
