@@ -32,8 +32,10 @@ class ConfigError(InputError):
 
 def config_dir() -> Path:
     """Directory of the YAML files: $SLOT_CONFIG if set, else the one shipped with the package."""
+    # in the repository that one is a link to `config/`, under which name messages show it
     return Path(
-        os.environ.get("SLOT_CONFIG") or Path(__file__).parent / "defaults"
+        os.environ.get("SLOT_CONFIG")
+        or (Path(__file__).parent / "defaults").resolve()
     )
 
 

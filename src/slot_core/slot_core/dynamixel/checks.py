@@ -195,4 +195,4 @@ def write_zero(leg: str, zero_deg: float) -> Path:
         config.build(DynamixelSettings, config.parse(changed), path.name).joints
     )
     path.write_text(changed)
-    return path.resolve()  # `config/` by its own name
+    return path
