@@ -160,7 +160,7 @@ def test_gait_and_scene_of_the_page_run_as_its_commands_say(
     given = [parse(words.split()) for words in commands]
     for options in given:
         check_options(options)
-    _, low, mine, _ = given
+    _, low, mine, *_ = given
     stands = SupervisedLoop(low.scene, low.gait, None, 0)
     *_, last = stands.run(2.0)
     assert last.state is State.WALKING  # in the gait that is a posture
