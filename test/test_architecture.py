@@ -249,9 +249,9 @@ BUDGET = {
     "src/slot_lab": 6_345,
     "src/slot_paper": 688,
     "src/slot_nodes": 2_169,
-    "slot_bringup": 2_886,
-    "scripts": 4_943,
-    "test": 15_182,
+    "slot_bringup": 2_887,
+    "scripts": 4_940,
+    "test": 15_185,
 }
 
 

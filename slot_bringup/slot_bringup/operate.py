@@ -230,9 +230,8 @@ class Operator:
         if not self._show("state", decode.robot_state, message):
             return
         self.view.state_time = time.monotonic()
-        if message.state == RobotState.ESTOP:
-            # received, and latched by the supervisor
-            self._estop.pressed = False
+        # once it is received, the supervisor has latched it
+        self._estop.pressed &= message.state != RobotState.ESTOP
 
     def _on_motion(self, message: MpcState) -> None:
         try:
@@ -254,7 +253,7 @@ class Operator:
         if (state := self.view.state) and not self.view.silent(
             time.monotonic()
         ):
-            self._steering.repeat(decode.stamp(state), self.view.preview)
+            self._steering.repeat(state, self.view.preview)
 
     def _publish_estop(self) -> None:
         self._estop_topic.publish(self._estop)

@@ -1,7 +1,8 @@
 """Steering of a running graph, and the keys for it: velocity, yaw rate and pose of the torso.
 
 A key changes what is commanded by a step, within the reach of the gait. The velocity is repeated
-until it is zero; then another source of `/cmd_vel` may steer.
+until it is zero; then another source of `/cmd_vel` may steer. With keys it becomes zero where the
+supervisor permits no torque: after a stop a robot does not set off as fast as it was before.
 """
 
 import math
@@ -16,7 +17,7 @@ from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import BASE_FRAME
-from slot_msgs.msg import GaitPreview
+from slot_msgs.msg import GaitPreview, RobotState
 from slot_nodes import messages, qos
 
 VELOCITY_STEP = 0.01, 0.01, 0.025  # m/s, m/s, rad/s, of a key
@@ -85,10 +86,21 @@ class SteeringPublisher:
         ).as_quat()
         self._pose_topic.publish(message)
 
-    def repeat(self, stamp: int, commanded: GaitPreview | None) -> None:
-        """Publish the velocity that is repeated, if any, with a stamp (ns) of the graph's clock."""
+    def repeat(
+        self,
+        state: RobotState,
+        commanded: GaitPreview | None,
+        lasts: bool = False,
+    ) -> None:
+        """Publish the velocity that is repeated, if any, with the stamp of the supervisor's state.
+
+        lasts: whether the velocity outlasts the torque, as that of a slider does.
+        """
         if self._velocity is None:
             return
+        self._velocity = self._velocity * (
+            lasts or state.action != RobotState.ACTION_OFF
+        )
         if self._topic is None:
             plain = any(
                 info.topic_type.endswith("/Twist")
@@ -103,10 +115,8 @@ class SteeringPublisher:
         message = self._kind()
         twist = message
         if isinstance(message, TwistStamped):
-            message.header, twist = (
-                messages.header(stamp, BASE_FRAME),
-                message.twist,
-            )
+            message.header.stamp = state.header.stamp
+            message.header.frame_id, twist = BASE_FRAME, message.twist
         twist.linear.x, twist.linear.y, twist.angular.z = map(
             float, self._velocity
         )

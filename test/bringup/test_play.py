@@ -29,7 +29,7 @@ from slot_bringup import monitor, operator_screen, play, steering, view
 from slot_bringup.playing import main_page
 from slot_core.messages import decode
 from slot_lab.bags.bag import Bag
-from slot_msgs.msg import GaitPreview, LegStates, MpcState
+from slot_msgs.msg import GaitPreview, LegStates, MpcState, RobotState
 from slot_nodes import qos
 
 KEEP = QoSProfile(depth=2000)  # all messages: they are taken after the play
@@ -212,7 +212,8 @@ def test_the_live_page_of_a_run_waits_for_its_graph_and_ends_with_it(
 
 
 UP, DOWN, RIGHT, LEFT = (f"\x1b[{letter}" for letter in "ABCD")
-STAMP = 7_000_000_000
+STATE = RobotState(action=RobotState.ACTION_PASS)
+STATE.header.stamp.sec = 7
 
 
 class Keys(steering.SteeringKeys):
@@ -250,11 +251,11 @@ def test_a_key_changes_the_velocity_that_is_repeated_in_the_type_that_is_heard(
     keys = Keys(heard.__name__)
     for key in pressed:
         assert keys.press(key, commanded()).startswith("velocity ")
-    keys.repeat(STAMP, commanded())
+    keys.repeat(STATE, commanded())
     (message,) = keys.published
     assert type(message) is heard
     stamp, sent = decode.velocity(message)
-    assert stamp == (STAMP if heard is TwistStamped else 0)
+    assert stamp == (7_000_000_000 if heard is TwistStamped else 0)
     np.testing.assert_allclose(sent, velocity, atol=1e-15)
 
 
@@ -262,27 +263,30 @@ def test_a_velocity_beyond_the_reach_of_the_gait_is_clipped_and_does_not_wind_up
     """The first key goes on from what is commanded."""
     keys, present = Keys(), commanded([0.03, 0.0, 0.0])
     keys.press(UP, present)
-    keys.repeat(STAMP, present)
+    keys.repeat(STATE, present)
     assert decode.velocity(keys.published[0])[1] == pytest.approx(
         [0.04, 0.0, 0.0]
     )
     said = [keys.press(UP, present) for _ in range(20)]
     assert said[-1].startswith("velocity clipped to the reach of gait walk")
     keys.press(DOWN, present)
-    keys.repeat(STAMP, present)
+    keys.repeat(STATE, present)
     assert decode.velocity(keys.published[1])[1][0] < 0.1  # not 0.19
 
 
 def test_zero_is_repeated_until_it_is_commanded_then_another_may_steer():
-    """Before the first key nothing is published either."""
+    """Before the first key nothing is published either. A velocity ends with the torque."""
     keys = Keys()
-    keys.repeat(STAMP, commanded())
+    keys.repeat(STATE, commanded())
     assert not keys.published
     keys.press(UP, commanded())
     keys.press(steering.STOP, commanded())
     for velocity, count in ((0.01, 1), (0.01, 2), (0.0, 3), (0.0, 3)):
-        keys.repeat(STAMP, commanded([velocity, 0.0, 0.0]))
+        keys.repeat(STATE, commanded([velocity, 0.0, 0.0]))
         assert len(keys.published) == count
+    keys.press(UP, commanded())
+    keys.repeat(RobotState(), commanded([0.01, 0.0, 0.0]))  # without torque
+    assert not decode.velocity(keys.published[-1])[1].any()
 
 
 @pytest.mark.parametrize(

@@ -114,8 +114,7 @@ def test_any_registers_are_named_and_mended(bench, seed):
     draw, memory = np.random.default_rng(seed), bench.legs.bus.servos[0].memory
     wanted = expected(read_settings(), bench.legs.joints[0])
     # a servo of another rate or protocol does not answer
-    shaping = [*(wanted.keys() - {"baud_rate", "protocol_type"}), *IN_RAM]
-    for name in sorted(shaping):
+    for name in sorted({*wanted, *IN_RAM} - {"baud_rate", "protocol_type"}):
         register = TABLE[name]
         memory[name] = draw.integers(register.low, register.high + 1)
     memory["operating_mode"] = draw.choice([*Mode])

@@ -78,8 +78,9 @@ def measured(name: str, quick: bool, out: Path) -> Row:
     robot["leg"] |= LEGS[name]
     (directory / "robot.yaml").write_text(yaml.safe_dump(robot))
     words, begin = [ROOT / "scripts" / "tune", "leg", directory], os.times()
-    words += QUICK if quick else ()
-    if subprocess.run(words, cwd=directory, check=False).returncode:
+    if subprocess.run(
+        [*words, *(QUICK if quick else ())], cwd=directory, check=False
+    ).returncode:
         raise BenchmarkError("scripts/tune leg has failed")
     used = np.subtract(os.times(), begin)
     with mock.patch.dict(os.environ, SLOT_CONFIG=str(directory)):

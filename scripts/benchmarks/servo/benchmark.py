@@ -140,17 +140,17 @@ def register_rows() -> Iterator[Row]:
     """Whether the driver names a register, and the change of the step response with it or once mended."""
     settings = config.replace(read_settings(), {"control": "position"})
     sound = step_response("position", 0.0)
-    for register in TABLE.values():
-        if (
-            not register.writable
-            or register.name in ADDRESSING
-            or register.name.startswith("indirect")
-        ):
-            continue
+    left = (
+        register
+        for register in TABLE.values()
+        if register.writable
+        and register.name not in ADDRESSING
+        and not register.name.startswith("indirect")
+    )
+    for register in left:
         for value in (register.low, register.high):
             servos = EmulatedDynamixels(settings, read_emulator(), STEP[:1] * 4)
-            memory = servos.bus.servos[0].memory
-            memory[register.name] = value
+            servos.bus.servos[0].memory[register.name] = value
             driver = servos.connect(lambda servos=servos: servos.bus.time)
             reasons: list[str] = []
             try:

@@ -87,7 +87,7 @@ class GraphRobot:
         new, self._new = self._new, {}
         self._preview = new.get("/gait_preview", self._preview)
         if (state := new.get("/robot_state")) is not None:
-            self._steering.repeat(decode.stamp(state), self._preview)
+            self._steering.repeat(state, self._preview, lasts=True)
             self._state = decode.robot_state(state)[1]
             self._next_request(self._state)
         return list(new.items())
