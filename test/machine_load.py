@@ -24,7 +24,8 @@ class Load:
     """The load of the machine since this was made, until `end`; wake-ups are those of a thread."""
 
     def __init__(self):
-        self._late, self._begin = [False], cpu_times()
+        self._own = {}  # s, CPU time by process; that of one that has ended stays
+        self._late, self._begin = [False], self._cpu_times()
         self._ended = threading.Event()
         threading.Thread(target=self._sample, daemon=True).start()
 
@@ -34,6 +35,8 @@ class Load:
             now = time.monotonic()
             self._late.append(now - due > LATE)
             due = now + PERIOD
+            if len(self._late) % 10 == 0:  # not always: it takes some ms
+                self._cpu_times()
 
     def end(self):
         self._ended.set()
@@ -44,7 +47,7 @@ class Load:
         A fixture of a module fails once, and every test that uses it gets the same exception later:
         its reason stays with it.
         """
-        passed, busy, own = cpu_times() - self._begin
+        passed, busy, own = self._cpu_times() - self._begin
         late, taken = np.mean(self._late), (busy - own) / max(passed, 1e-2)
         if late > LARGEST_LATE_SHARE or taken > LARGEST_TAKEN:
             error.excuse = (
@@ -54,18 +57,23 @@ class Load:
         is_of_code = isinstance(error, ERRORS_OF_CODE)
         return "" if is_of_code else getattr(error, "excuse", "")
 
+    def _cpu_times(self):
+        """CPU times (3,) since the start, s, of this process's cores: passed, spent, by the test.
 
-def cpu_times():
-    """CPU times (3,) since the start, s, of this process's cores: passed, spent, by the test.
-
-    Stolen time counts as spent; the test's is that of its descendants, too, also of ended ones.
-    """
-    cores, own = [*os.sched_getaffinity(0)], 0.0
-    # user nice system idle iowait irq softirq steal, s
-    times = np.array(psutil.cpu_times(percpu=True))[cores, :8].sum(axis=0)
-    this = psutil.Process()
-    for process in (this, *this.children(recursive=True)):
-        with suppress(psutil.Error):  # it has ended meanwhile
-            # user, system, and both of ended children
-            own += sum(process.cpu_times()[:4])
-    return np.array([times.sum(), times.sum() - times[3] - times[4], own])
+        Stolen time counts as spent; the test's is that of its descendants, too, also of ended ones.
+        """
+        cores = [*os.sched_getaffinity(0)]
+        # user nice system idle iowait irq softirq steal, s
+        times = np.array(psutil.cpu_times(percpu=True))[cores, :8].sum(axis=0)
+        this = psutil.Process()
+        for process in (this, *this.children(recursive=True)):
+            with suppress(psutil.Error):  # it has ended meanwhile
+                # user, system
+                self._own[process.pid] = sum(process.cpu_times()[:2])
+        return np.array(
+            [
+                times.sum(),
+                times.sum() - times[3] - times[4],
+                sum(tuple(self._own.values())),
+            ]
+        )

@@ -30,7 +30,7 @@ from slot_bringup.playing import main_page
 from slot_core.messages import decode
 from slot_lab.bags.bag import Bag
 from slot_msgs.msg import GaitPreview, LegStates, MpcState, RobotState
-from slot_nodes import qos
+from slot_nodes import messages, qos
 
 KEEP = QoSProfile(depth=2000)  # all messages: they are taken after the play
 WALK = Path(__file__).parents[1] / "bags" / "walk"
@@ -212,8 +212,9 @@ def test_the_live_page_of_a_run_waits_for_its_graph_and_ends_with_it(
 
 
 UP, DOWN, RIGHT, LEFT = (f"\x1b[{letter}" for letter in "ABCD")
-STATE = RobotState(action=RobotState.ACTION_PASS)
-STATE.header.stamp.sec = 7
+STATE = RobotState(
+    header=messages.header(7_000_000_000), action=RobotState.ACTION_PASS
+)
 
 
 class Keys(steering.SteeringKeys):

@@ -23,7 +23,7 @@ from slot_nodes import qos
 pytestmark = pytest.mark.real_time
 
 RUN = [sys.executable, "-m", "slot_bringup"]
-JOINS = 5
+JOINS = 4  # of 5 to 8
 CONFIRMED = "torque off, confirmed by every servo"
 OUTPUTS = [
     "/mpc_state",
@@ -79,7 +79,7 @@ def join_and_leave(graph):
 def walked(environment, tmp_path_factory):
     """Bag of a run on the real driver, at a pseudo-terminal, while participants come and go."""
     bag, joined = tmp_path_factory.mktemp("run") / "bag", 0
-    options = ["--hardware", "fake_bus", "--duration", "10", "--bag", str(bag)]
+    options = ["--hardware", "fake_bus", "--duration", "12", "--bag", str(bag)]
     graph = subprocess.Popen([*RUN, *options], env=environment)
     while graph.poll() is None:
         joined += join_and_leave(graph)
