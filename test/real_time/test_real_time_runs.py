@@ -23,7 +23,7 @@ from slot_nodes import qos
 pytestmark = pytest.mark.real_time
 
 RUN = [sys.executable, "-m", "slot_bringup"]
-JOINS = 4  # of 5 to 8
+JOINS = 5
 CONFIRMED = "torque off, confirmed by every servo"
 OUTPUTS = [
     "/mpc_state",
