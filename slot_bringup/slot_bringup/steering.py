@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.gait.gait import read_gaits
+from slot_core.messages import decode
 from slot_core.robot import BASE_FRAME
 from slot_msgs.msg import GaitPreview, RobotState
 from slot_nodes import messages, qos
@@ -115,8 +116,10 @@ class SteeringPublisher:
         message = self._kind()
         twist = message
         if isinstance(message, TwistStamped):
-            message.header.stamp = state.header.stamp
-            message.header.frame_id, twist = BASE_FRAME, message.twist
+            message.header, twist = (
+                messages.header(decode.stamp(state), BASE_FRAME),
+                message.twist,
+            )
         twist.linear.x, twist.linear.y, twist.angular.z = map(
             float, self._velocity
         )

@@ -256,7 +256,7 @@ def test_a_key_changes_the_velocity_that_is_repeated_in_the_type_that_is_heard(
     (message,) = keys.published
     assert type(message) is heard
     stamp, sent = decode.velocity(message)
-    assert stamp == (7_000_000_000 if heard is TwistStamped else 0)
+    assert stamp == (decode.stamp(STATE) if heard is TwistStamped else 0)
     np.testing.assert_allclose(sent, velocity, atol=1e-15)
 
 

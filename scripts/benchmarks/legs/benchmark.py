@@ -23,6 +23,7 @@ from benchmarks.harness import (
     ROOT,
     Attempts,
     BenchmarkError,
+    Check,
     Outcome,
     Progress,
     Row,
@@ -105,7 +106,7 @@ def measured(name: str, quick: bool, out: Path) -> Row:
     }
 
 
-def checks(row: Row) -> list[Any]:
+def checks(row: Row) -> list[Check]:
     """Goals of a leg: ten minutes on all cores, its cruise speed within a tenth, no fall."""
     name = row["leg"]
     return [

@@ -27,9 +27,8 @@ PUSH = Loads(force=(0.0, 0.6, -0.8))  # neither in the leg's plane nor across it
 
 THIN = 1e-3  # thickness over length: with EI = L = 1 the elastica, stretched by 1e-7
 THIN_MATERIAL = Material(12 / THIN**3, 4 / THIN**3, 1 / THIN, 0.0)
-UNIT = Material(
-    1.0, 1.0, 1e-6, 0.0
-)  # of sections that are given by their stiffness
+# of sections that are given by their stiffness
+UNIT = Material(1.0, 1.0, 1e-6, 0.0)
 Field = Callable[[Array], Array]
 
 RAMP = (0.25, 0.5, 0.75, 1.0)  # load factors of the collocation

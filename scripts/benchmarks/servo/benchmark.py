@@ -43,7 +43,7 @@ from slot_core.servos.servo_bus import RefusedError
 from slot_core.simulation.plant import CYCLE
 
 STEP = (0.5, 1.5)  # rad
-# registers with which a servo is found, or that another program would not leave for long
+# with another value of the first two a servo does not answer; the driver sets the third
 ADDRESSING = ("id", "baud_rate", "torque_enable")
 LOADS = (0.0, 0.3)  # N m on the tendon's angle
 STYLES = {
@@ -138,7 +138,6 @@ def step_rows(path: Path) -> Iterator[Row]:
 
 def register_rows() -> Iterator[Row]:
     """Whether the driver names a register, and the change of the step response with it or once mended."""
-    settings = config.replace(read_settings(), {"control": "position"})
     sound = step_response("position", 0.0)
     left = (
         register
@@ -149,20 +148,18 @@ def register_rows() -> Iterator[Row]:
     )
     for register in left:
         for value in (register.low, register.high):
-            servos = EmulatedDynamixels(settings, read_emulator(), STEP[:1] * 4)
+            servos, driver = resting("position")
             servos.bus.servos[0].memory[register.name] = value
-            driver = servos.connect(lambda servos=servos: servos.bus.time)
             reasons: list[str] = []
             try:
                 driver.configure()
             except RefusedError as error:
                 reasons = error.reasons
-                driver = servos.connect(lambda servos=servos: servos.bus.time)
                 # as scripts/servos prepare does
                 for name, wanted in expected(
-                    settings, servos.joints[0]
+                    servos.settings, driver.joints[0]
                 ).items():
-                    driver.bus.write_verified(servos.joints[0].id, name, wanted)
+                    driver.bus.write_verified(driver.joints[0].id, name, wanted)
                 driver.configure()
             trace = stepped(servos, driver, 0.0)
             yield {
@@ -180,11 +177,16 @@ def register_rows() -> Iterator[Row]:
 
 def step_response(control: str, load: float) -> list[float]:
     """Angles after a step, rad; `load`: torque on the tendon angles, N m."""
-    settings = config.replace(read_settings(), {"control": control})
-    servos = EmulatedDynamixels(settings, read_emulator(), STEP[:1] * 4)
-    driver = servos.connect(lambda: servos.bus.time)
+    servos, driver = resting(control)
     driver.configure()
     return stepped(servos, driver, load)
+
+
+def resting(control: str) -> tuple[EmulatedDynamixels, Driver]:
+    """Servos at the begin of a step, and a driver of them that is not configured yet."""
+    settings = config.replace(read_settings(), {"control": control})
+    servos = EmulatedDynamixels(settings, read_emulator(), STEP[:1] * 4)
+    return servos, servos.connect(lambda: servos.bus.time)
 
 
 def stepped(
