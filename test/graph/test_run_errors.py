@@ -73,7 +73,7 @@ def test_bag_that_cannot_be_written_ends_the_run_in_one_line(tmp_path):
 
 @pytest.mark.usefixtures("own_domain")
 @pytest.mark.parametrize(
-    "numbers", [[signal.SIGINT, signal.SIGTERM, signal.SIGINT], [signal.SIGHUP]]
+    "numbers", [[signal.SIGINT] * 3, [signal.SIGTERM] * 2, [signal.SIGHUP]]
 )
 def test_repeated_signals_end_the_run_cleanly(tmp_path, numbers):
     """The signals arrive while the nodes are still starting."""

@@ -192,10 +192,10 @@ def rough_walk(seed, misfit_max):
 
 
 def test_on_a_floor_that_grips_it_walks_and_the_model_learns_of_it():
-    """Mean of two seeds; of six, it walks 0.50 to 0.65 m, and 0.21 to 0.56 m without."""
+    """Mean of three seeds; of six, it walks 0.50 to 0.65 m, and 0.21 to 0.56 m without."""
     ways = {misfit_max: [] for misfit_max in (1000.0, OBSERVER.misfit_max)}
     for misfit_max, found in ways.items():
-        for seed in (1, 2):
+        for seed in range(1, 4):
             way, last = rough_walk(seed, misfit_max)
             found.append(way)
             assert last.plan.status is Status.SOLVED

@@ -175,7 +175,7 @@ def test_a_walk_up_a_slope_or_with_a_payload_raises_no_alarm(scene, changes):
     loop = SupervisedLoop(
         scene, "walk", np.array([0.05, 0.0, 0.0]), 0, changes=changes
     )
-    reports = list(loop.run(8.0))
+    reports = list(loop.run(12.0))
     assert {report.state for report in reports[100:]} == {State.WALKING}
 
 
@@ -191,7 +191,7 @@ def test_a_robot_that_is_told_of_its_broken_tendon_walks_on_three_legs(
     }
     monkeypatch.setenv("SLOT_CONFIG", str(changed_config(tmp_path, changes)))
     loop = SupervisedLoop("tendon_breaks", "walk", None, 0)
-    for report in loop.run(8.0):
+    for report in loop.run(12.0):
         assert report.state is not State.HOLD, report.reason
     assert report.state is State.WALKING
     assert loop.plant.robot.position[0] > 0.1

@@ -58,8 +58,8 @@ def mean_velocity(position, seconds=4.0):
     return (late[-1] - late[0]) / (PERIOD * (len(late) - 1))
 
 
-def test_half_a_minute_of_walking_is_straight_level_and_at_the_commanded_speed_and_height():
-    position, rpy, ticks = walk(30.0)
+def test_a_minute_of_walking_is_straight_level_and_at_the_commanded_speed_and_height():
+    position, rpy, ticks = walk(60.0)
     assert mean_velocity(position)[0] == pytest.approx(0.05, abs=1e-3)
     # measured: 11 mm, 11 deg
     assert np.abs(position[:, 1]).max() < 0.03
@@ -98,7 +98,7 @@ def test_half_a_minute_of_walking_is_straight_level_and_at_the_commanded_speed_a
     ],
 )
 def test_robot_walks_at_the_commanded_velocity_without_a_turn(velocity):
-    position, rpy, _ = walk(12.0, velocity=velocity)
+    position, rpy, _ = walk(15.0, velocity=velocity)
     # the feedback takes some strides to find it; measured: 5 mm/s, 11 deg at the most
     assert mean_velocity(position, 6.0)[:2] == pytest.approx(
         velocity[:2], abs=6e-3
@@ -130,13 +130,13 @@ def test_robot_turns_in_place_at_the_commanded_rate(policy):
 def test_robot_walks_on_and_stays_upright_on_other_floors(
     scene, slow, fast, aside
 ):
-    position, rpy, _ = walk(12.0, scene)
+    position, rpy, _ = walk(15.0, scene)
     assert slow < mean_velocity(position, 6.0)[0] < fast
     assert np.abs(position[:, 1]).max() < aside
     assert np.degrees(np.abs(rpy[:, :2])).max() < 12.0
 
 
-@pytest.mark.parametrize(("late", "seed"), [(0.01, 0), (0.1, 1)])
+@pytest.mark.parametrize(("late", "seed"), [(0.01, 0), (0.1, 1), (0.1, 2)])
 def test_robot_walks_at_the_commanded_speed_with_odometry_at_5_hz(late, seed):
     slow = {
         "scene.sensors.odometry.period": 0.2,
@@ -150,7 +150,7 @@ def test_robot_walks_at_the_commanded_speed_with_odometry_at_5_hz(late, seed):
     assert usable == {Validity.VALID}
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_loss_of_odometry_for_0_3_s_keeps_the_robot_on_its_path(seed):
     position, _, ticks = walk(7.0, seed=seed, lost_odometry=(4.0, 0.3))
     # measured: as without the loss

@@ -426,4 +426,4 @@ def test_a_walk_that_moves_a_little_is_not_held_for_it(
     loop = SupervisedLoop(
         scene, "walk", np.array([velocity, 0, 0]), 0, changes=changes
     )
-    assert State.HOLD not in {report.state for report in loop.run(7.0)}
+    assert State.HOLD not in {report.state for report in loop.run(10.0)}
