@@ -3,20 +3,13 @@
 import dataclasses
 import math
 
+import dynamixel_sdk as sdk
 import pytest
 
 from slot_core import config
 from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus, read_emulator
 from slot_core.dynamixel.joints import joints
-from slot_core.dynamixel.packet import (
-    ALERT,
-    BROADCAST,
-    Error,
-    Instruction,
-    Parser,
-    build,
-    fast_status,
-)
+from slot_core.dynamixel.packet import Parser, build, fast_status
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT, TABLE, Mode
 from slot_core.faults import Fault
@@ -35,9 +28,7 @@ def send(bus, identity, instruction, parameters=b"", baud=BAUD):
     """(id, error, data) of every answer."""
     answers = bus.receive(build(identity, instruction, parameters), baud)
     packets = [p for reply in answers for p in Parser().feed(reply.data)]
-    assert all(
-        p.intact and p.instruction == Instruction.STATUS for p in packets
-    )
+    assert all(p.intact and p.instruction == sdk.INST_STATUS for p in packets)
     return [(p.id, p.parameters[0], p.parameters[1:]) for p in packets]
 
 
@@ -55,15 +46,13 @@ def region(name):
 
 
 def write(bus, name, value, identity=5):
-    ((_, error, _),) = send(
-        bus, identity, Instruction.WRITE, field(name, value)
-    )
+    ((_, error, _),) = send(bus, identity, sdk.INST_WRITE, field(name, value))
     return error
 
 
 def read(bus, name, identity=5):
-    ((_, error, data),) = send(bus, identity, Instruction.READ, region(name))
-    assert error & ~ALERT == 0
+    ((_, error, data),) = send(bus, identity, sdk.INST_READ, region(name))
+    assert error & ~sdk.ERRBIT_ALERT == 0
     return TABLE[name].decode(data)
 
 
@@ -73,87 +62,63 @@ def run(bus, time, loads=(0.0,) * 4, step=0.001):
 
 
 MODEL = b"\x24\x04\x2d"  # 1060, firmware 45
-DONE, UNKNOWN = [(5, 0, b"")], [(5, Error.INSTRUCTION, b"")]
-NO_ACCESS, WRONG_SIZE = [(5, Error.ACCESS, b"")], [(5, Error.DATA_LENGTH, b"")]
+DONE, UNKNOWN = [(5, 0, b"")], [(5, sdk.ERRNUM_INSTRUCTION, b"")]
+NO_ACCESS, WRONG_SIZE = (
+    [(5, sdk.ERRNUM_ACCESS, b"")],
+    [(5, sdk.ERRNUM_DATA_LENGTH, b"")],
+)
 GAINS = "position_d_gain"  # D, I and P have adjacent addresses
-INDIRECT = TABLE["indirect_address_1"].address.to_bytes(2, "little")
-ALIAS = TABLE["indirect_data_1"].address.to_bytes(2, "little")
 GOAL = region("goal_position")
 # Instructions with their id and parameters, and (id, error, data) of every answer.
 EXCHANGES = {
     "ping": [
-        (5, Instruction.PING, b"", [(5, 0, MODEL)]),
+        (5, sdk.INST_PING, b"", [(5, 0, MODEL)]),
         (
-            BROADCAST,
-            Instruction.PING,
+            sdk.BROADCAST_ID,
+            sdk.INST_PING,
             b"",
             [(i, 0, MODEL) for i in (2, 3, 4, 5)],
         ),
-        (9, Instruction.PING, b"", []),
+        (9, sdk.INST_PING, b"", []),
     ],
     "part of a register, an address or an instruction that is not defined": [
-        (5, Instruction.WRITE, b"\x74\0\1\2", WRONG_SIZE),
-        (5, Instruction.WRITE, b"\x48\0\1", NO_ACCESS),
-        (5, Instruction.READ, b"\x48\0\1\0", NO_ACCESS),
-        (5, Instruction.READ, b"\x95\2\xff\0", NO_ACCESS),
+        (5, sdk.INST_WRITE, b"\x74\0\1\2", WRONG_SIZE),
+        (5, sdk.INST_WRITE, b"\x48\0\1", NO_ACCESS),
+        (5, sdk.INST_READ, b"\x48\0\1\0", NO_ACCESS),
+        (5, sdk.INST_READ, b"\x95\2\xff\0", NO_ACCESS),
         (5, 0x77, b"", UNKNOWN),
     ],
     "a write of several registers is executed completely or not at all": [
-        (5, Instruction.WRITE, field(GAINS, 1) + b"\2\0\3\0", DONE),
+        (5, sdk.INST_WRITE, field(GAINS, 1) + b"\2\0\3\0", DONE),
         (
             5,
-            Instruction.WRITE,
+            sdk.INST_WRITE,
             field(GAINS, 7) + b"\2\0\xff\xff",
-            [(5, Error.DATA_RANGE, b"")],
+            [(5, sdk.ERRNUM_DATA_RANGE, b"")],
         ),
-        (5, Instruction.READ, b"\x50\0\6\0", [(5, 0, b"\1\0\2\0\3\0")]),
+        (5, sdk.INST_READ, b"\x50\0\6\0", [(5, 0, b"\1\0\2\0\3\0")]),
     ],
     "the status return level selects the instructions answered": [
-        (5, Instruction.WRITE, field("status_return_level", 1), DONE),
-        (5, Instruction.WRITE, field("led", 1), []),
-        (5, Instruction.READ, region("led"), [(5, 0, b"\1")]),
-        (5, Instruction.WRITE, field("status_return_level", 0), []),
-        (5, Instruction.READ, region("led"), []),
-        (5, Instruction.PING, b"", [(5, 0, MODEL)]),
-    ],
-    "a registered write is executed by action": [
-        (5, Instruction.ACTION, b"", UNKNOWN),
-        (5, Instruction.REG_WRITE, field("led", 1), DONE),
-        (5, Instruction.READ, region("led"), [(5, 0, b"\0")]),
-        (
-            5,
-            Instruction.READ,
-            region("registered_instruction"),
-            [(5, 0, b"\1")],
-        ),
-        (BROADCAST, Instruction.ACTION, b"", []),
-        (5, Instruction.READ, region("led"), [(5, 0, b"\1")]),
-        (
-            5,
-            Instruction.READ,
-            region("registered_instruction"),
-            [(5, 0, b"\0")],
-        ),
+        (5, sdk.INST_WRITE, field("status_return_level", 1), DONE),
+        (5, sdk.INST_WRITE, field("led", 1), []),
+        (5, sdk.INST_READ, region("led"), [(5, 0, b"\1")]),
+        (5, sdk.INST_WRITE, field("status_return_level", 0), []),
+        (5, sdk.INST_READ, region("led"), []),
+        (5, sdk.INST_PING, b"", [(5, 0, MODEL)]),
     ],
     "sync instructions address the named servos": [
         (
-            BROADCAST,
-            Instruction.SYNC_WRITE,
+            sdk.BROADCAST_ID,
+            sdk.INST_SYNC_WRITE,
             GOAL + b"\5\xe8\3\0\0\4\xd0\7\0\0",
             [],
         ),
         (
-            BROADCAST,
-            Instruction.SYNC_READ,
+            sdk.BROADCAST_ID,
+            sdk.INST_SYNC_READ,
             GOAL + b"\4\5",
             [(4, 0, b"\xd0\7\0\0"), (5, 0, b"\xe8\3\0\0")],
         ),
-    ],
-    "indirect data is an alias of the indirect address": [
-        (5, Instruction.WRITE, INDIRECT + b"\x74\0\x75\0\x76\0\x77\0", DONE),
-        (5, Instruction.WRITE, ALIAS + b"\0\4\0\0", DONE),
-        (5, Instruction.READ, region("goal_position"), [(5, 0, b"\0\4\0\0")]),
-        (5, Instruction.WRITE, ALIAS + b"\0\4", WRONG_SIZE),
     ],
 }
 
@@ -167,14 +132,14 @@ def test_instructions_are_answered_as_in_the_manual(bus, exchanges):
 @pytest.mark.parametrize(
     ("name", "value", "error"),
     [
-        ("goal_position", 3000, Error.NONE),
-        ("goal_position", 5000, Error.DATA_LIMIT),
-        ("goal_pwm", -886, Error.DATA_RANGE),
-        ("goal_velocity", 266, Error.DATA_LIMIT),
-        ("position_p_gain", 16384, Error.DATA_RANGE),
-        ("operating_mode", 5, Error.DATA_RANGE),
-        ("present_position", 1, Error.ACCESS),
-        ("model_number", 1, Error.ACCESS),
+        ("goal_position", 3000, 0),
+        ("goal_position", 5000, sdk.ERRNUM_DATA_LIMIT),
+        ("goal_pwm", -886, sdk.ERRNUM_DATA_RANGE),
+        ("goal_velocity", 266, sdk.ERRNUM_DATA_LIMIT),
+        ("position_p_gain", 16384, sdk.ERRNUM_DATA_RANGE),
+        ("operating_mode", 5, sdk.ERRNUM_DATA_RANGE),
+        ("present_position", 1, sdk.ERRNUM_ACCESS),
+        ("model_number", 1, sdk.ERRNUM_ACCESS),
     ],
 )
 def test_a_write_is_rejected_with_the_error_number_of_the_manual(
@@ -186,14 +151,14 @@ def test_a_write_is_rejected_with_the_error_number_of_the_manual(
 
 
 def test_eeprom_is_locked_while_torque_is_on(bus):
-    for torque, error in ((1, Error.ACCESS), (0, Error.NONE)):
+    for torque, error in ((1, sdk.ERRNUM_ACCESS), (0, 0)):
         write(bus, "torque_enable", torque)
         assert write(bus, "return_delay_time", 0) == error
 
 
 def fast_read(bus, parameters):
     return bus.receive(
-        build(BROADCAST, Instruction.FAST_SYNC_READ, parameters), BAUD
+        build(sdk.BROADCAST_ID, sdk.INST_FAST_SYNC_READ, parameters), BAUD
     )
 
 
@@ -209,7 +174,7 @@ def test_servos_after_a_silent_one_in_a_sync_read_do_not_answer(bus):
     bus.set_fault(Fault("silent", "FR", 0, 0, 0), True)  # id 4
     for ids, answered in ((b"\5\4\2\3", [5]), (b"\5\2\3\4", [5, 2, 3])):
         answers = send(
-            bus, BROADCAST, Instruction.SYNC_READ, region("led") + ids
+            bus, sdk.BROADCAST_ID, sdk.INST_SYNC_READ, region("led") + ids
         )
         assert [answer[0] for answer in answers] == answered
     (reply,) = fast_read(bus, region("led") + b"\5\4")
@@ -229,7 +194,7 @@ def test_watchdog_stops_the_servo_and_rejects_goals_until_cleared(
     write(bus, "bus_watchdog", 5)  # 100 ms
     for _ in range(10):  # every instruction on the bus restarts it
         run(bus, 0.09)
-        send(bus, 3, Instruction.READ, region("led"))
+        send(bus, 3, sdk.INST_READ, region("led"))
     write(bus, goal, value)
     run(bus, 0.099)
     assert bus.servos[0].shaft.speed > 0.5 * NO_LOAD
@@ -239,8 +204,8 @@ def test_watchdog_stops_the_servo_and_rejects_goals_until_cleared(
     # In PWM mode it coasts: at most no-load speed times the motor's time constant.
     assert bus.servos[0].shaft.angle - stopped < NO_LOAD * 0.011 + RAD_PER_COUNT
     assert read(bus, "bus_watchdog") == -1
-    assert write(bus, goal, value) == Error.DATA_RANGE
-    assert write(bus, "bus_watchdog", 5) == Error.DATA_RANGE
+    assert write(bus, goal, value) == sdk.ERRNUM_DATA_RANGE
+    assert write(bus, "bus_watchdog", 5) == sdk.ERRNUM_DATA_RANGE
     assert write(bus, "bus_watchdog", 0) == 0
     assert write(bus, goal, value) == 0
 
@@ -259,18 +224,21 @@ def test_hardware_errors_switch_torque_off_until_reboot(bus, kind, value, bit):
     fault = Fault(kind, "FL", 0, 0, value)
     bus.set_fault(fault, True)
     run(bus, 0.002)
-    assert send(bus, 5, Instruction.PING)[0][1] == ALERT
+    assert send(bus, 5, sdk.INST_PING)[0][1] == sdk.ERRBIT_ALERT
     assert (read(bus, "hardware_error_status"), read(bus, "torque_enable")) == (
         bit,
         0,
     )
-    assert write(bus, "torque_enable", 1) == ALERT | Error.RESULT_FAIL
+    assert (
+        write(bus, "torque_enable", 1)
+        == sdk.ERRBIT_ALERT | sdk.ERRNUM_RESULT_FAIL
+    )
     bus.set_fault(fault, False)
     run(bus, 0.002)
     assert read(bus, "hardware_error_status") == bit
     write(bus, "position_p_gain", 100)
-    assert send(bus, 5, Instruction.REBOOT) == DONE
-    assert send(bus, 5, Instruction.PING) == []  # it boots
+    assert send(bus, 5, sdk.INST_REBOOT) == DONE
+    assert send(bus, 5, sdk.INST_PING) == []  # it boots
     run(bus, read_emulator().servo.boot_time + 0.002)
     assert read(bus, "position_p_gain") == TABLE["position_p_gain"].initial
     assert write(bus, "torque_enable", 1) == 0

@@ -142,9 +142,7 @@ def register_rows() -> Iterator[Row]:
     left = (
         register
         for register in TABLE.values()
-        if register.writable
-        and register.name not in ADDRESSING
-        and not register.name.startswith("indirect")
+        if register.writable and register.name not in ADDRESSING
     )
     for register in left:
         for value in (register.low, register.high):

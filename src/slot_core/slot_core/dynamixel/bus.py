@@ -15,19 +15,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from dynamixel_sdk import (
+    BROADCAST_ID,
     COMM_RX_CORRUPT,
     COMM_SUCCESS,
+    ERRBIT_ALERT,
+    ERRNUM_CRC,
+    INST_PING,
+    INST_REBOOT,
     GroupSyncWrite,
     PacketHandler,
 )
 
-from slot_core.dynamixel.packet import (
-    ALERT,
-    BROADCAST,
-    FAST_OVERHEAD,
-    OVERHEAD,
-    Error,
-)
+from slot_core.dynamixel.packet import FAST_OVERHEAD, OVERHEAD
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import BusSettings
 from slot_core.dynamixel.table import TABLE, decode_span, span
@@ -66,7 +65,7 @@ class _Status:
 
     @property
     def number(self) -> int:
-        return self.error & ~ALERT
+        return self.error & ~ERRBIT_ALERT
 
 
 class Bus:
@@ -98,7 +97,9 @@ class Bus:
 
     def ping(self, identity: int) -> tuple[int, int]:
         """Model number and firmware version; raises CommunicationError, InstructionError."""
-        data = self._exchange(identity, lambda: self._ping(identity), 3, "ping")
+        data = self._exchange(
+            identity, lambda: self._send(identity, INST_PING, 3), 3, "ping"
+        )
         return data[0] | data[1] << 8, data[2]
 
     def scan(self) -> dict[int, tuple[int, int]]:
@@ -156,15 +157,9 @@ class Bus:
 
         Raises CommunicationError, InstructionError.
         """
-        result, error = self._handler.reboot(self.port, identity)
-        if result != COMM_SUCCESS:
-            raise CommunicationError(
-                f"{self.name(identity)}: reboot: {self._result_text(result)}"
-            )
-        if error & ~ALERT:
-            raise InstructionError(
-                f"{self.name(identity)}: reboot: {self._error_text(error)}"
-            )
+        self._exchange(
+            identity, lambda: self._send(identity, INST_REBOOT, 0), 0, "reboot"
+        )
 
     def sync_write(self, register: str, values: Mapping[int, int]) -> None:
         """Write one register of several servos in one packet, values by id; without answers.
@@ -209,7 +204,8 @@ class Bus:
         self._silent = (self._silent - set(order)) | (set(order) - set(found))
         return {
             identity: RegisterValues(
-                decode_span(address, status.data), bool(status.error & ALERT)
+                decode_span(address, status.data),
+                bool(status.error & ERRBIT_ALERT),
             )
             for identity, status in found.items()
         }
@@ -220,7 +216,7 @@ class Bus:
         length = 1 + len(ids) * part_size
         if (
             result != COMM_SUCCESS
-            or packet[4] != BROADCAST
+            or packet[4] != BROADCAST_ID
             or _length(packet) != length
         ):
             self.port.drain(self._settings.quiet)
@@ -232,7 +228,7 @@ class Bus:
         return {
             part[1]: _Status(part[0], part[2:])
             for identity, part in zip(ids, parts)
-            if part[1] == identity and not part[0] & ~ALERT
+            if part[1] == identity and not part[0] & ~ERRBIT_ALERT
         }
 
     def _receive_sound(self, ids: list[int], size: int) -> dict[int, _Status]:
@@ -274,17 +270,17 @@ class Bus:
                 else self._error_text(status.error)
             )
             # CRC: damaged on the line, retry
-            if status is not None and status.number != Error.CRC:
+            if status is not None and status.number != ERRNUM_CRC:
                 raise InstructionError(
                     f"{self.name(identity)}: {action}: {cause}"
                 )
         raise CommunicationError(f"{self.name(identity)}: {action}: {cause}")
 
-    def _ping(self, identity: int) -> int:
-        packet = [0] * 10
-        packet[4], packet[5], packet[7] = identity, 3, 1
+    def _send(self, identity: int, instruction: int, size: int) -> int:
+        """Send an instruction without parameters, answered with `size` bytes of data."""
+        packet = [0, 0, 0, 0, identity, 3, 0, instruction, 0, 0]
         result: int = self._handler.txPacket(self.port, packet)
-        self.port.setPacketTimeout(STATUS_BYTES + 3)
+        self.port.setPacketTimeout(STATUS_BYTES + size)
         return result
 
     def _write(self, identity: int, address: int, data: bytes) -> int:
@@ -320,7 +316,7 @@ class Bus:
         return str(self._handler.getTxRxResult(result))
 
     def _error_text(self, error: int) -> str:
-        return str(self._handler.getRxPacketError(error & ~ALERT))
+        return str(self._handler.getRxPacketError(error & ~ERRBIT_ALERT))
 
 
 def _length(packet: list[int]) -> int:

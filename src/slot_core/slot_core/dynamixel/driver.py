@@ -16,7 +16,7 @@ Four legs at once; angles in rad, time in s, duty 1: full voltage.
 
 import contextlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -99,6 +99,14 @@ SLOW = (
     ("present_input_voltage", "backup_ready"),
 )
 FAST = ("present_load", "present_position")
+HEALTH: dict[str, tuple[str, Callable[[int], object]]] = {
+    "torque_enable": ("torque", bool),
+    "hardware_error_status": ("hardware_error", int),
+    "bus_watchdog": ("stopped", lambda code: code < 0),
+    "present_temperature": ("temperature", float),
+    "present_input_voltage": ("voltage", lambda units: units * VOLTAGE_UNIT),
+}
+"""Field of the health and its value, by register."""
 
 
 class Driver:
@@ -321,18 +329,17 @@ class Driver:
             identity for identity, answer in answers.items() if answer.alert
         }
         return tuple(
-            self._reading(joint, answers[joint.id].values)
-            if joint.id in answers
+            ServoReading(
+                time=self.clock(),
+                angle=joint.tendon(answer.values["present_position"]),
+                rate=joint.tendon_rate(answer.values["present_velocity"]),
+                load=joint.direction
+                * answer.values["present_load"]
+                / LOAD_FULL,
+            )
+            if (answer := answers.get(joint.id))
             else None
             for joint in self.joints
-        )
-
-    def _reading(self, joint: Joint, values: Mapping[str, int]) -> ServoReading:
-        return ServoReading(
-            time=self.clock(),
-            angle=joint.tendon(values["present_position"]),
-            rate=joint.tendon_rate(values["present_velocity"]),
-            load=joint.direction * values["present_load"] / LOAD_FULL,
         )
 
     def _update_health(self, readings: tuple[ServoReading | None, ...]) -> None:
@@ -356,20 +363,14 @@ class Driver:
             raise
         except ServoError:
             return  # counted by the bus; the last values stay
-        if "torque_enable" in values:
-            self._change_health(index, torque=bool(values["torque_enable"]))
-        if "hardware_error_status" in values:
-            self._change_health(
-                index, hardware_error=values["hardware_error_status"]
-            )
-        if "bus_watchdog" in values:
-            self._change_health(index, stopped=values["bus_watchdog"] < 0)
-        if "present_temperature" in values:
-            self._change_health(
-                index,
-                temperature=float(values["present_temperature"]),
-                voltage=values["present_input_voltage"] * VOLTAGE_UNIT,
-            )
+        found = [
+            (*HEALTH[name], value)
+            for name, value in values.items()
+            if name in HEALTH
+        ]
+        self._change_health(
+            index, **{field: convert(value) for field, convert, value in found}
+        )
 
     def _change_health(self, index: int, **changes: Any) -> None:
         self.health = (

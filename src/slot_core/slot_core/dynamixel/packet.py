@@ -1,4 +1,4 @@
-"""Packets of Protocol 2.0: byte stuffing, packet builder, stream parser; the CRC is the SDK's.
+"""Packets of Protocol 2.0: byte stuffing, packet builder, stream parser; the SDK has CRC and numbers.
 
     FF FF FD 00 | id | length (2) | instruction | parameters | CRC (2)
 
@@ -8,49 +8,18 @@ bit first, initial value 0, over all bytes before it. A status packet has instru
 error byte before its parameters. Source: ROBOTIS e-manual, Protocol 2.0.
 """
 
-import enum
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from dynamixel_sdk import PacketHandler
+import dynamixel_sdk as sdk
 
 HEADER = b"\xff\xff\xfd\x00"
-BROADCAST = 0xFE
 PACKET_MAX = 1024  # bytes of the longest packet accepted, as in dynamixel-sdk
 LENGTH_MIN = 3  # value of `length` without parameters: instruction and CRC
 OVERHEAD = 7  # bytes from the header to the length, both included
 # bytes of each servo in a fast answer beside its data: error, id, CRC
 FAST_OVERHEAD = 4
-ALERT = 0x80  # bit of the error byte: Hardware Error Status is not 0
 PLAIN, STUFFED = b"\xff\xff\xfd", b"\xff\xff\xfd\xfd"
-
-
-class Instruction(enum.IntEnum):
-    """Instruction byte of a packet: those that driver and emulated servos know."""
-
-    PING = 0x01
-    READ = 0x02
-    WRITE = 0x03
-    REG_WRITE = 0x04
-    ACTION = 0x05
-    REBOOT = 0x08
-    STATUS = 0x55
-    SYNC_READ = 0x82
-    SYNC_WRITE = 0x83
-    FAST_SYNC_READ = 0x8A
-
-
-class Error(enum.IntEnum):
-    """Error number of a status packet, bits 0 to 6 of its error byte."""
-
-    NONE = 0
-    RESULT_FAIL = 1
-    INSTRUCTION = 2
-    CRC = 3
-    DATA_RANGE = 4
-    DATA_LENGTH = 5
-    DATA_LIMIT = 6
-    ACCESS = 7
 
 
 @dataclass(frozen=True)
@@ -63,7 +32,7 @@ class Packet:
     intact: bool = True
 
 
-_SDK = PacketHandler(2.0)
+_SDK = sdk.PacketHandler(2.0)
 
 
 def crc(data: bytes) -> int:
@@ -80,7 +49,7 @@ def build(identity: int, instruction: int, parameters: bytes = b"") -> bytes:
 
 def status(identity: int, error: int, parameters: bytes = b"") -> bytes:
     """Bytes on the wire of a status packet."""
-    return build(identity, Instruction.STATUS, bytes([error]) + parameters)
+    return build(identity, sdk.INST_STATUS, bytes([error]) + parameters)
 
 
 def _with_crc(data: bytes) -> bytes:
@@ -93,8 +62,8 @@ def fast_status(replies: list[tuple[int, int, bytes]]) -> bytes:
     Each servo appends its error, id, data and the CRC of all bytes so far; no byte stuffing.
     """
     length = 1 + sum(len(data) + FAST_OVERHEAD for _, _, data in replies)
-    packet = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little")
-    packet += bytes([Instruction.STATUS])
+    packet = HEADER + bytes([sdk.BROADCAST_ID]) + length.to_bytes(2, "little")
+    packet += bytes([sdk.INST_STATUS])
     for identity, error, data in replies:
         packet = _with_crc(packet + bytes([error, identity]) + data)
     return packet
@@ -125,7 +94,7 @@ class Parser:
             length = int.from_bytes(buffer[5:7], "little")
             if (
                 not LENGTH_MIN <= length <= PACKET_MAX - OVERHEAD
-                or buffer[4] > BROADCAST
+                or buffer[4] > sdk.BROADCAST_ID
             ):
                 del buffer[:1]  # no packet begins here
                 continue

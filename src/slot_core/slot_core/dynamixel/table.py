@@ -11,7 +11,9 @@ from dataclasses import dataclass
 
 MODEL_NUMBER = 1060
 COUNTS = 4096  # of the position encoder, per turn
-TABLE_END = 662  # first address after the table
+TABLE_END = (
+    148  # first address after the table, without indirect addresses and data
+)
 RAM_START = 64  # first address of the RAM area; below it: EEPROM
 NO_SECONDARY_ID = 255  # value of Secondary ID (12) that disables it
 
@@ -32,11 +34,9 @@ BAUD_RATES = (9600, 57600, 115200, 1000000, 2000000, 3000000, 4000000, 4500000)
 
 
 class Mode(enum.IntEnum):
-    """Operating Mode (11)."""
+    """Operating Mode (11): those that the driver uses."""
 
-    VELOCITY = 1
     POSITION = 3
-    EXTENDED_POSITION = 4
     PWM = 16
 
 
@@ -132,11 +132,6 @@ present_temperature         146      1  r       +           0            0      
 backup_ready                147      1  r       +           0            0           1  1
 """
 
-# Two banks of 28: indirect data k is an alias of the byte whose address is in indirect address k.
-# first address register, first data byte
-INDIRECT_BANKS = ((168, 224), (578, 634))
-INDIRECT_COUNT = 28
-
 
 def _registers() -> Iterator[Register]:
     for row in _ROWS.strip().splitlines()[1:]:
@@ -146,21 +141,6 @@ def _registers() -> Iterator[Register]:
         yield Register(
             name, int(address), int(size), writable, initial, low, high, signed
         )
-    for bank, (pointer, data) in enumerate(INDIRECT_BANKS):
-        for k in range(INDIRECT_COUNT):
-            number = bank * INDIRECT_COUNT + k + 1
-            yield Register(
-                f"indirect_address_{number}",
-                pointer + 2 * k,
-                size=2,
-                writable=True,
-                initial=data + k,
-                low=RAM_START,
-                high=TABLE_END - 1,
-            )
-            yield Register(
-                f"indirect_data_{number}", data + k, 1, True, 0, 0, 255
-            )
 
 
 REGISTERS = tuple(_registers())

@@ -8,13 +8,16 @@ the bus watchdogs of all servos.
 
 Instructions of Protocol 2.0 on an emulated servo; error numbers: `emulated_servo.py`.
 
-Factory Reset, Clear and the bulk instructions are answered as unknown: no driver here sends them.
+Reg Write, Action, Factory Reset, Clear and the bulk instructions are answered as unknown: no driver
+here sends them.
 """
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
+import dynamixel_sdk as sdk
 import numpy as np
 import numpy.typing as npt
 
@@ -28,11 +31,8 @@ from slot_core.dynamixel.emulator.emulated_servo import (
     ServoModel,
 )
 from slot_core.dynamixel.packet import (
-    BROADCAST,
     FAST_OVERHEAD,
     PACKET_MAX,
-    Error,
-    Instruction,
     Packet,
     Parser,
     fast_status,
@@ -55,94 +55,41 @@ def uint16(data: bytes) -> int:
     return int.from_bytes(data, "little")
 
 
-def execute(servo: EmulatedServo, packet: Packet) -> tuple[int, bytes]:
-    """Execute an instruction other than a sync read; error byte and data of the answer."""
+def answer(
+    servo: EmulatedServo, action: Callable[[], bytes]
+) -> tuple[int, bytes]:
+    """Error byte and data of the answer to an instruction that does `action`."""
     try:
-        action = _ACTIONS.get(packet.instruction)
-        if action is None:
-            raise RegisterError(Error.INSTRUCTION)
-        data = action(servo, packet)
+        data = action()
     except RegisterError as rejection:
         return servo.error | rejection.number, b""
     return servo.error, data
 
 
-def read_data(
-    servo: EmulatedServo, address: int, size: int
-) -> tuple[int, bytes]:
-    """Error byte and data of a servo's answer to a sync read."""
-    try:
-        return servo.error, servo.read(address, size)
-    except RegisterError as rejection:
-        return servo.error | rejection.number, b""
-
-
-def _on_ping(servo: EmulatedServo, packet: Packet) -> bytes:
-    return MODEL_NUMBER.to_bytes(2, "little") + bytes(
-        [servo.memory["firmware_version"]]
-    )
-
-
-def _on_read(servo: EmulatedServo, packet: Packet) -> bytes:
-    if len(packet.parameters) != 4 or packet.id == BROADCAST:
-        raise RegisterError(Error.DATA_LENGTH)
-    return servo.read(
-        uint16(packet.parameters[:2]), uint16(packet.parameters[2:])
-    )
-
-
-def _on_write(servo: EmulatedServo, packet: Packet) -> bytes:
-    if len(packet.parameters) < 3:
-        raise RegisterError(Error.DATA_LENGTH)
-    servo.write(uint16(packet.parameters[:2]), packet.parameters[2:])
+def execute(servo: EmulatedServo, packet: Packet) -> bytes:
+    """Execute an instruction other than a sync read; data of the answer. Raises RegisterError."""
+    given, address = packet.parameters, uint16(packet.parameters[:2])
+    match packet.instruction:
+        case sdk.INST_PING:
+            model = MODEL_NUMBER.to_bytes(2, "little")
+            return model + bytes([servo.memory["firmware_version"]])
+        case sdk.INST_READ if len(given) == 4 and packet.id != sdk.BROADCAST_ID:
+            return servo.read(address, uint16(given[2:]))
+        case sdk.INST_WRITE if len(given) >= 3:
+            servo.write(address, given[2:])
+        case sdk.INST_READ | sdk.INST_WRITE:
+            raise RegisterError(sdk.ERRNUM_DATA_LENGTH)
+        case sdk.INST_REBOOT:
+            servo.reboot()
+        case sdk.INST_SYNC_WRITE if packet.id == sdk.BROADCAST_ID:
+            size = uint16(given[2:4])
+            for start in range(4, len(given) - size, size + 1):
+                if given[start] == servo.memory["id"]:
+                    servo.write(address, given[start + 1 : start + 1 + size])
+                    break
+        case _:
+            raise RegisterError(sdk.ERRNUM_INSTRUCTION)
     return b""
-
-
-def _on_reg_write(servo: EmulatedServo, packet: Packet) -> bytes:
-    if len(packet.parameters) < 3:
-        raise RegisterError(Error.DATA_LENGTH)
-    address, data = uint16(packet.parameters[:2]), packet.parameters[2:]
-    servo.memory.checked(address, data)
-    servo.registered = (address, data)
-    servo.memory["registered_instruction"] = 1
-    return b""
-
-
-def _on_action(servo: EmulatedServo, packet: Packet) -> bytes:
-    if servo.registered is None:
-        raise RegisterError(Error.INSTRUCTION)
-    (address, data), servo.registered = servo.registered, None
-    servo.memory["registered_instruction"] = 0
-    servo.write(address, data)
-    return b""
-
-
-def _on_reboot(servo: EmulatedServo, packet: Packet) -> bytes:
-    servo.reboot()
-    return b""
-
-
-def _on_sync_write(servo: EmulatedServo, packet: Packet) -> bytes:
-    if packet.id != BROADCAST:
-        raise RegisterError(Error.INSTRUCTION)
-    parameters = packet.parameters
-    address, size = uint16(parameters[:2]), uint16(parameters[2:4])
-    for start in range(4, len(parameters) - size, size + 1):
-        if parameters[start] == servo.memory["id"]:
-            servo.write(address, parameters[start + 1 : start + 1 + size])
-            break
-    return b""
-
-
-_ACTIONS: dict[int, Callable[[EmulatedServo, Packet], bytes]] = {
-    Instruction.PING: _on_ping,
-    Instruction.READ: _on_read,
-    Instruction.WRITE: _on_write,
-    Instruction.REG_WRITE: _on_reg_write,
-    Instruction.ACTION: _on_action,
-    Instruction.REBOOT: _on_reboot,
-    Instruction.SYNC_WRITE: _on_sync_write,
-}
 
 
 @dataclass(frozen=True)
@@ -272,10 +219,10 @@ class EmulatedBus:
                 for index, servo in receivers
                 if packet.id == servo.memory["id"]
                 for reply in self._answer(
-                    index, status(packet.id, servo.error | Error.CRC)
+                    index, status(packet.id, servo.error | sdk.ERRNUM_CRC)
                 )
             ]
-        if packet.instruction == Instruction.STATUS:
+        if packet.instruction == sdk.INST_STATUS:
             return []
         for _, servo in receivers:
             servo.last_instruction = servo.time
@@ -284,9 +231,9 @@ class EmulatedBus:
     def _dispatch(
         self, packet: Packet, receivers: list[tuple[int, EmulatedServo]]
     ) -> Iterator[Reply]:
-        if packet.id == BROADCAST and packet.instruction in (
-            Instruction.SYNC_READ,
-            Instruction.FAST_SYNC_READ,
+        if packet.id == sdk.BROADCAST_ID and packet.instruction in (
+            sdk.INST_SYNC_READ,
+            sdk.INST_FAST_SYNC_READ,
         ):
             yield from self._chain(packet, receivers)
             return
@@ -297,18 +244,18 @@ class EmulatedBus:
             secondary = (
                 packet.id == servo.memory["secondary_id"] != NO_SECONDARY_ID
             )
-            if not (own or secondary or packet.id == BROADCAST):
+            if not (own or secondary or packet.id == sdk.BROADCAST_ID):
                 continue
             # the answer has the id before the instruction
             identity = servo.memory["id"]
             level = servo.memory["status_return_level"]
-            error, data = execute(servo, packet)
-            ping = packet.instruction == Instruction.PING
-            reads = packet.instruction == Instruction.READ
+            error, data = answer(servo, partial(execute, servo, packet))
+            ping = packet.instruction == sdk.INST_PING
+            reads = packet.instruction == sdk.INST_READ
             answered = (
                 ping or level == ANSWER_ALL or (reads and level >= ANSWER_READS)
             )
-            if answered and (own or (ping and packet.id == BROADCAST)):
+            if answered and (own or (ping and packet.id == sdk.BROADCAST_ID)):
                 yield from self._answer(index, status(identity, error, data))
 
     def _chain(
@@ -318,7 +265,7 @@ class EmulatedBus:
         by_id = {
             servo.memory["id"]: (index, servo) for index, servo in receivers
         }
-        fast = packet.instruction == Instruction.FAST_SYNC_READ
+        fast = packet.instruction == sdk.INST_FAST_SYNC_READ
         parts, delay = [], 0.0
         address, size = (
             uint16(packet.parameters[:2]),
@@ -335,7 +282,7 @@ class EmulatedBus:
                 or servo.memory["status_return_level"] < ANSWER_READS
             ):
                 break
-            error, data = read_data(servo, address, size)
+            error, data = answer(servo, partial(servo.read, address, size))
             if fast:
                 delay = delay or self._delay(index)
                 parts.append(

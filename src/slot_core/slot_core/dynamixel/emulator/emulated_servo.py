@@ -1,9 +1,10 @@
 """Emulated XL430-W250: registers, control loop, protection.
 
 Position mode: duty = (P/128 e + I/65536 sum e - D/16 dx) / 885 with the position error e and the
-change dx of the position since the last loop, in counts. PWM mode: goal_pwm / 885. Velocity mode:
-PI on the velocity. The e-manual gives no period of the control loop, so it is a setting. Present
-load: motor torque / stall torque, which on the torque-speed line is duty - speed / no-load speed.
+change dx of the position since the last loop, in counts. PWM mode: goal_pwm / 885. The e-manual
+gives no period of the control loop, so it is a setting. Present load: motor torque / stall torque,
+which on the torque-speed line is duty - speed / no-load speed. The other modes and indirect
+addresses are not emulated: no driver here uses them.
 
 A hardware error sets its bit until the servo is rebooted. If the bit is set in Shutdown (63) too,
 torque goes off and cannot be switched on again before a reboot (error: result fail). Profiles: the
@@ -40,18 +41,16 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import dynamixel_sdk as sdk
+
 from slot_core.config import quantity
-from slot_core.dynamixel.packet import ALERT, Error
 from slot_core.dynamixel.table import (
     BY_ADDRESS,
     COUNTS,
-    INDIRECT_BANKS,
-    INDIRECT_COUNT,
     LOAD_FULL,
     PWM_FULL,
     RAD_PER_COUNT,
     RAD_S_PER_UNIT,
-    RAM_START,
     REGISTERS,
     TABLE,
     TABLE_END,
@@ -143,8 +142,8 @@ TRIPPED = -1  # value of Bus Watchdog after it has tripped
 class RegisterError(Exception):
     """A rejected instruction; `number`: error number of the status packet."""
 
-    def __init__(self, number: Error) -> None:
-        super().__init__(number.name)
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
         self.number = number
 
 
@@ -175,10 +174,10 @@ class Memory:
 
     def read(self, address: int, size: int) -> bytes:
         """`size` bytes from an address; raises RegisterError."""
-        targets = [self._target(a) for a in range(address, address + size)]
-        if not targets or any(target not in BY_ADDRESS for target in targets):
-            raise RegisterError(Error.ACCESS)
-        return bytes(self._bytes[target] for target in targets)
+        wanted = range(address, address + size)
+        if not wanted or any(place not in BY_ADDRESS for place in wanted):
+            raise RegisterError(sdk.ERRNUM_ACCESS)
+        return bytes(self._bytes[address : address + size])
 
     def write(self, address: int, data: bytes) -> None:
         """Write bytes from an address; raises RegisterError and then changes nothing."""
@@ -188,41 +187,22 @@ class Memory:
     def checked(self, address: int, data: bytes) -> dict[str, int]:
         """Values that a write would set, by register name; raises RegisterError."""
         if not data:
-            raise RegisterError(Error.DATA_LENGTH)
-        new = {self._target(address + k): byte for k, byte in enumerate(data)}
-        registers = dict.fromkeys(BY_ADDRESS.get(target) for target in new)
-        values = {}
-        for register in registers:
+            raise RegisterError(sdk.ERRNUM_DATA_LENGTH)
+        end, values = address + len(data), {}
+        for register in dict.fromkeys(map(BY_ADDRESS.get, range(address, end))):
             if (
                 register is None
                 or not register.writable
                 or (register.eeprom and self["torque_enable"])
             ):
-                raise RegisterError(Error.ACCESS)
-            own = range(register.address, register.end)
-            if any(target not in new for target in own):
-                raise RegisterError(Error.DATA_LENGTH)
+                raise RegisterError(sdk.ERRNUM_ACCESS)
+            if register.address < address or register.end > end:
+                raise RegisterError(sdk.ERRNUM_DATA_LENGTH)
             values[register.name] = register.decode(
-                bytes(new[target] for target in own)
+                data[register.address - address : register.end - address]
             )
             self._check(register, values[register.name])
         return values
-
-    def _target(self, address: int) -> int:
-        """Address accessed: for indirect data the one in its indirect address, else the same."""
-        for first, data in INDIRECT_BANKS:
-            if data <= address < data + INDIRECT_COUNT:
-                pointer = first + 2 * (address - data)
-                target = int.from_bytes(
-                    self._bytes[pointer : pointer + 2], "little"
-                )
-                # an alias of RAM, but not of indirect data
-                is_data = any(
-                    bank <= target < bank + INDIRECT_COUNT
-                    for _, bank in INDIRECT_BANKS
-                )
-                return address if target < RAM_START or is_data else target
-        return address
 
     def _check(self, register: Register, value: int) -> None:
         name = register.name
@@ -232,10 +212,10 @@ class Memory:
             or (name == "operating_mode" and value not in set(Mode))
             or (refused and self["bus_watchdog"] == TRIPPED)
         ):
-            raise RegisterError(Error.DATA_RANGE)
+            raise RegisterError(sdk.ERRNUM_DATA_RANGE)
         low, high = self.limits(name)
         if not low <= value <= high:
-            raise RegisterError(Error.DATA_LIMIT)
+            raise RegisterError(sdk.ERRNUM_DATA_LIMIT)
 
     def limits(self, name: str) -> tuple[int, int]:
         """Limits of a register held by other registers; its own range if there are none."""
@@ -280,8 +260,6 @@ class EmulatedServo:
         self.memory["firmware_version"] = model.firmware
         self.shaft = Shaft(motor, model.shaft, angle)
         self.voltage, self.forced_temperature = model.voltage, math.nan
-        # address and data of a Reg Write
-        self.registered: tuple[int, bytes] | None = None
         self.time = 0.0  # s
         # s, time of the last instruction on the bus
         self.last_instruction = 0.0
@@ -302,7 +280,7 @@ class EmulatedServo:
     @property
     def error(self) -> int:
         """Error byte of its status packets, without an error number."""
-        return ALERT if self.memory["hardware_error_status"] else 0
+        return sdk.ERRBIT_ALERT if self.memory["hardware_error_status"] else 0
 
     @property
     def _sign(self) -> int:
@@ -324,7 +302,7 @@ class EmulatedServo:
         """Write to the control table and apply the side effects; raises RegisterError."""
         values = self.memory.checked(address, data)
         if values.get("torque_enable") and self._shut_down:
-            raise RegisterError(Error.RESULT_FAIL)
+            raise RegisterError(sdk.ERRNUM_RESULT_FAIL)
         was_on, old_mode = (
             self.memory["torque_enable"],
             self.memory["operating_mode"],
@@ -344,13 +322,12 @@ class EmulatedServo:
     def driven(self) -> bool:
         """Whether instructions move it: torque, and a duty, a speed or a goal away from it."""
         memory = self.memory
-        goal, rest = {
-            Mode.PWM: ("goal_pwm", 0),
-            Mode.VELOCITY: ("goal_velocity", 0),
-        }.get(
-            Mode(memory["operating_mode"]), ("goal_position", self.position())
+        is_away = (
+            memory["goal_pwm"] != 0
+            if memory["operating_mode"] == Mode.PWM
+            else memory["goal_position"] != self.position()
         )
-        return bool(memory["torque_enable"]) and memory[goal] != rest
+        return bool(memory["torque_enable"]) and is_away
 
     def watchdog_left(self) -> float:
         """Time after which the bus watchdog stops the servo, s; inf if it is not armed."""
@@ -397,9 +374,8 @@ class EmulatedServo:
 
     def _restart(self) -> None:
         memory = self.memory
-        self._shut_down, self._overload_time, self.registered = False, 0.0, None
-        memory["hardware_error_status"] = memory["registered_instruction"] = 0
-        memory["bus_watchdog"] = 0
+        self._shut_down, self._overload_time = False, 0.0
+        memory["hardware_error_status"] = memory["bus_watchdog"] = 0
         memory["goal_pwm"] = memory["pwm_limit"]
         memory["goal_position"] = self.position()
         self._trajectory, self._integral = float(self.position()), 0.0
@@ -417,29 +393,12 @@ class EmulatedServo:
         if mode == Mode.PWM:
             return memory["goal_pwm"] / PWM_FULL
         limit = min(abs(memory["goal_pwm"]), memory["pwm_limit"]) / PWM_FULL
-        if mode == Mode.VELOCITY:
-            error = memory["goal_velocity"] - self._velocity()
-            gains = (
-                memory["velocity_p_gain"] / 128,
-                memory["velocity_i_gain"] / 65536,
-                0.0,
-            )
-        else:
-            self._advance_profile(h)
-            error = self._trajectory - self.position()
-            gains = (
-                memory["position_p_gain"] / 128,
-                memory["position_i_gain"] / 65536,
-                memory["position_d_gain"] / 16,
-            )
-        return self._pid(error, gains, limit, h)
-
-    def _pid(
-        self, error: float, gains: tuple[float, ...], limit: float, h: float
-    ) -> float:
+        self._advance_profile(h)
+        error = self._trajectory - self.position()
         change = self._velocity() * RAD_S_PER_UNIT * h / RAD_PER_COUNT
-        integral = self._integral + gains[1] * error
-        unlimited = (gains[0] * error + integral - gains[2] * change) / PWM_FULL
+        integral = self._integral + memory["position_i_gain"] / 65536 * error
+        p, d = memory["position_p_gain"] / 128, memory["position_d_gain"] / 16
+        unlimited = (p * error + integral - d * change) / PWM_FULL
         duty = min(max(unlimited, -limit), limit)
         if (unlimited - duty) * error <= 0.0:
             self._integral = integral
