@@ -7,8 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slot_core.clock import SECOND
-from slot_core.estimation.imu_samples import ImuSamples
-from slot_core.estimation.inertial_filter import InertialFilter, OdometryMotion
+from slot_core.estimation.inertial_filter import (
+    ImuSamples,
+    InertialFilter,
+    OdometryMotion,
+)
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.robot import GRAVITY
 

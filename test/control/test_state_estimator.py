@@ -33,10 +33,10 @@ from slot_core.clock import SECOND
 from slot_core.estimation.estimate import Validity
 from slot_core.estimation.sensor_agreement import STRAYS
 from slot_core.estimation.state_estimator import StateEstimator
-from slot_core.estimation.time_synchronizer import TimeSynchronizer
 from slot_core.geometry import wrapped
 from slot_core.key_frame import capture
 from slot_core.robot import GRAVITY
+from slot_nodes.inputs import TimeSynchronizer
 
 PERIOD = SETTINGS.timing.period  # s
 UNTIL_VALID = 13  # ticks: 0.3 s, and two readings more after a rejection

@@ -8,9 +8,8 @@ import pytest
 
 from slot_core import config
 from slot_core.dynamixel.emulator.emulated_bus import EmulatedBus, read_emulator
-from slot_core.dynamixel.joints import joints
 from slot_core.dynamixel.packet import Parser, build, fast_status
-from slot_core.dynamixel.settings import read_settings
+from slot_core.dynamixel.settings import joints, read_settings
 from slot_core.dynamixel.table import RAD_PER_COUNT, TABLE, Mode
 from slot_core.faults import Fault
 

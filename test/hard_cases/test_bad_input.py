@@ -20,8 +20,11 @@ from slot_core.control.force_map import make_force_map, read_force_map
 from slot_core.control.policy import TendonPlan
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
-from slot_core.estimation.imu_samples import ImuSamples
-from slot_core.estimation.inertial_filter import InertialFilter, OdometryMotion
+from slot_core.estimation.inertial_filter import (
+    ImuSamples,
+    InertialFilter,
+    OdometryMotion,
+)
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.gait.gait import read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler

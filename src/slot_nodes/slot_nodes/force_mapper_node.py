@@ -5,7 +5,6 @@ from sensor_msgs.msg import JointState
 
 from slot_core.control.force_map import make_force_map, read_force_map
 from slot_core.estimation.state_estimator import read_estimator
-from slot_core.estimation.time_synchronizer import TimeSynchronizer
 from slot_core.messages import decode
 from slot_core.robot import LEGS, read_robot
 from slot_msgs.msg import ForceMapStatus, GaitPreview, MpcState, TendonPlan
@@ -25,7 +24,7 @@ class ForceMapperNode(Node):
             read_robot(), settings, read_estimator().timing.command_delay
         )
         self._record = stage_record.Recorder(self, self._map)
-        self._inputs = TimeSynchronizer("plan", "preview", "state")
+        self._inputs = inputs.TimeSynchronizer("plan", "preview", "state")
         self._angles = runtime.publisher(
             self, JointState, "desired_joint_angles", qos.CONTROL
         )

@@ -13,9 +13,7 @@ from rclpy.parameter import Parameter
 from slot_core import config
 from slot_core.control.pace import Pace
 from slot_core.control.policies import DEFAULT_POLICY
-from slot_core.control.policy import Status, policy_class
-from slot_core.control.tuned_policy import TunedPolicy
-from slot_core.estimation.time_synchronizer import TimeSynchronizer
+from slot_core.control.policy import Status, TunedPolicy, policy_class
 from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
@@ -53,7 +51,7 @@ class MpcControllerNode(Node):
             self, PREPARE_AFTER, self._prepare
         )
         self._preparation.cancel()
-        self._inputs = TimeSynchronizer("state", "preview")
+        self._inputs = inputs.TimeSynchronizer("state", "preview")
         self._plans = runtime.publisher(
             self, TendonPlan, "tendon_plan", qos.CONTROL
         )

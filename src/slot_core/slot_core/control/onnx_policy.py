@@ -14,13 +14,13 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.config import ConfigError, text
-from slot_core.control.input_check import state_fault
 from slot_core.control.policy import (
     Policy,
     Status,
     TendonPlan,
     Timer,
     gait_plan,
+    state_fault,
 )
 from slot_core.control.walk_actions import (
     ACTIONS,

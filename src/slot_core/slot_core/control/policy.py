@@ -5,7 +5,9 @@
 ones of `policies.py`, named there, or in a Python file that ends with `POLICY = TheClass`. A learned
 network is `onnx:FILE` (`onnx_policy.py`).
 
-The simplest policy is `GaitAlone`, which passes on the angles and forces of the gait.
+The simplest policy is `GaitAlone`, which passes on the angles and forces of the gait. `TunedPolicy`
+runs a policy whose settings can be changed while the robot stands. The checks of a policy's inputs and
+of its computing time give one line on the first fault.
 """
 
 import enum
@@ -13,18 +15,19 @@ import importlib.util
 import math
 import pkgutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
+from slot_core import config
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.control.policies import POLICIES, RENAMED
 from slot_core.estimation.estimate import Estimate
-from slot_core.gait.gait import GaitPreview, first_rate
+from slot_core.gait.gait import STAND, GaitPreview, first_rate
 from slot_core.key_frame import StateParts
 from slot_core.names import ONNX
 from slot_core.refusal import quoted, require_regular
@@ -204,3 +207,138 @@ def gait_plan(preview: GaitPreview, change: Array | float = 0.0) -> TendonPlan:
     )
     force[..., 2] = preview.normal_force
     return TendonPlan(angle, first_rate(angle, preview.dt), force)
+
+
+PLANNED = (Status.SOLVED, Status.LATE)  # a first plan may be late
+
+
+class TunedPolicy:
+    """Runs a policy; with other settings it is made anew and learns the disturbances again."""
+
+    STATE = StateParts("_policy")
+
+    def __init__(self, make: Callable[[Any], Policy], settings: Any):
+        """make: makes the policy with its settings; raises ConfigError as it does."""
+        self._make, self._settings = make, settings
+        self.changes: dict[str, Any] = {}  # of the settings, by dotted name
+        self._policy = make(settings)
+        self._last: tuple[Estimate, GaitPreview] | None = None
+
+    def step(self, estimate: Estimate, preview: GaitPreview) -> TendonPlan:
+        """The policy's plan."""
+        self._last = estimate, preview
+        return self._policy.step(estimate, preview)
+
+    def prepare(self) -> None:
+        """Let the policy compute ahead."""
+        self._policy.prepare()
+
+    def reset(self) -> None:
+        """Let the policy begin anew."""
+        self._policy.reset()
+
+    def change(self, changes: Mapping[str, Any]) -> None:
+        """Change settings, by dotted name.
+
+        Raises ConfigError for an invalid value, while the robot does not stand, and if no plan can
+        be made with the new settings.
+        """
+        wanted = self.changes | dict(changes)
+        tried = self._made(wanted)
+        if self._last is not None:
+            estimate, preview = self._last
+            for gait in (preview.gait, preview.command.gait):
+                if gait != STAND:
+                    raise ConfigError(
+                        f"gait {gait}: settings change in {STAND} only, see /set_gait"
+                    )
+            plan = tried.step(estimate, preview)
+            if plan.status not in PLANNED:
+                raise ConfigError(f"{', '.join(changes)}: {plan.message}")
+        self.use(wanted)
+
+    def use(self, changes: Mapping[str, Any]) -> None:
+        """Make the policy with these changes of the first settings; raises ConfigError."""
+        self._policy, self.changes = self._made(changes), dict(changes)
+
+    def _made(self, changes: Mapping[str, Any]) -> Policy:
+        return self._make(
+            config.replace(self._settings, changes, "settings of the policy")
+        )
+
+
+STATES, FEET = 12, len(LEGS)
+EXCEED = " ms exceed "
+GRAVITY_RANGE = (-20.0, 20.0)  # m/s^2, of an element
+STAGE_TIME = (0.001, 0.1)  # s, shortest and longest time between stages
+
+
+def state_fault(state: Array, most: float) -> str:
+    """The fault of a state (12,), whose elements are at most `most`; empty if there is none."""
+    return fault_of("state", state, (STATES,), -most, most)
+
+
+def preview_fault(preview: GaitPreview, stages: int, most: float) -> str:
+    """The fault of a preview, which has at least so many stages; empty if there is none."""
+    return (
+        fault_of("preview.dt", preview.dt, (), *STAGE_TIME)
+        or fault_of("preview.contact", preview.contact, (stages, FEET), 0, 1)
+        or fault_of(
+            "preview.friction", preview.friction, (stages, FEET), 0, most
+        )
+        or fault_of(
+            "preview.normal_force",
+            preview.normal_force,
+            (stages, FEET),
+            -most,
+            most,
+        )
+        or fault_of(
+            "preview.tendon_angle",
+            preview.tendon_angle,
+            (stages, FEET),
+            -most,
+            most,
+        )
+        or fault_of(
+            "preview.reference",
+            preview.reference,
+            (stages, STATES),
+            -most,
+            most,
+        )
+    )
+
+
+def time_fault(elapsed: float, budget: float) -> str:
+    """The fault of a plan that took `elapsed`, s, of a budget; empty if it was in time."""
+    late = f"{elapsed * 1e3:.1f}{EXCEED}{budget * 1e3:g} ms"
+    return late if elapsed > budget else ""
+
+
+def is_late(plan: TendonPlan) -> bool:
+    """Whether a plan, also a stopped one, names its computing time as the fault."""
+    return EXCEED in plan.message
+
+
+def fault_of(
+    name: str, value: Any, shape: tuple[int, ...], low: float, high: float
+) -> str:
+    """The fault of an input of `shape`, or ""; two-dimensional inputs may have more rows."""
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        return f"{name}: not numbers"
+    usable = (
+        array[: shape[0]].shape
+        if array.ndim == len(shape) == 2
+        else array.shape
+    )
+    if usable != shape:
+        return f"{name}: shape {array.shape}, needs {shape}"
+    # false for NaN
+    if low <= array.min(initial=high) and array.max(initial=low) <= high:
+        return ""
+    index = tuple(np.argwhere(~((array >= low) & (array <= high)))[0].tolist())
+    where = f"[{', '.join(map(str, index))}]" if index else ""
+    return f"{name}{where} = {array[index]:g}: outside [{low:g}, {high:g}]"

@@ -12,8 +12,7 @@ from pathlib import Path
 
 from slot_core import config
 from slot_core.dynamixel.bus import Bus, CommunicationError, InstructionError
-from slot_core.dynamixel.joints import Joint, joints
-from slot_core.dynamixel.settings import DynamixelSettings
+from slot_core.dynamixel.settings import DynamixelSettings, Joint, joints
 from slot_core.dynamixel.table import (
     ANSWER_ALL,
     BAUD_RATES,

@@ -34,9 +34,13 @@ from slot_core.dynamixel.checks import (
     prepare_torque,
     write_zero,
 )
-from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import SerialPort, check_latency
-from slot_core.dynamixel.settings import DynamixelSettings, HostPidSettings
+from slot_core.dynamixel.settings import (
+    DynamixelSettings,
+    HostPidSettings,
+    Joint,
+    joints,
+)
 from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT, Mode
 from slot_core.robot import LEGS
 from slot_core.servos.servo_bus import (

@@ -24,9 +24,13 @@ from slot_core.dynamixel.checks import (
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
 from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.emulator.emulated_servo import Memory
-from slot_core.dynamixel.joints import Joint, joints
 from slot_core.dynamixel.port import BaudRateError, SerialPort, check_latency
-from slot_core.dynamixel.settings import DynamixelSettings, read_settings
+from slot_core.dynamixel.settings import (
+    DynamixelSettings,
+    Joint,
+    joints,
+    read_settings,
+)
 from slot_core.dynamixel.table import (
     BAUD_RATES,
     TABLE,

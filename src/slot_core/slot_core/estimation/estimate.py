@@ -9,7 +9,7 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.estimation.floor_observer import LEVEL, FloorPlane
-from slot_core.estimation.gravity_filter import DOWN
+from slot_core.estimation.inertial_filter import DOWN
 
 
 class Validity(enum.IntEnum):

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slot_core.arrays import Array, checked
 from slot_core.clock import to_ns
@@ -36,7 +37,6 @@ from slot_core.estimation.floor_observer import (
     FloorObserverSettings,
     FloorPlane,
 )
-from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.geometry import (
     inverse_quaternion,
     matrix_of_quaternion,
@@ -288,6 +288,48 @@ class EstimatorSettings:
     agreement: AgreementSettings
     buffers: BufferSettings
     mounts: MountSettings
+
+
+@dataclass(frozen=True)
+class ImuSamples:
+    """IMU samples in the order of their stamps."""
+
+    stamps: NDArray[np.int64]  # (n,) ns, rising
+    values: Array  # (n, 6) angular velocity rad/s, specific force m/s^2
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for stamps and values of other types or shapes."""
+        stamps, values = self.stamps, self.values
+        if (
+            stamps.dtype != np.int64
+            or values.dtype != np.float64
+            or stamps.ndim != 1
+            or values.shape != (len(stamps), 6)
+        ):
+            raise ValueError(
+                f"IMU samples: stamps {stamps.dtype} {stamps.shape}, values {values.dtype}"
+                f" {values.shape}: expected int64 (n,), float64 (n, 6)"
+            )
+
+    @classmethod
+    def none(cls) -> "ImuSamples":
+        """No samples."""
+        return cls(np.zeros(0, dtype=np.int64), np.zeros((0, 6)))
+
+    def followed(self, stamp: int, value: Array, most: int) -> "ImuSamples":
+        """The newest samples, at most `most`: these and another, `stamp` (ns) and value (6,)."""
+        return ImuSamples(
+            np.append(self.stamps, stamp)[-most:],
+            np.vstack([self.values, value])[-most:],
+        )
+
+    def __getitem__(self, part: slice) -> "ImuSamples":
+        """A part of the samples."""
+        return ImuSamples(self.stamps[part], self.values[part])
+
+    def until(self, stamp: int) -> "ImuSamples":
+        """The samples up to `stamp`, ns."""
+        return self[: int(np.searchsorted(self.stamps, stamp, side="right"))]
 
 
 @dataclass(frozen=True)
@@ -548,3 +590,46 @@ def _densities(
 ) -> Array:
     """Variance densities (15,) of the error state from noise densities."""
     return np.square(np.repeat([gyro, 0.0, force, gyro_drift, force_drift], 3))
+
+
+TIME = 0.5  # s, T: most of a stride, so that errors of the velocity are 2 mg
+LEAST = 5.0  # m/s^2, of a mean specific force that is gravity's
+DOWN = np.array([0.0, 0.0, -GRAVITY])
+DOWN.flags.writeable = False
+
+
+class GravityFilter:
+    """The direction of gravity in odom, from the IMU and the velocity of the torso.
+
+    The specific force R f of a torso with velocity v in odom is v' - g. Over their means m_f and
+    m_v with a time constant T (x' + m / T = .. / T),
+
+        g = (v - m_v) / T - m_f,
+
+    whatever the torso's motion, and whatever odom's z axis is. The bias of the accelerometer is
+    part of it: 0.1 m/s^2 are 0.6 deg.
+    """
+
+    STATE = StateParts("_force", "_velocity")
+
+    def __init__(self) -> None:
+        self._force, self._velocity = -DOWN, np.full(3, np.nan)
+
+    def add(self, force: Array, velocity: Array, dt: float) -> None:
+        """Take the mean specific force (3,) m/s^2 of the last dt (s), and the velocity (3,) m/s.
+
+        Both in odom.
+        """
+        share = min(1.0, dt / TIME)
+        if np.isnan(self._velocity[0]):
+            self._force, self._velocity = force, velocity
+        self._force = self._force + share * (force - self._force)
+        self._velocity = self._velocity + share * (velocity - self._velocity)
+
+    def value(self, velocity: Array) -> Array:
+        """Gravity (3,) m/s^2 in odom, of the length of gravity; straight down while unknown."""
+        if np.isnan(self._velocity[0]):
+            return DOWN.copy()
+        g = (velocity - self._velocity) / TIME - self._force
+        length = norm(g)
+        return g * (GRAVITY / length) if length > LEAST else DOWN.copy()

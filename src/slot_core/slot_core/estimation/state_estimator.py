@@ -37,10 +37,11 @@ from slot_core.estimation import sensor_agreement
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.filter_kernels import FilterState
 from slot_core.estimation.floor_observer import LEVEL, FloorObserver, FloorPlane
-from slot_core.estimation.gravity_filter import DOWN, GravityFilter
-from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.estimation.inertial_filter import (
+    DOWN,
     EstimatorSettings,
+    GravityFilter,
+    ImuSamples,
     InertialFilter,
     OdometryMotion,
     load_kernels,

@@ -21,10 +21,10 @@ from slot_core.arrays import Array
 from slot_core.estimation.estimate import USABLE, Validity
 from slot_core.estimation.filter_kernels import FilterState
 from slot_core.estimation.floor_observer import FloorObserver
-from slot_core.estimation.imu_samples import ImuSamples
 from slot_core.estimation.inertial_filter import (
     NO_ODOMETRY,
     EstimatorSettings,
+    ImuSamples,
     OdometryMotion,
 )
 from slot_core.estimation.state_estimator import (

@@ -15,7 +15,7 @@ from slot_core import config
 from slot_core.arrays import Array
 from slot_core.control.policy import Status, TendonPlan
 from slot_core.estimation.estimate import Estimate, Validity
-from slot_core.estimation.gravity_filter import DOWN
+from slot_core.estimation.inertial_filter import DOWN
 from slot_core.faults import Fault
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import matrix_of_quaternion, rpy_of

@@ -13,13 +13,15 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.control.force_map import INCREMENTAL
-from slot_core.control.input_check import preview_fault, state_fault, time_fault
 from slot_core.control.policy import (
     PlanReport,
     Policy,
     Status,
     TendonPlan,
     Timer,
+    preview_fault,
+    state_fault,
+    time_fault,
 )
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview

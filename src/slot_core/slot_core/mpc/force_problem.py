@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from slot_core.arrays import Array
-from slot_core.control.input_check import STAGE_TIME
+from slot_core.control.policy import STAGE_TIME
 from slot_core.gait.gait import GaitPreview
 from slot_core.matrices import product, sparse_product
 from slot_core.mpc.model import (

@@ -29,21 +29,19 @@ import numpy as np
 
 from slot_core.arrays import Array
 from slot_core.control.force_map import read_springs
-from slot_core.control.input_check import (
-    GRAVITY_RANGE,
-    fault_of,
-    preview_fault,
-    state_fault,
-    time_fault,
-)
 from slot_core.control.policy import (
+    GRAVITY_RANGE,
     PlanReport,
     Policy,
     Status,
     TendonPlan,
     Timer,
+    fault_of,
     gait_plan,
     make_policy,
+    preview_fault,
+    state_fault,
+    time_fault,
 )
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, first_rate, read_gaits

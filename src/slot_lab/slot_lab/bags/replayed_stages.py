@@ -19,10 +19,14 @@ from slot_core.control.force_map import (
     read_force_map,
     read_springs,
 )
-from slot_core.control.input_check import is_late
 from slot_core.control.policies import DEFAULT_POLICY
-from slot_core.control.policy import Status, TendonPlan, policy_class
-from slot_core.control.tuned_policy import TunedPolicy
+from slot_core.control.policy import (
+    Status,
+    TendonPlan,
+    TunedPolicy,
+    is_late,
+    policy_class,
+)
 from slot_core.estimation.estimate import Estimate, Validity
 from slot_core.estimation.state_estimator import (
     BEFORE_ALL_TIMES,

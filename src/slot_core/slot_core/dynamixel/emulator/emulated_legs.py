@@ -18,9 +18,8 @@ from slot_core.dynamixel.emulator.emulated_bus import (
     EmulatorSettings,
 )
 from slot_core.dynamixel.emulator.pseudo_terminal import PseudoTerminal
-from slot_core.dynamixel.joints import joints
 from slot_core.dynamixel.port import SerialPort
-from slot_core.dynamixel.settings import DynamixelSettings
+from slot_core.dynamixel.settings import DynamixelSettings, joints
 from slot_core.faults import Fault
 from slot_core.robot import LEGS
 from slot_core.servos.servo_bus import PortError
