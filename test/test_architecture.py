@@ -250,8 +250,8 @@ BUDGET = {
     "src/slot_paper": 688,
     "src/slot_nodes": 2181,
     "slot_bringup": 2887,
-    "scripts": 4940,
-    "test": 15_181,
+    "scripts": 4817,
+    "test": 15_276,
 }
 
 

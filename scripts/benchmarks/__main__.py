@@ -23,12 +23,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("name", nargs="?", metavar="NAME", help="benchmark, see --list")
     add("--quick", action="store_true", help="fewer repeats, rougher figures")
     add("--out", type=Path, metavar="DIR", help="default: results/NAME")
-    add(
-        "--against",
-        type=Path,
-        metavar="DIR",
-        help="compare the CPU time of policy and robot with that of another checkout too",
-    )
     add("--list", action="store_true", help="list the benchmarks")
     options = parser.parse_args(arguments)
     if options.list:
@@ -40,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     out = options.out or Path("results") / options.name
     try:
-        path = run(options.name, options.quick, out, progress, options.against)
+        path = run(options.name, options.quick, out, progress)
     except BenchmarkError as error:
         refuse(parser.prog, error)
         return CANNOT_RUN

@@ -28,7 +28,6 @@ import platform
 import re
 import statistics
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -216,16 +215,8 @@ def known() -> dict[str, str]:
     }
 
 
-def run(
-    name: str,
-    quick: bool,
-    out: Path,
-    progress: Progress,
-    against: Path | None = None,
-) -> Path:
+def run(name: str, quick: bool, out: Path, progress: Progress) -> Path:
     """Run a benchmark and write `out/NAME.json`; returns its path.
-
-    With another checkout `against`, rows compare the CPU time of policy and robot with its own.
 
     Raises BenchmarkError for an unknown name and a missing package, and what the benchmark raises.
     """
@@ -244,9 +235,6 @@ def run(
     except OSError as error:
         raise BenchmarkError(f"--out {out}: {error.strerror}") from None
     rows, checks = module.run(quick, out, progress)
-    if against is not None:
-        found = against_rows(against)
-        rows, checks = [*rows, *found], [*checks, *against_checks(found)]
     result = {
         "name": name,
         "quick": quick,
@@ -310,94 +298,3 @@ def _git(root: Path, *arguments: str) -> str | None:
         ).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
-
-
-PACKAGES = ("src/slot_core", "src/slot_lab")
-LARGEST = 1.1  # CPU over that of the other checkout
-REPEATS = 5
-# Prints s of CPU: of the policy in 150 ticks of a walk, and of 2000 steps of the robot.
-PROGRAM = """
-import time
-from slot_core.simulation.closed_loop import ClosedLoop
-loop, spent = ClosedLoop("flat", "walk", None, 0), [0.0]
-policy, now = loop.controller.policy, time.process_time
-def clocked(call):
-    def timed(*arguments):
-        begin = now()
-        result = call(*arguments)
-        spent[0] += now() - begin
-        return result
-    return timed
-policy.step, policy.prepare = clocked(policy.step), clocked(policy.prepare)
-ticks = loop.run(200)
-for _ in range(40):
-    last = next(ticks)
-spent[0] = 0.0
-for _ in range(150):
-    last = next(ticks)
-robot, command = loop.plant.robot, last.command.angle
-begin = now()
-robot.advance(2000, command)
-print(spent[0], now() - begin)
-"""
-
-
-def against_rows(other: Path) -> list[Row]:
-    """Medians over repeats of the ratios of CPU time, and the times of each."""
-    timings: dict[Path, list[list[float]]] = {ROOT: [], other.resolve(): []}
-    for _ in range(REPEATS + 1):
-        for checkout, found in timings.items():
-            found.append(_times(checkout))
-    # the first may have compiled kernels
-    pairs = list(zip(*timings.values()))[1:]
-    return [
-        {
-            "kind": "against",
-            "what": what,
-            "other": other.name,
-            "ratio": statistics.median(
-                ours[k] / theirs[k] for ours, theirs in pairs
-            ),
-            "cpu_ms": 1e3
-            / count
-            * statistics.median(ours[k] for ours, _ in pairs),
-        }
-        for k, (what, count) in enumerate(
-            (("policy, a tick", 150), ("robot, a step", 2000))
-        )
-    ]
-
-
-def against_checks(rows: Sequence[Row]) -> list[Check]:
-    """The ratios against their goal."""
-    found: Sequence[Any] = [row for row in rows if row["kind"] == "against"]
-    return [
-        at_most(
-            f"CPU of the {row['what']}, over {row['other']}",
-            row["ratio"],
-            LARGEST,
-        )
-        for row in found
-    ]
-
-
-def _times(checkout: Path) -> list[float]:
-    """CPU times, s, that the program prints with the packages of a checkout."""
-    places = [
-        *(str(checkout / package) for package in PACKAGES),
-        os.environ["PYTHONPATH"],
-    ]
-    chosen = {
-        "PYTHONPATH": os.pathsep.join(places),
-        "SLOT_CONFIG": str(checkout / "config"),
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-    }
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", PROGRAM],
-        env={**os.environ, **chosen},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return [float(word) for word in done.stdout.split()]

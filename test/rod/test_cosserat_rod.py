@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
+import rod_references as exact
+from rod_references import THIN, THIN_MATERIAL, UNIT
 from scipy.linalg import eig
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
-from benchmarks.rod import exact
-from benchmarks.rod.exact import THIN, THIN_MATERIAL, UNIT
+from benchmarks.rod.release import LEG, TPU
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import (
     PINNED,
@@ -96,14 +97,14 @@ def test_tip_force_in_any_direction_bends_and_twists_as_in_cosserats_equations(
     ],
 )
 def test_curved_tapered_leg_bends_as_in_cosserats_equations(loads):
-    geometry = Geometry(exact.LEG.length, exact.LEG.section, curvature=3.0)
+    geometry = Geometry(LEG.length, LEG.section, curvature=3.0)
     wanted, errors, turns = (
-        exact.collocation(exact.TPU, geometry, loads),
+        exact.collocation(TPU, geometry, loads),
         [],
         [],
     )
     for nodes in (31, 61):
-        rod = CosseratRod(exact.TPU, geometry, nodes)
+        rod = CosseratRod(TPU, geometry, nodes)
         rod.solve_static(loads)
         errors.append(error(rod, wanted[:3]))
         turns.append(np.abs(rod.state.ends[1] - exact.axes(wanted[3:7])).max())
@@ -318,10 +319,10 @@ def test_tangent_is_the_derivative_of_the_equilibrium_with_respect_to_the_loads(
         (lambda: Circle((0.02, 0.0)), "diameter"),
         (lambda: Uniform(1.0, 1.0, 0.0, 1.0), "section"),
         (
-            lambda: Geometry(0.0, exact.LEG.section),
+            lambda: Geometry(0.0, LEG.section),
             "length 0.0 must be above 0",
         ),
-        (lambda: Geometry(math.inf, exact.LEG.section), "finite"),
+        (lambda: Geometry(math.inf, LEG.section), "finite"),
         (lambda: slender(1), "nodes 1 must be at least 2"),
         (
             lambda: slender(pose=Pose(rotation=(0.0, math.nan, 0.0))),

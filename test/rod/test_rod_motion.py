@@ -7,10 +7,11 @@ import math
 
 import numpy as np
 import pytest
+import rod_references as exact
 from leg_energy import directions
+from rod_references import UNIT
 
-from benchmarks.rod import exact
-from benchmarks.rod.exact import LEG, TPU, UNIT
+from benchmarks.rod.release import LEG, TPU
 from slot_core.refusal import DivergenceError
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import (
@@ -272,20 +273,20 @@ RODS = {
         BENDING,
     ),
     "leg": (
-        CosseratRod(exact.TPU, exact.LEG),
+        CosseratRod(TPU, LEG),
         exact.FREQUENCIES["leg"],
         16,
         [2e-6, 3e-5, 2e-4],
     ),
     "leg, sideways": (
-        CosseratRod(exact.TPU, exact.LEG),
-        exact.sideways(exact.TPU, exact.LEG, 3),
+        CosseratRod(TPU, LEG),
+        exact.sideways(TPU, LEG, 3),
         16,
         [2e-6, 3e-5, 2e-4],
     ),
     "leg, twist": (
-        CosseratRod(exact.TPU, exact.LEG, 61),
-        exact.twisting(exact.TPU, exact.LEG, 2),
+        CosseratRod(TPU, LEG, 61),
+        exact.twisting(TPU, LEG, 2),
         40,
         [2e-4, 6e-4],
     ),

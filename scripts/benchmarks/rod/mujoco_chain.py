@@ -19,11 +19,13 @@ import numpy as np
 from scipy.optimize import fsolve
 
 from benchmarks.harness import cpu_time
-from benchmarks.rod.exact import LEG, PUSH, TPU
 from benchmarks.rod.release import (
     DAMPED,
     DURATION,
+    LEG,
+    PUSH,
     SAMPLES,
+    TPU,
     percent,
     release_row,
 )

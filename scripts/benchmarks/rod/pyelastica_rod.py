@@ -20,10 +20,12 @@ from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
 from benchmarks.harness import timed
-from benchmarks.rod.exact import LEG, PUSH, TPU
 from benchmarks.rod.release import (
     DURATION,
+    LEG,
+    PUSH,
     SAMPLES,
+    TPU,
     UNDAMPED,
     percent,
     release_row,

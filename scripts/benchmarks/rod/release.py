@@ -18,12 +18,21 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import Check, at_least, at_most, cpu_time
-from benchmarks.rod.exact import LEG, PUSH, TPU
 from slot_core.arrays import Array
 from slot_core.refusal import DivergenceError
 from slot_core.rod.cosserat_rod import CosseratRod
-from slot_core.rod.model import RodState, Scheme
+from slot_core.rod.model import (
+    Geometry,
+    Loads,
+    Material,
+    Rectangle,
+    RodState,
+    Scheme,
+)
 
+LEG = Geometry(0.19, Rectangle(0.02, (0.0135, 0.0035)))
+TPU = Material(1e7, 1e7 / 3, 1200.0, 5e-4)
+PUSH = Loads(force=(0.0, 0.6, -0.8))  # neither in the leg's plane nor across it
 DURATION, SAMPLES = 1.0, 100  # s, number of samples of the tip
 OURS = "CosseratRod"
 LARGEST_ERROR = 0.5  # percent

@@ -21,10 +21,6 @@ from slot_core.rod.model import (
     Uniform,
 )
 
-LEG = Geometry(0.19, Rectangle(0.02, (0.0135, 0.0035)))
-TPU = Material(1e7, 1e7 / 3, 1200.0, 5e-4)
-PUSH = Loads(force=(0.0, 0.6, -0.8))  # neither in the leg's plane nor across it
-
 THIN = 1e-3  # thickness over length: with EI = L = 1 the elastica, stretched by 1e-7
 THIN_MATERIAL = Material(12 / THIN**3, 4 / THIN**3, 1 / THIN, 0.0)
 # of sections that are given by their stiffness
