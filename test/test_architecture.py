@@ -250,8 +250,8 @@ BUDGET = {
     "src/slot_paper": 688,
     "src/slot_nodes": 2181,
     "slot_bringup": 2887,
-    "scripts": 4817,
-    "test": 15_276,
+    "scripts": 4779,
+    "test": 15_277,
 }
 
 

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 from views import CAMERA, VISION, synthetic
 
-from benchmarks.estimation.filmed_robot import Stage, filmed
+from benchmarks.estimation.filmed_robot import Stage
 from slot_core.drawing.shapes import natural_legs
 from slot_core.geometry import Transform
 from slot_core.robot import read_robot
@@ -29,6 +29,7 @@ from slot_lab.film import calibrate_camera, print_command, track_command
 from slot_lab.film.calibration import BoardView, calibrate
 from slot_lab.film.print_markers import sheet_of
 from slot_lab.film.tracker import Tracker
+from slot_lab.report.robot_drawing import Snapshot
 
 COUNT = 6
 POINTS = ["torso", "FR_base", "FR_third", "FR_two_thirds", "FR_tip"]
@@ -40,7 +41,7 @@ def natural_robot(base):
     """The robot with stress-free legs and its torso at `base`."""
     robot = read_robot()
     legs = natural_legs(base.position, base.quaternion, robot, 21)
-    return filmed(robot, base, legs.nodes, np.zeros((4, 0, 3)))
+    return Snapshot(base.position, base.quaternion, legs, np.zeros((4, 3)))
 
 
 @functools.cache

@@ -13,11 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.estimation.filmed_robot import (
-    FilmedRobot,
-    Stage,
-    filmed,
-)
+from benchmarks.estimation.filmed_robot import Stage
 from benchmarks.estimation.measured_streams import WARM_UP, RecordingPlant
 from benchmarks.harness import Check, Progress, Row, at_most, timed
 from slot_core.arrays import Array
@@ -29,6 +25,7 @@ from slot_core.vision.camera import nominal
 from slot_core.vision.settings import VisionSettings, read_vision
 from slot_core.vision.synthetic_camera import Imperfections, SyntheticCamera
 from slot_lab.film.tracker import Tracker
+from slot_lab.report.robot_drawing import Snapshot, snapshot
 
 PERIOD = read_scene("marker_camera").sensors.camera.period  # s, of the images
 # px, rows and columns that show robot and board
@@ -47,16 +44,10 @@ def rows(quick: bool, progress: Progress) -> list[Row]:
     return result
 
 
-def shots(count: int) -> list[FilmedRobot]:
+def shots(count: int) -> list[Snapshot]:
     """The walking robot at `count` images."""
     loop = ClosedLoop("flat", "walk", None, 0)
-    sim, found = loop.plant.robot, []
-    for _ in loop.run(count):
-        base = Transform(sim.rotation.copy(), sim.position.copy())
-        found.append(
-            filmed(read_robot(), base, sim.nodes.copy(), sim.directors.copy())
-        )
-    return found
+    return [snapshot(loop.plant.robot) for _ in loop.run(count)]
 
 
 def draw_film(path: Path) -> None:
@@ -70,7 +61,7 @@ def draw_film(path: Path) -> None:
 
 
 def tracker_rows(
-    settings: VisionSettings, walk: list[FilmedRobot]
+    settings: VisionSettings, walk: list[Snapshot]
 ) -> list[dict[str, Any]]:
     """Errors and CPU time of the tracker.
 

@@ -123,7 +123,7 @@ def draw_robot(
     in odom and labelled with their x.
     """
     centre = np.array([pose.position[0], pose.position[1], 0.0])
-    faces, colours = _solid_faces(pose, robot)
+    faces, colours = solid_faces(pose, robot)
     _draw_ground(ax, centre, camera)
     shadow = faces * [1.0, 1.0, 0.0]
     ax.add_collection(
@@ -137,7 +137,7 @@ def draw_robot(
     ax.set_axis_off()
 
 
-def _solid_faces(pose: Snapshot, robot: RobotParameters) -> tuple[Array, Array]:
+def solid_faces(pose: Snapshot, robot: RobotParameters) -> tuple[Array, Array]:
     """Faces (k, 4, 3) m of torso and legs, counter-clockwise outside; colours (k, 3)."""
     corners = Rotation.from_quat(pose.quaternion).apply(
         CORNERS * robot.torso.size
