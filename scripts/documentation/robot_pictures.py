@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from slot_core.arrays import Array
 from slot_core.control.policy import TendonPlan
 from slot_core.drawing import palette
-from slot_core.drawing.shapes import FORCE_SCALE
+from slot_core.drawing.drawing import FORCE_SCALE
 from slot_core.gait.gait import read_gaits
 from slot_core.robot import LEGS, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop

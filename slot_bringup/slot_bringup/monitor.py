@@ -20,12 +20,12 @@ from slot_bringup.interrupts import deferred
 from slot_bringup.processes import Processes, print_error
 from slot_core.arrays import Array
 from slot_core.clock import to_seconds
-from slot_core.control.pace import Speed
 from slot_core.messages import decode
 from slot_core.refusal import printable
 from slot_core.safety.states import RELEASED, Action, State
 from slot_msgs.msg import MpcState, RobotState, TendonPlan
 from slot_nodes import qos
+from slot_nodes.pace import Speed
 from slot_nodes.process import departure
 from slot_nodes.process.executor import DirectExecutor
 

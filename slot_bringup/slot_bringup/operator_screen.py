@@ -12,7 +12,6 @@ from sensor_msgs.msg import JointState
 from slot_bringup import steering
 from slot_core.arrays import Array
 from slot_core.clock import to_seconds
-from slot_core.control.pace import Speed
 from slot_core.dynamics.servo import ServoSettings, read_servo
 from slot_core.faults import hardware_errors
 from slot_core.geometry import rotate, wrapped
@@ -20,6 +19,7 @@ from slot_core.messages import decode
 from slot_core.robot import LEGS
 from slot_core.safety.states import RELEASED, State
 from slot_msgs.msg import GaitPreview, RobotState, ServoHealth
+from slot_nodes.pace import Speed
 
 SILENCE = 0.5  # s, age from which on a /robot_state is no longer shown
 MEAN = 1.5  # s, over which velocities are means, some strides

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from slot_core.config import ConfigError
-from slot_core.control.pace import Pace, Speed
 from slot_core.control.policies import POLICIES
 from slot_core.control.policy import Status, make_policy, policy_class
 from slot_core.robot import LEGS, read_robot
 from slot_core.simulation.closed_loop import ClosedLoop
+from slot_nodes.pace import Pace, Speed
 
 OWN = """
 import numpy as np

@@ -7,7 +7,7 @@ import pytest
 import rclpy
 from visualization_msgs.msg import Marker
 
-from slot_core.drawing import shapes
+from slot_core.drawing import drawing as shapes
 from slot_core.robot import read_robot
 from slot_msgs.msg import LegStates
 from slot_nodes import messages

@@ -7,7 +7,7 @@ import pytest
 from bag_messages import message
 from scipy.spatial.transform import Rotation
 
-from slot_core.drawing import shapes
+from slot_core.drawing import drawing as shapes
 from slot_core.drawing.drawing import Drawing
 from slot_core.robot import TENDON_JOINTS, read_robot
 from slot_lab.bags.bag import Bag

@@ -17,7 +17,6 @@ from views import CAMERA, VISION, board, image_from_torso, seen_from_torso
 from slot_core.geometry import Transform
 from slot_core.recording.bag_writer import BagWriter
 from slot_core.recording.record_settings import read_record_settings
-from slot_core.vision import image_message
 from slot_core.vision.board import board_poses, nearest
 from slot_core.vision.camera import (
     Camera,
@@ -26,7 +25,7 @@ from slot_core.vision.camera import (
     from_camera_info,
     read_camera,
 )
-from slot_core.vision.detector import MarkerDetector
+from slot_core.vision.detector import MarkerDetector, grey_image
 from slot_lab.film.images import FilmError, bag_camera, read_film
 
 
@@ -44,12 +43,12 @@ def image(pixels, encoding="mono8", **changes):
 def test_images_of_every_encoding_are_grey():
     colour = np.zeros((2, 3, 3), np.uint8)
     colour[..., 2] = 200  # red of BGR
-    assert set(np.unique(image_message.grey(image(colour, "bgr8")))) == {60}
-    assert set(np.unique(image_message.grey(image(colour, "rgb8")))) == {23}
+    assert set(np.unique(grey_image(image(colour, "bgr8")))) == {60}
+    assert set(np.unique(grey_image(image(colour, "rgb8")))) == {23}
     grey = np.arange(12, dtype=np.uint8).reshape(3, 4)
-    np.testing.assert_array_equal(image_message.grey(image(grey)), grey)
+    np.testing.assert_array_equal(grey_image(image(grey)), grey)
     np.testing.assert_array_equal(
-        image_message.grey(image(np.pad(grey, ((0, 0), (0, 5))), width=4)), grey
+        grey_image(image(np.pad(grey, ((0, 0), (0, 5))), width=4)), grey
     )
 
 
@@ -68,7 +67,7 @@ def test_images_of_every_encoding_are_grey():
 )
 def test_a_image_with_missing_bytes_is_refused(changes, reason):
     with pytest.raises(ValueError, match=reason):
-        image_message.grey(image(np.zeros((3, 4), np.uint8), **changes))
+        grey_image(image(np.zeros((3, 4), np.uint8), **changes))
 
 
 def write_bag(path, images, k=CAMERA.matrix):

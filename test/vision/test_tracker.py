@@ -14,7 +14,7 @@ from PIL import Image
 from views import CAMERA, VISION, synthetic
 
 from benchmarks.estimation.filmed_robot import Stage
-from slot_core.drawing.shapes import natural_legs
+from slot_core.drawing.drawing import natural_legs
 from slot_core.geometry import Transform
 from slot_core.robot import read_robot
 from slot_core.vision.board import SQUARE

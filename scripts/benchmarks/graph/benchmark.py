@@ -41,7 +41,6 @@ from benchmarks.harness import (
 from benchmarks.plots import draw_longer
 from slot_bringup.graph import CONTROLLER, read_graph
 from slot_core.arrays import Array
-from slot_core.control.pace import Pace
 from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.control.policy import make_policy
 from slot_core.drawing import palette
@@ -52,6 +51,7 @@ from slot_core.simulation.closed_loop import ClosedLoop
 from slot_lab.bags.recorded_walk import STAGES
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_nodes import messages
+from slot_nodes.pace import Pace
 
 BLOCK = 30  # ticks of the closed loop per repeat, about a second
 CYCLES = 120  # of the MPC's node

@@ -10,9 +10,9 @@ from slot_bringup.playing.graph_robot import GraphRobot
 from slot_bringup.playing.robot_display import PLOTTED, WINDOW, Page
 from slot_bringup.playing.status_text import of_speed, strong
 from slot_core.clock import to_seconds
-from slot_core.control.pace import Speed
 from slot_core.messages import decode
 from slot_lab.play.played_robot import FRAME
+from slot_nodes.pace import Speed
 
 STATE = "/robot_state"
 # s without a state, which comes every 20 ms, until the page says so

@@ -22,9 +22,8 @@ from slot_bringup.playing.scene_view import PUSHED
 from slot_bringup.playing.status_text import Costs, of_speed, strong
 from slot_core.clock import LOCKSTEP_START
 from slot_core.control.controller import Tick
-from slot_core.control.pace import Pace, Speed
 from slot_core.drawing import palette
-from slot_core.drawing.shapes import force_arrows, rgb
+from slot_core.drawing.drawing import force_arrows, rgb
 from slot_core.recording.bag_writer import BagWriter, message_types
 from slot_core.recording.origin import origin_here
 from slot_core.recording.record_settings import BagError, read_record_settings
@@ -39,6 +38,7 @@ from slot_core.simulation.readings import (
 )
 from slot_lab.play.played_robot import FRAME, Happened, PlayedRobot
 from slot_nodes import messages
+from slot_nodes.pace import Pace, Speed
 
 SPEEDS = {"real time": 1.0, "1/2": 0.5, "1/4": 0.25, "1/10": 0.1}
 # the first word names the method

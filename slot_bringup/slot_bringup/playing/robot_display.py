@@ -12,8 +12,7 @@ from slot_bringup.playing.scene_view import SceneView
 from slot_bringup.playing.status_text import StatusText, acts, block
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
-from slot_core.drawing.drawing import Drawing
-from slot_core.drawing.shapes import Bars, Shape
+from slot_core.drawing.drawing import Bars, Drawing, Shape
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.robot import LEGS, read_robot

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from slot_core.arrays import Array
 from slot_core.drawing import palette
-from slot_core.drawing.shapes import (
+from slot_core.drawing.drawing import (
     FORCE_SCALE,
     Arrows,
     Bars,

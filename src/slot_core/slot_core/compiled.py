@@ -50,9 +50,11 @@ def helper(function: F) -> F:
     return njit(**OPTIONS, **INLINE)(function)
 
 
-def kernel(function: F) -> F:
+def kernel(function: F, **options: Any) -> F:
     """Compile a function that Python calls, with a cache on disk."""
-    return _kernel(function, {})
+    dispatcher = njit(**OPTIONS, **options)(function)
+    dispatcher._cache = KernelCache(function)
+    return dispatcher
 
 
 def unlocked_kernel(function: F) -> F:
@@ -60,10 +62,4 @@ def unlocked_kernel(function: F) -> F:
 
     It gives up Python's lock, which a thread of the controller may have to wait for afterwards.
     """
-    return _kernel(function, {"nogil": True})
-
-
-def _kernel(function: F, options: dict[str, Any]) -> F:
-    dispatcher = njit(**OPTIONS, **options)(function)
-    dispatcher._cache = KernelCache(function)
-    return dispatcher
+    return kernel(function, nogil=True)

@@ -202,14 +202,9 @@ def _convert(value: Any, kind: Any, meta: Mapping[str, Any], where: str) -> Any:
             k: _convert(v, item, meta, f"{where}.{k}")
             for k, v in zip(map(_name, value), value.values())
         }
-    if typing.get_origin(kind) is tuple:
-        return _convert_tuple(value, typing.get_args(kind), meta, where)
-    return _convert_scalar(value, kind, meta, where)
-
-
-def _convert_tuple(
-    value: Any, kinds: tuple[Any, ...], meta: Mapping[str, Any], where: str
-) -> Any:
+    if typing.get_origin(kind) is not tuple:
+        return _convert_scalar(value, kind, meta, where)
+    kinds = typing.get_args(kind)
     if not isinstance(value, (list, tuple)):
         raise ConfigError(f"{where} = {quoted(value)}: expected a list")
     if kinds[-1] is Ellipsis:

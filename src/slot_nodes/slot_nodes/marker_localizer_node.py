@@ -16,13 +16,13 @@ from slot_core.config import ConfigError
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.geometry import Transform
 from slot_core.messages import decode
-from slot_core.vision import image_message
 from slot_core.vision.camera import (
     Camera,
     CameraError,
     from_camera_info,
     read_camera,
 )
+from slot_core.vision.detector import grey_image
 from slot_core.vision.localizer import MarkerFix, MarkerLocalizer
 from slot_core.vision.settings import read_vision
 from slot_nodes import inputs, messages, qos, runtime
@@ -92,9 +92,7 @@ class MarkerLocalizerNode(Node):
             raise ValueError(
                 "no calibration: no usable /camera/camera_info has arrived"
             )
-        fix = self._localizer.locate(
-            decode.stamp(message), image_message.grey(message)
-        )
+        fix = self._localizer.locate(decode.stamp(message), grey_image(message))
         if isinstance(fix, MarkerFix):
             self._odometry.publish(messages.fix_to_odometry(fix))
             reason = fix.warning

@@ -50,7 +50,6 @@ LOST = 9999.0  # variance of lost odometry, as of RTAB-Map
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
     from slot_core.control import policy
     from slot_core.control.force_map import TendonCommand
-    from slot_core.control.pace import Pace
     from slot_core.estimation.estimate import Estimate
     from slot_core.estimation.inertial_filter import Mount
     from slot_core.safety.settings import ServoLimits
@@ -65,6 +64,7 @@ if TYPE_CHECKING:  # a node imports only the core modules that it runs
     )
     from slot_core.vision.camera import Camera
     from slot_core.vision.localizer import MarkerFix, NoFix
+    from slot_nodes.pace import Pace
 
 
 def message_class(kind: str) -> type:

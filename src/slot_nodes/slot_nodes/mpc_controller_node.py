@@ -11,13 +11,13 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from slot_core import config
-from slot_core.control.pace import Pace
 from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.control.policy import Status, TunedPolicy, policy_class
 from slot_core.messages import decode
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
 from slot_nodes import inputs, messages, qos, runtime, stage_record
+from slot_nodes.pace import Pace
 
 PREPARE_AFTER = 0.004  # s after a plan: by then its command is with the servos
 

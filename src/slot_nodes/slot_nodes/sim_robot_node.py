@@ -36,7 +36,6 @@ from std_msgs.msg import Bool
 
 from slot_core.clock import to_seconds
 from slot_core.config import ConfigError
-from slot_core.control.pace import Speed
 from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.estimation.state_estimator import read_estimator
@@ -71,6 +70,7 @@ from slot_core.simulation.simulated_servos import (
 from slot_msgs.msg import LegStates, RobotState, ServoHealth, ServoLimits
 from slot_msgs.srv import InjectFault
 from slot_nodes import diagnostics, inputs, messages, qos, runtime
+from slot_nodes.pace import Speed
 
 FROZEN_PERIOD = 0.1  # s, between two readings of the frozen robot in lockstep
 REAL_TIME_PERIOD = 0.002  # s, between two advances of the simulation

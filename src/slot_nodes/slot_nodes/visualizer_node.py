@@ -12,8 +12,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from slot_core.arrays import Array
-from slot_core.drawing.drawing import Drawing
-from slot_core.drawing.shapes import Bars, Box, Shape, Strips, halves
+from slot_core.drawing.drawing import Bars, Box, Drawing, Shape, Strips, halves
 from slot_core.dynamics.servo import read_servo
 from slot_core.messages import decode
 from slot_core.robot import FLOOR_FRAME, read_robot

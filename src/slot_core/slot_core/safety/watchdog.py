@@ -207,10 +207,8 @@ class Watchdog:
         if received is None:
             return f"no {what} yet"
         age = to_seconds(now - received)
+        line = f"no {what} for {age:.2f} s, limit"
         if age > limits.command_lost:
-            self.relax(
-                f"no {what} for {age:.2f} s, limit {limits.command_lost:g} s"
-            )
-        if age > limits.command_hold:
-            return f"no {what} for {age:.2f} s, limit {limits.command_hold:g} s"
-        return ""
+            self.relax(f"{line} {limits.command_lost:g} s")
+        is_late = age > limits.command_hold
+        return f"{line} {limits.command_hold:g} s" if is_late else ""

@@ -118,14 +118,6 @@ class Camera:
         )
         return np.asarray(pixels, np.float64).reshape(*points.shape[:-1], 2)
 
-    def require_size(self, width: int, height: int) -> None:
-        """Raise CameraError for images of another size than the calibration's."""
-        if (width, height) != (self.width, self.height):
-            raise CameraError(
-                f"image of {width} x {height} px: the camera is calibrated at"
-                f" {self.width} x {self.height} px"
-            )
-
 
 def _require_last(name: str, values: Array, size: int) -> None:
     if values.shape[-1:] != (size,):

@@ -9,12 +9,14 @@ into the marker by the blur. The points are freed of the distortion before lines
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from slot_core.arrays import Array
+from slot_core.refusal import quoted
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera, CameraError
 
@@ -166,7 +168,12 @@ class MarkerDetector:
             raise CameraError(
                 f"image of {image.dtype}, {image.shape}: expected grey of 8 bits"
             )
-        self._camera.require_size(image.shape[1], image.shape[0])
+        height, width = image.shape
+        if (width, height) != (self._camera.width, self._camera.height):
+            raise CameraError(
+                f"image of {width} x {height} px: the camera is calibrated at"
+                f" {self._camera.width} x {self._camera.height} px"
+            )
         last, self._since_whole = self._last, self._since_whole + 1
         near = last.ids and self._since_whole < WHOLE_EVERY
         found = self._near(image, last) if near else None
@@ -244,3 +251,49 @@ def other_dictionary(image: GreyImage) -> str:
         counts[name] = 0 if ids is None else len(ids)
     best = max(counts, key=lambda name: counts[name])
     return f"{counts[best]} of {best}" if counts[best] else ""
+
+
+CHANNELS = {
+    "mono8": 1,
+    "8UC1": 1,
+    "bgr8": 3,
+    "rgb8": 3,
+    "8UC3": 3,
+    "bgra8": 4,
+    "rgba8": 4,
+}
+TO_GREY = {
+    "bgr8": cv2.COLOR_BGR2GRAY,
+    "8UC3": cv2.COLOR_BGR2GRAY,
+    "rgb8": cv2.COLOR_RGB2GRAY,
+    "bgra8": cv2.COLOR_BGRA2GRAY,
+    "rgba8": cv2.COLOR_RGBA2GRAY,
+}
+
+
+def grey_image(message: Any) -> GreyImage:
+    """Grey image (h, w) of an Image; raises ValueError for other encodings, missing bytes."""
+    if message.encoding not in CHANNELS:
+        raise ValueError(
+            f"encoding {quoted(message.encoding)}: expected one of {', '.join(CHANNELS)}"
+        )
+    pixels = _pixels(message, CHANNELS[message.encoding])
+    code = TO_GREY.get(message.encoding)
+    return (
+        np.ascontiguousarray(pixels[..., 0])
+        if code is None
+        else np.asarray(cv2.cvtColor(pixels, code), np.uint8)
+    )
+
+
+def _pixels(message: Any, channels: int) -> NDArray[np.uint8]:
+    """Pixels (h, w, channels), without the bytes at the end of the rows."""
+    height, width, step = message.height, message.width, message.step
+    data, row = np.frombuffer(message.data, np.uint8), width * channels
+    if step < row or len(data) != height * step or not height or not width:
+        raise ValueError(
+            f"{len(data)} bytes in rows of {step}: {width} x {height} px of"
+            f" {message.encoding} have {height} rows of {row} bytes at least"
+        )
+    pixels = data.reshape(height, step)[:, :row]
+    return np.ascontiguousarray(pixels).reshape(height, width, channels)

@@ -205,10 +205,8 @@ class MarkerLocalizer:
 
     def _recent(self, stamp: int) -> Known | None:
         """The last pose if it is before `stamp`, ns, by at most `memory`."""
-        memory = self._settings.memory * SECOND
-        if self._last is None or not 0 < stamp - self._last[0] <= memory:
-            return None
-        return self._last
+        memory, last = self._settings.memory * SECOND, self._last
+        return last if last and 0 < stamp - last[0] <= memory else None
 
     def _fix(
         self, stamp: int, board: Transform, pose: BoardPose, markers: int

@@ -11,9 +11,9 @@ import numpy as np
 from slot_core.clock import to_seconds
 from slot_core.messages.decode import stamp
 from slot_core.refusal import InputError, require_regular
-from slot_core.vision import image_message
 from slot_core.vision.board import GreyImage
 from slot_core.vision.camera import Camera, CameraError, from_camera_info
+from slot_core.vision.detector import grey_image
 from slot_lab.bags.bag import STORAGES, Bag, BagError
 from slot_lab.bags.topics import IMAGES
 
@@ -123,7 +123,7 @@ def _of_bag(path: Path, topic: str) -> Iterator[Frame]:
     try:
         for _, message in Bag(path).messages(topic):
             time = to_seconds(stamp(message))
-            yield Frame(time, image_message.grey(message))
+            yield Frame(time, grey_image(message))
     except (BagError, ValueError, AttributeError) as error:
         raise FilmError(f"{path}: {topic}: {error}") from None
 

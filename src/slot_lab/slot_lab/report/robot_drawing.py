@@ -19,11 +19,11 @@ from scipy.spatial.transform import Rotation
 from slot_core.arrays import Array
 from slot_core.command_line import Tell, untold
 from slot_core.drawing import palette
-from slot_core.drawing.drawing import NATURAL_NODES
-from slot_core.drawing.shapes import (
+from slot_core.drawing.drawing import (
     CORNERS,
     FORCE_SCALE,
     LEAST_FORCE,
+    NATURAL_NODES,
     Legs,
     bent_legs,
     leg_bars,

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from slot_core.arrays import Array
 from slot_core.command_line import Tell, untold
 from slot_core.drawing import palette
-from slot_core.drawing.shapes import FORCE_SCALE, LEAST_FORCE
+from slot_core.drawing.drawing import FORCE_SCALE, LEAST_FORCE
 from slot_core.messages import decode
 from slot_core.refusal import InputError, one_line
 from slot_core.robot import LEGS, RobotParameters, read_robot
