@@ -23,8 +23,8 @@ from slot_core.safety.settings import read_supervisor
 from slot_core.servos.registry import read_servo_bus
 from slot_core.vision.settings import read_vision
 from slot_lab.calibration.experiments import read_settings as read_experiments
-from slot_lab.tuning.settings import read_tuning
-from slot_lab.twin.settings import read_twin
+from slot_lab.tuning.stride_run import read_tuning
+from slot_lab.twin.strides import read_twin
 from slot_paper.leg import read_paper
 from slot_paper.problem import read_paper_mpc
 

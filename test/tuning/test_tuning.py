@@ -19,8 +19,13 @@ from slot_lab.tuning.pattern_search import (
     PatternSearch,
     cost,
 )
-from slot_lab.tuning.settings import read_tuning
-from slot_lab.tuning.stride_run import TIME, Job, StrideMotion, simulate
+from slot_lab.tuning.stride_run import (
+    TIME,
+    Job,
+    StrideMotion,
+    read_tuning,
+    simulate,
+)
 from slot_lab.tuning.tune import write_gait
 
 STRIDES, ROBOT = read_gaits().strides, read_robot()

@@ -15,7 +15,6 @@ from slot_lab.bags.topics import COMMANDED, MEASURED
 from slot_lab.csv_table import TableError
 from slot_lab.twin import twin, twin_command, twin_fit
 from slot_lab.twin.prediction import predict, read_parts
-from slot_lab.twin.settings import read_twin
 from slot_lab.twin.strides import (
     COLUMNS,
     BagRecording,
@@ -23,6 +22,7 @@ from slot_lab.twin.strides import (
     error_growth,
     find_strides,
     read_recorded,
+    read_twin,
     stride_errors,
 )
 from slot_lab.twin.twin_fit import (

@@ -30,8 +30,7 @@ from slot_core.gait.gait import Stride, read_gaits
 from slot_core.refusal import DivergenceError
 from slot_core.robot import GRAVITY, RobotParameters, read_robot
 from slot_core.simulation.rod_robot import RodRobot
-from slot_lab.tuning.settings import TuningSettings, read_tuning
-from slot_lab.tuning.stride_run import stride_means
+from slot_lab.tuning.stride_run import TuningSettings, read_tuning, stride_means
 
 GAITS = ("walk", "fast_walk", "crawl")
 ANGLES_DEG = (40.0, 63.0, 90.0)  # tendon angles of the stiffness

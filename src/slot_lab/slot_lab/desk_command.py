@@ -1,12 +1,19 @@
-"""Run of a desk command: progress on standard error, its lines, its exit code."""
+"""Run of a desk command: progress on standard error, its lines, its exit code, its plot."""
+
+from __future__ import annotations
 
 import argparse
 import signal
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slot_core.command_line import INTERRUPTED, ProgressLine, refuse, show
 from slot_core.refusal import DivergenceError, InputError
+
+if TYPE_CHECKING:  # heavy
+    from matplotlib.figure import Figure
 
 UNUSABLE = 2  # exit code
 Outcome = tuple[Sequence[str], int]
@@ -48,3 +55,9 @@ def run_command(
         return code if show(parser.prog, lines) else UNUSABLE
     refuse(parser.prog, reason)
     return UNUSABLE
+
+
+def write_plot(figure: Figure, path: Path, dpi: int) -> None:
+    """Write a figure, in a directory that is made; raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=dpi)

@@ -299,7 +299,7 @@ class Bag:
         getter = operator.attrgetter(field)
         try:
             return np.array(
-                [_plain(getter(message)) for _, message in self._cache[topic]]
+                [plain(getter(message)) for _, message in self._cache[topic]]
             )
         except AttributeError:
             raise NoFieldError(
@@ -437,15 +437,15 @@ def _stamp(message: Any, time: int) -> int:
     )
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Numbers, strings and arrays as they are; a message as the list of its fields."""
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if dataclasses.is_dataclass(value):
         names = [
             f.name for f in dataclasses.fields(value) if f.name != "__msgtype__"
         ]
-        return [_plain(getattr(value, name)) for name in names]
+        return [plain(getattr(value, name)) for name in names]
     return value
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from slot_core.clock import to_seconds
 from slot_core.command_line import untold
 from slot_core.messages import decode
-from slot_lab.bags.bag import Bag, BagError
+from slot_lab.bags.bag import Bag, BagError, plain
 from slot_lab.bags.replayed_stages import STAGES, RecordedStages, Replayed
 from slot_lab.bags.topics import COMMANDED, ESTIMATE, OUTPUTS, SENSORS
 
@@ -199,17 +199,8 @@ def compare(
 def _numbers(value: Any) -> np.ndarray:
     """A message's field as a flat array: numbers, text, arrays, vectors and arrays of vectors."""
     if isinstance(value, str):
-        value = value.encode()
-    if isinstance(value, np.ndarray) and value.dtype != object:
-        return value.astype(float).ravel()
-    if hasattr(value, "x"):
-        return decode.vector(value)
-    values = (
-        list(value) if isinstance(value, (Sequence, np.ndarray)) else [value]
-    )
-    if values and hasattr(values[0], "x"):
-        return np.concatenate([decode.vector(v) for v in values])
-    return np.array(values, dtype=float)
+        value = list(value.encode())
+    return np.array(plain(value), dtype=float).ravel()
 
 
 def _distance(recorded: np.ndarray, replayed: np.ndarray) -> np.ndarray:

@@ -26,8 +26,7 @@ from slot_lab.calibration.fit import (
     fit,
     parameters_of,
 )
-from slot_lab.desk_command import Outcome
-from slot_lab.plot_file import write_plot
+from slot_lab.desk_command import Outcome, write_plot
 from slot_lab.verdict import Verdict
 
 DPI = 100

@@ -153,6 +153,5 @@ def correlation_of(correlation: Array) -> list[list[float | None]]:
 
 def interval_of(interval: Sequence[float] | Array) -> list[float] | str:
     """Ends of an interval with four digits; UNDETERMINED for NaN."""
-    if any(math.isnan(value) for value in interval):
-        return UNDETERMINED
-    return [rounded(float(value), 4) for value in interval]
+    ends = [rounded(float(value), 4) for value in interval]
+    return UNDETERMINED if any(map(math.isnan, ends)) else ends

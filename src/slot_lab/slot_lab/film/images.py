@@ -44,9 +44,8 @@ def read_film(
         return _of_bag(path, topic)
     if not path.exists():
         raise FilmError(f"{path}: does not exist")
-    if path.is_dir():
-        return _of_folder(path, rate or 30.0)
-    return _of_video(path, rate)
+    folder = path.is_dir()
+    return _of_folder(path, rate or 30.0) if folder else _of_video(path, rate)
 
 
 def silence_opencv() -> None:
@@ -63,9 +62,11 @@ def claimed_length(path: Path) -> int:
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag."""
-    if path.suffix in STORAGES or (path / "metadata.yaml").exists():
-        return True
-    return any(file.suffix in STORAGES for file in path.glob("*"))
+    files = [path, *path.glob("*")]
+    return any(
+        file.suffix in STORAGES or file.name == "metadata.yaml"
+        for file in files
+    )
 
 
 def bag_camera(path: Path, topic: str) -> Camera:
@@ -143,6 +144,6 @@ def _files(path: Path) -> list[Path]:
 
 
 def _grey(image: Any) -> GreyImage:
-    if image.ndim == 2:
-        return np.asarray(image, np.uint8)
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8)
+    coloured = image.ndim > 2
+    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if coloured else image
+    return np.asarray(grey, np.uint8)

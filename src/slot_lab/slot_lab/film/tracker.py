@@ -74,13 +74,11 @@ class Tracks:
     @property
     def warnings(self) -> list[str]:
         """Limits to the use of the tracks, one line each."""
-        if self.camera_motion <= MOVED:
-            return self.notes
-        return [
+        line = (
             f"the camera moved: the board by {self.camera_motion:.1f} px,"
-            f" limit {MOVED:g} px",
-            *self.notes,
-        ]
+            f" limit {MOVED:g} px"
+        )
+        return [*([line] if self.camera_motion > MOVED else []), *self.notes]
 
 
 class Tracker:

@@ -29,8 +29,7 @@ from slot_core.robot import LEGS
 from slot_lab.bags.bag import Bag, BagError, NoFieldError
 from slot_lab.bags.recorded_walk import seconds
 from slot_lab.bags.topics import PLANS
-from slot_lab.desk_command import Outcome
-from slot_lab.plot_file import write_plot
+from slot_lab.desk_command import Outcome, write_plot
 
 PER_LEG = {
     "slack_normal_min": "least normal",

@@ -385,12 +385,11 @@ def _number(value: float, form: str) -> str:
 
 
 def _latency(stage: Latency) -> str:
-    if not stage.count:
-        return "-"
-    return (
+    line = (
         f"p50 {1e3 * stage.p50:6.2f}   p99 {1e3 * stage.p99:6.2f}"
         f"   max {1e3 * stage.max:6.2f} ms"
     )
+    return line if stage.count else "-"
 
 
 def _load(metrics: WalkMetrics) -> str:

@@ -29,7 +29,7 @@ from slot_lab.bags.recorded_walk import (
     stride_period,
 )
 from slot_lab.bags.topics import PLANS
-from slot_lab.plot_file import write_plot
+from slot_lab.desk_command import write_plot
 from slot_lab.report.constraint_map import draw_slack, read_map
 from slot_lab.report.metrics import WalkMetrics
 from slot_lab.report.traces import PLOTS, disturbances

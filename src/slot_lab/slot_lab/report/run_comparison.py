@@ -25,8 +25,7 @@ from slot_core.refusal import InputError, one_line, quoted
 from slot_lab.bags.bag import Bag
 from slot_lab.bags.recorded_walk import TorsoTrack, read_motion
 from slot_lab.bags.topics import PLANS
-from slot_lab.desk_command import Outcome
-from slot_lab.plot_file import write_plot
+from slot_lab.desk_command import Outcome, write_plot
 from slot_lab.report.metrics import UNITS, Figure, figures, walk_metrics
 
 NAME_WIDTH, VALUE_WIDTH = 29, 14

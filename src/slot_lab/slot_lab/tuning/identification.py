@@ -30,7 +30,6 @@ from slot_core.gait.gait import (
 )
 from slot_core.geometry import rotate
 from slot_core.refusal import InputError
-from slot_lab.tuning.settings import TuningSettings
 from slot_lab.tuning.stride_run import (
     HEIGHT,
     HELD,
@@ -40,6 +39,7 @@ from slot_lab.tuning.stride_run import (
     Job,
     RunAll,
     StrideMotion,
+    TuningSettings,
 )
 
 V_X, V_Y, YAW_RATE, ROLL_MEAN = 0, 1, 2, 4  # in the means of a motion

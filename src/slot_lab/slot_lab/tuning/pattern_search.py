@@ -29,8 +29,14 @@ from slot_core.gait.gait import Pattern, Stride
 from slot_core.robot import read_robot
 from slot_lab.tuning import identification
 from slot_lab.tuning.identification import FREE_LEGS, NUMBERS, numbers
-from slot_lab.tuning.settings import TuningSettings
-from slot_lab.tuning.stride_run import HEIGHT, HELD, Job, Outcome, RunAll
+from slot_lab.tuning.stride_run import (
+    HEIGHT,
+    HELD,
+    Job,
+    Outcome,
+    RunAll,
+    TuningSettings,
+)
 
 FAILED = 1000.0  # cost of a candidate that diverges on a floor
 ZERO = (0.0, 0.0, 0.0, 0.0, 0.0)

@@ -31,8 +31,12 @@ from slot_lab.tuning.pattern_search import (
     start_of,
     trial,
 )
-from slot_lab.tuning.settings import TuningSettings, read_tuning
-from slot_lab.tuning.stride_run import RunAll, simulate
+from slot_lab.tuning.stride_run import (
+    RunAll,
+    TuningSettings,
+    read_tuning,
+    simulate,
+)
 from slot_lab.workers import mapper
 
 RECORDS = Path("results", "tune")

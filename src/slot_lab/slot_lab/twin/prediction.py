@@ -38,8 +38,7 @@ from slot_core.safety.rate_limiter import extrapolated
 from slot_core.simulation.make_robot import make_robot
 from slot_lab.bags.recorded_walk import TendonAngles, TorsoTrack
 from slot_lab.csv_table import PointRow, write_points
-from slot_lab.twin.settings import TwinSettings
-from slot_lab.twin.strides import BagRecording
+from slot_lab.twin.strides import BagRecording, TwinSettings
 
 LEAST_SETTLING = 1.0  # s
 LONGEST_GAP = 0.06  # s, between two angles, across which a spline is drawn

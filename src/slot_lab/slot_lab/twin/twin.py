@@ -21,20 +21,20 @@ from slot_core.config import load
 from slot_core.drawing import palette
 from slot_lab.bags.recorded_walk import TorsoTrack
 from slot_lab.calibration.fit import RunAll
-from slot_lab.desk_command import Outcome
-from slot_lab.plot_file import write_plot
+from slot_lab.desk_command import Outcome, write_plot
 from slot_lab.twin.prediction import predict, read_parts, write_predicted_points
-from slot_lab.twin.settings import TwinSettings, read_twin
 from slot_lab.twin.strides import (
     PITCH,
     ROLL,
     YAW,
     Strides,
+    TwinSettings,
     Z,
     error_growth,
     find_strides,
     placed,
     read_recorded,
+    read_twin,
     residuals,
     stride_errors,
 )

@@ -42,11 +42,11 @@ from slot_lab.calibration.fit import (
     fit,
 )
 from slot_lab.twin.prediction import ModelParts, predict
-from slot_lab.twin.settings import TwinSettings
 from slot_lab.twin.strides import (
     BagRecording,
     StrideErrors,
     Strides,
+    TwinSettings,
     residuals,
     stride_errors,
 )
