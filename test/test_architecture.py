@@ -250,8 +250,8 @@ BUDGET = {
     "src/slot_paper": 688,
     "src/slot_nodes": 2214,
     "slot_bringup": 2886,
-    "scripts": 4775,
-    "test": 15_235,
+    "scripts": 4721,
+    "test": 15_234,
 }
 
 

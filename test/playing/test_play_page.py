@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from documentation.browser import PROGRAM, playing, wait_for
+from documentation.browser import PROGRAM, opened, playing, wait_for
 from slot_core.safety.states import State
 from slot_lab.play.played_robot import Wishes
 
@@ -20,17 +20,14 @@ pytestmark = [
     ),
     pytest.mark.real_time,
 ]
-ROW = "[...document.querySelectorAll('label')].find(l => l.innerText == {label!r})"
-ROW += ".closest('div').parentElement"
-TAB = "[...document.querySelectorAll('[role=tab]')].find(t => t.innerText == {!r})"
-OPTION = "[...document.querySelectorAll('[role=option]')].find(o => o.innerText == {!r})"
+ROW = "xpath=ancestor::div[1]/.."
 
 
 class Hand:
     """Uses the page as a person would, and sees the robot in it."""
 
-    def __init__(self, page, server, browser):
-        self.page, self.server, self.browser = page, server, browser
+    def __init__(self, page, server, window):
+        self.page, self.server, self.window = page, server, window
 
     @property
     def robot(self):
@@ -46,31 +43,35 @@ class Hand:
         return self.robot.tick.preview.command.velocity
 
     def see(self, shows):
-        wait_for(lambda: shows(self), said=self.browser.text)
+        wait_for(lambda: shows(self), said=self.text)
 
-    def open(self, tab):
-        def selected():  # a click may come before the page is complete
-            self.browser.click(TAB.format(tab))
-            return self.browser.run(f"{TAB.format(tab)}.ariaSelected") == "true"
+    def text(self):
+        return self.window.inner_text("body")
 
-        wait_for(selected, said=self.browser.text)
+    def field(self, label):
+        """The number beside a slider."""
+        row = self.window.get_by_text(label, exact=True).locator(ROW)
+        return row.locator("input[inputmode]")
 
     def slide(self, label, value):
-        field = f"{ROW.format(label=label)}.querySelector('input[inputmode]')"
-        there = f"!!{field.replace('.closest', '?.closest')}"
-        wait_for(lambda: self.browser.run(there))
+        field = self.field(label)
 
         def typed():  # the page may take a value back while it draws another
-            self.browser.run(f"{field}.focus(); {field}.select()")
-            self.browser.call("Input.insertText", text=f"{value:g}")
-            self.browser.run(f"{field}.blur()")
-            return float(self.browser.run(f"{field}.value")) == value
+            field.fill(f"{value:g}")
+            field.blur()
+            return float(field.input_value()) == value
 
-        wait_for(typed, said=self.browser.text)
+        wait_for(typed, said=self.text)
 
     def choose(self, label, option):
-        self.browser.click(f"{ROW.format(label=label)}.querySelector('input')")
-        self.browser.click(OPTION.format(option))
+        self.window.get_by_role("combobox", name=label, exact=True).click()
+        self.window.get_by_role("option", name=option, exact=True).click()
+
+    def drag(self, begin, end):
+        """Drag with the mouse from one point to another, without letting go."""
+        self.window.mouse.move(*begin)
+        self.window.mouse.down()
+        self.window.mouse.move(*end, steps=8)
 
     def pixel(self, point):
         """Where a point (3,) of the torso, m in base_link, is on the screen."""
@@ -84,7 +85,7 @@ class Hand:
             .inv()
             .apply(place - camera.position)
         )
-        middle = np.array(self.browser.run("[innerWidth, innerHeight]")) / 2
+        middle = np.array(self.window.evaluate("[innerWidth, innerHeight]")) / 2
         return middle + middle[1] / np.tan(camera.fov / 2) * seen[:2] / seen[2]
 
 
@@ -114,7 +115,7 @@ def hand(shared):
 
 def test_a_slider_and_keys_act_and_a_dropdown_gives_the_keys_back(hand):
     """The key of the e-stop acts in a field of a number, too."""
-    hand.open("Drive")
+    opened(hand.window, "Drive")
     hand.choose("gait", "walk")
     hand.slide("v_x (m/s)", 0.05)
     hand.see(lambda h: h.robot.truth.odometry.position[0] > 0.02)
@@ -125,17 +126,16 @@ def test_a_slider_and_keys_act_and_a_dropdown_gives_the_keys_back(hand):
         ("ArrowRight", 2, -1),
     ):
         before = hand.robot.wishes.velocity[axis]
-        hand.browser.key(key)
+        hand.window.keyboard.press(key)
         hand.see(lambda h: sign * (h.robot.wishes.velocity[axis] - before) > 0)  # noqa: B023
-    hand.browser.key("0")
+    hand.window.keyboard.press("0")
     hand.see(lambda h: not h.ahead.any())
-    hand.browser.key("u")
+    hand.window.keyboard.press("u")
     hand.see(lambda h: h.robot.wishes.pose is not None)
-    hand.browser.key("s")
+    hand.window.keyboard.press("s")
     hand.see(lambda h: h.robot.loop.report.state is State.STANDING)
-    field = f"{ROW.format(label='v_x (m/s)')}.querySelector('input[inputmode]')"
-    hand.browser.run(f"{field}.focus()")
-    hand.browser.key(" ")
+    hand.field("v_x (m/s)").focus()
+    hand.window.keyboard.press("Space")
     hand.see(lambda h: h.robot.loop.report.state is State.ESTOP)
 
 
@@ -144,13 +144,13 @@ GAMEPAD = "[{{connected: true, mapping: 'standard', axes: {axes}, buttons: [{{pr
 
 def hold(hand, axes, a="false"):
     """Hold the sticks of a gamepad, and its button A."""
-    hand.browser.run(
+    hand.window.evaluate(
         f"navigator.getGamepads = () => {GAMEPAD.format(axes=axes, a=a)}"
     )
 
 
 def test_a_gamepad_walks_steers_and_stops(hand):
-    hand.open("Drive")
+    opened(hand.window, "Drive")
     hold(hand, [0, 0, 0, 0], a="true")
     hand.see(lambda h: h.robot.wishes.gait == "walk")
     hold(hand, [0, -1, -0.9, 0])
@@ -161,39 +161,37 @@ def test_a_gamepad_walks_steers_and_stops(hand):
     hand.see(lambda h: not h.ahead.any())
     hold(hand, [0.9, 0.3, 0, 0])
     hand.see(lambda h: h.robot.wishes.velocity[1] < 0.0)
-    hand.browser.run("navigator.getGamepads = () => [null]")  # it is unplugged
+    hand.window.evaluate(
+        "navigator.getGamepads = () => [null]"
+    )  # it is unplugged
     hand.see(lambda h: not h.robot.wishes.velocity.any())
 
 
 def test_the_mouse_pulls_at_the_torso_and_places_the_payload(hand):
     corner = hand.pixel([0.04, -0.03, 0.017])
-    hand.browser.drag(corner, (corner[0] + 150, corner[1]))
+    hand.drag(corner, (corner[0] + 150, corner[1]))
     hand.see(lambda h: np.linalg.norm(h.model.push) > 1.0)
-    hand.browser.mouse("mouseReleased", corner[0] + 150, corner[1])
+    hand.window.mouse.up()
     hand.see(lambda h: not h.model.push.any())
-    hand.open("World")
+    opened(hand.window, "World")
     hand.slide("payload (kg)", 0.3)
     hand.see(lambda h: h.model.payload[0] == 0.3)
 
     def placed():  # after it was dragged once
         x, y, top = hand.model.payload[1:]
-        hand.browser.drag(
-            hand.pixel([x, y, top]), goal := hand.pixel([-0.04, 0.02, top])
-        )
-        hand.browser.mouse("mouseReleased", *goal)
+        hand.drag(hand.pixel([x, y, top]), hand.pixel([-0.04, 0.02, top]))
+        hand.window.mouse.up()
         # until the page has acted; the robot sinks under the load meanwhile
         time.sleep(0.5)
         return np.allclose(hand.model.payload[1:3], [-0.04, 0.02], atol=0.02)
 
-    wait_for(placed, said=hand.browser.text)
+    wait_for(placed, said=hand.text)
 
 
 def test_the_page_draws_its_plots_and_requests_nothing_from_elsewhere(hand):
-    hand.open("Plots")
-    hand.see(
-        lambda h: h.browser.run("!!document.querySelector('.uplot canvas')")
-    )
+    opened(hand.window, "Plots")
+    hand.window.locator(".uplot canvas").first.wait_for()
     asked = "performance.getEntriesByType('resource').map(e => e.name)"
-    found = hand.browser.run(f"[location.href, ...{asked}]")
-    allowed = hand.browser.run("location.origin"), "blob:", "data:"
+    found = hand.window.evaluate(f"[location.href, ...{asked}]")
+    allowed = hand.window.evaluate("location.origin"), "blob:", "data:"
     assert [each for each in found if not each.startswith(allowed)] == []
