@@ -246,7 +246,7 @@ def test_a_class_name_occurs_once():
 # Statements that each part of the repository may have. What goes beyond brings its own cut.
 BUDGET = {
     "src/slot_core": 15_703,
-    "src/slot_lab": 6313,
+    "src/slot_lab": 6297,
     "src/slot_paper": 688,
     "src/slot_nodes": 2214,
     "slot_bringup": 2886,

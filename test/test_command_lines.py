@@ -258,11 +258,11 @@ REFUSED = {
             (["{}/nothing"], "nothing: does not exist"),
             (
                 [WALK, "--tolerance", "nan"],
-                "argument --tolerance: nan: outside [0, inf)",
+                "argument --tolerance: nan: outside [0, 1e+06]",
             ),
             (
                 [WALK, "--tolerance", "-1"],
-                "argument --tolerance: -1: outside [0, inf)",
+                "argument --tolerance: -1: outside [0, 1e+06]",
             ),
             ([WALK, "--remap", "/odom"], "expected OLD:=NEW, names of topics"),
             (

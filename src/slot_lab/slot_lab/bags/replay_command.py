@@ -14,12 +14,11 @@ bag names.
 
 import argparse
 import gc
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from slot_core.command_line import CommandParser, ProgressLine
+from slot_core.command_line import CommandParser, ProgressLine, within
 from slot_core.refusal import InputError, quoted
 from slot_lab.bags.topics import OUTPUTS
 from slot_lab.desk_command import Outcome, run_command
@@ -27,13 +26,6 @@ from slot_lab.desk_command import Outcome, run_command
 TOLERANCE = 1e-6
 """Default of the largest difference, in the field's SI unit. Equal versions give none, on every
 processor; it leaves room for a change that is to change roundoff alone."""
-
-
-def _tolerance(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value < math.inf:  # no difference exceeds NaN
-        raise argparse.ArgumentTypeError(f"{text}: outside [0, inf)")
-    return value
 
 
 def _renaming(text: str) -> tuple[str, str]:
@@ -84,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add = parser.add_argument
     add(
         "--tolerance",
-        type=_tolerance,
+        type=within(0.0, 1e6),
         default=TOLERANCE,
         metavar="N",
         help="largest difference, in SI units (default: %(default)g)",

@@ -126,14 +126,15 @@ def calibrate(views: list[BoardView], size: tuple[int, int]) -> Calibration:
     Views whose error is GROSS times the median are left out once. Raises also if the corners do not
     span COVERED_MIN of the image, and for an error beyond ERROR_MAX.
     """
-    covered = _covered(views, size)
     if len(views) < VIEWS_MIN:
         raise CameraError(
             f"{len(views)} images show the board, at least {VIEWS_MIN} are needed"
         )
-    if min(covered) < COVERED_MIN:
+    corners = np.vstack([view.pixels for view in views])
+    width, height = (np.ptp(corners, axis=0) / size).tolist()
+    if min(width, height) < COVERED_MIN:
         raise CameraError(
-            f"the board covers {100 * covered[0]:.0f} % of the width and {100 * covered[1]:.0f} %"
+            f"the board covers {100 * width:.0f} % of the width and {100 * height:.0f} %"
             f" of the height in all images together, at least {100 * COVERED_MIN:.0f} % are"
             " needed"
         )
@@ -153,7 +154,7 @@ def calibrate(views: list[BoardView], size: tuple[int, int]) -> Calibration:
         error,
         dict(zip(names, errors.tolist())),
         tuple(view.name for view in views if view.name not in names),
-        covered,
+        (width, height),
     )
 
 
@@ -214,12 +215,3 @@ def _covariance(
             "the views do not determine the camera: tilt the board"
         ) from None
     return np.asarray(variance * scale[:, None] * inverse * scale)
-
-
-def _covered(
-    views: list[BoardView], size: tuple[int, int]
-) -> tuple[float, float]:
-    if not views:
-        return 0.0, 0.0
-    span = np.ptp(np.vstack([view.pixels for view in views]), axis=0) / size
-    return float(span[0]), float(span[1])

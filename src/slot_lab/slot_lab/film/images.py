@@ -113,7 +113,17 @@ def _opened(path: Path) -> cv2.VideoCapture:
 
 
 def _of_folder(path: Path, rate: float) -> Iterator[Frame]:
-    for number, file in enumerate(_files(path)):
+    """The images of a folder in the order of their names."""
+    files = sorted(
+        f
+        for f in path.glob("*")
+        if f.suffix.lower() in SUFFIXES and f.is_file()
+    )
+    if not files:
+        raise FilmError(
+            f"{path}: a folder without images ({', '.join(SUFFIXES)})"
+        )
+    for number, file in enumerate(files):
         image = cv2.imread(str(file), cv2.IMREAD_COLOR)
         if image is None:
             raise FilmError(f"{file}: no image that OpenCV can read")
@@ -127,20 +137,6 @@ def _of_bag(path: Path, topic: str) -> Iterator[Frame]:
             yield Frame(time, grey_image(message))
     except (BagError, ValueError, AttributeError) as error:
         raise FilmError(f"{path}: {topic}: {error}") from None
-
-
-def _files(path: Path) -> list[Path]:
-    """The images of a folder in the order of their names; raises FilmError if there are none."""
-    files = sorted(
-        f
-        for f in path.glob("*")
-        if f.suffix.lower() in SUFFIXES and f.is_file()
-    )
-    if not files:
-        raise FilmError(
-            f"{path}: a folder without images ({', '.join(SUFFIXES)})"
-        )
-    return files
 
 
 def _grey(image: Any) -> GreyImage:

@@ -5,7 +5,6 @@ A figure is a number with a name and a unit, for comparing two runs. Its name is
 `servo_load.FL` and `stages.mpc_controller.max`.
 """
 
-import dataclasses
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -306,18 +305,13 @@ def figures(metrics: WalkMetrics) -> list[Figure]:
 
 def _parts(name: str, value: Any) -> Iterator[tuple[str, float]]:
     """Numbers in a field, with their names; the number of a latency's samples is left out."""
+    if isinstance(value, Latency):
+        value = {"p50": value.p50, "p99": value.p99, "max": value.max}
+    elif isinstance(value, tuple):
+        value = dict(zip(LEGS, value))
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _parts(f"{name}.{key}", inner)
-    elif isinstance(value, Latency):
-        parts = dataclasses.asdict(value)
-        yield from (
-            (f"{name}.{part}", parts[part]) for part in ("p50", "p99", "max")
-        )
-    elif isinstance(value, tuple):
-        yield from (
-            (f"{name}.{leg}", float(part)) for leg, part in zip(LEGS, value)
-        )
     else:
         yield name, math.nan if value is None else float(value)
 

@@ -255,9 +255,10 @@ def errors(run: Array, measured: Array, block: int) -> Errors:
         if crosses_zero:
             ends[0, 2] = 0.0
         low, high = (metrics(end, span) for end in ends.tolist())
-        for name in NAMES:
-            first, last = sorted((low[name], high[name]))
-            interval[name] = first, last
+        interval = {
+            name: (min(low[name], high[name]), max(low[name], high[name]))
+            for name in NAMES
+        }
     return Errors(value, interval, span, len(off))
 
 
