@@ -99,7 +99,7 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
     },
     "servo": {
         "cycle": ("fast_sync_read", "usb_latency_ms", "rate_hz", "p99_ms"),
-        "step": ("load", "rise_ms", "overshoot_deg", "error_deg"),
+        "step": ("control", "load", "rise_ms", "overshoot_deg", "error_deg"),
         "age": ("nodes", "p50_ms", "p99_ms", "largest_ms"),
     },
 }

@@ -1,4 +1,4 @@
-"""The servo bus: rate, step responses, registers of another tool, age of a command.
+"""The servo bus: rate, step responses of both control loops, registers of another tool, age of a command.
 
 The servos are emulated behind a pseudo-terminal in a separate process, with the transmission time
 of the bytes at 1 Mbaud. The rate is the median cycle's, because
@@ -8,6 +8,7 @@ is as without it.
 """
 
 import contextlib
+import itertools
 import math
 import subprocess
 import sys
@@ -45,6 +46,10 @@ STEP = (0.5, 1.5)  # rad
 # with another value of the first two a servo does not answer; the driver sets the third
 ADDRESSING = ("id", "baud_rate", "torque_enable")
 LOADS = (0.0, 0.3)  # N m on the tendon's angle
+STYLES = {
+    "position": ("C0", "servo's own loop"),
+    "pwm": ("C1", "loop on the host, PWM mode"),
+}
 
 
 def run(quick: bool, out: Path, progress: Progress) -> Outcome:
@@ -108,11 +113,23 @@ def step_rows(path: Path) -> Iterator[Row]:
     """Responses to a step, and their plot: sampled every 10 ms, without and with load, N m."""
     figure = Figure(figsize=(7.0, 3.6), layout="constrained")
     axes = figure.add_subplot()
-    for load in LOADS:
-        trace = step_response(load)
-        yield {"kind": "step", "load": load, **measures(trace)}
-        times = 1e3 * CYCLE * np.arange(len(trace))
-        axes.plot(times, trace, label=f"{load:g} N m")
+    for (control, (colour, name)), load in itertools.product(
+        STYLES.items(), LOADS
+    ):
+        trace = step_response(control, load)
+        yield {
+            "kind": "step",
+            "control": control,
+            "load": load,
+            **measures(trace),
+        }
+        times, style = (
+            1e3 * CYCLE * np.arange(len(trace)),
+            "--" if load else "-",
+        )
+        axes.plot(
+            times, trace, style, color=colour, label=f"{name}, {load:g} N m"
+        )
     axes.set(xlabel="time, ms", ylabel="tendon angle, rad", xlim=(0.0, 600.0))
     axes.grid(alpha=0.3)
     axes.legend(frameon=False)
@@ -121,7 +138,7 @@ def step_rows(path: Path) -> Iterator[Row]:
 
 def register_rows() -> Iterator[Row]:
     """Whether the driver names a register, and the change of the step response with it or once mended."""
-    sound = step_response(0.0)
+    sound = step_response("position", 0.0)
     left = (
         register
         for register in TABLE.values()
@@ -129,7 +146,7 @@ def register_rows() -> Iterator[Row]:
     )
     for register in left:
         for value in (register.low, register.high):
-            servos, driver = resting()
+            servos, driver = resting("position")
             servos.bus.servos[0].memory[register.name] = value
             reasons: list[str] = []
             try:
@@ -156,16 +173,17 @@ def register_rows() -> Iterator[Row]:
             }
 
 
-def step_response(load: float) -> list[float]:
+def step_response(control: str, load: float) -> list[float]:
     """Angles after a step, rad; `load`: torque on the tendon angles, N m."""
-    servos, driver = resting()
+    servos, driver = resting(control)
     driver.configure()
     return stepped(servos, driver, load)
 
 
-def resting() -> tuple[EmulatedDynamixels, Driver]:
+def resting(control: str) -> tuple[EmulatedDynamixels, Driver]:
     """Servos at the begin of a step, and a driver of them that is not configured yet."""
-    servos = EmulatedDynamixels(read_settings(), read_emulator(), STEP[:1] * 4)
+    settings = config.replace(read_settings(), {"control": control})
+    servos = EmulatedDynamixels(settings, read_emulator(), STEP[:1] * 4)
     return servos, servos.connect(lambda: servos.bus.time)
 
 

@@ -18,6 +18,7 @@ from slot_core.dynamixel.table import (
     BAUD_RATES,
     PWM_FULL,
     RAD_PER_COUNT,
+    Mode,
 )
 from slot_core.faults import hardware_errors
 from slot_core.refusal import read_text
@@ -55,6 +56,7 @@ def expected(settings: DynamixelSettings, joint: Joint) -> dict[str, int]:
     """EEPROM values that the configuration requires of a servo, by register name."""
     low, high = joint.limits()
     return settings.servo.eeprom() | {
+        "operating_mode": settings.mode,
         "min_position_limit": low,
         "max_position_limit": high,
         "baud_rate": BAUD_RATES.index(settings.bus.baud),
@@ -126,6 +128,9 @@ def prepare_torque(bus: Bus, settings: DynamixelSettings, joint: Joint) -> int:
         raise RefusedError(reasons)
     # Armed before torque comes on.
     bus.write_verified(joint.id, "bus_watchdog", settings.servo.watchdog_code())
+    if settings.mode is Mode.PWM:
+        bus.write_verified(joint.id, "goal_pwm", 0)
+        return present
     for register, value in (
         ("goal_pwm", PWM_FULL),
         ("profile_acceleration", 0),

@@ -2,6 +2,16 @@
 
 Model, firmware and EEPROM of every servo are checked; every write outside a cycle is read back.
 Raises also CommunicationError and InstructionError of `bus.py`, which are ServoErrors.
+
+Position control on the host: PID whose output is the servos' PWM duty.
+
+    duty = k_p e + I - k_d w,   e = goal - angle,   dI/dt = k_i e
+
+w is the measured speed through a first-order low-pass filter; the derivative acts on it and not on
+e, so that a step of the goal causes no kick. The duty is limited to +-duty_limit and its change to
+duty_rate. The integral is held while the duty is at one of these limits and e would drive it
+further (anti-windup by clamping: Astrom and Hagglund, Advanced PID Control, 2006, section 3.5).
+Four legs at once; angles in rad, time in s, duty 1: full voltage.
 """
 
 import contextlib
@@ -27,10 +37,11 @@ from slot_core.dynamixel.checks import (
 from slot_core.dynamixel.port import SerialPort, check_latency
 from slot_core.dynamixel.settings import (
     DynamixelSettings,
+    HostPidSettings,
     Joint,
     joints,
 )
-from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT
+from slot_core.dynamixel.table import LOAD_FULL, VOLTAGE_UNIT, Mode
 from slot_core.robot import LEGS
 from slot_core.servos.servo_bus import (
     BusFacts,
@@ -42,6 +53,46 @@ from slot_core.servos.servo_bus import (
     ServoStatus,
     TorqueOff,
 )
+
+
+class HostPid:
+    """PID of the four legs, with its state."""
+
+    def __init__(self, settings: HostPidSettings) -> None:
+        self._settings = settings
+        self.reset()
+
+    def reset(self) -> None:
+        """Set integral, filtered speed and duty to 0."""
+        self.integral: Array = np.zeros(len(LEGS))
+        self.duty: Array = np.zeros(len(LEGS))
+        self._speed: Array = np.zeros(len(LEGS))
+        self._missing: Array = np.zeros(len(LEGS))
+
+    def step(self, goal: Array, angle: Array, speed: Array, h: float) -> Array:
+        """Duty (4,) for the next h s from goal (rad), angle (rad) and speed (rad/s), each (4,).
+
+        NaN in angle or speed: no reading. A leg without a reading keeps its duty for `blind_time`,
+        then its duty is 0. Raises ValueError unless h is positive.
+        """
+        if h <= 0:
+            raise ValueError(f"h = {h}: expected a positive time")
+        s, valid = self._settings, np.isfinite(angle) & np.isfinite(speed)
+        self._missing = np.where(valid, 0.0, self._missing + h)
+        error = np.where(valid, goal - angle, 0.0)
+        weight = h / (s.filter_time + h)
+        self._speed += np.where(valid, weight * (speed - self._speed), 0.0)
+        integral = self.integral + s.i * h * error
+        unlimited = s.p * error + integral - s.d * self._speed
+        low = np.maximum(self.duty - s.duty_rate * h, -s.duty_limit)
+        high = np.minimum(self.duty + s.duty_rate * h, s.duty_limit)
+        limited = np.clip(unlimited, low, high)
+        winding = (unlimited - limited) * error > 0.0
+        self.integral = np.where(winding | ~valid, self.integral, integral)
+        held = np.where(self._missing <= s.blind_time, self.duty, 0.0)
+        self.duty = np.where(valid, limited, held)
+        return self.duty.copy()
+
 
 TORQUE_OFF_ATTEMPTS = 3
 # One of these is read from one servo in every cycle; no two have the same length.
@@ -91,7 +142,9 @@ class Driver:
         self._fast = False
         # ids whose last answer had a hardware error
         self._alerts: set[int] = set()
+        self._pid = HostPid(settings.host_pid)
         self._goal: Array = np.zeros(len(LEGS))  # rad, of the tendons
+        self._last: float | None = None
         self._turn = 0
 
     def configure(self) -> tuple[str, ...]:
@@ -158,22 +211,30 @@ class Driver:
         # an interrupt may have left an exchange unfinished
         self._port.is_using = False
         start = self.clock()
-        if self.active:
-            self.bus.sync_write(
-                "goal_position",
-                {
-                    joint.id: joint.counts(goal)
-                    for joint, goal in zip(self.joints, self._goal)
-                },
-            )
-        written = self.clock()
-        readings = self._read()
+        h = 0.0 if self._last is None else max(start - self._last, 0.0)
+        self._last = start
+        if self.settings.mode is Mode.PWM:
+            readings = self._read()
+            self._regulate(readings, h)
+            written = self.clock()
+        else:
+            if self.active:
+                self.bus.sync_write(
+                    "goal_position",
+                    {
+                        joint.id: joint.counts(goal)
+                        for joint, goal in zip(self.joints, self._goal)
+                    },
+                )
+            written = self.clock()
+            readings = self._read()
         self._update_health(readings)
         return Cycle(self.clock() - start, written, readings)
 
     def torque_off(self) -> TorqueOff:
         """Switch all torque off and read it back; never raises."""
         self.active = self._port.is_using = False
+        self._pid.reset()
         # all at once first: a silent servo delays the others
         with contextlib.suppress(ServoError):
             self.bus.sync_write(
@@ -232,6 +293,8 @@ class Driver:
     def _prepare(self) -> None:
         """Do everything that comes before torque on; the goals become the present positions."""
         reasons: list[str] = []
+        self._pid.reset()
+        self._last = None
         for index, joint in enumerate(self.joints):
             try:
                 present = prepare_torque(self.bus, self.settings, joint)
@@ -240,6 +303,27 @@ class Driver:
                 reasons += error.reasons
         if reasons:
             raise RefusedError(reasons)
+
+    def _regulate(
+        self, readings: tuple[ServoReading | None, ...], h: float
+    ) -> None:
+        """Write the duty of the host PID."""
+        if not self.active or h == 0.0:
+            return
+        angle, speed = np.array(
+            [
+                (np.nan, np.nan) if r is None else (r.angle, r.rate)
+                for r in readings
+            ]
+        ).T
+        duty = self._pid.step(self._goal, angle, speed, h)
+        self.bus.sync_write(
+            "goal_pwm",
+            {
+                joint.id: joint.pwm(share)
+                for joint, share in zip(self.joints, duty)
+            },
+        )
 
     def _read(self) -> tuple[ServoReading | None, ...]:
         answers = self.bus.sync_read(

@@ -1,4 +1,4 @@
-"""Settings of the servo bus, the servos on it and the gains of their position control.
+"""Settings of the servo bus, the servos on it and their position control.
 
 Values: `config/dynamixel.yaml`.
 """
@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from slot_core import config
-from slot_core.config import ConfigError, quantity, text
+from slot_core.config import ConfigError, choice, quantity, text
 from slot_core.dynamixel.table import (
     BAUD_RATES,
     COUNTS,
@@ -23,6 +23,8 @@ from slot_core.dynamixel.table import (
 )
 from slot_core.faults import HARDWARE_ERROR_BITS
 from slot_core.robot import LEGS
+
+MODES = {"position": Mode.POSITION, "pwm": Mode.PWM}
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,6 @@ class ServoSetup:
         """EEPROM values that are the same for all servos, by register name."""
         return {
             "drive_mode": 0,
-            "operating_mode": Mode.POSITION,
             "secondary_id": NO_SECONDARY_ID,
             "protocol_type": 2,
             "homing_offset": 0,
@@ -150,6 +151,27 @@ class GainSettings:
 
 
 @dataclass(frozen=True)
+class HostPidSettings:
+    """Position PID on the host, of tendon angles; equations: `driver.py`."""
+
+    p: float = quantity("P gain, duty per angle", "1/rad", 0.0, 1e3)
+    i: float = quantity(
+        "I gain, duty per angle and time", "1/(rad s)", 0.0, 1e4
+    )
+    d: float = quantity("D gain, duty per speed", "s/rad", 0.0, 1e2)
+    filter_time: float = quantity(
+        "time constant of the filter of the speed", "s", 0.0, 1.0
+    )
+    duty_limit: float = quantity("largest duty", "", 0.0, 1.0)
+    duty_rate: float = quantity(
+        "largest rate of change of the duty", "1/s", 0.1, 1e4
+    )
+    blind_time: float = quantity(
+        "time without a reading until the duty is 0", "s", 0.0, 1.0
+    )
+
+
+@dataclass(frozen=True)
 class DynamixelSettings:
     """Contents of `config/dynamixel.yaml`."""
 
@@ -157,6 +179,15 @@ class DynamixelSettings:
     servo: ServoSetup
     joints: JointSettings
     gains: GainSettings
+    host_pid: HostPidSettings
+    control: str = choice(
+        "position loop: of the servo, or of the host in PWM mode", *MODES
+    )
+
+    @property
+    def mode(self) -> Mode:
+        """Operating mode of the servos."""
+        return MODES[self.control]
 
 
 def read_settings() -> DynamixelSettings:
@@ -205,6 +236,10 @@ class Joint:
     def servo_torque(self, torque: float) -> float:
         """Torque on the servo angle (N m) from the torque on the tendon angle, at equal power."""
         return torque / (self.direction * self.ratio)
+
+    def pwm(self, duty: float) -> int:
+        """Value of Goal PWM for a duty in [-1, 1], positive when pulling."""
+        return round(self.direction * duty * PWM_FULL)
 
     def limits(self) -> tuple[int, int]:
         """Min and Max Position Limit of the servo (counts): the commanded range plus the margin."""

@@ -35,6 +35,7 @@ from slot_core.dynamixel.table import (
     BAUD_RATES,
     TABLE,
     VOLTAGE_UNIT,
+    Mode,
 )
 from slot_core.faults import BUS_KINDS, Fault, hardware_errors
 from slot_core.robot import LEGS
@@ -207,6 +208,10 @@ def move(settings: DynamixelSettings, options: argparse.Namespace) -> int:
             raise ConfigError(
                 f"{name} {value:g}: outside [{least:g}, {most:g}]"
             )
+    if settings.mode is not Mode.POSITION:
+        raise ConfigError(
+            "control = pwm: a leg moves alone with control: position of dynamixel.yaml"
+        )
     bus = _open(settings)
     _, reasons = examine(bus, settings, joint)
     if reasons:
