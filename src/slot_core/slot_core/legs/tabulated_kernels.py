@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from numba.extending import overload
 
-from slot_core.arrays import Array
+from slot_core.arrays import Array, Shapes, named
 from slot_core.compiled import OPTIONS, helper, kernel
 from slot_core.dynamics.algebra import (
     combined,
@@ -67,14 +67,17 @@ class MapLegs(NamedTuple):
     damping_time: float  # s
 
 
-class Feet(NamedTuple):
-    """Variables of the legs beside the mechanical state."""
-
-    command: Array  # (4,) rad
-    force: Array  # (4, 3) N, of the floor on the feet, odom, at the stage of the last step
-    limit: Array  # (4,) N, mu times the normal force of an edge
-    slip: Array  # (4, 2, 3) m/s, of the left and the right edge, odom; of bristle friction alone
-    flat: Array  # (2,) slopes of the floor, zero
+FEET: Shapes = {
+    "command": (4,),  # rad
+    # N, of the floor on the feet, odom, at the stage of the last step
+    "force": (4, 3),
+    "limit": (4,),  # N, mu times the normal force of an edge
+    # m/s, of the left and the right edge, odom; of bristle friction alone
+    "slip": (4, 2, 3),
+    "flat": (2,),  # slopes of the floor, zero
+}
+"""Variables of the legs beside the mechanical state."""
+Feet = named("Feet", FEET, __name__)
 
 
 class LegResponse(NamedTuple):

@@ -9,7 +9,6 @@ from slot_core.config import ConfigError
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
-    Model,
     build_model,
     build_scheme,
     leg_lanes,
@@ -72,8 +71,9 @@ class RodRobot(KernelRobot):
         """
         model = build_model(robot, scene, servo)
         law = scene.floor.friction_law != self.scene.floor.friction_law
-        shapes = _state_shapes(model) != _state_shapes(self.model)
-        if scene.solver != self.scene.solver or law or shapes:
+        size = len(matching_state(model).buffer)
+        branches = size != len(self.state.buffer)
+        if scene.solver != self.scene.solver or law or branches:
             raise ConfigError(
                 "solver, friction law and branches cannot change in a run"
             )
@@ -164,7 +164,3 @@ class RodRobot(KernelRobot):
     def _observe(self) -> tuple[Array, Array]:
         observe.points(self.model, self.state, self._points[0], self._points[1])
         return self._points[0], self._points[1]
-
-
-def _state_shapes(model: Model) -> list[tuple[int, ...]]:
-    return [view.shape for view in matching_state(model)]

@@ -154,12 +154,6 @@ def solve(p, r):
 
 
 @helper
-def solve_rows(p, rows):
-    """Solutions for the three right-hand sides of a block."""
-    return solve(p, rows[0]), solve(p, rows[1]), solve(p, rows[2])
-
-
-@helper
 def dot4(a, b):
     """Product of two rows of four numbers."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
@@ -338,7 +332,12 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     spin = rod.spin[k] * inv * inv
     pivot = _pivot(form, begin, t, scale, axial, stretch, normal, inertia, spin)
     # columns of X_k, of Phi_{k-1}: P^T ([m] / 2 - K) - axial p bulge^T, of lambda, of the gradient
-    x = _columns_of_place(form, begin, t, scale)
+    px, py, pz = rows(form.place)
+    x = (
+        _column_of_place(px, form.x, begin.x, t, scale),
+        _column_of_place(py, form.y, begin.y, t, scale),
+        _column_of_place(pz, form.z, begin.z, t, scale),
+    )
     c = between(hinge.tangent, hinge.moment)
     r = (
         _column(c[0], t, scale, -axial * bulge[0], stretch),
@@ -353,7 +352,8 @@ def _reduce(model, leg, k, inv, place, form, both, one):
         force, -inv * rod.coupling[k], growth(leg.velocity, leg.before, k)
     )
     loaded = _lift(force, begin.moment, t, scale)
-    w, z = solve_rows(pivot, x), solve_rows(pivot, r)
+    w = solve(pivot, x[0]), solve(pivot, x[1]), solve(pivot, x[2])
+    z = solve(pivot, r[0]), solve(pivot, r[1]), solve(pivot, r[2])
     wc, wo = solve(pivot, pulled), solve(pivot, loaded)
     _store(leg.back[k], w, z, wc, wo)
     form = Form(
@@ -411,19 +411,11 @@ def _pivot(form, begin, t, scale, axial, p, normal, inertia, spin):
 
 
 @helper
-def _columns_of_place(form, begin, t, scale):
-    """Columns of X_k over u: of the form beyond, and of the contact at the segment's begin."""
-    px, py, pz = rows(form.place)
-    return (
-        _column_of_place(px, form.x, begin.x, t, scale),
-        _column_of_place(py, form.y, begin.y, t, scale),
-        _column_of_place(pz, form.z, begin.z, t, scale),
-    )
-
-
-@helper
 def _column_of_place(p, behind, begin, t, scale):
-    """p + behind A + begin A over s, and (behind + begin).t over w."""
+    """A column of X_k over u, of the form beyond and of the contact at the segment's begin.
+
+    p + behind A + begin A over s, and (behind + begin).t over w.
+    """
     s = add(add(p, _arm(behind, t, scale)), _arm(begin, t, scale))
     return (*s, dot(behind, t) + dot(begin, t))
 
