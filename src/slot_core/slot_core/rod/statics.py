@@ -14,12 +14,11 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from slot_core.arrays import Array
+from slot_core.arrays import Array, Arrays
 from slot_core.rod import kernels
-from slot_core.rod.mesh import Mesh, RodWork
+from slot_core.rod.mesh import Mesh
 from slot_core.rod.model import need, need_positive
 
 # divisor of the first step, which measures the first rate of turn
@@ -109,25 +108,20 @@ class RodLoads(NamedTuple):
         return RodLoads(*(a + factor * (b - a) for a, b in zip(self, other)))
 
 
-def free_unknowns(mesh: Mesh) -> NDArray[np.intp]:
-    """Indices of the unknowns (`elimination.py`) that exist and that no support holds."""
-    return np.flatnonzero(mesh.free)
-
-
 class _Path:
     """Path of equilibria from the loads `begin` to the loads `end`."""
 
     def __init__(
         self,
         mesh: Mesh,
-        work: RodWork,
+        work: Arrays,
         begin: RodLoads,
         end: RodLoads,
         settings: StaticSettings,
     ) -> None:
         self.mesh, self.work, self.settings = mesh, work, settings
         self.begin, self.end = begin, end
-        self.place = work.stage[len(mesh.mass) - 1].copy()  # m, of the tip
+        self.place = work.stage[len(mesh.rod.mass) - 1].copy()  # m, of the tip
         self.factor, self.negative = 0.0, 0
         self.steps = self.iterations = 0
         self.critical: list[float] = []
@@ -273,7 +267,7 @@ class _Path:
         is 1 in absolute value.
         """
         mesh, size = self.mesh, len(self.mesh.metric)
-        matrix, free = np.zeros((size, size)), free_unknowns(mesh)
+        matrix, free = np.zeros((size, size)), np.flatnonzero(mesh.free)
         kernels.dense(mesh, self.work, loads, matrix)
         value, vector = eigh(
             (matrix + matrix.T)[np.ix_(free, free)] / 2,
@@ -283,7 +277,7 @@ class _Path:
         shape = np.zeros(size)
         shape[free] = vector[:, 0]
         rows = shape[4:-3].reshape(-1, 4)
-        step = np.diff(rows[:, :3], axis=0) / mesh.rest_length[:-1, None]
+        step = np.diff(rows[:, :3], axis=0) / mesh.rod.rest_length[:-1, None]
         turns = np.concatenate([step.ravel(), rows[:-1, 3]])
         return float(value[0]), shape / turns[np.abs(turns).argmax()]
 
@@ -296,7 +290,7 @@ class _Path:
 
 def follow(
     mesh: Mesh,
-    work: RodWork,
+    work: Arrays,
     begin: RodLoads,
     end: RodLoads,
     settings: StaticSettings,
