@@ -31,8 +31,8 @@ potential.
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
 import math
-from typing import NamedTuple
 
+from slot_core.arrays import named
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import (
     add,
@@ -58,14 +58,17 @@ from slot_core.dynamics.spatial.hinge import (
 from slot_core.dynamics.spatial.strain import frame_before, growth
 from slot_core.matrices import inner
 
-
-class Lever(NamedTuple):
-    """How a moment acts on (s, w): (scale m x t + keep m + m.t z, m.t)."""
-
-    t: tuple[float, float, float]
-    scale: float
-    keep: float
-    z: tuple[float, float, float]
+Lever = named(
+    "Lever",
+    [
+        "t",
+        "scale",
+        "keep",
+        "z",
+    ],
+    __name__,
+)
+"""How a moment acts on (s, w): (scale m x t + keep m + m.t z, m.t)."""
 
 
 ZERO = (0.0, 0.0, 0.0)

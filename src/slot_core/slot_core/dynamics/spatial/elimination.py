@@ -51,8 +51,7 @@ about the node adds the symmetric part of Phi -> -(Phi x a) x f.
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from typing import NamedTuple
-
+from slot_core.arrays import named
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import (
     add,
@@ -75,35 +74,42 @@ from slot_core.dynamics.lanes import any_lane, largest, like, total, where
 from slot_core.dynamics.spatial.hinge import Symmetric, bend, between, rows
 from slot_core.dynamics.spatial.strain import frame_before, growth
 
+Form = named(
+    "Form",
+    [
+        "place",  # over X
+        "x",  # rows X of the coupling to Phi
+        "y",
+        "z",
+        "turn",  # over Phi
+        "pull",  # column of lambda, rows X
+        "twist",  # rows Phi
+        "force",  # gradient, rows X
+        "moment",  # rows Phi
+    ],
+    __name__,
+)
+"""Quadratic form over (X, Phi, lambda | 1) of the leg beyond a node."""
 
-class Form(NamedTuple):
-    """Quadratic form over (X, Phi, lambda | 1) of the leg beyond a node."""
 
-    place: Symmetric  # over X
-    x: tuple[float, float, float]  # rows X of the coupling to Phi
-    y: tuple[float, float, float]
-    z: tuple[float, float, float]
-    turn: Symmetric  # over Phi
-    pull: tuple[float, float, float]  # column of lambda, rows X
-    twist: tuple[float, float, float]  # rows Phi
-    force: tuple[float, float, float]  # gradient, rows X
-    moment: tuple[float, float, float]  # rows Phi
-
-
-class Pivot(NamedTuple):
-    """Factors L D L^T of a symmetric 4 x 4 matrix: L below the diagonal, 1 / D."""
-
-    l10: float
-    l20: float
-    l30: float
-    l21: float
-    l31: float
-    l32: float
-    d0: float
-    d1: float
-    d2: float
-    d3: float
-    positive: bool
+Pivot = named(
+    "Pivot",
+    [
+        "l10",
+        "l20",
+        "l30",
+        "l21",
+        "l31",
+        "l32",
+        "d0",
+        "d1",
+        "d2",
+        "d3",
+        "positive",
+    ],
+    __name__,
+)
+"""Factors L D L^T of a symmetric 4 x 4 matrix: L below the diagonal, 1 / D."""
 
 
 @helper
