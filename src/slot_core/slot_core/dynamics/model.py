@@ -68,8 +68,7 @@ def state_shapes(nodes: int, points: int, relaxes: bool) -> Shapes:
         "tendon_rate": (4,),  # rad/s, over the last step
         "tension": (4,),  # N, at the stage of the last step
         "drive": (3, 4),  # state of the servos, see `servo.spool_rate`
-        # m, odom; zero with viscous friction, as those
-        "bristle": (points, 3, 4),
+        "bristle": (points, 3, 4),  # m, odom; zero with viscous friction
         "corner_bristle": (8, 3),  # of the torso's corners
         # strains of the branches (`spatial/strain.py`)
         "memory": (n if relaxes else 0, 4, 2, 4),

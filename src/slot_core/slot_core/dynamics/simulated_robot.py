@@ -44,9 +44,7 @@ class SimulatedRobot(ABC):
 
     parameters: RobotParameters
     scene: Scene
-    # arrays that the model writes in place, among them the torso's position, rotation, velocity, rate
-    # and specific_force, as the properties below return them
-    state: Any
+    state: Any  # arrays that the model writes in place; the properties below return copies of them
     steps = 0  # since the end of settling
 
     @abstractmethod
@@ -93,20 +91,13 @@ class SimulatedRobot(ABC):
         """Seconds since the end of settling."""
         return self.steps * self.scene.solver.step
 
-    @property
-    @abstractmethod
-    def tendon_angle(self) -> Array:
-        """(4,) rad, angle of the spools."""
-
-    @property
-    @abstractmethod
-    def tendon_rate(self) -> Array:
-        """(4,) rad/s, over the last step."""
-
-    @property
-    @abstractmethod
-    def tension(self) -> Array:
-        """(4,) N, of the tendons."""
+    tendon_angle = copy_of_state(
+        "tendon_angle", "(4,) rad, angle of the spools."
+    )
+    tendon_rate = copy_of_state(
+        "tendon_rate", "(4,) rad/s, over the last step."
+    )
+    tension = copy_of_state("tension", "(4,) N, of the tendons.")
 
     @property
     @abstractmethod
@@ -226,16 +217,6 @@ class KernelRobot(SimulatedRobot):
     def indefinite_steps(self) -> int:
         """Steps in which a pivot was not positive: a sign of a fold or of too large a step."""
         return int(self._work.counter[1])
-
-    tendon_angle = copy_of_state(
-        "tendon_angle", "(4,) rad, angle of the spools."
-    )
-    tendon_rate = copy_of_state(
-        "tendon_rate", "(4,) rad/s, over the last step."
-    )
-    tension = copy_of_state(
-        "tension", "(4,) N, of the tendons, at the stage of the last step."
-    )
 
     @property
     def servo_torque(self) -> Array:

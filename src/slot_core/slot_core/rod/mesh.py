@@ -115,6 +115,9 @@ def build_mesh(  # noqa: PLR0917
         [chain["mass"], chain["mass"], chain["mass"], turning]
     )
     held = np.array([[*end.position, *end.rotation] for end in (base, tip)])
+    free = np.ones(4 * nodes + 7)
+    free[[3, -4]] = 0.0
+    free[[4, 5, 6, 0, 1, 2]], free[[-7, -6, -5, -3, -2, -1]] = 1.0 - held
     return Mesh(
         rod=Rod(
             node=shape[:, :2],
@@ -131,7 +134,7 @@ def build_mesh(  # noqa: PLR0917
             [np.full(4, turning[0]), of_nodes.ravel(), np.full(3, turning[-1])]
         ),
         held=held,
-        free=_free(held, nodes),
+        free=free,
         none=TendonModel(np.zeros(nodes), np.zeros(nodes), 0.0, 0.0, 0.0, 0.0),
         cables=_cables(tendons, arc),
         walls=_walls(planes, arc),
@@ -156,14 +159,6 @@ def sections(material: Material, geometry: Geometry, s: Array) -> Sections:
         mass=material.density * area,
         spin=material.density * (inner + outer),
     )
-
-
-def _free(held: Array, nodes: int) -> Array:
-    """(4 N + 7,) 1 for the unknowns (`elimination.py`) that exist and that no support holds."""
-    free = np.ones(4 * nodes + 7)
-    free[[3, -4]] = 0.0
-    free[[4, 5, 6, 0, 1, 2]], free[[-7, -6, -5, -3, -2, -1]] = 1.0 - held
-    return free
 
 
 def _cables(tendons: Sequence[RodTendon], arc: Array) -> Cables:

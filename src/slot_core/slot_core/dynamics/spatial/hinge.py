@@ -18,11 +18,7 @@ from slot_core.compiled import helper
 from slot_core.dynamics.algebra import combined, dot, plus, scaled
 from slot_core.dynamics.lanes import like
 
-Symmetric = named(
-    "Symmetric",
-    ["xx", "xy", "xz", "yy", "yz", "zz"],
-    __name__,
-)
+Symmetric = named("Symmetric", "xx xy xz yy yz zz", __name__)
 """Upper half of a symmetric 3 x 3 matrix."""
 
 
