@@ -37,6 +37,7 @@ from slot_core.gait.gait import GaitPreview, Vector3
 from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product, sparse_product
 from slot_core.mpc.force_mpc import ForceMpc
+from slot_core.mpc.force_problem import Solution, options, solution_of
 from slot_core.mpc.model import (
     FEET,
     INPUTS,
@@ -49,7 +50,6 @@ from slot_core.mpc.model import (
     turned_to,
 )
 from slot_core.mpc.settings import MpcSettings
-from slot_core.mpc.solver import Solution, options, solution_of
 from slot_core.robot import GRAVITY, RobotParameters
 from slot_paper.force_map import ForceAngleLine
 from slot_paper.gaits import FRONT, pulled_leg

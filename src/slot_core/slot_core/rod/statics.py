@@ -125,9 +125,8 @@ class _Path:
         self.factor, self.negative = 0.0, 0
         self.steps = self.iterations = 0
         self.critical: list[float] = []
-        # load factor at which an unstable branch was left
-        self.left_at: float | None = None
-        self.rate = math.inf  # rad, turn per load factor in the last step
+        # rad, turn per load factor in the last step; infinite where an unstable branch was left
+        self.rate = math.inf
 
     def correct(self, factor: float) -> int | None:
         """Newton's method at a load factor from the posture; negative pivots, None if it fails."""
@@ -169,18 +168,22 @@ class _Path:
         )
         return min(s.largest_turn, s.turn_growth * expected + s.turn_floor)
 
-    def bisect(self, low: float, high: float, negative: int) -> float:
-        """Load factor between low and high at which the number of negative pivots changes."""
-        start = self.work.posture.copy()
+    def bisect(self, before: Array, low: float, high: float) -> float:
+        """Load factor between low and high at which the number of negative pivots changes.
+
+        before: the posture at the load factor low.
+        """
+        after = self.work.posture.copy()
+        self.work.posture[:] = before
         while high - low > self.settings.critical_tolerance * high:
             middle = (low + high) / 2
             if not low < middle < high:
                 break  # neighbouring numbers
-            if self.correct(middle) == negative:
+            if self.correct(middle) == self.negative:
                 low = middle
             else:
                 high = middle
-        self.work.posture[:] = start
+        self.work.posture[:] = after
         return (low + high) / 2
 
     def advance(self, factor: float) -> bool:
@@ -190,25 +193,14 @@ class _Path:
         if negative is None:
             return False
         if negative != self.negative:
-            after = self.work.posture.copy()
-            self.work.posture[:] = before
-            self.critical.append(
-                self.bisect(self.factor, factor, self.negative)
-            )
-            self.work.posture[:] = after
-            if negative > self.negative and self.settings.stay_stable:
-                negative = self.descend(factor)
-        turn = self.turn(frames)
-        self.rate = (
-            math.inf
-            if self.left_at == factor
-            else turn / (factor - self.factor)
-        )
-        self.factor, self.negative, self.steps = (
-            factor,
-            negative,
-            self.steps + 1,
-        )
+            self.critical.append(self.bisect(before, self.factor, factor))
+        descends = negative > self.negative and self.settings.stay_stable
+        if descends:
+            negative = self.descend(factor)
+        turn = self.turn(frames) / (factor - self.factor)
+        self.rate = math.inf if descends else turn
+        self.factor, self.negative = factor, negative
+        self.steps += 1
         return True
 
     def descend(self, factor: float) -> int:
@@ -257,7 +249,6 @@ class _Path:
             raise EquilibriumError(
                 "no stable branch found", self.factor, self.negative
             )
-        self.left_at = factor
         return 0
 
     def critical_shape(self, loads: RodLoads) -> tuple[float, Array]:
