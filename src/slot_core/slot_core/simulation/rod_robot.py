@@ -20,7 +20,7 @@ from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.dynamics.simulated_robot import KernelRobot, require_steps
 from slot_core.geometry import Transform
-from slot_core.matrices import product
+from slot_core.matrices import norm, product
 from slot_core.refusal import DivergenceError
 from slot_core.robot import LEGS, RobotParameters
 
@@ -94,13 +94,21 @@ class RodRobot(KernelRobot):
         done, where = integrator.advance(self.handle, steps)
         self.steps += done
         if where >= 0:
-            leg, node = divmod(where - 1, self.scene.solver.nodes)
-            place = f"leg {LEGS[leg]} node {node}" if where else "torso"
+            place = self._lost_node() if where else "torso"
             raise DivergenceError(
                 f"simulation diverged in step {self.steps + 1} at {self.time:.4f} s: {place} is"
                 f" beyond {self.scene.solver.speed_limit} m/s or not a number",
                 self.snapshot() | {"command": command},
             )
+
+    def _lost_node(self) -> str:
+        """The first node that diverged; of a leg whose tendon angle is not finite, node 0."""
+        with np.errstate(over="ignore"):
+            speed = norm(self.state.node_velocity)
+        sound = speed < self.scene.solver.speed_limit
+        sound[:, 0] &= np.isfinite(self.state.tendon_angle)
+        leg, node = np.argwhere(~sound)[0]
+        return f"leg {LEGS[leg]} node {node}"
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
         """Set a rigid motion of torso and legs: (3,) m/s in odom, (3,) rad/s in base_link."""

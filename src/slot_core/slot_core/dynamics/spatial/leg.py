@@ -170,9 +170,7 @@ def advance_bristles(floor, leg, h):
     """Integrate the bristles of a leg's contact points over the step."""
     for p in range(4 * (floor.first - 1), leg.bristle.shape[0]):
         k = p // 4
-        reach = floor.half_width
-        if p % 2 == 0:
-            reach = -reach
+        reach = floor.half_width if p % 2 else -floor.half_width
         arm = scaled(reach, row(leg.segments.director, k))
         u = row(leg.velocity, k + (p // 2) % 2)
         u = times(leg.field, add(u, cross(angular_velocity(leg, k), arm)))

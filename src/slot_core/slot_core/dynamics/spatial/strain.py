@@ -147,10 +147,9 @@ def frame(s, k):
 @helper
 def frame_before(s, k, clamp):
     """Frame (t, d, b) before the hinge at node k; clamp (3, 3): rows t, d, b before the first."""
-    before = (row(clamp, 0), row(clamp, 1), row(clamp, 2))
     if k > 0:
-        before = frame(s, k - 1)
-    return before
+        return frame(s, k - 1)
+    return row(clamp, 0), row(clamp, 1), row(clamp, 2)
 
 
 @helper
@@ -261,17 +260,10 @@ def relax(s, rod, memory, h, theta):
     second = h / (rod.relaxation[1, 1] + theta * h)
     for k in range(memory.shape[0]):
         bend = s.turn[k] - rod.rest_angle[k]
-        _approach(memory[k, 0], s.twist[k], first, second)
-        _approach(memory[k, 1], bend, first, second)
-        _approach(memory[k, 2], s.side[k], first, second)
-        _approach(memory[k, 3], s.extension[k], first, second)
-
-
-@helper
-def _approach(a, strain, first, second):
-    """Move both strains a (2,) towards a strain by a share each."""
-    a[0] += first * (strain - a[0])
-    a[1] += second * (strain - a[1])
+        strains = (s.twist[k], bend, s.side[k], s.extension[k])
+        for c in range(4):
+            memory[k, c, 0] += first * (strains[c] - memory[k, c, 0])
+            memory[k, c, 1] += second * (strains[c] - memory[k, c, 1])
 
 
 class Refinement(NamedTuple):
