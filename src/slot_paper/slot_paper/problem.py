@@ -34,6 +34,7 @@ from slot_core.control.policy import Status, TendonPlan
 from slot_core.elementary import cos, hypot, sin
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, Vector3
+from slot_core.geometry import matrix_of_rpy
 from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product, sparse_product
 from slot_core.mpc.force_mpc import ForceMpc
@@ -46,7 +47,6 @@ from slot_core.mpc.model import (
     FirstStage,
     Prediction,
     lever_arms,
-    rotation_z,
     turned_to,
 )
 from slot_core.mpc.settings import MpcSettings
@@ -218,7 +218,7 @@ class PaperProblem:
 
     def predict(self, dt: float, yaw: float = 0.0) -> Prediction:
         """Model of a stage of dt (s) at a yaw (rad), by explicit Euler."""
-        turn = rotation_z(yaw)
+        turn = matrix_of_rpy([0.0, 0.0, yaw])
         a, b, drift = (
             np.eye(STATES),
             np.zeros((STATES, INPUTS)),

@@ -36,6 +36,11 @@ def copy_of_state(name: str, text: str) -> Any:
     return property(lambda robot: getattr(robot.state, name).copy(), doc=text)
 
 
+def counted(index: int, text: str) -> Any:
+    """Property with this text: a count of steps of the robot's kernels."""
+    return property(lambda robot: int(robot._work.counter[index]), doc=text)
+
+
 class SimulatedRobot(ABC):
     """A robot in a scene, advanced in steps of `scene.solver.step`, with any model of the legs.
 
@@ -46,6 +51,10 @@ class SimulatedRobot(ABC):
     scene: Scene
     state: Any  # arrays that the model writes in place; the properties below return copies of them
     steps = 0  # since the end of settling
+    halvings: Any = (
+        0  # of a model that repeats or counts no steps, as `KernelRobot` does
+    )
+    indefinite_steps: Any = 0
 
     @abstractmethod
     def __init__(
@@ -75,16 +84,6 @@ class SimulatedRobot(ABC):
     def snapshot(self) -> dict[str, Any]:
         """Copies of time, counters, motion, tendons and nodes, by property name (`SNAPSHOT`)."""
         return {name: getattr(self, name) for name in SNAPSHOT}
-
-    @property
-    def halvings(self) -> int:
-        """Number of times a step was repeated in pieces half as long."""
-        return 0
-
-    @property
-    def indefinite_steps(self) -> int:
-        """Steps in which a pivot was not positive: a sign of a fold or of too large a step."""
-        return 0
 
     @property
     def time(self) -> float:
@@ -208,15 +207,13 @@ class KernelRobot(SimulatedRobot):
             not broken,
         )
 
-    @property
-    def halvings(self) -> int:
-        """Number of times a step was repeated in pieces half as long."""
-        return int(self._work.counter[0])
-
-    @property
-    def indefinite_steps(self) -> int:
-        """Steps in which a pivot was not positive: a sign of a fold or of too large a step."""
-        return int(self._work.counter[1])
+    halvings = counted(
+        0, "Number of times a step was repeated in pieces half as long."
+    )
+    indefinite_steps = counted(
+        1,
+        "Steps in which a pivot was not positive: a sign of a fold or of too large a step.",
+    )
 
     @property
     def servo_torque(self) -> Array:

@@ -18,7 +18,11 @@ from slot_core.dynamics.model import (
 )
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import KernelRobot, require_steps
+from slot_core.dynamics.simulated_robot import (
+    KernelRobot,
+    counted,
+    require_steps,
+)
 from slot_core.geometry import Transform
 from slot_core.matrices import norm, product
 from slot_core.refusal import DivergenceError
@@ -142,10 +146,10 @@ class RodRobot(KernelRobot):
             "before_tendon_angle": before.tendon_angle.copy(),
         }
 
-    @property
-    def unconverged_steps(self) -> int:
-        """Steps accepted with too large a correction because no halvings were left."""
-        return int(self._work.counter[2])
+    unconverged_steps = counted(
+        2,
+        "Steps accepted with too large a correction because no halvings were left.",
+    )
 
     @property
     def nodes(self) -> Array:
