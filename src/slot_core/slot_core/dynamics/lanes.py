@@ -303,10 +303,9 @@ def _part(kind):
             )
         # not aligned: NumPy aligns to 16 bytes, a vector needs 32
         return types.Array(LANES, kind.ndim - 1, kind.layout, aligned=False)
-    parts = [_part(part) for part in kind.types]
-    if all(part == parts[0] for part in parts):
-        return types.NamedUniTuple(parts[0], len(parts), kind.instance_class)
-    return types.NamedTuple(parts, kind.instance_class)
+    return types.BaseTuple.from_types(
+        [_part(part) for part in kind.types], kind.instance_class
+    )
 
 
 def _convert(context, builder, kind, out, value):
