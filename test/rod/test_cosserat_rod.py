@@ -12,6 +12,7 @@ from benchmarks.rod import exact
 from benchmarks.rod.exact import THIN, THIN_MATERIAL, UNIT
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import (
+    CLAMPED,
     PINNED,
     ROLLER,
     Circle,
@@ -257,6 +258,29 @@ def test_buckled_column_has_the_shape_of_the_elastica(side):
     height = 2 * math.sin(angle / 2) / math.sqrt(load)
     assert abs(place(rod)[2]) == pytest.approx(height, rel=2e-5)
     assert abs(rod.tip.rotation[1]) == pytest.approx(angle, rel=2e-5)
+
+
+@pytest.mark.parametrize("base", [PINNED, CLAMPED])
+def test_a_cable_of_a_given_length_bends_a_supported_rod_as_its_pull_does(base):
+    """Statics, and the motion stays there: the supports hold."""
+    options = {
+        "base": base,
+        "tip": ROLLER,
+        "tendons": [RodTendon((0.0, 0.03), stiffness=1e3)],
+    }
+    one, other = (CosseratRod(UNIT, OBLONG, 9, **options) for _ in range(2))
+    loads = Loads(length=(0.98,))
+    one.solve_static(loads)
+    pull = one.tendons[0, 0]
+    other.solve_static(Loads(pull=(pull,)))
+    assert pull > 1.0
+    np.testing.assert_allclose(
+        one.state.position, other.state.position, atol=1e-9
+    )
+    one.run(1e-3, 20, loads)
+    np.testing.assert_allclose(
+        one.state.position, other.state.position, atol=1e-8
+    )
 
 
 def test_snap_through_is_an_error_with_the_last_load_factor():

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Shapes = dict[str, tuple[int, ...]]  # by the names of arrays
-Arrays = (
-    Any  # a named tuple of arrays, whose fields are the names of a `Shapes`
-)
+Arrays = Any  # a named tuple of arrays, with the names of a `Shapes`
 
 
 def checked(

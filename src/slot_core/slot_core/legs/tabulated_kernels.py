@@ -97,8 +97,6 @@ LegResponse = named(
     __name__,
 )
 """Interpolated row of the table; `_h` and `_a`: derivatives over height and angle."""
-
-
 Foot = named(
     "Foot",
     [
@@ -119,8 +117,6 @@ Foot = named(
     __name__,
 )
 """Contact of a leg with the floor, in step axes."""
-
-
 Grip = named(
     "Grip",
     [

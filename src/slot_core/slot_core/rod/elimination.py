@@ -3,8 +3,8 @@
 The unknowns of Newton's method are the turn of the base's section (3) and an unused entry, then of
 every node its displacement (3) and the turn w of the segment behind it about itself, which is
 unused at the tip's node, last the turn of the tip's section (3): x has 4 N + 7 entries. The hinge at
-node k depends on x[4 k : 4 k + 11]. Row i of work.factor (4 N + 7, 11) holds the columns from
-4 (i // 4) on of the tangent, whose upper half is used; row by row, it is eliminated in place.
+node k depends on x[4 k : 4 k + 11]. Row i of work.factor (4 N + 7, 11) holds the columns from i on of
+the tangent, whose upper half is used; row by row, it is eliminated in place.
 The unsymmetric terms of a follower force and of a dead moment enter the last 7 x 7 block alone. A
 negative pivot means that the tangent is not positive definite: the number of negative pivots is the
 number of unstable directions.
@@ -58,19 +58,8 @@ from slot_core.dynamics.spatial.hinge import (
 from slot_core.dynamics.spatial.strain import frame_before, growth
 from slot_core.matrices import inner
 
-Lever = named(
-    "Lever",
-    [
-        "t",
-        "scale",
-        "keep",
-        "z",
-    ],
-    __name__,
-)
+Lever = named("Lever", "t scale keep z", __name__)
 """How a moment acts on (s, w): (scale m x t + keep m + m.t z, m.t)."""
-
-
 ZERO = (0.0, 0.0, 0.0)
 SECTION = Lever(ZERO, 0.0, 1.0, ZERO)  # of an end
 WIDTH = 11  # number of unknowns of a hinge
@@ -86,9 +75,8 @@ def lever_of(work, k):
         return SECTION
     s, a = work.segments, row(work.begin, k)
     t, scale = row(s.direction, k), s.per_length[k]
-    return Lever(
-        t, scale, 0.0, plus(ZERO, scale / (1.0 + dot(a, t)), cross(t, a))
-    )
+    z = scaled(scale / (1.0 + dot(a, t)), cross(t, a))
+    return Lever(t, scale, 0.0, z)
 
 
 @helper
@@ -121,9 +109,9 @@ def hinge(mesh, work, k, inv, before, behind):
     put(work.moment, k, h.moment)
     put(work.residual, k, m)
     Q, tangent = work.form, rows(h.tangent)
-    _product(Q[:4, :4], tangent, before, before)
-    _product(Q[:4, 4:8], between(h.tangent, h.moment), before, behind)
-    _product(Q[4:8, 4:8], tangent, behind, behind)
+    _product(Q[:4, :4], tangent, before, before, True)
+    _product(Q[:4, 4:8], between(h.tangent, h.moment), before, behind, False)
+    _product(Q[4:8, 4:8], tangent, behind, behind, True)
     _gradient(Q, m, normal, before, behind)
     axial = viscous * rod.axial[k]
     _stretch(work.stretch[k], Q, h.bulge, before, behind, axial)
@@ -194,7 +182,7 @@ def lengthen(mesh, work, i):
         for c in range(8):
             along = mesh.cables.along[i, k] * work.stretch[k, c]
             q[c] = work.reach[i, k, c] + along
-        scatter(work, k, q, g)
+        scatter(g[4 * k : 4 * k + WIDTH], q, signs(work, k))
 
 
 @helper
@@ -211,7 +199,8 @@ def couple(mesh, work):
             x, g = work.response[i], work.gradient[i]
             for c in range(x.size):
                 x[c] = g[c] * mesh.free[c]
-            solve(work, x)
+            _forward(work, x)
+            _back(work, x)
             _restrain(work, x, i)
             work.yielding[i] = 1.0 / work.pull[i, 1] + inner(g, x)
             negative -= work.yielding[i] < 0.0
@@ -247,9 +236,9 @@ def touch(mesh, work, i, inv):
             force = plus(plus(force, normal, n), -drag, v)
             firm = (normal > 0.0) * (stiffness + damping * inv - drag * inv)
             for c in range(3):
-                work.factor[at + c, c] += drag * inv
-                for e in range(3):
-                    work.factor[at + c, e] += firm * n[c] * n[e]
+                work.factor[at + c, 0] += drag * inv
+                for e in range(c, 3):
+                    work.factor[at + c, e - c] += firm * n[c] * n[e]
     return force
 
 
@@ -265,12 +254,12 @@ def _refined(mesh, s, k, base):
 
 
 @helper
-def _product(out, r, left, right):
-    """out (4, 4) = P_left^T R P_right of a matrix R with the rows r."""
+def _product(out, r, left, right, upper):
+    """out (4, 4) = P_left^T R P_right of a matrix R with the rows r; its upper half, or all."""
     a, b, c = acting(right, r[0]), acting(right, r[1]), acting(right, r[2])
     for j in range(4):
         column = acting(left, (a[j], b[j], c[j]))
-        for i in range(4):
+        for i in range(j + 1 if upper else 4):
             out[i, j] = column[i]
 
 
@@ -296,7 +285,7 @@ def _stretch(g, Q, bulge, before, behind, axial):
         g[4 + i] += behind.t[i]
     for i in range(8):
         share = axial * g[i]
-        for j in range(8):
+        for j in range(i, 8):
             Q[i, j] += share * g[j]
 
 
@@ -319,7 +308,7 @@ def own(mesh, work, k, inv, lever):
     pull, lag = acting(lever, turning), growth(work.speed, work.before, k)
     for i in range(3):
         g = square * q[i] - across * t[i]
-        for j in range(3):
+        for j in range(i, 3):
             Q[i, j] += t[j] * g + square * q[j] * t[i]
         Q[i, i] += across - mu * inv
         Q[i, 3] += half * (m[i] - mt * t[i])
@@ -330,10 +319,10 @@ def own(mesh, work, k, inv, lever):
 
 @helper
 def signs(work, k):
-    """Factors of the hinge at node k: s before it over the displacements of the node before and of
-    node k, and the negative of s behind it over that of node k.
+    """Factors of displacements in the differences s before and behind the hinge at node k.
 
-    An end's section has its turn in place of s.
+    Before it sign x_{k-1} + share x_k, behind it x_{k+1} - keep x_k; the turn of an end's section
+    stands for the displacement beyond the end, and for s.
     """
     return 1.0 - 2.0 * (k > 0), 1.0 * (k > 0), 1.0 * (k < work.normal.size - 1)
 
@@ -341,43 +330,45 @@ def signs(work, k):
 @helper
 def spread(work, k):
     """Add the form of the hinge at node k over its unknowns to the tangent."""
-    A, Q, at, (sign, share, keep) = (
-        work.factor,
-        work.form,
-        4 * k,
-        signs(work, k),
-    )
+    A, Q, at = work.factor, work.form, 4 * k
+    sign, share, keep = signs(work, k)
     for i in range(3):
-        for j in range(3):
+        for j in range(i, 3):
             aa, ab, bb = Q[i, j], Q[i, 4 + j], Q[4 + i, 4 + j]
             both = share * (aa - keep * (ab + Q[j, 4 + i])) + keep * bb
-            A[at + i, j] += aa
-            A[at + i, 4 + j] += sign * (share * aa - keep * ab)
-            A[at + i, 8 + j] += sign * ab
-            A[at + 4 + i, j] += both
-            A[at + 4 + i, 4 + j] += share * ab - keep * bb
-            A[at + 8 + i, j] += bb
-        A[at + i, 3] += sign * Q[i, 3]
-        A[at + i, 7] += sign * Q[i, 7]
-        A[at + 3, 4 + i] += share * Q[i, 3] - keep * Q[3, 4 + i]
-        A[at + 3, 8 + i] += Q[3, 4 + i]
-        A[at + 4 + i, 3] += share * Q[i, 7] - keep * Q[4 + i, 7]
-        A[at + 7, 4 + i] += Q[4 + i, 7]
-    A[at + 3, 3] += Q[3, 3]
-    A[at + 3, 7] += Q[3, 7]
-    A[at + 7, 3] += Q[7, 7]
+            A[at + i, j - i] += aa
+            A[at + 4 + i, j - i] += both
+            A[at + 8 + i, j - i] += bb
+        for j in range(3):
+            aa, ab, bb = (
+                Q[min(i, j), max(i, j)],
+                Q[i, 4 + j],
+                Q[4 + min(i, j), 4 + max(i, j)],
+            )
+            A[at + i, 4 + j - i] += sign * (share * aa - keep * ab)
+            A[at + i, 8 + j - i] += sign * ab
+            A[at + 4 + i, 4 + j - i] += share * ab - keep * bb
+        A[at + i, 3 - i] += sign * Q[i, 3]
+        A[at + i, 7 - i] += sign * Q[i, 7]
+        A[at + 3, 1 + i] += share * Q[i, 3] - keep * Q[3, 4 + i]
+        A[at + 3, 5 + i] += Q[3, 4 + i]
+        A[at + 4 + i, 3 - i] += share * Q[i, 7] - keep * Q[4 + i, 7]
+        A[at + 7, 1 + i] += Q[4 + i, 7]
+    A[at + 3, 0] += Q[3, 3]
+    A[at + 3, 4] += Q[3, 7]
+    A[at + 7, 0] += Q[7, 7]
 
 
 @helper
-def scatter(work, k, q, x):
-    """Add a derivative q (8,) over (s, w) before and behind node k to x (4 N + 7,)."""
-    at, (sign, share, keep) = 4 * k, signs(work, k)
+def scatter(x, q, factors):
+    """Add a derivative q (8,) over (s, w) before and behind a node to x (11,), its hinge's unknowns."""
+    sign, share, keep = factors
     for i in range(3):
-        x[at + i] += sign * q[i]
-        x[at + 4 + i] += share * q[i] - keep * q[4 + i]
-        x[at + 8 + i] += q[4 + i]
-    x[at + 3] += q[3]
-    x[at + 7] += q[7]
+        x[i] += sign * q[i]
+        x[4 + i] += share * q[i] - keep * q[4 + i]
+        x[8 + i] += q[4 + i]
+    x[3] += q[3]
+    x[7] += q[7]
 
 
 @helper
@@ -397,7 +388,7 @@ def assemble(mesh, work, loads, inv):
         if k > 0:
             own(mesh, work, k - 1, inv, here)
         spread(work, k)
-        scatter(work, k, work.form[:, 8], x)
+        scatter(x[4 * k : 4 * k + WIDTH], work.form[:, 8], signs(work, k))
         node(mesh, work, loads.dead, k, inv)
     for c in range(3):
         x[4 * count + c] += follower_force(work, loads)[c]
@@ -410,7 +401,7 @@ def node(mesh, work, dead, i, inv):
     at, mass = 4 * i + 4, mesh.rod.mass[i] * inv
     pushed = touch(mesh, work, i, inv)
     for c in range(3):
-        work.factor[at + c, c] += mass * inv
+        work.factor[at + c, 0] += mass * inv
         force = dead[i, c] - mass * (work.speed[i, c] - work.before[i, c])
         work.change[at + c] += force + pushed[c]
 
@@ -444,37 +435,40 @@ def turn_tip(mesh, work, loads, F):
 def hold(mesh, work):
     """Replace the equations of the unknowns that are held or unused by x = work.gap (4 N + 7,)."""
     A, x, gap = work.factor, work.change, work.gap
-    for u in range(x.size):
-        if mesh.free[u] == 0.0:
-            for r in range(max(0, u - WIDTH), min(u + WIDTH, x.size)):
-                i, c = min(r, u), max(r, u) - 4 * (min(r, u) // 4)
-                if c < WIDTH:
-                    x[r] -= A[i, c] * gap[u]
-                    A[i, c] = 0.0
-            A[u, u % 4] = 1.0
-            x[u] = gap[u]
+    for u in mesh.fixed:
+        for c in range(1, WIDTH):
+            if u >= c:
+                x[u - c] -= A[u - c, c] * gap[u]
+                A[u - c, c] = 0.0
+            if u + c < x.size:
+                x[u + c] -= A[u, c] * gap[u]
+            A[u, c] = 0.0
+        A[u, 0] = 1.0
+        x[u] = gap[u]
 
 
 @helper
 def eliminate(mesh, work, loads, inv, shift):
-    """Factorise the tangent of `assemble`; returns the number of negative pivots.
+    """Factorise the tangent of `assemble`, and eliminate its gradient; the number of negative pivots.
 
     shift: times the metric, added.
     """
-    A, negative = work.factor, 0
+    A, x, negative = work.factor, work.change, 0
     assemble(mesh, work, loads, inv)
-    for i in range(work.change.size):
-        A[i, i % 4] += shift * mesh.metric[i]
+    if shift > 0.0:
+        for i in range(x.size):
+            A[i, 0] += shift * mesh.metric[i]
     hold(mesh, work)
-    for i in range(4 * work.normal.size):
-        place, at = i % 4, i - i % 4
-        negative += A[i, place] < 0.0
-        pivot = 1.0 / A[i, place]
-        for r in range(place + 1, WIDTH):
-            ratio, left = A[i, r] * pivot, 4 * (r // 4)
-            for c in range(r, WIDTH):
-                A[at + r, c - left] -= ratio * A[i, c]
-        A[i, place] = pivot
+    for k in range(work.normal.size):
+        for j in range(4):
+            i = 4 * k + j
+            negative += A[i, 0] < 0.0
+            A[i, 0] = 1.0 / A[i, 0]
+            for r in range(1, WIDTH - j):
+                ratio = A[i, r] * A[i, 0]
+                x[i + r] -= ratio * x[i]
+                for c in range(r, WIDTH - j):
+                    A[i + r, c - r] -= ratio * A[i, c]
     return negative + _last(mesh, work, loads) + couple(mesh, work)
 
 
@@ -484,7 +478,7 @@ def _last(mesh, work, loads):
     F, at, negative = work.last, 4 * work.normal.size, 0
     for i in range(7):
         for j in range(i, 7):
-            F[i, j] = F[j, i] = work.factor[at + i, j - 4 * (i // 4)]
+            F[i, j] = F[j, i] = work.factor[at + i, j - i]
     turn_tip(mesh, work, loads, F)
     for i in range(7):
         negative += F[i, i] < 0.0
@@ -497,14 +491,21 @@ def _last(mesh, work, loads):
 
 
 @helper
-def solve(work, x):
-    """Replace a right-hand side x (4 N + 7,) by the solution; its held entries stay."""
-    A, F, count = work.factor, work.last, 4 * work.normal.size
-    for i in range(count):
-        value, at = x[i] * A[i, i % 4], i - i % 4
-        for c in range(i % 4 + 1, WIDTH):
-            x[at + c] -= A[i, c] * value
-    last = x[count:]
+def _forward(work, x):
+    """Eliminate a right-hand side x (4 N + 7,) as the tangent was."""
+    A = work.factor
+    for k in range(work.normal.size):
+        for j in range(4):
+            i = 4 * k + j
+            value = x[i] * A[i, 0]
+            for c in range(1, WIDTH - j):
+                x[i + c] -= A[i, c] * value
+
+
+@helper
+def _back(work, x):
+    """Replace a right-hand side x (4 N + 7,), eliminated, by the solution; held entries stay."""
+    A, F, last = work.factor, work.last, x[-7:]
     for i in range(7):
         for r in range(i + 1, 7):
             last[r] -= F[r, i] * last[i]
@@ -512,18 +513,20 @@ def solve(work, x):
         for c in range(i + 1, 7):
             last[i] -= F[i, c] * last[c]
         last[i] *= F[i, i]
-    for i in range(count - 1, -1, -1):
-        value, at = x[i], i - i % 4
-        # the newest entry last: it is available last
-        for c in range(WIDTH - 1, i % 4, -1):
-            value -= A[i, c] * x[at + c]
-        x[i] = value * A[i, i % 4]
+    for k in range(work.normal.size - 1, -1, -1):
+        for j in range(3, -1, -1):
+            i = 4 * k + j
+            value = x[i]
+            # the newest entry last: it is available last
+            for c in range(WIDTH - 1 - j, 0, -1):
+                value -= A[i, c] * x[i + c]
+            x[i] = value * A[i, 0]
 
 
 @helper
 def substitute(mesh, work):
     """Write the Newton increment to work.change; returns its largest entry, rad or rod lengths."""
-    solve(work, work.change)
+    _back(work, work.change)
     _restrain(work, work.change, work.pull.shape[0])
     return _largest(mesh, work)
 
@@ -550,14 +553,11 @@ def _largest(mesh, work):
 @helper
 def pull(mesh, work, inv):
     """Update the independent axial forces by the Newton increment."""
-    viscous, last = 1.0 + mesh.rod.damping_time * inv, work.normal.size - 1
-    x = work.change
-    for k in range(last):
-        g = work.stretch[k]
-        value = g[3] * x[4 * k + 3] + g[7] * x[4 * k + 7]
+    x, viscous = work.change, 1.0 + mesh.rod.damping_time * inv
+    for k in range(work.normal.size - 1):
+        g, at = work.stretch[k], 4 * k
+        value = g[3] * x[at + 3] + g[7] * x[at + 7]
         for i in range(3):
-            s = x[4 * k + 4 + i] - x[4 * k + i]
-            if k == 0:
-                s = x[i]
-            value += g[i] * s + g[4 + i] * (x[4 * k + 8 + i] - x[4 * k + 4 + i])
+            s = x[at + 4 + i] - x[at + i] if k > 0 else x[i]
+            value += g[i] * s + g[4 + i] * (x[at + 8 + i] - x[at + 4 + i])
         work.tension[k] = work.normal[k] + mesh.rod.axial[k] * viscous * value

@@ -205,8 +205,8 @@ def follow(work, end, k):
     for i in range(3):
         v = row(work.stage_frame[end], i)
         p, q, r = dot(v, t), dot(v, d), dot(v, b)
-        own = plus(plus(ZERO, p, now[0]), q, now[1])
-        put(work.frame[end], i, plus(own, r, now[2]))
+        own = combined(p, now[0], q, now[1], r, now[2])
+        put(work.frame[end], i, own)
 
 
 @helper
@@ -381,9 +381,8 @@ def dense(mesh, work, loads, matrix):
             for c in range(g.size):
                 matrix[r, c] += work.pull[i, 1] * g[r] * g[c]
     for r in range(matrix.shape[0]):
-        at = 4 * (r // 4)
-        for c in range(r, min(at + WIDTH, matrix.shape[0])):
-            matrix[r, c] += work.factor[r, c - at]
+        for c in range(r, min(r + WIDTH, matrix.shape[0])):
+            matrix[r, c] += work.factor[r, c - r]
             matrix[c, r] = matrix[r, c]
     last = 4 * work.normal.size
     turn_tip(mesh, work, loads, matrix[last:, last:])

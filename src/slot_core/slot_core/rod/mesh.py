@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slot_core.arrays import (
     Array,
@@ -79,6 +80,7 @@ class Mesh(NamedTuple):
     metric: Array  # (4 N + 7,) norm of the unknowns: masses, and of turns mass L^2 / 12
     held: Array  # (2, 6) bool, held components of position and rotation at base and tip
     free: Array  # (4 N + 7,) 1 for the unknowns that exist and that no support holds, else 0
+    fixed: NDArray[np.intp]  # the others
     none: TendonModel  # a leg's tendon that does nothing: a rod's tendons are `Cables`
     cables: Cables
     walls: Walls
@@ -135,6 +137,7 @@ def build_mesh(  # noqa: PLR0917
         ),
         held=held,
         free=free,
+        fixed=np.flatnonzero(free == 0.0),
         none=TendonModel(np.zeros(nodes), np.zeros(nodes), 0.0, 0.0, 0.0, 0.0),
         cables=_cables(tendons, arc),
         walls=_walls(planes, arc),
@@ -256,8 +259,12 @@ def work_shapes(n: int, m: int) -> Shapes:
         "normal": (n,),  # N, axial force of the strains
         "stretch": (n, 8),  # derivative of l - c over (s, w) before, behind
         # tangent | -gradient of a hinge over (s, w) before, behind
+        "along": (11,),  # the same over the unknowns of a hinge, scratch
         "form": (8, 9),
-        "factor": (4 * n + 7, 11),  # rows of the tangent, factorised in place
+        "factor": (
+            4 * n + 7,
+            11,
+        ),  # rows of the tangent from its diagonal on, factorised in place
         "last": (7, 7),  # the same of the last node and the tip's section
         "gap": (4 * n + 7,),  # increments of the held unknowns
         "change": (4 * n + 7,),  # Newton increment

@@ -90,8 +90,6 @@ Form = named(
     __name__,
 )
 """Quadratic form over (X, Phi, lambda | 1) of the leg beyond a node."""
-
-
 Pivot = named("Pivot", "l10 l20 l30 l21 l31 l32 d0 d1 d2 d3 positive", __name__)
 """Factors L D L^T of a symmetric 4 x 4 matrix: L below the diagonal, 1 / D."""
 

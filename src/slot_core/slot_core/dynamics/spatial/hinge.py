@@ -20,8 +20,6 @@ from slot_core.dynamics.lanes import like
 
 Symmetric = named("Symmetric", "xx xy xz yy yz zz", __name__)
 """Upper half of a symmetric 3 x 3 matrix."""
-
-
 Hinge = named(
     "Hinge",
     [
