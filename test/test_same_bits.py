@@ -129,10 +129,9 @@ NUMPY = (
     }
 )
 LIBRARIES = {"scipy", "piqp", "cvxpy", "clarabel", "cv2"}
-# Libraries that a file may import: Clarabel (`mpc/solver.py` says why), and of SciPy the sparse
+# Libraries that a file may import: Clarabel (`mpc/force_problem.py` says why), and of SciPy the sparse
 # matrices, which are only laid out.
 MAY_IMPORT = {
-    "mpc/solver.py": {"clarabel"},
     "slot_paper/problem.py": {"clarabel", "scipy.sparse"},
     "mpc/force_problem.py": {"clarabel", "scipy.sparse"},
 }

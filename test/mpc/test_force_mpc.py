@@ -15,9 +15,9 @@ from slot_core import config
 from slot_core.control.policy import Status
 from slot_core.estimation.estimate import Estimate
 from slot_core.mpc.force_mpc import ForceMpc
+from slot_core.mpc.force_problem import Solution
 from slot_core.mpc.model import TorsoModel
 from slot_core.mpc.settings import read_mpc
-from slot_core.mpc.solver import Solution
 from slot_core.robot import GRAVITY, read_robot
 
 ROBOT = read_robot()

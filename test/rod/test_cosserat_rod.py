@@ -13,6 +13,7 @@ from scipy.special import ellipk
 from benchmarks.rod.release import LEG, TPU
 from slot_core.rod.cosserat_rod import CosseratRod
 from slot_core.rod.model import (
+    CLAMPED,
     PINNED,
     ROLLER,
     Circle,
@@ -32,7 +33,6 @@ from slot_core.rod.statics import (
     Branch,
     EquilibriumError,
     StaticSettings,
-    free_unknowns,
 )
 
 STRIP = Geometry(1.0, Rectangle(1.0, (THIN, THIN)))
@@ -237,7 +237,7 @@ def test_column_under_a_follower_force_flutters_beyond_becks_load(
     """Beck (1952): P L^2/(EI) = 20.05; sideways the rod is stiffer."""
     rod, loads = slender(), Loads(follower=(-load, 0.0, 0.0))
     rod.solve_static(loads)
-    free = np.ix_(free_unknowns(rod.mesh), free_unknowns(rod.mesh))
+    free = np.ix_(np.flatnonzero(rod.mesh.free), np.flatnonzero(rod.mesh.free))
     flexibility = eig(
         rod.mass_matrix()[free], rod.tangent(loads)[free], right=False
     )
@@ -261,6 +261,29 @@ def test_buckled_column_has_the_shape_of_the_elastica(side):
     assert abs(rod.tip.rotation[1]) == pytest.approx(angle, rel=2e-5)
 
 
+@pytest.mark.parametrize("base", [PINNED, CLAMPED])
+def test_a_cable_of_a_given_length_bends_a_supported_rod_as_its_pull_does(base):
+    """Statics, and the motion stays there: the supports hold."""
+    options = {
+        "base": base,
+        "tip": ROLLER,
+        "tendons": [RodTendon((0.0, 0.03), stiffness=1e3)],
+    }
+    one, other = (CosseratRod(UNIT, OBLONG, 9, **options) for _ in range(2))
+    loads = Loads(length=(0.98,))
+    one.solve_static(loads)
+    pull = one.tendons[0, 0]
+    other.solve_static(Loads(pull=(pull,)))
+    assert pull > 1.0
+    np.testing.assert_allclose(
+        one.state.position, other.state.position, atol=1e-9
+    )
+    one.run(1e-3, 20, loads)
+    np.testing.assert_allclose(
+        one.state.position, other.state.position, atol=1e-8
+    )
+
+
 def test_snap_through_is_an_error_with_the_last_load_factor():
     # rise 35 mm: it snaps before any unsymmetric buckling
     thickness, curvature = (0.03, 0.28)
@@ -269,7 +292,7 @@ def test_snap_through_is_an_error_with_the_last_load_factor():
     pose = Pose(rotation=(0.0, -curvature / 2, 0.0))
     hinge = Support((True, True, True), (True, False, True))
     rod = CosseratRod(material, geometry, 17, base=hinge, tip=hinge, pose=pose)
-    free = free_unknowns(rod.mesh)
+    free = np.flatnonzero(rod.mesh.free)
     first = np.linalg.eigvalsh(rod.tangent()[np.ix_(free, free)])[0]
     with pytest.raises(EquilibriumError, match="load factor 0") as caught:
         rod.solve_static(Loads(gravity=(0.0, 0.0, -400.0)))
@@ -294,7 +317,7 @@ def test_tangent_is_the_derivative_of_the_equilibrium_with_respect_to_the_loads(
         planes=[Plane((0.0, 0.0, 0.2), (0.1, 0.0, -1.0), 1e2)],
     )
     rod.solve_static(loads)
-    free, start = free_unknowns(rod.mesh), place(rod)
+    free, start = np.flatnonzero(rod.mesh.free), place(rod)
     inverse = np.linalg.inv(rod.tangent(loads)[np.ix_(free, free)])
     tip = [np.flatnonzero(free == 4 * rod.nodes + c)[0] for c in range(3)]
     for c, force in enumerate(np.array(loads.force) + small * np.eye(3)):

@@ -1,11 +1,15 @@
 """Arrays that go to kernels, which trust shapes, types and values: checks and buffers."""
 
+from collections import namedtuple
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Shapes = dict[str, tuple[int, ...]]  # by the names of arrays
+Arrays = Any  # a named tuple of arrays, with the names of a `Shapes`
 
 
 def checked(
@@ -33,9 +37,17 @@ def checked(
     return array
 
 
-def one_buffer(
-    shapes: dict[str, tuple[int, ...]],
-) -> tuple[Array, dict[str, Array]]:
+def named(name: str, fields: Iterable[str], module: str) -> Any:
+    """Class of named tuples, a variable of its module: kernels on disk find it by both names."""
+    return namedtuple(name, fields, module=module)
+
+
+def zeros(shapes: Shapes, lanes: tuple[int, ...] = ()) -> dict[str, Array]:
+    """Arrays of zeros by name; lanes = (4,): four side by side, on one axis more at the end."""
+    return {name: np.zeros(shape + lanes) for name, shape in shapes.items()}
+
+
+def one_buffer(shapes: Shapes) -> tuple[Array, dict[str, Array]]:
     """A buffer of zeros, and by name views of these shapes in it, one after the other."""
     ends = np.cumsum(
         [int(np.prod(shape, dtype=int)) for shape in shapes.values()]

@@ -34,9 +34,11 @@ from slot_core.control.policy import Status, TendonPlan
 from slot_core.elementary import cos, hypot, sin
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview, Vector3
+from slot_core.geometry import matrix_of_rpy
 from slot_core.key_frame import StateParts
 from slot_core.matrices import inverse, norm, product, sparse_product
 from slot_core.mpc.force_mpc import ForceMpc
+from slot_core.mpc.force_problem import Solution, options, solution_of
 from slot_core.mpc.model import (
     FEET,
     INPUTS,
@@ -45,11 +47,9 @@ from slot_core.mpc.model import (
     FirstStage,
     Prediction,
     lever_arms,
-    rotation_z,
     turned_to,
 )
 from slot_core.mpc.settings import MpcSettings
-from slot_core.mpc.solver import Solution, options, solution_of
 from slot_core.robot import GRAVITY, RobotParameters
 from slot_paper.force_map import ForceAngleLine
 from slot_paper.gaits import FRONT, pulled_leg
@@ -218,7 +218,7 @@ class PaperProblem:
 
     def predict(self, dt: float, yaw: float = 0.0) -> Prediction:
         """Model of a stage of dt (s) at a yaw (rad), by explicit Euler."""
-        turn = rotation_z(yaw)
+        turn = matrix_of_rpy([0.0, 0.0, yaw])
         a, b, drift = (
             np.eye(STATES),
             np.zeros((STATES, INPUTS)),

@@ -42,8 +42,8 @@ from slot_paper.leg import (
 
 
 @dataclass(frozen=True)
-class PaperTorso:
-    """Motion of the torso; the arrays are written in place."""
+class PaperState:
+    """Motion of torso and tendons; the arrays are written in place."""
 
     position: Array  # (3,) m, odom
     rotation: Array  # (3, 3) base_link to odom
@@ -51,6 +51,10 @@ class PaperTorso:
     rate: Array  # (3,) rad/s, base_link
     # (3,) m/s^2, base_link, mean over the last step of the scene
     specific_force: Array
+    tendon_angle: Array  # (4,) rad, equal to the command
+    # (4,) rad/s, over the last step: the command's change in its first step, then zero
+    tendon_rate: Array
+    tension: Array  # (4,) N, of the tendons
 
 
 class PaperRobot(SimulatedRobot):
@@ -86,9 +90,9 @@ class PaperRobot(SimulatedRobot):
         self._drag = np.array([drag, drag, damping])
         height = np.array([0.0, 0.0, scene.start.height])
         still = np.zeros((3, 3))
-        self.state = PaperTorso(height, np.eye(3), *still)
-        self._tension = np.zeros(4)  # N
-        self._angle, self._rate = np.zeros(4), np.zeros(4)
+        self.state = PaperState(
+            height, np.eye(3), *still, *np.zeros((3, len(LEGS)))
+        )
         self._settle()
 
     def advance(self, steps: int, command: Array) -> None:
@@ -99,19 +103,19 @@ class PaperRobot(SimulatedRobot):
         `settings.speed_limit`.
         """
         require_steps(steps)
-        command = self.checked(command)
+        command, now = self.checked(command), self.state
         if steps > 0:
-            jump = command - self._angle if steps == 1 else np.zeros(4)
-            self._rate = jump / self.scene.solver.step
-            self._angle = command
+            jump = command - now.tendon_angle if steps == 1 else np.zeros(4)
+            now.tendon_rate[:] = jump / self.scene.solver.step
+            now.tendon_angle[:] = command
             tension = tension_of(self.settings, self.parameters, command)
-            self._tension = self.settings.tension_scale * tension
+            now.tension[:] = self.settings.tension_scale * tension
         h = self.scene.solver.step / self._substeps
         for _ in range(steps):
             self.steps += 1
             earlier = self.state.velocity.copy()
             for _ in range(self._substeps):
-                if place := self.legs.step(self._tension, h):
+                if place := self.legs.step(now.tension, h):
                     state = self.snapshot() | {"command": command}
                     raise divergence(self.time, self.settings, place, state)
                 self._step_torso(h)
@@ -138,21 +142,6 @@ class PaperRobot(SimulatedRobot):
         state.rate[:] += h * self._mobility * moment
         turn = _times(state.rotation, _rotation(h * state.rate))
         state.rotation[:] = turn
-
-    @property
-    def tendon_angle(self) -> Array:
-        """(4,) rad, equal to the command."""
-        return self._angle.copy()
-
-    @property
-    def tendon_rate(self) -> Array:
-        """(4,) rad/s, over the last step: the command's change in its first step, then zero."""
-        return self._rate.copy()
-
-    @property
-    def tension(self) -> Array:
-        """(4,) N, of the tendons."""
-        return self._tension.copy()
 
     @property
     def nodes(self) -> Array:

@@ -31,7 +31,7 @@ import numpy as np
 from numba.extending import overload
 
 from slot_core import config
-from slot_core.arrays import Array
+from slot_core.arrays import Array, named
 from slot_core.compiled import OPTIONS, helper
 from slot_core.config import ConfigError
 from slot_core.dynamics.algebra import (
@@ -57,12 +57,16 @@ class Terrain(NamedTuple):
     spacing: float  # m
 
 
-class Ground(NamedTuple):
-    """The floor below a point: height (m) and slopes along odom's x and y."""
-
-    height: float
-    slope_x: float
-    slope_y: float
+Ground = named(
+    "Ground",
+    [
+        "height",
+        "slope_x",
+        "slope_y",
+    ],
+    __name__,
+)
+"""The floor below a point: height (m) and slopes along odom's x and y."""
 
 
 PLANE = Terrain(np.zeros((1, 1)), 1.0)
@@ -181,11 +185,15 @@ class Floor(NamedTuple):
     terrain: Terrain
 
 
-class Friction(NamedTuple):
-    """Friction force -(drag v_t + held): drag in N s/m, held in N."""
-
-    drag: float
-    held: tuple[float, float, float]
+Friction = named(
+    "Friction",
+    [
+        "drag",
+        "held",
+    ],
+    __name__,
+)
+"""Friction force -(drag v_t + held): drag in N s/m, held in N."""
 
 
 @helper

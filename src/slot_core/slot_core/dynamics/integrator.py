@@ -121,8 +121,8 @@ def copy(out, source):
 def lost(state, legs, limit):
     """Divergence check: -1 if all is finite and slower than `limit`, m/s, rad/s; else a code.
 
-    The code is 0 for the torso and 1 + leg N + node for a node. A tendon angle that is not finite
-    is reported at the leg's node 0: under a slack tendon no node would show it.
+    The code is 0 for the torso and 1 for a leg: a node, or a tendon angle that is not finite, which
+    under a slack tendon no node would show.
     """
     if not dot(state.position, state.position) < math.inf:
         return 0
@@ -136,23 +136,7 @@ def lost(state, legs, limit):
         for i in range(leg.node_velocity.shape[0]):
             u = row(leg.node_velocity, i)
             fine = fine & all_lanes(dot(u, u) < limit * limit)
-    return (
-        -1 if fine else _which(state.node_velocity, state.tendon_angle, limit)
-    )
-
-
-@helper
-def _which(velocity, angle, limit):
-    """1 + leg N + node of the first node that diverged."""
-    legs, nodes = velocity.shape[:2]
-    for leg in range(legs):
-        if not angle[leg] * angle[leg] < math.inf:
-            return 1 + leg * nodes
-        for i in range(nodes):
-            u = row(velocity[leg], i)
-            if not dot(u, u) < limit * limit:
-                return 1 + leg * nodes + i
-    return -1
+    return -1 if fine else 1
 
 
 @helper

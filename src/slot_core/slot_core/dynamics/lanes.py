@@ -92,35 +92,29 @@ def _boolean_to_mask(context, builder, fromty, toty, value):
     return _spread(builder, builder.trunc(value, ir.IntType(1)), _BITS)
 
 
-def _is_lanes(args, number=_NUMBERS, lanes=_Lanes):
-    """Whether the arguments are Lanes and numbers, with Lanes among them."""
-    kinds = [isinstance(arg, lanes) for arg in args]
-    return any(kinds) and all(
-        k or isinstance(arg, number) for k, arg in zip(kinds, args)
-    )
-
-
-def _define(function, count, result, build):
-    """Overload `function` for `count` Lanes or numbers: `build` emits a value of type `result`."""
+def _define(function, count, result, build, operand=LANES):
+    """Overload `function` for `count` operands, or plain values: `build` emits a `result`."""
+    plain = _NUMBERS if operand is LANES else types.Boolean
 
     class Template(AbstractTemplate):
         def generic(self, args, kws):
-            if len(args) == count and not kws and _is_lanes(args):
-                return signature(result, *[LANES] * count)
+            own = [isinstance(arg, type(operand)) for arg in args]
+            fits = len(args) == count and any(own) and not kws
+            if fits and all(
+                o or isinstance(a, plain) for o, a in zip(own, args)
+            ):
+                return signature(result, *[operand] * count)
             return None
 
     infer_global(function)(Template)
 
-    @lower_builtin(function, *[_Lanes] * count)
+    @lower_builtin(function, *[type(operand)] * count)
     def lower(context, builder, sig, args):
         return build(builder, *args)
 
 
 def _operator(name):
-    def build(builder, a, b):
-        return getattr(builder, name)(a, b)
-
-    return build
+    return lambda builder, a, b: getattr(builder, name)(a, b)
 
 
 def _comparison(sign):
@@ -154,23 +148,9 @@ for _symbol, _name in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">=")):
     _define(getattr(operator, _symbol), 2, MASK, _comparison(_name))
 _define(operator.neg, 1, LANES, lambda builder, a: builder.fneg(a))
 _define(math.sqrt, 1, LANES, _sqrt)
+_define(operator.and_, 2, MASK, _operator("and_"), MASK)
 _define(max, 2, LANES, _chooser(">"))
 _define(min, 2, LANES, _chooser("<"))
-
-
-@infer_global(operator.and_)
-class _And(AbstractTemplate):
-    def generic(self, args, kws):
-        return (
-            signature(MASK, MASK, MASK)
-            if _is_lanes(args, types.Boolean, _Mask)
-            else None
-        )
-
-
-@lower_builtin(operator.and_, _Mask, _Mask)
-def _lower_and(context, builder, sig, args):
-    return builder.and_(*args)
 
 
 @intrinsic
@@ -323,10 +303,9 @@ def _part(kind):
             )
         # not aligned: NumPy aligns to 16 bytes, a vector needs 32
         return types.Array(LANES, kind.ndim - 1, kind.layout, aligned=False)
-    parts = [_part(part) for part in kind.types]
-    if all(part == parts[0] for part in parts):
-        return types.NamedUniTuple(parts[0], len(parts), kind.instance_class)
-    return types.NamedTuple(parts, kind.instance_class)
+    return types.BaseTuple.from_types(
+        [_part(part) for part in kind.types], kind.instance_class
+    )
 
 
 def _convert(context, builder, kind, out, value):

@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import Array, one_buffer
+from slot_core.arrays import Array, Arrays, Shapes, named, one_buffer, zeros
 from slot_core.dynamics.contact import Floor, read_terrain
 from slot_core.dynamics.rod import Rod, TendonModel, discretise, route
 from slot_core.dynamics.scene import FloorSettings, Scene, SolverSettings
 from slot_core.dynamics.servo import Servo, ServoSettings, servo
-from slot_core.dynamics.spatial.leg import SpatialLeg
+from slot_core.dynamics.spatial.leg import SpatialLeg, leg_shapes
 from slot_core.dynamics.spatial.strain import segments
 from slot_core.dynamics.torso import TorsoBox, box
 from slot_core.elementary import cos, sin
@@ -46,43 +46,55 @@ class Model(NamedTuple):
     fault: Array  # (2, 4) additional slack, m; 1, or 0 for a broken tendon
 
 
-class MechanicalState(NamedTuple):
-    """State of the robot: views of one buffer, written in place by the kernels."""
+def state_shapes(nodes: int, points: int, relaxes: bool) -> Shapes:
+    """State of a robot with N nodes and `points` contact points per leg; legs last in memory.
 
-    buffer: Array  # all state variables
-    position: Array  # (3,) m, odom
-    rotation: Array  # (3, 3) base_link to odom
-    velocity: Array  # (3,) m/s, odom
-    rate: Array  # (3,) rad/s, base_link
-    specific_force: Array  # (3,) m/s^2, base_link, mean over the last step
-    node: Array  # (4, N, 3) m from the clamp, leg axes
-    node_velocity: Array  # (4, N, 3) m/s, absolute, leg axes
-    director: Array  # (4, N-1, 3) unit vectors along the width of the segments, leg axes
-    swirl: Array  # (4, N-1, 3) rad/s, angular momentum of their twist over its inertia, leg axes
-    tendon_angle: Array  # (4,) rad
-    tendon_rate: Array  # (4,) rad/s, over the last step
-    tension: Array  # (4,) N, at the stage of the last step
-    drive: Array  # (4, 3) state of the servos, see `servo.spool_rate`
-    bristle: Array  # (4, P, 3) m, odom, and (8, 3) of the torso's corners; zero with viscous friction
-    corner_bristle: Array
-    memory: Array  # (4, N-1, 4, 2) strains of the branches (`spatial/strain.py`); empty without
-
-
-class Work(NamedTuple):
-    """Scratch space of the torso. `integrator.py` defines its "step axes"."""
-
-    matrix: Array  # (6, 6)
-    vector: Array  # (6,)
-    turn: Array  # (3, 3) scratch rotations
-    next: Array  # (3, 3)
-    rotation: Array  # (3, 3) step axes to odom
-    motion: Array  # (5, 3) torso in step axes: v, omega, theta h (omega - omega_n), v_n, omega_n
-    field: Array  # (4, 3) odom's axes and gravity in step axes
-    limit: Array  # (8,) N, mu times the normal force of the corners
-    slope: Array  # (8, 2) of the floor below the corners
-    counter: Array  # (3,) halvings, steps with a pivot not positive, steps with no halving left
+    relaxes: whether the legs have Maxwell branches. The kernels write the arrays in place.
+    """
+    n = nodes - 1
+    return {
+        "position": (3,),  # m, odom
+        "rotation": (3, 3),  # base_link to odom
+        "velocity": (3,),  # m/s, odom
+        "rate": (3,),  # rad/s, base_link
+        "specific_force": (3,),  # m/s^2, base_link, mean over the last step
+        "node": (nodes, 3, 4),  # m from the clamp, leg axes
+        "node_velocity": (nodes, 3, 4),  # m/s, absolute, leg axes
+        # unit vectors along the width of the segments, leg axes
+        "director": (n, 3, 4),
+        # rad/s, angular momentum of their twist over its inertia, leg axes
+        "swirl": (n, 3, 4),
+        "tendon_angle": (4,),  # rad
+        "tendon_rate": (4,),  # rad/s, over the last step
+        "tension": (4,),  # N, at the stage of the last step
+        "drive": (3, 4),  # state of the servos, see `servo.spool_rate`
+        "bristle": (points, 3, 4),  # m, odom; zero with viscous friction
+        "corner_bristle": (8, 3),  # of the torso's corners
+        # strains of the branches (`spatial/strain.py`)
+        "memory": (n if relaxes else 0, 4, 2, 4),
+    }
 
 
+MechanicalState = named(
+    "MechanicalState", ["buffer", *state_shapes(1, 0, False)], __name__
+)
+"""State of a robot: `buffer` holds all variables, the other arrays are views of it."""
+WORK: Shapes = {
+    "matrix": (6, 6),
+    "vector": (6,),
+    "turn": (3, 3),  # scratch rotations
+    "next": (3, 3),
+    "rotation": (3, 3),  # step axes to odom
+    # torso in step axes: v, omega, theta h (omega - omega_n), v_n, omega_n
+    "motion": (5, 3),
+    "field": (4, 3),  # odom's axes and gravity in step axes
+    "limit": (8,),  # N, mu times the normal force of the corners
+    "slope": (8, 2),  # of the floor below the corners
+    # halvings, steps with a pivot not positive, steps with no halving left
+    "counter": (3,),
+}
+"""Scratch space of the torso. `integrator.py` defines its "step axes"."""
+Work = named("Work", WORK, __name__)
 LEG_STATE = (
     "node",
     "node_velocity",
@@ -97,31 +109,12 @@ LEG_STATE = (
 
 def state_space(
     nodes: int, points: int, relaxes: bool = False, lanes: tuple[int, ...] = ()
-) -> MechanicalState:
-    """A state with N nodes and `points` contact points per leg, all zero; legs last in memory.
+) -> Arrays:
+    """A state of `state_shapes`, all zero.
 
-    relaxes: whether the legs have Maxwell branches. lanes: (4,) for four states side by side, then
-    every array has that axis at its end.
+    lanes: (4,) for four states side by side, then every array has that axis at its end.
     """
-    n = nodes - 1
-    shapes: dict[str, tuple[int, ...]] = {
-        "position": (3,),
-        "rotation": (3, 3),
-        "velocity": (3,),
-        "rate": (3,),
-        "specific_force": (3,),
-        "node": (nodes, 3, 4),
-        "node_velocity": (nodes, 3, 4),
-        "director": (n, 3, 4),
-        "swirl": (n, 3, 4),
-        "tendon_angle": (4,),
-        "tendon_rate": (4,),
-        "tension": (4,),
-        "drive": (3, 4),
-        "bristle": (points, 3, 4),
-        "corner_bristle": (8, 3),
-        "memory": (n if relaxes else 0, 4, 2, 4),
-    }
+    shapes = state_shapes(nodes, points, relaxes)
     buffer, views = one_buffer({name: s + lanes for name, s in shapes.items()})
     for name in LEG_STATE:
         views[name] = np.moveaxis(views[name], -1 - len(lanes), 0)
@@ -130,57 +123,14 @@ def state_space(
 
 def spatial_leg(
     nodes: int, lanes: tuple[int, ...] = (), points: int = 0
-) -> SpatialLeg:
+) -> Arrays:
     """Arrays of one leg of N nodes, or of four with the axis `lanes` = (4,); zero, not broken."""
-    n = nodes - 1
-    shapes: dict[str, tuple[int, ...]] = {
-        "axes": (3, 3),
-        "root": (3,),
-        "clamp": (6, 6),
-        "friction": (2,),
-        "fault": (2,),
-        "node": (nodes, 3),
-        "node_velocity": (nodes, 3),
-        "director": (n, 3),
-        "swirl": (n, 3),
-        "angle": (1,),
-        "rate": (1,),
-        "tension": (1,),
-        "drive": (3,),
-        "bristle": (points, 3),
-        "memory": (0, 4, 2),
-        "command": (1,),
-        "stage": (nodes, 3),
-        "velocity": (nodes, 3),
-        "before": (nodes, 3),
-        "base": (nodes, 3),
-        "begin": (n, 3),
-        "spin": (n,),
-        "spin_before": (n, 3),
-        "form": (7, 8),
-        "moved": (6,),
-        "back": (n, 4, 8),
-        "pull": (1,),
-        "limit": (points,),
-        "slope": (points, 2),
-        "release": (7,),
-        "reduced": (6, 7),
-        "product": (6, 6),
-        "frame": (3, 3),
-        "turns": (3, 3),
-        "whole": (3, 3),
-        "back_turn": (3, 3),
-        "forth": (3, 3),
-        "motion": (3, 3),
-        "axis_rate": (3,),
-        "field": (4, 3),
-    }
-    arrays = {name: np.zeros(shape + lanes) for name, shape in shapes.items()}
+    arrays = zeros(leg_shapes(nodes, points), lanes)
     arrays["fault"][1] = 1.0  # nothing is broken
     return SpatialLeg(segments=segments(nodes, lanes), **arrays)
 
 
-def leg_lanes(model: Model, state: MechanicalState) -> SpatialLeg:
+def leg_lanes(model: Model, state: Arrays) -> Arrays:
     """The four legs of a robot in lanes; their state arrays are views of `state`."""
     legs = spatial_leg(len(model.rod.node), (4,), state.bristle.shape[1])
     for name in ("axes", "root", "clamp"):
@@ -197,21 +147,9 @@ def leg_lanes(model: Model, state: MechanicalState) -> SpatialLeg:
     )
 
 
-def work_space(lanes: tuple[int, ...] = ()) -> Work:
+def work_space(lanes: tuple[int, ...] = ()) -> Arrays:
     """Scratch space for the torso, or for those of four states with the axis `lanes` = (4,)."""
-    shapes: dict[str, tuple[int, ...]] = {
-        "matrix": (6, 6),
-        "vector": (6,),
-        "turn": (3, 3),
-        "next": (3, 3),
-        "rotation": (3, 3),
-        "motion": (5, 3),
-        "field": (4, 3),
-        "limit": (8,),
-        "slope": (8, 2),
-        "counter": (3,),
-    }
-    return Work(**{name: np.zeros(s + lanes) for name, s in shapes.items()})
+    return Work(**zeros(WORK, lanes))
 
 
 def clamp_maps(axes: Array, root: Array) -> Array:
@@ -317,13 +255,13 @@ def build_scheme(solver: SolverSettings, floor: Floor) -> ThetaScheme:
     )
 
 
-def matching_state(model: Model) -> MechanicalState:
+def matching_state(model: Model) -> Arrays:
     """A state for the model's nodes, contact points and branches, all zero."""
     relaxes = bool(model.rod.relaxation[0].any())
     return state_space(len(model.rod.node), len(model.floor.stiffness), relaxes)
 
 
-def rest_state(model: Model, height: float) -> MechanicalState:
+def rest_state(model: Model, height: float) -> Arrays:
     """Natural legs, slack tendons, level torso at a height (m), everything at rest."""
     state = matching_state(model)
     state.position[2] = height

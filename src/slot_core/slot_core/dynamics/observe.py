@@ -53,11 +53,8 @@ def _contact_point(model, state, position, velocity, leg, p):
     The points of a leg are numbered as in `contact.Floor`. A segment turns with
     w = e x u / e.e + S, its chord e, difference of velocities u and swirl S.
     """
-    reach = model.floor.half_width
-    k = p // 4
-    i = p // 4 + (p // 2) % 2
-    if p % 2 == 0:
-        reach = -reach
+    half, k = model.floor.half_width, p // 4
+    i, reach = k + (p // 2) % 2, half if p % 2 else -half
     r, v = position[leg], velocity[leg]
     arm = _to_odom(model, state, leg, scaled(reach, state.director[leg, k]))
     e = minus(row(r, k + 1), row(r, k))

@@ -230,11 +230,14 @@ def pull(s, tendon, angle, rate, fault):
     """
     stretch = tendon.spool_radius * angle - tendon.relaxed - fault[0]
     for i in range(s.length.size):
-        along = tendon.along[i] * s.extension[i]
-        stretch += along + tendon.around[i] * s.turn[i]
+        stretch += (
+            tendon.along[i] * s.extension[i] + tendon.around[i] * s.turn[i]
+        )
     force = tendon.stiffness * stretch
     speed = tendon.spool_radius * rate
     for i in range(s.length.size):
-        along = tendon.along[i] * s.extension_rate[i]
-        speed += along + tendon.around[i] * s.turn_rate[i]
+        speed += (
+            tendon.along[i] * s.extension_rate[i]
+            + tendon.around[i] * s.turn_rate[i]
+        )
     return fault[1] * max(0.0, force + tendon.damping * speed)

@@ -2,14 +2,14 @@
 
 import math
 from abc import ABC, abstractmethod
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from slot_core.arrays import Array, checked
+from slot_core.arrays import Array, Arrays, checked
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
-from slot_core.dynamics.model import MechanicalState, Model, Work
+from slot_core.dynamics.model import Model
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
 from slot_core.geometry import quaternion_of, rpy_of
@@ -31,28 +31,14 @@ SNAPSHOT = (
 )
 
 
-class TorsoMotion(Protocol):
-    """Motion of the torso in every model, as arrays that the model writes in place."""
+def copy_of_state(name: str, text: str) -> Any:
+    """Property with this text: a copy of an array of the robot's state."""
+    return property(lambda robot: getattr(robot.state, name).copy(), doc=text)
 
-    @property
-    def position(self) -> Array:
-        """(3,) m, torso's centre in odom."""
 
-    @property
-    def rotation(self) -> Array:
-        """(3, 3) base_link to odom."""
-
-    @property
-    def velocity(self) -> Array:
-        """(3,) m/s, odom."""
-
-    @property
-    def rate(self) -> Array:
-        """(3,) rad/s, base_link."""
-
-    @property
-    def specific_force(self) -> Array:
-        """(3,) m/s^2, base_link, mean over the last step."""
+def counted(index: int, text: str) -> Any:
+    """Property with this text: a count of steps of the robot's kernels."""
+    return property(lambda robot: int(robot._work.counter[index]), doc=text)
 
 
 class SimulatedRobot(ABC):
@@ -63,8 +49,12 @@ class SimulatedRobot(ABC):
 
     parameters: RobotParameters
     scene: Scene
-    state: TorsoMotion
+    state: Any  # arrays that the model writes in place; the properties below return copies of them
     steps = 0  # since the end of settling
+    halvings: Any = (
+        0  # of a model that repeats or counts no steps, as `KernelRobot` does
+    )
+    indefinite_steps: Any = 0
 
     @abstractmethod
     def __init__(
@@ -96,34 +86,17 @@ class SimulatedRobot(ABC):
         return {name: getattr(self, name) for name in SNAPSHOT}
 
     @property
-    def halvings(self) -> int:
-        """Number of times a step was repeated in pieces half as long."""
-        return 0
-
-    @property
-    def indefinite_steps(self) -> int:
-        """Steps in which a pivot was not positive: a sign of a fold or of too large a step."""
-        return 0
-
-    @property
     def time(self) -> float:
         """Seconds since the end of settling."""
         return self.steps * self.scene.solver.step
 
-    @property
-    @abstractmethod
-    def tendon_angle(self) -> Array:
-        """(4,) rad, angle of the spools."""
-
-    @property
-    @abstractmethod
-    def tendon_rate(self) -> Array:
-        """(4,) rad/s, over the last step."""
-
-    @property
-    @abstractmethod
-    def tension(self) -> Array:
-        """(4,) N, of the tendons."""
+    tendon_angle = copy_of_state(
+        "tendon_angle", "(4,) rad, angle of the spools."
+    )
+    tendon_rate = copy_of_state(
+        "tendon_rate", "(4,) rad/s, over the last step."
+    )
+    tension = copy_of_state("tension", "(4,) N, of the tendons.")
 
     @property
     @abstractmethod
@@ -148,15 +121,14 @@ class SimulatedRobot(ABC):
         """(4,) N m, load on the servos: tension times spool radius."""
         return self.tension * self.parameters.tendon.spool_radius
 
-    @property
-    def position(self) -> Array:
-        """(3,) m, torso's centre in odom."""
-        return self.state.position.copy()
-
-    @property
-    def rotation(self) -> Array:
-        """(3, 3) base_link to odom."""
-        return self.state.rotation.copy()
+    position = copy_of_state("position", "(3,) m, torso's centre in odom.")
+    rotation = copy_of_state("rotation", "(3, 3) base_link to odom.")
+    velocity = copy_of_state("velocity", "(3,) m/s, torso's centre in odom.")
+    angular_velocity = copy_of_state("rate", "(3,) rad/s, base_link.")
+    specific_force = copy_of_state(
+        "specific_force",
+        "(3,) m/s^2, base_link: acceleration minus gravity at the centre, mean over a step.",
+    )
 
     @property
     def quaternion(self) -> Array:
@@ -167,21 +139,6 @@ class SimulatedRobot(ABC):
     def rpy(self) -> Array:
         """(3,) rad, roll pitch yaw about fixed x, y, z: R = R_z(yaw) R_y(pitch) R_x(roll)."""
         return rpy_of(self.state.rotation)
-
-    @property
-    def velocity(self) -> Array:
-        """(3,) m/s, torso's centre in odom."""
-        return self.state.velocity.copy()
-
-    @property
-    def angular_velocity(self) -> Array:
-        """(3,) rad/s, base_link."""
-        return self.state.rate.copy()
-
-    @property
-    def specific_force(self) -> Array:
-        """(3,) m/s^2, base_link: acceleration minus gravity at the centre, mean over a step."""
-        return self.state.specific_force.copy()
 
     def _settle(self) -> None:
         """Raises ConfigError for a start that the tendons do not reach."""
@@ -212,9 +169,8 @@ class KernelRobot(SimulatedRobot):
     """Robot whose kernels operate on a `Model`, a `MechanicalState` and a `Work`."""
 
     model: Model
-    state: MechanicalState
     handle: Handle
-    _work: Work
+    _work: Arrays
 
     def push(self, force: Array, moment: Array) -> None:
         """Add an external force (3,), N, and moment (3,), N m, on the torso's centre, in odom.
@@ -251,30 +207,13 @@ class KernelRobot(SimulatedRobot):
             not broken,
         )
 
-    @property
-    def halvings(self) -> int:
-        """Number of times a step was repeated in pieces half as long."""
-        return int(self._work.counter[0])
-
-    @property
-    def indefinite_steps(self) -> int:
-        """Steps in which a pivot was not positive: a sign of a fold or of too large a step."""
-        return int(self._work.counter[1])
-
-    @property
-    def tendon_angle(self) -> Array:
-        """(4,) rad, angle of the spools."""
-        return self.state.tendon_angle.copy()
-
-    @property
-    def tendon_rate(self) -> Array:
-        """(4,) rad/s, over the last step."""
-        return self.state.tendon_rate.copy()
-
-    @property
-    def tension(self) -> Array:
-        """(4,) N, of the tendons, at the stage of the last step."""
-        return self.state.tension.copy()
+    halvings = counted(
+        0, "Number of times a step was repeated in pieces half as long."
+    )
+    indefinite_steps = counted(
+        1,
+        "Steps in which a pivot was not positive: a sign of a fold or of too large a step.",
+    )
 
     @property
     def servo_torque(self) -> Array:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from numba.extending import overload
 
-from slot_core.arrays import Array
+from slot_core.arrays import Array, Shapes, named
 from slot_core.compiled import OPTIONS, helper, kernel
 from slot_core.dynamics.algebra import (
     combined,
@@ -67,63 +67,74 @@ class MapLegs(NamedTuple):
     damping_time: float  # s
 
 
-class Feet(NamedTuple):
-    """Variables of the legs beside the mechanical state."""
-
-    command: Array  # (4,) rad
-    force: Array  # (4, 3) N, of the floor on the feet, odom, at the stage of the last step
-    limit: Array  # (4,) N, mu times the normal force of an edge
-    slip: Array  # (4, 2, 3) m/s, of the left and the right edge, odom; of bristle friction alone
-    flat: Array  # (2,) slopes of the floor, zero
-
-
-class LegResponse(NamedTuple):
-    """Interpolated row of the table; `_h` and `_a`: derivatives over height and angle."""
-
-    force: float
-    force_h: float
-    force_a: float
-    x: float
-    x_h: float
-    x_a: float
-    tension: float
-    tension_h: float
-    tension_a: float
-    spring: tuple[float, float, float, float]  # S_xx, S_yy, S_yp, S_pp
+FEET: Shapes = {
+    "command": (4,),  # rad
+    # N, of the floor on the feet, odom, at the stage of the last step
+    "force": (4, 3),
+    "limit": (4,),  # N, mu times the normal force of an edge
+    # m/s, of the left and the right edge, odom; of bristle friction alone
+    "slip": (4, 2, 3),
+    "flat": (2,),  # slopes of the floor, zero
+}
+"""Variables of the legs beside the mechanical state."""
+Feet = named("Feet", FEET, __name__)
 
 
-class Foot(NamedTuple):
-    """Contact of a leg with the floor, in step axes."""
+LegResponse = named(
+    "LegResponse",
+    [
+        "force",
+        "force_h",
+        "force_a",
+        "x",
+        "x_h",
+        "x_a",
+        "tension",
+        "tension_h",
+        "tension_a",
+        "spring",  # S_xx, S_yy, S_yp, S_pp
+    ],
+    __name__,
+)
+"""Interpolated row of the table; `_h` and `_a`: derivatives over height and angle."""
+Foot = named(
+    "Foot",
+    [
+        "place",  # m, r from the torso's centre
+        "up",  # n
+        "slope",  # n.a
+        "normal_per_drop",  # D
+        # m = x_eta a - k: shift of the foot in the torso per drop
+        "path",
+        "along",  # e_1, unit vectors in the floor
+        "aside",  # e_2
+        "lever",  # m, l: of the edges about r
+        # drop per displacement along the leg and sideways, n.a / D and n.b / D
+        "lean",
+        # shift on the floor, over e_1 and e_2, per displacement along the leg and sideways
+        "drive",
+    ],
+    __name__,
+)
+"""Contact of a leg with the floor, in step axes."""
+Grip = named(
+    "Grip",
+    [
+        "rate",  # of the displacements
+        "force",  # N, f.e_1, f.e_2, moment about n over l
+        "slip",  # m/s
+        "normal",  # N
+        "drag",  # D_+, N s/m
+        "uneven",  # D_-
+        # A^-1, m/(N s), by rows of the upper triangle
+        "yielding",
+    ],
+    __name__,
+)
+"""Friction of a foot over its slip z: the force -(M z + held), and what its leg yields.
 
-    place: tuple[float, float, float]  # m, r from the torso's centre
-    up: tuple[float, float, float]  # n
-    slope: float  # n.a
-    normal_per_drop: float  # D
-    # m = x_eta a - k: shift of the foot in the torso per drop
-    path: tuple[float, float, float]
-    along: tuple[float, float, float]  # e_1, unit vectors in the floor
-    aside: tuple[float, float, float]  # e_2
-    lever: float  # m, l: of the edges about r
-    # drop per displacement along the leg and sideways, n.a / D and n.b / D
-    lean: tuple[float, float]
-    # shift on the floor, over e_1 and e_2, per displacement along the leg and sideways
-    drive: tuple[float, float, float, float]
-
-
-class Grip(NamedTuple):
-    """Friction of a foot over its slip z: the force -(M z + held), and what its leg yields.
-
-    M is D_+ on the diagonal, and D_- between the first and the third number.
-    """
-
-    rate: tuple[float, float, float]  # of the displacements
-    force: tuple[float, float, float]  # N, f.e_1, f.e_2, moment about n over l
-    slip: tuple[float, float, float]  # m/s
-    normal: float  # N
-    drag: float  # D_+, N s/m
-    uneven: float  # D_-
-    # A^-1, m/(N s), by rows of the upper triangle
-    yielding: tuple[float, float, float, float, float, float]
+M is D_+ on the diagonal, and D_- between the first and the third number.
+"""
 
 
 @kernel

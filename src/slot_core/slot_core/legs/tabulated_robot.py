@@ -56,12 +56,10 @@ from operator import attrgetter
 
 import numpy as np
 
-from slot_core.arrays import Array
+from slot_core.arrays import Array, Arrays, zeros
 from slot_core.config import ConfigError
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
-    MechanicalState,
-    Work,
     build_model,
     build_scheme,
     state_space,
@@ -73,6 +71,7 @@ from slot_core.dynamics.simulated_robot import KernelRobot, require_steps
 from slot_core.geometry import Transform
 from slot_core.legs.leg_table import LegTable, read_leg_table
 from slot_core.legs.tabulated_kernels import (
+    FEET,
     PLACE,
     TILT_MAX_DEG,
     TOO_TILTED,
@@ -136,9 +135,7 @@ class TabulatedRobot(KernelRobot):
         self.handle = self.handle_of(self.state, self.feet, self._work)
         self._settle()
 
-    def handle_of(
-        self, state: MechanicalState, feet: Feet, work: Work
-    ) -> Handle:
+    def handle_of(self, state: Arrays, feet: Arrays, work: Arrays) -> Handle:
         """Arguments of the kernels for variables of this robot."""
         scheme = build_scheme(self.scene.solver, self.model.floor)
         return Handle((self.model, self.legs, state, feet, work, scheme))
@@ -188,15 +185,9 @@ class TabulatedRobot(KernelRobot):
         return self.feet.force.copy()
 
 
-def feet_space(lanes: tuple[int, ...] = ()) -> Feet:
+def feet_space(lanes: tuple[int, ...] = ()) -> Arrays:
     """Variables of the feet, zero; of four states with the axis `lanes` = (4,)."""
-    return Feet(
-        command=np.zeros((4, *lanes)),
-        force=np.zeros((4, 3, *lanes)),
-        limit=np.zeros((4, *lanes)),
-        slip=np.zeros((4, 2, 3, *lanes)),
-        flat=np.zeros((2, *lanes)),
-    )
+    return Feet(**zeros(FEET, lanes))
 
 
 def _require_tabulated(scene: Scene) -> None:

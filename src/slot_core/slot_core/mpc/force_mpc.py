@@ -26,10 +26,9 @@ from slot_core.control.policy import (
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import GaitPreview
 from slot_core.key_frame import StateParts
-from slot_core.mpc.force_problem import ForceProblem
+from slot_core.mpc.force_problem import ForceProblem, Solution
 from slot_core.mpc.model import FEET, FirstStage
 from slot_core.mpc.settings import MpcSettings, read_mpc
-from slot_core.mpc.solver import Solution
 from slot_core.robot import GRAVITY, RobotParameters
 
 NO_REPORT = PlanReport()

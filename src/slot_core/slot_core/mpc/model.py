@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slot_core.arrays import Array
-from slot_core.elementary import cos, sin
+from slot_core.geometry import matrix_of_rpy
 from slot_core.matrices import inverse, product
 from slot_core.robot import GRAVITY, LEGS, RobotParameters
 
@@ -96,7 +96,7 @@ class TorsoModel:
 
         With q = [rpy, p] and w = [omega, v] the model is q' = J w, w' = W u + g.
         """
-        rotation = rotation_z(yaw)
+        rotation = matrix_of_rpy([0.0, 0.0, yaw])  # R_z
         jacobian = np.eye(6)
         jacobian[:3, :3] = rotation.T
         gain = np.zeros((6, INPUTS))
@@ -125,17 +125,6 @@ def turned_to(reference: Array, state: Array) -> Array:
     return shifted
 
 
-def rotation_z(yaw: float) -> Array:
-    """R_z(yaw) (3, 3)."""
-    s, c = sin(yaw), cos(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def lever_arms(levers: Array) -> Array:
     """Matrices [r_1]x .. [r_4]x (3, 12) of levers (4, 3) m."""
-    arms = np.zeros((3, INPUTS))
-    x, y, z = levers.T
-    arms[0, 1::3], arms[0, 2::3] = -z, y
-    arms[1, 0::3], arms[1, 2::3] = z, -x
-    arms[2, 0::3], arms[2, 1::3] = -y, x
-    return arms
+    return np.cross(levers[:, None], np.eye(3)).reshape(INPUTS, 3).T.copy()

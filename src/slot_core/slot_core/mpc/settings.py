@@ -10,7 +10,6 @@ from slot_core.arrays import Array
 from slot_core.config import quantity
 from slot_core.gait.gait import Vector3
 from slot_core.mpc.model import FEET
-from slot_core.mpc.solver import MpcSolverSettings
 
 
 @dataclass(frozen=True)
@@ -41,6 +40,24 @@ class Weights:
     def r(self) -> Array:
         """(12,) diagonal of R."""
         return np.tile(self.force, FEET)
+
+
+@dataclass(frozen=True)
+class MpcSolverSettings:
+    """Termination criteria of the solver."""
+
+    tolerance_abs: float = quantity(
+        "largest absolute duality gap of a solution", "", 1e-12, 1e-1
+    )
+    tolerance_rel: float = quantity(
+        "largest relative residual and duality gap of a solution",
+        "",
+        1e-12,
+        1e-1,
+    )
+    iterations: int = quantity(
+        "largest number of iterations of the solver", "", 1, 100000
+    )
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,6 @@ from slot_core.rod.statics import (
     RodLoads,
     StaticSettings,
     follow,
-    free_unknowns,
 )
 
 NO_LOADS = Loads()
@@ -108,7 +107,7 @@ class CosseratRod:
     @property
     def nodes(self) -> int:
         """Number of nodes."""
-        return len(self.mesh.mass)
+        return len(self.mesh.rod.mass)
 
     @property
     def unconverged(self) -> int:
@@ -118,12 +117,14 @@ class CosseratRod:
     @property
     def mass(self) -> float:
         """Mass, kg."""
-        return float(self.mesh.mass.sum())
+        return float(self.mesh.rod.mass.sum())
 
     @property
     def tip(self) -> Pose:
         """Pose of the tip's section."""
-        turn = Rotation.from_matrix(_axes(self._work.frame[1])).as_rotvec()
+        turn = Rotation.from_matrix(
+            frame_rows(self._work.frame[1].T).T
+        ).as_rotvec()
         return Pose(tuple(self._work.node[self.nodes - 1]), tuple(turn))
 
     @property
@@ -141,7 +142,7 @@ class CosseratRod:
             director=work.director[: n - 1].copy(),
             velocity=work.velocity[:n].copy(),
             swirl=work.swirl[: n - 1].copy(),
-            ends=np.array([_axes(frame) for frame in work.frame]),
+            ends=np.array([frame_rows(f.T).T for f in work.frame]),
         )
 
     @state.setter
@@ -256,10 +257,12 @@ class CosseratRod:
         """Kinetic, elastic and potential energy of the present state under loads, J (`Energy`)."""
         mesh, work, n = self.mesh, self._work, self.nodes
         v, spin = work.velocity[:n], work.swirl[: n - 1]
-        kinetic = mesh.mass @ (v**2).sum(axis=1) + mesh.spin[:-1] @ (
+        kinetic = mesh.rod.mass @ (v**2).sum(axis=1) + mesh.rod.spin[:-1] @ (
             spin**2
         ).sum(axis=1)
-        kinetic -= mesh.coupling[:-1] @ (np.diff(v, axis=0) ** 2).sum(axis=1)
+        kinetic -= mesh.rod.coupling[:-1] @ (np.diff(v, axis=0) ** 2).sum(
+            axis=1
+        )
         nodal = self._nodal(loads)
         kernels.pose(mesh, work, nodal)
         return Energy(
@@ -273,13 +276,13 @@ class CosseratRod:
         mesh, work, n = self.mesh, self._work, self.nodes
         r, v = work.node[:n], work.velocity[:n]
         p, less = (
-            mesh.mass[:, None] * v,
-            mesh.coupling[:-1, None] * np.diff(v, axis=0),
+            mesh.rod.mass[:, None] * v,
+            mesh.rod.coupling[:-1, None] * np.diff(v, axis=0),
         )
         angular = np.cross(r, p).sum(axis=0) - np.cross(
             np.diff(r, axis=0), less
         ).sum(axis=0)
-        angular += mesh.spin[:-1] @ work.swirl[: n - 1]
+        angular += mesh.rod.spin[:-1] @ work.swirl[: n - 1]
         return p.sum(axis=0), angular
 
     def tangent(self, loads: Loads = NO_LOADS) -> Array:
@@ -299,14 +302,14 @@ class CosseratRod:
         matrix = np.zeros((len(mesh.metric), len(mesh.metric)))
         for c in range(3):
             at = 4 * np.arange(n) + 4 + c
-            matrix[at, at] = mesh.mass
-            matrix[at[1:], at[1:]] -= mesh.coupling[:-1]
-            matrix[at[:-1], at[:-1]] -= mesh.coupling[:-1]
-            matrix[at[1:], at[:-1]] = matrix[at[:-1], at[1:]] = mesh.coupling[
-                :-1
-            ]
+            matrix[at, at] = mesh.rod.mass
+            matrix[at[1:], at[1:]] -= mesh.rod.coupling[:-1]
+            matrix[at[:-1], at[:-1]] -= mesh.rod.coupling[:-1]
+            matrix[at[1:], at[:-1]] = matrix[at[:-1], at[1:]] = (
+                mesh.rod.coupling[:-1]
+            )
         at = 4 * np.arange(n - 1) + 7
-        matrix[at, at] = mesh.spin[:-1]
+        matrix[at, at] = mesh.rod.spin[:-1]
         return matrix
 
     def natural_frequencies(self, count: int, loads: Loads = NO_LOADS) -> Array:
@@ -322,7 +325,7 @@ class CosseratRod:
             raise RodError(
                 "natural frequencies need loads with a potential: no moment, no follower"
             )
-        free = free_unknowns(self.mesh)
+        free = np.flatnonzero(self.mesh.free)
         square = np.ix_(free, free)
         stiffness, mass = (
             self.tangent(loads)[square],
@@ -384,7 +387,9 @@ class CosseratRod:
     def _nodal(self, loads: Loads) -> RodLoads:
         """Loads at the nodes, and of the tendons."""
         mesh = self.mesh
-        dead = mesh.mass[:, None] * np.asarray(loads.gravity, dtype=np.float64)
+        dead = mesh.rod.mass[:, None] * np.asarray(
+            loads.gravity, dtype=np.float64
+        )
         line = numbers("line", loads.line, dead.shape)
         dead += lumped(line, np.full((1, 1), mesh.refinement.step))
         dead[-1] += loads.force
@@ -430,9 +435,3 @@ def _need_step(h: float) -> None:
 
 def _has_no_potential(loads: Loads) -> bool:
     return any(loads.moment) or any(loads.follower)
-
-
-def _axes(frame: Array) -> Array:
-    """(3, 3) columns tangent, width, normal of a section with the frame rows t, d, b."""
-    axes: Array = np.transpose(frame * np.array([[1.0], [-1.0], [-1.0]]))
-    return axes

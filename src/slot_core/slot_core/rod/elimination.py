@@ -1,15 +1,16 @@
 """Elimination of the rod's unknowns from its base to its tip, and the substitution.
 
-Four unknowns are eliminated with each hinge. The unsymmetric terms of a follower force and of a
-dead moment enter the last 6 x 6 block alone. A negative pivot means that the tangent is not
-positive definite: the number of negative pivots is the number of unstable directions.
+The unknowns of Newton's method are the turn of the base's section (3) and an unused entry, then of
+every node its displacement (3) and the turn w of the segment behind it about itself, which is
+unused at the tip's node, last the turn of the tip's section (3): x has 4 N + 7 entries. The hinge at
+node k depends on x[4 k : 4 k + 11]. Row i of work.factor (4 N + 7, 11) holds the columns from i on of
+the tangent, whose upper half is used; row by row, it is eliminated in place.
+The unsymmetric terms of a follower force and of a dead moment enter the last 7 x 7 block alone. A
+negative pivot means that the tangent is not positive definite: the number of negative pivots is the
+number of unstable directions.
 
-Tangent and gradient are assembled hinge by hinge. The unknowns of Newton's method are
-the turn of the base's section (3, and an unused entry), then of every node
-its displacement (3) and the turn w of the segment behind it about itself, last the displacement of
-the tip's node, the turn of the tip's section (3) and an unused entry: x has 4 N + 7 entries. The hinge
-at node k depends on x[4 k : 4 k + 11]. Over the difference s of a segment's two displacements and
-w, its rotation is
+Tangent and gradient are assembled hinge by hinge. Over the difference s of a segment's two
+displacements and w, its rotation is
 
     Phi = t x s / l + t (w + z.s),      z = t x a / (l (1 + a.t)),
 
@@ -30,8 +31,8 @@ potential.
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
 import math
-from typing import NamedTuple
 
+from slot_core.arrays import named
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import (
     add,
@@ -57,28 +58,25 @@ from slot_core.dynamics.spatial.hinge import (
 from slot_core.dynamics.spatial.strain import frame_before, growth
 from slot_core.matrices import inner
 
-
-class Lever(NamedTuple):
-    """How a moment acts on (s, w): (scale m x t + keep m + m.t z, m.t)."""
-
-    t: tuple[float, float, float]
-    scale: float
-    keep: float
-    z: tuple[float, float, float]
-
-
+Lever = named("Lever", "t scale keep z", __name__)
+"""How a moment acts on (s, w): (scale m x t + keep m + m.t z, m.t)."""
 ZERO = (0.0, 0.0, 0.0)
-SECTION = Lever((0.0, 0.0, 0.0), 0.0, 1.0, ZERO)  # of an end
+SECTION = Lever(ZERO, 0.0, 1.0, ZERO)  # of an end
+WIDTH = 11  # number of unknowns of a hinge
 
 
 @helper
-def segment(work, k):
-    """Lever of segment k, whose director is carried on from the direction a = work.begin[k]."""
+def lever_of(work, k):
+    """Lever of segment k, whose director is carried on from the direction a = work.begin[k].
+
+    Behind the last hinge that of the tip's section.
+    """
+    if k == work.normal.size - 1:
+        return SECTION
     s, a = work.segments, row(work.begin, k)
     t, scale = row(s.direction, k), s.per_length[k]
-    return Lever(
-        t, scale, 0.0, plus(ZERO, scale / (1.0 + dot(a, t)), cross(t, a))
-    )
+    z = scaled(scale / (1.0 + dot(a, t)), cross(t, a))
+    return Lever(t, scale, 0.0, z)
 
 
 @helper
@@ -96,12 +94,13 @@ def hinge(mesh, work, k, inv, before, behind):
     inv is 1 / (theta h), and 0 in statics; before, behind: levers of both. Writes work.form (8, 9),
     the tangent | negative gradient, work.stretch (8,), and the hinge's moments, N m.
     """
-    s, beta, tension = work.segments, mesh.damping_time, work.tension[k]
+    s, rod, tension = work.segments, mesh.rod, work.tension[k]
+    beta = rod.damping_time
     viscous = 1.0 + beta * inv
-    normal = mesh.axial[k] * (s.extension[k] + beta * s.extension_rate[k])
+    normal = rod.axial[k] * (s.extension[k] + beta * s.extension_rate[k])
     normal += work.carried[k]
     base = frame_before(s, k, work.stage_frame[0])
-    h = bend(mesh, s, k, base, viscous, tension, mesh.none, 0.0)
+    h = bend(rod, s, k, base, viscous, tension, mesh.none, 0.0)
     for i in range(work.pull.shape[0]):
         h = _pulled(mesh, work, i, k, base, h, before, behind)
     m = plus(h.moment, normal - tension, h.bulge)
@@ -109,10 +108,12 @@ def hinge(mesh, work, k, inv, before, behind):
     work.normal[k] = normal
     put(work.moment, k, h.moment)
     put(work.residual, k, m)
-    Q = work.form
-    _stiffness(Q, h, before, behind)
+    Q, tangent = work.form, rows(h.tangent)
+    _product(Q[:4, :4], tangent, before, before, True)
+    _product(Q[:4, 4:8], between(h.tangent, h.moment), before, behind, False)
+    _product(Q[4:8, 4:8], tangent, behind, behind, True)
     _gradient(Q, m, normal, before, behind)
-    axial = viscous * mesh.axial[k]
+    axial = viscous * rod.axial[k]
     _stretch(work.stretch[k], Q, h.bulge, before, behind, axial)
 
 
@@ -175,18 +176,13 @@ def _pulled(mesh, work, i, k, base, h, before, behind):
 @helper
 def lengthen(mesh, work, i):
     """Write the derivative of the length of tendon i to work.gradient[i]; after `assemble`."""
-    g, Q, last = work.gradient[i], work.form, work.normal.size - 1
+    g, q = work.gradient[i], work.form[:, 8]
     g[:] = 0.0
-    for k in range(last + 1):
+    for k in range(work.normal.size):
         for c in range(8):
             along = mesh.cables.along[i, k] * work.stretch[k, c]
-            Q[c, 8] = work.reach[i, k, c] + along
-        if k == last:
-            spread_last(work.block, Q)
-        else:
-            spread(work.block, Q, 1.0 - 2.0 * (k > 0), 1.0 * (k > 0))
-        for c in range(11):
-            g[4 * k + c] += work.block[c, 11]
+            q[c] = work.reach[i, k, c] + along
+        scatter(g[4 * k : 4 * k + WIDTH], q, signs(work, k))
 
 
 @helper
@@ -222,24 +218,10 @@ def _restrain(work, x, count):
 
 
 @helper
-def _forward(work, x):
-    """Eliminate a right-hand side x (4 N + 7,) as the tangent was; held entries are 0."""
-    F, at = work.last, 4 * work.normal.size
-    for k in range(work.normal.size):
-        for i in range(4):
-            value = x[4 * k + i] * work.factor[k, i, i]
-            for r in range(i + 1, 11):
-                x[4 * k + r] -= work.factor[k, i, r] * value
-    for i in range(6):
-        value = x[at + i] * F[i, i]
-        for r in range(i + 1, 6):
-            x[at + r] -= F[r, i] * value
-
-
-@helper
-def touch(mesh, work, i, inv, F, at):
-    """Force of the walls on node i, N; adds their tangent to the diagonal block of F at `at`."""
+def touch(mesh, work, i, inv):
+    """Force of the walls on node i, N; adds their tangent."""
     walls, force, u = mesh.walls, ZERO, row(work.speed, i)
+    at = 4 * i + 4
     for j in range(walls.level.size):
         n = row(walls.normal, j)
         gap, vn = dot(n, row(work.stage, i)) - walls.level[j], dot(n, u)
@@ -254,9 +236,9 @@ def touch(mesh, work, i, inv, F, at):
             force = plus(plus(force, normal, n), -drag, v)
             firm = (normal > 0.0) * (stiffness + damping * inv - drag * inv)
             for c in range(3):
-                F[at + c, at + c] += drag * inv
-                for e in range(3):
-                    F[at + c, at + e] += firm * n[c] * n[e]
+                work.factor[at + c, 0] += drag * inv
+                for e in range(c, 3):
+                    work.factor[at + c, e - c] += firm * n[c] * n[e]
     return force
 
 
@@ -272,21 +254,12 @@ def _refined(mesh, s, k, base):
 
 
 @helper
-def _stiffness(Q, h, before, behind):
-    """Tangent of the hinge: K on both sides, [m] / 2 - K between them."""
-    own = rows(h.tangent)
-    _product(Q[:4, :4], own, before, before)
-    _product(Q[:4, 4:8], between(h.tangent, h.moment), before, behind)
-    _product(Q[4:8, 4:8], own, behind, behind)
-
-
-@helper
-def _product(out, r, left, right):
-    """out (4, 4) = P_left^T R P_right of a matrix R with the rows r."""
+def _product(out, r, left, right, upper):
+    """out (4, 4) = P_left^T R P_right of a matrix R with the rows r; its upper half, or all."""
     a, b, c = acting(right, r[0]), acting(right, r[1]), acting(right, r[2])
     for j in range(4):
         column = acting(left, (a[j], b[j], c[j]))
-        for i in range(4):
+        for i in range(j + 1 if upper else 4):
             out[i, j] = column[i]
 
 
@@ -312,7 +285,7 @@ def _stretch(g, Q, bulge, before, behind, axial):
         g[4 + i] += behind.t[i]
     for i in range(8):
         share = axial * g[i]
-        for j in range(8):
+        for j in range(i, 8):
             Q[i, j] += share * g[j]
 
 
@@ -324,7 +297,7 @@ def own(mesh, work, k, inv, lever):
     hinges must have their moments.
     """
     Q, t, scale = work.form, lever.t, work.segments.per_length[k]
-    inertia, mu = mesh.spin[k] * inv, mesh.coupling[k] * inv
+    inertia, mu = mesh.rod.spin[k] * inv, mesh.rod.coupling[k] * inv
     gained = minus(scaled(work.spin[k], t), row(work.swirl, k))
     turning = scaled(inertia, gained)
     m = minus(row(work.moment, k), row(work.moment, k + 1))
@@ -335,7 +308,7 @@ def own(mesh, work, k, inv, lever):
     pull, lag = acting(lever, turning), growth(work.speed, work.before, k)
     for i in range(3):
         g = square * q[i] - across * t[i]
-        for j in range(3):
+        for j in range(i, 3):
             Q[i, j] += t[j] * g + square * q[j] * t[i]
         Q[i, i] += across - mu * inv
         Q[i, 3] += half * (m[i] - mt * t[i])
@@ -345,246 +318,217 @@ def own(mesh, work, k, inv, lever):
 
 
 @helper
-def spread(F, Q, sign, share):
-    """Write a hinge's form to F (11, 12) over its unknowns; the upper half.
+def signs(work, k):
+    """Factors of displacements in the differences s before and behind the hinge at node k.
 
-    sign, share: -1 and 1, since s before the hinge is share times the node's displacement plus
-    sign times the displacement of the node before; +1 and 0 for the base's section.
+    Before it sign x_{k-1} + share x_k, behind it x_{k+1} - keep x_k; the turn of an end's section
+    stands for the displacement beyond the end, and for s.
     """
+    return 1.0 - 2.0 * (k > 0), 1.0 * (k > 0), 1.0 * (k < work.normal.size - 1)
+
+
+@helper
+def spread(work, k):
+    """Add the form of the hinge at node k over its unknowns to the tangent."""
+    A, Q, at = work.factor, work.form, 4 * k
+    sign, share, keep = signs(work, k)
     for i in range(3):
-        for j in range(3):
+        for j in range(i, 3):
             aa, ab, bb = Q[i, j], Q[i, 4 + j], Q[4 + i, 4 + j]
-            F[i, j] = aa
-            F[i, 4 + j] = sign * (share * aa - ab)
-            F[i, 8 + j] = sign * ab
-            F[4 + i, 4 + j] = share * (aa - ab - Q[j, 4 + i]) + bb
-            F[4 + i, 8 + j] = share * ab - bb
-            F[8 + i, 8 + j] = bb
-        F[i, 3] = sign * Q[i, 3]
-        F[i, 7] = sign * Q[i, 7]
-        F[3, 4 + i] = share * Q[i, 3] - Q[3, 4 + i]
-        F[3, 8 + i] = Q[3, 4 + i]
-        F[4 + i, 7] = share * Q[i, 7] - Q[4 + i, 7]
-        F[7, 8 + i] = Q[4 + i, 7]
-        F[i, 11] = sign * Q[i, 8]
-        F[4 + i, 11] = share * Q[i, 8] - Q[4 + i, 8]
-        F[8 + i, 11] = Q[4 + i, 8]
-    F[3, 3] = Q[3, 3] + 1.0 - share
-    F[3, 7] = Q[3, 7]
-    F[7, 7] = Q[7, 7]
-    F[3, 11] = Q[3, 8]
-    F[7, 11] = Q[7, 8]
-
-
-@helper
-def spread_last(F, Q):
-    """The same for the tip's hinge."""
-    for i in range(3):
+            both = share * (aa - keep * (ab + Q[j, 4 + i])) + keep * bb
+            A[at + i, j - i] += aa
+            A[at + 4 + i, j - i] += both
+            A[at + 8 + i, j - i] += bb
         for j in range(3):
-            aa, ab = Q[i, j], Q[i, 4 + j]
-            F[i, j] = aa
-            F[i, 4 + j] = -aa
-            F[4 + i, 4 + j] = aa
-            F[i, 7 + j] = -ab
-            F[4 + i, 7 + j] = ab
-            F[7 + i, 7 + j] = Q[4 + i, 4 + j]
-        F[i, 3] = -Q[i, 3]
-        F[3, 4 + i] = Q[i, 3]
-        F[3, 7 + i] = Q[3, 4 + i]
-        F[i, 10] = F[4 + i, 10] = F[7 + i, 10] = 0.0
-        F[i, 11] = -Q[i, 8]
-        F[4 + i, 11] = Q[i, 8]
-        F[7 + i, 11] = Q[4 + i, 8]
-    F[3, 3] = Q[3, 3]
-    F[3, 11] = Q[3, 8]
-    F[3, 10] = F[10, 11] = 0.0
-    F[10, 10] = 1.0
+            aa, ab, bb = (
+                Q[min(i, j), max(i, j)],
+                Q[i, 4 + j],
+                Q[4 + min(i, j), 4 + max(i, j)],
+            )
+            A[at + i, 4 + j - i] += sign * (share * aa - keep * ab)
+            A[at + i, 8 + j - i] += sign * ab
+            A[at + 4 + i, 4 + j - i] += share * ab - keep * bb
+        A[at + i, 3 - i] += sign * Q[i, 3]
+        A[at + i, 7 - i] += sign * Q[i, 7]
+        A[at + 3, 1 + i] += share * Q[i, 3] - keep * Q[3, 4 + i]
+        A[at + 3, 5 + i] += Q[3, 4 + i]
+        A[at + 4 + i, 3 - i] += share * Q[i, 7] - keep * Q[4 + i, 7]
+        A[at + 7, 1 + i] += Q[4 + i, 7]
+    A[at + 3, 0] += Q[3, 3]
+    A[at + 3, 4] += Q[3, 7]
+    A[at + 7, 0] += Q[7, 7]
 
 
 @helper
-def assemble(mesh, work, inv):
-    """Write the blocks of all hinges to work.factor (N, 11, 12), at the strains of the iterate.
-
-    A hinge's form is complete with the terms of the segment before it, which need both its hinges.
-    """
-    F, Q, last = work.factor, work.form, work.normal.size - 1
-    ahead = segment(work, 0)
-    hinge(mesh, work, 0, inv, SECTION, ahead)
-    spread(F[0], Q, 1.0, 0.0)
-    for k in range(1, last):
-        here, ahead = ahead, segment(work, k)
-        hinge(mesh, work, k, inv, here, ahead)
-        own(mesh, work, k - 1, inv, here)
-        spread(F[k], Q, -1.0, 1.0)
-    hinge(mesh, work, last, inv, ahead, SECTION)
-    own(mesh, work, last - 1, inv, ahead)
-    spread_last(F[last], Q)
+def scatter(x, q, factors):
+    """Add a derivative q (8,) over (s, w) before and behind a node to x (11,), its hinge's unknowns."""
+    sign, share, keep = factors
+    for i in range(3):
+        x[i] += sign * q[i]
+        x[4 + i] += share * q[i] - keep * q[4 + i]
+        x[8 + i] += q[4 + i]
+    x[3] += q[3]
+    x[7] += q[7]
 
 
 @helper
-def node(mesh, work, dead, i, inv, F, at):
-    """Add inertia, dead load and contact of node i to the diagonal and the last column of F.
+def assemble(mesh, work, loads, inv):
+    """Write the tangent, and the negative gradient to work.change, at the strains of the iterate.
 
-    dead (N, 3): forces, N; at: row of F of the node's displacement along x.
+    loads: as in `statics.RodLoads`. A hinge's form is complete with the terms of the segment before
+    it, which need both its hinges.
     """
-    mass = mesh.mass[i] * inv
-    pushed = touch(mesh, work, i, inv, F, at)
-    for c in range(3):
-        F[at + c, at + c] += mass * inv
-        force = dead[i, c] - mass * (work.speed[i, c] - work.before[i, c])
-        F[at + c, F.shape[1] - 1] += force + pushed[c]
-
-
-@helper
-def prescribe(held, gap, F, rows):
-    """Replace the equations of the held unknowns among the first of F by x = gap.
-
-    held (n,): which of the first n are held; rows: number of equations of F.
-    """
-    for c in range(held.size):
-        if held[c]:
-            for i in range(rows):
-                # 0 but in the last block, which is full
-                F[i, F.shape[1] - 1] -= F[i, c] * gap[c]
-                F[i, c] = 0.0
-            for j in range(F.shape[1] - 1):
-                F[c, j] = 0.0
-            F[c, c] = 1.0
-            F[c, F.shape[1] - 1] = gap[c]
-
-
-@helper
-def eliminate(mesh, work, loads, inv, shift):
-    """Factorise the tangent; returns the number of negative pivots.
-
-    loads: as in `statics.RodLoads`; shift: times the metric, added.
-    """
-    negative, count = 0, work.normal.size
+    x, count, ahead = work.change, work.normal.size, SECTION
     tighten(mesh, work, loads)
-    assemble(mesh, work, inv)
+    work.factor[:] = 0.0
+    x[:] = 0.0
     for k in range(count):
-        F = work.factor[k]
+        here, ahead = ahead, lever_of(work, k)
+        hinge(mesh, work, k, inv, here, ahead)
         if k > 0:
-            _carry(F, work.factor[k - 1])
-            node(mesh, work, loads[0], k - 1, inv, F, 0)
-        if shift > 0.0:
-            for i in range(4):
-                F[i, i] += shift * mesh.metric[4 * k + i]
-        if k == 0:
-            prescribe(mesh.held[0, 3:], work.gap[0, 3:], F, 11)
-        elif k == 1:
-            prescribe(mesh.held[0, :3], work.gap[0, :3], F, 11)
-        negative += reduce(F)
-    negative += _last(mesh, work, loads, inv, shift)
-    return negative + couple(mesh, work)
+            own(mesh, work, k - 1, inv, here)
+        spread(work, k)
+        scatter(x[4 * k : 4 * k + WIDTH], work.form[:, 8], signs(work, k))
+        node(mesh, work, loads.dead, k, inv)
+    for c in range(3):
+        x[4 * count + c] += follower_force(work, loads)[c]
+        x[4 * count + 4 + c] += loads.moment[c]
 
 
 @helper
-def _carry(F, before):
-    """Add the remainder of the hinge before."""
-    for i in range(7):
-        for j in range(i, 7):
-            F[i, j] += before[4 + i, 4 + j]
-        F[i, 11] += before[4 + i, 11]
+def node(mesh, work, dead, i, inv):
+    """Add inertia, dead load (N, 3), N, and contact of node i."""
+    at, mass = 4 * i + 4, mesh.rod.mass[i] * inv
+    pushed = touch(mesh, work, i, inv)
+    for c in range(3):
+        work.factor[at + c, 0] += mass * inv
+        force = dead[i, c] - mass * (work.speed[i, c] - work.before[i, c])
+        work.change[at + c] += force + pushed[c]
 
 
 @helper
-def reduce(F):
-    """Eliminate the first four unknowns of F (11, 12); returns the number of negative pivots."""
-    negative = 0
-    for i in range(4):
-        negative += F[i, i] < 0.0
-        pivot = 1.0 / F[i, i]
-        for r in range(i + 1, 11):
-            ratio = F[i, r] * pivot
-            for c in range(r, 12):
-                F[r, c] -= ratio * F[i, c]
-        F[i, i] = pivot
-    return negative
+def follower_force(work, loads):
+    """The follower force in fixed axes, N."""
+    frame, f = work.stage_frame[1], loads.follower
+    return combined(
+        f[0], row(frame, 0), -f[1], row(frame, 1), -f[2], row(frame, 2)
+    )
 
 
 @helper
-def _last(mesh, work, loads, inv, shift):
-    """Factorise the block of the tip's node and section, with its unsymmetric terms."""
-    F, before, tip = work.last, work.factor[-1], work.normal.size - 1
-    for i in range(6):
-        F[i, 6] = before[4 + i, 11]
-        for j in range(6):
-            F[i, j] = before[4 + min(i, j), 4 + max(i, j)]
-        if shift > 0.0:
-            F[i, i] += shift * mesh.metric[4 * tip + 4 + i]
-    node(mesh, work, loads[0], tip, inv, F, 0)
-    load_tip(work, loads, F)
-    prescribe(mesh.held[1], work.gap[1], F, 6)
-    negative = 0
-    for i in range(6):
-        negative += F[i, i] < 0.0
-        F[i, i] = 1.0 / F[i, i]
-        for r in range(i + 1, 6):
-            ratio = F[r, i] * F[i, i]
-            for k in range(i + 1, 7):
-                F[r, k] -= ratio * F[i, k]
-    return negative
-
-
-@helper
-def follower_force(frame, f):
-    """Force f (3,) along the axes of a section with the frame (3, 3), in fixed axes."""
-    t, d, b = row(frame, 0), row(frame, 1), row(frame, 2)
-    return combined(f[0], t, -f[1], d, -f[2], b)
-
-
-@helper
-def load_tip(work, loads, F):
-    """Add moment and follower force of the tip, and the unsymmetric terms, to F (6, 7).
+def turn_tip(mesh, work, loads, F):
+    """Add the unsymmetric terms of the tip to the last block F (7, 7), but those of held unknowns.
 
     The force turns by Phi x f. The hinge's moment m has the antisymmetric tangent Phi x m / 2.
     """
-    f = follower_force(work.stage_frame[1], loads[2])
-    m = row(work.moment, work.normal.size - 1)
+    f, m = follower_force(work, loads), row(work.moment, work.normal.size - 1)
+    free = mesh.free[-7:]
     for i in range(3):
         e = (1.0 * (i == 0), 1.0 * (i == 1), 1.0 * (i == 2))
         turn, half = cross(e, f), cross(e, m)
         for j in range(3):
-            F[j, 3 + i] -= turn[j]
-            F[3 + j, 3 + i] += 0.5 * half[j]
-        F[i, 6] += f[i]
-        F[3 + i, 6] += loads[1][i]
+            F[j, 4 + i] -= free[j] * free[4 + i] * turn[j]
+            F[4 + j, 4 + i] += free[4 + j] * free[4 + i] * 0.5 * half[j]
+
+
+@helper
+def hold(mesh, work):
+    """Replace the equations of the unknowns that are held or unused by x = work.gap (4 N + 7,)."""
+    A, x, gap = work.factor, work.change, work.gap
+    for u in mesh.fixed:
+        for c in range(1, WIDTH):
+            if u >= c:
+                x[u - c] -= A[u - c, c] * gap[u]
+                A[u - c, c] = 0.0
+            if u + c < x.size:
+                x[u + c] -= A[u, c] * gap[u]
+            A[u, c] = 0.0
+        A[u, 0] = 1.0
+        x[u] = gap[u]
+
+
+@helper
+def eliminate(mesh, work, loads, inv, shift):
+    """Factorise the tangent of `assemble`, and eliminate its gradient; the number of negative pivots.
+
+    shift: times the metric, added.
+    """
+    A, x, negative = work.factor, work.change, 0
+    assemble(mesh, work, loads, inv)
+    if shift > 0.0:
+        for i in range(x.size):
+            A[i, 0] += shift * mesh.metric[i]
+    hold(mesh, work)
+    for k in range(work.normal.size):
+        for j in range(4):
+            i = 4 * k + j
+            negative += A[i, 0] < 0.0
+            A[i, 0] = 1.0 / A[i, 0]
+            for r in range(1, WIDTH - j):
+                ratio = A[i, r] * A[i, 0]
+                x[i + r] -= ratio * x[i]
+                for c in range(r, WIDTH - j):
+                    A[i + r, c - r] -= ratio * A[i, c]
+    return negative + _last(mesh, work, loads) + couple(mesh, work)
+
+
+@helper
+def _last(mesh, work, loads):
+    """Factorise the block of the tip's node and section, with its unsymmetric terms."""
+    F, at, negative = work.last, 4 * work.normal.size, 0
+    for i in range(7):
+        for j in range(i, 7):
+            F[i, j] = F[j, i] = work.factor[at + i, j - i]
+    turn_tip(mesh, work, loads, F)
+    for i in range(7):
+        negative += F[i, i] < 0.0
+        F[i, i] = 1.0 / F[i, i]
+        for r in range(i + 1, 7):
+            F[r, i] *= F[i, i]
+            for c in range(i + 1, 7):
+                F[r, c] -= F[r, i] * F[i, c]
+    return negative
+
+
+@helper
+def _forward(work, x):
+    """Eliminate a right-hand side x (4 N + 7,) as the tangent was."""
+    A = work.factor
+    for k in range(work.normal.size):
+        for j in range(4):
+            i = 4 * k + j
+            value = x[i] * A[i, 0]
+            for c in range(1, WIDTH - j):
+                x[i + c] -= A[i, c] * value
+
+
+@helper
+def _back(work, x):
+    """Replace a right-hand side x (4 N + 7,), eliminated, by the solution; held entries stay."""
+    A, F, last = work.factor, work.last, x[-7:]
+    for i in range(7):
+        for r in range(i + 1, 7):
+            last[r] -= F[r, i] * last[i]
+    for i in range(6, -1, -1):
+        for c in range(i + 1, 7):
+            last[i] -= F[i, c] * last[c]
+        last[i] *= F[i, i]
+    for k in range(work.normal.size - 1, -1, -1):
+        for j in range(3, -1, -1):
+            i = 4 * k + j
+            value = x[i]
+            # the newest entry last: it is available last
+            for c in range(WIDTH - 1 - j, 0, -1):
+                value -= A[i, c] * x[i + c]
+            x[i] = value * A[i, 0]
 
 
 @helper
 def substitute(mesh, work):
     """Write the Newton increment to work.change; returns its largest entry, rad or rod lengths."""
-    x, count = work.change, work.normal.size
-    for i in range(6):
-        x[4 * count + i] = work.last[i, 6]
-    for k in range(count):
-        for i in range(4):
-            x[4 * k + i] = work.factor[k, i, 11]
-    _back(work, x)
-    _restrain(work, x, work.pull.shape[0])
+    _back(work, work.change)
+    _restrain(work, work.change, work.pull.shape[0])
     return _largest(mesh, work)
-
-
-@helper
-def _back(work, x):
-    """Replace a right-hand side x (4 N + 7,), eliminated, by the solution."""
-    F, count = work.last, work.normal.size
-    at = 4 * count
-    x[at + 6] = 0.0
-    for i in range(5, -1, -1):
-        value = x[at + i]
-        for j in range(i + 1, 6):
-            value -= F[i, j] * x[at + j]
-        x[at + i] = value * F[i, i]
-    for k in range(count - 1, -1, -1):
-        F = work.factor[k]
-        for i in range(3, -1, -1):
-            value = x[4 * k + i]
-            # the newest entry last: it is available last
-            for j in range(10, i, -1):
-                value -= F[i, j] * x[4 * k + j]
-            x[4 * k + i] = value * F[i, i]
 
 
 @helper
@@ -598,7 +542,7 @@ def _largest(mesh, work):
             size = abs(x[at]) * scale
             if k < count - 1:
                 size = max(size, abs(x[at + 4] - x[at]) * s.per_length[k])
-            size = max(size, abs(x[c]), abs(x[4 * count + 3 + c]))
+            size = max(size, abs(x[c]), abs(x[4 * count + 4 + c]))
             if math.isnan(size + x[at]):
                 return math.nan
             largest = max(largest, size)
@@ -609,14 +553,11 @@ def _largest(mesh, work):
 @helper
 def pull(mesh, work, inv):
     """Update the independent axial forces by the Newton increment."""
-    viscous, last = 1.0 + mesh.damping_time * inv, work.normal.size - 1
-    x = work.change
-    for k in range(last):
-        g = work.stretch[k]
-        value = g[3] * x[4 * k + 3] + g[7] * x[4 * k + 7]
+    x, viscous = work.change, 1.0 + mesh.rod.damping_time * inv
+    for k in range(work.normal.size - 1):
+        g, at = work.stretch[k], 4 * k
+        value = g[3] * x[at + 3] + g[7] * x[at + 7]
         for i in range(3):
-            s = x[4 * k + 4 + i] - x[4 * k + i]
-            if k == 0:
-                s = x[i]
-            value += g[i] * s + g[4 + i] * (x[4 * k + 8 + i] - x[4 * k + 4 + i])
-        work.tension[k] = work.normal[k] + mesh.axial[k] * viscous * value
+            s = x[at + 4 + i] - x[at + i] if k > 0 else x[i]
+            value += g[i] * s + g[4 + i] * (x[at + 8 + i] - x[at + 4 + i])
+        work.tension[k] = work.normal[k] + mesh.rod.axial[k] * viscous * value

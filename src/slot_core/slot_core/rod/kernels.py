@@ -35,14 +35,14 @@ from slot_core.dynamics.spatial.strain import (
     turned,
 )
 from slot_core.rod.elimination import (
+    WIDTH,
     assemble,
     eliminate,
     lengthen,
-    load_tip,
     pull,
     substitute,
     tighten,
-    touch,
+    turn_tip,
 )
 
 # rod lengths and rad; a step that ends with more has diverged
@@ -81,8 +81,8 @@ def look(mesh, work):
     put(work.speed, n, add(row(work.speed, n - 1), cross(rate, t)))
     work.spin[n - 1] = dot(rate, t)
     base = frame_before(s, 0, work.stage_frame[0])
-    measure(s, mesh, work.speed, work.spin, base, row(work.rate, 0))
-    refine(mesh.refinement, s, mesh)
+    measure(s, mesh.rod, work.speed, work.spin, base, row(work.rate, 0))
+    refine(mesh.refinement, s, mesh.rod)
 
 
 @helper
@@ -150,7 +150,7 @@ def move(mesh, work, inv):
             work.spin[k] += x[at + 3] * inv
     for c in range(3):
         work.rate[0, c] += x[c] * inv
-        work.rate[1, c] += x[4 * n + 3 + c] * inv
+        work.rate[1, c] += x[4 * n + 4 + c] * inv
 
 
 @helper
@@ -205,8 +205,8 @@ def follow(work, end, k):
     for i in range(3):
         v = row(work.stage_frame[end], i)
         p, q, r = dot(v, t), dot(v, d), dot(v, b)
-        own = plus(plus(ZERO, p, now[0]), q, now[1])
-        put(work.frame[end], i, plus(own, r, now[2]))
+        own = combined(p, now[0], q, now[1], r, now[2])
+        put(work.frame[end], i, own)
 
 
 @helper
@@ -263,15 +263,9 @@ def displace(work, x):
     For Newton's method, large turns then do not stretch them.
     """
     s, n, m = work.segments, work.spin.size, work.rotation
-    at = 4 * n + 3
-    end_frame(work, work.stage_frame, work.stage_frame, 0, (x[0], x[1], x[2]))
-    end_frame(
-        work,
-        work.stage_frame,
-        work.stage_frame,
-        1,
-        (x[at], x[at + 1], x[at + 2]),
-    )
+    at, frames = 4 * n + 4, work.stage_frame
+    end_frame(work, frames, frames, 0, (x[0], x[1], x[2]))
+    end_frame(work, frames, frames, 1, (x[at], x[at + 1], x[at + 2]))
     put(work.stage, 0, add(row(work.stage, 0), (x[4], x[5], x[6])))
     for k in range(n - 1):
         i, t, d = 4 * k + 4, row(s.direction, k), row(work.from_director, k)
@@ -289,9 +283,10 @@ def displace(work, x):
 @helper
 def close(mesh, work, place):
     """Set the increments that bring the tip's node to its place (3,) where it is held."""
+    tip = work.spin.size - 1
     for c in range(3):
         if mesh.held[1, c]:
-            work.gap[1, c] = place[c] - work.stage[work.spin.size - 1, c]
+            work.gap[4 * tip + 4 + c] = place[c] - work.stage[tip, c]
 
 
 @helper
@@ -327,7 +322,7 @@ def relax(mesh, work, loads):
     strain_posture(mesh, work)
     tighten(mesh, work, loads)
     for k in range(work.tension.size):
-        force = mesh.axial[k] * work.segments.extension[k]
+        force = mesh.rod.axial[k] * work.segments.extension[k]
         work.tension[k] = force + work.carried[k]
 
 
@@ -378,41 +373,31 @@ def dense(mesh, work, loads, matrix):
     """Write the tangent of the posture to matrix (4 N + 7, 4 N + 7), held unknowns included."""
     matrix[:] = 0.0
     strain_posture(mesh, work)
-    tighten(mesh, work, loads)
-    assemble(mesh, work, 0.0)
-    count = work.normal.size
+    assemble(mesh, work, loads, 0.0)
     for i in range(work.pull.shape[0]):
         lengthen(mesh, work, i)
-        for r in range(4 * count + 7):
-            share = work.pull[i, 1] * work.gradient[i, r]
-            for c in range(4 * count + 7):
-                matrix[r, c] += share * work.gradient[i, c]
-    for k in range(count):
-        touch(mesh, work, k, 0.0, matrix, 4 * k + 4)
-        for i in range(11):
-            for j in range(11):
-                matrix[4 * k + i, 4 * k + j] += work.factor[
-                    k, min(i, j), max(i, j)
-                ]
-    work.last[:] = 0.0
-    load_tip(work, loads, work.last)
-    for i in range(6):
-        for j in range(6):
-            matrix[4 * count + i, 4 * count + j] += work.last[i, j]
+        g = work.gradient[i]
+        for r in range(g.size):
+            for c in range(g.size):
+                matrix[r, c] += work.pull[i, 1] * g[r] * g[c]
+    for r in range(matrix.shape[0]):
+        for c in range(r, min(r + WIDTH, matrix.shape[0])):
+            matrix[r, c] += work.factor[r, c - r]
+            matrix[c, r] = matrix[r, c]
+    last = 4 * work.normal.size
+    turn_tip(mesh, work, loads, matrix[last:, last:])
 
 
 @kernel
 def elastic_energy(mesh, work):
     """Elastic energy of the posture, J."""
     strain_posture(mesh, work)
-    s, total = work.segments, 0.0
+    s, rod, total = work.segments, mesh.rod, 0.0
     for k in range(work.normal.size):
-        bend = s.turn[k] - mesh.rest_angle[k]
+        bend = s.turn[k] - rod.rest_angle[k]
         total += (
-            mesh.axial[k] * s.extension[k] ** 2
-            + mesh.torsion[k] * s.twist[k] ** 2
+            rod.axial[k] * s.extension[k] ** 2
+            + rod.torsion[k] * s.twist[k] ** 2
         )
-        total += (
-            mesh.bending[k] * bend * bend + mesh.lateral[k] * s.side[k] ** 2
-        )
+        total += rod.bending[k] * bend * bend + rod.lateral[k] * s.side[k] ** 2
     return total / 2

@@ -18,12 +18,26 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from slot_core.arrays import Array, one_buffer
-from slot_core.dynamics.rod import Sections, links, lumped, weights
+from slot_core.arrays import (
+    Array,
+    Arrays,
+    Shapes,
+    named,
+    one_buffer,
+    zeros,
+)
+from slot_core.dynamics.rod import (
+    Rod,
+    Sections,
+    TendonModel,
+    links,
+    lumped,
+    weights,
+)
 from slot_core.dynamics.spatial.strain import (
     Refinement,
-    Segments,
     segments,
     tilts,
 )
@@ -36,13 +50,6 @@ from slot_core.rod.model import (
     need,
     numbers,
 )
-
-
-class NoTendon(NamedTuple):
-    """A leg's tendon that does nothing: a rod's tendons are `Cables`."""
-
-    around: Array  # (N,)
-    along: Array  # (N,)
 
 
 class Cables(NamedTuple):
@@ -66,33 +73,19 @@ class Walls(NamedTuple):
 
 
 class Mesh(NamedTuple):
-    """A chain of N nodes and N - 1 segments.
+    """A chain of N nodes and N - 1 segments."""
 
-    Arrays (N,) belong to the hinges, or to the segments and the tip's section; fields and units as
-    in `dynamics.rod.Rod`.
-    """
-
-    natural: Array  # (N, 3) m, from the base's pose
+    rod: Rod  # its arrays (N-1,) with an entry for the tip's section, hinges at all nodes
     turn: float  # rad, natural angle of the tip
-    mass: Array
-    coupling: Array
-    spin: Array
-    rest_length: Array
-    rest_angle: Array
-    shortening: Array
-    axial: Array
-    bending: Array
-    lateral: Array
-    torsion: Array
     metric: Array  # (4 N + 7,) norm of the unknowns: masses, and of turns mass L^2 / 12
     held: Array  # (2, 6) bool, held components of position and rotation at base and tip
     free: Array  # (4 N + 7,) 1 for the unknowns that exist and that no support holds, else 0
-    none: NoTendon
+    fixed: NDArray[np.intp]  # the others
+    none: TendonModel  # a leg's tendon that does nothing: a rod's tendons are `Cables`
     cables: Cables
     walls: Walls
     refinement: Refinement
     length: float  # m
-    damping_time: float  # s
 
 
 def build_mesh(  # noqa: PLR0917
@@ -115,36 +108,41 @@ def build_mesh(  # noqa: PLR0917
     hinge = sections(material, geometry, arc)
     middle = sections(material, geometry, (arc[1:] + arc[:-1]) / 2)
     chain = links(shape[:, :2], arc, weights(np.diff(arc)), hinge, middle)
-    last = shape[-1, 2] - np.sum(chain["rest_angle"])
+    ends = dict.fromkeys(("coupling", "spin", "shortening", "axial"), 0.0)
+    ends["rest_length"] = 1.0
+    ends["rest_angle"] = shape[-1, 2] - np.sum(chain["rest_angle"])
+    chain |= {name: np.append(chain[name], end) for name, end in ends.items()}
     turning = chain["mass"] * length**2 / 12
     of_nodes = np.column_stack(
         [chain["mass"], chain["mass"], chain["mass"], turning]
     )
+    held = np.array([[*end.position, *end.rotation] for end in (base, tip)])
+    free = np.ones(4 * nodes + 7)
+    free[[3, -4]] = 0.0
+    free[[4, 5, 6, 0, 1, 2]], free[[-7, -6, -5, -3, -2, -1]] = 1.0 - held
     return Mesh(
-        natural=np.column_stack([shape[:, 0], np.zeros(nodes), shape[:, 1]]),
+        rod=Rod(
+            node=shape[:, :2],
+            arc=arc,
+            **chain,
+            anchor=nodes - 1,
+            anchor_share=1.0,
+            damping_time=material.damping_time,
+            relaxation=np.zeros((2, 2)),
+        ),
         turn=float(shape[-1, 2]),
-        mass=chain["mass"],
-        coupling=np.append(chain["coupling"], 0.0),
-        spin=np.append(chain["spin"], 0.0),
-        rest_length=np.append(chain["rest_length"], 1.0),
-        rest_angle=np.append(chain["rest_angle"], last),
-        shortening=np.append(chain["shortening"], 0.0),
-        axial=np.append(chain["axial"], 0.0),
-        bending=chain["bending"],
-        lateral=chain["lateral"],
-        torsion=chain["torsion"],
         # norm of the unknowns in the order of `elimination.py`
         metric=np.concatenate(
             [np.full(4, turning[0]), of_nodes.ravel(), np.full(3, turning[-1])]
         ),
-        held=np.array([[*end.position, *end.rotation] for end in (base, tip)]),
-        refinement=_refinement(geometry, arc, refined),
-        none=NoTendon(np.zeros(nodes), np.zeros(nodes)),
-        free=_free(base, tip, nodes),
+        held=held,
+        free=free,
+        fixed=np.flatnonzero(free == 0.0),
+        none=TendonModel(np.zeros(nodes), np.zeros(nodes), 0.0, 0.0, 0.0, 0.0),
         cables=_cables(tendons, arc),
         walls=_walls(planes, arc),
+        refinement=_refinement(geometry, arc, refined),
         length=length,
-        damping_time=material.damping_time,
     )
 
 
@@ -164,18 +162,6 @@ def sections(material: Material, geometry: Geometry, s: Array) -> Sections:
         mass=material.density * area,
         spin=material.density * (inner + outer),
     )
-
-
-def _free(base: Support, tip: Support, nodes: int) -> Array:
-    """(4 N + 7,) 1 for the unknowns (`elimination.py`) that exist and that no support holds."""
-    free = np.ones(4 * nodes + 7)
-    free[[3, -1]] = 0.0
-    free[:3], free[4:7] = (
-        np.logical_not(base.rotation),
-        np.logical_not(base.position),
-    )
-    free[-7:-1] = np.logical_not([*tip.position, *tip.rotation])
-    return free
 
 
 def _cables(tendons: Sequence[RodTendon], arc: Array) -> Cables:
@@ -237,106 +223,86 @@ def _refinement(geometry: Geometry, arc: Array, active: bool) -> Refinement:
     )
 
 
-class RodWork(NamedTuple):
-    """State, iterate and factorised tangent of a rod of N nodes."""
-
-    node: Array  # (N + 1, 3) m
-    velocity: Array  # (N + 1, 3) m/s
-    director: Array  # (N, 3)
-    swirl: Array  # (N, 3) rad/s, angular momentum about the segments over their polar inertia
-    frame: Array  # (2, 3, 3) of the base's and the tip's section
-    turning: Array  # (2, 3) rad/s, their angular velocity in the last stage
-    driven: Array  # (2, 3) m/s, their nodes' velocity in the last stage
-    posture: Array  # the iterate of statics, and the stage of a step, in these views:
-    stage: Array  # (N + 1, 3) m
-    begin: Array  # (N, 3) directions from which the directors `from_director` are carried on
-    from_director: Array  # (N, 3)
-    stage_frame: Array  # (2, 3, 3)
-    tension: Array  # (N,) N, independent axial force of the tangent
-    speed: Array  # (N + 1, 3) m/s, V
-    before: Array  # (N + 1, 3) m/s, velocity at the start of the step
-    spin: Array  # (N,) rad/s, Omega
-    rate: Array  # (2, 3) rad/s, angular velocity of the ends' sections at the stage
-    # (2, 3) of the first and the last segment at the stage
-    stage_director: Array
-    segments: Segments
-    moment: Array  # (N, 3) N m, of the hinges, with the independent axial force
-    residual: Array  # (N, 3) N m, the same with the axial force of the strains
-    normal: Array  # (N,) N, axial force of the strains
-    stretch: Array  # (N, 8) derivative of l - c over (s, w) before, behind
-    form: Array  # (8, 9) tangent | -gradient of a hinge over (s, w) before, behind
-    factor: Array  # (N, 11, 12) tangent | -gradient of the hinges, factorised in place
-    last: Array  # (6, 7) the same of the last node and the tip's section
-    gap: Array  # (2, 6) increments of the held unknowns
-    change: Array  # (4 N + 7,) Newton increment
-    # (m, 3) of the tendons: pull (N), stiffness (N/m), 0 where the pull does not depend on the
-    # length (m), the last
-    pull: Array
-    yielding: Array  # (m,) m/N, of a tendon and the rod
-    block: Array  # (11, 12) scratch
-    carried: Array  # (N,) N, axial force of the segments by the tendons' pull
-    # (m, N, 8) derivative of a tendon's length over (s, w) before, behind, by bending
-    reach: Array
-    gradient: Array  # (m, 4 N + 7) derivative of a tendon's length
-    response: Array  # (m, 4 N + 7) displacement by a unit force along it
-    rotation: Array  # (3, 3) scratch
-    # (1,) steps whose last increment was above the tolerance
-    unconverged: Array
+def posture_shapes(n: int) -> Shapes:
+    """The iterate of statics, and the stage of a step, of a rod of n nodes."""
+    return {
+        "stage": (n + 1, 3),  # m
+        # directions from which the directors `from_director` are carried on
+        "begin": (n, 3),
+        "from_director": (n, 3),
+        "stage_frame": (2, 3, 3),
+        "tension": (n,),  # N, independent axial force of the tangent
+    }
 
 
-def work_space(mesh: Mesh) -> RodWork:
+def work_shapes(n: int, m: int) -> Shapes:
+    """State, iterate and factorised tangent of a rod of n nodes and m tendons."""
+    return {
+        "node": (n + 1, 3),  # m
+        "velocity": (n + 1, 3),  # m/s
+        "director": (n, 3),
+        # rad/s, angular momentum about the segments over their polar inertia
+        "swirl": (n, 3),
+        "frame": (2, 3, 3),  # of the base's and the tip's section
+        "turning": (2, 3),  # rad/s, their angular velocity in the last stage
+        "driven": (2, 3),  # m/s, their nodes' velocity in the last stage
+        "speed": (n + 1, 3),  # m/s, V
+        "before": (n + 1, 3),  # m/s, velocity at the start of the step
+        "spin": (n,),  # rad/s, Omega
+        # rad/s, angular velocity of the ends' sections at the stage
+        "rate": (2, 3),
+        # of the first and the last segment at the stage
+        "stage_director": (2, 3),
+        # N m, of the hinges, with the independent axial force
+        "moment": (n, 3),
+        "residual": (n, 3),  # N m, the same with the axial force of the strains
+        "normal": (n,),  # N, axial force of the strains
+        "stretch": (n, 8),  # derivative of l - c over (s, w) before, behind
+        # tangent | -gradient of a hinge over (s, w) before, behind
+        "along": (11,),  # the same over the unknowns of a hinge, scratch
+        "form": (8, 9),
+        "factor": (
+            4 * n + 7,
+            11,
+        ),  # rows of the tangent from its diagonal on, factorised in place
+        "last": (7, 7),  # the same of the last node and the tip's section
+        "gap": (4 * n + 7,),  # increments of the held unknowns
+        "change": (4 * n + 7,),  # Newton increment
+        # of the tendons: pull (N), stiffness (N/m), 0 where the pull does not depend on the
+        # length (m), the last
+        "pull": (m, 3),
+        "yielding": (m,),  # m/N, of a tendon and the rod
+        "carried": (n,),  # N, axial force of the segments by the tendons' pull
+        # derivative of a tendon's length over (s, w) before, behind, by bending
+        "reach": (m, n, 8),
+        "gradient": (m, 4 * n + 7),  # derivative of a tendon's length
+        "response": (m, 4 * n + 7),  # displacement by a unit force along it
+        "rotation": (3, 3),  # scratch
+        # steps whose last increment was above the tolerance
+        "unconverged": (1,),
+    }
+
+
+RodWork = named(
+    "RodWork",
+    ["posture", *posture_shapes(2), *work_shapes(2, 0), "segments"],
+    __name__,
+)
+"""Arrays of a rod: `posture` holds the variables of `posture_shapes`, which are views of it."""
+
+
+def work_space(mesh: Mesh) -> Arrays:
     """Work arrays of a rod; `place` moves it to a pose."""
-    n, m = len(mesh.mass), len(mesh.cables.stiffness)
-    posture, views = one_buffer(
-        {
-            "stage": (n + 1, 3),
-            "begin": (n, 3),
-            "from_director": (n, 3),
-            "stage_frame": (2, 3, 3),
-            "tension": (n,),
-        }
-    )
-    return RodWork(
-        node=np.zeros((n + 1, 3)),
-        velocity=np.zeros((n + 1, 3)),
-        director=np.zeros((n, 3)),
-        swirl=np.zeros((n, 3)),
-        frame=np.zeros((2, 3, 3)),
-        turning=np.zeros((2, 3)),
-        driven=np.zeros((2, 3)),
-        posture=posture,
-        **views,
-        speed=np.zeros((n + 1, 3)),
-        before=np.zeros((n + 1, 3)),
-        spin=np.zeros(n),
-        rate=np.zeros((2, 3)),
-        stage_director=np.zeros((2, 3)),
-        segments=segments(n + 1),
-        moment=np.zeros((n, 3)),
-        residual=np.zeros((n, 3)),
-        normal=np.zeros(n),
-        stretch=np.zeros((n, 8)),
-        form=np.zeros((8, 9)),
-        factor=np.zeros((n, 11, 12)),
-        last=np.zeros((6, 7)),
-        gap=np.zeros((2, 6)),
-        change=np.zeros(4 * n + 7),
-        pull=np.zeros((m, 3)),
-        yielding=np.zeros(m),
-        block=np.zeros((11, 12)),
-        carried=np.zeros(n),
-        reach=np.zeros((m, n, 8)),
-        gradient=np.zeros((m, 4 * n + 7)),
-        response=np.zeros((m, 4 * n + 7)),
-        rotation=np.zeros((3, 3)),
-        unconverged=np.zeros(1, dtype=np.int64),
-    )
+    n, m = len(mesh.rod.mass), len(mesh.cables.stiffness)
+    posture, views = one_buffer(posture_shapes(n))
+    arrays = zeros(work_shapes(n, m)) | views
+    return RodWork(posture=posture, segments=segments(n + 1), **arrays)
 
 
-def place(mesh: Mesh, work: RodWork, position: Array, axes: Array) -> None:
+def place(mesh: Mesh, work: Arrays, position: Array, axes: Array) -> None:
     """Put the rod at rest in its natural shape; axes (3, 3): columns x, y, z of the base."""
-    n = len(mesh.mass)
-    work.node[:n] = position + mesh.natural @ axes.T
+    natural = mesh.rod.node
+    work.node[: len(natural)] = position + natural @ axes[:, [0, 2]].T
     c, s = np.cos(mesh.turn), np.sin(mesh.turn)
     work.frame[0] = frame_rows(axes)
     work.frame[1] = frame_rows(
@@ -346,5 +312,8 @@ def place(mesh: Mesh, work: RodWork, position: Array, axes: Array) -> None:
 
 
 def frame_rows(axes: Array) -> Array:
-    """(3, 3) rows t, d, b of a section with the axes tangent, width, normal as columns."""
+    """(3, 3) rows t, d, b of a section with the axes tangent, width, normal as columns.
+
+    Transposed before and after, the axes of a frame.
+    """
     return np.array([axes[:, 0], -axes[:, 1], -axes[:, 2]])

@@ -14,12 +14,11 @@ from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-from slot_core.arrays import Array
+from slot_core.arrays import Array, Arrays
 from slot_core.rod import kernels
-from slot_core.rod.mesh import Mesh, RodWork
+from slot_core.rod.mesh import Mesh
 from slot_core.rod.model import need, need_positive
 
 # divisor of the first step, which measures the first rate of turn
@@ -109,31 +108,25 @@ class RodLoads(NamedTuple):
         return RodLoads(*(a + factor * (b - a) for a, b in zip(self, other)))
 
 
-def free_unknowns(mesh: Mesh) -> NDArray[np.intp]:
-    """Indices of the unknowns (`elimination.py`) that exist and that no support holds."""
-    return np.flatnonzero(mesh.free)
-
-
 class _Path:
     """Path of equilibria from the loads `begin` to the loads `end`."""
 
     def __init__(
         self,
         mesh: Mesh,
-        work: RodWork,
+        work: Arrays,
         begin: RodLoads,
         end: RodLoads,
         settings: StaticSettings,
     ) -> None:
         self.mesh, self.work, self.settings = mesh, work, settings
         self.begin, self.end = begin, end
-        self.place = work.stage[len(mesh.mass) - 1].copy()  # m, of the tip
+        self.place = work.stage[len(mesh.rod.mass) - 1].copy()  # m, of the tip
         self.factor, self.negative = 0.0, 0
         self.steps = self.iterations = 0
         self.critical: list[float] = []
-        # load factor at which an unstable branch was left
-        self.left_at: float | None = None
-        self.rate = math.inf  # rad, turn per load factor in the last step
+        # rad, turn per load factor in the last step; infinite where an unstable branch was left
+        self.rate = math.inf
 
     def correct(self, factor: float) -> int | None:
         """Newton's method at a load factor from the posture; negative pivots, None if it fails."""
@@ -175,18 +168,22 @@ class _Path:
         )
         return min(s.largest_turn, s.turn_growth * expected + s.turn_floor)
 
-    def bisect(self, low: float, high: float, negative: int) -> float:
-        """Load factor between low and high at which the number of negative pivots changes."""
-        start = self.work.posture.copy()
+    def bisect(self, before: Array, low: float, high: float) -> float:
+        """Load factor between low and high at which the number of negative pivots changes.
+
+        before: the posture at the load factor low.
+        """
+        after = self.work.posture.copy()
+        self.work.posture[:] = before
         while high - low > self.settings.critical_tolerance * high:
             middle = (low + high) / 2
             if not low < middle < high:
                 break  # neighbouring numbers
-            if self.correct(middle) == negative:
+            if self.correct(middle) == self.negative:
                 low = middle
             else:
                 high = middle
-        self.work.posture[:] = start
+        self.work.posture[:] = after
         return (low + high) / 2
 
     def advance(self, factor: float) -> bool:
@@ -196,25 +193,14 @@ class _Path:
         if negative is None:
             return False
         if negative != self.negative:
-            after = self.work.posture.copy()
-            self.work.posture[:] = before
-            self.critical.append(
-                self.bisect(self.factor, factor, self.negative)
-            )
-            self.work.posture[:] = after
-            if negative > self.negative and self.settings.stay_stable:
-                negative = self.descend(factor)
-        turn = self.turn(frames)
-        self.rate = (
-            math.inf
-            if self.left_at == factor
-            else turn / (factor - self.factor)
-        )
-        self.factor, self.negative, self.steps = (
-            factor,
-            negative,
-            self.steps + 1,
-        )
+            self.critical.append(self.bisect(before, self.factor, factor))
+        descends = negative > self.negative and self.settings.stay_stable
+        if descends:
+            negative = self.descend(factor)
+        turn = self.turn(frames) / (factor - self.factor)
+        self.rate = math.inf if descends else turn
+        self.factor, self.negative = factor, negative
+        self.steps += 1
         return True
 
     def descend(self, factor: float) -> int:
@@ -263,7 +249,6 @@ class _Path:
             raise EquilibriumError(
                 "no stable branch found", self.factor, self.negative
             )
-        self.left_at = factor
         return 0
 
     def critical_shape(self, loads: RodLoads) -> tuple[float, Array]:
@@ -273,7 +258,7 @@ class _Path:
         is 1 in absolute value.
         """
         mesh, size = self.mesh, len(self.mesh.metric)
-        matrix, free = np.zeros((size, size)), free_unknowns(mesh)
+        matrix, free = np.zeros((size, size)), np.flatnonzero(mesh.free)
         kernels.dense(mesh, self.work, loads, matrix)
         value, vector = eigh(
             (matrix + matrix.T)[np.ix_(free, free)] / 2,
@@ -283,7 +268,7 @@ class _Path:
         shape = np.zeros(size)
         shape[free] = vector[:, 0]
         rows = shape[4:-3].reshape(-1, 4)
-        step = np.diff(rows[:, :3], axis=0) / mesh.rest_length[:-1, None]
+        step = np.diff(rows[:, :3], axis=0) / mesh.rod.rest_length[:-1, None]
         turns = np.concatenate([step.ravel(), rows[:-1, 3]])
         return float(value[0]), shape / turns[np.abs(turns).argmax()]
 
@@ -296,7 +281,7 @@ class _Path:
 
 def follow(
     mesh: Mesh,
-    work: RodWork,
+    work: Arrays,
     begin: RodLoads,
     end: RodLoads,
     settings: StaticSettings,

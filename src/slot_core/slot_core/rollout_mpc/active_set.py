@@ -12,11 +12,10 @@ few limits in force it takes some ten microseconds, where an interior-point meth
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import Array, checked
+from slot_core.arrays import Array, Shapes, checked, named, zeros
 from slot_core.compiled import helper, kernel
 from slot_core.matrices import cholesky, inner, solve_cholesky
 
@@ -24,24 +23,30 @@ PARALLEL = 1e-11  # share of a normal outside of those in force, below which it 
 STEPS_MAX = 400  # changes of the set of limits in force
 
 
-class Workspace(NamedTuple):
+def work_shapes(n: int) -> Shapes:
     """Arrays of `_minimise` for n variables."""
+    return {
+        "normal": (
+            n,
+            n,
+        ),  # rows: normals of the limits in force, pointing inward
+        "image": (n, n),  # rows: H^-1 normal
+        "factor": (n, n),  # Cholesky factor of normal image^T
+        "multiplier": (n,),
+        "change": (n,),  # of the multipliers per length of a step
+        "goal": (n,),  # normal of the limit to be added
+        "way": (n,),  # H^-1 goal, then its part along the limits in force
+    }
 
-    # (n, n) rows: normals of the limits in force, pointing inward
-    normal: Array
-    image: Array  # (n, n) rows: H^-1 normal
-    factor: Array  # (n, n) Cholesky factor of normal image^T
-    multiplier: Array  # (n,)
-    change: Array  # (n,) of the multipliers per length of a step
-    goal: Array  # (n,) normal of the limit to be added
-    way: Array  # (n,) H^-1 goal, then its part along the limits in force
+
+Workspace = named("Workspace", work_shapes(1), __name__)
 
 
 class ActiveSet:
     """Solver for n variables."""
 
     def __init__(self, n: int):
-        self._work = Workspace(*np.zeros((3, n, n)), *np.zeros((4, n)))
+        self._work = Workspace(**zeros(work_shapes(n)))
 
     def solve(
         self,

@@ -9,7 +9,6 @@ from slot_core.config import ConfigError
 from slot_core.dynamics import integrator, observe
 from slot_core.dynamics.handle import Handle
 from slot_core.dynamics.model import (
-    Model,
     build_model,
     build_scheme,
     leg_lanes,
@@ -19,9 +18,13 @@ from slot_core.dynamics.model import (
 )
 from slot_core.dynamics.scene import Scene
 from slot_core.dynamics.servo import ServoSettings
-from slot_core.dynamics.simulated_robot import KernelRobot, require_steps
+from slot_core.dynamics.simulated_robot import (
+    KernelRobot,
+    counted,
+    require_steps,
+)
 from slot_core.geometry import Transform
-from slot_core.matrices import product
+from slot_core.matrices import norm, product
 from slot_core.refusal import DivergenceError
 from slot_core.robot import LEGS, RobotParameters
 
@@ -72,8 +75,9 @@ class RodRobot(KernelRobot):
         """
         model = build_model(robot, scene, servo)
         law = scene.floor.friction_law != self.scene.floor.friction_law
-        shapes = _state_shapes(model) != _state_shapes(self.model)
-        if scene.solver != self.scene.solver or law or shapes:
+        size = len(matching_state(model).buffer)
+        branches = size != len(self.state.buffer)
+        if scene.solver != self.scene.solver or law or branches:
             raise ConfigError(
                 "solver, friction law and branches cannot change in a run"
             )
@@ -94,13 +98,21 @@ class RodRobot(KernelRobot):
         done, where = integrator.advance(self.handle, steps)
         self.steps += done
         if where >= 0:
-            leg, node = divmod(where - 1, self.scene.solver.nodes)
-            place = f"leg {LEGS[leg]} node {node}" if where else "torso"
+            place = self._lost_node() if where else "torso"
             raise DivergenceError(
                 f"simulation diverged in step {self.steps + 1} at {self.time:.4f} s: {place} is"
                 f" beyond {self.scene.solver.speed_limit} m/s or not a number",
                 self.snapshot() | {"command": command},
             )
+
+    def _lost_node(self) -> str:
+        """The first node that diverged; of a leg whose tendon angle is not finite, node 0."""
+        with np.errstate(over="ignore"):
+            speed = norm(self.state.node_velocity)
+        sound = speed < self.scene.solver.speed_limit
+        sound[:, 0] &= np.isfinite(self.state.tendon_angle)
+        leg, node = np.argwhere(~sound)[0]
+        return f"leg {LEGS[leg]} node {node}"
 
     def set_motion(self, velocity: Array, angular_velocity: Array) -> None:
         """Set a rigid motion of torso and legs: (3,) m/s in odom, (3,) rad/s in base_link."""
@@ -134,10 +146,10 @@ class RodRobot(KernelRobot):
             "before_tendon_angle": before.tendon_angle.copy(),
         }
 
-    @property
-    def unconverged_steps(self) -> int:
-        """Steps accepted with too large a correction because no halvings were left."""
-        return int(self._work.counter[2])
+    unconverged_steps = counted(
+        2,
+        "Steps accepted with too large a correction because no halvings were left.",
+    )
 
     @property
     def nodes(self) -> Array:
@@ -164,7 +176,3 @@ class RodRobot(KernelRobot):
     def _observe(self) -> tuple[Array, Array]:
         observe.points(self.model, self.state, self._points[0], self._points[1])
         return self._points[0], self._points[1]
-
-
-def _state_shapes(model: Model) -> list[tuple[int, ...]]:
-    return [view.shape for view in matching_state(model)]

@@ -51,8 +51,7 @@ about the node adds the symmetric part of Phi -> -(Phi x a) x f.
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from typing import NamedTuple
-
+from slot_core.arrays import named
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import (
     add,
@@ -75,35 +74,24 @@ from slot_core.dynamics.lanes import any_lane, largest, like, total, where
 from slot_core.dynamics.spatial.hinge import Symmetric, bend, between, rows
 from slot_core.dynamics.spatial.strain import frame_before, growth
 
-
-class Form(NamedTuple):
-    """Quadratic form over (X, Phi, lambda | 1) of the leg beyond a node."""
-
-    place: Symmetric  # over X
-    x: tuple[float, float, float]  # rows X of the coupling to Phi
-    y: tuple[float, float, float]
-    z: tuple[float, float, float]
-    turn: Symmetric  # over Phi
-    pull: tuple[float, float, float]  # column of lambda, rows X
-    twist: tuple[float, float, float]  # rows Phi
-    force: tuple[float, float, float]  # gradient, rows X
-    moment: tuple[float, float, float]  # rows Phi
-
-
-class Pivot(NamedTuple):
-    """Factors L D L^T of a symmetric 4 x 4 matrix: L below the diagonal, 1 / D."""
-
-    l10: float
-    l20: float
-    l30: float
-    l21: float
-    l31: float
-    l32: float
-    d0: float
-    d1: float
-    d2: float
-    d3: float
-    positive: bool
+Form = named(
+    "Form",
+    [
+        "place",  # over X
+        "x",  # rows X of the coupling to Phi
+        "y",
+        "z",
+        "turn",  # over Phi
+        "pull",  # column of lambda, rows X
+        "twist",  # rows Phi
+        "force",  # gradient, rows X
+        "moment",  # rows Phi
+    ],
+    __name__,
+)
+"""Quadratic form over (X, Phi, lambda | 1) of the leg beyond a node."""
+Pivot = named("Pivot", "l10 l20 l30 l21 l31 l32 d0 d1 d2 d3 positive", __name__)
+"""Factors L D L^T of a symmetric 4 x 4 matrix: L below the diagonal, 1 / D."""
 
 
 @helper
@@ -151,12 +139,6 @@ def solve(p, r):
     c = c * p.d2 - p.l32 * d
     b = b * p.d1 - p.l21 * c - p.l31 * d
     return r[0] * p.d0 - p.l10 * b - p.l20 * c - p.l30 * d, b, c, d
-
-
-@helper
-def solve_rows(p, rows):
-    """Solutions for the three right-hand sides of a block."""
-    return solve(p, rows[0]), solve(p, rows[1]), solve(p, rows[2])
 
 
 @helper
@@ -338,7 +320,12 @@ def _reduce(model, leg, k, inv, place, form, both, one):
     spin = rod.spin[k] * inv * inv
     pivot = _pivot(form, begin, t, scale, axial, stretch, normal, inertia, spin)
     # columns of X_k, of Phi_{k-1}: P^T ([m] / 2 - K) - axial p bulge^T, of lambda, of the gradient
-    x = _columns_of_place(form, begin, t, scale)
+    px, py, pz = rows(form.place)
+    x = (
+        _column_of_place(px, form.x, begin.x, t, scale),
+        _column_of_place(py, form.y, begin.y, t, scale),
+        _column_of_place(pz, form.z, begin.z, t, scale),
+    )
     c = between(hinge.tangent, hinge.moment)
     r = (
         _column(c[0], t, scale, -axial * bulge[0], stretch),
@@ -353,7 +340,8 @@ def _reduce(model, leg, k, inv, place, form, both, one):
         force, -inv * rod.coupling[k], growth(leg.velocity, leg.before, k)
     )
     loaded = _lift(force, begin.moment, t, scale)
-    w, z = solve_rows(pivot, x), solve_rows(pivot, r)
+    w = solve(pivot, x[0]), solve(pivot, x[1]), solve(pivot, x[2])
+    z = solve(pivot, r[0]), solve(pivot, r[1]), solve(pivot, r[2])
     wc, wo = solve(pivot, pulled), solve(pivot, loaded)
     _store(leg.back[k], w, z, wc, wo)
     form = Form(
@@ -411,19 +399,11 @@ def _pivot(form, begin, t, scale, axial, p, normal, inertia, spin):
 
 
 @helper
-def _columns_of_place(form, begin, t, scale):
-    """Columns of X_k over u: of the form beyond, and of the contact at the segment's begin."""
-    px, py, pz = rows(form.place)
-    return (
-        _column_of_place(px, form.x, begin.x, t, scale),
-        _column_of_place(py, form.y, begin.y, t, scale),
-        _column_of_place(pz, form.z, begin.z, t, scale),
-    )
-
-
-@helper
 def _column_of_place(p, behind, begin, t, scale):
-    """p + behind A + begin A over s, and (behind + begin).t over w."""
+    """A column of X_k over u, of the form beyond and of the contact at the segment's begin.
+
+    p + behind A + begin A over s, and (behind + begin).t over w.
+    """
     s = add(add(p, _arm(behind, t, scale)), _arm(begin, t, scale))
     return (*s, dot(behind, t) + dot(begin, t))
 

@@ -13,31 +13,24 @@ With the derivative V^T of the rotation vector psi by Phi_k - Phi_{k-1} (`strain
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from typing import NamedTuple
-
+from slot_core.arrays import named
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import combined, dot, plus, scaled
 from slot_core.dynamics.lanes import like
 
-
-class Symmetric(NamedTuple):
-    """Upper half of a symmetric 3 x 3 matrix."""
-
-    xx: float
-    xy: float
-    xz: float
-    yy: float
-    yz: float
-    zz: float
-
-
-class Hinge(NamedTuple):
-    """Moment of a hinge on the segment behind it, its tangent, and two derivatives by Phi_k."""
-
-    moment: tuple[float, float, float]  # N m
-    tangent: Symmetric  # K, N m/rad
-    tendon: tuple[float, float, float]  # m, of the tendon's length
-    bulge: tuple[float, float, float]  # m, of the segment's correction -c
+Symmetric = named("Symmetric", "xx xy xz yy yz zz", __name__)
+"""Upper half of a symmetric 3 x 3 matrix."""
+Hinge = named(
+    "Hinge",
+    [
+        "moment",  # N m
+        "tangent",  # K, N m/rad
+        "tendon",  # m, of the tendon's length
+        "bulge",  # m, of the segment's correction -c
+    ],
+    __name__,
+)
+"""Moment of a hinge on the segment behind it, its tangent, and two derivatives by Phi_k."""
 
 
 @helper

@@ -8,9 +8,7 @@ that the angular momentum of a free rod is conserved to rounding by the midpoint
 # mypy: disable-error-code="no-untyped-def"
 # ruff: noqa: PLR0917 - kernels take their arguments by position
 
-from typing import NamedTuple
-
-from slot_core.arrays import Array
+from slot_core.arrays import Shapes, named
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import (
     add,
@@ -31,7 +29,6 @@ from slot_core.dynamics.rod import pull
 from slot_core.dynamics.servo import spool_rate
 from slot_core.dynamics.spatial.elimination import angular_velocity
 from slot_core.dynamics.spatial.strain import (
-    Segments,
     frame_before,
     measure,
     orient,
@@ -41,55 +38,61 @@ from slot_core.dynamics.spatial.strain import (
 )
 
 
-class SpatialLeg(NamedTuple):
+def leg_shapes(nodes: int, points: int = 0) -> Shapes:
     """Parameters, state views and scratch arrays of one leg in leg axes; no step allocates memory.
 
     The arrays of four legs have one axis more, the last (`lanes.py`). `integrator.py` defines the
     "step axes".
     """
+    n = nodes - 1
+    return {
+        "axes": (3, 3),  # base_link to leg axes
+        "root": (3,),  # m, clamp from the torso's centre
+        # torso increments to the displacements (X, Phi) of the clamp
+        "clamp": (6, 6),
+        "friction": (2,),  # as in Model
+        "fault": (2,),  # as in Model
+        "node": (nodes, 3),  # m, from here to `memory` views of the state
+        "node_velocity": (nodes, 3),  # m/s
+        "director": (n, 3),
+        "swirl": (n, 3),  # rad/s
+        "angle": (1,),  # rad
+        "rate": (1,),  # rad/s
+        "tension": (1,),  # N
+        "drive": (3,),
+        "bristle": (points, 3),  # m
+        "memory": (0, 4, 2),  # (N-1, 4, 2) of a material that relaxes
+        "command": (1,),  # rad, commanded tendon angle
+        "stage": (nodes, 3),  # m, node at the stage
+        "velocity": (nodes, 3),  # m/s, V
+        "before": (nodes, 3),  # m/s, V_n in step axes
+        "base": (nodes, 3),  # m, stage position without the part due to V
+        "begin": (n, 3),  # directions of the segments at the step's start
+        "spin": (n,),  # rad/s, Omega
+        "spin_before": (n, 3),  # rad/s, S_n in step axes
+        "form": (7, 8),  # F
+        "moved": (6,),  # displacements of the clamp
+        "back": (n, 4, 8),  # rows for the substitution
+        "pull": (1,),  # N, tension at the iterate
+        # N, mu times the normal force of the contact points
+        "limit": (points,),
+        "slope": (points, 2),  # of the floor below
+        "release": (7,),  # lambda = release . (displacements of the clamp, 1)
+        "reduced": (6, 7),  # form over the displacements of the clamp
+        "product": (6, 6),
+        "frame": (3, 3),  # rows t, d, b of the clamp at the stage
+        "turns": (3, 3),  # rotation by -(1 - theta) h omega_n
+        "whole": (3, 3),  # scratch rotations
+        "back_turn": (3, 3),
+        "forth": (3, 3),
+        # torso in leg axes: v, omega, theta h (omega - omega_n)
+        "motion": (3, 3),
+        "axis_rate": (3,),  # rad/s, omega_n in leg axes
+        "field": (4, 3),  # odom's axes and gravity in leg axes
+    }
 
-    axes: Array  # (3, 3) base_link to leg axes
-    root: Array  # (3,) m, clamp from the torso's centre
-    clamp: Array  # (6, 6) torso increments to the displacements (X, Phi) of the clamp
-    friction: Array  # (2,) as in Model
-    fault: Array  # (2,) as in Model
-    node: Array  # (N, 3) m, from here to `memory` views of the state
-    node_velocity: Array  # (N, 3) m/s
-    director: Array  # (N-1, 3)
-    swirl: Array  # (N-1, 3) rad/s
-    angle: Array  # (1,) rad
-    rate: Array  # (1,) rad/s
-    tension: Array  # (1,) N
-    drive: Array  # (3,)
-    bristle: Array  # (P, 3) m
-    memory: Array  # (N-1 or 0, 4, 2)
-    command: Array  # (1,) rad, commanded tendon angle
-    stage: Array  # (N, 3) m, node at the stage
-    velocity: Array  # (N, 3) m/s, V
-    before: Array  # (N, 3) m/s, V_n in step axes
-    base: Array  # (N, 3) m, stage position without the part due to V
-    begin: Array  # (N-1, 3) directions of the segments at the step's start
-    spin: Array  # (N-1,) rad/s, Omega
-    spin_before: Array  # (N-1, 3) rad/s, S_n in step axes
-    segments: Segments
-    form: Array  # (7, 8) F
-    moved: Array  # (6,) displacements of the clamp
-    back: Array  # (N-1, 4, 8) rows for the substitution
-    pull: Array  # (1,) N, tension at the iterate
-    limit: Array  # (P or 0,) N, mu times the normal force of the contact points
-    slope: Array  # (P or 0, 2) of the floor below
-    release: Array  # (7,) lambda = release . (displacements of the clamp, 1)
-    reduced: Array  # (6, 7) form over the displacements of the clamp
-    product: Array  # (6, 6)
-    frame: Array  # (3, 3) rows t, d, b of the clamp at the stage
-    turns: Array  # (3, 3) rotation by -(1 - theta) h omega_n
-    whole: Array  # (3, 3) scratch rotations
-    back_turn: Array  # (3, 3)
-    forth: Array  # (3, 3)
-    # (3, 3) torso in leg axes: v, omega, theta h (omega - omega_n)
-    motion: Array
-    axis_rate: Array  # (3,) rad/s, omega_n in leg axes
-    field: Array  # (4, 3) odom's axes and gravity in leg axes
+
+SpatialLeg = named("SpatialLeg", [*leg_shapes(1), "segments"], __name__)
 
 
 @helper
@@ -167,9 +170,7 @@ def advance_bristles(floor, leg, h):
     """Integrate the bristles of a leg's contact points over the step."""
     for p in range(4 * (floor.first - 1), leg.bristle.shape[0]):
         k = p // 4
-        reach = floor.half_width
-        if p % 2 == 0:
-            reach = -reach
+        reach = floor.half_width if p % 2 else -floor.half_width
         arm = scaled(reach, row(leg.segments.director, k))
         u = row(leg.velocity, k + (p // 2) % 2)
         u = times(leg.field, add(u, cross(angular_velocity(leg, k), arm)))

@@ -62,7 +62,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from slot_core.arrays import Array
+from slot_core.arrays import Array, Arrays, Shapes, named, zeros
 from slot_core.compiled import helper
 from slot_core.dynamics.algebra import (
     add,
@@ -79,39 +79,36 @@ from slot_core.dynamics.lanes import all_lanes, like, where
 from slot_core.elementary import atan2
 
 
-class Segments(NamedTuple):
-    """State of the segments of one rod during a step; written by `orient` and `measure`."""
-
-    direction: Array  # (N-1, 3) t
-    director: Array  # (N-1, 3) d
-    length: Array  # (N-1,) m
-    per_length: Array  # (N-1,) 1/m
-    extension: Array  # (N-1,) m, l - l0 - c
-    extension_rate: Array  # (N-1,) m/s
-    # (N-1,) rad, the components of psi at nodes 0 .. N-2: about t,
-    twist: Array
-    twist_rate: Array  # rad/s
-    turn: Array  # about d, in the plane,
-    turn_rate: Array
-    side: Array  # about b, sideways
-    side_rate: Array
-    curl: Array  # (N-1,) c
-    firm: Array  # (1,) A, by which a material that relaxes is firmer in a step,
-    lag: Array  # (N-1, 4) and what its branches add to twist, turn, side and extension
-
-
-def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Segments:
-    """Scratch arrays for one rod of N nodes, or for four with the axis `lanes` = (4,)."""
-    n = nodes - 1
-    shapes = dict.fromkeys(Segments._fields, (n,)) | {
-        "direction": (n, 3),
-        "director": (n, 3),
+def segment_shapes(n: int) -> Shapes:
+    """State of the n segments of one rod during a step; written by `orient` and `measure`."""
+    return {
+        "direction": (n, 3),  # t
+        "director": (n, 3),  # d
+        "length": (n,),  # m
+        "per_length": (n,),  # 1/m
+        "extension": (n,),  # m, l - l0 - c
+        "extension_rate": (n,),  # m/s
+        # rad, the components of psi at nodes 0 .. N-2: about t,
+        "twist": (n,),
+        "twist_rate": (n,),  # rad/s
+        "turn": (n,),  # about d, in the plane,
+        "turn_rate": (n,),
+        "side": (n,),  # about b, sideways
+        "side_rate": (n,),
+        "curl": (n,),  # c
+        # A, by which a material that relaxes is firmer in a step,
         "firm": (1,),
+        # and what its branches add to twist, turn, side and extension
         "lag": (n, 4),
     }
-    return Segments(
-        **{name: np.zeros(shape + lanes) for name, shape in shapes.items()}
-    )
+
+
+Segments = named("Segments", segment_shapes(1), __name__)
+
+
+def segments(nodes: int, lanes: tuple[int, ...] = ()) -> Arrays:
+    """Scratch arrays for one rod of N nodes, or for four with the axis `lanes` = (4,)."""
+    return Segments(**zeros(segment_shapes(nodes - 1), lanes))
 
 
 @helper
@@ -150,10 +147,9 @@ def frame(s, k):
 @helper
 def frame_before(s, k, clamp):
     """Frame (t, d, b) before the hinge at node k; clamp (3, 3): rows t, d, b before the first."""
-    before = (row(clamp, 0), row(clamp, 1), row(clamp, 2))
     if k > 0:
-        before = frame(s, k - 1)
-    return before
+        return frame(s, k - 1)
+    return row(clamp, 0), row(clamp, 1), row(clamp, 2)
 
 
 @helper
@@ -264,17 +260,10 @@ def relax(s, rod, memory, h, theta):
     second = h / (rod.relaxation[1, 1] + theta * h)
     for k in range(memory.shape[0]):
         bend = s.turn[k] - rod.rest_angle[k]
-        _approach(memory[k, 0], s.twist[k], first, second)
-        _approach(memory[k, 1], bend, first, second)
-        _approach(memory[k, 2], s.side[k], first, second)
-        _approach(memory[k, 3], s.extension[k], first, second)
-
-
-@helper
-def _approach(a, strain, first, second):
-    """Move both strains a (2,) towards a strain by a share each."""
-    a[0] += first * (strain - a[0])
-    a[1] += second * (strain - a[1])
+        strains = (s.twist[k], bend, s.side[k], s.extension[k])
+        for c in range(4):
+            memory[k, c, 0] += first * (strains[c] - memory[k, c, 0])
+            memory[k, c, 1] += second * (strains[c] - memory[k, c, 1])
 
 
 class Refinement(NamedTuple):
