@@ -29,7 +29,7 @@ class World:
         turn = Rotation.from_euler("xy", tilt)
         self.floor = FloorPlane(height, turn.apply([0.0, 0.0, 1.0]))
         self.observer = FloorObserver(ROBOT, SPRINGS, SETTINGS.floor, PERIOD)
-        self.time = 1.0
+        self.time, self.way = 1.0, 0.4
 
     def rest(self, angle, seconds=0.5, ratio=1.0, load=1.0, **changes):
         """Rest at tendon angles; legs `ratio` times as stiff for the weight, `load` of it."""
@@ -64,7 +64,8 @@ class World:
             self.floor = self.floor._replace(height=frame.position[2])
             stamp = round(self.time * SECOND)
             self.observer.add_joints(stamp, angle, torque)
-            place = frame.apply(np.array([0.4, -0.2, pose[0]]))
+            self.way += speed * PERIOD
+            place = frame.apply(np.array([self.way, -0.2, pose[0]]))
             torso = FilterState(
                 attitude.as_quat(),
                 place,
@@ -80,7 +81,7 @@ class World:
         frame = self.floor.transform
         attitude = Rotation.from_euler("ZYX", [0.7, pose[2], pose[1]])
         attitude = Rotation.from_matrix(frame.rotation) * attitude
-        place = frame.apply(np.array([0.4, -0.2, pose[0]]))
+        place = frame.apply(np.array([self.way, -0.2, pose[0]]))
         return self.observer.floor.above(attitude.as_quat(), place) - pose
 
 
@@ -186,14 +187,36 @@ def test_a_robot_that_hung_in_the_air_and_was_put_down_finds_the_floor():
     np.testing.assert_allclose(world.above(STANDING), 0.0, atol=1e-5)
 
 
-def test_the_floor_follows_a_drift_of_the_odometry_and_not_a_robot_that_is_lifted():
-    """It stays within what friction of the feet explains."""
-    world = World(0.1)
+@pytest.mark.parametrize("speed", [0.0, 0.05])
+def test_the_floor_follows_a_drift_of_the_odometry_and_not_a_robot_that_is_lifted(
+    speed,
+):
+    """It stays within what friction of the feet explains, which is less in a walk."""
+    world, settings = World(0.1), SETTINGS.floor
     world.rest(SLACK)
     world.rest(STANDING)
-    world.rest(STANDING, seconds=60.0, drift=-5e-4, speed=0.05)
-    assert abs(world.above(STANDING)[0]) < 1.1 * SETTINGS.floor.height_error
+    world.rest(STANDING, seconds=60.0, drift=-5e-4, speed=speed)
+    most = settings.walking_error if speed else settings.height_error
+    assert most < abs(world.above(STANDING)[0]) < most + 1.5e-3
     before = world.observer.floor
     lifted = rest_pose(ROBOT, SPRINGS, STANDING) + np.array([0.2, 0.0, 0.0])
     world.hold(lifted, STANDING, seconds=20.0, speed=0.05)
     assert world.observer.floor == before
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.0175])
+@pytest.mark.parametrize("slope", [-0.09, 0.14])
+def test_on_a_slope_a_tilt_of_odom_is_told_from_what_the_slope_does(
+    slope, tilt
+):
+    """Odom's z is normal to the floor, or off by 1 deg; the vertical is 5 to 8 deg off both."""
+    world = World(0.0, (0.0, tilt))
+    lean = np.array([np.sin(slope), 0.0])
+    pose = rest_pose(ROBOT, SPRINGS, STANDING, lean=lean)
+    force = GRAVITY * np.array([lean[0], 0.0, np.cos(slope)])
+    world.hold(
+        pose, STANDING, force=Rotation.from_euler("y", -pose[2]).apply(force)
+    )
+    assert world.observer.floor.is_odom == (tilt == 0.0)
+    seen = np.arctan2(*world.observer.floor.normal[[0, 2]])
+    assert seen == pytest.approx(tilt, abs=1e-4)

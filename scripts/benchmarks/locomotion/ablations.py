@@ -56,7 +56,7 @@ ABLATIONS: Mapping[str, tuple[Changes, Sequence[str]]] = {
         (UPHILL, SLOPE),
     ),
     "friction that grips": (
-        (("policy.observer.misfit_max", 1e3),),
+        (("policy.observer.friction_after", 100.0),),
         (GRIPS,),
     ),
     "friction of a posture": (

@@ -43,6 +43,7 @@ from slot_core.geometry import (
 )
 from slot_core.key_frame import StateParts
 from slot_core.legs.leg_table import (
+    NO_LEAN,
     LegSprings,
     drops,
     read_leg_table,
@@ -54,6 +55,8 @@ from slot_core.robot import LEGS, RobotParameters
 
 UP = np.array([0.0, 0.0, 1.0])
 FOLLOWED = 3  # ticks between two corrections of the floor
+WALKS = 0.01  # m/s, mean speed of a walk
+LEANS = 3  # iterations, each of which leaves a twelfth of the error
 SOFT = 0.9  # of the table's torque: legs softer than that error
 JOINTS_LATE = 0.1  # s, age of tendon angles that are not used
 
@@ -113,7 +116,10 @@ class FloorObserverSettings:
         "height error of a robot that was lifted", "m", 0.001, 1
     )
     height_error: float = quantity(
-        "height that friction of the feet explains", "m", 0, 0.1
+        "height that friction of the feet explains in a place", "m", 0, 0.1
+    )
+    walking_error: float = quantity(
+        "height that friction of the feet explains in a walk", "m", 0, 0.1
     )
     tilt_error: float = quantity(
         "tilt that friction of the feet explains", "rad", 0, 1
@@ -178,6 +184,16 @@ class _Rest(NamedTuple):
     attitude: Array  # (4,) x y z w
     force: Array  # (3,) m/s^2, specific force in base_link
 
+    @property
+    def up(self) -> Array:
+        """Vertical (3,), in base_link; without an IMU its z axis."""
+        size = norm(self.force)
+        return self.force / size if size > 0.0 else UP
+
+    def lean(self, tilt: Array) -> Array:
+        """Lean (2,) of the vertical above a floor, for the torso's roll and pitch (2,), rad."""
+        return (self.up - upward(*tilt))[:2] if self.force.any() else NO_LEAN
+
     @classmethod
     def mean(cls, rows: Sequence["_Rest"]) -> "_Rest":
         """Mean of some."""
@@ -202,6 +218,7 @@ class FloorObserver:
         "_joints",
         "_stamp",
         "_error",
+        "_place",
         "_ticks",
         "_begun",
         "_rest",
@@ -239,6 +256,7 @@ class FloorObserver:
         self._stamp = self._begun = 0  # ns, of the angles; of the first tick
         self._rest: deque[_Rest] = deque()
         self._error = np.zeros(3)  # m, rad, mean of the pose above the floor
+        self._place = np.zeros(2)  # m, mean of x and y
         self._ticks = 0
 
     @property
@@ -289,8 +307,7 @@ class FloorObserver:
         if to_seconds(stamp - self._rest[0].stamp) >= s.rest_time:
             mean = _Rest.mean(self._rest)
             self._rest.clear()
-            up = mean.force if mean.force.any() else UP  # without an IMU
-            if atan2(norm(up[:2]), up[2]) <= s.incline_max:
+            if atan2(norm(mean.up[:2]), mean.up[2]) <= s.incline_max:
                 self._learn(mean)
 
     def start_anew(
@@ -335,13 +352,25 @@ class FloorObserver:
         if self._is_at_zero(ratio, seen, rest):
             self._note(ratio, seen, rest)
             return
-        nominal = rest_pose(self._robot, self._springs, angle)
         self.floor = self._near(
-            _floor_below(nominal, rest.attitude, rest.position)
+            _floor_below(self._nominal(rest), rest.attitude, rest.position)
         )
+
+    def _nominal(self, rest: _Rest) -> Array:
+        """Pose (3,) of nominal legs above the floor below them, at which the vertical leans."""
+        pose = np.zeros(3)
+        for _ in range(LEANS):
+            lean = rest.lean(pose[1:])
+            pose = rest_pose(
+                self._robot, self._springs, rest.joints[0], lean=lean
+            )
+        return pose
 
     def _is_at_zero(self, ratio: float, seen: Array, rest: _Rest) -> bool:
         """Whether z = 0 of odom is likelier the floor than legs and load are the nominal ones.
+
+        If odom's z is vertical, legs that differ explain as much of a tilt as friction does. If it is
+        not, the robot stands on a slope or odom is tilted, and the tilt at rest tells these apart.
 
         With the ratio e of the tendons' torques to the table's at the pose seen, the legs' modulus
         is e and the load e / kappa times the nominal one; with e_1 at the pose of nominal legs the
@@ -351,14 +380,16 @@ class FloorObserver:
         s, angle = self._settings, rest.joints[0]
         if not np.isfinite(ratio) or seen[0] < self._lowest - s.offset_min:
             return False
-        held = rest_pose(self._robot, self._springs, angle, ratio)
-        if np.abs(seen - held)[1:].max() > s.tilt_error:
+        lean = rest.lean(seen[1:])
+        held = rest_pose(self._robot, self._springs, angle, ratio, lean)
+        is_vertical = norm(lean) < s.tilt_error
+        explained = s.tilt_error if is_vertical else s.tilt_min
+        if np.abs(seen - held)[1:].max() > explained:
             return False
         modulus = self._torque_ratio(seen, rest)
         if modulus <= 0.0:  # not known
             return s.ratio_min <= ratio <= s.ratio_max
-        nominal = rest_pose(self._robot, self._springs, angle)
-        contradiction = self._torque_ratio(nominal, rest)
+        contradiction = self._torque_ratio(self._nominal(rest), rest)
         return _cost(modulus, s.modulus_error) + _cost(
             modulus / ratio, s.load_error
         ) < s.origin_cost + _cost(contradiction, s.torque_error)
@@ -398,8 +429,12 @@ class FloorObserver:
         error = seen - rest_pose(self._robot, self._springs, angle, self.ratio)
         if abs(error[0]) > s.lift:
             return
-        self._error += (error - self._error) * time / s.follow_time
-        allowed = np.array([s.height_error, s.tilt_error, s.tilt_error])
+        share = time / s.follow_time
+        self._error += share * (error - self._error)
+        self._place += share * (now.position[:2] - self._place)
+        walks = norm(now.position[:2] - self._place) > WALKS * s.follow_time
+        height = s.walking_error if walks else s.height_error
+        allowed = np.array([height, s.tilt_error, s.tilt_error])
         beyond = self._error - np.clip(self._error, -allowed, allowed)
         if beyond.any():
             most = time * np.array(

@@ -179,6 +179,11 @@ class StateEstimator:
         self._weighed = BEFORE_ALL_TIMES  # ns, of its last sample
 
     @property
+    def gyro_bias(self) -> Array:
+        """Estimated gyro bias (3,) rad/s, in base_link."""
+        return self._filter.state.bias[0]
+
+    @property
     def incline(self) -> tuple[float, float]:
         """Angle of the floor of odom and its standard deviation, rad, see `InertialFilter`."""
         return self._filter.incline

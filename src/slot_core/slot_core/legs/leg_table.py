@@ -155,7 +155,7 @@ def _place(grid, value):  # type: ignore[no-untyped-def]
     return index, (inside - grid[index]) / (grid[index + 1] - grid[index])
 
 
-SHOWN = 0.1  # of kappa from 1: twice the error by friction of the feet
+NO_LEAN = np.zeros(2)
 STEPS = 60  # of Newton's method to the pose at rest, each at most STEP_MAX
 STEP_MAX = 5e-3  # m
 ROUNDING = 1e-9  # m, rad: it has converged
@@ -275,18 +275,24 @@ def rest_pose(
     springs: LegSprings,
     angle: Array,
     ratio: float = 1.0,
+    lean: Array = NO_LEAN,
 ) -> Array:
-    """Pose (3,) height m, roll, pitch rad above a level floor at tendon angles (4,) rad, at rest.
+    """Pose (3,) height m, roll, pitch rad above the floor at tendon angles (4,) rad, at rest.
 
-    Forces and moments about the torso's centre are in balance: with the places p of the feet,
-    sum F_i = m_0 g / kappa, sum F_i p_y,i = 0, sum F_i p_x,i = 0. The torso is at least half its
-    own height above the floor; there it lies flat.
+    Forces and moments about the torso's centre are in balance: with W = m_0 g / kappa, its height h,
+    the places p of the feet, and friction that carries it on a slope,
+
+        sum F_i = W,    sum F_i p_y,i = -W h lean_y,    sum F_i p_x,i = -W h lean_x
+
+    The torso is at least half its own height above the floor; there it lies flat.
+
+    lean: (2,) x and y of the upward vertical in the floor's frame, at the torso's heading.
     """
     pose, lowest = np.array([0.06, 0.0, 0.0]), robot.torso.size[2] / 2
     place = robot.clamps, robot.outward, np.asarray(angle, dtype=float)
     shapes = (4,), (4, len(COLUMNS)), (3, 4), (3,), (3, 3), (3, 3)
     work = (np.empty(shape) for shape in shapes)
-    _settle(*springs.grid, *place, robot.weight / ratio, pose, *work)
+    _settle(*springs.grid, *place, robot.weight / ratio, lean, pose, *work)
     return pose if pose[0] > lowest else np.array([lowest, 0.0, 0.0])
 
 
@@ -299,6 +305,7 @@ def _settle(  # type: ignore[no-untyped-def]  # noqa: PLR0917
     outward,
     angle,
     weight,
+    lean,
     pose,
     drop,
     columns,
@@ -328,6 +335,8 @@ def _settle(  # type: ignore[no-untyped-def]  # noqa: PLR0917
                     part = lever[row, i] * stiffness * lever[column, i]
                     matrix[row, column] += part
         missing[0] -= weight
+        missing[1] += weight * pose[0] * lean[1]
+        missing[2] -= weight * pose[0] * lean[0]
         invert(matrix, inverse)
         size = 0.0
         for row in range(3):
@@ -343,12 +352,12 @@ def _settle(  # type: ignore[no-untyped-def]  # noqa: PLR0917
 
 
 def legs_message(ratio: float, stiffness: float, mass: float) -> str:
-    """One line on legs whose ratio kappa is off by more than `SHOWN`, or "".
+    """One line on legs whose ratio kappa is not 1, or "".
 
     stiffness: E / E_0 by the servos' torque, NaN if they report none: then modulus and load cannot
     be distinguished. mass: m_0, kg.
     """
-    if abs(ratio - 1.0) <= SHOWN:
+    if ratio == 1.0:
         return ""
     known = not np.isnan(stiffness)
     modulus = (stiffness if known else ratio) - 1.0

@@ -90,17 +90,17 @@ class ObserverSettings:
     wrench_max: Vector3 = quantity(
         "largest wrench: F_z, M_x, M_y", "N, N m, N m", 0, 100
     )
-    misfit_gain: float = quantity(
-        "gain of the misfit, the error of height, roll and pitch", "", 0, 1
+    friction_gain: float = quantity(
+        "gain of mean and variance of the errors with each friction", "", 0, 1
     )
-    misfit_max: float = quantity(
-        "misfit beyond which the floor is taken to grip, in scales",
+    friction_margin: float = quantity(
+        "share by which a floor that grips explains less before it is given up",
         "",
-        0.1,
+        0,
         1e3,
     )
-    misfit_after: float = quantity(
-        "time of a walk after which the misfit is judged", "s", 0, 100
+    friction_after: float = quantity(
+        "time of a walk after which the friction is judged", "s", 0, 100
     )
     friction: float = quantity(
         "friction coefficient of a floor that grips", "", 0.01, 2

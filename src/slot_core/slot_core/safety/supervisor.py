@@ -15,7 +15,7 @@ import numpy as np
 from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_ns, to_seconds
 from slot_core.estimation.estimate import Estimate
-from slot_core.legs.leg_table import SHOWN, legs_message
+from slot_core.legs.leg_table import legs_message
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.safety.conditions import Conditions, OptionalNodes
 from slot_core.safety.motion_watch import MotionWatch
@@ -39,6 +39,7 @@ from slot_core.safety.states import (
 from slot_core.safety.tendon_watch import TendonReport, TendonWatch
 from slot_core.safety.watchdog import ServoHealth
 
+TOLD = 0.1  # of the legs' modulus: a smaller change is not told
 PERIOD = 0.02  # s, between two steps without an urgent input
 MOVING = (State.STANDING, State.WALKING)
 UNDER_TORQUE = (State.READY, *MOVING, State.HOLD)
@@ -295,7 +296,7 @@ class Supervisor:
         ]
         warnings += [*self._wrong_clock.values(), *self._companions.warnings]
         found = self._tendons.stiffness
-        if not abs(found - self._modulus) <= SHOWN:
+        if not abs(found - self._modulus) <= TOLD:
             self._modulus = found
         lines = (
             self._inputs.sensor_warning(time),
