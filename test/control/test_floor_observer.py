@@ -220,3 +220,18 @@ def test_on_a_slope_a_tilt_of_odom_is_told_from_what_the_slope_does(
     assert world.observer.floor.is_odom == (tilt == 0.0)
     seen = np.arctan2(*world.observer.floor.normal[[0, 2]])
     assert seen == pytest.approx(tilt, abs=1e-4)
+
+
+@pytest.mark.parametrize(("slope", "told"), [(0.0, 1.12), (0.17, 1.0)])
+def test_on_a_slope_legs_that_seem_stiffer_by_an_eighth_are_not_taken_for_it(
+    slope, told
+):
+    """The feet slide while the robot stands up: on 10 deg nominal legs give 1.12."""
+    world = World()
+    lean = np.array([np.sin(slope), 0.0])
+    vertical = GRAVITY * np.array([lean[0], 0.0, np.cos(slope)])
+    world.rest(SLACK, force=vertical)
+    pose = rest_pose(ROBOT, SPRINGS, STANDING, 1.12, lean)
+    force = Rotation.from_euler("y", -pose[2]).apply(vertical)
+    world.hold(pose, STANDING, stiffness=1.12, force=force)
+    assert world.observer.ratio == pytest.approx(told, rel=0.02)

@@ -413,7 +413,9 @@ class FloorObserver:
         if lies and not 0.0 < self._torque_ratio(seen, rest) < SOFT:
             return
         found = min(max(ratio, s.ratio_min), s.ratio_max)
-        self.ratio = 1.0 if abs(found - 1.0) < s.ratio_change else found
+        # on a slope the feet slide while the robot stands up
+        told = s.ratio_change + norm(rest.lean(seen[1:]))
+        self.ratio = 1.0 if abs(found - 1.0) < told else found
 
     def _follow(self, now: _Rest) -> None:
         """Move the floor slowly by the mean error that friction of the feet does not explain.

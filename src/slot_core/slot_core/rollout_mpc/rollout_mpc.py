@@ -13,8 +13,8 @@ the amplitude from the error of the yaw. The observer keeps its disturbances mea
 In a posture the feet stick, and a leg that is released with its foot stuck lifts the torso. As a plan
 sees nothing beyond such a dead band, each of its steps pulls, and the torso rises. On a level floor the
 nominal robot therefore has less friction in a posture than in a walk (`nominal.posture_friction`).
-Once the reference rests and the torso is near it, the plan is that of `posture_feedback.py`. A slope
-and a leg without a tendon are the nominal robot's affair.
+Once the reference rests and the torso is near it, the plan is that of `posture_feedback.py`. A leg
+without a tendon is the nominal robot's affair.
 
 While the servos do not follow, or tendons are to be slack, the plan is the gait's; after a fault it
 is tried first whether the next one could be solved. A cycle without a new plan moves the last one on and
@@ -271,7 +271,7 @@ class RolloutMpc(Policy):
         return replace(found, time=time, start=start, nominal=nominal, sag=sag)
 
     def _rests(self, state: Array, preview: GaitPreview) -> bool:
-        """Whether the robot keeps a posture by feedback, on a level floor and four tendons."""
+        """Whether the robot keeps a posture by feedback, on four tendons."""
         rows = np.asarray(preview.reference, dtype=float)
         rows = rows[: self._settings.stages + 2, :6]
         still = (np.abs(rows - rows[0]) < STILL).all()
@@ -280,7 +280,7 @@ class RolloutMpc(Policy):
         if (
             still
             and whole
-            and self._model.in_posture
+            and not preview.velocity_ahead.any()
             and self._posture.reaches(error, float(state[11]))
         ):
             return True
