@@ -42,7 +42,8 @@ REFUSED = {
             (["--vx", "3"], "v_x = 3: gait walk reaches [-0.0"),
             (["--vx", "fast"], "argument --vx: invalid float value: 'fast'"),
             (["--gait", "trot"], "no gait 'trot' (known: "),
-            (["--scene", "moon"], "scene/moon"),
+            (["--scene", "moon"], "scene/moon' (known: fast_odometry"),
+            (["--scene", "slope"], "(nearest: slope5, slope20, slope10)"),
             (
                 ["--duration", "-1"],
                 "argument --duration: -1 s: outside [0.5, 86400] s",

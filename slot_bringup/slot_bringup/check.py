@@ -25,7 +25,7 @@ from slot_core.faults import require_simulated_legs
 from slot_core.gait.gait import gait_misfit, read_gaits
 from slot_core.gait.route import read_route
 from slot_core.legs.leg_table import require_own_leg_map
-from slot_core.refusal import quoted
+from slot_core.refusal import nearest, quoted
 from slot_core.robot import read_robot
 from slot_core.ros_parameters import read_parameters
 from slot_core.safety.settings import read_supervisor
@@ -132,19 +132,18 @@ def _check_parameters(values: Mapping[str, Any]) -> None:
         known = set(OF_EVERY_NODE)
         for name in matched:
             settings = SETTINGS[name](values)
-            own = {
-                leaf for leaf, _, _ in config.leaves(settings)
-            } & given.values.keys()
+            leaves = {leaf for leaf, _, _ in config.leaves(settings)}
             config.replace(
                 settings,
-                {leaf: given.values[leaf] for leaf in own},
+                {x: given.values[x] for x in leaves & given.values.keys()},
                 f"params_file {file}: {name}",
             )
-            known |= own
+            known |= leaves
         for name in given.values:
             if name not in known and not name.startswith("qos_overrides."):
                 raise ConfigError(
                     f"params_file {file}: {given.pattern}: {name} is not a setting"
+                    f"{nearest(name, sorted(known))}"
                 )
 
 

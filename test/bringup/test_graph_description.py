@@ -186,8 +186,8 @@ def test_a_parameter_file_comes_before_the_arguments_of_the_graph(graph):
             r"/mpc has no settings \(known: /state_estimator, ",
         ),
         (
-            "mpc_controller: {ros__parameters: {cots: 1}}",
-            "/mpc_controller: cots is not a setting",
+            "mpc_controller: {ros__parameters: {cost.tild: 1}}",
+            r"/mpc_controller: cost\.tild is not a setting \(nearest: cost\.tilt",
         ),
         (
             "'/**': {ros__parameters: {cost: {tilt: -1.0}}}",
