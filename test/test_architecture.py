@@ -251,7 +251,7 @@ BUDGET = {
     "src/slot_nodes": 2214,
     "slot_bringup": 2886,
     "scripts": 4725,
-    "test": 15_350,
+    "test": 15_363,
 }
 
 
