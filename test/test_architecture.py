@@ -250,7 +250,7 @@ BUDGET = {
     "src/slot_paper": 681,
     "src/slot_nodes": 2214,
     "slot_bringup": 2886,
-    "scripts": 4725,
+    "scripts": 4679,
     "test": 15_370,
 }
 
