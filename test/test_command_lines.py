@@ -13,8 +13,10 @@ from slot_bringup import operate_command, play_command, run, view
 from slot_bringup.arguments import parse
 from slot_bringup.playing import main_page
 from slot_core import config
+from slot_core.command_line import EXTRAS, command_parser
 from slot_lab.bags import replay_command as replay
 from slot_lab.calibration import command as calibrate
+from slot_lab.desk_command import run_command
 from slot_lab.film import calibrate_camera, print_command, track_command
 from slot_lab.report import compare, map_command
 from slot_lab.tuning import tune_command
@@ -42,7 +44,8 @@ REFUSED = {
             (["--vx", "3"], "v_x = 3: gait walk reaches [-0.0"),
             (["--vx", "fast"], "argument --vx: invalid float value: 'fast'"),
             (["--gait", "trot"], "no gait 'trot' (known: "),
-            (["--scene", "moon"], "scene/moon"),
+            (["--scene", "moon"], "scene/moon' (known: fast_odometry"),
+            (["--scene", "slope"], "(nearest: slope5, slope20, slope10)"),
             (
                 ["--duration", "-1"],
                 "argument --duration: -1 s: outside [0.5, 86400] s",
@@ -373,6 +376,29 @@ def test_what_a_tool_cannot_do_is_refused_before_the_work(
     assert line.startswith(f"scripts/{tool.split()[0]}")
     assert reason in line
     assert list(place.iterdir()) == []
+
+
+@pytest.mark.parametrize("extra", EXTRAS)
+def test_a_missing_module_is_refused_with_the_option_that_installs_it(
+    extra, refusal
+):
+    listed = HERE.parent / "scripts" / "requirements" / f"{extra}.in"
+    packages = listed.read_text().split()
+    named = {"elastica": "pyelastica"}  # else as the module
+
+    def main(arguments):
+        def work(options, progress):
+            raise ModuleNotFoundError(name=f"{arguments[0]}.part")
+
+        parser = command_parser("x", "")
+        return run_command(parser, parser.parse_args([]), work)
+
+    for module in EXTRAS[extra]:
+        assert named.get(module, module).replace("_", "-") in packages
+        line = f"{module}.part is missing; run scripts/setup --{extra}"
+        assert refusal(main, module) == f"scripts/x: {line}"
+    line = "scripts/x: numba.part is missing; run scripts/setup"
+    assert refusal(main, "numba") == line
 
 
 PIPES = ["pipe.mcap", "pipe.csv", "pipe.mp4", "piped/metadata.yaml"]

@@ -79,6 +79,10 @@ def test_values_arrive_with_their_types():
             changed(extra=1),
             "f.yaml: extra is not a setting (known: count, law, on, inner, table)",
         ),
+        (
+            changed(inner={**GOOD["inner"], "gian": 1}),
+            "f.yaml: inner.gian is not a setting (nearest: gain)",
+        ),
         (changed(inner={"gain": 3}), "f.yaml: inner.axes is missing"),
         (
             changed(inner=[1]),
@@ -118,15 +122,17 @@ def test_replaced_values_are_checked_like_values_read():
             ConfigError, match=r"p\.yaml: expected a mapping of"
         ):
             config.replace(outer, changes, "p.yaml")
-    for name in (
-        "inner.none",
-        "count.x",
-        "inner.gain.x.y",
-        "table.b",
-        "none.gain",
-    ):
+    for name, near in {
+        "inner.none": "nearest: inner.gain",
+        "count.x": "nearest: count",
+        "inner.gain.x.y": "nearest: inner.gain",
+        "table.b": "nearest: .*",
+        "none.gain": "nearest: inner.gain",
+        "axes": "nearest: inner.axes",
+        "mass": "known: count, law, on, inner.gain, .*",
+    }.items():
         with pytest.raises(
-            ConfigError, match=rf"override: {name} is not a setting"
+            ConfigError, match=rf"override: {name} is not a setting \({near}"
         ):
             config.replace(outer, {name: 1})
 
@@ -251,7 +257,7 @@ def test_a_scene_like_another_differs_only_in_what_it_changes(scenes):
         ("like: bad\n", r"bad\.yaml: like = 'bad': .* scene without `like`"),
         (
             "like: flat\nfloor.colour: 1\n",
-            r"scene/bad\.yaml: floor\.colour is not a setting",
+            r"floor\.colour is not a setting \(nearest: .*floor",
         ),
         (
             "like: flat\nsolver.step: 1.0\n",

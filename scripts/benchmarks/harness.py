@@ -35,6 +35,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
+from slot_core.command_line import missing
 from slot_core.refusal import InputError, quoted
 
 T, S = TypeVar("T"), TypeVar("S")
@@ -228,7 +229,7 @@ def run(name: str, quick: bool, out: Path, progress: Progress) -> Path:
         module = importlib.import_module(f"benchmarks.{name}.benchmark")
     except ModuleNotFoundError as error:  # no peer is left out silently
         raise BenchmarkError(
-            f"benchmark {name}: needs {error.name}; run scripts/setup --bench"
+            f"benchmark {name}: {missing(error.name)}"
         ) from None
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,6 @@ from sphinx.util.rst import escape
 from documentation import DOC, ROOT
 
 project = "SLOT"
-author = "SLOT developers"
 package = ElementTree.parse(ROOT / "slot_bringup" / "package.xml")
 version = release = package.findtext("version") or ""
 extensions = [

@@ -18,16 +18,12 @@ from typing import Any
 
 from benchmarks.harness import COURSES
 from documentation import DOC, ROOT
-from documentation.results import read_result
+from documentation.results import ReportError, read_result
 from slot_core.command_line import command_parser, progress
-from slot_core.refusal import InputError, quoted
+from slot_core.refusal import quoted
 from slot_lab.desk_command import Outcome, run_command
 
 Rows = Sequence[Mapping[str, Any]]
-
-
-class PictureError(InputError):
-    """A picture that cannot be drawn; the message is one line."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +56,7 @@ class Picture:
         return results / self.benchmark / file if self.benchmark else None
 
     def make(self, results: Path, path: Path) -> None:
-        """Draw it into a file; raises PictureError and ReportError."""
+        """Draw it into a file; raises ReportError."""
         draw: Any = (
             pkgutil.resolve_name(self.draw) if self.draw else shutil.copyfile
         )
@@ -84,7 +80,7 @@ class Picture:
                     words = shlex.split(command.replace("{}", place))
                     words[0] = words[0].replace("scripts/", f"{ROOT}/scripts/")
                     if subprocess.run(words, cwd=place, check=False).returncode:
-                        raise PictureError(f"{command}: failed")
+                        raise ReportError(f"{command}: failed")
                 draw(Path(place, self.file), path)
         else:
             draw(path)
@@ -202,16 +198,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def draw(options: Any, *_: object) -> Outcome:
-    """Draw pictures; raises PictureError and ReportError, before the work where that is known."""
+    """Draw pictures; raises ReportError, before the work where that is known."""
     names, out = options.names or [*PICTURES], options.out
     if unknown := [name for name in names if name not in PICTURES]:
-        raise PictureError(f"no picture {quoted(unknown[0])} (see --list)")
+        raise ReportError(f"no picture {quoted(unknown[0])} (see --list)")
     if not out.is_dir():
-        raise PictureError(f"--out {out}: not a directory")
+        raise ReportError(f"--out {out}: not a directory")
     for name in names:
         needed = PICTURES[name].needs(options.results)
         if needed and not needed.is_file():
-            raise PictureError(
+            raise ReportError(
                 f"{name}: {needed}: missing; scripts/bench"
                 f" {PICTURES[name].benchmark} writes it"
             )

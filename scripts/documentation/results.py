@@ -15,7 +15,7 @@ from slot_lab.desk_command import Outcome, run_command
 
 
 class ReportError(InputError):
-    """A result that cannot be read, or a report that cannot be written; the message is one line."""
+    """A result that cannot be read, or a page or picture that cannot be made; one line."""
 
 
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class Result:
 def read_result(directory: Path, name: str) -> Result | None:
     """Result that scripts/bench, or else scripts/validate, wrote to `directory/name`; None if not there.
 
-    Raises ReportError for a file that they did not write so.
+    Raises ReportError for a file that they did not write so, and OSError.
     """
     path = directory / name / f"{name}.json"
     if not path.is_file():
         return _read_errors(directory / name / "errors.csv")
     try:
-        found = json.loads(_read_text(path))
+        found = json.loads(path.read_text(encoding="utf-8"))
         if found["name"] != name:
             raise ValueError(
                 f"name: expected {name!r}, got {quoted(found['name'])}"
@@ -81,15 +81,6 @@ def number(value: Any) -> float | None:
     )
 
 
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ReportError(f"{path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise ReportError(f"{path}: not text in UTF-8") from None
-
-
 def _check(found: Mapping[str, Any]) -> Check:
     value = number(found["value"])
     return Check(**{**found, "value": math.nan if value is None else value})
@@ -110,12 +101,13 @@ def _read_errors(path: Path) -> Result | None:
     if not path.is_file():
         return None
     try:
+        lines = path.read_text(encoding="utf-8").splitlines()
         rows = [
             {
                 k: v if k in ("point", "axis") else float(v)
                 for k, v in row.items()
             }
-            for row in csv.DictReader(_read_text(path).splitlines())
+            for row in csv.DictReader(lines)
         ]
     except (TypeError, ValueError) as error:
         raise ReportError(

@@ -25,14 +25,14 @@ from slot_core.faults import require_simulated_legs
 from slot_core.gait.gait import gait_misfit, read_gaits
 from slot_core.gait.route import read_route
 from slot_core.legs.leg_table import require_own_leg_map
-from slot_core.refusal import quoted
+from slot_core.refusal import nearest, quoted
 from slot_core.robot import read_robot
 from slot_core.ros_parameters import read_parameters
 from slot_core.safety.settings import read_supervisor
 from slot_core.servos.registry import read_brand
 from slot_core.vision.settings import read_vision
 
-# Settings of the nodes that a parameter file may change.
+# Settings of the nodes, which a parameter file may change.
 SETTINGS: dict[str, Callable[[Mapping[str, Any]], Any]] = {
     "state_estimator": lambda _: read_estimator(),
     "gait_scheduler": lambda _: read_gaits(),
@@ -52,9 +52,15 @@ DOMAIN_MAX = 232  # beyond it the ports of DDS, 7400 + 250 domain, exceed 65535
 def check(values: Mapping[str, Any]) -> list[str]:
     """Remarks on values of the graph's arguments, by name, lines.
 
-    Raises ConfigError for those that a node would refuse.
+    Raises ConfigError for those that a node would refuse, and for settings that one would.
     """
-    gaits, robot = read_gaits(), read_robot()
+    settings = {
+        name: read(values)
+        for name, read in SETTINGS.items()
+        if name != "dynamixel_driver"
+        or values["hardware"] in ("fake_bus", "real")
+    }
+    gaits, robot = settings["gait_scheduler"], read_robot()
     gait = gaits.find(values["gait"])
     v_x = gait.cruise if values["vx"] is None else values["vx"]
     velocity = np.array([v_x, values["vy"], values["yaw_rate"]])
@@ -66,7 +72,6 @@ def check(values: Mapping[str, Any]) -> list[str]:
                 f"path: gait {values['gait']} with this velocity stays in its place"
             )
     scene = read_scene(values["scene"])
-    policy_class(values["policy"]).read_settings(values["policy"])
     _check_nodes(values["without"])
     if values["lockstep"]:
         _check_lockstep(values)
@@ -132,19 +137,18 @@ def _check_parameters(values: Mapping[str, Any]) -> None:
         known = set(OF_EVERY_NODE)
         for name in matched:
             settings = SETTINGS[name](values)
-            own = {
-                leaf for leaf, _, _ in config.leaves(settings)
-            } & given.values.keys()
+            leaves = {leaf for leaf, _, _ in config.leaves(settings)}
             config.replace(
                 settings,
-                {leaf: given.values[leaf] for leaf in own},
+                {x: given.values[x] for x in leaves & given.values.keys()},
                 f"params_file {file}: {name}",
             )
-            known |= own
+            known |= leaves
         for name in given.values:
             if name not in known and not name.startswith("qos_overrides."):
                 raise ConfigError(
                     f"params_file {file}: {given.pattern}: {name} is not a setting"
+                    f"{nearest(name, sorted(known))}"
                 )
 
 

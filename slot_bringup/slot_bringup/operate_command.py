@@ -1,6 +1,6 @@
 """Operator's terminal: without an action a live display with keys to steer, and e-stop source.
 
-With an action it makes a single request:
+With an action it joins the graph, which takes seconds, and makes a single request:
 
 ready     torque on, legs hold their angles     stand     follow commands slowly
 walk      follow commands                       relax     ramp to slack, then torque off

@@ -11,6 +11,7 @@ import json
 import os
 import re
 import runpy
+import shutil
 import subprocess
 import sys
 from contextlib import nullcontext
@@ -28,6 +29,7 @@ from slot_bringup.arguments import parse
 from slot_bringup.check import check
 from slot_bringup.graph import END, GO_ON, REFUSED, RESTART, read_graph
 from slot_bringup.processes import command_line
+from slot_core import config
 from slot_core.config import ConfigError
 from slot_core.gait.gait import read_gaits
 from slot_core.recording.record_settings import read_record_settings
@@ -186,8 +188,8 @@ def test_a_parameter_file_comes_before_the_arguments_of_the_graph(graph):
             r"/mpc has no settings \(known: /state_estimator, ",
         ),
         (
-            "mpc_controller: {ros__parameters: {cots: 1}}",
-            "/mpc_controller: cots is not a setting",
+            "mpc_controller: {ros__parameters: {cost.tild: 1}}",
+            r"/mpc_controller: cost\.tild is not a setting \(nearest: cost\.tilt",
         ),
         (
             "'/**': {ros__parameters: {cost: {tilt: -1.0}}}",
@@ -208,6 +210,21 @@ def test_a_parameter_file_that_no_node_would_follow_is_refused(
     file.write_text(text)
     with pytest.raises(ConfigError, match=rf"^params_file {file}.*{reason}"):
         check(values(graph, params_file=str(file)))
+
+
+def test_settings_that_a_node_would_refuse_are_refused_before_any_starts(
+    graph, tmp_path, monkeypatch
+):
+    shutil.copytree(config.config_dir(), tmp_path, dirs_exist_ok=True)
+    monkeypatch.setenv("SLOT_CONFIG", str(tmp_path))
+    (tmp_path / "servo_bus.yaml").write_text("brand: acme")
+    check(values(graph))  # which has no driver
+    for hardware in ("fake_bus", "real"):
+        with pytest.raises(ConfigError, match=r"brand = 'acme': expected one"):
+            check(values(graph, hardware=hardware))
+    (tmp_path / "supervisor.yaml").write_text("{}")
+    with pytest.raises(ConfigError, match=r"supervisor\.yaml: .* is missing"):
+        check(values(graph))
 
 
 def test_the_launch_file_starts_the_nodes_of_the_description(

@@ -4,6 +4,7 @@ Legs as springs: the table of their statics against scipy's interpolation.
 """
 
 import math
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from slot_core import config
 from slot_core.dynamics.scene import level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
+from slot_core.legs import leg_table
 from slot_core.legs.fingerprint import LEG, fingerprint, misfit
 from slot_core.legs.leg_table import (
     COLUMNS,
@@ -420,6 +422,15 @@ def test_the_angle_of_a_force_is_the_least_one_that_gives_it(springs, table):
     assert (springs.at(below, np.tile(height, (500, 1))).force < force).all()
     beyond = springs.angle(np.array([1e3, -1e3]), np.array([0.04, 0.04]))
     assert beyond == pytest.approx([table.angle[-1], table.angle[0]])
+
+
+def test_a_table_and_the_leg_that_it_was_made_for_are_read_at_once(
+    monkeypatch,
+):
+    read = Mock(wraps=leg_table.read_text)
+    monkeypatch.setattr(leg_table, "read_text", read)
+    read_leg_table(COLUMNS)
+    assert read.call_count == 1
 
 
 @pytest.mark.parametrize(

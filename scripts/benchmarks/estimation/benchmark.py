@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from benchmarks.estimation import methods, vision_rows
 from benchmarks.estimation.measured_streams import (
@@ -35,7 +34,6 @@ from benchmarks.harness import (
 )
 from slot_core.arrays import Array
 from slot_core.clock import SECOND
-from slot_core.drawing import palette
 from slot_core.estimation.inertial_filter import EstimatorSettings
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.geometry import wrapped
@@ -43,16 +41,16 @@ from slot_core.simulation.readings import ImuReading
 
 # s, with jitter
 DELAYS = ((0.0, 0.0), (0.02, 0.01), (0.05, 0.02), (0.08, 0.02))
-ERRORS = {  # of the state: which part, and its name in the plot
-    "roll_pitch_mrad": (slice(0, 2), "roll and pitch, mrad"),
-    "position_mm": (slice(3, 6), "position, mm"),
-    "rate_mrad_s": (slice(6, 9), "angular velocity, mrad/s"),
-    "velocity_mm_s": (slice(9, 12), "velocity, mm/s"),
+ERRORS = {  # parts of the state
+    "roll_pitch_mrad": slice(0, 2),
+    "position_mm": slice(3, 6),
+    "rate_mrad_s": slice(6, 9),
+    "velocity_mm_s": slice(9, 12),
 }
-WAYS = {  # to the state, and their colours
-    "finite differences": (methods.finite_differences, "#E69F00"),
-    "without prediction": (methods.without_prediction, palette.SECONDARY),
-    "predicted": (methods.predicted, palette.TRUE),
+WAYS = {  # to the state
+    "finite differences": methods.finite_differences,
+    "without prediction": methods.without_prediction,
+    "predicted": methods.predicted,
 }
 # over the walk; steps of a filter in NumPy after each
 PASSES, PLAIN_STEPS = (7, 1000)
@@ -77,43 +75,19 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     rows.append(cpu_row(walks[0], settings))
     rows += closed_loop_rows(range(8 if quick else 20), progress)
     rows += vision_rows.rows(quick, progress)
-    draw(rows, out / "estimation.png")
     return rows, checks(rows, *beyond)
-
-
-def draw(rows: Sequence[Row], path: Path) -> None:
-    """Write the plot: error when the state is used over the odometry's delay, by way to it."""
-    figure = Figure(figsize=(12, 3.4), layout="constrained")
-    for ax, (name, (_, label)) in zip(
-        figure.subplots(1, len(ERRORS)), ERRORS.items()
-    ):
-        for way, (_, colour) in WAYS.items():
-            points = [
-                (r["delay_ms"], r[name])
-                for r in rows
-                if r["kind"] == "delay" and r["method"] == way
-            ]
-            ax.plot(*zip(*points), "o-", color=colour, label=way)
-        ax.set(
-            xlabel="delay of the odometry, ms", ylabel=f"RMS error of {label}"
-        )
-        ax.set_yscale("log")
-        ax.grid(alpha=0.3)
-    figure.axes[0].legend(frameon=False)
-    figure.savefig(path, dpi=150)
 
 
 def method_row(
     walks: list[Streams], slam: Slam, settings: EstimatorSettings, name: str
 ) -> Row:
     """RMS errors of a way to the state over the walks."""
-    way, _ = WAYS[name]
     errors = np.vstack(
-        [errors_at_use(walk, slam, way, settings) for walk in walks]
+        [errors_at_use(walk, slam, WAYS[name], settings) for walk in walks]
     )
     rms = {
         key: 1e3 * float(np.sqrt(np.mean(errors[:, part] ** 2)))
-        for key, (part, _) in ERRORS.items()
+        for key, part in ERRORS.items()
     }
     return {
         "kind": "delay",

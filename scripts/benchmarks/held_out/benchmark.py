@@ -7,17 +7,13 @@ gait alone.
 """
 
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.figure import Figure
-
-from benchmarks.harness import Outcome, Progress, Row, at_most, resumed
+from benchmarks.harness import Outcome, Progress, at_most, resumed
 from benchmarks.locomotion import cases
 from benchmarks.locomotion.cases import ALONE, DEFAULT, Job, WalkMotion
 from benchmarks.locomotion.rows import rows
 from benchmarks.robot.mujoco_robot import MujocoRobot
-from slot_core.drawing import palette
 from slot_core.simulation.plant import RobotSimulator
 
 ROWS = (
@@ -35,8 +31,6 @@ COLUMNS = {
     "mujoco": (DEFAULT, "mujoco"),
     "mujoco, gait alone": (ALONE, "mujoco"),
 }
-MARKS = dict(zip(COLUMNS, "os^"))
-COLOURS = dict(zip(COLUMNS, (palette.TRUE, palette.SECONDARY, palette.INK)))
 
 
 class MujocoSimulator(RobotSimulator):
@@ -78,7 +72,6 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         }
         for row in wanted
     ]
-    draw(found, columns, out / "held_out.png")
     return found, [
         at_most(f"in MuJoCo, {row.name}", values["mujoco"], row.goal, row.unit)
         for row, values in zip(wanted, found, strict=True)
@@ -94,25 +87,3 @@ def run_job(job: Job) -> tuple[Job, WalkMotion]:
     changes = (*case.changes, ("scene.solver.nodes", NODES))
     case = dataclasses.replace(case, changes=changes)
     return job, cases.run_case(case, policy, seed, MujocoSimulator)
-
-
-def draw(found: Sequence[Row], columns: Sequence[str], path: Path) -> None:
-    """Write the plot: every row's values over its goal, logarithmic."""
-    figure = Figure(figsize=(8.5, 1.6 + 0.5 * len(found)), layout="constrained")
-    ax = figure.subplots()
-    for column in columns:
-        ax.plot(
-            [values[column] / values["goal"] for values in found],
-            range(len(found)),
-            MARKS[column],
-            color=COLOURS[column],
-            label=column,
-        )
-    ax.axvline(1.0, color=palette.INK, lw=0.8)
-    names = [f"{v['row']} (goal {v['goal']:g} {v['unit']})" for v in found]
-    ax.set_yticks(range(len(found)), names)
-    ax.set(xscale="log", xlabel="error over the goal")
-    ax.grid(axis="x", color=palette.PALE, lw=0.5)
-    ax.invert_yaxis()
-    ax.legend(frameon=False, fontsize=9)
-    figure.savefig(path, dpi=130)

@@ -7,7 +7,6 @@ compared with the same robot in MuJoCo (other_engine.py), and the nominal robot 
 with it (nominal_prediction.py).
 """
 
-import dataclasses
 import functools
 import itertools
 import math
@@ -35,7 +34,7 @@ from slot_core import config
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
 from slot_core.drawing import palette
-from slot_core.dynamics.scene import SolverSettings, read_scene
+from slot_core.dynamics.scene import level_changes, read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.dynamics.simulated_robot import SimulatedRobot
 from slot_core.refusal import DivergenceError
@@ -235,14 +234,13 @@ def level_row(
     robot: RobotParameters, name: str, exact: Array, repeats: int
 ) -> dict[str, Any]:
     """Stand and step at the level of `config/solver/<name>.yaml`."""
-    solver = config.read(SolverSettings, f"solver/{name}")
-    scene = config.replace(read_scene("flat"), {"start.settle": 0.0})
-    scene = dataclasses.replace(scene, solver=solver)
+    changes = {"start.settle": 0.0} | level_changes(name)
+    scene = config.replace(read_scene("flat"), changes)
     return {
         "kind": "level",
         "level": name,
-        "nodes": solver.nodes,
-        "step": solver.step,
+        "nodes": scene.solver.nodes,
+        "step": scene.solver.step,
         **measured(
             lambda: make_robot(robot, scene, read_servo()), exact, repeats
         ),

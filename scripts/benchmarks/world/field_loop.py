@@ -10,9 +10,8 @@ from benchmarks.locomotion.cases import STRIDES, WalkMotion, motion_of
 from benchmarks.locomotion.rows import DEG, MM, WARM_UP
 from benchmarks.world.drivers import CovariantOdometry, Memory
 from benchmarks.world.sets import WorldSet
-from slot_core import config
 from slot_core.clock import LOCKSTEP_START, to_seconds
-from slot_core.dynamics.scene import SolverSettings
+from slot_core.dynamics.scene import level_changes
 from slot_core.gait.gait import STAND
 from slot_core.refusal import DivergenceError
 from slot_core.safety.states import State
@@ -70,13 +69,8 @@ def run_set(
     lines: reasons of HOLD, RELAX and FAULT, and warnings after the start, each with the numbers
     that it had first.
     """
-    level = config.read(SolverSettings, f"solver/{solver}")
-    loop = FieldLoop(
-        one,
-        column,
-        seed,
-        {f"scene.solver.{name}": x for name, x, _ in config.leaves(level)},
-    )
+    level = {f"scene.{name}": x for name, x in level_changes(solver).items()}
+    loop = FieldLoop(one, column, seed, level)
     states: list[State] = []
     motion, lines, robot = [], dict[str, str](), loop.plant.robot
     try:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slot_bringup.interrupts import on_interrupt
-from slot_core.command_line import command_parser, refuse, within
+from slot_core.command_line import command_parser, missing, refuse, within
 from slot_core.config import ConfigError
 from slot_core.control.policies import DEFAULT_POLICY
 
@@ -160,7 +160,7 @@ def open_in_browser(address: str) -> None:
 def require_viser() -> None:
     """Raise ConfigError unless the server of the page is installed."""
     if importlib.util.find_spec("viser") is None:
-        raise ConfigError("viser is missing; run scripts/setup --play")
+        raise ConfigError(missing("viser"))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

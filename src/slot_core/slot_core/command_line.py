@@ -26,6 +26,21 @@ Number = TypeVar("Number", int, float)
 INTERRUPTED = 130  # exit code
 # Libraries that all programs import; scripts/setup installs them below .slot.
 LIBRARIES = ("numba", "numpy", "rosbags", "scipy", "yaml")
+# Modules that some programs import, by the option of scripts/setup that installs them.
+EXTRAS = {
+    "play": ("viser",),
+    "learn": ("distributed", "gymnasium", "onnx", "onnxruntime"),
+    "bench": (
+        "cma",
+        "cvxpy",
+        "elastica",
+        "gym_softrobot",
+        "mujoco",
+        "quadprog",
+    ),
+    "docs": ("myst_parser", "sphinx"),
+    "test": ("playwright", "pytest"),
+}
 
 
 class CommandParser(argparse.ArgumentParser):
@@ -43,6 +58,13 @@ def command_parser(name: str, description: str | None) -> CommandParser:
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+
+
+def missing(module: str | None) -> str:
+    """Refusal for a module that Python does not find, with what installs it."""
+    root = str(module).partition(".")[0]
+    options = [f" --{x}" for x, modules in EXTRAS.items() if root in modules]
+    return f"{module} is missing; run scripts/setup{''.join(options)}"
 
 
 def refuse(program: str, error: object) -> None:
@@ -111,9 +133,9 @@ def require_libraries() -> None:
         sys.path += [
             str(path) for path in venv.glob("lib/python3*/site-packages")
         ]
-    if missing := _missing():
+    if absent := _missing():
         sys.exit(
-            f"Python finds no {', '.join(missing)}: in a new terminal first source scripts/env of"
+            f"Python finds no {', '.join(absent)}: in a new terminal first source scripts/env of"
             " the SLOT repository, then install/setup.bash"
         )
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from slot_core.refusal import InputError, quoted, read_text
+from slot_core.refusal import InputError, nearest, quoted, read_text
 
 T = TypeVar("T")
 SIZE_MAX = 1_000_000  # bytes of a configuration file
@@ -74,16 +74,16 @@ def read(cls: type[T], name: str) -> T:
 def load(name: str) -> Any:
     """Content of `<config_dir>/<name>.yaml`, unchecked.
 
-    Raises ConfigError if the file is missing (the message lists the known names), no regular file,
+    Raises ConfigError if the file is missing (the message lists known names), no regular file,
     larger than SIZE_MAX, or cannot be parsed.
     """
     path = config_dir() / f"{name}.yaml"
     try:
         return parse(read_text(path, SIZE_MAX))
     except FileNotFoundError:
-        known = ", ".join(sorted(p.stem for p in path.parent.glob("*.yaml")))
+        known = names(str(Path(name).parent))
         raise ConfigError(
-            f"no configuration {quoted(name)} (known: {known})"
+            f"no configuration {quoted(name)}{nearest(path.stem, known)}"
         ) from None
     except (OSError, ValueError) as error:
         raise ConfigError(f"{name}.yaml: {error}") from None
@@ -117,7 +117,8 @@ def build(cls: type[T], mapping: Any, where: str) -> T:
     fields = {f.name: f for f in dataclasses.fields(cls)}  # type: ignore[arg-type]
     if unknown := [_name(key) for key in mapping if key not in fields]:
         raise ConfigError(
-            f"{_inside(where, unknown[0])} is not a setting (known: {', '.join(fields)})"
+            f"{_inside(where, unknown[0])} is not a setting"
+            f"{nearest(unknown[0], fields)}"
         )
     if missing := [name for name in fields if name not in mapping]:
         raise ConfigError(f"{_inside(where, missing[0])} is missing")
@@ -176,7 +177,10 @@ def replace(
         for parent in parents:
             node = node.get(parent) if isinstance(node, dict) else None
         if not isinstance(node, dict) or last not in node:
-            raise ConfigError(f"{where}: {name} is not a setting")
+            raise ConfigError(
+                f"{where}: {name} is not a setting"
+                f"{nearest(str(name), dict(dotted(mapping)))}"
+            )
         node[last] = value
     return build(type(settings), mapping, where)
 

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from slot_core.command_line import missing
 from slot_core.config import ConfigError
 from slot_core.refusal import read_bytes
 
@@ -83,9 +84,7 @@ def refused(policy: object) -> Iterator[None]:
     except ConfigError:
         raise
     except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"policy {policy}: {error.name} is missing; run scripts/setup --learn"
-        ) from None
+        raise ConfigError(f"policy {policy}: {missing(error.name)}") from None
     except Exception as error:
         line = " ".join(str(error).split())[:200]
         raise ConfigError(

@@ -8,9 +8,10 @@ A file that a user names is read only if it is regular and not too large: a devi
 and opening a pipe waits for whoever writes to it.
 """
 
+import difflib
 import reprlib
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -64,6 +65,15 @@ def quoted(value: Any) -> str:
 def printable(text: str) -> str:
     """The text with control characters, and others that are not printable, as escape sequences."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """` (nearest: a, b)`: the names like an unknown one, by whole or last part; else ` (known: ...)`."""
+    names = list(known)
+    near = [each for each in names if each.endswith(f".{name}")]
+    near = near or difflib.get_close_matches(name, names)
+    listed = ", ".join(near or names)
+    return f" (nearest: {listed})" if near else f" (known: {listed})"
 
 
 class _Short(reprlib.Repr):

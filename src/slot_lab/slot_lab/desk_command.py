@@ -9,7 +9,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from slot_core.command_line import INTERRUPTED, ProgressLine, refuse, show
+from slot_core.command_line import (
+    INTERRUPTED,
+    ProgressLine,
+    missing,
+    refuse,
+    show,
+)
 from slot_core.refusal import DivergenceError, InputError
 
 if TYPE_CHECKING:  # heavy
@@ -40,7 +46,7 @@ def run_command(
     except (InputError, DivergenceError) as error:
         reason = str(error)
     except ModuleNotFoundError as error:
-        reason = f"{error}: run scripts/setup --bench"
+        reason = missing(error.name)
     except OSError as error:
         reason = f"{error.filename or 'output'}: {error.strerror or error}"
     except KeyboardInterrupt:

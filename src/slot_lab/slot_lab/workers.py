@@ -20,7 +20,7 @@ def workers(scheduler: str, count: int | None = None) -> Iterator[Any]:
     """Client of the cluster at `scheduler`; if empty, of `count` local processes (default: cores).
 
     The local cluster listens on the loopback only. A remote worker needs slot_core of the same
-    revision. Raises ModuleNotFoundError without `distributed` (`scripts/setup --bench` or --learn).
+    revision. Raises ModuleNotFoundError without `distributed` (`scripts/setup --learn`).
     """
     from distributed import Client, LocalCluster  # noqa: PLC0415 - not installed with the robot
 

@@ -316,14 +316,14 @@ def read_scene(name: str) -> Scene:
     A file with `like: OTHER` holds, by dotted name, only its changes of the other scene.
     `solver: NAME` stands for the settings of `config/solver/NAME.yaml`. `parameters: NAME` stands
     for the `scene` values of that set of `config/parameters`, unless the file has its own. Raises
-    ConfigError; for an unknown name it lists the known ones.
+    ConfigError; for an unknown name it lists near or known ones.
     """
     mapping, where = _load(name), f"scene/{name}.yaml"
-    if not isinstance(mapping, dict) or "like" not in mapping:
+    if not _is_like_another(mapping):
         return config.build(Scene, mapping, where)
-    if not isinstance(other := mapping.pop("like"), str) or (
-        isinstance(whole := _load(other), dict) and "like" in whole
-    ):
+    other = mapping.pop("like")
+    whole = _load(other) if isinstance(other, str) else {"like": other}
+    if _is_like_another(whole):
         raise ConfigError(
             f"{where}: like = {quoted(other)}: expected the name of a scene without `like`"
         )
@@ -332,6 +332,10 @@ def read_scene(name: str) -> Scene:
     if isinstance(identified, str) and identified:
         mapping = read_parameters(identified, "scene") | mapping
     return config.replace(base, mapping, where)
+
+
+def _is_like_another(mapping: Any) -> bool:
+    return isinstance(mapping, dict) and "like" in mapping
 
 
 def _load(name: str) -> Any:

@@ -37,7 +37,7 @@ from slot_core.elementary import cos, sin
 from slot_core.geometry import rotate, wrapped
 from slot_core.legs.fingerprint import misfit
 from slot_core.matrices import norm
-from slot_core.refusal import quoted
+from slot_core.refusal import nearest, quoted
 from slot_core.robot import RobotParameters
 
 STAND = "stand"  # name of the posture at the start
@@ -378,7 +378,7 @@ class GaitSettings:
         """The gait of that name; raises ConfigError for an unknown one and lists the known ones."""
         if name not in self.gaits:
             raise config.ConfigError(
-                f"no gait {quoted(name)} (known: {', '.join(sorted(self.gaits))})"
+                f"no gait {quoted(name)}{nearest(name, sorted(self.gaits))}"
             )
         return self.gaits[name]
 

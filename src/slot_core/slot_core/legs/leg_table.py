@@ -79,10 +79,10 @@ def read_leg_table(columns: Sequence[str]) -> LegTable:
     """
     names = ("theta_deg", "height_m", *columns)
     try:
-        lines = (line for line in _lines() if not line.startswith("#"))
+        lines = _lines()
         rows = [
             [float(row[name]) for name in names]
-            for row in csv.DictReader(lines)
+            for row in csv.DictReader(x for x in lines if x[:1] != "#")
         ]
         theta_deg, height, *values = np.array(sorted(rows)).T
         angles, heights = np.unique(theta_deg), np.unique(height)
@@ -96,7 +96,7 @@ def read_leg_table(columns: Sequence[str]) -> LegTable:
         raise config.ConfigError(
             f"{FILE}: no table of {names}: {error}"
         ) from None
-    require_own_leg_map(read_robot())
+    _require_own(_made_for(lines), read_robot())
     return found
 
 
@@ -105,7 +105,10 @@ def require_own_leg_map(robot: RobotParameters) -> str:
 
     Raises ConfigError for a table of another leg than the robot's.
     """
-    made_for = leg_map_made_for()
+    return _require_own(leg_map_made_for(), robot)
+
+
+def _require_own(made_for: Any, robot: RobotParameters) -> str:
     line = misfit(made_for, robot, FILE)
     if line and made_for is not None:
         raise config.ConfigError(line)
@@ -115,9 +118,14 @@ def require_own_leg_map(robot: RobotParameters) -> str:
 def leg_map_made_for() -> Any:
     """Fingerprint in `config/leg_map.csv`; None without one or without a file."""
     try:
-        marked = [line for line in _lines() if line.startswith(MADE_FOR)]
+        lines = _lines()
     except (OSError, ValueError):
         return None  # who reads the table says so
+    return _made_for(lines)
+
+
+def _made_for(lines: list[str]) -> Any:
+    marked = [line for line in lines if line.startswith(MADE_FOR)]
     return config.parse(marked[0].removeprefix(MADE_FOR)) if marked else None
 
 

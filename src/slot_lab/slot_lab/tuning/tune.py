@@ -62,19 +62,27 @@ class Tuning:
     """Search by `scripts/tune`: its options, settings and stages."""
 
     def __init__(
-        self, options: argparse.Namespace, progress: ProgressLine
+        self,
+        options: argparse.Namespace,
+        progress: ProgressLine,
+        records: Path = RECORDS,
+        searching: Mapping[str, Any] | None = None,
     ) -> None:
-        """Read the configuration; raises ConfigError."""
+        """Read the configuration; raises ConfigError.
+
+        records: directory of the searches' records. searching: settings that differ in searches.
+        """
         self._options, self._robot = options, read_robot()
-        self.records = RECORDS
+        self._records = records
         self._out: Path = (
             options.out or config.config_dir() / "gait" / f"{options.gait}.yaml"
         )
-        self.settings = self.searching = _settings(options)
+        self._settings = _settings(options)
+        self._searching = config.replace(self._settings, searching or {})
         self.stride = _start(options)
         seed = options.seed if options.scratch else None
         self._starts = {  # before the first search: a later one may be refused
-            kind: start_of(self.stride, kind, self.settings, seed)
+            kind: start_of(self.stride, kind, self._settings, seed)
             for kind in identification.NUMBERS
             if kind in options.stages
         }
@@ -88,7 +96,7 @@ class Tuning:
         simulated = functools.partial(
             run_all,
             functools.partial(
-                simulate, settings=self.settings, robot=self._robot
+                simulate, settings=self._settings, robot=self._robot
             ),
         )
         notes: list[str] = []
@@ -130,7 +138,7 @@ class Tuning:
             self.stride,
             Goal(kind, self._options.top),
             self._starts[kind],
-            self.searching,
+            self._searching,
             self._options.seed,
         )
         found = search.run(run_all, self._record(kind), self._progress)
@@ -141,15 +149,15 @@ class Tuning:
         tried: Pattern = getattr(trial(self.stride, kind, found.x), kind)
         pattern = replace(tried, speed=float(np.mean(found.speed)))
         speeds = ", ".join(f"{v:.4f}" for v in found.speed)
-        note = f"{kind}: {speeds} at {_floors(self.searching)}, open loop"
+        note = f"{kind}: {speeds} at {_floors(self._searching)}, open loop"
         return pattern, note
 
     def _steering(self, run_all: RunAll) -> list[str]:
         self._progress("steering")
         steering, change = identification.find_steering(
-            self.stride, self.settings, run_all
+            self.stride, self._settings, run_all
         )
-        if steering.rate < self.settings.steering_rate / 4:
+        if steering.rate < self._settings.steering_rate / 4:
             raise IdentificationError(
                 f"steering: only {steering.rate:.4f} rad/s was found"
             )
@@ -170,7 +178,7 @@ class Tuning:
     def _identify(self, run_all: RunAll) -> list[str]:
         self._progress("identify: patterns")
         tables: dict[str, Any] = identification.tabulate(
-            self.stride, self.settings, run_all
+            self.stride, self._settings, run_all
         )
         for name, pattern in tables.items():
             if pattern.speed < LEAST_SPEED:
@@ -187,12 +195,12 @@ class Tuning:
             for name, pattern in tables.items()
         )
         return [
-            f"speeds and heights at amplitude one, scene {self.settings.scene},"
-            f" {_floors(self.settings)}: {speeds}; cruise {self.stride.cruise:g}"
+            f"speeds and heights at amplitude one, scene {self._settings.scene},"
+            f" {_floors(self._settings)}: {speeds}; cruise {self.stride.cruise:g}"
         ]
 
     def _record(self, kind: str) -> Path:
-        return self.records / f"{self._out.stem}.{kind}.jsonl"
+        return self._records / f"{self._out.stem}.{kind}.jsonl"
 
 
 def _floors(settings: TuningSettings) -> str:

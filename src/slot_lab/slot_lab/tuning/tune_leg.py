@@ -54,10 +54,11 @@ def run(options: argparse.Namespace, progress: ProgressLine) -> Outcome:
             given.command = (
                 f"scripts/tune leg --evaluations {options.evaluations}"
             )
-            tuning = Tuning(given, progress)
-            tuning.records = (options.directory or Path()) / RECORDS
-            tuning.searching = config.replace(
-                tuning.settings, SEARCH | {"evaluations": options.evaluations}
+            tuning = Tuning(
+                given,
+                progress,
+                (options.directory or Path()) / RECORDS,
+                SEARCH | {"evaluations": options.evaluations},
             )
             try:
                 lines = tuning.write(run_all)
