@@ -86,7 +86,9 @@ def pytest_runtest_makereport(item, call):
         reason = item.stash[LOAD].excuse(call.excinfo.value)
         if reason:
             report.outcome = "skipped"
-            hidden = f"{call.excinfo.typename}: {call.excinfo.value}".splitlines()
+            hidden = (
+                f"{call.excinfo.typename}: {call.excinfo.value}".splitlines()
+            )
             text = f"Skipped: machine too slow: {reason}; {hidden[0]}"
             report.longrepr = (*item.location[:2], text)
     return report
