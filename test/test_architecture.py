@@ -251,7 +251,7 @@ BUDGET = {
     "src/slot_nodes": 2214,
     "slot_bringup": 2886,
     "scripts": 4679,
-    "test": 15_269,
+    "test": 15_378,
 }
 
 
