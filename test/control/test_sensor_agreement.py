@@ -180,34 +180,6 @@ def test_a_twist_that_is_not_that_of_base_link_is_mended_or_left(case):
         assert set(validities(estimates[-60:])) == {Validity.VALID}
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_the_steps_of_a_drop_contradict_no_twist(seed):
-    """It falls 5 cm in 0.1 s; one reading shows 4 rad/s of the torso that shakes as it lands."""
-    held = Walk(tilt=0.015, sway=0.0, speed=0.0)
-    held.amplitude[2] = 0.0
-    messages = changed(noisy(held, 3.0, seed), ALL, moved(0.05))
-    # 0.1 s after it is let go it rests
-    for step, shake in enumerate([0.0, 0.0, 0.0, 0.0, 4.0, 0.0], start=1):
-        t = min(step / 30, 0.101)
-        reading = slice(60 + step, 61 + step)
-        fall = moved(-GRAVITY * t * t / 2, -GRAVITY * t * (t < 0.101), shake)
-        messages = changed(messages, reading, fall)
-    messages = changed(messages, slice(67, None), moved(-0.05))
-    estimates, _ = run(messages, COMPARED)
-    assert not [e for e in estimates if "twist" in e.message]
-
-
-def moved(z, velocity=0.0, rate=0.0):
-    """Change of a reading by a height, a velocity upward and a rate of roll."""
-    up, axis = np.eye(3)[[2, 0]]
-    return lambda p, q, v, w: (
-        p + z * up,
-        q,
-        v + velocity * up,
-        w + rate * axis,
-    )
-
-
 @pytest.mark.parametrize("kind", ["odometry", "imu"])
 @pytest.mark.parametrize("shift", [0.4, -0.4, -0.6])
 def test_a_stray_stamp_is_dropped(kind, shift):

@@ -39,9 +39,8 @@ GAP = 50 * MILLISECOND  # ns, a longer one between samples ends the integral
 MEAN, SQUARE = 9, 12  # columns of `TurnSums.pairs` after those of B
 SQUARINGS = 10  # of the matrix whose power gives an eigenvector
 JUMP = 0.1  # rad between two readings, a longer turn may be a jump
-# of a residual over its standard deviation, squared: jumps count no more, nor does one step of a
-# landing, in which the readings' twists are far from the mean between them
-LARGEST_RESIDUAL = 25.0
+# of a residual over its standard deviation, squared: jumps count no more
+LARGEST_RESIDUAL = 1000.0
 
 
 class TurnSums(NamedTuple):

@@ -156,9 +156,10 @@ class DisturbanceObserver:
         square = np.square(error - self._mean)
         self._variance += s.friction_gain * (square - self._variance)
         nominal, gripping = self._variance.sum(axis=1)
+        margin = 1.0 + s.friction_margin
         if gripping < nominal:
             self._model.friction = self._frictions[1]
-        elif gripping > (1.0 + s.friction_margin) ** 2 * nominal:
+        elif gripping > margin * margin * nominal:
             self._model.friction = self._frictions[0]
 
     @property
