@@ -516,9 +516,8 @@ def test_a_robot_at_rest_on_a_slope_leans_downhill(springs):
         rods = make_robot(ROBOT, scene, read_servo())
         rods.advance(500, STANDING)
         pitch[k] = rods.rpy[1]
-        expected[k] = rest_pose(ROBOT, springs, rods.tendon_angle, lean=up[:2])[
-            2
-        ]
+        held = rest_pose(ROBOT, springs, rods.tendon_angle, lean=up[:2])
+        expected[k] = held[2]
     assert np.diff(pitch) / 2 == pytest.approx(np.radians(0.78), rel=0.1)
     assert np.diff(expected) == pytest.approx(0.67 * np.diff(pitch), rel=0.1)
 

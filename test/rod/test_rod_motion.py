@@ -31,9 +31,8 @@ from slot_core.rod.model import (
     Uniform,
 )
 
-THIN_MATERIAL = Material(
-    12e9, 4e9, 1e3, 0.0
-)  # EI = rho A = 1 at a thickness of 1e-3
+# EI = rho A = 1 at a thickness of 1e-3
+THIN_MATERIAL = Material(12e9, 4e9, 1e3, 0.0)
 # of sections that are given by their stiffness
 UNIT = Material(1.0, 1.0, 1e-6, 0.0)
 Field = Callable[[Array], Array]

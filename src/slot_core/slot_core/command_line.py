@@ -128,12 +128,12 @@ def require_libraries() -> None:
     """
     if prints_help():
         return
-    if _missing():
+    if _absent():
         venv = Path(os.environ.get("VIRTUAL_ENV", os.devnull))
         sys.path += [
             str(path) for path in venv.glob("lib/python3*/site-packages")
         ]
-    if absent := _missing():
+    if absent := _absent():
         sys.exit(
             f"Python finds no {', '.join(absent)}: in a new terminal first source scripts/env of"
             " the SLOT repository, then install/setup.bash"
@@ -145,7 +145,7 @@ def prints_help() -> bool:
     return bool(sys.flags.isolated and sys.flags.no_site)
 
 
-def _missing() -> list[str]:
+def _absent() -> list[str]:
     return [name for name in LIBRARIES if find_spec(name) is None]
 
 

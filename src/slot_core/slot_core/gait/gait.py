@@ -375,7 +375,7 @@ class GaitSettings:
         return {**self.postures, **self.strides}
 
     def find(self, name: str) -> Posture | Stride:
-        """The gait of that name; raises ConfigError for an unknown one and lists the known ones."""
+        """The gait of that name; raises ConfigError for an unknown one and names the nearest."""
         if name not in self.gaits:
             raise config.ConfigError(
                 f"no gait {quoted(name)}{nearest(name, sorted(self.gaits))}"

@@ -115,23 +115,24 @@ class DisturbanceObserver:
             return
         while len(past) > window + 1:
             past.popleft()
-        pose = self._repeated(self._model.friction)
+        plan = np.array([seen.angle for seen in past])
+        known = self._model.friction
+        pose = self._repeated(plan, known)
         if not np.isfinite(pose).all():
             return
         self._correct(state, pose)
         if walked > window + s.friction_after / self._dt:
-            known, frictions = self._model.friction, self._frictions
             poses = [
-                pose if mu == known else self._repeated(mu) for mu in frictions
+                pose if mu == known else self._repeated(plan, mu)
+                for mu in self._frictions
             ]
             self._judge(state[TILTS] - np.array(poses)[:, TILTS])
 
-    def _repeated(self, friction: float) -> Array:
-        """Pose (6,) at the end of the repeated motion, on a floor of a friction coefficient."""
-        past, known = self._past, self._model.friction
-        plan = np.array([seen.angle for seen in past])
+    def _repeated(self, plan: Array, friction: float) -> Array:
+        """Pose (6,) at the end of the motion repeated with a plan (n, 4), rad, and a friction."""
+        known = self._model.friction
         self._model.friction = friction
-        poses = self._model.roll_out(past[0].start, plan[None]).pose[0]
+        poses = self._model.roll_out(self._past[0].start, plan[None]).pose[0]
         self._model.friction = known
         return poses[-1]
 

@@ -207,8 +207,8 @@ class Conditions:
 
     def release_reason(self) -> str:
         """Reason of a RELAX or OFF that the servos report, or ""."""
-        is_held = self._health.action in (Action.RELAX, Action.OFF)
-        return f"servos: {self._health.reason}" if is_held else ""
+        is_released = self._health.action in (Action.RELAX, Action.OFF)
+        return f"servos: {self._health.reason}" if is_released else ""
 
     def torque_off(self, since: int) -> bool:
         """Whether a report newer than `since` says that no servo is under torque."""

@@ -207,6 +207,8 @@ class Watchdog:
         if received is None:
             return f"no {what} yet"
         age = to_seconds(now - received)
+        if age <= min(limits.command_hold, limits.command_lost):
+            return ""
         line = f"no {what} for {age:.2f} s, limit"
         if age > limits.command_lost:
             self.relax(f"{line} {limits.command_lost:g} s")
