@@ -308,6 +308,27 @@ def test_the_model_has_the_friction_that_explains_the_motion():
     assert watch.model.friction == nominal
 
 
+@pytest.mark.parametrize(
+    ("nominal", "gripping", "grips"),
+    [
+        (0.95, 0.83, False),
+        (1.9, 1.9, False),
+        (1.1, 0.86, True),
+        (2.5, 2.5, True),
+    ],
+)
+def test_a_floor_grips_when_the_nominal_one_is_far_off_or_clearly_worse(
+    nominal, gripping, grips
+):
+    """Spreads of a fast walk on friction .5 and .6, and of a crawl and a walk on friction 1."""
+    observer, spread = Watch().observer, np.array([nominal, gripping])
+    scale = np.sqrt(1.0 / 3.0) * observer._scale
+    for k in range(400):
+        observer._judge((-1.0) ** k * spread[:, None] * scale)
+    friction = observer._model.friction
+    assert friction == (OBSERVER if grips else NOMINAL).friction
+
+
 def test_drift_and_wrench_are_no_sign_of_a_floor_that_grips():
     watch = Watch(drift=(0.03, 0.0, 0.05), wrench=(-3.0, 0.1, 0.0))
     for _ in range(10):

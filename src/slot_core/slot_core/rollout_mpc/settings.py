@@ -99,6 +99,21 @@ class ObserverSettings:
         0,
         1e3,
     )
+    friction_misfit: float = quantity(
+        "spread of the errors with the nominal friction above which a floor grips",
+        "",
+        0,
+        1e3,
+    )
+    friction_benefit: float = quantity(
+        "variance that a floor that grips explains, above which it does",
+        "",
+        0,
+        1e3,
+    )
+    benefit_gain: float = quantity(
+        "gain of the mean of that variance", "", 0, 1
+    )
     friction_after: float = quantity(
         "time of a walk after which the friction is judged", "s", 0, 100
     )
