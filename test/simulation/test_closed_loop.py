@@ -507,3 +507,38 @@ def test_a_slam_that_starts_anew_in_mid_walk_stops_it_for_less_than_a_second(
     assert states[2:] == [walking, hold, walking]
     # 0.210 to 0.219 m of six seeds, with the start of the walk again
     assert way > 0.75 * REFERENCE
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_under_the_supervisor_it_walks_on_rubber_and_blames_no_tendon(seed):
+    """Friction 1; measured, seeds 1 to 3: 53 to 55 of 50 mm/s."""
+    rubber = {"scene.floor.friction": (1.0,) * 4}
+    loop = SupervisedLoop("flat", "walk", None, seed, changes=LYING | rubber)
+    *_, before = loop.run(5.0)
+    begin = float(loop.plant.robot.position[0])
+    *_, after = loop.run(4.0)
+    speed = (float(loop.plant.robot.position[0]) - begin) / 4.0
+    assert speed == pytest.approx(0.05, rel=0.2)
+    assert [before.state, after.state] == [State.WALKING] * 2
+    assert not [*before.warnings, *after.warnings]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"scene.floor.friction": (0.1,) * 4},
+        {"scene.floor.friction": (1.0,) * 4},
+        dict(stiffness(0.65)),
+    ],
+    ids=["ice", "rubber", "soft legs"],
+)
+def test_under_the_supervisor_it_stands_without_a_cycle(changes):
+    """Measured, seeds 1 to 3: within 0.5 mm in the mean, between 0.9 and 2.5 mm from top to bottom."""
+    loop = SupervisedLoop("flat", "stand", None, 1, changes=LYING | changes)
+    list(loop.run(5.0))
+    height = []
+    for report in loop.run(4.0):
+        height.append(loop.plant.robot.position[2])
+        assert report.state is State.STANDING
+    assert np.mean(height) == pytest.approx(0.04, abs=1.5e-3)
+    assert np.ptp(height) < 4e-3
