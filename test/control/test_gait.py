@@ -25,13 +25,12 @@ from slot_core.simulation.make_robot import make_robot
 ROBOT, GAITS = read_robot(), read_gaits()
 WALK = GAITS.strides["walk"]
 PHASES = np.linspace(0.0, 1.0, 41)[:-1]
-NO_OFFSET = np.zeros(4)
 # Signs of roll, pitch, yaw, p, omega, v under the reflection of x, and under that of y.
 REFLECTED_X = np.array([1, -1, -1, -1, 1, 1, 1, -1, -1, -1, 1, 1], dtype=float)
 REFLECTED_Y = np.array([-1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1], dtype=float)
 
 
-def stride_table(velocity, phase=PHASES, stride=WALK, offset=NO_OFFSET):
+def stride_table(velocity, phase=PHASES, stride=WALK, offset=0.0):
     velocity = np.asarray(velocity, dtype=float)
     return stride.stride_table(phase, np.array(velocity), offset)
 
@@ -118,13 +117,14 @@ def test_amplitudes_are_bounded_by_an_ellipsoid():
 
 
 def test_offsets_shift_the_angles_within_the_range():
-    offset, stride = np.radians([5.0, -5.0, 90.0, -90.0]), filled()
-    plain, shifted = (
-        stride_table([0.05, 0, 0], stride=stride, offset=o)[:, :4]
-        for o in (NO_OFFSET, offset)
+    offsets, stride = np.radians([0.0, 5.0, -5.0, 90.0, -90.0]), filled()
+    plain, *shifted = (
+        stride_table([0.05, 0, 0], stride=stride, offset=offset)[:, :4]
+        for offset in offsets
     )
-    assert shifted == pytest.approx(
-        np.clip(plain + offset, *np.radians(stride.range_deg)), abs=1e-12
+    assert np.array(shifted) == pytest.approx(
+        np.clip(plain + offsets[1:, None, None], *np.radians(stride.range_deg)),
+        abs=1e-12,
     )
 
 

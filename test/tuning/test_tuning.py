@@ -8,7 +8,7 @@ import pytest
 from real_graph import changed_config, set_values
 
 from slot_core import config
-from slot_core.gait.gait import HarmonicBasis, gait_misfit, read_gaits
+from slot_core.gait.gait import gait_misfit, harmonics, read_gaits
 from slot_core.legs.fingerprint import fingerprint
 from slot_core.legs.leg_table import require_own_leg_map
 from slot_core.robot import read_robot
@@ -40,7 +40,7 @@ RNG = np.random.default_rng(1)
 
 def series(pattern, phase):
     """Tendon angles (n, 4), deg, of coefficients (4, 5) at phases (n,)."""
-    return HarmonicBasis.at(phase % 1.0).value @ pattern.T
+    return harmonics(phase % 1.0) @ pattern.T
 
 
 @pytest.mark.parametrize(

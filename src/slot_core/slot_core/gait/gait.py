@@ -23,6 +23,7 @@ Reference of the torso: where the robot is to be, and the rows of the preview.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -32,6 +33,7 @@ from numpy.typing import NDArray
 
 from slot_core import config
 from slot_core.arrays import Array
+from slot_core.compiled import helper, kernel
 from slot_core.config import choice, flag, quantity
 from slot_core.elementary import cos, sin
 from slot_core.geometry import rotate, wrapped
@@ -56,31 +58,95 @@ TINY = 1e-12  # m/s, rad/s: no velocity
 TORSO_MOTION = ("roll", "pitch", "height", "v_x", "v_y")
 
 
-class HarmonicBasis(NamedTuple):
-    """Constant and four harmonics at n phases, and their derivatives by the phase."""
+def harmonics(phase: Array) -> Array:
+    """Constant and harmonics 1, cos p, sin p, cos 2p, sin 2p (n, 5), p = 2 pi phase, phases (n,)."""
+    p = 2 * np.pi * phase
+    return np.column_stack(
+        [np.ones_like(p), cos(p), sin(p), cos(2 * p), sin(2 * p)]
+    )
 
-    value: Array  # (n, 5) 1, cos p, sin p, cos 2p, sin 2p with p = 2 pi phase
-    slope: Array  # (n, 5)
 
-    @classmethod
-    def at(cls, phase: Array) -> HarmonicBasis:
-        """Harmonics at phases (n,), in [0, 1)."""
-        p = 2 * np.pi * phase
-        c, s, c2, s2 = cos(p), sin(p), cos(2 * p), sin(2 * p)
+class StrideTables(NamedTuple):
+    """Numbers of a stride for its kernel; coefficients in the rows of `Pattern.table`."""
+
+    rest: Array  # (13, 5)
+    # (5, 2, 13, 5) of forward, lateral, turn and both steerings, and of their mirror images
+    patterns: Array
+    speeds: Array  # (3,) of the patterns at amplitude one, m/s, rad/s
+    amplitude_max: Array  # (3,)
+    steering: Array  # (2, 2) rad/s, rate at amplitude one and largest rate
+    walking_speed: float  # m/s
+    period: float  # s
+    range: Array  # (2,) rad, of the tendon angles
+
+
+@helper
+def _amplitudes(stride, velocity):  # type: ignore[no-untyped-def]
+    """Amplitudes (5) of the patterns and their steering at a velocity (3,)."""
+    speeds, most = stride.speeds, stride.amplitude_max
+    v_x, v_y, rate = velocity[0], velocity[1], velocity[2]
+    x, y = v_x / speeds[0], v_y / speeds[1]
+    size = max(abs(x) + abs(y), 1e-9)
+    walking = min(1.0, math.sqrt(v_x * v_x + v_y * v_y) / stride.walking_speed)
+    turn = rate / speeds[2] * (1.0 - walking)
+    a, b, c = x / most[0], y / most[1], turn / most[2]
+    limit = max(1.0, math.sqrt(a * a + b * b + c * c))
+    one, other = stride.steering[0], stride.steering[1]
+    forward = min(max(rate, -one[1]), one[1]) / one[0]
+    lateral = min(max(rate, -other[1]), other[1]) / other[0]
+    return (
+        x / limit,
+        y / limit,
+        turn / limit,
+        walking * forward * abs(x) / size,
+        walking * lateral * abs(y) / size,
+    )
+
+
+@kernel
+def _stride_table(stride, phase, velocity, offset, out):  # type: ignore[no-untyped-def]
+    """Write `Stride.stride_table` (n, 20) at phases (n,), velocities (n, 3) or (1, 3)."""
+    patterns, turn = stride.patterns, 2.0 * math.pi
+    for i in range(phase.size):
+        at = velocity[min(i, velocity.shape[0] - 1)]
+        x, y, r, steer_x, steer_y = _amplitudes(stride, at)
+        # a negative amplitude takes the mirror image
+        back, right, left = int(x < 0.0), int(y < 0.0), int(r < 0.0)
+        p = turn * phase[i]
+        c, s, c2, s2 = cos(p), sin(p), cos(2.0 * p), sin(2.0 * p)
+        basis = (1.0, c, s, c2, s2)
         slope = (
-            2
-            * np.pi
-            * np.column_stack([np.zeros_like(p), -s, c, -2 * s2, 2 * c2])
+            0.0,
+            turn * -s,
+            turn * c,
+            turn * (-2.0 * s2),
+            turn * (2.0 * c2),
         )
-        return cls(np.column_stack([np.ones_like(p), c, s, c2, s2]), slope)
-
-    @property
-    def integral(self) -> Array:
-        """(n, 5) integral of the harmonics over the phase, without a constant part."""
-        one, c, s, c2, s2 = self.value.T
-        return np.column_stack([0.0 * one, s, -c, s2 / 2, -c2 / 2]) / (
-            2 * np.pi
-        )
+        integral = (0.0, s / turn, -c / turn, s2 / 2.0 / turn, -c2 / 2.0 / turn)
+        for row in range(13):
+            value = change = sway = 0.0
+            for k in range(5):
+                factor = stride.rest[row, k] + (
+                    abs(x) * patterns[0, back, row, k]
+                    + abs(y) * patterns[1, right, row, k]
+                    + abs(r) * patterns[2, left, row, k]
+                    + steer_x * patterns[3, back, row, k]
+                    + steer_y * patterns[4, right, row, k]
+                )
+                value += factor * basis[k]
+                change += factor * slope[k]
+                sway += factor * integral[k]
+            if row < 4:
+                low, high = stride.range[0], stride.range[1]
+                out[i, row] = min(max(value + offset, low), high)
+            elif row < 8:
+                out[i, row] = max(value, 0.0)
+            elif row < 11:
+                out[i, (8, 9, 13)[row - 8]] = value
+                out[i, (14, 15, 19)[row - 8]] = change / stride.period
+            else:
+                out[i, 6 + row] = value
+                out[i, row] = sway * stride.period
 
 
 @dataclass(frozen=True)
@@ -227,90 +293,51 @@ class Stride:
         return share if share < 1.0 - ROUNDING else 1.0
 
     def stride_table(
-        self, phase: Array, velocity: Array, offset: Array | float = 0.0
+        self, phase: Array, velocity: Array, offset: float = 0.0
     ) -> Array:
         """Gait (n, 20) at phases (n,): 4 tendon angles (rad), 4 normal forces (N), 12 torso states.
 
-        velocity: (n, 3) or (3,) [v_x, v_y, yaw rate] that sets the amplitudes; offset: rad, of the
+        velocity: (n, 3) or (3,) [v_x, v_y, yaw rate] that sets the amplitudes; offset: rad, of all
         angles. Torso states in the heading frame: [roll pitch 0, sway of x and y, z, omega, v],
         omega to first order in the angles; the sway is the integral of v over the phase.
         """
-        basis = HarmonicBasis.at(phase)
-        velocity = np.atleast_2d(velocity)
-        if (velocity == velocity[0]).all():
-            velocity = velocity[:1]
-        table = self._rest + self._moving(velocity)  # (n or 1, 13, 5)
-        table = np.broadcast_to(table, (len(phase), *table.shape[1:]))
-        values = (table * basis.value[:, None]).sum(axis=-1)
-        angle = np.clip(values[:, :4] + offset, *np.radians(self.range_deg))
-        torso = np.zeros((len(phase), 12))
-        torso[:, [0, 1, 5, 9, 10]] = values[:, 8:]
-        torso[:, 3:5] = (table[:, 11:13] * basis.integral[:, None]).sum(
-            axis=-1
-        ) * self.period
-        torso[:, [6, 7, 11]] = (table[:, 8:11] * basis.slope[:, None]).sum(
-            axis=-1
-        ) / self.period
-        return np.hstack([angle, np.maximum(values[:, 4:8], 0.0), torso])
-
-    def _moving(self, velocity: Array) -> Array:
-        """Coefficients (n, 13, 5) of the patterns and their steering at velocities (n, 3)."""
-        amplitude = velocity / self.speeds
-        size = np.maximum(np.abs(amplitude[:, :2]).sum(axis=1), 1e-9)
-        walking = np.minimum(1.0, norm(velocity[:, :2]) / self.walking_speed)
-        amplitude[:, 2] *= 1.0 - walking
-        limit = np.maximum(1.0, norm(amplitude / self.amplitude_max))
-        table = np.zeros((len(velocity), 13, 5))
-        for a, (one, other) in zip(
-            (amplitude / limit[:, None]).T[..., None, None], self._pairs
-        ):
-            table += np.maximum(a, 0.0) * one + np.maximum(-a, 0.0) * other
-        for a, steering, (one, other) in zip(
-            amplitude.T,
-            (self.forward_steering, self.lateral_steering),
-            self._steering,
-        ):
-            turn = (
-                np.clip(velocity[:, 2], -steering.rate_max, steering.rate_max)
-                / steering.rate
-            )
-            share = (walking * turn * np.abs(a) / size)[:, None, None]
-            table += share * np.where((a < 0.0)[:, None, None], other, one)
-        return table
+        out = np.zeros((len(phase), 20))
+        # copies: of one type for the kernel
+        at = np.array(phase, dtype=float)
+        moving = np.array(velocity, dtype=float, order="C", ndmin=2)
+        _stride_table(self._tables, at, moving, float(offset), out)
+        return out
 
     @cached_property
-    def _pairs(self) -> list[tuple[Array, Array]]:
+    def _tables(self) -> StrideTables:
         front_rear = np.array([1.0, -1.0, 1.0, -1.0, 1.0])  # signs of the sway
         left_right = np.array([-1.0, 1.0, 1.0, 1.0, -1.0])
-        return [
-            (table, _mirrored(table, legs, signs))
-            for table, legs, signs in (
-                (self.forward.table, FRONT_REAR, front_rear),
-                (self.lateral.table, LEFT_RIGHT, left_right),
-                (self.turn.table, LEFT_RIGHT, left_right),
+        # The mirror image of a left turn is a right turn, hence the sign.
+        pairs = [
+            (part.table, sign * _mirrored(part.table, legs, signs))
+            for part, legs, signs, sign in (
+                (self.forward, FRONT_REAR, front_rear, 1.0),
+                (self.lateral, LEFT_RIGHT, left_right, 1.0),
+                (self.turn, LEFT_RIGHT, left_right, 1.0),
+                (self.forward_steering, FRONT_REAR, np.ones(5), -1.0),
+                (self.lateral_steering, LEFT_RIGHT, np.ones(5), -1.0),
             )
         ]
-
-    @cached_property
-    def _steering(self) -> list[tuple[Array, Array]]:
-        """Steering (13, 5) of the patterns forward and lateral, and of their mirror images.
-
-        The mirror image of a left turn is a right turn, hence the sign.
-        """
-        pairs = (
-            (self.forward_steering.table, FRONT_REAR),
-            (self.lateral_steering.table, LEFT_RIGHT),
+        steerings = (self.forward_steering, self.lateral_steering)
+        rest = np.zeros((13, 5))
+        rest[:4, 0] = np.radians(self.centre_deg)
+        rest[4:8, 0] = self.centre_force
+        rest[10, 0] = self.height
+        return StrideTables(
+            rest,
+            np.array(pairs),
+            np.array(self.speeds),
+            np.array(self.amplitude_max),
+            np.array([(one.rate, one.rate_max) for one in steerings]),
+            self.walking_speed,
+            self.period,
+            np.radians(self.range_deg),
         )
-        return [(t, -_mirrored(t, legs, np.ones(5))) for t, legs in pairs]
-
-    @cached_property
-    def _rest(self) -> Array:
-        """Coefficients (13, 5) at rest."""
-        table = np.zeros((13, 5))
-        table[:4, 0] = np.radians(self.centre_deg)
-        table[4:8, 0] = self.centre_force
-        table[10, 0] = self.height
-        return table
 
 
 def _mirrored(table: Array, legs: list[int], signs: Array) -> Array:

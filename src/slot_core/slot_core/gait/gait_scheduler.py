@@ -112,6 +112,8 @@ class GaitScheduler:
         # (3,) x, y (m), yaw (rad) of the reference
         self._place: Array | None = None
         self._stiffness = 1.0  # ratio kappa of the legs, at a limited rate
+        for stride in settings.strides.values():
+            stride.stride_table(np.zeros(1), np.zeros(3))  # compiles, tabulates
 
     def request(self, gait: str, velocity: Array) -> None:
         """Request a gait and a velocity [v_x, v_y, yaw rate] (m/s, rad/s) in base_link.

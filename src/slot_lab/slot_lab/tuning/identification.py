@@ -23,10 +23,10 @@ from slot_core.gait.gait import (
     LEFT_RIGHT,
     TORSO_MOTION,
     FourHarmonics,
-    HarmonicBasis,
     Pattern,
     Steering,
     Stride,
+    harmonics,
 )
 from slot_core.geometry import rotate
 from slot_core.refusal import InputError
@@ -152,9 +152,7 @@ def _table(motion: StrideMotion, stride: Stride) -> Array:
     samples = np.hstack(
         [motion.force, posture, rotate(motion.velocity, -motion.track[:, YAW])]
     )
-    table = np.linalg.lstsq(
-        HarmonicBasis.at(motion.phase).value, samples, rcond=None
-    )[0].T
+    table = np.linalg.lstsq(harmonics(motion.phase), samples, rcond=None)[0].T
     table[:4, 0] -= stride.centre_force
     table[6, 0] -= stride.height
     table[7:9, 0] = 0.0
