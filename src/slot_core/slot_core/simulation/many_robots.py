@@ -78,8 +78,10 @@ class ManyRobots:
             for part in parts
             if len(part)
         ]
+        # one part is done here: to wake another thread takes longer than a step
+        each = self._pool.map if len(calls) > 1 else map
         list(
-            self._pool.map(
+            each(
                 lambda part: self._advance(
                     self.robots[0].handle,
                     self._address[part],

@@ -74,11 +74,12 @@ class GaitClock:
         self._tick[which], self._wanted[which] = 0, velocity
         self.velocity[which], self.phase[which] = 0.0, 0.0
         self._place[which] = state[:, PLACE]
-        self._now, self._next = self._rows(0), self._rows(1)
+        self._now = self._rows(0, self.velocity, self.phase)
+        self._look_ahead()
 
     def step(self, state: Array) -> None:
         """Advance by a step, with the robots at states (M, 12)."""
-        self.velocity, self.phase, ahead = self._ahead(1)
+        self.velocity, self.phase, ahead = self._later
         first = self._tick == 0
         self._tick += 1
         gap, turn = (
@@ -92,22 +93,21 @@ class GaitClock:
         heading = state[:, 2] + np.clip(turn, -most, most)
         place = np.column_stack([state[:, 3:5] + share[:, None] * gap, heading])
         self._place = np.where(first[:, None], state[:, PLACE], place)
-        self._now, self._next = self._next, self._rows(1)
+        self._now = self._next
+        self._look_ahead()
 
-    def _ahead(self, ticks: int) -> tuple[Array, Array, Array]:
-        """Velocity, phase and place so many ticks ahead, 0 or 1."""
-        if not ticks:
-            return self.velocity, self.phase, self._place
+    def _look_ahead(self) -> None:
+        """Compute velocity, phase, place and row of the next tick."""
         change = np.clip(
             self._wanted - self.velocity, -self._rates, self._rates
         )
         velocity, dt = self.velocity + change, self._gaits.dt
         phase = (self.phase + dt / self._stride.period) % 1.0
-        return velocity, phase, moved(self._place, velocity, dt)
+        self._later = velocity, phase, moved(self._place, velocity, dt)
+        self._next = self._rows(1, velocity, phase)
 
-    def _rows(self, ticks: int) -> Array:
+    def _rows(self, ticks: int, velocity: Array, phase: Array) -> Array:
         """Rows (M, 20) of the gait so many ticks ahead: angles, forces, motion of the torso."""
-        velocity, phase, _ = self._ahead(ticks)
         tick = np.minimum(self._tick + ticks, len(self._weight) - 1)
         weight = self._weight[tick][:, None]
         rows = self._stride.stride_table(phase, velocity)
@@ -133,5 +133,5 @@ class GaitClock:
 
     def ahead(self) -> list[tuple[Array, Array]]:
         """Phases (M,) and velocities (M, 3) now and a step later."""
-        velocity, phase, _ = self._ahead(1)
+        velocity, phase, _ = self._later
         return [(self.phase, self.velocity), (phase, velocity)]
