@@ -17,9 +17,17 @@ import gym_softrobot  # noqa: F401 - registers its environments
 import gymnasium
 import numpy as np
 
-from benchmarks.harness import Outcome, Progress, at_least, cpu_time
+from benchmarks.harness import (
+    Outcome,
+    Progress,
+    at_least,
+    at_most,
+    cpu_ratio,
+    cpu_time,
+)
+from slot_core.simulation.many_robots import ANGLE
 from slot_lab.learning.task import make_task
-from slot_lab.learning.vector_env import WalkVectorEnv
+from slot_lab.learning.vector_env import CYCLES, WalkVectorEnv
 
 REQUIRES = ("gymnasium", "gym_softrobot")
 # level and time step (s) of the example, and of the goal
@@ -33,6 +41,8 @@ CASES = (
 )
 REFERENCE = ("fine", 0.0)
 ROBOTS, GOAL = 64, 5000.0  # steps a second, in GOAL_CASE
+# of a step over the advance of its robots alone, in GOAL_CASE
+STEP_RATIO = 1.12
 FRICTION = (0.2, 0.4, 0.6)
 # m/s; s, of walks: whole strides are measured
 SPEED, WARM_UP, DURATION = (0.05, 4.0, 12.4)
@@ -74,6 +84,11 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
             GOAL,
             "1/s",
         ),
+        at_most(
+            f"step of the environment over its robots' alone, {level}",
+            learned["over_robots"],
+            STEP_RATIO,
+        ),
         at_least(
             f"simulated time over that of {peer['name']}",
             learned["speed"] / peer["speed"],
@@ -102,6 +117,8 @@ def throughput(
         walk()
         took = time.perf_counter() - begin
     steps = ROBOTS * count / took
+    robots = env._many
+    angles = np.maximum(robots.motion[:, None, ANGLE], 0.0)
     return {
         "kind": "throughput",
         "level": level,
@@ -109,6 +126,11 @@ def throughput(
         "threads": threads,
         "steps_per_s": steps,
         "speed": steps * task.gaits.dt,
+        "over_robots": cpu_ratio(
+            lambda: env.step(still),
+            lambda: robots.advance(angles.repeat(CYCLES, axis=1), env._steps),
+            7,
+        ),
     }
 
 

@@ -28,9 +28,13 @@ from benchmarks.harness import (
     Row,
     at_least,
     at_most,
+    cpu_ratio,
+    cpu_time,
 )
 from benchmarks.servo import age
 from slot_core import config
+from slot_core.dynamics.scene import read_scene
+from slot_core.dynamics.servo import read_servo
 from slot_core.dynamixel.checks import expected
 from slot_core.dynamixel.driver import Driver
 from slot_core.dynamixel.emulator.emulated_bus import read_emulator
@@ -38,13 +42,16 @@ from slot_core.dynamixel.emulator.emulated_legs import EmulatedDynamixels
 from slot_core.dynamixel.port import SerialPort
 from slot_core.dynamixel.settings import read_settings
 from slot_core.dynamixel.table import TABLE
-from slot_core.robot import LEGS
+from slot_core.robot import LEGS, read_robot
 from slot_core.servos.servo_bus import RefusedError
 from slot_core.simulation.plant import CYCLE
+from slot_core.simulation.rod_robot import RodRobot
 
 STEP = (0.5, 1.5)  # rad
 # with another value of the first two a servo does not answer; the driver sets the third
 ADDRESSING = ("id", "baud_rate", "torque_enable")
+# of a cycle of emulated servos over the robot that they move meanwhile
+CYCLES, CYCLE_RATIO = 50, 6.0
 LOADS = (0.0, 0.3)  # N m on the tendon's angle
 STYLES = {
     "position": ("C0", "servo's own loop"),
@@ -55,7 +62,7 @@ STYLES = {
 def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     """Run all parts; plots: servo_step.png and servo_age.png in `out`."""
     progress("bus cycles")
-    cycles = list(cycle_rows(200 if quick else 2000))
+    cycles = [*cycle_rows(200 if quick else 2000), emulation_row()]
     fast, plain = (row["rate_hz"] for row in cycles[:2])
     # Four answers in one packet: fewer bytes on the line.
     rate = at_least(
@@ -74,8 +81,20 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
             ages[nodes] = found
     age.draw(ages, out / "servo_age.png")
     aged = [age.row(found, nodes) for nodes, found in ages.items()]
-    return [*cycles, *steps, *registers, *aged, *attempts.rows], [
+    return [
+        *cycles,
+        emulated_cycle,
+        *steps,
+        *registers,
+        *aged,
+        *attempts.rows,
+    ], [
         rate,
+        at_most(
+            "cycle of emulated servos over the robot's steps meanwhile",
+            cycles[-1]["over_robot"],
+            CYCLE_RATIO,
+        ),
         at_most(
             "step changed by a register of another tool", changed, 0.0, "deg"
         ),
@@ -107,6 +126,29 @@ def cycle_rows(count: int) -> Iterator[Row]:
             "p99_ms": 1e3 * p99,
             "incomplete": sum(not cycle.complete for cycle in found),
         }
+
+
+def emulation_row() -> Row:
+    """CPU time of a bus cycle of four emulated servos in one process, and over that of the robot."""
+    servos, driver = resting("position")
+    driver.configure()
+    driver.activate()
+    robot = RodRobot(read_robot(), read_scene("flat"), read_servo())
+
+    def cycles() -> None:
+        for _ in range(CYCLES):
+            driver.command(list(STEP[:1] * 4))
+            driver.cycle()
+            servos.advance(CYCLE)
+
+    steps = round(CYCLES * CYCLE / robot.scene.solver.step)
+    return {
+        "kind": "emulated cycle",
+        "ms": 1e3 * cpu_time(cycles, 5) / CYCLES,
+        "over_robot": cpu_ratio(
+            cycles, lambda: robot.advance(steps, robot.tendon_angle), 5
+        ),
+    }
 
 
 def step_rows(path: Path) -> Iterator[Row]:
