@@ -117,8 +117,7 @@ def throughput(
         walk()
         took = time.perf_counter() - begin
     steps = ROBOTS * count / took
-    robots = env._many
-    angles = np.maximum(robots.motion[:, None, ANGLE], 0.0)
+    angles = np.maximum(env._many.motion[:, None, ANGLE], 0.0)
     return {
         "kind": "throughput",
         "level": level,
@@ -128,7 +127,9 @@ def throughput(
         "speed": steps * task.gaits.dt,
         "over_robots": cpu_ratio(
             lambda: env.step(still),
-            lambda: robots.advance(angles.repeat(CYCLES, axis=1), env._steps),
+            lambda: env._many.advance(
+                angles.repeat(CYCLES, axis=1), env._steps
+            ),
             7,
         ),
     }

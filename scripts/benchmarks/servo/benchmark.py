@@ -50,7 +50,7 @@ from slot_core.simulation.rod_robot import RodRobot
 STEP = (0.5, 1.5)  # rad
 # with another value of the first two a servo does not answer; the driver sets the third
 ADDRESSING = ("id", "baud_rate", "torque_enable")
-# of a cycle of emulated servos over the robot that they move meanwhile
+# of a cycle of emulated servos over ten steps of 1 ms of the robot
 CYCLES, CYCLE_RATIO = 50, 6.0
 LOADS = (0.0, 0.3)  # N m on the tendon's angle
 STYLES = {
@@ -83,7 +83,6 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
     aged = [age.row(found, nodes) for nodes, found in ages.items()]
     return [
         *cycles,
-        emulated_cycle,
         *steps,
         *registers,
         *aged,
@@ -141,12 +140,11 @@ def emulation_row() -> Row:
             driver.cycle()
             servos.advance(CYCLE)
 
-    steps = round(CYCLES * CYCLE / robot.scene.solver.step)
     return {
         "kind": "emulated cycle",
         "ms": 1e3 * cpu_time(cycles, 5) / CYCLES,
         "over_robot": cpu_ratio(
-            cycles, lambda: robot.advance(steps, robot.tendon_angle), 5
+            cycles, lambda: robot.advance(10 * CYCLES, robot.tendon_angle), 5
         ),
     }
 
