@@ -250,7 +250,7 @@ BUDGET = {
     "src/slot_paper": 681,
     "src/slot_nodes": 2214,
     "slot_bringup": 2886,
-    "scripts": 4757,
+    "scripts": 4799,
     "test": 15_390,
 }
 

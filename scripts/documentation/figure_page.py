@@ -37,6 +37,15 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
         "lockstep": ("nodes", "speed"),
         "latency": ("nodes", "stage", "p50_ms", "p99_ms", "max_ms"),
         "node": ("nodes", "node", "cpu_percent", "pss_mb"),
+        "share": (
+            "nodes",
+            "share",
+            "late_percent",
+            "p50_ms",
+            "p99_ms",
+            "mean_v_x",
+            "slowest",
+        ),
     },
     "held_out": {
         "": ("row", "unit", "goal", "rods", "mujoco", "mujoco, gait alone")

@@ -1,7 +1,8 @@
 """Latency, CPU and memory of the graph in real time, and its speed in lockstep.
 
 The graph walks with its bag, its controller's nodes as separate processes and composed in one, in
-real time, composed also with odometry at 100 Hz, and in lockstep; and without ROS, controller and
+real time, composed also with odometry at 100 Hz, and in lockstep; in real time also with a share of
+a core for each process of the controller, the simulation apart; and without ROS, controller and
 robot in one process, as a reference for the time that the algorithms take. A long walk in lockstep
 shows what grows. Percentages of CPU are of one core. The warm-up of `config/record.yaml` is left
 out of every figure.
@@ -13,7 +14,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,8 @@ ALL_NODES, RECORDER = "all nodes", "recorder"
 SEPARATE, COMPOSED = "separate", "composed"  # the controller's nodes
 FAST = "composed, 100 Hz"  # odometry; else it is at 30 Hz
 END_TO_END = "end to end"  # latency from the sensor's message to the command
+# late ticks, %, at most, by the share of a core; of separate and composed nodes the better ones
+SHARES = {1.0: 0.0, 1 / 2: 0.0, 1 / 3: 1.0}
 NODE_FIGURES = ("cpu_percent", "pss_mb")
 PERCENTILES = ("p50", "p99", "max")  # of a latency
 WALK_FIGURES = (
@@ -148,6 +151,13 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
                 name, measure_walk, graph, chosen, plan.duration
             ):
                 walks[mode].append(one)
+    limited = list[Row]()
+    for share, mode in product(SHARES, (SEPARATE, COMPOSED)):
+        progress(name := f"real time, {mode}, {share:.2g} of a core each")
+        if one := attempts.run(
+            name, measure_walk, graph, modes[mode], plan.duration, share
+        ):
+            limited.append(share_row(mode, share, one))
     if walks[SEPARATE] and walks[COMPOSED]:
         draw(walks[SEPARATE], walks[COMPOSED], out / "graph.png")
     of_walks = [
@@ -156,7 +166,7 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         for repeat, one in enumerate(some)
         for row in walk_rows(mode, repeat, one)
     ]
-    rows += [*of_walks, *medians(of_walks)]
+    rows += [*of_walks, *medians(of_walks), *limited]
     if plan.endurance:
         progress(f"long walk in lockstep, {plan.endurance:g} s")
         rows += (
@@ -282,6 +292,25 @@ def walk_rows(mode: str, repeat: int, one: Walk) -> list[Row]:
     ]
 
 
+def share_row(mode: str, share: float, one: Walk) -> Row:
+    """Row of a walk with a share of a core for each process; `slowest`: what breaks first."""
+    m = one.metrics
+    slowest = max(m.stages, key=lambda name: np.nan_to_num(m.stages[name].p99))
+    return {
+        "kind": "share",
+        "nodes": mode,
+        "share": share,
+        "late_percent": 100.0 * m.deadline_misses / max(m.ticks, 1),
+        "p50_ms": 1e3 * m.end_to_end.p50,
+        "p99_ms": 1e3 * m.end_to_end.p99,
+        "unanswered": m.unanswered,
+        "fallback_cycles": m.fallback_cycles,
+        "mean_v_x": m.mean_v_x,
+        # stages of one process publish after the command
+        "slowest": slowest if mode == SEPARATE else CONTROLLER,
+    }
+
+
 def medians(rows: Sequence[Row]) -> list[Row]:
     """One row for each kind, stage and node: the median of every number over the repeats."""
     groups: dict[tuple[str, ...], list[Row]] = defaultdict(list)
@@ -304,7 +333,7 @@ def medians(rows: Sequence[Row]) -> list[Row]:
 def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
     """The figures against their goals: median of the CPU, worst repeat of the rest.
 
-    The last seven goals are for the robot, and depend on the speed of the machine. Latencies to the
+    The last ten goals are for the robot, and depend on the speed of the machine. Latencies to the
     command are rows without a check; those to the servo have theirs in `servo`. CPU and speed of
     the graph beside one process have none either, as its kernels gain more by a quicker processor
     than messages do. Without the rows of a walk its checks are missed.
@@ -396,5 +425,17 @@ def checks(rows: Sequence[Row], plan: Plan) -> list[Check]:
             0,
         ),
         at_least("lockstep speed, composed", fastest, LOCKSTEP_SPEED, "times"),
+        *(
+            at_most(
+                f"late ticks with {share:.2g} of a core each, the better of both",
+                min(
+                    figures("late_percent", nodes=mode, share=share)[0]
+                    for mode in (SEPARATE, COMPOSED)
+                ),
+                goal,
+                "%",
+            )
+            for share, goal in SHARES.items()
+        ),
         at_most("CPU of a replay of 60 s", REPLAYED * replay, REPLAY_CPU, "s"),
     ]

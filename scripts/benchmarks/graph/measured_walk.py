@@ -5,11 +5,14 @@ node and of the machine's shared memory; the growth is from the first tenth afte
 last tenth.
 """
 
+import math
+import os
+import signal
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +41,10 @@ ENDURANCE_PERIOD = 2.0  # s of wall time
 WARM_UP = 0.2
 SHARED_MEMORY = Path("/dev/shm")
 LARGEST_GROWTH = 1.0  # MB per node
+# s; a process that has used its share of a period waits for the next one
+QUOTA_PERIOD, QUOTA_POLL = 0.01, 0.0005
+OVER_NODES = 90  # priority of the thread that stops them; theirs is 50
+UNLIMITED = ("sim_robot", "recorder")  # not of the controller
 GROWING = {"memory": "MB", "threads": "", "descriptors": ""}  # of a node
 
 
@@ -55,9 +62,13 @@ class Walk:
 
 
 def measure_walk(
-    graph: Graph, values: Mapping[str, Any], duration: float
+    graph: Graph, values: Mapping[str, Any], duration: float, share: float = 0.0
 ) -> Walk:
-    """Run the graph for `duration` (s) after the warm-up; raises BenchmarkError if it fails."""
+    """Run the graph for `duration` (s) after the warm-up; raises BenchmarkError if it fails.
+
+    share: of a core for each process of the controller, once the robot walks; 0: all that it takes.
+    A robot that then stops, or is released, is no failure.
+    """
     warm_up = read_record_settings().warm_up
     samples: list[list[float]] = []  # wall time, CPU of each node, s
     with tempfile.TemporaryDirectory() as scratch:
@@ -73,7 +84,14 @@ def measure_walk(
                     lambda: samples.append(cpu_of(nodes)), SAMPLE_PERIOD
                 ),
             ):
-                watch(processes, STANDING + warm_up + duration)
+                watch(processes, STANDING)
+                limited = [
+                    process.pid
+                    for name, process in nodes.items()
+                    if share and name not in UNLIMITED
+                ]
+                with core_share(limited, share):
+                    watch(processes, warm_up + duration, played=bool(limited))
                 # counting shared pages takes the kernel too long for every sample
                 pss = [
                     node.memory_full_info().pss / 1e6 for node in nodes.values()
@@ -197,6 +215,40 @@ def running(
 
 
 @contextmanager
+def core_share(pids: Sequence[int], share: float) -> Iterator[None]:
+    """Give each process a share of a core while the block runs, by SIGSTOP and SIGCONT.
+
+    It is as under a quota of the kernel, which needs a control group that can be written: CPU time
+    that a period leaves is lost, and what a process uses beyond its quota is taken off the next one.
+    """
+    limits = dict.fromkeys(pids, math.inf)  # s, CPU time at which it stops
+    period = 0
+
+    def limit() -> None:
+        nonlocal period
+        if not period:
+            with suppress(PermissionError):
+                os.sched_setscheduler(
+                    0, os.SCHED_FIFO, os.sched_param(OVER_NODES)
+                )
+        before, period = period, int(time.monotonic() / QUOTA_PERIOD)
+        for pid in pids:
+            used = time.clock_gettime(~pid << 3 | 2)  # clock_getcpuclockid(3)
+            if period > before:
+                limits[pid] = min(limits[pid], used) + share * QUOTA_PERIOD
+            runs = used < limits[pid]
+            os.kill(pid, signal.SIGCONT if runs else signal.SIGSTOP)
+
+    try:
+        with in_background(limit, QUOTA_POLL) if pids else nullcontext():
+            yield
+    finally:
+        for pid in pids:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+
+
+@contextmanager
 def in_background(
     sample: Callable[[], object], period: float
 ) -> Iterator[None]:
@@ -204,7 +256,8 @@ def in_background(
     ended = threading.Event()
 
     def sample_until_ended() -> None:
-        with suppress(psutil.Error):  # a node has ended: `watch` reports which
+        # a node has ended: `watch` reports which
+        with suppress(psutil.Error, OSError):
             sample()
             while not ended.wait(period):
                 sample()
