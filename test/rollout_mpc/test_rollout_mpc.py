@@ -11,11 +11,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slot_core.control.effort import CALM, Effort, EffortChoice
 from slot_core.control.force_map import read_springs
 from slot_core.control.policy import Status
 from slot_core.dynamics.servo import read_servo
 from slot_core.gait.route import Route
 from slot_core.geometry import rpy_of
+from slot_core.key_frame import capture, restore
 from slot_core.legs.tabulated_robot import TabulatedRobot
 from slot_core.robot import read_robot
 from slot_core.rollout_mpc.disturbance_observer import DisturbanceObserver
@@ -70,6 +72,63 @@ def with_state(tick, index, value):
     state = tick.estimate.state.copy()
     state[index] = value
     return replace(tick, estimate=replace(tick.estimate, state=state))
+
+
+def test_effort_falls_with_each_tick_short_of_time_and_comes_back_after_a_while():
+    choice = EffortChoice()
+    assert [choice.add(s, 0.033) for s in (0.001, 0.02, 0.02, 0.02)] == [
+        Effort.FULL,
+        Effort.SLOPES,
+        Effort.GAIT,
+        Effort.GAIT,
+    ]
+    later = [choice.add(0.001, 0.033) for _ in range(2 * CALM)]
+    assert later[CALM - 2 :: CALM - 1][:2] == [Effort.GAIT, Effort.SLOPES]
+    assert later[-1] is Effort.FULL
+
+
+def test_with_less_effort_fewer_plans_are_rolled_out(walking, monkeypatch):
+    policy, rolled = after(walking[:30]), []
+    roll_out = policy._model.roll_out
+    monkeypatch.setattr(
+        policy._model,
+        "roll_out",
+        lambda start, plans: (
+            rolled.append(len(plans)) or roll_out(start, plans)
+        ),
+    )
+    counts = []
+    for at, effort in zip((30, 32, 34, 36), (*Effort, Effort.FULL)):
+        for tick in walking[at : at + 2]:
+            policy.effort = effort
+            policy.prepare()
+            assert step(policy, tick).message == effort
+            rolled.clear()
+        policy.prepare()
+        counts.append(max(rolled))
+    assert counts == [21, 5, 1, 21]
+
+
+def test_the_messages_of_plans_are_enough_to_repeat_them_from_a_key_frame(
+    walking,
+):
+    efforts = [*Effort, Effort.GAIT, Effort.SLOPES, *[Effort.FULL] * 3] * 4
+    policy, frames, plans = after(walking[:30]), [], []
+    for number, tick in enumerate(walking[30:54]):
+        policy.effort = efforts[number]
+        policy.prepare()
+        plans.append(step(policy, tick))
+        if number % 2:  # else the node has not prepared yet
+            policy.effort = efforts[number + 1]
+            policy.prepare()
+        frames.append(capture(policy))
+    for begin in range(8):
+        repeated = RolloutMpc(ROBOT, SETTINGS, lambda: 0.0)
+        restore(repeated, frames[begin])
+        for tick, plan in list(zip(walking[30:], plans))[begin + 1 :]:
+            repeated.effort = Effort.of(plan.message)
+            repeated.prepare()
+            assert np.array_equal(step(repeated, tick).angle, plan.angle)
 
 
 def test_a_missed_estimate_moves_the_plan_on(walking):

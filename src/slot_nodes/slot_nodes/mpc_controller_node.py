@@ -11,6 +11,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from slot_core import config
+from slot_core.control.effort import EffortChoice
 from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.control.policy import Status, TunedPolicy, policy_class
 from slot_core.messages import decode
@@ -45,6 +46,8 @@ class MpcControllerNode(Node):
             lambda settings: kind(robot, settings, timer), settings
         )
         self._record = stage_record.Recorder(self, self._policy)
+        # where the clock waits for a plan, time does not run short
+        self._effort = None if simulated else EffortChoice()
         self._names = {setting for setting, _, _ in config.leaves(settings)}
         self._pace, self._stamp = Pace(), 0
         self._preparation = runtime.wall_timer(
@@ -111,6 +114,8 @@ class MpcControllerNode(Node):
                 plan, preview, elapsed, self._pace, self._policy.changes
             )
         )
+        if self._effort is not None:
+            self._policy.use_effort(self._effort.add(elapsed, preview.dt))
         self._record.put(estimate.stamp)
         self._preparation.reset()
         if plan.status != Status.SOLVED:

@@ -25,6 +25,7 @@ import numpy as np
 from slot_core import config
 from slot_core.arrays import Array
 from slot_core.config import ConfigError
+from slot_core.control.effort import Effort
 from slot_core.control.policies import POLICIES, RENAMED
 from slot_core.estimation.estimate import Estimate
 from slot_core.gait.gait import STAND, GaitPreview, first_rate
@@ -107,10 +108,12 @@ class Policy(Protocol):
     """Controller of the legs; its class can derive from this one, which has all but `step`.
 
     STATE names what `step` depends on (`key_frame.py`). Without it a bag that begins after the
-    policy did does not replay its plans.
+    policy did does not replay its plans. A policy that computes less where `effort`, which is set
+    before `prepare`, is less than FULL names it in the message of its plans.
     """
 
     STATE: ClassVar[StateParts | None] = None
+    effort = Effort.FULL
 
     def __init__(
         self, robot: RobotParameters, settings: Any, timer: Timer
@@ -232,6 +235,10 @@ class TunedPolicy:
     def prepare(self) -> None:
         """Let the policy compute ahead."""
         self._policy.prepare()
+
+    def use_effort(self, effort: Effort) -> None:
+        """Let the policy compute so much from its next `prepare` on."""
+        self._policy.effort = effort
 
     def reset(self) -> None:
         """Let the policy begin anew."""

@@ -6,6 +6,9 @@ plan on by a stage, lets the nominal robot execute the command, linearises its m
 corrects the disturbances. Where `prepare` has not been called, `step` calls it: the commands are
 the same.
 
+Where time runs short (`effort`), `prepare` computes a fifth of the slopes anew, another one in each
+tick, and then none: the plan approaches the gait's angles.
+
 A turn in place lies on its belly for a part of the stride, which the nominal robot does not know. On a
 level floor its plan is therefore that of `place`, with the wrench carried: the gait's angles, with
 the amplitude from the error of the yaw. The observer keeps its disturbances meanwhile.
@@ -28,6 +31,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from slot_core.arrays import Array
+from slot_core.control.effort import Effort
 from slot_core.control.force_map import read_springs
 from slot_core.control.policy import (
     GRAVITY_RANGE,
@@ -59,6 +63,7 @@ from slot_core.rollout_mpc.posture_feedback import PostureFeedback
 from slot_core.rollout_mpc.problem import Linearisation, PlanProblem
 from slot_core.rollout_mpc.settings import RolloutMpcSettings, read_rollout_mpc
 
+PARTS = 5  # of the slopes
 MISSED_MAX = 5  # stages without an estimate after which the plan begins anew
 SHARES = (1.0, 0.3)  # of the step, in the line search
 LEAST_SPEED = 0.01  # m/s, of a walk
@@ -185,14 +190,13 @@ class RolloutMpc(Policy):
                 preview, tendon_angle=self._place.step(estimate, preview).angle
             )
         ready = self._ready(estimate.time, state, preview)
-        if turns:
+        fixed = turns or rests or ready.linear is None
+        if rests and not turns:
+            ready = self._kept(ready, state, preview)
+        elif fixed:
             decayed = limits.decay * ready.deviation
             ready = replace(ready, deviation=decayed)
-        elif rests:
-            ready = self._kept(ready, state, preview)
-        plan, rollout, fault = self._improved(
-            ready, state, preview, turns or rests
-        )
+        plan, rollout, fault = self._improved(ready, state, preview, fixed)
         cause = Status.NOT_SOLVED if fault else Status.LATE
         if fault := fault or time_fault(
             self._timer() - begin, limits.time_budget
@@ -208,7 +212,8 @@ class RolloutMpc(Policy):
         # forces at stage 0: as predicted a stage before
         now = force[:1] if present is None else present.motion.force[1:2]
         motion = Rollouts(pose, np.concatenate([now, force[:-1]]), foot)
-        self._plan = replace(plan, motion=motion, linear=None)
+        linear = plan.linear if self.effort is Effort.SLOPES else None
+        self._plan = replace(plan, motion=motion, linear=linear)
         self._next, self._state = None, None if turns else state
         self._walks = norm(preview.velocity_ahead[0, :2]) > LEAST_SPEED
         self._note_disturbances()
@@ -239,7 +244,9 @@ class RolloutMpc(Policy):
         plan = self._plan
         if plan is None or self._next is not None:
             return
-        self._next = self._linearised(self._moved_on(plan))
+        self._next = self._moved_on(plan)
+        if self.effort is not Effort.GAIT:
+            self._next = self._linearised(self._next, plan.linear)
         self._stiffness = self._stiffness_of(
             self._next.nominal[1:-1], plan.motion.pose
         )
@@ -359,14 +366,25 @@ class RolloutMpc(Policy):
             _no_motion(self._settings.stages),
         )
 
-    def _linearised(self, plan: _Plan) -> _Plan:
-        """The plan with the slopes of its motion, by finite differences."""
+    def _linearised(
+        self, plan: _Plan, last: Linearisation | None = None
+    ) -> _Plan:
+        """The plan with the slopes of its motion, by finite differences; all but a fifth of `last`."""
         plans, steps = self._problem.varied(self._angles(plan))
-        pose = self._model.roll_out(plan.start, plans).pose
+        rows = np.arange(len(steps))
+        if last is not None:
+            rows = rows[round(1e-9 * plan.time / self._dt) % PARTS :: PARTS]
+        pose = self._model.roll_out(
+            plan.start, plans[np.append(0, 1 + rows)]
+        ).pose
         yaw = self._model.place(plan.start)[2]
-        slopes = self._problem.errors(pose[1:], pose[0], yaw) / steps[:, None]
+        slopes = self._problem.errors(pose[1:], pose[0], yaw)
+        slopes /= steps[rows, None]
         # no change along diverged ones
         slopes[~np.isfinite(slopes).all(axis=1)] = 0.0
+        if last is not None:
+            found, slopes = slopes, last.slopes.copy()
+            slopes[rows] = found
         return replace(plan, linear=self._problem.linearised(slopes))
 
     def _improved(
@@ -424,8 +442,9 @@ class RolloutMpc(Policy):
             self.observer.forget()
             self._note_disturbances()
             plan = self._published(self._plan)
+        message = "; ".join(filter(None, (fault, self.effort)))
         return replace(
-            plan, status=cause, message=fault, fallback_cycles=self._missed
+            plan, status=cause, message=message, fallback_cycles=self._missed
         )
 
     def _published(
@@ -434,8 +453,8 @@ class RolloutMpc(Policy):
         """The present plan; its preview, if it is new."""
         angle, motion = self._angles(plan), plan.motion
         rate = first_rate(angle, self._dt)
-        message, friction = "", self._model.friction
-        if friction != self._settings.nominal.friction:
+        message, friction = self.effort.value, self._model.friction
+        if not message and friction != self._settings.nominal.friction:
             message = f"the floor grips: friction {friction:g} in the model"
         fx, fy, normal = motion.force[0].T
         slack = np.full(len(LEGS), math.nan)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from slot_core import config
 from slot_core.clock import to_seconds
+from slot_core.control.effort import Effort
 from slot_core.control.force_map import (
     ForceMap,
     make_force_map,
@@ -439,7 +440,7 @@ def previews(recorded: RecordedStages) -> Replayed:
 def plans(recorded: RecordedStages) -> Replayed:
     """Plans of the policy, as fields of TendonPlan.
 
-    Its steps take no time, but those that were recorded as late.
+    Its steps take no time, but those that were recorded as late; its effort is the recorded one.
     """
     kind, timer = policy_class(recorded.policy), _Timer()
     settings = recorded.settings(
@@ -462,6 +463,7 @@ def plans(recorded: RecordedStages) -> Replayed:
             policy.reset()
         last = stamp
         timer.is_late = is_late(recorded.plans[stamp])
+        policy.use_effort(Effort.of(recorded.plans[stamp].message))
         policy.prepare()
         plan = policy.step(estimate, preview)
         return {name: getattr(plan, name) for name in PLAN} | vars(plan.report)
