@@ -3,6 +3,9 @@
 import pytest
 from rclpy.qos import QoSProfile
 
+from slot_core.messages import decode
+from slot_core.messages.carried import Carried
+from slot_nodes import qos
 from slot_nodes.process import intra_process
 
 EVERY, NEWEST = QoSProfile(depth=50), QoSProfile(depth=1)
@@ -13,8 +16,12 @@ class Recorded:
 
     topic_name = "/numbers"
 
-    def __init__(self, events):
-        self.events = events
+    def __init__(self, events, profile=EVERY):
+        self.events, self.qos_profile = events, profile
+        self.subscribers = 0
+
+    def get_subscription_count(self):
+        return self.subscribers
 
     def publish(self, message):
         self.events.append(("topic", message))
@@ -57,8 +64,8 @@ def test_a_topic_that_no_node_of_the_process_publishes_is_left_to_dds(
     with mailbox.in_use():
         assert not intra_process.subscribe("/odom", reader(events, "a"), EVERY)
     assert not intra_process.subscribe("/numbers", reader(events, "a"), EVERY)
-    alone = Recorded(events)
-    assert intra_process.publisher(alone) is alone
+    intra_process.publisher(Recorded(events)).publish(1)
+    assert events == [("topic", 1)]
 
 
 def test_a_slow_reader_of_the_newest_skips_the_others_and_sees_their_number(
@@ -149,3 +156,53 @@ def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(
         ("topic", number)
         for number in range(1, 3 * intra_process.DELIVERIES_MAX + 2)
     ]
+
+
+def carried(made, number):
+    """A number whose message is noted in `made` when it is made."""
+    return Carried(number, number, lambda: made.append(number) or -number)
+
+
+@pytest.mark.parametrize("profile", [qos.SENSOR, qos.CONTROL])
+def test_a_value_becomes_a_message_only_for_a_subscriber_by_dds(
+    events, profile
+):
+    """A latched topic keeps the last values for the first one, and is published from then on."""
+    made, topic = [], Recorded(events, profile)
+    send = intra_process.publisher(topic).publish
+    for number in range(1, 61):
+        send(carried(made, number))
+    assert events == made == []
+    topic.subscribers = 1
+    send(carried(made, 61))
+    is_latched = profile is qos.CONTROL
+    heard = [*range(11, 61), 61] if is_latched else [61]
+    assert events == [("topic", -number) for number in heard]
+    topic.subscribers = 0
+    send(carried(made, 62))
+    assert made == heard + [62] * is_latched
+
+
+def test_a_reader_of_the_process_decodes_a_value_without_its_message(
+    mailbox, events
+):
+    made = []
+    with mailbox.in_use():
+        numbers = intra_process.publisher(Recorded(events))
+        intra_process.subscribe(
+            "/numbers",
+            lambda m, _: events.append((decode.stamp(m), decode.imu(m))),
+            EVERY,
+        )
+    numbers.publish(carried(made, 7))
+    mailbox.deliver()
+    assert events == [(7, 7)]
+    assert made == []
+
+
+def test_a_field_of_a_value_is_read_from_its_message_which_is_made_once():
+    made = []
+    reading = Carried(1, None, lambda: made.append(1) or 3 + 4j, status=2)
+    assert (reading.status, made) == (2, [])
+    assert (reading.real, reading.imag, reading.message) == (3, 4, 3 + 4j)
+    assert made == [1]

@@ -1,11 +1,14 @@
 """`/tendon_plan` to `/desired_joint_angles`."""
 
+from functools import partial
+
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 
 from slot_core.control.force_map import make_force_map, read_force_map
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.messages import decode
+from slot_core.messages.carried import Carried
 from slot_core.robot import LEGS, read_robot
 from slot_msgs.msg import ForceMapStatus, GaitPreview, MpcState, TendonPlan
 from slot_nodes import inputs, messages, qos, runtime, stage_record
@@ -71,11 +74,16 @@ class ForceMapperNode(Node):
             return
         plan, preview, estimate = matched
         command = self._map.step(plan, preview, estimate.state, estimate.lead)
+        given = stamp, command.angle, command.rate
         self._angles.publish(
-            messages.command_to_msg(stamp, command.angle, command.rate)
+            Carried(stamp, given, partial(messages.command_to_msg, *given))
         )
         self._record.put(stamp)
-        self._status.publish(messages.map_status_to_msg(stamp, command))
+        self._status.publish(
+            Carried(
+                stamp, None, partial(messages.map_status_to_msg, stamp, command)
+            )
+        )
         if command.saturated.any():
             legs = ", ".join(
                 leg for leg, hit in zip(LEGS, command.saturated) if hit

@@ -13,6 +13,7 @@ from slot_core.gait.gait import STAND, read_gaits
 from slot_core.gait.gait_scheduler import GaitScheduler
 from slot_core.gait.route import KEPT, read_route
 from slot_core.messages import decode
+from slot_core.messages.carried import Carried
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState
 from slot_msgs.srv import SetGait
@@ -87,7 +88,13 @@ class GaitSchedulerNode(Node):
             stamp=estimate.stamp,
             remark=preview.remark or self._wrong_type,
         )
-        self._preview.publish(messages.preview_to_msg(preview))
+        self._preview.publish(
+            Carried(
+                preview.stamp,
+                preview,
+                partial(messages.preview_to_msg, preview),
+            )
+        )
         self._record.put(estimate.stamp)
 
     def _look_for_wrong_type(self, stamped: bool) -> None:

@@ -118,6 +118,19 @@ def odometry_to_msg(reading: OdometryReading) -> Odometry:
     )
 
 
+def odometry_value(r: OdometryReading) -> tuple[Any, ...]:
+    """Value that `decode.odometry` finds in the message."""
+    variance = np.full(12, 0.0 if r.quaternion.any() else LOST)
+    return (
+        r.stamp,
+        r.position,
+        r.quaternion,
+        r.velocity,
+        r.angular_velocity,
+        variance,
+    )
+
+
 def fix_to_odometry(fix: MarkerFix) -> Odometry:
     """Pose of base_link in odom and twist in base_link from markers, with covariances."""
     message = _odometry(*fix.odometry[:5])

@@ -5,6 +5,8 @@ those that were changed.
 """
 
 import time
+from copy import copy
+from functools import partial
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
@@ -15,6 +17,7 @@ from slot_core.control.effort import EffortChoice
 from slot_core.control.policies import DEFAULT_POLICY
 from slot_core.control.policy import Status, TunedPolicy, policy_class
 from slot_core.messages import decode
+from slot_core.messages.carried import Carried
 from slot_core.robot import read_robot
 from slot_msgs.msg import GaitPreview, MpcState, TendonPlan
 from slot_nodes import inputs, messages, qos, runtime, stage_record
@@ -110,8 +113,22 @@ class MpcControllerNode(Node):
         elapsed = time.perf_counter() - start
         self._pace.add(number, elapsed, preview.dt)
         self._plans.publish(
-            messages.plan_to_msg(
-                plan, preview, elapsed, self._pace, self._policy.changes
+            Carried(
+                preview.stamp,
+                (preview.stamp, plan),
+                partial(
+                    messages.plan_to_msg,
+                    plan,
+                    preview,
+                    elapsed,
+                    copy(self._pace),
+                    self._policy.changes,
+                ),
+                status=int(plan.status),
+                fallback_cycles=plan.fallback_cycles,
+                period=preview.period,
+                velocity=preview.velocity_ahead[0],
+                remark=preview.remark,
             )
         )
         if self._effort is not None:

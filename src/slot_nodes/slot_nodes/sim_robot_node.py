@@ -40,6 +40,7 @@ from slot_core.dynamics.scene import read_scene
 from slot_core.dynamics.servo import read_servo
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.messages import decode
+from slot_core.messages.carried import Carried
 from slot_core.refusal import DivergenceError
 from slot_core.robot import read_robot
 from slot_core.safety.states import Action
@@ -197,16 +198,25 @@ class SimRobotNode(Node):
             ClockMessage, "clock", qos.CLOCK
         )
         made = partial(runtime.publisher, self)
-        self._outputs: dict[type, tuple[Publisher, Callable[..., Any]]] = {
-            ImuReading: (made(Imu, "imu", qos.SENSOR), messages.imu_to_msg),
+        # by the kind of a reading: topic, value of decode.py, message
+        self._outputs: dict[
+            type, tuple[Publisher, Callable[..., Any], Callable[..., Any]]
+        ] = {
+            ImuReading: (
+                made(Imu, "imu", qos.SENSOR),
+                lambda r: (r.stamp, r.angular_velocity, r.specific_force),
+                messages.imu_to_msg,
+            ),
             JointReading: (
                 made(JointState, "joint_states", qos.SENSOR),
+                lambda r: (r.stamp, r.angle, r.torque),
                 messages.joints_to_msg,
             ),
         }
         if self._lockstep:
             self._outputs[StampedHealth] = (
                 made(ServoHealth, "servo_health", qos.SENSOR),
+                lambda report: (report.stamp, report.health),
                 lambda report: messages.health_to_msg(
                     report.stamp, report.health
                 ),
@@ -215,11 +225,13 @@ class SimRobotNode(Node):
         if self._plant.camera is None:
             self._outputs[OdometryReading] = (
                 made(Odometry, "odom", qos.SENSOR),
+                messages.odometry_value,
                 messages.odometry_to_msg,
             )
         else:
             self._outputs[ImageReading] = (
                 made(Image, IMAGES, qos.IMAGE),
+                lambda _: None,
                 messages.image_to_msg,
             )
             self._camera_info = made(
@@ -270,7 +282,7 @@ class SimRobotNode(Node):
         topic without it after `MATCH_TIMEOUT` is not recorded; a foreign subscriber of another
         quality of service is never matched.
         """
-        publishers = [publisher for publisher, _ in self._outputs.values()]
+        publishers = [publisher for publisher, *_ in self._outputs.values()]
         for publisher in (*publishers, self._truth, self._legs):
             readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
             if (matched := publisher.get_subscription_count()) < len(readers):
@@ -432,8 +444,14 @@ class SimRobotNode(Node):
                 raise SystemExit(1)
             self._log_action(reading.health.action, reading.health.reason)
         if isinstance(reading, TrueState):
-            self._truth.publish(messages.odometry_to_msg(reading.odometry))
-            self._legs.publish(messages.legs_to_msg(reading))
+            for publisher, make in (
+                (
+                    self._truth,
+                    partial(messages.odometry_to_msg, reading.odometry),
+                ),
+                (self._legs, partial(messages.legs_to_msg, reading)),
+            ):
+                publisher.publish(Carried(reading.stamp, None, make))
         else:
             if self._camera_info is not None and isinstance(
                 reading, ImageReading
@@ -442,8 +460,10 @@ class SimRobotNode(Node):
                 self._camera_info.publish(
                     messages.camera_to_msg(reading.stamp, self._plant.camera)
                 )
-            publisher, encode = self._outputs[type(reading)]
-            publisher.publish(encode(reading))
+            publisher, value, make = self._outputs[type(reading)]
+            publisher.publish(
+                Carried(reading.stamp, value(reading), partial(make, reading))
+            )
 
     def _now(self) -> int:
         """Time of the messages' clock, ns; in lockstep this robot's own."""

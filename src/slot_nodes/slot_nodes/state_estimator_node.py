@@ -15,6 +15,7 @@ from slot_core.estimation.inertial_filter import NO_ODOMETRY
 from slot_core.estimation.state_estimator import read_estimator
 from slot_core.estimation.unaided_estimator import make_estimator
 from slot_core.messages import decode
+from slot_core.messages.carried import Carried
 from slot_core.robot import read_robot
 from slot_msgs.msg import MpcState, StageRecord
 from slot_nodes import diagnostics, inputs, messages, qos, runtime, stage_record
@@ -92,7 +93,13 @@ class StateEstimatorNode(Node):
 
     def _publish(self) -> None:
         while (estimate := self._estimator.poll()) is not None:
-            self._state.publish(messages.state_to_msg(estimate))
+            self._state.publish(
+                Carried(
+                    estimate.stamp,
+                    estimate,
+                    partial(messages.state_to_msg, estimate),
+                )
+            )
             self._record.put(estimate.stamp)
             self._afterwards(partial(self._publish_rest, estimate))
             if estimate.validity != Validity.VALID:
@@ -104,7 +111,11 @@ class StateEstimatorNode(Node):
 
     def _publish_rest(self, estimate: Estimate) -> None:
         """Publish the outputs for which no command waits."""
-        self._tf.publish(messages.state_to_tf(estimate))
+        self._tf.publish(
+            Carried(
+                estimate.time, None, partial(messages.state_to_tf, estimate)
+            )
+        )
         self._diagnostics.publish(
             estimate.stamp, partial(self._describe, estimate)
         )

@@ -26,6 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 from slot_core.clock import LOCKSTEP_START
 from slot_core.gait.gait import STAND, read_gaits
 from slot_core.messages import decode
+from slot_core.messages.carried import Carried
 from slot_core.robot import read_robot
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import RELEASED, Request, State
@@ -321,7 +322,7 @@ class SupervisorNode(Node):
             )
         report = self._diagnostics.with_remark(self._supervisor.step(now))
         self._note(report)
-        self._state.publish(messages.robot_state_to_msg(now, report))
+        self._publish(now, report)
         self._make_requests()
 
     def _step_on_report(self) -> None:
@@ -347,9 +348,21 @@ class SupervisorNode(Node):
         self._make_requests()
         if not (self._wanted or self._answers):
             report, self._unsent = self._unsent, None
-            self._state.publish(
-                messages.robot_state_to_msg(self._stepped, report)
+            self._publish(self._stepped, report)
+
+    def _publish(self, stamp: int, report: Report) -> None:
+        """Publish the state of the robot at `stamp`, ns."""
+        self._state.publish(
+            Carried(
+                stamp,
+                report,
+                partial(messages.robot_state_to_msg, stamp, report),
+                state=int(report.state),
+                action=decode.ACTION_NUMBERS.index(report.action),
+                followed=report.followed,
+                reason=report.reason,
             )
+        )
 
     def _make_requests(self) -> None:
         """Call the gait scheduler's services for the wanted gait, as far as they are there."""

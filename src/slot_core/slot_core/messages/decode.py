@@ -1,12 +1,15 @@
 """Decodes messages of the graph into the core's values.
 
 Independent of ROS: the functions only read attributes, so they decode rclpy's messages in the nodes
-as well as the messages that the `rosbags` library reads from a bag.
+as well as the messages that the `rosbags` library reads from a bag. The value of a message of the
+same process is there already (`carried.py`).
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import fields
-from typing import Any
+from functools import wraps
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,19 +22,35 @@ from slot_core.estimation.inertial_filter import DOWN
 from slot_core.faults import Fault
 from slot_core.gait.gait import GaitCommand, GaitPreview
 from slot_core.geometry import matrix_of_quaternion, rpy_of
+from slot_core.messages.carried import Carried
 from slot_core.refusal import quoted
 from slot_core.robot import BASE_FRAME, LEGS, TENDON_JOINTS
 from slot_core.safety.settings import GateSettings, ServoLimits
 from slot_core.safety.states import Action, State
 from slot_core.safety.watchdog import Permission, ServoHealth
 
+T = TypeVar("T")
 LONGEST_SOURCE = 60  # characters of a name in lines
 # as in RobotState
 ACTION_NUMBERS = (Action.OFF, Action.RELAX, Action.HOLD, Action.PASS)
 
 
+def carries(decode: Callable[[Any], T]) -> Callable[[Any], T]:
+    """Let a decoder return the value of a message that is `Carried`."""
+
+    @wraps(decode)
+    def decoded(message: Any) -> T:
+        if type(message) is Carried:
+            return message.value  # type: ignore[no-any-return]
+        return decode(message)
+
+    return decoded
+
+
 def stamp(message: Any) -> int:
     """Nanoseconds of the header's stamp."""
+    if type(message) is Carried:
+        return message.stamp
     return time(message.header.stamp)
 
 
@@ -70,6 +89,7 @@ def odometry(message: Any) -> tuple[int, Array, Array, Array, Array, Array]:
     )
 
 
+@carries
 def torso_odometry(
     message: Any,
 ) -> tuple[int, Array, Array, Array, Array, Array]:
@@ -81,6 +101,7 @@ def torso_odometry(
     return odometry(message)
 
 
+@carries
 def imu(message: Any) -> tuple[int, Array, Array]:
     """(stamp, angular velocity, specific force), both in the IMU's frame.
 
@@ -118,6 +139,7 @@ def joint_angles(message: Any) -> tuple[int, Array]:
     return stamp(message), _of_joints(message, message.position)
 
 
+@carries
 def joint_command(message: Any) -> tuple[int, Array, Array]:
     """(stamp, angles, rates in the order of LEGS); raises ValueError as `joint_angles`.
 
@@ -131,6 +153,7 @@ def joint_command(message: Any) -> tuple[int, Array, Array]:
     return *joint_angles(message), rate
 
 
+@carries
 def joint_loads(message: Any) -> tuple[int, Array, Array]:
     """(stamp, angles, torques in the order of LEGS); raises ValueError as `joint_angles`."""
     return *joint_angles(message), _of_joints(message, message.effort)
@@ -145,6 +168,7 @@ def _of_joints(message: Any, values: Any) -> Array:
     return np.array([values[names.index(joint)] for joint in TENDON_JOINTS])
 
 
+@carries
 def estimate(message: Any) -> Estimate:
     """Estimate of an MpcState; raises ValueError on an unknown validity."""
     return Estimate(
@@ -169,6 +193,7 @@ def estimate(message: Any) -> Estimate:
     )
 
 
+@carries
 def preview(message: Any) -> GaitPreview:
     """Gait preview; raises ValueError if an array does not have the stated number of stages."""
     is_older = not hasattr(message, "velocity_ahead")  # of a bag
@@ -201,6 +226,7 @@ def preview(message: Any) -> GaitPreview:
     )
 
 
+@carries
 def plan(message: Any) -> tuple[int, TendonPlan]:
     """(stamp, plan) without its report; raises ValueError if an array does not fit its stages."""
     legs = len(LEGS)
@@ -290,6 +316,7 @@ def permission(message: Any, now: int) -> Permission:
     )
 
 
+@carries
 def servo_health(message: Any) -> tuple[int, ServoHealth]:
     """(stamp, health); raises ValueError on an unknown action."""
     return stamp(message), ServoHealth(

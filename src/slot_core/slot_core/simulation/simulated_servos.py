@@ -107,7 +107,11 @@ class SimulatedServos(ABC):
         now, found = self._plant.now, self.health(self._plant.now)
         if found is not None:
             found = dataclasses.replace(
-                found, commanded=self._commanded, written=self._arrived
+                found,
+                goal=found.goal.copy(),  # limited on in place
+                slewed=found.slewed.copy(),
+                commanded=self._commanded,
+                written=self._arrived,
             )
         return StampedHealth(now, found)
 

@@ -3,6 +3,10 @@
 It also goes out on its topic, after the nodes of the process have answered it: the command that it
 leads to does not wait until it is serialized, nor for other work that `afterwards` puts off. A node
 that reads a topic of its process has no DDS subscription to it.
+
+What is `Carried` becomes a message only for subscribers by DDS. On a transient-local topic without
+one the last values are kept, and are published once there is one; from then on all are, since DDS
+would hand the last messages before a gap to another late subscriber.
 """
 
 from collections import deque
@@ -13,7 +17,9 @@ from itertools import count
 from typing import Any
 
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile
+
+from slot_core.messages.carried import Carried
 
 # a message and its number on the topic, from 1
 Receive = Callable[[Any, int], None]
@@ -101,20 +107,43 @@ class Mailbox:
 class IntraProcessPublisher:
     """Publisher on a topic for the nodes of the same process and for all others."""
 
-    def __init__(self, publisher: Publisher, mailbox: Mailbox) -> None:
+    def __init__(self, publisher: Publisher, mailbox: Mailbox | None) -> None:
+        """mailbox: None for a node that is alone in its process."""
         self._publisher, self._mailbox = publisher, mailbox
-        self._readers = mailbox.readers(publisher.topic_name)
+        self._readers = mailbox.readers(publisher.topic_name) if mailbox else []
         self._number = count(1)
+        profile = publisher.qos_profile
+        self._is_latched = (
+            profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        )
+        # that nobody has heard; None: every message is published
+        self._kept: deque[Carried] | None = deque(
+            maxlen=profile.depth if self._is_latched else 0
+        )
 
     def publish(self, message: Any) -> None:
         """Hand a message over and publish it later; without a reader publish it now."""
-        if not self._readers:
-            self._publisher.publish(message)
+        if self._mailbox is None or not self._readers:
+            self._send(message)
             return
         number = next(self._number)
         for reader in self._readers:
             self._mailbox.put(reader, message, number)
-        self._mailbox.put_off(partial(self._publisher.publish, message))
+        self._mailbox.put_off(partial(self._send, message))
+
+    def _send(self, message: Any) -> None:
+        """Publish a message by DDS; keep it if it is `Carried` and nobody would hear it."""
+        if type(message) is not Carried:
+            self._publisher.publish(message)
+            return
+        if self._kept is not None:
+            if not self._publisher.get_subscription_count():
+                self._kept.append(message)
+                return
+            for kept in self._kept:
+                self._publisher.publish(kept.message)
+            self._kept = None if self._is_latched else self._kept
+        self._publisher.publish(message.message)
 
     @property
     def topic_name(self) -> str:
@@ -143,8 +172,8 @@ def _call(act: Callable[[], None]) -> None:
 
 
 def publisher(made: Publisher) -> Any:
-    """The publisher for a node that is being made: itself, unless nodes share the process."""
-    return made if _present is None else IntraProcessPublisher(made, _present)
+    """The publisher for a node that is being made."""
+    return IntraProcessPublisher(made, _present)
 
 
 def subscribe(topic: str, receive: Receive, profile: QoSProfile) -> bool:
