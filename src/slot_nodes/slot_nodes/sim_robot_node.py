@@ -460,9 +460,9 @@ class SimRobotNode(Node):
                 self._camera_info.publish(
                     messages.camera_to_msg(reading.stamp, self._plant.camera)
                 )
-            publisher, value, make = self._outputs[type(reading)]
+            publisher, value, encode = self._outputs[type(reading)]
             publisher.publish(
-                Carried(reading.stamp, value(reading), partial(make, reading))
+                Carried(reading.stamp, value(reading), partial(encode, reading))
             )
 
     def _now(self) -> int:

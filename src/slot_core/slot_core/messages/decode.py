@@ -41,7 +41,7 @@ def carries(decode: Callable[[Any], T]) -> Callable[[Any], T]:
     @wraps(decode)
     def decoded(message: Any) -> T:
         if type(message) is Carried:
-            return message.value  # type: ignore[no-any-return]
+            return message.value
         return decode(message)
 
     return decoded
