@@ -113,7 +113,7 @@ class Policy(Protocol):
     """
 
     STATE: ClassVar[StateParts | None] = None
-    effort = Effort.FULL
+    effort: Effort = Effort.FULL
 
     def __init__(
         self, robot: RobotParameters, settings: Any, timer: Timer
