@@ -81,13 +81,7 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
             ages[nodes] = found
     age.draw(ages, out / "servo_age.png")
     aged = [age.row(found, nodes) for nodes, found in ages.items()]
-    return [
-        *cycles,
-        *steps,
-        *registers,
-        *aged,
-        *attempts.rows,
-    ], [
+    return [*cycles, *steps, *registers, *aged, *attempts.rows], [
         rate,
         at_most(
             "cycle of emulated servos over the robot's steps meanwhile",
@@ -136,7 +130,7 @@ def emulation_row() -> Row:
 
     def cycles() -> None:
         for _ in range(CYCLES):
-            driver.command(list(STEP[:1] * 4))
+            driver.command([STEP[0]] * len(LEGS))
             driver.cycle()
             servos.advance(CYCLE)
 

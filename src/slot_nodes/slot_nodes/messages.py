@@ -112,10 +112,7 @@ def _quaternion(xyzw: Array) -> Quaternion:
 
 def odometry_to_msg(reading: OdometryReading) -> Odometry:
     """Pose in odom, twist in base_link; or that it is lost."""
-    r = reading
-    return _odometry(
-        r.stamp, r.position, r.quaternion, r.velocity, r.angular_velocity
-    )
+    return _odometry(*odometry_value(reading)[:5])
 
 
 def odometry_value(r: OdometryReading) -> tuple[Any, ...]:

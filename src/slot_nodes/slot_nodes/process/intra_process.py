@@ -142,7 +142,8 @@ class IntraProcessPublisher:
                 return
             for kept in self._kept:
                 self._publisher.publish(kept.message)
-            self._kept = None if self._is_latched else self._kept
+            if self._is_latched:
+                self._kept = None
         self._publisher.publish(message.message)
 
     @property
