@@ -195,7 +195,9 @@ def _timing(bag: Bag, start: float) -> dict[str, Any]:
     # A tick counts only if its command was recorded or the recording went on for a period after it.
     due = answered | (ticks.time[:, 0] + ticks.period <= ticks.end)
     late = answered & (ticks.end_to_end > ticks.period)
-    wall = np.ptp(ticks.time[:, 0]) if len(ticks.stamp) else 0.0
+    # of ticks whose sensor's message was recorded: a recorder that is late loses some
+    sensed = np.isfinite(ticks.time[:, 0])
+    wall = np.ptp(ticks.time[sensed, 0]) if sensed.any() else 0.0
     gaps = np.rint(np.diff(ticks.stamp) / ticks.period).astype(int) - 1
     return {
         "period": ticks.period,
@@ -207,7 +209,7 @@ def _timing(bag: Bag, start: float) -> dict[str, Any]:
             name: latency(ticks.latency[:, i]) for i, name in enumerate(STAGES)
         },
         "end_to_end": latency(ticks.end_to_end),
-        "real_time_factor": float(np.ptp(ticks.stamp) / wall)
+        "real_time_factor": float(np.ptp(ticks.stamp[sensed]) / wall)
         if wall > 0
         else math.nan,
     }
