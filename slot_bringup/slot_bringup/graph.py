@@ -134,7 +134,7 @@ class Graph:
             for name, value in spec.parameters.items()
         }
         process = replace(
-            inside[0],
+            next(spec for spec in inside if spec.if_it_ends == END),
             name=CONTROLLER,
             parameters=parameters,
             nodes=tuple(spec.name for spec in inside),

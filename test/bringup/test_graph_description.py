@@ -111,18 +111,20 @@ def test_an_argument_reaches_its_node_in_the_yaml_that_ros_parses(
 def test_composed_nodes_share_a_process_and_keep_their_parameters(
     graph, hardware, lockstep
 ):
-    """In lockstep robot and supervisor too; the driver, whose watchdog outlives them, never."""
+    """In lockstep robot, supervisor and recorder too; the driver, whose watchdog outlives them, never."""
     given = {"hardware": hardware, "lockstep": lockstep, "vx": 0.05, "bag": "x"}
     chosen = values(graph, policy="paper_text", **given)
     separate = {s.name: s for s in graph.nodes(chosen)}
-    *others, process = graph.nodes(chosen | {"composed": True})
+    chosen["composed"] = True
+    *others, process = graph.nodes(chosen)
+    separate["recorder"].parameters["about"] = graph.about(chosen)
     shared = [
         "state_estimator",
         "gait_scheduler",
         "mpc_controller",
         "force_mapper",
     ]
-    shared += ["sim_robot", "supervisor"] if lockstep else []
+    shared += ["sim_robot", "supervisor", "recorder"] if lockstep else []
     assert sorted(process.nodes) == sorted(shared)
     alone = [name for name in separate if name not in process.nodes]
     assert [s.name for s in others] == alone

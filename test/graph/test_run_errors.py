@@ -60,13 +60,19 @@ def own_domain(monkeypatch):
 
 
 @pytest.mark.usefixtures("own_domain")
-def test_bag_that_cannot_be_written_ends_the_run_in_one_line(tmp_path):
+@pytest.mark.parametrize(
+    ("process", "option"),
+    [("controller", "--composed"), ("recorder", "--separate")],
+)
+def test_bag_that_cannot_be_written_ends_the_run_in_one_line(
+    tmp_path, process, option
+):
     (tmp_path / "file").touch()
-    done = run(tmp_path, "file/bag", "--duration", "1")
+    done = run(tmp_path, "file/bag", option, "--duration", "1")
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert (
-        "scripts/run: recorder ended with exit code 2: file/bag: cannot be written"
+        f"scripts/run: {process} ended with exit code 2: file/bag: cannot be written"
         in done.stderr
     )
 

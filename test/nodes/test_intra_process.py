@@ -140,6 +140,25 @@ def test_a_reader_made_before_the_publisher_leaves_its_subscription_by_dds(
     assert events[1:] == [("a", 1, 1), ("topic", 1)]
 
 
+def test_a_recorder_has_all_messages_of_the_process_once_and_not_by_dds(
+    mailbox, events
+):
+    """Several nodes may publish a topic; without a subscriber nothing goes out."""
+    with mailbox.in_use():
+        intra_process.record(
+            "/numbers",
+            lambda m: events.append(("bag", m.value)),
+            lambda: events.append("unsubscribed"),
+        )
+        publishers = [
+            intra_process.publisher(Recorded(events)) for _ in range(2)
+        ]
+    for number, numbers in enumerate(publishers):
+        numbers.publish(carried([], number))
+    mailbox.deliver()
+    assert events == ["unsubscribed", ("bag", 0), ("bag", 1)]
+
+
 def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(
     mailbox, events
 ):

@@ -17,6 +17,7 @@ from slot_core.geometry import Transform, matrix_of_quaternion
 from slot_core.messages import decode
 from slot_core.safety.settings import read_supervisor
 from slot_core.safety.states import Action, State
+from slot_core.servos.servo_bus import JointReading
 from slot_core.simulation.readings import ImuReading, OdometryReading, TrueState
 from slot_msgs.msg import RobotState
 from slot_nodes import messages
@@ -57,6 +58,23 @@ def test_a_reading_and_its_unknown_uncertainty(sent, encode, read):
         frames = message.header.frame_id, message.child_frame_id
         assert frames == ("odom", "base_link")
         assert (found[-1] == np.zeros(12)).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "encode", "sizes"),
+    [
+        (OdometryReading, messages.odometry_to_msg, (3, 4, 3, 3)),
+        (ImuReading, messages.imu_to_msg, (3, 3)),
+        (JointReading, messages.joints_to_msg, (4, 4, 4)),
+    ],
+)
+def test_a_template_gives_the_bytes_of_every_message(kind, encode, sizes):
+    template = messages.CdrTemplate(lambda *v: encode(kind(*v)), *sizes)
+    for stamp in (STAMP, 5, STAMP - 1):
+        arrays = [RNG.normal(size=size) for size in sizes]
+        message = through_dds(encode(kind(stamp, *arrays)))
+        got = deserialize_message(template(stamp, *arrays), type(message))
+        assert got == message
 
 
 def test_a_prefix_is_put_before_every_frame_of_a_message():

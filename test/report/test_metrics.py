@@ -382,9 +382,7 @@ def test_events_in_the_warm_up_are_left_out(metrics_of, warm_up, counted):
 
 @pytest.mark.parametrize("unrecorded", [(), (LAST // 2, LAST)])
 def test_real_time_factor_is_graph_time_over_wall_time(metrics_of, unrecorded):
-    m = metrics_of(
-        replace(TIMING, real_time_factor=0.5, unrecorded=unrecorded)
-    )
+    m = metrics_of(replace(TIMING, real_time_factor=0.5, unrecorded=unrecorded))
     assert m.real_time_factor == pytest.approx(0.5, rel=1e-6)
 
 

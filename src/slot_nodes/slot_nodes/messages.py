@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import struct
 from array import array
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,8 @@ import numpy as np
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, Quaternion, TransformStamped, Vector3
 from nav_msgs.msg import Odometry
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Header
 from tf2_msgs.msg import TFMessage
@@ -23,6 +26,7 @@ from slot_core.gait import gait
 from slot_core.geometry import Transform
 from slot_core.matrices import product
 from slot_core.messages import decode
+from slot_core.messages.carried import Carried
 from slot_core.robot import (
     BASE_FRAME,
     FLOOR_FRAME,
@@ -45,6 +49,7 @@ from slot_msgs.srv import SetGait
 POSE_ORDER = [3, 4, 5, 0, 1, 2]
 TWIST_ORDER = [9, 10, 11, 6, 7, 8]
 OPTICAL_FRAME = "camera_optical_frame"
+CDR_HEADER, STAMP = 4, struct.Struct("<iI")  # its bytes; s, ns
 LOST = 9999.0  # variance of lost odometry, as of RTAB-Map
 
 if TYPE_CHECKING:  # a node imports only the core modules that it runs
@@ -78,9 +83,50 @@ def ns_to_stamp(ns: int) -> Time:
     return Time(sec=ns // 1_000_000_000, nanosec=ns % 1_000_000_000)
 
 
+def clock_to_msg(ns: int) -> Clock:
+    """Time of a simulation, ns."""
+    return Clock(clock=ns_to_stamp(ns))
+
+
 def header(stamp: int, frame: str = ODOM_FRAME) -> Header:
     """Header at `stamp` (ns) in `frame`."""
     return Header(stamp=ns_to_stamp(stamp), frame_id=frame)
+
+
+def cdr(message: Any) -> bytes:
+    """CDR bytes of a message, or of what is carried in its place."""
+    if type(message) is not Carried:
+        return serialize_message(message)
+    return (
+        message.encode()
+        if message.encode
+        else serialize_message(message.message)
+    )
+
+
+class CdrTemplate:
+    """CDR bytes of a message whose stamp and doubles alone change.
+
+    A header's stamp comes first in a message. Where the doubles lie is seen in a message with
+    marks in their place.
+    """
+
+    def __init__(self, make: Callable[..., Any], *sizes: int) -> None:
+        """make: the message of a stamp (ns) and arrays of these sizes."""
+        marks = [
+            1e6 * (k + 1) + np.arange(size, dtype=float)
+            for k, size in enumerate(sizes)
+        ]
+        self._data = bytearray(serialize_message(make(0, *marks)))
+        starts = [self._data.index(mark.tobytes()) for mark in marks]
+        self._places = [slice(i, i + 8 * n) for i, n in zip(starts, sizes)]
+
+    def __call__(self, stamp: int, *arrays: Array) -> bytes:
+        """The bytes of a stamp (ns) and arrays."""
+        STAMP.pack_into(self._data, CDR_HEADER, *divmod(stamp, SECOND))
+        for place, values in zip(self._places, arrays):
+            self._data[place] = values.tobytes()
+        return bytes(self._data)
 
 
 def prefix_frames(message: Any, prefix: str) -> None:

@@ -4,13 +4,15 @@ The node publishes `/recording` from when on every transient-local topic, those 
 has a matched publisher; repeated, so that a robot that has missed it does not wait for ever. A
 simulated robot that waits for it is recorded from the first tick on.
 
+In a process with other nodes, in lockstep, it gets their messages without DDS, and writes the bytes
+that DDS would have sent. A topic on which nodes of other processes may publish too it reads by DDS.
+
 The bag says on `/recorded_nodes` which nodes published its topics, as JSON, as often as that
 changes: a replay tells a node of a user's own from ours.
 """
 
 import json
 import math
-import signal
 import time
 from functools import partial
 from typing import Any, cast
@@ -31,7 +33,8 @@ from slot_core.recording.record_settings import (
     root_of,
 )
 from slot_nodes import inputs, messages, qos, runtime
-from slot_nodes.process.executor import DirectExecutor
+from slot_nodes.process import intra_process
+from slot_nodes.process.executor import PolledGroup
 
 SENSORS = (  # types of which drivers publish best effort
     "nav_msgs/msg/Odometry",
@@ -39,6 +42,10 @@ SENSORS = (  # types of which drivers publish best effort
     "sensor_msgs/msg/Image",
     "sensor_msgs/msg/Imu",
 )
+SHARED = {
+    "tf2_msgs/msg/TFMessage",
+    "diagnostic_msgs/msg/DiagnosticArray",
+}  # types of topics on which nodes of several processes publish
 NODES = "recorded_nodes"  # topic in the bag alone: nodes by the topic that they publish
 ANNOUNCEMENT = 1.0  # s, between two messages that it records
 
@@ -74,40 +81,31 @@ class RecorderNode(Node):
             False,
             "record sensors that publish best effort too",
         )
-        self._recorded = {
-            n: self._listen(n, t) for n, t in self._settings.topics.items()
-        }
-        self._awaited = [
-            s
-            for s in self._recorded.values()
+        # a publisher prefixes the frames of what it sends by DDS
+        self._prefixes_frames = bool(runtime.frame_prefix(self))
+        self._polled = PolledGroup()
+        self._recorded: dict[str, Subscription] = {}  # by DDS
+        for name, topic in self._settings.topics.items():
+            self._listen(name, topic)
+        self._awaited = {
+            name
+            for name, s in self._recorded.items()
             if s.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
-        ]
+        }
         self._recording = self.create_publisher(Bool, "recording", qos.STATE)
         self._announced = -math.inf  # s, monotonic
         self._nodes: dict[str, set[str]] = {}  # that have published each topic
+        self._flushed = time.monotonic()
+        runtime.wall_timer(self, self._settings.poll, self._work)
 
-    def serve(self) -> None:
-        """Record until SIGINT or SIGTERM; end the node if the disk is full."""
-        ended: list[int] = []
-        for number in (signal.SIGINT, signal.SIGTERM):  # not amid a write
-            signal.signal(number, lambda number, _: ended.append(number))
-        executor = DirectExecutor()
-        executor.add_node(self)
-        flushed = time.monotonic()
-        try:
-            while not ended:
-                time.sleep(self._settings.poll)
-                self._take()
-                self._announce_when_matched()
-                if time.monotonic() - flushed >= self._settings.flush:
-                    flushed = time.monotonic()
-                    self._note_nodes()
-                    self._bag.flush()
-                    # services of the parameters, events of the topics
-                    executor.spin_once(0.0)
-        except BagError as error:
-            self.get_logger().fatal(str(error))
-            raise SystemExit(1) from None
+    def _work(self) -> None:
+        """Write what has arrived by DDS, and flush the bag when it is due."""
+        self._take()
+        self._announce_when_matched()
+        if time.monotonic() - self._flushed >= self._settings.flush:
+            self._flushed = time.monotonic()
+            self._note_nodes()
+            self._bag.flush()
 
     def _take(self) -> None:
         """Write all messages that have arrived."""
@@ -125,13 +123,20 @@ class RecorderNode(Node):
             data,
         )
 
+    def _write_message(self, name: str, message: Any) -> None:
+        """Write a message of this process, as it is published."""
+        info = {"source_timestamp": time.time_ns()}
+        self._write(name, messages.cdr(message), info)
+
     def _announce_when_matched(self) -> None:
         now = time.monotonic()
         if now - self._announced < ANNOUNCEMENT:
             return
-        self._awaited = [
-            s for s in self._awaited if not s.get_publisher_count()
-        ]
+        self._awaited = {
+            name
+            for name in self._awaited & self._recorded.keys()
+            if not self._recorded[name].get_publisher_count()
+        }
         if not self._awaited:
             self._recording.publish(Bool(data=True))
             self._announced = now
@@ -139,7 +144,7 @@ class RecorderNode(Node):
     def _note_nodes(self) -> None:
         """Write which nodes have published the topics, if others have joined."""
         before = {topic: set(nodes) for topic, nodes in self._nodes.items()}
-        for topic in self._recorded:
+        for topic in self._settings.topics:
             found = self.get_publishers_info_by_topic(topic)
             known = {
                 inputs.full_name(i)
@@ -168,11 +173,21 @@ class RecorderNode(Node):
         except BagError as error:
             runtime.last_logger(self).error(str(error))
 
-    def _listen(self, name: str, topic: RecordedTopic) -> Subscription:
+    def _listen(self, name: str, topic: RecordedTopic) -> None:
+        """Record a topic by DDS, until a node of the process publishes it."""
         kind = messages.message_class(topic.type)
         profile = qos.recorded(topic, self._settings.depth)
         if self._best_effort and topic.type in SENSORS:
             profile = qos.best_effort(profile)
         # rclpy also passes the second argument; its annotation has only the first
         write = cast(Any, partial(self._write, name))
-        return self.create_subscription(kind, name, write, profile, raw=True)
+        made = self.create_subscription(
+            kind, name, write, profile, raw=True, callback_group=self._polled
+        )
+        self._recorded[name] = made
+        if not (topic.type in SHARED or self._prefixes_frames):
+            intra_process.record(
+                made.topic_name,
+                partial(self._write_message, name),
+                lambda: self.destroy_subscription(self._recorded.pop(name)),
+            )

@@ -34,6 +34,7 @@ from rclpy.signals import uninstall_signal_handlers
 from rclpy.timer import Timer
 
 from slot_core import config
+from slot_core.recording.record_settings import BagError
 from slot_core.refusal import one_line
 from slot_nodes import messages
 from slot_nodes.process import departure, intra_process
@@ -139,6 +140,9 @@ def run(
     except (config.ConfigError, ParameterException) as error:
         print(one_line(error), file=sys.stderr)
         sys.exit(2)
+    except BagError as error:
+        print(one_line(error), file=sys.stderr)
+        sys.exit(1)
     except RuntimeError:
         if not interrupt.received and rclpy.utilities.ok():
             raise  # else of a message that was taken or published as the context ended
@@ -267,13 +271,8 @@ class PrefixedPublisher(Publisher):
         super().publish(msg)
 
 
-def publisher(
-    node: Node, kind: type, topic: str, profile: QoSProfile
-) -> Publisher:
-    """Create a publisher of messages with frames; the parameter `frame_prefix` is put before them.
-
-    With prefixes like fred/ the frames of several robots can share one tree of transforms.
-    """
+def frame_prefix(node: Node) -> str:
+    """The parameter `frame_prefix`, declared once."""
     name = "frame_prefix"
     if not node.has_parameter(name):
         declare(
@@ -282,7 +281,17 @@ def publisher(
             "",
             "prefix of the frames in messages, for example fred/",
         )
-    prefix = node.get_parameter(name).value
+    return str(node.get_parameter(name).value)
+
+
+def publisher(
+    node: Node, kind: type, topic: str, profile: QoSProfile
+) -> Publisher:
+    """Create a publisher of messages with frames; the parameter `frame_prefix` is put before them.
+
+    With prefixes like fred/ the frames of several robots can share one tree of transforms.
+    """
+    prefix = frame_prefix(node)
     made = (
         cast(Any, partial(PrefixedPublisher, prefix)) if prefix else Publisher
     )

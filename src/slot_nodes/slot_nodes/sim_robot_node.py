@@ -29,8 +29,7 @@ from typing import Any, NoReturn
 import numpy as np
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
-from rclpy.publisher import Publisher
-from rosgraph_msgs.msg import Clock as ClockMessage
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image, Imu, JointState
 from std_msgs.msg import Bool
 
@@ -72,6 +71,7 @@ from slot_msgs.msg import LegStates, RobotState, ServoHealth, ServoLimits
 from slot_msgs.srv import InjectFault
 from slot_nodes import diagnostics, inputs, messages, qos, runtime
 from slot_nodes.pace import Speed
+from slot_nodes.process import intra_process
 
 FROZEN_PERIOD = 0.1  # s, between two readings of the frozen robot in lockstep
 REAL_TIME_PERIOD = 0.002  # s, between two advances of the simulation
@@ -194,13 +194,13 @@ class SimRobotNode(Node):
         return servos
 
     def _create_publishers(self) -> None:
-        self._clock_topic = self.create_publisher(
-            ClockMessage, "clock", qos.CLOCK
+        self._clock_topic = intra_process.publisher(
+            self.create_publisher(Clock, "clock", qos.CLOCK)
         )
         made = partial(runtime.publisher, self)
         # by the kind of a reading: topic, value of decode.py, message
         self._outputs: dict[
-            type, tuple[Publisher, Callable[..., Any], Callable[..., Any]]
+            type, tuple[Any, Callable[..., Any], Callable[..., Any]]
         ] = {
             ImuReading: (
                 made(Imu, "imu", qos.SENSOR),
@@ -221,6 +221,15 @@ class SimRobotNode(Node):
                     report.stamp, report.health
                 ),
             )
+        self._clock_template = messages.CdrTemplate(messages.clock_to_msg)
+        self._templates: dict[type, messages.CdrTemplate] = {
+            kind: messages.CdrTemplate(lambda *v, k=kind, m=make: m(k(*v)), *n)
+            for kind, make, n in (
+                (ImuReading, messages.imu_to_msg, (3, 3)),
+                (JointReading, messages.joints_to_msg, (4, 4, 4)),
+                (OdometryReading, messages.odometry_to_msg, (3, 4, 3, 3)),
+            )
+        }
         self._camera_info = None
         if self._plant.camera is None:
             self._outputs[OdometryReading] = (
@@ -287,9 +296,8 @@ class SimRobotNode(Node):
             readers = self.get_subscriptions_info_by_topic(publisher.topic_name)
             if (matched := publisher.get_subscription_count()) < len(readers):
                 return f"{matched} of {len(readers)} subscribers to {publisher.topic_name}"
-            recorded = (
-                self._waits_for_recorder
-                and not publisher.topic_name.endswith(IMAGES)
+            recorded = self._waits_for_recorder and not (
+                publisher.record or publisher.topic_name.endswith(IMAGES)
             )
             if recorded and RECORDER not in {r.node_name for r in readers}:
                 return f"the recorder at {publisher.topic_name}"
@@ -433,7 +441,12 @@ class SimRobotNode(Node):
         if self._lockstep and self._published_clock != self._plant.now:
             self._published_clock = self._plant.now
             self._clock_topic.publish(
-                ClockMessage(clock=messages.ns_to_stamp(self._published_clock))
+                Carried(
+                    self._plant.now,
+                    None,
+                    partial(messages.clock_to_msg, self._plant.now),
+                    partial(self._clock_template, self._plant.now),
+                )
             )
         if isinstance(reading, StampedHealth):
             if reading.health is None:
@@ -444,14 +457,12 @@ class SimRobotNode(Node):
                 raise SystemExit(1)
             self._log_action(reading.health.action, reading.health.reason)
         if isinstance(reading, TrueState):
-            for publisher, make in (
-                (
-                    self._truth,
-                    partial(messages.odometry_to_msg, reading.odometry),
-                ),
+            exact, make = reading.odometry, messages.odometry_to_msg
+            for publisher, *made in (
+                (self._truth, partial(make, exact), self._encoder(exact)),
                 (self._legs, partial(messages.legs_to_msg, reading)),
             ):
-                publisher.publish(Carried(reading.stamp, None, make))
+                publisher.publish(Carried(reading.stamp, None, *made))
         else:
             if self._camera_info is not None and isinstance(
                 reading, ImageReading
@@ -462,8 +473,24 @@ class SimRobotNode(Node):
                 )
             publisher, value, encode = self._outputs[type(reading)]
             publisher.publish(
-                Carried(reading.stamp, value(reading), partial(encode, reading))
+                Carried(
+                    reading.stamp,
+                    value(reading),
+                    partial(encode, reading),
+                    self._encoder(reading),
+                )
             )
+
+    def _encoder(self, reading: Reading) -> Callable[[], bytes] | None:
+        """Quick way to the CDR bytes of a reading's message; None: lost odometry, and other kinds."""
+        is_lost = (
+            isinstance(reading, OdometryReading)
+            and not reading.quaternion.any()
+        )
+        template = self._templates.get(type(reading))
+        if template is None or is_lost:
+            return None
+        return partial(template, *vars(reading).values())
 
     def _now(self) -> int:
         """Time of the messages' clock, ns; in lockstep this robot's own."""

@@ -12,10 +12,19 @@ class Carried:
     """Value that `decode.py` would find in a message, the message's stamp (ns), and how it is made."""
 
     def __init__(
-        self, stamp: int, value: Any, make: Callable[[], Any], **fields: Any
+        self,
+        stamp: int,
+        value: Any,
+        make: Callable[[], Any],
+        encode: Callable[[], bytes] | None = None,
+        **fields: Any,
     ) -> None:
-        """fields: those of the message that are read so often that it is not made for them."""
+        """encode: makes the message's CDR bytes without it, if there is a quicker way.
+
+        fields: those of the message that are read so often that it is not made for them.
+        """
         self.stamp, self.value, self._make = stamp, value, make
+        self.encode = encode
         self._message: Any = None
         self.__dict__ |= fields
 

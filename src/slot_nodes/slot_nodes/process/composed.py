@@ -7,6 +7,7 @@ time anyway, robot and supervisor share the process too.
 
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ import rclpy.utilities
 from rclpy.node import Node
 
 from slot_core.config import ConfigError
-from slot_nodes import runtime
+from slot_core.messages.carried import Carried
+from slot_nodes import qos, runtime
+from slot_nodes.process import intra_process
 from slot_nodes.process.executor import DirectExecutor
 from slot_nodes.process.intra_process import Mailbox
 
@@ -26,7 +29,8 @@ CONTROLLER = (
     "mpc_controller",
     "force_mapper",
 )
-CHAIN = ("sim_robot", *CONTROLLER, "supervisor")
+# The recorder gets the first message too.
+CHAIN = ("recorder", "sim_robot", *CONTROLLER, "supervisor")
 
 
 def node_class(name: str) -> Callable[[], Node]:
@@ -53,6 +57,7 @@ class ComposedNodes:
                 for name in (name for name in CHAIN if name in names):
                     node = node_class(name)()
                     self.nodes.append(node)
+                    _share_clock(node)
                     self._executor.add_node(node)
         except BaseException:
             runtime.close(self.nodes)
@@ -68,6 +73,24 @@ class ComposedNodes:
         """Destroy the nodes."""
         for node in reversed(self.nodes):
             node.destroy_node()
+
+
+def _share_clock(node: Node) -> None:
+    """Let a node with the time of /clock get it without DDS, where a node of its process publishes it."""
+    name = node.resolve_topic_name("clock")
+    for subscription in list(node.subscriptions):
+        if subscription.topic_name == name and not subscription.raw:
+            intra_process.subscribe_later(
+                name,
+                partial(_set_time, subscription.callback),
+                qos.CLOCK,
+                partial(node.destroy_subscription, subscription),
+            )
+
+
+def _set_time(take: Any, clock: Carried, number: int) -> None:
+    """Hand a message of /clock to the time source of a node."""
+    take(clock.message)
 
 
 def serve_one() -> None:

@@ -4,9 +4,9 @@ It also goes out on its topic, after the nodes of the process have answered it: 
 leads to does not wait until it is serialized, nor for other work that `afterwards` puts off. A node
 that reads a topic of its process has no DDS subscription to it.
 
-What is `Carried` becomes a message only for subscribers by DDS. On a transient-local topic without
-one the last values are kept, and are published once there is one; from then on all are, since DDS
-would hand the last messages before a gap to another late subscriber.
+What is `Carried` becomes a message only for subscribers by DDS, or a recorder. On a transient-local
+topic without one the last values are kept, and are published once there is one; from then on all
+are, since DDS would hand the last messages before a gap to another late subscriber.
 """
 
 from collections import deque
@@ -24,6 +24,7 @@ from slot_core.messages.carried import Carried
 # a message and its number on the topic, from 1
 Receive = Callable[[Any, int], None]
 Reader = tuple[Receive, bool]  # bool: the newest message only
+Write = Callable[[Any], None]  # of a message
 # messages delivered in a row: robot and controller in lockstep always have another one
 DELIVERIES_MAX = 250
 
@@ -34,6 +35,7 @@ class Mailbox:
     def __init__(self) -> None:
         self._readers: dict[str, list[Reader]] = {}
         self._early: dict[str, list[tuple[Reader, Callable[[], Any]]]] = {}
+        self._recorders: dict[str, tuple[Write, Callable[[], Any]]] = {}
         self._queue: deque[tuple[Receive, Any, int]] = deque()
         self._newest: dict[Receive, tuple[Any, int]] = {}
         self._later: deque[Callable[[], None]] = deque()
@@ -59,6 +61,9 @@ class Mailbox:
         self, topic: str, reader: Reader, unsubscribe: Callable[[], Any]
     ) -> None:
         """Add a reader subscribed by DDS, until a node of the process publishes the topic."""
+        if self.add_reader(topic, reader):
+            unsubscribe()
+            return
         self._early.setdefault(topic, []).append((reader, unsubscribe))
 
     def readers(self, topic: str) -> list[Reader]:
@@ -68,6 +73,21 @@ class Mailbox:
             unsubscribe()
             readers.append(reader)
         return readers
+
+    def add_recorder(
+        self, topic: str, write: Write, unsubscribe: Callable[[], Any]
+    ) -> None:
+        """Add a recorder subscribed by DDS, until a node of the process publishes the topic."""
+        self._recorders[topic] = write, unsubscribe
+
+    def recorder(self, topic: str) -> Write | None:
+        """Function that records a topic that a node of the process publishes; None: nobody does."""
+        if topic not in self._recorders:
+            return None
+        write, unsubscribe = self._recorders[topic]
+        unsubscribe()
+        self._recorders[topic] = write, lambda: None
+        return write
 
     @property
     def waiting(self) -> bool:
@@ -111,6 +131,9 @@ class IntraProcessPublisher:
         """mailbox: None for a node that is alone in its process."""
         self._publisher, self._mailbox = publisher, mailbox
         self._readers = mailbox.readers(publisher.topic_name) if mailbox else []
+        self.record = (
+            mailbox.recorder(publisher.topic_name) if mailbox else None
+        )
         self._number = count(1)
         profile = publisher.qos_profile
         self._is_latched = (
@@ -132,7 +155,9 @@ class IntraProcessPublisher:
         self._mailbox.put_off(partial(self._send, message))
 
     def _send(self, message: Any) -> None:
-        """Publish a message by DDS; keep it if it is `Carried` and nobody would hear it."""
+        """Record a message, publish it by DDS; keep it if it is `Carried` and nobody would hear it."""
+        if self.record is not None:
+            self.record(message)
         if type(message) is not Carried:
             self._publisher.publish(message)
             return
@@ -177,6 +202,15 @@ def publisher(made: Publisher) -> Any:
     return IntraProcessPublisher(made, _present)
 
 
+def record(topic: str, write: Write, unsubscribe: Callable[[], Any]) -> None:
+    """Let `write` have the messages of a topic that a node of the process made later publishes.
+
+    Then the subscription to it by DDS is ended by `unsubscribe`.
+    """
+    if _present is not None:
+        _present.add_recorder(topic, write, unsubscribe)
+
+
 def subscribe(topic: str, receive: Receive, profile: QoSProfile) -> bool:
     """Subscribe a node that is being made to a topic of its process; false if it has none such.
 
@@ -193,7 +227,7 @@ def subscribe_later(
     profile: QoSProfile,
     unsubscribe: Callable[[], Any],
 ) -> None:
-    """Subscribe a node that is being made to a topic that a node made later may publish.
+    """Subscribe a node that is being made to a topic that a node of its process may publish.
 
     Then its subscription by DDS is ended by `unsubscribe`.
     """
