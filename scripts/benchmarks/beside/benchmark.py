@@ -171,6 +171,10 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         | {"goal": work.goal}
         for name, work in works
     ]
+    for row in table:
+        row["now_over_before"] = (
+            row["now"] / row["before"] if row["before"] else "-"
+        )
     return table, [
         (at_least if work.larger else at_most)(
             work.name, row["now"], work.goal, work.unit
