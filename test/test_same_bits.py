@@ -67,6 +67,7 @@ MATH = {
     "radians",
     "degrees",
     "copysign",
+    "frexp",
     "ldexp",
     "prod",
 }

@@ -6,8 +6,8 @@ comparisons of float64, which IEEE 754 defines to the last bit. Their error is l
 the last place. `math.sqrt`, `math.floor` and `abs` are exact everywhere.
 
 Each function takes numbers and arrays in Python, and numbers in kernels; `dynamics/lanes.py` adds
-Lanes. Reduction of the argument and compensated sums: Muller, Elementary Functions (3rd edition,
-2016), chapters 6 and 11.
+Lanes. `log` is for kernels; its `py_func` takes a number in Python. Reduction of the argument and
+compensated sums: Muller, Elementary Functions (3rd edition, 2016), chapters 6 and 11.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -213,6 +213,25 @@ def _arc(y, x):
     return math.copysign(angle + rest, y)
 
 
+@helper
+def log(x):
+    """Natural logarithm of a positive number that is normal, in a kernel.
+
+    With f = m - 1 of the mantissa m and s = f / (2 + f), log(1 + f) = 2 artanh s.
+    """
+    mantissa, exponent = math.frexp(x)
+    if mantissa < HALF_ROOT:
+        mantissa, exponent = 2.0 * mantissa, exponent - 1
+    f, k = mantissa - 1.0, float(exponent)
+    s = f / (2.0 + f)
+    z = s * s
+    p = 2.0 / 23.0
+    for n in range(21, 1, -2):
+        p = 2.0 / n + z * p
+    half = 0.5 * f * f
+    return k * L1 + (f - (half - (s * (half + z * p) + k * L2)))
+
+
 @kernel
 def _each(function, y, x, out):
     """Write a function of each number of x (n,), or of y (n,) and x (n,), into out (n,)."""
@@ -272,24 +291,6 @@ def exp(x: Any) -> Any:
     return np.ldexp(
         1.0 + (r + (rest + 0.5 * (r * r) * p)), np.asarray(k, dtype=int)
     )
-
-
-def log(x: Any) -> Any:
-    """Natural logarithm of a positive number or an array, of normal numbers.
-
-    With f = m - 1 of the mantissa m and s = f / (2 + f), log(1 + f) = 2 artanh s.
-    """
-    mantissa, exponent = np.frexp(x)
-    small = mantissa < HALF_ROOT
-    f = np.where(small, 2.0 * mantissa, mantissa) - 1.0
-    k = np.where(small, exponent - 1, exponent).astype(float)
-    s = f / (2.0 + f)
-    z = s * s
-    p = np.full_like(z, 2.0 / 23.0)
-    for n in range(21, 1, -2):
-        p = 2.0 / n + z * p
-    half = 0.5 * f * f
-    return k * L1 + (f - (half - (s * (half + z * p) + k * L2)))
 
 
 @overload(cos, jit_options=OPTIONS)  # type: ignore[arg-type]

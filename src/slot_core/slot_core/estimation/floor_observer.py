@@ -245,19 +245,17 @@ class FloorObserver:
 
     def reset(self) -> None:
         """Forget everything."""
-        self.floor, self.ratio = LEVEL, 1.0
-        # whether the floor was seen at rest, or `patience` is over
-        self.is_known = False
+        # is_known: whether the floor was seen at rest, or `patience` is over
+        self.floor, self.ratio, self.is_known = LEVEL, 1.0, False
         # floor below a torso that lay, until it has stood up
         self._lain: FloorPlane | None = None
-        self._lay = 0  # ns, when it lay last
         # (2, 4) rad, N m, angles and torques of the tendons
         self._joints = np.full((2, len(LEGS)), np.nan)
-        self._stamp = self._begun = 0  # ns, of the angles; of the first tick
+        # ns, when it lay last; of the angles; of the first tick
+        self._lay = self._stamp = self._begun = 0
         self._rest: deque[_Rest] = deque()
-        self._error = np.zeros(3)  # m, rad, mean of the pose above the floor
-        self._place = np.zeros(2)  # m, mean of x and y
-        self._ticks = 0
+        # m, rad, mean of the pose above the floor; m, mean of x and y
+        self._error, self._place, self._ticks = np.zeros(3), np.zeros(2), 0
 
     @property
     def legs_are_known(self) -> bool:
@@ -266,8 +264,7 @@ class FloorObserver:
 
     def add_joints(self, stamp: int, angle: Array, torque: Array) -> None:
         """Take tendon angles (4,) rad and torques (4,) N m at `stamp` (ns)."""
-        self._stamp = stamp
-        self._joints = np.array([angle, torque], dtype=np.float64)
+        self._stamp, self._joints = stamp, np.array([angle, torque], float)
 
     def observe(
         self, stamp: int, torso: FilterState, rate: Array, force: Array
@@ -457,7 +454,7 @@ class FloorObserver:
 
 def _cost(ratio: float, error: float) -> float:
     """Square of the logarithm of a ratio, over its standard deviation."""
-    return float(np.square(log(ratio) / error))
+    return float(np.square(log.py_func(ratio) / error))  # type: ignore[attr-defined]
 
 
 def _floor_below(pose: Array, attitude: Array, position: Array) -> FloorPlane:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slot_core.arrays import Array
+from slot_core.compiled import kernel
 from slot_core.dynamics.scene import (
     CameraSettings,
     ImuSettings,
@@ -26,12 +28,29 @@ if TYPE_CHECKING:
     from slot_core.simulation.camera_sensor import CameraSensor
 
 
+@kernel
+def _add_noise(reading, uniform, deviation, largest):  # type: ignore[no-untyped-def]
+    """Add normal noise to a reading (n,), of standard deviations (n,); it ends at +-largest (n,).
+
+    uniform: (2 n,) uniformly distributed numbers (Box, Muller).
+    """
+    for i in range(reading.size):
+        turn = 2.0 * np.pi * uniform[reading.size + i]
+        noise = math.sqrt(-2.0 * log(1.0 - uniform[i])) * cos(turn)
+        value = reading[i] + deviation[i] * noise
+        reading[i] = (
+            math.copysign(largest[i], value)
+            if abs(value) > largest[i]
+            else value
+        )
+
+
 def normal(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Numbers of the standard normal distribution, the same on every processor (Box, Muller)."""
-    radius, turn = rng.random((2, *shape))
-    return np.asarray(
-        np.sqrt(-2.0 * log(1.0 - radius)) * cos(2.0 * np.pi * turn)
-    )
+    """Numbers of the standard normal distribution, the same on every processor."""
+    n = math.prod(shape)
+    drawn = -np.zeros(n)  # -0 + x is x, also for x = -0
+    _add_noise(drawn, rng.random(2 * n), np.ones(n), np.full(n, math.inf))
+    return drawn.reshape(shape)
 
 
 def true_odometry(sim: SimulatedRobot, stamp: int) -> OdometryReading:
@@ -59,8 +78,9 @@ class OdometrySensor:
     ):
         """`rng` draws the noise, `trouble` drift, losses and delays."""
         self._settings, self._rng, self._trouble = settings, rng, trouble
-        self._drift = np.zeros(4)  # m, rad: displacement and yaw
-        self._last = 0.0  # s since the start
+        # m, rad: displacement and yaw; s since the start
+        self._drift, self._last = np.zeros(4), 0.0
+        rotate(self._drift[:2], 0.0)  # compiles its kernel
 
     def sample(
         self, truth: OdometryReading, since: float = 0.0
@@ -120,7 +140,8 @@ class OdometrySensor:
         return self._drift + np.sum(jumps, axis=0) if jumps else self._drift
 
 
-GYRO_RANGE, FORCE_RANGE = 34.9, 156.9  # rad/s, 2000 deg/s; m/s^2, 16 g
+# rad/s, 2000 deg/s; m/s^2, 16 g
+IMU_RANGE = np.repeat([34.9, 156.9], 3)
 
 
 class ImuSensor:
@@ -130,25 +151,20 @@ class ImuSensor:
     """
 
     def __init__(self, settings: ImuSettings, rng: np.random.Generator):
-        self._settings, self._rng = settings, rng
+        self._rng = rng
         self.bias = settings.rate_bias * normal(rng, (3,))
+        # rad/s, m/s^2: standard deviations
+        self._noise = np.repeat(
+            [settings.rate_noise, settings.acceleration_noise], 3
+        )
 
     def sample(self, sim: SimulatedRobot, stamp: int) -> ImuReading:
         """Reading at `stamp` (ns)."""
-        rate_noise, force_noise = normal(self._rng, (2, 3))
-        rate = (
-            sim.angular_velocity
-            + self.bias
-            + self._settings.rate_noise * rate_noise
+        reading = np.concatenate(
+            [sim.angular_velocity + self.bias, sim.specific_force]
         )
-        force = (
-            sim.specific_force + self._settings.acceleration_noise * force_noise
-        )
-        return ImuReading(
-            stamp,
-            np.clip(rate, -GYRO_RANGE, GYRO_RANGE),
-            np.clip(force, -FORCE_RANGE, FORCE_RANGE),
-        )
+        _add_noise(reading, self._rng.random(12), self._noise, IMU_RANGE)
+        return ImuReading(stamp, reading[:3], reading[3:])
 
 
 def make_camera(
