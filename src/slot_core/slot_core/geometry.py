@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from slot_core.arrays import Array
-from slot_core.compiled import helper
+from slot_core.compiled import helper, kernel
 from slot_core.elementary import atan2, cos, hypot, sin
-from slot_core.matrices import norm, product
+from slot_core.matrices import inner, norm, product
 
 Angle = TypeVar("Angle", float, Array)
 # Axes of a camera's optical frame (z forward, x to the right of the image, y down) in camera_link
@@ -49,15 +49,48 @@ def rpy_of(rotation: Array) -> Array:
 
 
 def matrix_of_rpy(rpy: Any) -> Array:
-    """Rotation matrices (..., 3, 3) of roll, pitch and yaw (..., 3), rad."""
-    angles = np.moveaxis(np.asarray(rpy, dtype=float), -1, 0)
-    (cr, cp, cy), (sr, sp, sy) = cos(angles), sin(angles)
+    """Rotation matrix (3, 3) of roll, pitch and yaw (3,), rad."""
+    angles = np.asarray(rpy, dtype=float)
+    (cr, cp, cy), (sr, sp, sy) = cos(angles).tolist(), sin(angles).tolist()
     rows = (
         (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
         (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
         (-sp, cp * sr, cp * cr),
     )
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    return np.array(rows)
+
+
+@helper
+def set_rows(out, *rows):  # type: ignore[no-untyped-def]
+    """Write three rows of numbers to a matrix (3, 3)."""
+    for i in range(3):
+        out[i, 0], out[i, 1], out[i, 2] = rows[i]
+
+
+@helper
+def rotation_matrix(out, q):  # type: ignore[no-untyped-def]
+    """Rotation matrix (3, 3) of the unit quaternion q."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    set_rows(
+        out,
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+
+
+@kernel
+def _set_matrices(quaternions, out):  # type: ignore[no-untyped-def]
+    """Write `matrix_of_quaternion` of (n, 4) to out (n, 3, 3)."""
+    for i in range(len(out)):
+        q = quaternions[i]
+        length = math.sqrt(inner(q, q))
+        if length == 0.0:
+            raise ValueError("a quaternion has norm zero")
+        rotation_matrix(
+            out[i],
+            (q[0] / length, q[1] / length, q[2] / length, q[3] / length),
+        )
 
 
 def matrix_of_quaternion(quaternion: Any) -> Array:
@@ -65,33 +98,28 @@ def matrix_of_quaternion(quaternion: Any) -> Array:
 
     Raises ValueError for a quaternion of norm zero.
     """
-    q = np.asarray(quaternion, dtype=float)
-    length = norm(q)
-    if not np.all(length):
-        raise ValueError("a quaternion has norm zero")
-    x, y, z, w = np.moveaxis(q / np.asarray(length)[..., None], -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
-        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
-        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
-    )
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    q = np.array(quaternion, dtype=float, order="C")
+    out = np.empty((*q.shape[:-1], 3, 3))
+    _set_matrices(q.reshape(-1, 4), out.reshape(-1, 3, 3))
+    return out
 
 
-def quaternion_of(rotation: Array) -> Array:
+def quaternion_of(rotation: Any) -> Array:
     """(4,) quaternion of a rotation matrix (3, 3), w >= 0.
 
     4 q q^T = K + 1, of which the column with the largest diagonal is taken (Bar-Itzhack 2000).
     """
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    rows = (
-        (a - e - i, d + b, g + c, h - f),
-        (d + b, e - a - i, h + f, c - g),
-        (g + c, h + f, i - a - e, d - b),
-        (h - f, c - g, d - b, a + e + i),
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(rotation, float).tolist()
+    x, y, z, w = (
+        each + 1.0 for each in (a - e - i, e - a - i, i - a - e, a + e + i)
     )
-    square = np.array(rows) + np.eye(4)
-    q = square[np.argmax(square.diagonal())]
+    rows = (
+        (x, d + b, g + c, h - f),
+        (d + b, y, h + f, c - g),
+        (g + c, h + f, z, d - b),
+        (h - f, c - g, d - b, w),
+    )
+    q = np.array(rows[(x, y, z, w).index(max(x, y, z, w))]) + 0.0
     return q / norm(q) if q[3] >= 0.0 else -q / norm(q)
 
 
@@ -115,8 +143,14 @@ def upward(roll: Any, pitch: Any) -> Array:
 
 def quaternion_product(a: Array, b: Array) -> Array:
     """(4,) quaternion of the rotation b (4,), then a (4,)."""
-    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
-    return np.append(vector, a[3] * b[3] - (a[:3] * b[:3]).sum())
+    (x, y, z, w), (i, j, k, r) = a.tolist(), b.tolist()
+    product = (
+        w * i + r * x + (y * k - z * j),
+        w * j + r * y + (z * i - x * k),
+        w * k + r * z + (x * j - y * i),
+        w * r - (0.0 + x * i + y * j + z * k),
+    )
+    return np.array(product)
 
 
 @dataclass(frozen=True)
@@ -167,11 +201,28 @@ def optical(camera_link: Transform) -> Transform:
     return camera_link @ Transform(OPTICAL, np.zeros(3))  # of transforms
 
 
+@kernel
+def _rotate(vectors, angles, out):  # type: ignore[no-untyped-def]
+    """Write `rotate` of vectors (n, 2) or one, by angles (n,) or one, to out (n, 2)."""
+    for i in range(len(out)):
+        angle, v = angles[i % angles.size], vectors[i % len(vectors)]
+        c, s = cos(angle), sin(angle)
+        out[i, 0], out[i, 1] = c * v[0] - s * v[1], s * v[0] + c * v[1]
+
+
 def rotate(vectors: Array, angle: float | Array) -> Array:
     """Rotate plane vectors (..., 2) counter-clockwise by an angle (...), rad."""
-    c, s = cos(angle), sin(angle)
-    x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+    angles, v = (
+        np.array(each, dtype=float, order="C") for each in (angle, vectors)
+    )
+    if angles.size > 1 and v.ndim > 1 and angles.shape != v.shape[:-1]:
+        shape = np.broadcast_shapes(angles.shape, v.shape[:-1])
+        return rotate(
+            np.broadcast_to(v, (*shape, 2)), np.broadcast_to(angles, shape)
+        )
+    out = np.empty((*(angles if v.ndim == 1 else v[..., 0]).shape, 2))
+    _rotate(v.reshape(-1, v.shape[-1]), angles.reshape(-1), out.reshape(-1, 2))
+    return out
 
 
 def wrapped(angle: Angle) -> Angle:

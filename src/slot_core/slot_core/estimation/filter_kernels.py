@@ -18,7 +18,7 @@ from slot_core.clock import SECOND
 from slot_core.compiled import helper, kernel
 from slot_core.dynamics.algebra import times, times_transposed
 from slot_core.elementary import atan2, cos, sin
-from slot_core.geometry import roll_pitch_yaw
+from slot_core.geometry import roll_pitch_yaw, rotation_matrix, set_rows
 from slot_core.matrices import (
     cholesky,
     set_product,
@@ -108,14 +108,15 @@ def propagate(state, work, rate, force, dt, noise, from_imu, bias_max):
     the noise enters before the step, so that it reaches the position in a long step. bias_max: see
     `turn_tilt`.
     """
-    share = 1.0 if from_imu else 0.0
+    share, rotation = 1.0 if from_imu else 0.0, work.rotation
     w, f = work.weighted, work.error[:3]
     for i in range(3):
-        w[i] = dt / 2 * (rate[i] - share * state.bias[0, i])
-        f[i] = force[i] - share * state.bias[1, i]
+        w[i], f[i] = (
+            dt / 2 * (rate[i] - share * state.bias[0, i]),
+            force[i] - share * state.bias[1, i],
+        )
     half = exponential(w[0], w[1], w[2])
     middle = multiply(state.attitude, half)
-    rotation = work.rotation
     rotation_matrix(rotation, middle)
     if from_imu:
         f[0], f[1], f[2] = times(rotation, f)
@@ -386,12 +387,14 @@ def output(state, work, rate, gyro_share, rate_variance, out, cov):
 @helper
 def set_angle_jacobian(out, pitch, yaw):
     """Set the first block of out to d(roll, pitch, yaw) by a small rotation about odom's axes."""
-    s, c = sin(yaw), cos(yaw)
-    cos_pitch = max(cos(pitch), COS_PITCH_MIN)
+    s, c, cos_pitch = sin(yaw), cos(yaw), max(cos(pitch), COS_PITCH_MIN)
     t = sin(pitch) / cos_pitch
-    out[0, 0], out[0, 1] = c / cos_pitch, s / cos_pitch
-    out[1, 0], out[1, 1] = -s, c
-    out[2, 0], out[2, 1], out[2, 2] = c * t, s * t, 1.0
+    set_rows(
+        out,
+        (c / cos_pitch, s / cos_pitch, 0.0),
+        (-s, c, 0.0),
+        (c * t, s * t, 1.0),
+    )
 
 
 @helper
@@ -437,40 +440,14 @@ def store_unit(out, q):
 
 
 @helper
-def rotation_matrix(out, q):
-    """Rotation matrix (3, 3) of the unit quaternion q."""
-    x, y, z, w = q[0], q[1], q[2], q[3]
-    out[0, 0], out[0, 1], out[0, 2] = (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - z * w),
-        2 * (x * z + y * w),
-    )
-    out[1, 0], out[1, 1], out[1, 2] = (
-        2 * (x * y + z * w),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - x * w),
-    )
-    out[2, 0], out[2, 1], out[2, 2] = (
-        2 * (x * z - y * w),
-        2 * (y * z + x * w),
-        1 - 2 * (x * x + y * y),
-    )
-
-
-@helper
 def set_cross(out, row, column, a, scale):
     """Set a block (3, 3) of out to scale [a]x, with [a]x b = a x b."""
     x, y, z = scale * a[0], scale * a[1], scale * a[2]
-    out[row, column], out[row, column + 1], out[row, column + 2] = 0.0, -z, y
-    out[row + 1, column], out[row + 1, column + 1], out[row + 1, column + 2] = (
-        z,
-        0.0,
-        -x,
-    )
-    out[row + 2, column], out[row + 2, column + 1], out[row + 2, column + 2] = (
-        -y,
-        x,
-        0.0,
+    set_rows(
+        out[row : row + 3, column : column + 3],
+        (0.0, -z, y),
+        (z, 0.0, -x),
+        (-y, x, 0.0),
     )
 
 
