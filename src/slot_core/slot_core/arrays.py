@@ -28,11 +28,13 @@ def checked(
         array = np.asarray(values, dtype=np.float64, order="C")
     except (TypeError, ValueError, OverflowError):
         raise error(f"{name}: expected numbers of shape {shape}") from None
-    if array.ndim != len(shape) or any(
-        n not in (m, -1) for n, m in zip(shape, array.shape)
+    if array.shape != shape and (
+        array.ndim != len(shape)
+        or any(n not in (m, -1) for n, m in zip(shape, array.shape))
     ):
         raise error(f"{name}: shape {array.shape}, expected {shape}")
-    if finite and not np.isfinite(array).all():
+    # faster than `all`
+    if finite and b"\0" in np.isfinite(array).tobytes():
         raise error(f"{name}: a value is not finite")
     return array
 

@@ -145,9 +145,17 @@ def inverse(a: Array) -> Array:
     return out
 
 
+@kernel
+def _length(a):
+    """`norm` of a vector (n,)."""
+    return math.sqrt(inner(a, a))
+
+
 def norm(a: Any) -> Any:
     """Euclidean norm along the last axis."""
-    a = np.asarray(a, dtype=float)
+    a = np.array(a, dtype=float)
+    if a.ndim == 1 and a.size < 8:  # NumPy sums so few in their order too
+        return _length(a)
     length = np.sqrt((a * a).sum(axis=-1))
     return length if a.ndim > 1 else float(length)
 
