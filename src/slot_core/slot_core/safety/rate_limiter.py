@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from slot_core.arrays import Array
 from slot_core.clock import SECOND, to_seconds
+from slot_core.compiled import kernel
 from slot_core.robot import LEGS
 from slot_core.safety.settings import GateSettings
 from slot_core.safety.states import Action
@@ -64,6 +65,23 @@ def unchanged(action: Action, angle: Array, torque: bool) -> Goals:
     return Goals(action, angle.copy(), torque, np.zeros(len(LEGS), dtype=bool))
 
 
+@kernel
+def _approach(goal, budget, target, rate, largest, slewed):  # type: ignore[no-untyped-def]  # noqa: PLR0917
+    """Move goals (4,) towards a target (4,), rad, at a rate, rad/s, within budgets (4,), s.
+
+    slewed (4,) is set where the budget holds a goal back.
+    """
+    for i in range(goal.size):
+        distance, most = target[i] - goal[i], rate * budget[i]
+        slewed[i] = abs(distance) > most
+        step = -most if distance < -most else min(distance, most)
+        spent = abs(step) / rate
+        budget[i] = 0.0 if spent > budget[i] else budget[i] - spent
+        moved = goal[i] + step if slewed[i] else target[i]
+        # goal + distance may round to beyond the limit
+        goal[i] = 0.0 if moved < 0.0 else min(moved, largest)
+
+
 class RateLimiter:
     """Last accepted command, and goals that approach it at a limited rate.
 
@@ -77,16 +95,17 @@ class RateLimiter:
         """
         settings.check_ramp(angle_max)
         self.settings, self._angle_max = settings, angle_max
-        self._target = np.zeros(len(LEGS))
+        # rad; s
+        self._target, self._budget = np.zeros(len(LEGS)), np.zeros(len(LEGS))
         # rad/s; ns, time of the command
         self._target_rate, self._accepted = (AT_REST, 0)
         self._goal = self._target.copy()
-        self._budget = np.zeros(len(LEGS))  # s
-        self._action = Action.OFF
-        self.since = 0  # ns, from when the rate of the present action grows
+        # since: ns, from when the rate of the present action grows
+        self._action, self.since = Action.OFF, 0
         self._time: int | None = None
         # whether the ramp to slack has ended in torque off
         self._relaxed = False
+        self._move(self._target, settings.approach_rate)  # compiles its kernel
 
     @property
     def goal(self) -> Array:
@@ -165,11 +184,8 @@ class RateLimiter:
 
     def _move(self, target: Array, rate: float) -> Goals:
         """Move the goals towards `target`, within the budget."""
-        distance = target - self._goal
-        step = np.clip(distance, -rate * self._budget, rate * self._budget)
-        slewed = np.abs(distance) > rate * self._budget
-        self._budget = np.maximum(self._budget - np.abs(step) / rate, 0.0)
-        # clipped, because goal + distance may round to beyond the limit
-        goal = np.where(slewed, self._goal + step, target)
-        self._goal = np.clip(goal, 0.0, self._angle_max)
+        slewed = np.empty(len(LEGS), dtype=bool)
+        _approach(
+            self._goal, self._budget, target, rate, self._angle_max, slewed
+        )
         return Goals(self._action, self.goal, True, slewed)
