@@ -64,7 +64,7 @@ def frame_strains(rod, node, director, clamp=CLAMP):
 
 def masses(sim):
     """Mass (n,), kg, place and velocity (n, 3) in odom of a robot's nodes, torso and payload."""
-    nodes, velocity = sim._observe()
+    nodes, velocity, *_ = sim._observe()
     arm = sim.rotation @ sim.model.payload[1:]
     carried = sim.velocity + np.cross(sim.rotation @ sim.angular_velocity, arm)
     mass = [sim.model.torso.mass, sim.model.payload[0]]

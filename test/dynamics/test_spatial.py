@@ -34,7 +34,7 @@ def robot_momentum(sim):
     rod, (mass, place, velocity) = sim.model.rod, masses(sim)
     angular = mass @ np.cross(place, velocity)
     angular += sim.rotation @ sim.model.torso.inertia @ sim.angular_velocity
-    nodes, moving = sim._observe()
+    nodes, moving, *_ = sim._observe()
     arms = np.cross(np.diff(nodes, axis=1), np.diff(moving, axis=1))
     angular -= (rod.coupling @ arms).sum(axis=0)
     for swirl, axes in zip(sim.state.swirl, sim.model.axes):

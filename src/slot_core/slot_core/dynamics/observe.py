@@ -24,6 +24,8 @@ from slot_core.dynamics.contact import (
     friction_force,
     normal_force,
 )
+from slot_core.dynamics.handle import contents
+from slot_core.matrices import set_product
 
 ORIGIN, AXES = np.zeros(3), np.eye(3)  # of odom
 
@@ -103,3 +105,17 @@ def ground_forces(model, state, position, velocity, force):
                 minus(scaled(normal, up), scaled(hold.drag, v)), hold.held
             )
             put(force, leg, add(row(force, leg), f))
+
+
+@kernel
+def everything(machine, position, velocity, force, turn, director):
+    """Write `points`, `ground_forces` and directors (4, N-1, 3) in odom of the robot at a handle.
+
+    machine: as of `integrator.advance`; turn (3, 3) is overwritten.
+    """
+    model, state, _, _, _, _ = contents(machine)
+    points(model, state, position, velocity)
+    ground_forces(model, state, position, velocity, force)
+    for leg in range(4):
+        set_product(turn, model.axes[leg], state.rotation.T)
+        set_product(director[leg], state.director[leg], turn)

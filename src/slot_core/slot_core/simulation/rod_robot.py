@@ -39,13 +39,15 @@ class RodRobot(KernelRobot):
     def __init__(
         self, robot: RobotParameters, scene: Scene, servo: ServoSettings
     ) -> None:
-        self.parameters = robot
-        self.scene = scene
+        self.parameters, self.scene = robot, scene
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
-        self._work = work_space()
-        self._start = matching_state(self.model)
-        self._points = np.zeros((2, 4, scene.solver.nodes, 3))
+        self._work, self._start = work_space(), matching_state(self.model)
+        points, widths = self.state.node.shape, self.state.director.shape
+        # written by `observe.everything`
+        self._seen = tuple(
+            np.zeros(s) for s in (points, points, (4, 3), (3, 3), widths)
+        )
         self._connect()
         self._settle()
         _ = self.ground_force  # compiles what a reading calls
@@ -93,8 +95,7 @@ class RodRobot(KernelRobot):
         `scene.solver.speed_limit`.
         """
         require_steps(steps)
-        command = self.checked(command)
-        self._legs.command[0] = command
+        self._legs.command[0] = command = self.checked(command)
         done, where = integrator.advance(self.handle, steps)
         self.steps += done
         if where >= 0:
@@ -132,7 +133,7 @@ class RodRobot(KernelRobot):
     def snapshot(self) -> dict[str, Any]:
         """Base snapshot, velocities of the nodes, and the start of the last step as `before_..`."""
         before = self._start
-        nodes, node_velocity = np.zeros_like(self._points)
+        nodes, node_velocity = np.zeros((2, *self.state.node.shape))
         observe.points(self.model, before, nodes, node_velocity)
         return super().snapshot() | {
             "unconverged_steps": self.unconverged_steps,
@@ -159,20 +160,13 @@ class RodRobot(KernelRobot):
     @property
     def directors(self) -> Array:
         """(4, N-1, 3) unit vectors along the width of the segments, to the right, in odom."""
-        turns = (
-            product(axes, self.state.rotation.T) for axes in self.model.axes
-        )
-        return np.array(
-            [product(*leg) for leg in zip(self.state.director, turns)]
-        )
+        return self._observe()[4].copy()
 
     @property
     def ground_force(self) -> Array:
         """(4, 3) N in odom, force of the floor on each leg now."""
-        force = np.zeros((4, 3))
-        observe.ground_forces(self.model, self.state, *self._observe(), force)
-        return force
+        return self._observe()[2].copy()
 
-    def _observe(self) -> tuple[Array, Array]:
-        observe.points(self.model, self.state, self._points[0], self._points[1])
-        return self._points[0], self._points[1]
+    def _observe(self) -> tuple[Array, ...]:
+        observe.everything(self.handle, *self._seen)
+        return self._seen
