@@ -24,9 +24,9 @@ from slot_core.estimation.filter_kernels import (
     exponential,
     logarithm,
     multiply,
-    rotation_matrix,
     store_unit,
 )
+from slot_core.geometry import rotation_matrix
 from slot_core.matrices import set_product
 
 MILLISECOND = 1_000_000  # ns
@@ -63,6 +63,7 @@ class TurnWork(NamedTuple):
 
     turn: Array  # (3,) rad, of odometry between two readings
     turns: Array  # (len(SHIFTS), 3) rad, of the gyroscope
+    table: Array  # (len(SHIFTS), 12), see `turn_table`
     rotation: Array  # (3, 3)
     power: Array  # (4, 4)
     half: Array  # (4, 4)
@@ -88,6 +89,7 @@ def turn_work() -> TurnWork:
     return TurnWork(
         turn=np.zeros(3),
         turns=np.zeros((len(SHIFTS), 3)),
+        table=np.zeros((len(SHIFTS), 12)),
         rotation=np.zeros((3, 3)),
         power=np.zeros((4, 4)),
         half=np.zeros((4, 4)),
@@ -109,8 +111,7 @@ def integrate(sums, rotation, stamp, sample):
     sample[0], sample[1], sample[2] = times(rotation, sample[:3])
     sample[3], sample[4], sample[5] = times(rotation, sample[3:])
     stamps, ring, rate = sums.stamps, sums.ring, sums.rate
-    newest = (ring[0] + ring[1] - 1) % KEPT
-    turned = (0.0, 0.0, 0.0, 1.0)
+    newest, turned = (ring[0] + ring[1] - 1) % KEPT, (0.0, 0.0, 0.0, 1.0)
     if ring[1] > 0 and stamp - stamps[newest] > GAP:
         ring[0], ring[1] = (newest + 1) % KEPT, 0
     if ring[1] > 0:
@@ -209,18 +210,20 @@ def compare_turns(sums, work, before, after, keep):
     return True
 
 
-def turn_table(sums: TurnSums) -> Array:
-    """E(1, 1), S_o, S_g and B row by row, about the means, of each shift: (n, 12)."""
+@kernel
+def turn_table(sums, work):
+    """Write E(1, 1), S_o, S_g and B row by row, about the means, of each shift to work.table."""
     total, count = sums.odometry, max(sums.odometry[4], 1.0)
-    mean = sums.pairs[:, MEAN:SQUARE]
-    turned = total[3] - (total[:3] * total[:3]).sum() / count
-    gyro = sums.pairs[:, SQUARE] - (mean * mean).sum(axis=1) / count
-    b = (
-        sums.pairs[:, :MEAN]
-        - np.repeat(total[:3], 3) * np.tile(mean, 3) / count
-    )
-    left = turned + gyro - 2.0 * (b[:, 0] + b[:, 4] + b[:, 8])
-    return np.column_stack([left, np.full_like(gyro, turned), gyro, b])
+    turned = total[3] - square(total[:3]) / count
+    for row in range(SHIFTS.size):
+        pair, out = sums.pairs[row], work.table[row]
+        out[1], out[2] = (
+            turned,
+            pair[SQUARE] - square(pair[MEAN:SQUARE]) / count,
+        )
+        for i in range(9):
+            out[3 + i] = pair[i] - total[i // 3] * pair[MEAN + i % 3] / count
+        out[0] = turned + out[2] - 2.0 * (out[3] + out[7] + out[11])
 
 
 @kernel
@@ -277,14 +280,18 @@ def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
         sums.twist[kind] *= keep
     sums.twist[3] += 1.0
     for kind in range(3):
-        in_base = dt / 2 if kind == 0 else 0.0
-        in_odom = dt / 2 if kind == 1 else 0.0
+        in_base, in_odom = (
+            dt / 2 if kind == 0 else 0.0,
+            dt / 2 if kind == 1 else 0.0,
+        )
         for i in range(3):
             moved[i], turned[i] = after[4 + i] - before[4 + i], work.turn[i]
         for reading in (before, after):
             rotation_matrix(rotation, reading[:4])
-            v = times(rotation, reading[7:10])
-            w = times_transposed(rotation, reading[10:13])
+            v, w = (
+                times(rotation, reading[7:10]),
+                times_transposed(rotation, reading[10:13]),
+            )
             for i in range(3):
                 moved[i] -= in_base * v[i] + in_odom * reading[7 + i]
                 turned[i] -= in_base * reading[10 + i] + in_odom * w[i]
@@ -301,5 +308,4 @@ def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
                 for j in range(3):
                     up[i] += dt / 2 * rotation[i, j] * force[j] / force[3]
         up[3] += dt
-    for i in range(4):
-        force[i] = 0.0
+    force[:] = 0.0

@@ -319,8 +319,8 @@ class ImuSamples:
     def followed(self, stamp: int, value: Array, most: int) -> "ImuSamples":
         """The newest samples, at most `most`: these and another, `stamp` (ns) and value (6,)."""
         return ImuSamples(
-            np.append(self.stamps, stamp)[-most:],
-            np.vstack([self.values, value])[-most:],
+            np.concatenate([self.stamps, [stamp]])[-most:],
+            np.concatenate([self.values, value[None]])[-most:],
         )
 
     def __getitem__(self, part: slice) -> "ImuSamples":
@@ -329,7 +329,9 @@ class ImuSamples:
 
     def until(self, stamp: int) -> "ImuSamples":
         """The samples up to `stamp`, ns."""
-        return self[: int(np.searchsorted(self.stamps, stamp, side="right"))]
+        if len(self.stamps) and self.stamps[-1] <= stamp:
+            return self
+        return self[: int(self.stamps.searchsorted(stamp, side="right"))]
 
 
 @dataclass(frozen=True)
@@ -381,10 +383,9 @@ class InertialFilter:
             cov=np.zeros((15, 15)),
         )
         self.forget_biases()
-        self._work = work_space()
         drifts = imu.gyro_drift, imu.acceleration_drift
         self.rate = Rate(np.zeros(3), 0.0, 0.0)
-        self._bias_max = imu.acceleration_bias_max
+        self._work, self._bias_max = work_space(), imu.acceleration_bias_max
         self._noise = _densities(
             imu.gyro_noise, imu.acceleration_noise, *drifts
         )
@@ -570,8 +571,7 @@ def _require_some(samples: ImuSamples) -> None:
 
 def load_kernels(settings: EstimatorSettings) -> None:
     """Call every kernel once, which loads or compiles it, so that no reading waits for it."""
-    scratch = InertialFilter(settings)
-    zero = np.zeros(3)
+    scratch, zero = InertialFilter(settings), np.zeros(3)
     still = OdometryMotion(
         0, np.array([0.0, 0.0, 0.0, 1.0]), zero, zero, zero, np.ones(12)
     )

@@ -149,7 +149,6 @@ class StateEstimator:
             self._settings, matrix_of_rpy(self._settings.mounts.imu.rpy)
         )
         self._newest: dict[str, int] = {}
-        self._begun = 0  # ns, stamp of the first message
         # by stream: stamps in a row that are far from the newest
         self._behind: dict[str, int] = {}
         self._imu = ImuSamples.none()
@@ -162,21 +161,20 @@ class StateEstimator:
         # ns, of the filter's state; None: not started
         self._stamp: int | None = None
         self._corrected = self._filter.state  # at `_stamp`
-        # ns, of the filter: at or after `_stamp`
-        self._reached = BEFORE_ALL_TIMES
-        self._tick = BEFORE_ALL_TIMES  # ns, stamp of the next estimate
-        self._accepted_stamp = 0  # ns, of the last accepted reading
+        # ns: time of the filter, at or after `_stamp`; stamp of the next estimate; of the last jump
+        # of odom in motion
+        self._reached = self._tick = self._jumped = BEFORE_ALL_TIMES
+        # ns, stamp of the first message; of the last accepted reading
+        self._begun = self._accepted_stamp = 0
         # accepted readings since `_initial`, ns; in a row until valid
         self._accepted, self._initial = 0, 0
         self._interval = 0.0  # s, mean of the last accepted readings
         # ns, stamp of the last IMU sample; s, mean time between them
         self._sampled, self._imu_interval = 0, 0.0
-        # whether the IMU had samples up to the last reading
-        self._imu_complete = True
-        self._restarted = False  # whether odometry has started anew
-        self._jumped = BEFORE_ALL_TIMES  # ns, when odom jumped in motion
-        self._gravity = GravityFilter()
-        self._weighed = BEFORE_ALL_TIMES  # ns, of its last sample
+        # whether the IMU had samples up to the last reading, whether odometry has started anew
+        self._imu_complete, self._restarted = True, False
+        # the filter of gravity, and the stamp of its last sample, ns
+        self._gravity, self._weighed = GravityFilter(), BEFORE_ALL_TIMES
 
     @property
     def gyro_bias(self) -> Array:
@@ -454,28 +452,28 @@ class StateEstimator:
         The ticks follow the time of the IMU. A later `latest` is that of odometry in its place:
         the tick is then at the reading, and the next one a period later.
         """
-        timing = self._settings.timing
-        period = to_ns(timing.period)
         if self._stamp is None or latest < self._tick:
             return
+        timing, state = self._settings.timing, self._filter.state
+        period = to_ns(timing.period)
         is_known = now - self._accepted_stamp <= to_ns(timing.odometry_wait)
         if self._floor is not None and is_known:
             samples, rate = self._imu.values, self._filter.rate.value
             force = samples[-1, 3:] if len(samples) else np.zeros(3)
-            self._floor.observe(now, self._filter.state, rate, force)
-        self._weigh()
+            self._floor.observe(now, state, rate, force)
+        self._weigh(state)
         tick = now if latest > now else now - (now - self._tick) % period
         floor = LEVEL if self._floor is None else self._floor.floor
         self._ready.append(self._predicted(tick, timing.command_delay, floor))
         self._tick = tick + period
 
-    def _weigh(self) -> None:
+    def _weigh(self, state: FilterState) -> None:
         """Let the gravity filter take the samples since the last tick."""
-        stamps, state = self._imu.stamps, self._filter.state
-        new = stamps > self._weighed
-        if not new.any():
+        stamps = self._imu.stamps
+        first = int(stamps.searchsorted(self._weighed, side="right"))
+        if first == len(stamps):
             return
-        force = self._imu.values[new, 3:].sum(axis=0) / np.count_nonzero(new)
+        force = self._imu.values[first:, 3:].sum(axis=0) / (len(stamps) - first)
         self._gravity.add(
             product(matrix_of_quaternion(state.attitude), force),
             state.velocity,

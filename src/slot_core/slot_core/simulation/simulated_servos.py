@@ -10,7 +10,6 @@ cycle the servos take the newest permission; in every second one they report, an
 steps on the report. Times `now`, ns, never go back.
 """
 
-import dataclasses
 import sys
 import time
 from abc import ABC, abstractmethod
@@ -106,12 +105,14 @@ class SimulatedServos(ABC):
         """The health now, with the newest command, in lockstep."""
         now, found = self._plant.now, self.health(self._plant.now)
         if found is not None:
-            found = dataclasses.replace(
-                found,
-                goal=found.goal.copy(),  # limited on in place
-                slewed=found.slewed.copy(),
-                commanded=self._commanded,
-                written=self._arrived,
+            found = ServoHealth(
+                **vars(found)
+                | {
+                    "goal": found.goal.copy(),  # limited on in place
+                    "slewed": found.slewed.copy(),
+                    "commanded": self._commanded,
+                    "written": self._arrived,
+                }
             )
         return StampedHealth(now, found)
 
