@@ -235,8 +235,11 @@ class FloorObserver:
         """`period`: between ticks, s. Raises ConfigError without a leg table."""
         self._period = period
         self._robot, self._springs, self._settings = robot, springs, settings
-        self._tension = read_leg_table(("tension_N",))
-        self._lowest = robot.torso.size[2] / 2  # m, height of a torso that lies
+        # tension of the tendons; m, height of a torso that lies
+        self._tension, self._lowest = (
+            read_leg_table(("tension_N",)),
+            robot.torso.size[2] / 2,
+        )
         # compiles the kernels
         drops(
             robot, springs, np.zeros(4), rest_pose(robot, springs, np.zeros(4))
@@ -318,8 +321,7 @@ class FloorObserver:
 
     def _learn(self, rest: _Rest) -> None:
         """Learn from means at rest."""
-        known, self.is_known = self.is_known, True
-        angle = rest.joints[0]
+        known, self.is_known, angle = self.is_known, True, rest.joints[0]
         if angle.max() <= self._settings.slack_angle:
             self._lain = _floor_below(
                 np.array([self._lowest, 0.0, 0.0]), rest.attitude, rest.position
@@ -342,8 +344,7 @@ class FloorObserver:
 
     def _locate(self, rest: _Rest) -> None:
         """Find the floor below a robot that stands at rest, wherever it was before."""
-        self.floor, self.ratio = LEVEL, 1.0
-        angle = rest.joints[0]
+        self.floor, self.ratio, angle = LEVEL, 1.0, rest.joints[0]
         seen = self.floor.above(rest.attitude, rest.position)
         ratio = stiffness_ratio(self._robot, self._springs, angle, seen)
         if self._is_at_zero(ratio, seen, rest):

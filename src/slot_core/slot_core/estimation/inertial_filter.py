@@ -552,8 +552,10 @@ class InertialFilter:
             turn = matrix_of_quaternion(back)
             nominal.attitude[:] = quaternion_product(back, nominal.attitude)
             nominal.position[2] -= floor.height
-            nominal.position[:] = product(turn, nominal.position)
-            nominal.velocity[:] = product(turn, nominal.velocity)
+            nominal.position[:], nominal.velocity[:] = (
+                product(turn, nominal.position),
+                product(turn, nominal.velocity),
+            )
             jacobian = np.eye(15)
             for part in (THETA, P, V):
                 jacobian[part, part] = turn
@@ -623,8 +625,10 @@ class GravityFilter:
         share = min(1.0, dt / TIME)
         if np.isnan(self._velocity[0]):
             self._force, self._velocity = force, velocity
-        self._force = self._force + share * (force - self._force)
-        self._velocity = self._velocity + share * (velocity - self._velocity)
+        self._force, self._velocity = (
+            self._force + share * (force - self._force),
+            self._velocity + share * (velocity - self._velocity),
+        )
 
     def value(self, velocity: Array) -> Array:
         """Gravity (3,) m/s^2 in odom, of the length of gravity; straight down while unknown."""

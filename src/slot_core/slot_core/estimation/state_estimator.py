@@ -195,8 +195,10 @@ class StateEstimator:
             self._agreement.units,
         )
         reach = limits.gyro_max * self._agreement.reach
-        rate = vector(angular_velocity, 3, reach / turn_unit)
-        force = vector(specific_force, 3, limits.acceleration_max / force_unit)
+        rate, force = (
+            vector(angular_velocity, 3, reach / turn_unit),
+            vector(specific_force, 3, limits.acceleration_max / force_unit),
+        )
         if (
             rate is None
             or force is None
@@ -302,7 +304,11 @@ class StateEstimator:
         """
         known = vector(angle, len(LEGS), ANGLE_MAX)
         if known is not None and self._floor is not None:
-            self._floor.add_joints(stamp, known, np.nan_to_num(torque))
+            self._floor.add_joints(
+                stamp,
+                known,
+                torque if np.isfinite(torque).all() else np.nan_to_num(torque),
+            )
 
     def _shift_odometry(self, step: int) -> None:
         """Move the stamps of the odometry so far by `step` (ns), and those of the filter."""
@@ -356,10 +362,12 @@ class StateEstimator:
     ) -> OdometryMotion | None:
         """The decoded reading; None if it is not finite, of a wrong shape, or out of range."""
         limits = self._settings.odometry
-        p = vector(position, 3, limits.position_max)
-        q = vector(quaternion, 4, 2.0)
-        v = vector(velocity, 3, limits.velocity_max)
-        w = vector(rate, 3, self._settings.imu.gyro_max)
+        p, q, v, w = (
+            vector(position, 3, limits.position_max),
+            vector(quaternion, 4, 2.0),
+            vector(velocity, 3, limits.velocity_max),
+            vector(rate, 3, self._settings.imu.gyro_max),
+        )
         if (
             p is None
             or q is None

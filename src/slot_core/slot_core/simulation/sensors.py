@@ -89,8 +89,11 @@ class OdometrySensor:
 
         The noise of the orientation is a rotation vector in odom.
         """
-        s, noise = self._settings, normal(self._rng, (4, 3))
-        displacement = self._displacement(since)
+        s, noise, displacement = (
+            self._settings,
+            normal(self._rng, (4, 3)),
+            self._displacement(since),
+        )
         within = any(
             d.time <= since < d.time + d.duration for d in s.dropouts.values()
         )
@@ -151,8 +154,7 @@ class ImuSensor:
     """
 
     def __init__(self, settings: ImuSettings, rng: np.random.Generator):
-        self._rng = rng
-        self.bias = settings.rate_bias * normal(rng, (3,))
+        self._rng, self.bias = rng, settings.rate_bias * normal(rng, (3,))
         # rad/s, m/s^2: standard deviations
         self._noise = np.repeat(
             [settings.rate_noise, settings.acceleration_noise], 3
