@@ -137,8 +137,8 @@ def inverse_quaternion(quaternion: Array) -> Array:
 
 def upward(roll: Any, pitch: Any) -> Array:
     """(3, ...) unit vector z of the world in the axes of a body with rolls and pitches (...), rad."""
-    level = cos(pitch)
-    return np.array([-sin(pitch), level * sin(roll), level * cos(roll)])
+    (sr, sp), (cr, cp) = sin([roll, pitch]), cos([roll, pitch])
+    return np.array([-sp, cp * sr, cp * cr])
 
 
 def quaternion_product(a: Array, b: Array) -> Array:
@@ -213,7 +213,8 @@ def _rotate(vectors, angles, out):  # type: ignore[no-untyped-def]
 def rotate(vectors: Array, angle: float | Array) -> Array:
     """Rotate plane vectors (..., 2) counter-clockwise by an angle (...), rad."""
     angles, v = (
-        np.array(each, dtype=float, order="C") for each in (angle, vectors)
+        np.array(angle, dtype=float, order="C"),
+        np.array(vectors, dtype=float, order="C"),
     )
     if angles.size > 1 and v.ndim > 1 and angles.shape != v.shape[:-1]:
         shape = np.broadcast_shapes(angles.shape, v.shape[:-1])
