@@ -23,13 +23,17 @@ def row(a, i):
 @helper
 def put(a, i, v):
     """Write a vector into row i of an array (n, 3)."""
-    a[i, 0], a[i, 1], a[i, 2] = v[0], v[1], v[2]
+    a[i, 0] = v[0]
+    a[i, 1] = v[1]
+    a[i, 2] = v[2]
 
 
 @helper
 def store(out, v):
     """Write a vector into an array (3,)."""
-    out[0], out[1], out[2] = v[0], v[1], v[2]
+    out[0] = v[0]
+    out[1] = v[1]
+    out[2] = v[2]
 
 
 @helper

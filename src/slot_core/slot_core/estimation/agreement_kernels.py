@@ -111,7 +111,8 @@ def integrate(sums, rotation, stamp, sample):
     sample[0], sample[1], sample[2] = times(rotation, sample[:3])
     sample[3], sample[4], sample[5] = times(rotation, sample[3:])
     stamps, ring, rate = sums.stamps, sums.ring, sums.rate
-    newest, turned = (ring[0] + ring[1] - 1) % KEPT, (0.0, 0.0, 0.0, 1.0)
+    newest = (ring[0] + ring[1] - 1) % KEPT
+    turned = (0.0, 0.0, 0.0, 1.0)
     if ring[1] > 0 and stamp - stamps[newest] > GAP:
         ring[0], ring[1] = (newest + 1) % KEPT, 0
     if ring[1] > 0:
@@ -217,10 +218,8 @@ def turn_table(sums, work):
     turned = total[3] - square(total[:3]) / count
     for row in range(SHIFTS.size):
         pair, out = sums.pairs[row], work.table[row]
-        out[1], out[2] = (
-            turned,
-            pair[SQUARE] - square(pair[MEAN:SQUARE]) / count,
-        )
+        out[1] = turned
+        out[2] = pair[SQUARE] - square(pair[MEAN:SQUARE]) / count
         for i in range(9):
             out[3 + i] = pair[i] - total[i // 3] * pair[MEAN + i % 3] / count
         out[0] = turned + out[2] - 2.0 * (out[3] + out[7] + out[11])
@@ -280,18 +279,14 @@ def compare_steps(sums, work, before, after, dt, variance, keep, keep_force):
         sums.twist[kind] *= keep
     sums.twist[3] += 1.0
     for kind in range(3):
-        in_base, in_odom = (
-            dt / 2 if kind == 0 else 0.0,
-            dt / 2 if kind == 1 else 0.0,
-        )
+        in_base = dt / 2 if kind == 0 else 0.0
+        in_odom = dt / 2 if kind == 1 else 0.0
         for i in range(3):
             moved[i], turned[i] = after[4 + i] - before[4 + i], work.turn[i]
         for reading in (before, after):
             rotation_matrix(rotation, reading[:4])
-            v, w = (
-                times(rotation, reading[7:10]),
-                times_transposed(rotation, reading[10:13]),
-            )
+            v = times(rotation, reading[7:10])
+            w = times_transposed(rotation, reading[10:13])
             for i in range(3):
                 moved[i] -= in_base * v[i] + in_odom * reading[7 + i]
                 turned[i] -= in_base * reading[10 + i] + in_odom * w[i]

@@ -108,15 +108,14 @@ def propagate(state, work, rate, force, dt, noise, from_imu, bias_max):
     the noise enters before the step, so that it reaches the position in a long step. bias_max: see
     `turn_tilt`.
     """
-    share, rotation = 1.0 if from_imu else 0.0, work.rotation
+    share = 1.0 if from_imu else 0.0
     w, f = work.weighted, work.error[:3]
     for i in range(3):
-        w[i], f[i] = (
-            dt / 2 * (rate[i] - share * state.bias[0, i]),
-            force[i] - share * state.bias[1, i],
-        )
+        w[i] = dt / 2 * (rate[i] - share * state.bias[0, i])
+        f[i] = force[i] - share * state.bias[1, i]
     half = exponential(w[0], w[1], w[2])
     middle = multiply(state.attitude, half)
+    rotation = work.rotation
     rotation_matrix(rotation, middle)
     if from_imu:
         f[0], f[1], f[2] = times(rotation, f)
@@ -387,7 +386,8 @@ def output(state, work, rate, gyro_share, rate_variance, out, cov):
 @helper
 def set_angle_jacobian(out, pitch, yaw):
     """Set the first block of out to d(roll, pitch, yaw) by a small rotation about odom's axes."""
-    s, c, cos_pitch = sin(yaw), cos(yaw), max(cos(pitch), COS_PITCH_MIN)
+    s, c = sin(yaw), cos(yaw)
+    cos_pitch = max(cos(pitch), COS_PITCH_MIN)
     t = sin(pitch) / cos_pitch
     set_rows(
         out,

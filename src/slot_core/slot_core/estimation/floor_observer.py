@@ -235,11 +235,8 @@ class FloorObserver:
         """`period`: between ticks, s. Raises ConfigError without a leg table."""
         self._period = period
         self._robot, self._springs, self._settings = robot, springs, settings
-        # tension of the tendons; m, height of a torso that lies
-        self._tension, self._lowest = (
-            read_leg_table(("tension_N",)),
-            robot.torso.size[2] / 2,
-        )
+        self._tension = read_leg_table(("tension_N",))
+        self._lowest = robot.torso.size[2] / 2  # m, height of a torso that lies
         # compiles the kernels
         drops(
             robot, springs, np.zeros(4), rest_pose(robot, springs, np.zeros(4))
@@ -248,17 +245,19 @@ class FloorObserver:
 
     def reset(self) -> None:
         """Forget everything."""
-        # is_known: whether the floor was seen at rest, or `patience` is over
-        self.floor, self.ratio, self.is_known = LEVEL, 1.0, False
+        self.floor, self.ratio = LEVEL, 1.0
+        # whether the floor was seen at rest, or `patience` is over
+        self.is_known = False
         # floor below a torso that lay, until it has stood up
         self._lain: FloorPlane | None = None
+        self._lay = 0  # ns, when it lay last
         # (2, 4) rad, N m, angles and torques of the tendons
         self._joints = np.full((2, len(LEGS)), np.nan)
-        # ns, when it lay last; of the angles; of the first tick
-        self._lay = self._stamp = self._begun = 0
+        self._stamp = self._begun = 0  # ns, of the angles; of the first tick
         self._rest: deque[_Rest] = deque()
-        # m, rad, mean of the pose above the floor; m, mean of x and y
-        self._error, self._place, self._ticks = np.zeros(3), np.zeros(2), 0
+        self._error = np.zeros(3)  # m, rad, mean of the pose above the floor
+        self._place = np.zeros(2)  # m, mean of x and y
+        self._ticks = 0
 
     @property
     def legs_are_known(self) -> bool:
@@ -267,7 +266,8 @@ class FloorObserver:
 
     def add_joints(self, stamp: int, angle: Array, torque: Array) -> None:
         """Take tendon angles (4,) rad and torques (4,) N m at `stamp` (ns)."""
-        self._stamp, self._joints = stamp, np.array([angle, torque], float)
+        self._stamp = stamp
+        self._joints = np.array([angle, torque], dtype=np.float64)
 
     def observe(
         self, stamp: int, torso: FilterState, rate: Array, force: Array
@@ -321,7 +321,8 @@ class FloorObserver:
 
     def _learn(self, rest: _Rest) -> None:
         """Learn from means at rest."""
-        known, self.is_known, angle = self.is_known, True, rest.joints[0]
+        known, self.is_known = self.is_known, True
+        angle = rest.joints[0]
         if angle.max() <= self._settings.slack_angle:
             self._lain = _floor_below(
                 np.array([self._lowest, 0.0, 0.0]), rest.attitude, rest.position
@@ -344,7 +345,8 @@ class FloorObserver:
 
     def _locate(self, rest: _Rest) -> None:
         """Find the floor below a robot that stands at rest, wherever it was before."""
-        self.floor, self.ratio, angle = LEVEL, 1.0, rest.joints[0]
+        self.floor, self.ratio = LEVEL, 1.0
+        angle = rest.joints[0]
         seen = self.floor.above(rest.attitude, rest.position)
         ratio = stiffness_ratio(self._robot, self._springs, angle, seen)
         if self._is_at_zero(ratio, seen, rest):

@@ -383,9 +383,10 @@ class InertialFilter:
             cov=np.zeros((15, 15)),
         )
         self.forget_biases()
+        self._work = work_space()
         drifts = imu.gyro_drift, imu.acceleration_drift
         self.rate = Rate(np.zeros(3), 0.0, 0.0)
-        self._work, self._bias_max = work_space(), imu.acceleration_bias_max
+        self._bias_max = imu.acceleration_bias_max
         self._noise = _densities(
             imu.gyro_noise, imu.acceleration_noise, *drifts
         )
@@ -552,10 +553,8 @@ class InertialFilter:
             turn = matrix_of_quaternion(back)
             nominal.attitude[:] = quaternion_product(back, nominal.attitude)
             nominal.position[2] -= floor.height
-            nominal.position[:], nominal.velocity[:] = (
-                product(turn, nominal.position),
-                product(turn, nominal.velocity),
-            )
+            nominal.position[:] = product(turn, nominal.position)
+            nominal.velocity[:] = product(turn, nominal.velocity)
             jacobian = np.eye(15)
             for part in (THETA, P, V):
                 jacobian[part, part] = turn
@@ -573,7 +572,8 @@ def _require_some(samples: ImuSamples) -> None:
 
 def load_kernels(settings: EstimatorSettings) -> None:
     """Call every kernel once, which loads or compiles it, so that no reading waits for it."""
-    scratch, zero = InertialFilter(settings), np.zeros(3)
+    scratch = InertialFilter(settings)
+    zero = np.zeros(3)
     still = OdometryMotion(
         0, np.array([0.0, 0.0, 0.0, 1.0]), zero, zero, zero, np.ones(12)
     )
@@ -625,10 +625,8 @@ class GravityFilter:
         share = min(1.0, dt / TIME)
         if np.isnan(self._velocity[0]):
             self._force, self._velocity = force, velocity
-        self._force, self._velocity = (
-            self._force + share * (force - self._force),
-            self._velocity + share * (velocity - self._velocity),
-        )
+        self._force = self._force + share * (force - self._force)
+        self._velocity = self._velocity + share * (velocity - self._velocity)
 
     def value(self, velocity: Array) -> Array:
         """Gravity (3,) m/s^2 in odom, of the length of gravity; straight down while unknown."""

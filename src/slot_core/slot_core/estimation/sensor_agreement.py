@@ -122,16 +122,16 @@ class SensorAgreement:
         self._last: OdometryMotion | None = None  # last reading compared
         # that wait for the IMU: two stamps, ns, and a turn (3,), rad
         self._intervals: deque[tuple[int, int, Array]] = deque(maxlen=32)
-        # s, mean between readings; mean age of a reading when the next one comes
-        self._interval = self._span = 0.0
+        self._interval = 0.0  # s, mean between readings
+        self._span = 0.0  # s, mean age of a reading when the next one comes
         self.shift = 0  # ns, from the odometry's stamps to the IMU's
         off = not self._settings.enabled
-        # whether turns agree; whether the specific force is gravity's
-        self._proven = self._weighed = off
-        # ns, last sample of which motion will tell more; until when the torso moves
-        self.withheld = self._moving = 0
-        # ns, newest IMU stamp when the last reading is compared, and when one was judged last
-        self._imu = self._seen = 0
+        self._proven = off  # whether turns agree
+        self._weighed = off  # whether the specific force is gravity's
+        self.withheld = 0  # ns, last sample of which motion will tell more
+        self._moving = 0  # ns, IMU stamp until which the torso moves
+        self._imu = 0  # ns, newest IMU stamp when the last reading is compared
+        self._seen = 0  # ns, that when a stamp of odometry was judged last
         self._ahead = 0  # readings in a row with stamps far ahead
         self._rotation = np.eye(3)  # to base_link, after the mount
         # whether samples before are to be forgotten
@@ -268,10 +268,8 @@ class SensorAgreement:
         is_given: bool,
     ) -> None:
         """Add the step between two readings to the sums, and judge what they show."""
-        dt, moved = (
-            to_seconds(motion.stamp - last.stamp),
-            motion.position - last.position,
-        )
+        dt = to_seconds(motion.stamp - last.stamp)
+        moved = motion.position - last.position
         steps = np.array([(moved * moved).sum(), (turn * turn).sum()])
         if steps[1] > MOVES * 3.0 * self._variance[1]:
             self._moving = max(self._moving, self._imu + LINGER)
@@ -394,8 +392,9 @@ class SensorAgreement:
 
     def _judge_turns(self) -> None:
         """Compare the turns of gyroscope and odometry: shift, axes, unit."""
-        work, total, table = self._work, self._sums.odometry, self._work.table
+        work, total = self._work, self._sums.odometry
         turn_table(self._sums, work)
+        table = work.table
         left, turned, gyro = table[:, :3].T
         best = 1 + int(np.argmin(left[1:-1]))
         count, variance = float(total[4]), float(self._variance[1])
@@ -477,11 +476,8 @@ class SensorAgreement:
                 / np.maximum(table[:, 2], variance)
             )
         )
-        turned, gyro, b = (
-            float(table[best, 1]),
-            float(table[best, 2]),
-            table[best, 3:],
-        )
+        turned, gyro = float(table[best, 1]), float(table[best, 2])
+        b = table[best, 3:]
         align(b, np.sqrt(variance * gyro), work)
         shared = float((work.rotation.ravel() * b).sum())
         unit = shared / max(gyro, variance)

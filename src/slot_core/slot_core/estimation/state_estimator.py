@@ -149,6 +149,7 @@ class StateEstimator:
             self._settings, matrix_of_rpy(self._settings.mounts.imu.rpy)
         )
         self._newest: dict[str, int] = {}
+        self._begun = 0  # ns, stamp of the first message
         # by stream: stamps in a row that are far from the newest
         self._behind: dict[str, int] = {}
         self._imu = ImuSamples.none()
@@ -161,20 +162,21 @@ class StateEstimator:
         # ns, of the filter's state; None: not started
         self._stamp: int | None = None
         self._corrected = self._filter.state  # at `_stamp`
-        # ns: time of the filter, at or after `_stamp`; stamp of the next estimate; of the last jump
-        # of odom in motion
-        self._reached = self._tick = self._jumped = BEFORE_ALL_TIMES
-        # ns, stamp of the first message; of the last accepted reading
-        self._begun = self._accepted_stamp = 0
+        # ns, of the filter: at or after `_stamp`
+        self._reached = BEFORE_ALL_TIMES
+        self._tick = BEFORE_ALL_TIMES  # ns, stamp of the next estimate
+        self._accepted_stamp = 0  # ns, of the last accepted reading
         # accepted readings since `_initial`, ns; in a row until valid
         self._accepted, self._initial = 0, 0
         self._interval = 0.0  # s, mean of the last accepted readings
         # ns, stamp of the last IMU sample; s, mean time between them
         self._sampled, self._imu_interval = 0, 0.0
-        # whether the IMU had samples up to the last reading, whether odometry has started anew
-        self._imu_complete, self._restarted = True, False
-        # the filter of gravity, and the stamp of its last sample, ns
-        self._gravity, self._weighed = GravityFilter(), BEFORE_ALL_TIMES
+        # whether the IMU had samples up to the last reading
+        self._imu_complete = True
+        self._restarted = False  # whether odometry has started anew
+        self._jumped = BEFORE_ALL_TIMES  # ns, when odom jumped in motion
+        self._gravity = GravityFilter()
+        self._weighed = BEFORE_ALL_TIMES  # ns, of its last sample
 
     @property
     def gyro_bias(self) -> Array:
@@ -195,10 +197,8 @@ class StateEstimator:
             self._agreement.units,
         )
         reach = limits.gyro_max * self._agreement.reach
-        rate, force = (
-            vector(angular_velocity, 3, reach / turn_unit),
-            vector(specific_force, 3, limits.acceleration_max / force_unit),
-        )
+        rate = vector(angular_velocity, 3, reach / turn_unit)
+        force = vector(specific_force, 3, limits.acceleration_max / force_unit)
         if (
             rate is None
             or force is None
@@ -362,12 +362,10 @@ class StateEstimator:
     ) -> OdometryMotion | None:
         """The decoded reading; None if it is not finite, of a wrong shape, or out of range."""
         limits = self._settings.odometry
-        p, q, v, w = (
-            vector(position, 3, limits.position_max),
-            vector(quaternion, 4, 2.0),
-            vector(velocity, 3, limits.velocity_max),
-            vector(rate, 3, self._settings.imu.gyro_max),
-        )
+        p = vector(position, 3, limits.position_max)
+        q = vector(quaternion, 4, 2.0)
+        v = vector(velocity, 3, limits.velocity_max)
+        w = vector(rate, 3, self._settings.imu.gyro_max)
         if (
             p is None
             or q is None

@@ -95,13 +95,13 @@ class RateLimiter:
         """
         settings.check_ramp(angle_max)
         self.settings, self._angle_max = settings, angle_max
-        # rad; s
-        self._target, self._budget = np.zeros(len(LEGS)), np.zeros(len(LEGS))
+        self._target = np.zeros(len(LEGS))
         # rad/s; ns, time of the command
         self._target_rate, self._accepted = (AT_REST, 0)
         self._goal = self._target.copy()
-        # since: ns, from when the rate of the present action grows
-        self._action, self.since = Action.OFF, 0
+        self._budget = np.zeros(len(LEGS))  # s
+        self._action = Action.OFF
+        self.since = 0  # ns, from when the rate of the present action grows
         self._time: int | None = None
         # whether the ramp to slack has ended in torque off
         self._relaxed = False

@@ -32,7 +32,7 @@ from slot_core.safety.states import Action
 NO_LIMITS = "no limits of the supervisor yet"
 ZEROS, UNKNOWN = (
     partial(np.zeros, len(LEGS)),
-    np.full(len(LEGS), np.nan).copy,
+    partial(np.full, len(LEGS), np.nan),
 )
 
 
@@ -90,13 +90,14 @@ class Watchdog:
         """Commands within [0, `angle_max`], rad; 0 is slack."""
         self.action, self.reason = Action.HOLD, NO_LIMITS
         self.permission: Permission | None = None
-        # whether a command or permission is too old; reason of a RELAX begun by the watchdog
-        # itself; ns, stamp of the first permission, 0: none
-        self.overdue, self.own_reason, self.supervised = False, "", 0
+        self.overdue = False  # whether a command or permission is too old
+        self.own_reason = ""  # of a RELAX begun by the watchdog itself
+        self.supervised = 0  # ns, stamp of the first permission; 0: none
         self.limits: ServoLimits | None = None
         self._limiter: RateLimiter | None = None  # None: no limits yet
-        # rad; rad, angles of the servos when torque came on
-        self._angle_max, self._engaged = angle_max, np.zeros(len(LEGS))
+        self._angle_max = angle_max
+        # rad, angles of the servos when torque came on
+        self._engaged = np.zeros(len(LEGS))
         self._commanded: int | None = None  # time of the last accepted command
         # last time of a stride; None: not since then for `settling`
         self._strode: int | None = None

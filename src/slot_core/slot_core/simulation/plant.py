@@ -92,7 +92,8 @@ class RobotSimulator:
             self.robot, scene, self.emulated, self.timeline
         )
         self.held = False  # in its present pose: time runs, but nothing moves
-        self._scene, self._step = scene, to_ns(scene.solver.step)
+        self._scene = scene
+        self._step = to_ns(scene.solver.step)
         self._command = self._goal = self.robot.tendon_angle.copy()  # rad
         self._rate, self._commanded_at = AT_REST, 0  # rad/s; ns
         self._next_cycle = 0  # ns, when the servos' goal follows the command
@@ -175,11 +176,8 @@ class RobotSimulator:
         they keep them. Raises ValueError for another shape, or a value not finite or out of range.
         """
         self._command = self._goal = self.robot.checked(angle)
-        self._rate, self._commanded_at, self._next_cycle = (
-            rate,
-            self.now,
-            self.now + to_ns(CYCLE),
-        )
+        self._rate, self._commanded_at = rate, self.now
+        self._next_cycle = self.now + to_ns(CYCLE)
 
     def advance(self, until: int) -> Iterator[Reading]:
         """Advance to `until` (ns) and yield each reading when it is due."""

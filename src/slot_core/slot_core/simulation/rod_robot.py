@@ -39,10 +39,12 @@ class RodRobot(KernelRobot):
     def __init__(
         self, robot: RobotParameters, scene: Scene, servo: ServoSettings
     ) -> None:
-        self.parameters, self.scene = robot, scene
+        self.parameters = robot
+        self.scene = scene
         self.model = build_model(robot, scene, servo)
         self.state = rest_state(self.model, scene.start.height)
-        self._work, self._start = work_space(), matching_state(self.model)
+        self._work = work_space()
+        self._start = matching_state(self.model)
         points, widths = self.state.node.shape, self.state.director.shape
         # written by `observe.everything`
         self._seen = tuple(
@@ -95,7 +97,8 @@ class RodRobot(KernelRobot):
         `scene.solver.speed_limit`.
         """
         require_steps(steps)
-        self._legs.command[0] = command = self.checked(command)
+        command = self.checked(command)
+        self._legs.command[0] = command
         done, where = integrator.advance(self.handle, steps)
         self.steps += done
         if where >= 0:

@@ -78,8 +78,8 @@ class OdometrySensor:
     ):
         """`rng` draws the noise, `trouble` drift, losses and delays."""
         self._settings, self._rng, self._trouble = settings, rng, trouble
-        # m, rad: displacement and yaw; s since the start
-        self._drift, self._last = np.zeros(4), 0.0
+        self._drift = np.zeros(4)  # m, rad: displacement and yaw
+        self._last = 0.0  # s since the start
         rotate(self._drift[:2], 0.0)  # compiles its kernel
 
     def sample(
@@ -89,11 +89,8 @@ class OdometrySensor:
 
         The noise of the orientation is a rotation vector in odom.
         """
-        s, noise, displacement = (
-            self._settings,
-            normal(self._rng, (4, 3)),
-            self._displacement(since),
-        )
+        s, noise = self._settings, normal(self._rng, (4, 3))
+        displacement = self._displacement(since)
         within = any(
             d.time <= since < d.time + d.duration for d in s.dropouts.values()
         )
@@ -154,7 +151,8 @@ class ImuSensor:
     """
 
     def __init__(self, settings: ImuSettings, rng: np.random.Generator):
-        self._rng, self.bias = rng, settings.rate_bias * normal(rng, (3,))
+        self._rng = rng
+        self.bias = settings.rate_bias * normal(rng, (3,))
         # rad/s, m/s^2: standard deviations
         self._noise = np.repeat(
             [settings.rate_noise, settings.acceleration_noise], 3

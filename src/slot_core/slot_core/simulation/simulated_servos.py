@@ -224,8 +224,8 @@ class BusServos(SimulatedServos):
         super().__init__(plant, lockstep)
         assert plant.emulated is not None
         self._servos: EmulatedServos = plant.emulated
-        # end: why the driver has ended, in lockstep
-        self._model, self.end = read_servo(), ""
+        self._model = read_servo()
+        self.end = ""  # why the driver has ended, in lockstep
         if lockstep:
             self.session = ServoSession(
                 self._servos.connect(lambda: to_seconds(plant.now)),
