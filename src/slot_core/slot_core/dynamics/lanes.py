@@ -10,6 +10,7 @@ Outside the kernels Lanes are the last axis (4,) of an array; `in_lanes` gives t
 
 # mypy: disable-error-code="no-untyped-def,misc,no-untyped-call"
 
+import functools
 import math
 import operator
 
@@ -258,6 +259,19 @@ def like(typingctx, value, sample):
     return kind(kind, sample), lambda context, builder, sig, args: args[0]
 
 
+@intrinsic
+def in_turn(typingctx, start, terms):
+    """start + the terms, a tuple of Lanes; to a number the terms of one lane after those of another."""
+
+    def build(context, builder, sig, args):
+        parts = cgutils.unpack_tuple(builder, args[1])
+        if not isinstance(start, _Lanes):
+            parts = [_lane(builder, x, k) for k in range(COUNT) for x in parts]
+        return functools.reduce(builder.fadd, parts, args[0])
+
+    return start(start, terms), build
+
+
 def _each_lane(function):
     """Overload a function of one number by its values lane by lane: slow, for rare use."""
 
@@ -295,7 +309,7 @@ def _atan2(y, x):
 
 
 def _part(kind):
-    """Type of the view `in_lanes` of a (nested) named tuple of arrays (..., 4)."""
+    """Type of the view `in_lanes` of a (nested, named) tuple of arrays (..., 4)."""
     if isinstance(kind, types.Array):
         if kind.layout == "F" or kind.dtype != types.float64:
             raise TypingError(
@@ -304,7 +318,8 @@ def _part(kind):
         # not aligned: NumPy aligns to 16 bytes, a vector needs 32
         return types.Array(LANES, kind.ndim - 1, kind.layout, aligned=False)
     return types.BaseTuple.from_types(
-        [_part(part) for part in kind.types], kind.instance_class
+        [_part(part) for part in kind.types],
+        getattr(kind, "instance_class", tuple),
     )
 
 
@@ -331,7 +346,7 @@ def _convert(context, builder, kind, out, value):
 
 @intrinsic
 def in_lanes(typingctx, arrays):
-    """View of a (nested) named tuple of arrays (..., 4): arrays (...) of Lanes.
+    """View of a (nested, named) tuple of arrays (..., 4): arrays (...) of Lanes.
 
     The four numbers of the last axis must be neighbours in memory. The view does not keep the
     memory alive: the caller of the kernel must.

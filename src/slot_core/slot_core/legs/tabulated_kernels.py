@@ -36,9 +36,17 @@ from slot_core.dynamics.integrator import (
     predict_torso,
     start_torso,
 )
-from slot_core.dynamics.lanes import LANES, join, lane, like, where
+from slot_core.dynamics.lanes import (
+    LANES,
+    in_lanes,
+    in_turn,
+    join,
+    lane,
+    like,
+    where,
+)
 from slot_core.dynamics.servo import spool_rate
-from slot_core.dynamics.torso import at, subtract_force
+from slot_core.dynamics.torso import at
 
 TOO_FAST, TOO_TILTED = range(2)  # kinds of divergence
 TILT_MAX_DEG, COS_TILT_MAX = 60.0, 0.5  # largest tilt of the torso
@@ -70,14 +78,36 @@ class MapLegs(NamedTuple):
 FEET: Shapes = {
     "command": (4,),  # rad
     # N, of the floor on the feet, odom, at the stage of the last step
-    "force": (4, 3),
+    "force": (3, 4),
     "limit": (4,),  # N, mu times the normal force of an edge
     # m/s, of the left and the right edge, odom; of bristle friction alone
-    "slip": (4, 2, 3),
+    "slip": (2, 3, 4),
     "flat": (2,),  # slopes of the floor, zero
 }
-"""Variables of the legs beside the mechanical state."""
+"""Variables of the legs beside the mechanical state; the legs are the last axis in memory."""
 Feet = named("Feet", FEET, __name__)
+Mounts = named(
+    "Mounts", ["clamp", "outward", "left", "friction", "fault"], __name__
+)
+"""Constants of the legs, one row for each: those of MapLegs, and of the model."""
+Sides = named(
+    "Sides",
+    [
+        "tendon_angle",
+        "tendon_rate",
+        "tension",
+        "drive",
+        "node",
+        "node_velocity",
+        "bristle",
+        "command",
+        "force",
+        "limit",
+        "slip",
+    ],
+    __name__,
+)
+"""Variables of the legs in state and feet, one row for each."""
 
 
 LegResponse = named(
@@ -141,11 +171,11 @@ M is D_+ on the diagonal, and D_- between the first and the third number.
 def advance(machine, steps):
     """Advance by `steps` steps; returns (steps done, -1) or (steps done, kind of divergence).
 
-    machine: handle of (model, legs, state, feet, work, scheme).
+    machine: handle of (model, legs, state, feet, work, scheme, sides).
     """
-    model, legs, state, feet, work, scheme = contents(machine)
+    model, legs, state, feet, work, scheme, sides = contents(machine)
     for k in range(steps):
-        one_step(model, legs, state, feet, work, scheme)
+        one_step(model, legs, state, feet, work, scheme, in_lanes(sides))
         divergence = divergence_of(state, model.speed_limit)
         if divergence >= 0:
             return k + 1, divergence
@@ -169,66 +199,72 @@ def divergence_of(state, limit):
 
 
 @helper
-def one_step(model, legs, state, feet, work, scheme):
-    """One step in place: the theta scheme of `integrator.py` for the torso's velocities alone."""
+def one_step(model, legs, state, feet, work, scheme, sides):
+    """One step in place: the theta scheme of `integrator.py` for the torso's velocities alone.
+
+    sides: Mounts and Sides. Those of one robot are in lanes, its four legs, and have one row; of
+    four robots in lanes the Sides are so too, and have four rows.
+    """
     h, theta = scheme.step, scheme.theta
     tau, definite = theta * h, True
-    floor = model.floor
+    floor, leg = model.floor, sides[1]
+    count = leg.tension.shape[0]
     predict_torso(model, state, work, h, theta)
-    for k in range(4):
-        state.tendon_rate[k] = spool_rate(
+    for k in range(count):
+        leg.tendon_rate[k] = spool_rate(
             model.servo,
-            state.drive[k],
-            feet.command[k],
-            state.tendon_angle[k],
-            model.tendon.spool_radius * state.tension[k],
+            leg.drive[k],
+            leg.command[k],
+            leg.tendon_angle[k],
+            model.tendon.spool_radius * leg.tension[k],
             h,
         )
     for _ in range(scheme.iterations):
         place = start_torso(model, state, work, tau)
-        for k in range(4):
-            _add_leg(model, legs, state, feet, work, k, place, tau)
+        for k in range(count):
+            _add_leg(model, legs, sides, work, k, place, tau)
         definite = definite & solve(work.matrix, work.vector)
         for i in range(3):
             work.motion[0, i] += work.vector[i] / tau
             work.motion[1, i] += work.vector[3 + i] / tau
     if floor.bristle > 0.0:
         bend_corners(model, state, work, h)
-        for k in range(4):
+        for k in range(count):
             for side in range(2):
                 advance_bristle(
                     floor,
-                    state.bristle[k, side],
-                    feet.limit[k],
+                    leg.bristle[k, side],
+                    leg.limit[k],
                     floor.stiffness[-1],
                     feet.flat,
                     h,
-                    feet.slip[k, side],
+                    leg.slip[k, side],
                 )
     finish_torso(state, work, h, theta)
     finish_rate(state, work, theta)
-    for k in range(4):
-        state.tendon_angle[k] += h * state.tendon_rate[k]
+    for k in range(count):
+        leg.tendon_angle[k] += h * leg.tendon_rate[k]
         for i in range(3):
-            state.node[k, YIELD, i] += h * state.node_velocity[k, YIELD, i]
+            leg.node[k, YIELD, i] += h * leg.node_velocity[k, YIELD, i]
     work.counter[1] += 0.0 if definite else 1.0
 
 
 @helper
-def _add_leg(model, legs, state, feet, work, k, place, tau):
+def _add_leg(model, legs, sides, work, k, place, tau):
     """Add leg k to the linear system of the torso; store its foot, tension and ground force."""
+    fixed, leg = sides
     axes, a, inv, beta = (
         work.rotation,
-        legs.outward[k],
+        fixed.outward[k],
         1.0 / tau,
         legs.damping_time,
     )
-    radius, rate = model.tendon.spool_radius, state.tendon_rate[k]
-    angle = state.tendon_angle[k] + tau * rate - model.fault[0, k] / radius
+    radius, rate = model.tendon.spool_radius, leg.tendon_rate[k]
+    angle = leg.tendon_angle[k] + tau * rate - fixed.fault[k, 0] / radius
     none = like(0.0, angle)
-    rate *= where(angle > 0.0, like(model.fault[1, k], angle), none)
-    angle = model.fault[1, k] * max(0.0, angle)
-    here, foot = _contact_point(legs, state, feet, work, k, place, angle, tau)
+    rate *= where(angle > 0.0, like(fixed.fault[k, 1], angle), none)
+    angle = fixed.fault[k, 1] * max(0.0, angle)
+    here, foot = _contact_point(legs, sides, work, k, place, angle, tau)
     # rate of the drop, and slip, of a foot without displacements against its leg's equilibrium
     shift_rate = here.x_a * rate
     rigid = at(work.motion[0], work.motion[1], foot.place)
@@ -243,15 +279,15 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
     leg_force = where(here.force > 0.0, leg_force, none)
     mu = coefficient(
         model.floor,
-        like(model.friction[0, k], angle),
-        like(model.friction[1, k], angle),
-        state.tendon_rate[k],
+        like(fixed.friction[k, 0], angle),
+        like(fixed.friction[k, 1], angle),
+        leg.tendon_rate[k],
         dot(slip, a),
         dot(slip, slip),
     )
     grip = _grip(
         model,
-        state,
+        leg,
         axes,
         k,
         mu,
@@ -273,38 +309,40 @@ def _add_leg(model, legs, state, feet, work, k, place, tau):
         / (foot.normal_per_drop * foot.normal_per_drop)
     )
     stiffness = where(leg_force > 0.0, stiffness, none)
-    subtract_force(work.vector, foot.place, f)
+    g, moment = work.vector, cross(foot.place, f)
     turning = foot.lever * grip.force[2]
     for i in range(3):
-        work.vector[3 + i] -= turning * foot.up[i]
+        g[i] = in_turn(g[i], (-f[i],))
+        g[3 + i] = in_turn(g[3 + i], (-moment[i], -(turning * foot.up[i])))
     _add_stiffness(work.matrix, foot, stiffness, grip, inv)
     tension = (
         here.tension
         - here.x_a * dot(f, a) / radius
         + beta * (here.tension_h * drop_rate + here.tension_a * rate)
     )
-    state.tension[k] = where(here.tension > 0.0, max(0.0, tension), none)
-    put(state.node_velocity[k], YIELD, rate_of)
-    put(feet.force, k, times(axes, f))
+    leg.tension[k] = where(here.tension > 0.0, max(0.0, tension), none)
+    put(leg.node_velocity[k], YIELD, rate_of)
+    put(leg.force, k, times(axes, f))
     if model.floor.bristle > 0.0:
-        feet.limit[k] = 0.5 * mu * normal
+        leg.limit[k] = 0.5 * mu * normal
         for side in range(2):
             along = grip.slip[0] + (2 * side - 1) * grip.slip[2]
             slip = plus(scaled(along, foot.along), grip.slip[1], foot.aside)
-            put(feet.slip[k], side, times(axes, slip))
+            put(leg.slip[k], side, times(axes, slip))
 
 
 @helper
-def _contact_point(legs, state, feet, work, k, place, angle, tau):
+def _contact_point(legs, sides, work, k, place, angle, tau):
     """Interpolated table and contact point of leg k.
 
     The drop of the foot below the clamp follows from its place along the leg at the last iterate.
     """
-    a, b, clamp = legs.outward[k], legs.left[k], legs.clamps[k]
-    node, moved = state.node[k], state.node_velocity[k, YIELD]
+    a, b, clamp = sides[0].outward[k], sides[0].left[k], sides[0].clamp[k]
+    node, moved = sides[1].node[k], sides[1].node_velocity[k, YIELD]
     y = node[YIELD, 1] + tau * moved[1]
     root = (clamp[0] + y * b[0], clamp[1] + y * b[1], clamp[2])
-    up = row(work.rotation, 2)
+    level = row(work.rotation, 2)
+    up = (like(level[0], y), like(level[1], y), like(level[2], y))
     p = plus(root, node[PLACE, 0], a)
     drop = plus_dot(place[2], up, at(p, work.motion[2], p)) / up[2]
     here = interpolate(legs, angle, drop)
@@ -435,7 +473,7 @@ def _cell(table, i, j, c, u, t, dh, da):
 
 @helper
 def _grip(
-    model, state, axes, k, mu, stage, leg_force, spring, slip, turn_rate, foot
+    model, leg, axes, k, mu, stage, leg_force, spring, slip, turn_rate, foot
 ):
     """Friction of foot k, its normal force, and the rates of its displacements, by iteration.
 
@@ -447,9 +485,9 @@ def _grip(
     none = like(0.0, leg_force)
     bent_left = bent_right = (none, none, none)
     if floor.bristle > 0.0:
-        bent_left = _in_floor(axes, state.bristle[k, 0], foot)
-        bent_right = _in_floor(axes, state.bristle[k, 1], foot)
-    (sxx, syy, syp, spp), (x, y, turn) = spring, row(state.node[k], YIELD)
+        bent_left = _in_floor(axes, leg.bristle[k, 0], foot)
+        bent_right = _in_floor(axes, leg.bristle[k, 1], foot)
+    (sxx, syy, syp, spp), (x, y, turn) = spring, row(leg.node[k], YIELD)
     a1, a2, b1, b2 = foot.drive
     m1, m2 = dot(foot.path, foot.along), dot(foot.path, foot.aside)
     lever, per, (tau, held) = foot.lever, 1.0 / foot.normal_per_drop, stage
@@ -458,7 +496,7 @@ def _grip(
         dot(slip, foot.aside),
         lever * turn_rate,
     )
-    rate, normal = row(state.node_velocity[k], YIELD), per * leg_force
+    rate, normal = row(leg.node_velocity[k], YIELD), per * leg_force
     z = _slip(start, foot.drive, lever, rate)
     force, drag, uneven = (none, none, none), none, none
     inverse = (none, none, none, none, none, none)
@@ -591,7 +629,8 @@ def _add_stiffness(H, foot, stiffness, grip, inv):
         f_3 = c_13 * r_1[i] + c_23 * r_2[i] + c_33 * r_3[i]
         f_n = stiffness * n[i]
         for j in range(6):
-            H[i, j] += f_n * n[j] + f_1 * r_1[j] + f_2 * r_2[j] + f_3 * r_3[j]
+            both = f_n * n[j] + f_1 * r_1[j] + f_2 * r_2[j] + f_3 * r_3[j]
+            H[i, j] = in_turn(H[i, j], (both,))
 
 
 @helper

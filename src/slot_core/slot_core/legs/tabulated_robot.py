@@ -77,6 +77,8 @@ from slot_core.legs.tabulated_kernels import (
     TOO_TILTED,
     Feet,
     MapLegs,
+    Mounts,
+    Sides,
     advance,
 )
 from slot_core.matrices import interpolated
@@ -138,7 +140,30 @@ class TabulatedRobot(KernelRobot):
     def handle_of(self, state: Arrays, feet: Arrays, work: Arrays) -> Handle:
         """Arguments of the kernels for variables of this robot."""
         scheme = build_scheme(self.scene.solver, self.model.floor)
-        return Handle((self.model, self.legs, state, feet, work, scheme))
+        model, legs = self.model, self.legs
+        sides: Arrays = (
+            [
+                legs.clamps,
+                legs.outward,
+                legs.left,
+                model.friction.T,
+                model.fault.T,
+            ],
+            [
+                getattr(state if name in state._fields else feet, name)
+                for name in Sides._fields
+            ],
+        )
+        if state.buffer.ndim == 1:  # views, where the legs are last in memory
+            sides = tuple(
+                [
+                    np.ascontiguousarray(np.moveaxis(rows, 0, -1))[None]
+                    for rows in part
+                ]
+                for part in sides
+            )
+        lanes = Mounts(*sides[0]), Sides(*sides[1])
+        return Handle((model, legs, state, feet, work, scheme, lanes))
 
     def advance(self, steps: int, command: Array) -> None:
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
@@ -187,7 +212,10 @@ class TabulatedRobot(KernelRobot):
 
 def feet_space(lanes: tuple[int, ...] = ()) -> Arrays:
     """Variables of the feet, zero; of four states with the axis `lanes` = (4,)."""
-    return Feet(**zeros(FEET, lanes))
+    arrays = zeros(FEET, lanes)
+    for name in ("force", "slip"):
+        arrays[name] = np.moveaxis(arrays[name], -1 - len(lanes), 0)
+    return Feet(**arrays)
 
 
 def _require_tabulated(scene: Scene) -> None:

@@ -47,6 +47,7 @@ from slot_core.matrices import product
 from slot_core.robot import LEGS, RobotParameters
 from slot_core.rollout_mpc.settings import NominalSettings
 
+RECORD = 30  # numbers of a stage: pose, forces on the feet, places of the feet
 # stages in which legs and servos come to rest at a constant command
 SETTLING = 10
 # columns of the leg table that are proportional to the legs' stiffness
@@ -164,29 +165,22 @@ class NominalRobot:
             else self.friction
         )
         count, stages = plans.shape[0], plans.shape[1] - 1
-        found = Rollouts(
-            np.empty((count, stages, 6)),
-            *np.empty((2, count, stages, len(LEGS), 3)),
-        )
-        settings = self._angle_max, self._cycles, self._steps
-        some = count % COUNT
+        found = np.empty((count, stages, RECORD))
         roll_out(
             self.robot.handle,
+            self._four,
             start,
-            plans[:some],
-            *settings,
-            *(values[:some] for values in found),
+            plans,
+            self._angle_max,
+            self._cycles,
+            self._steps,
+            found,
+            np.empty((stages + 1, len(LEGS), COUNT)),
+            np.empty((stages, RECORD, COUNT)),
         )
-        # the others four at a time, which takes as long as two alone
-        groups = [
-            values[some:].reshape(-1, COUNT, *values.shape[1:])
-            for values in (plans, *found)
-        ]
-        lanes = [np.moveaxis(values, 1, -1).copy() for values in groups]
-        roll_out_in_lanes(self._four, start, lanes[0], *settings, *lanes[1:])
-        for values, written in zip(groups[1:], lanes[1:], strict=True):
-            values[:] = np.moveaxis(written, -1, 1)
-        return found
+        each = (count, stages, len(LEGS), 3)
+        force, foot = found[..., 6:18], found[..., 18:]
+        return Rollouts(found[..., :6], force.reshape(each), foot.reshape(each))
 
     def after(self, start: Array, plan: Array) -> Array:
         """State after a plan (n + 1, 4)."""
@@ -217,33 +211,33 @@ def nominal_scene(settings: NominalSettings, step: float) -> Scene:
 
 @kernel
 def roll_out(
-    machine, start, plans, angle_max, cycles, steps, pose, force, foot
+    machine,
+    machines,
+    start,
+    plans,
+    angle_max,
+    cycles,
+    steps,
+    found,
+    plan,
+    written,
 ):
     """Simulate every plan from the state `start` (m,).
 
-    plans: (P, n + 1, 4) rad, tendon angles at the stages 0 .. n, linear between them; the servos
-    get them `cycles` times a stage, each time for `steps` steps. Writes pose (P, n, 6), roll,
-    pitch, yaw (rad), x, y, z (m) at the stages 1 .. n, and force (P, n, 4, 3), N, of the floor on
-    the feet and foot (P, n, 4, 3), m, their places, in odom; they are NaN from a divergence on. The
-    state after the last plan stays.
+    machine, machines: handles of a robot and of four side by side. plans: (P, n + 1, 4) rad, tendon
+    angles at the stages 0 .. n, linear between them. The servos get them `cycles` times a stage, each
+    time for `steps` steps. Writes found
+    (P, n, RECORD) at the stages 1 .. n, in odom: roll, pitch, yaw (rad), x, y, z (m), force on the
+    feet (4, 3), N, and their places (4, 3), m; they are NaN from a divergence on. The state after
+    the last plan that was simulated alone stays. Used too: plan (n + 1, 4, 4), written (n, RECORD, 4).
     """
-    for p in range(plans.shape[0]):
-        _follow(
-            contents(machine),
-            (start, angle_max, cycles, steps),
-            plans[p],
-            pose[p],
-            force[p],
-            foot[p],
-        )
-
-
-@kernel
-def roll_out_in_lanes(
-    machine, start, plans, angle_max, cycles, steps, pose, force, foot
-):
-    """As `roll_out`, four plans at a time: all arrays but `start` have the axis (4,) at their end."""
-    model, legs, state, feet, work, scheme = contents(machine)
+    settings = angle_max, cycles, steps
+    model, legs, state, feet, work, scheme, sides = contents(machine)
+    one = model, legs, state, feet, work, scheme, in_lanes(sides)
+    alone = plans.shape[0] % COUNT
+    for p in range(alone):
+        _follow(one, start, settings, plans[p], found[p])
+    model, legs, state, feet, work, scheme, sides = contents(machines)
     four = (
         model,
         legs,
@@ -251,23 +245,26 @@ def roll_out_in_lanes(
         in_lanes(feet),
         in_lanes(work),
         scheme,
+        (sides[0], in_lanes(sides[1])),
     )
-    for g in range(plans.shape[0]):
-        _follow(
-            four,
-            (start, angle_max, cycles, steps),
-            in_lanes(plans[g]),
-            in_lanes(pose[g]),
-            in_lanes(force[g]),
-            in_lanes(foot[g]),
-        )
+    # the others four at a time, which takes less than three alone
+    for p in range(alone, plans.shape[0], COUNT):
+        for k in range(plan.shape[0]):
+            for i in range(4):
+                for c in range(COUNT):
+                    plan[k, i, c] = plans[p + c, k, i]
+        _follow(four, start, settings, in_lanes(plan), in_lanes(written))
+        for c in range(COUNT):
+            for k in range(written.shape[0]):
+                for i in range(RECORD):
+                    found[p + c, k, i] = written[k, i, c]
 
 
 @helper
-def _follow(machine, settings, plan, pose, force, foot):
+def _follow(machine, start, settings, plan, found):
     """Simulate a plan, or four in lanes; the velocity of a robot that diverges becomes NaN."""
-    model, legs, state, feet, work, scheme = machine
-    start, angle_max, cycles, steps = settings
+    model, legs, state, feet, work, scheme, sides = machine
+    angle_max, cycles, steps = settings
     for i in range(start.size):
         state.buffer[i] = start[i]
     for k in range(plan.shape[0] - 1):
@@ -277,23 +274,23 @@ def _follow(machine, settings, plan, pose, force, foot):
                 goal = here + c / cycles * (there - here)
                 feet.command[leg] = min(max(goal, 0.0), angle_max)
             for _ in range(steps):
-                one_step(model, legs, state, feet, work, scheme)
+                one_step(model, legs, state, feet, work, scheme, sides)
                 sound = is_slow(state, model.speed_limit) & (
                     state.rotation[2, 2] > COS_TILT_MAX
                 )
                 v_x = state.velocity[0]
                 state.velocity[0] = where(sound, v_x, like(math.nan, v_x))
-        _record(pose[k], force[k], foot[k], legs, state, feet)
+        _record(found[k], legs, state, feet)
 
 
 @helper
-def _record(pose, force, foot, legs, state, feet):
+def _record(found, legs, state, feet):
     """Write pose, forces and places of the feet, or NaN for a velocity that is NaN."""
     r, none = state.rotation, 0.0 * state.velocity[0]
-    pose[0], pose[1], pose[2] = roll_pitch_yaw(r)
+    found[0], found[1], found[2] = roll_pitch_yaw(r)
     for i in range(3):
-        pose[i] += none
-        pose[3 + i] = state.position[i] + none
+        found[i] += none
+        found[3 + i] = state.position[i] + none
     for leg in range(4):
         c, a, b, node = (
             legs.clamps[leg],
@@ -308,5 +305,5 @@ def _record(pose, force, foot, legs, state, feet):
         )
         for i in range(3):
             place = state.position[i] + r[i, 0] * x + r[i, 1] * y + r[i, 2] * z
-            foot[leg, i] = place + none
-            force[leg, i] = feet.force[leg, i] + none
+            found[18 + 3 * leg + i] = place + none
+            found[6 + 3 * leg + i] = feet.force[leg, i] + none
