@@ -282,7 +282,7 @@ class Supervisor:
         self._clock.jumped = ""
         if self._state is State.RELAX and not FAULTS.isdisjoint(active):
             self._faulty = True
-        for condition in Condition:
+        for condition in Condition if active else ():
             if (
                 condition in active
                 and next_state(self._state, condition) is not self._state

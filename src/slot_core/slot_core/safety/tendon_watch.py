@@ -84,7 +84,8 @@ class TendonWatch:
         self, load: TendonLoad, spool_radius: float, limits: TendonLimits
     ):
         self._load, self._radius, self._limits = load, spool_radius, limits
-        self._window = MovingWindow()  # of both torques and the slope, (3, 4)
+        # of both torques and the slope
+        self._window = MovingWindow(3, len(LEGS))
         self.reset()
 
     def reset(self) -> None:
@@ -151,26 +152,29 @@ class TendonWatch:
 
     def _evaluate(self, elapsed: float) -> None:
         """Compute the slack from the means; sum its excess over `elapsed` (s), set the alarms."""
-        rows = self._window.rows()
-        expected, torque, slope = rows.mean(axis=0)
-        share = np.median(torque / np.maximum(expected, TORQUE_MIN))
-        self._stiffness = float(np.clip(share, *self._limits.shared))
-        slope = np.maximum(self._stiffness * slope, self._limits.stiffness_min)
+        rows, limits = self._window.rows(), self._limits
+        expected, torque, slope = rows.sum(axis=0) / len(rows)
+        shares = torque / np.maximum(expected, TORQUE_MIN)
+        _, low, high, _ = sorted(shares.tolist())
+        self._stiffness = sorted((*limits.shared, (low + high) / 2))[1]
+        slope = np.maximum(self._stiffness * slope, limits.stiffness_min)
         self._slack = (
             self._radius * (self._stiffness * expected - torque) / slope
         )
-        shifts = SHIFTS[: 1 + bool(np.ptp(rows[:, 0], axis=0).max() < STILL)]
-        limit = self._limits.slack_max
-        shift = np.clip(product(shifts, self._slack) / len(LEGS), -limit, limit)
+        load, limit = rows[:, 0], limits.slack_max
+        extent = (load.max(axis=0) - load.min(axis=0)).max()
+        shifts = SHIFTS[: 1 + bool(extent < STILL)]
+        shift = np.maximum(product(shifts, self._slack) / len(LEGS), -limit)
+        shift = np.minimum(shift, limit)
         beyond = self._slack - product(shift, shifts)
         self._excess = np.maximum(
             self._excess + elapsed * (beyond - limit), 0.0
         )
-        over = self._excess >= self._limits.excess_max
+        over = self._excess >= limits.excess_max
         if not over.any():
             return
-        damaged = over & (self._slack >= self._limits.share * self._slack.max())
-        damaged &= np.logical_not(self._limits.broken)
+        damaged = over & (self._slack >= limits.share * self._slack.max())
+        damaged &= np.logical_not(limits.broken)
         for leg in np.flatnonzero(damaged & ~self._damaged):
             self._named[LEGS[leg]] = float(beyond[leg])
         self._damaged = self._damaged | damaged
