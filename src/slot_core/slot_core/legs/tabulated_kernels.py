@@ -86,10 +86,11 @@ FEET: Shapes = {
 }
 """Variables of the legs beside the mechanical state; the legs are the last axis in memory."""
 Feet = named("Feet", FEET, __name__)
+# Constants of the legs, one row for each: those of MapLegs, and of the model.
 Mounts = named(
     "Mounts", ["clamp", "outward", "left", "friction", "fault"], __name__
 )
-"""Constants of the legs, one row for each: those of MapLegs, and of the model."""
+# Variables of the legs in state and feet, one row for each.
 Sides = named(
     "Sides",
     [
@@ -107,7 +108,6 @@ Sides = named(
     ],
     __name__,
 )
-"""Variables of the legs in state and feet, one row for each."""
 
 
 LegResponse = named(
@@ -341,8 +341,7 @@ def _contact_point(legs, sides, work, k, place, angle, tau):
     node, moved = sides[1].node[k], sides[1].node_velocity[k, YIELD]
     y = node[YIELD, 1] + tau * moved[1]
     root = (clamp[0] + y * b[0], clamp[1] + y * b[1], clamp[2])
-    level = row(work.rotation, 2)
-    up = (like(level[0], y), like(level[1], y), like(level[2], y))
+    up = scaled(like(1.0, y), row(work.rotation, 2))
     p = plus(root, node[PLACE, 0], a)
     drop = plus_dot(place[2], up, at(p, work.motion[2], p)) / up[2]
     here = interpolate(legs, angle, drop)

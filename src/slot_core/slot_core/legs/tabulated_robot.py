@@ -162,8 +162,8 @@ class TabulatedRobot(KernelRobot):
                 ]
                 for part in sides
             )
-        lanes = Mounts(*sides[0]), Sides(*sides[1])
-        return Handle((model, legs, state, feet, work, scheme, lanes))
+        sides = Mounts(*sides[0]), Sides(*sides[1])
+        return Handle((model, legs, state, feet, work, scheme, sides))
 
     def advance(self, steps: int, command: Array) -> None:
         """Advance by `steps` steps with constant commanded tendon angles (4,), rad.
@@ -212,10 +212,12 @@ class TabulatedRobot(KernelRobot):
 
 def feet_space(lanes: tuple[int, ...] = ()) -> Arrays:
     """Variables of the feet, zero; of four states with the axis `lanes` = (4,)."""
-    arrays = zeros(FEET, lanes)
-    for name in ("force", "slip"):
-        arrays[name] = np.moveaxis(arrays[name], -1 - len(lanes), 0)
-    return Feet(**arrays)
+    return Feet(
+        **{
+            name: np.moveaxis(values, -1 - len(lanes), 0)
+            for name, values in zeros(FEET, lanes).items()
+        }
+    )
 
 
 def _require_tabulated(scene: Scene) -> None:

@@ -249,15 +249,13 @@ def roll_out(
     )
     # the others four at a time, which takes less than three alone
     for p in range(alone, plans.shape[0], COUNT):
-        for k in range(plan.shape[0]):
-            for i in range(4):
-                for c in range(COUNT):
-                    plan[k, i, c] = plans[p + c, k, i]
+        for k, i in np.ndindex(plan.shape[:2]):
+            for c in range(COUNT):
+                plan[k, i, c] = plans[p + c, k, i]
         _follow(four, start, settings, in_lanes(plan), in_lanes(written))
-        for c in range(COUNT):
-            for k in range(written.shape[0]):
-                for i in range(RECORD):
-                    found[p + c, k, i] = written[k, i, c]
+        for k, i in np.ndindex(written.shape[:2]):
+            for c in range(COUNT):
+                found[p + c, k, i] = written[k, i, c]
 
 
 @helper

@@ -122,14 +122,15 @@ def _advance_tabulated(machine, address, goals, steps, motion):
         model, legs, state, feet, work, scheme, sides = contents_at(
             machine, address[r]
         )
-        lanes = in_lanes(sides)
         fine = not math.isnan(motion[r, 0])
         for c in range(goals.shape[1]):
             for leg in range(4):
                 feet.command[leg] = goals[r, c, leg]
             for _ in range(steps):
                 if fine:
-                    one_step(model, legs, state, feet, work, scheme, lanes)
+                    one_step(
+                        model, legs, state, feet, work, scheme, in_lanes(sides)
+                    )
                     fine = divergence_of(state, model.speed_limit) < 0
         _record(motion[r], state, fine)
 
