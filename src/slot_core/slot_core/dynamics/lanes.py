@@ -265,9 +265,9 @@ def in_turn(typingctx, start, terms):
 
     def build(context, builder, sig, args):
         parts = cgutils.unpack_tuple(builder, args[1])
-        apart = [_lane(builder, x, k) for k in range(COUNT) for x in parts]
-        added = parts if isinstance(start, _Lanes) else apart
-        return functools.reduce(builder.fadd, added, args[0])
+        if not isinstance(start, _Lanes):
+            parts = [_lane(builder, x, k) for k in range(COUNT) for x in parts]
+        return functools.reduce(builder.fadd, parts, args[0])
 
     return start(start, terms), build
 

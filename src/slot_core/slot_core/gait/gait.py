@@ -396,7 +396,7 @@ class GaitSettings:
     )
     dt: float = quantity("time between stages", "s", 1e-3, 0.2)
 
-    @property
+    @cached_property
     def gaits(self) -> dict[str, Posture | Stride]:
         """All gaits by name."""
         return {**self.postures, **self.strides}
@@ -597,10 +597,8 @@ def limited(
     """Reference place (3,), at most `lead` (m) and `heading_lead` (rad) from the robot's place."""
     gap, turn = place[:2] - robot[:2], wrapped(place[2] - robot[2])
     share = min(1.0, lead / max(norm(gap), 1e-12))
-    return np.append(
-        robot[:2] + share * gap,
-        robot[2] + np.clip(turn, -heading_lead, heading_lead),
-    )
+    led = min(max(turn, -heading_lead), heading_lead)
+    return np.array([*(robot[:2] + share * gap), robot[2] + led])
 
 
 def places_ahead(place: Array, velocity: Array, dt: float) -> Array:
@@ -625,10 +623,12 @@ def reference(
     )
     rows = motion.copy()
     rows[:, 2] = yaw
-    rows[:, 6:8] = rotate(motion[:, 6:8], yaw)
+    along = motion[:, 9:11] + velocity[:, :2]
+    rows[:, 6:8], rows[:, 9:11], sway = rotate(
+        np.array([motion[:, 6:8], along, motion[:, 3:5]]), yaw
+    )
     rows[:, 8] = velocity[:, 2]
-    rows[:, 9:11] = rotate(motion[:, 9:11] + velocity[:, :2], yaw)
-    rows[:, 3:5] = place[:, :2] + rotate(motion[:, 3:5], yaw)
+    rows[:, 3:5] = place[:, :2] + sway
     return rows
 
 

@@ -207,8 +207,7 @@ def one_step(model, legs, state, feet, work, scheme, sides):
     """
     h, theta = scheme.step, scheme.theta
     tau, definite = theta * h, True
-    floor, leg = model.floor, sides[1]
-    count = leg.tension.shape[0]
+    floor, leg, count = model.floor, sides[1], len(sides[1].tension)
     predict_torso(model, state, work, h, theta)
     for k in range(count):
         leg.tendon_rate[k] = spool_rate(
@@ -628,8 +627,10 @@ def _add_stiffness(H, foot, stiffness, grip, inv):
         f_3 = c_13 * r_1[i] + c_23 * r_2[i] + c_33 * r_3[i]
         f_n = stiffness * n[i]
         for j in range(6):
-            both = f_n * n[j] + f_1 * r_1[j] + f_2 * r_2[j] + f_3 * r_3[j]
-            H[i, j] = in_turn(H[i, j], (both,))
+            H[i, j] = in_turn(
+                H[i, j],
+                (f_n * n[j] + f_1 * r_1[j] + f_2 * r_2[j] + f_3 * r_3[j],),
+            )
 
 
 @helper

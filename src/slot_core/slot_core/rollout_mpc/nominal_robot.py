@@ -178,9 +178,8 @@ class NominalRobot:
             np.empty((stages + 1, len(LEGS), COUNT)),
             np.empty((stages, RECORD, COUNT)),
         )
-        each = (count, stages, len(LEGS), 3)
-        force, foot = found[..., 6:18], found[..., 18:]
-        return Rollouts(found[..., :6], force.reshape(each), foot.reshape(each))
+        vectors = found[..., 6:].reshape(count, stages, 2, len(LEGS), 3)
+        return Rollouts(found[..., :6], vectors[:, :, 0], vectors[:, :, 1])
 
     def after(self, start: Array, plan: Array) -> Array:
         """State after a plan (n + 1, 4)."""
@@ -253,9 +252,10 @@ def roll_out(
             for c in range(COUNT):
                 plan[k, i, c] = plans[p + c, k, i]
         _follow(four, start, settings, in_lanes(plan), in_lanes(written))
-        for k, i in np.ndindex(written.shape[:2]):
-            for c in range(COUNT):
-                found[p + c, k, i] = written[k, i, c]
+        for c in range(COUNT):
+            for k in range(written.shape[0]):
+                for i in range(RECORD):
+                    found[p + c, k, i] = written[k, i, c]
 
 
 @helper

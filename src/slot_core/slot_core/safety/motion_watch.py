@@ -20,7 +20,6 @@ so it is for some time at corners and at the foot of a slope. Estimated velociti
 the origin of the odometry.
 """
 
-import math
 from collections import deque
 
 import numpy as np
@@ -174,9 +173,7 @@ class MotionWatch:
 
 def _slip(moved: Array, asked: Array) -> tuple[float, Array]:
     """Progress v . e (m/s) along the command, and the slip s (2,), of velocities (3,)."""
-    (x, y, _), (a, b, _) = moved.tolist(), asked.tolist()
-    speed = math.sqrt(a * a + b * b)
-    a, b = a / max(speed, 1e-9), b / max(speed, 1e-9)
-    along = x * a + y * b
-    share = min(max(along, 0.0), speed)
-    return along, np.array([x - share * a, y - share * b])
+    speed = norm(asked[:2])
+    way = asked[:2] / max(speed, 1e-9)
+    along = float(np.sum(moved[:2] * way))
+    return along, moved[:2] - min(max(along, 0.0), speed) * way

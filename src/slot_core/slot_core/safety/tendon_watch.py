@@ -164,8 +164,9 @@ class TendonWatch:
         load, limit = rows[:, 0], limits.slack_max
         extent = (load.max(axis=0) - load.min(axis=0)).max()
         shifts = SHIFTS[: 1 + bool(extent < STILL)]
-        shift = np.maximum(product(shifts, self._slack) / len(LEGS), -limit)
-        shift = np.minimum(shift, limit)
+        shift = np.minimum(
+            np.maximum(product(shifts, self._slack) / len(LEGS), -limit), limit
+        )
         beyond = self._slack - product(shift, shifts)
         self._excess = np.maximum(
             self._excess + elapsed * (beyond - limit), 0.0
