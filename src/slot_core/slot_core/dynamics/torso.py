@@ -147,21 +147,14 @@ def at(v, w, p):
 @helper
 def _add_point(H, g, p, f, stiff, drag, up):
     """Add force f and tangent C = stiff up up^T + drag I of a point p of the body."""
-    subtract_force(g, p, f)
-    x, y, z = p
+    (x, y, z), moment = p, cross(p, f)
+    for i in range(3):
+        g[i] -= f[i]
+        g[3 + i] -= moment[i]
     add_row(H, stiff, (*up, *cross(p, up)))
     add_row(H, drag, (1.0, 0.0, 0.0, 0.0, z, -y))
     add_row(H, drag, (0.0, 1.0, 0.0, -z, 0.0, x))
     add_row(H, drag, (0.0, 0.0, 1.0, y, -x, 0.0))
-
-
-@helper
-def subtract_force(g, p, f):
-    """g -= (f, moment of f about the centre) for the force f at the point p."""
-    moment = cross(p, f)
-    for i in range(3):
-        g[i] -= f[i]
-        g[3 + i] -= moment[i]
 
 
 @helper

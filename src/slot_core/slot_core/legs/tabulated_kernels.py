@@ -75,6 +75,7 @@ class MapLegs(NamedTuple):
     damping_time: float  # s
 
 
+# Variables of the legs beside the mechanical state; the legs are the last axis in memory.
 FEET: Shapes = {
     "command": (4,),  # rad
     # N, of the floor on the feet, odom, at the stage of the last step
@@ -84,7 +85,6 @@ FEET: Shapes = {
     "slip": (2, 3, 4),
     "flat": (2,),  # slopes of the floor, zero
 }
-"""Variables of the legs beside the mechanical state; the legs are the last axis in memory."""
 Feet = named("Feet", FEET, __name__)
 # Constants of the legs, one row for each: those of MapLegs, and of the model.
 Mounts = named(
@@ -110,6 +110,7 @@ Sides = named(
 )
 
 
+# Interpolated row of the table; `_h` and `_a`: derivatives over height and angle.
 LegResponse = named(
     "LegResponse",
     [
@@ -126,7 +127,7 @@ LegResponse = named(
     ],
     __name__,
 )
-"""Interpolated row of the table; `_h` and `_a`: derivatives over height and angle."""
+# Contact of a leg with the floor, in step axes.
 Foot = named(
     "Foot",
     [
@@ -146,7 +147,8 @@ Foot = named(
     ],
     __name__,
 )
-"""Contact of a leg with the floor, in step axes."""
+# Friction of a foot over its slip z, the force -(M z + held), and what its leg yields; M is D_+ on
+# the diagonal, and D_- between the first and the third number.
 Grip = named(
     "Grip",
     [
@@ -161,10 +163,6 @@ Grip = named(
     ],
     __name__,
 )
-"""Friction of a foot over its slip z: the force -(M z + held), and what its leg yields.
-
-M is D_+ on the diagonal, and D_- between the first and the third number.
-"""
 
 
 @kernel

@@ -224,18 +224,17 @@ def roll_out(
     """Simulate every plan from the state `start` (m,).
 
     machine, machines: handles of a robot and of four side by side. plans: (P, n + 1, 4) rad, tendon
-    angles at the stages 0 .. n, linear between them. The servos get them `cycles` times a stage, each
-    time for `steps` steps. Writes found
-    (P, n, RECORD) at the stages 1 .. n, in odom: roll, pitch, yaw (rad), x, y, z (m), force on the
-    feet (4, 3), N, and their places (4, 3), m; they are NaN from a divergence on. The state after
-    the last plan that was simulated alone stays. Used too: plan (n + 1, 4, 4), written (n, RECORD, 4).
+    angles at the stages 0 .. n, linear between them; the servos get them `cycles` times a stage, each
+    time for `steps` steps. Writes found (P, n, RECORD) at the stages 1 .. n, in odom: roll, pitch, yaw
+    (rad), x, y, z (m), force of the floor on the feet (4, 3), N, and their places (4, 3), m; they are
+    NaN from a divergence on. The state after the last plan that was simulated alone stays. Used too:
+    plan (n + 1, 4, 4), written (n, RECORD, 4).
     """
-    settings = angle_max, cycles, steps
     model, legs, state, feet, work, scheme, sides = contents(machine)
     one = model, legs, state, feet, work, scheme, in_lanes(sides)
     alone = plans.shape[0] % COUNT
     for p in range(alone):
-        _follow(one, start, settings, plans[p], found[p])
+        _follow(one, start, (angle_max, cycles, steps), plans[p], found[p])
     model, legs, state, feet, work, scheme, sides = contents(machines)
     four = (
         model,
@@ -251,7 +250,13 @@ def roll_out(
         for k, i in np.ndindex(plan.shape[:2]):
             for c in range(COUNT):
                 plan[k, i, c] = plans[p + c, k, i]
-        _follow(four, start, settings, in_lanes(plan), in_lanes(written))
+        _follow(
+            four,
+            start,
+            (angle_max, cycles, steps),
+            in_lanes(plan),
+            in_lanes(written),
+        )
         for c in range(COUNT):
             for k in range(written.shape[0]):
                 for i in range(RECORD):

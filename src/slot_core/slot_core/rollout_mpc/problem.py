@@ -88,9 +88,12 @@ class PlanProblem:
         self._damped = product(self._flat, pulls.T) + damping
         self._solver = ActiveSet(len(self.basis))
         slopes = np.zeros((len(self.basis), 6 * stages))
-        angle = np.zeros((stages + 1, LEG_COUNT))
         # compiles the solver
-        self.change(slopes[0], self.linearised(slopes), angle, angle)
+        self.change(
+            slopes[0],
+            self.linearised(slopes),
+            *np.zeros((2, stages + 1, LEG_COUNT)),
+        )
 
     def reference(
         self, rows: Array, place: Array, drift: Array, sag: float

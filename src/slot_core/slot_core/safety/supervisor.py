@@ -289,12 +289,6 @@ class Supervisor:
             ):
                 self._transition(now, time, condition, active[condition])
                 break
-        warnings = [
-            text
-            for c, text in active.items()
-            if c in REASONS_TO_HOLD | REASONS_TO_RELAX | REMARKS
-        ]
-        warnings += [*self._wrong_clock.values(), *self._companions.warnings]
         found = self._tendons.stiffness
         if not abs(found - self._modulus) <= TOLD:
             self._modulus = found
@@ -302,8 +296,17 @@ class Supervisor:
             self._inputs.sensor_warning(time),
             legs_message(self._leg_stiffness, self._modulus, self._robot.mass),
         )
-        warnings += filter(None, lines)
-        warnings += self._inputs.unwatched()
+        warnings = [
+            *(
+                text
+                for c, text in active.items()
+                if c in REASONS_TO_HOLD | REASONS_TO_RELAX | REMARKS
+            ),
+            *self._wrong_clock.values(),
+            *self._companions.warnings,
+            *filter(None, lines),
+            *self._inputs.unwatched(),
+        ]
         for (
             source
         ) in self._right_clock:  # not before a report has named the fault
@@ -392,12 +395,11 @@ class Supervisor:
         Without such a report RELAX ends in FAULT after `relax_time` and `torque_change`.
         """
         if self._inputs.torque_off(self._entered):
-            ending = (
+            found[
                 Condition.RELAXED_AFTER_FAULT
                 if self._faulty
                 else Condition.RELAXED
-            )
-            found[ending] = f"slack after: {self._reason}"
+            ] = f"slack after: {self._reason}"
             return
         limit = (
             self._settings.gate.relax_time + self._settings.timing.torque_change
