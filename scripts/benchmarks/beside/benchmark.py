@@ -1,12 +1,14 @@
 """Speed of the project beside an earlier revision of it, measured in one run.
 
 The earlier revision is cloned to `OUT/before` and set up there, once. The benchmarks of both run in
-turn, and every figure is the median of the repeats. The goals depend on the machine; how a figure
-compares with the earlier one depends less on it. With --quick there is one repeat, of `robot` alone;
-it takes three minutes, and some more the first time, when it sets the earlier revision up.
+turn, and every figure is the median of the repeats; `-`: the earlier one has no such row. The goals
+depend on the machine; how a figure compares with the earlier one depends less on it. With --quick
+there is one repeat, of `robot` alone; it takes three minutes, and some more the first time, when it
+sets the earlier revision up.
 """
 
 import json
+import math
 import os
 import statistics
 import subprocess
@@ -69,11 +71,11 @@ TABLE = {  # figures by benchmark
     ),
     "servo": (
         Work(
-            "cycle of four emulated servos",
+            "CPU of a cycle of four emulated servos",
             "ms",
             1.2,
-            "p50_ms",
-            {"kind": "cycle", "fast_sync_read": True, "usb_latency_ms": 0.0},
+            "ms",
+            {"kind": "emulated cycle"},
         ),
         Work(
             f"{AGE}, p50",
@@ -120,6 +122,16 @@ TABLE = {  # figures by benchmark
             for name, goal in (("p50", 4.0), ("p99", 9.0))
         ),
         Work("late ticks", "", 0.0, "deadline_misses", COMPOSED(kind="walk")),
+        *(
+            Work(
+                f"late ticks, composed, {share:.2g} of a core each",
+                "%",
+                goal,
+                "late_percent",
+                {"kind": "share", "nodes": "composed", "share": share},
+            )
+            for share, goal in ((1 / 2, 0.0), (1 / 3, 1.0))
+        ),
         Work(
             "CPU of the controller",
             "%",
@@ -172,9 +184,9 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
         for name, work in works
     ]
     for row in table:
-        row["now_over_before"] = (
-            row["now"] / row["before"] if row["before"] else "-"
-        )
+        known = not math.isnan(row["before"]) and row["before"]
+        row["now_over_before"] = row["now"] / row["before"] if known else "-"
+        row["before"] = "-" if math.isnan(row["before"]) else row["before"]
     return table, [
         (at_least if work.larger else at_most)(
             work.name, row["now"], work.goal, work.unit
@@ -184,13 +196,14 @@ def run(quick: bool, out: Path, progress: Progress) -> Outcome:
 
 
 def median(work: Work, repeats: list[list[Row]]) -> float:
-    """Median over the repeats of the figure, which one row of each has."""
-    return statistics.median(
+    """Median over the repeats of the figure, which one row of each has; NaN: none has it."""
+    found = [
         row[work.figure]
         for rows in repeats
         for row in rows
         if work.figure in row and work.row.items() <= row.items()
-    )
+    ]
+    return statistics.median(found) if found else math.nan
 
 
 def _call(*command: str | Path) -> None:

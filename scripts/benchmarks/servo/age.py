@@ -1,8 +1,8 @@
 """The age of a command at the servos: the graph with emulated servos in real time, no bag.
 
-The age is the time from the publication of an odometry reading until the goals computed from it are
-written to the port. It excludes the sensor's delay of the odometry, and the transmission on the
-wire, which is 0.34 ms for four goals at 1 Mbaud.
+The age is the time from the publication of the sample of the IMU that led to a tick until the goals
+of the tick are written to the port. It excludes the transmission on the wire, which is 0.34 ms for
+four goals at 1 Mbaud.
 """
 
 import math
@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any, cast
 
 import numpy as np
 from matplotlib.figure import Figure
-from nav_msgs.msg import Odometry
+from sensor_msgs.msg import Imu
 
 from benchmarks.harness import BenchmarkError, Check, Row, at_most
 from benchmarks.plots import draw_longer
@@ -48,10 +49,10 @@ def walk(duration: float, nodes: str) -> Array:
     graph, warm_up = read_graph(), read_record_settings().warm_up
     values = {argument.name: argument.default for argument in graph.arguments}
     values |= {"hardware": "fake_bus", "composed": nodes != SEPARATE}
-    published: dict[int, int] = {}  # ns, by the odometry's stamp
+    published: dict[int, int] = {}  # ns, by the IMU's stamp
     written: dict[int, int] = {}
 
-    def on_odom(message: Odometry, info: Mapping[str, int]) -> None:
+    def on_imu(message: Imu, info: Mapping[str, int]) -> None:
         published[decode.stamp(message)] = info["source_timestamp"]
 
     def on_health(message: ServoHealth) -> None:
@@ -66,9 +67,7 @@ def walk(duration: float, nodes: str) -> Array:
         listener("age") as (node, executor),
     ):
         # rclpy also passes the second argument; its type annotation has only the first
-        node.create_subscription(
-            Odometry, "odom", cast(Any, on_odom), qos.SENSOR
-        )
+        node.create_subscription(Imu, "imu", cast(Any, on_imu), qos.SENSOR)
         node.create_subscription(
             ServoHealth, "servo_health", on_health, qos.SENSOR
         )
@@ -86,10 +85,11 @@ def walk(duration: float, nodes: str) -> Array:
             stamps = list(filter(None, written))
             spanned = 1e-9 * (max(stamps) - min(stamps)) if stamps else 0.0
     begin = min(filter(None, written)) + warm_up * 1e9
+    sampled = sorted(published)
     aged = [
-        1e-9 * (at - published[s])
+        1e-9 * (at - published[sampled[k]])
         for s, at in written.items()
-        if s in published and s > begin
+        if s > begin and (k := bisect_left(sampled, s)) < len(sampled)
     ]
     if not aged:
         raise BenchmarkError("no command after the warm-up")
