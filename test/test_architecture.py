@@ -249,7 +249,7 @@ BUDGET = {
     "src/slot_lab": 6299,
     "src/slot_paper": 681,
     "src/slot_nodes": 2335,
-    "slot_bringup": 2886,
+    "slot_bringup": 2888,
     "scripts": 4807,
     "test": 15_491,
 }

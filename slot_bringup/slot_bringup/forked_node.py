@@ -6,6 +6,7 @@ own process, session, command line and log, as if it had been started from the s
 """
 
 import ctypes
+import gc
 import multiprocessing
 import os
 import signal
@@ -87,6 +88,7 @@ def _become(
     environment: dict[str, str],
 ) -> None:
     """Turn this process into the process of a node, and run it to its end."""
+    gc.freeze()  # a collection would write to the memory that all forks share
     os.setsid()  # Ctrl-C reaches only the launcher, which ends the nodes
     end_with_parent()
     # before the environment, next to whose memory it is
