@@ -27,6 +27,16 @@ section again. A quick run has fewer repeats and rougher figures. A check compar
 a goal that is missed is in bold. Pictures are of the last full run.
 """
 SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
+    "beside": {
+        "beside": (
+            "work",
+            "unit",
+            "before",
+            "now",
+            "now_over_before",
+            "goal",
+        )
+    },
     "estimation": {
         "delay": ("method", "delay_ms", "position_mm", "velocity_mm_s"),
         "tracker": ("image_plane_mm", "depth_mm"),
@@ -107,6 +117,7 @@ SHOWN: Mapping[str, Mapping[str, Sequence[str]]] = {
         "replay": ("gait", "friction", "own_v_x", "other_v_x", "goal"),
     },
     "servo": {
+        "emulated cycle": ("ms", "over_robot"),
         "cycle": ("fast_sync_read", "usb_latency_ms", "rate_hz", "p99_ms"),
         "step": ("control", "load", "rise_ms", "overshoot_deg", "error_deg"),
         "age": ("nodes", "p50_ms", "p99_ms", "largest_ms"),

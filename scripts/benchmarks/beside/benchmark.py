@@ -30,7 +30,13 @@ from benchmarks.servo.age import BUSY
 REQUIRES = ("gymnasium",)
 REVISION = "f545c706"  # the earlier one
 REPEATS = 3
-KEPT = ("HOME", "PATH", "LANG", "SLOT_ROS", "ROS_DOMAIN_ID")  # of the caller's environment
+KEPT = (
+    "HOME",
+    "PATH",
+    "LANG",
+    "SLOT_ROS",
+    "ROS_DOMAIN_ID",
+)  # of the caller's environment
 
 
 class Work(NamedTuple):
