@@ -250,7 +250,7 @@ BUDGET = {
     "src/slot_paper": 681,
     "src/slot_nodes": 2335,
     "slot_bringup": 2888,
-    "scripts": 4807,
+    "scripts": 4808,
     "test": 15_491,
 }
 
