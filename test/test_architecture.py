@@ -248,10 +248,10 @@ BUDGET = {
     "src/slot_core": 15_677,
     "src/slot_lab": 6299,
     "src/slot_paper": 681,
-    "src/slot_nodes": 2335,
+    "src/slot_nodes": 2342,
     "slot_bringup": 2888,
     "scripts": 4808,
-    "test": 15_491,
+    "test": 15_504,
 }
 
 

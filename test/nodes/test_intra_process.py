@@ -1,12 +1,18 @@
 """Messages between nodes of one process."""
 
+from functools import partial
+from unittest.mock import Mock
+
 import pytest
 from rclpy.qos import QoSProfile
 
 from slot_core.messages import decode
 from slot_core.messages.carried import Carried
+from slot_core.recording.record_settings import BagError
+from slot_msgs.msg import RobotState
 from slot_nodes import qos
 from slot_nodes.process import intra_process
+from slot_nodes.recorder_node import RecorderNode
 
 EVERY, NEWEST = QoSProfile(depth=50), QoSProfile(depth=1)
 
@@ -157,6 +163,18 @@ def test_a_recorder_has_all_messages_of_the_process_once_and_not_by_dds(
         numbers.publish(carried([], number))
     mailbox.deliver()
     assert events == ["unsubscribed", ("bag", 0), ("bag", 1)]
+
+
+def test_a_full_disk_ends_the_process_and_is_no_refusal_of_a_message():
+    """A node publishes while it takes a message: a ValueError would only drop that one."""
+    recorder = Mock(_write=Mock(side_effect=BagError("full")))
+    recorder._ended_by_the_disk = partial(
+        RecorderNode._ended_by_the_disk, recorder
+    )
+    with pytest.raises(SystemExit) as ended:
+        RecorderNode._write_message(recorder, "/robot_state", RobotState())
+    assert ended.value.code == 1
+    recorder.get_logger().fatal.assert_called_once_with("full")
 
 
 def test_nodes_that_answer_each_other_for_ever_let_the_executor_on(

@@ -14,6 +14,8 @@ changes: a replay tells a node of a user's own from ours.
 import json
 import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, cast
 
@@ -100,12 +102,22 @@ class RecorderNode(Node):
 
     def _work(self) -> None:
         """Write what has arrived by DDS, and flush the bag when it is due."""
-        self._take()
-        self._announce_when_matched()
-        if time.monotonic() - self._flushed >= self._settings.flush:
-            self._flushed = time.monotonic()
-            self._note_nodes()
-            self._bag.flush()
+        with self._ended_by_the_disk():
+            self._take()
+            self._announce_when_matched()
+            if time.monotonic() - self._flushed >= self._settings.flush:
+                self._flushed = time.monotonic()
+                self._note_nodes()
+                self._bag.flush()
+
+    @contextmanager
+    def _ended_by_the_disk(self) -> Iterator[None]:
+        """End the process on BagError, which as a ValueError would only refuse a message in work."""
+        try:
+            yield
+        except BagError as error:
+            self.get_logger().fatal(str(error))
+            raise SystemExit(1) from None
 
     def _take(self) -> None:
         """Write all messages that have arrived."""
@@ -126,7 +138,8 @@ class RecorderNode(Node):
     def _write_message(self, name: str, message: Any) -> None:
         """Write a message of this process, as it is published."""
         info = {"source_timestamp": time.time_ns()}
-        self._write(name, messages.cdr(message), info)
+        with self._ended_by_the_disk():
+            self._write(name, messages.cdr(message), info)
 
     def _announce_when_matched(self) -> None:
         now = time.monotonic()

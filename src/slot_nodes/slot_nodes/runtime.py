@@ -34,7 +34,6 @@ from rclpy.signals import uninstall_signal_handlers
 from rclpy.timer import Timer
 
 from slot_core import config
-from slot_core.recording.record_settings import BagError
 from slot_core.refusal import one_line
 from slot_nodes import messages
 from slot_nodes.process import departure, intra_process
@@ -140,9 +139,6 @@ def run(
     except (config.ConfigError, ParameterException) as error:
         print(one_line(error), file=sys.stderr)
         sys.exit(2)
-    except BagError as error:
-        print(one_line(error), file=sys.stderr)
-        sys.exit(1)
     except RuntimeError:
         if not interrupt.received and rclpy.utilities.ok():
             raise  # else of a message that was taken or published as the context ended
